@@ -1,0 +1,1 @@
+"""The PID cascade that turns an estimate and a setpoint into rotor speeds."""

@@ -1,0 +1,1 @@
+"""Position estimators and the mapper that serves all of them."""

@@ -1,0 +1,143 @@
+"""What the rest of the project may know of estimation: estimates, maps, protocols, parameters.
+
+Loads with numpy alone, so that an outside estimator can be written against it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.api import FORBID_EXTRA, Observation, SensorNeeds
+from sim.frames import Pose
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PoseTrack:
+    """Odometry poses over a span of time, for deskewing a scan."""
+
+    times_s: Array
+    """(N,) strictly ascending"""
+    positions_odom: Array
+    """(N, 3) of the body origin, odom frame"""
+    quats_wxyz: Array
+    """(N, 4) odom_from_body"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Estimate:
+    """Belief about the vehicle at ``time_s``: the time of the newest observation, reached by IMU
+    propagation from the newest scan or image.
+
+    Control uses ``odom_from_body``, which never jumps; ``world_from_odom`` moves at a bounded rate
+    when closures correct the past. ``world_from_body`` composes both.
+    """
+
+    tick: int
+    time_s: float
+    odom_from_body: Pose
+    world_from_odom: Pose
+    velocity_odom: Array
+    """(3,) m/s"""
+    angular_velocity_body: Array
+    """(3,) rad/s, bias removed"""
+    acceleration_odom: Array
+    """(3,) m/s^2, gravity removed"""
+    position_covariance: Array
+    """(3, 3) m^2, world frame"""
+    rotation_covariance: Array
+    """(3, 3) rad^2, body frame"""
+    healthy: bool = True
+    scan_track: PoseTrack | None = None
+    """Best known poses that span the scans in this observation, if there are any and the estimator
+    offers them; otherwise the mapper interpolates the causal estimates."""
+    diagnostics: Mapping[str, float] = field(default_factory=dict)
+    """Named scalars for the recording (features tracked, residuals, degenerate directions...)."""
+
+    @property
+    def world_from_body(self) -> Pose:
+        return self.world_from_odom @ self.odom_from_body
+
+
+class Estimator(Protocol):
+    """``update`` is called once a control step with what has arrived; it must be deterministic and
+    must not modify its input."""
+
+    needs: SensorNeeds
+
+    def update(self, obs: Observation) -> Estimate: ...
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GridMap:
+    """A square-celled elevation map in the ODOM frame. Cell (row, col) covers
+    x in [x0 + col*c, x0 + (col+1)*c), y in [y0 + row*c, y0 + (row+1)*c). Unseen cells: count 0 and
+    NaN heights. All arrays (rows, cols[, 3]); they are the mapper's own: read, never write.
+    """
+
+    origin_xy_m: Array
+    """(2,) lower left corner x0, y0"""
+    cell_m: float
+    count: NDArray[np.float32]
+    """returns that fell into the cell (recent ones weigh more)"""
+    height_m: NDArray[np.float32]
+    """mean height of the returns"""
+    height_std_m: NDArray[np.float32]
+    min_height_m: NDArray[np.float32]
+    max_height_m: NDArray[np.float32]
+    rgb: NDArray[np.float32]
+    """0..255; NaN where no image ever covered a return"""
+    intensity: NDArray[np.float32]
+    """mean LIDAR intensity 0..255"""
+    missing: NDArray[np.float32]
+    """pulses that should have hit this cell (at the surrounding height) and did not come back"""
+    last_seen_s: NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MapView:
+    """The mapper's state, cheap to hand over (views, no copies). ``version`` rises with every scan
+    integrated. ``fine`` covers a window below the vehicle once it is low."""
+
+    version: int
+    coarse: GridMap
+    fine: GridMap | None
+
+
+class Mapper(Protocol):
+    needs: SensorNeeds
+
+    def update(self, obs: Observation, estimate: Estimate) -> MapView: ...
+
+
+# ------------------------------------------------------------------------------- parameters
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MapperParams:
+    """Bounded memory: the grids' extents and cells set it, not the flight's duration."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    cell_m: float = 0.2
+    extent_m: float = 160.0
+    """side of the square coarse grid, centred on the take-off spot"""
+    fine_cell_m: float = 0.05
+    fine_extent_m: float = 24.0
+    fine_below_m: float = 14.0
+    """height above ground below which the fine grid fills"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LivoParams:
+    """LIDAR-inertial-visual odometry (``estimator/livo.py``)."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    camera_hz: int = 10

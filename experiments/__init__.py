@@ -1,0 +1,1 @@
+"""Wiring, the one main loop, referee, recordings and the command line."""

@@ -1,0 +1,1 @@
+"""Choosing a landing site and planning the flight to it."""

@@ -1,0 +1,129 @@
+"""What the rest of the project may know of landing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.api import Setpoint
+from estimator.api import Estimate, MapView
+from sim.api import FORBID_EXTRA, Observation, SensorNeeds
+
+Array = NDArray[np.float64]
+
+
+class Phase(StrEnum):
+    INIT = "INIT"
+    TAKEOFF = "TAKEOFF"
+    SURVEY = "SURVEY"
+    SELECT = "SELECT"
+    APPROACH = "APPROACH"
+    DESCEND = "DESCEND"
+    TOUCHDOWN = "TOUCHDOWN"
+    RETURN = "RETURN"
+    DONE = "DONE"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Candidate:
+    """A possible landing site, odom frame."""
+
+    position_odom: Array
+    """(3,) centre, on the ground"""
+    normal_odom: Array
+    """(3,) unit normal of the plane through the footprint"""
+    score: float
+    """C_sum at the mode (Eq. 13), higher is better"""
+    flatness: float
+    smoothness: float
+    distance: float
+    slope_deg: float
+    roughness_m: float
+    """largest |residual| to the plane within the footprint"""
+    clearance_m: float
+    """distance to the nearest cell that is not landable"""
+    accepted: bool
+    reason: str
+    """why it was chosen or refused, in words"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CostmapView:
+    """The costmaps of one selection, for pictures and recordings; (rows, cols) float32 in [0, 1],
+    higher is better, NaN where unknown, on the grid ``origin_xy_m``, ``cell_m`` (odom frame)."""
+
+    origin_xy_m: Array
+    cell_m: float
+    total: NDArray[np.float32]
+    flatness: NDArray[np.float32]
+    smoothness: NDArray[np.float32]
+    distance: NDArray[np.float32]
+    rgb: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LanderView:
+    """What the recorder and the referee may see of the lander."""
+
+    phase: Phase
+    note: str
+    """the last decision in words"""
+    candidates: tuple[Candidate, ...]
+    costmap: CostmapView | None
+    site_world: Array | None
+    """(3,) the site flown to, world frame"""
+    committed_site_world: Array | None
+    """(3,) the site as committed at 4 m, immutable after"""
+    reference_world: Array
+    """(3,) position of the reference trajectory now"""
+    no_site: bool
+    """no safe site was found: returning to the take-off spot"""
+    aborted: bool
+    """gave up for another reason (a refused ``--site``, energy)"""
+
+
+class Lander(Protocol):
+    needs: SensorNeeds
+
+    @property
+    def phase(self) -> Phase: ...
+
+    def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> Setpoint: ...
+
+    def view(self) -> LanderView: ...
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SurveyParams:
+    """The circuitous scan of the paper's Fig. 9a: legs joined by minimum-jerk turns."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    height_m: float = 30.0
+    """above the take-off ground"""
+    legs: int = 3
+    leg_length_m: float = 50.0
+    leg_spacing_m: float = 20.0
+    duration_s: float = 36.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LandingParams:
+    __pydantic_config__ = FORBID_EXTRA
+
+    weight_flatness: float = 0.5
+    weight_smoothness: float = 0.3
+    weight_distance: float = 0.2
+    site_xy_m: tuple[float, float] | None = None
+    """a commanded site (world frame) instead of a chosen one"""
+    survey_only: bool = False
+    """stop after the survey (the positioning experiment)"""
+    second_look: bool = True
+    decision_latency_s: float = 0.3
+    max_slope_deg: float = 5.0
+    max_step_m: float = 0.10
+    clear_radius_m: float = 1.5

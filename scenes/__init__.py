@@ -1,0 +1,1 @@
+"""Places to land in: MJCF scenes, their textures and their ground truth."""

@@ -1,0 +1,95 @@
+"""What the rest of the project may know of scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LAND_CLASSES: tuple[str, ...] = ("lawn", "field", "path", "road", "building", "water", "trees")
+"""The paper's seven-class scheme D_Land; a class id is an index into this tuple."""
+SAFE_CLASSES: frozenset[str] = frozenset({"lawn", "field", "path"})
+RISKY_CLASSES: frozenset[str] = frozenset({"road", "building"})
+UNSAFE_CLASSES: frozenset[str] = frozenset({"water", "trees"})
+OTHER_CLASS_ID = 255
+"""Objects that belong to no land class (a car, a lamp)."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Surface:
+    """Optical and semantic properties of a material."""
+
+    land_class: str
+    """one of LAND_CLASSES or ``other``"""
+    reflectivity: float
+    """diffuse, 905 nm, 0..1"""
+    porosity: float = 0.0
+    """share of pulses that pass through (crowns, reeds)"""
+    water: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GroundRaster:
+    """Class and reflectivity of the terrain geom, whose texture shows several materials. Cell
+    (row, col) covers x in [x0 + col*c, ...), y in [y0 + row*c, ...), world frame."""
+
+    geom_name: str
+    origin_xy_m: Array
+    cell_m: float
+    class_id: NDArray[np.uint8]
+    reflectivity: NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MovingBody:
+    """A mocap body that follows a closed polyline at constant speed."""
+
+    body_name: str
+    path_world: Array
+    """(K, 3) vertices, closed implicitly; heading follows the path"""
+    speed_mps: float
+    start_m: float
+    """arc length at time 0"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Scene:
+    """A compiled place with the vehicle in it."""
+
+    name: str
+    seed: int
+    model: Any
+    """mujoco.MjModel, vehicle attached with its free joint first"""
+    takeoff_xy_m: Array
+    """(2,) world"""
+    takeoff_yaw: float
+    bounds_xy_m: Array
+    """(2, 2) [[x_min, y_min], [x_max, y_max]]"""
+    surfaces: Mapping[str, Surface]
+    """by geom name; the terrain's entry is a default, its raster goes before"""
+    ground: GroundRaster | None
+    moving: tuple[MovingBody, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TruthMaps:
+    """Rasters of the true, static scene at time 0, seen from above. Cell (row, col) as in
+    GroundRaster."""
+
+    origin_xy_m: Array
+    cell_m: float
+    height_m: NDArray[np.float32]
+    """top surface, objects included"""
+    slope_deg: NDArray[np.float32]
+    """of the plane fitted within 0.5 m"""
+    class_id: NDArray[np.uint8]
+    safe_geometry: NDArray[np.bool_]
+    """touchdown here satisfies the geometric rule: within 1.0 m slope <= 5 deg, no step
+    or object above 0.10 m, no water; from 1.0 to 1.5 m nothing taller than 0.25 m"""
+    safe: NDArray[np.bool_]
+    """safe_geometry and a safe class"""

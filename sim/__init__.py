@@ -1,0 +1,1 @@
+"""The simulated world: physics, wind, clock and sensors."""

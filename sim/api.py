@@ -1,0 +1,322 @@
+"""What the rest of the project may know of the simulated world: messages, parameters, protocols.
+
+Every array is float64 unless stated. Time is an integer count of ticks of ``SimParams.tick_hz``;
+``time_s`` is always ``tick / tick_hz``. Arrays inside messages are read-only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.frames import Pose
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+GRAVITY_MPS2 = 9.81
+AIR_DENSITY_KGPM3 = 1.225
+
+FORBID_EXTRA = {"extra": "forbid"}
+"""Read by pydantic: an unknown configuration key is an error, not a silent default."""
+
+
+# ------------------------------------------------------------------------------- parameters
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SimParams:
+    """Clock and delivery. All ``*_ticks`` divide or multiply one tick of 1 / ``tick_hz`` s."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    tick_hz: int = 600
+    control_ticks: int = 3
+    """Ticks between two controller commands (200 Hz)."""
+    imu_ticks: int = 3
+    camera_ticks: int = 20
+    """The camera's own clock (30 Hz); images are rendered on its pulses."""
+    lidar_scan_ticks: int = 60
+    compute_latency_ticks: int = 36
+    """From the end of a scan, or the exposure of an image, until an estimator may use it."""
+    battery_capacity_j: float = 700e3
+    """Usable energy at take-off (about 195 Wh)."""
+    threads: int = 2
+    """2: rendering and ray casting overlap with estimation; 1: everything in the calling thread.
+    Both give the same result to the bit."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class WindParams:
+    """Mean wind with a logarithmic profile, and Dryden low-altitude turbulence (MIL-F-8785C)."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    mean_kmh: float = 12.0
+    """Mean speed at 20 ft (6.1 m); also W20 of the Dryden model."""
+    direction_deg: float | None = None
+    """Where the wind blows to, counter-clockwise from east; None: by seed."""
+    roughness_length_m: float = 0.1
+    turbulence: bool = True
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LidarParams:
+    """A Livox-like scanning LIDAR. Defaults: Livox Horizon (manufacturer's data sheet)."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    preset: str = "horizon"
+    range_sigma_m: float = 0.02
+    angle_sigma_deg: float = 0.05
+    min_range_m: float = 0.5
+    max_range_m: float = 260.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CameraParams:
+    """RealSense D435 colour camera."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    width: int = 848
+    height: int = 480
+    fov_x_deg: float = 69.0
+    fov_y_deg: float = 42.0
+    noise_sigma: float = 1.5
+    """Standard deviation of the grey-level noise (of 255)."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ImuParams:
+    """Bosch BMI088 (data sheet): noise densities, in-run bias walk, turn-on bias."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    gyro_density: float = 2.44e-4
+    """rad/s/sqrt(Hz)"""
+    accel_density: float = 1.72e-3
+    """m/s^2/sqrt(Hz)"""
+    gyro_bias_walk: float = 1.0e-5
+    """rad/s^2/sqrt(Hz)"""
+    accel_bias_walk: float = 1.0e-4
+    """m/s^3/sqrt(Hz)"""
+    gyro_bias_sigma: float = 3.0e-3
+    """rad/s, turn-on"""
+    accel_bias_sigma: float = 3.0e-2
+    """m/s^2, turn-on"""
+
+
+# ------------------------------------------------------------------- what a vehicle knows of itself
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CameraIntrinsics:
+    """Pinhole with OpenCV's five distortion coefficients (k1, k2, p1, p2, k3); pixel centres at
+    integer coordinates."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: Array = field(default_factory=lambda: np.zeros(5))
+
+    def matrix(self) -> Array:
+        """K, (3, 3)."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class VehicleModel:
+    """What the flight controller knows of the airframe. Rotor i at ``rotor_xy_m[i]`` (body frame)
+    gives thrust ``thrust_coefficient * w**2`` along body +z and the yaw torque
+    ``rotor_spin[i] * torque_coefficient * w**2`` about body +z.
+    """
+
+    mass_kg: float
+    inertia_kgm2: Array
+    """(3,) principal moments about the centre of mass, body axes."""
+    rotor_xy_m: Array
+    """(4, 2)"""
+    rotor_spin: Array
+    """(4,) of +1 or -1"""
+    thrust_coefficient: float
+    """N / (rad/s)^2"""
+    torque_coefficient: float
+    """N m / (rad/s)^2"""
+    rotor_speed_min: float
+    """rad/s, idle"""
+    rotor_speed_max: float
+    """rad/s"""
+    motor_time_constant_s: float
+    linear_drag: float
+    """N per m/s of air-relative velocity in the rotor plane, all four rotors at hover."""
+    leg_height_m: float
+    """From the underside of the legs to the body origin."""
+    footprint_radius_m: float
+    """Horizontal radius of the circle that holds rotors and legs."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SensorRig:
+    """Calibration and rates as an estimator is told them. ``world_from_body_start`` is the known
+    take-off pose. Extrinsics map sensor coordinates to body coordinates."""
+
+    tick_hz: int
+    body_from_imu: Pose
+    body_from_lidar: Pose
+    body_from_camera: Pose
+    body_from_camera_right: Pose
+    camera: CameraIntrinsics
+    lidar: LidarParams
+    imu: ImuParams
+    imu_ticks: int
+    camera_ticks: int
+    lidar_scan_ticks: int
+    compute_latency_ticks: int
+    world_from_body_start: Pose
+    vehicle: VehicleModel
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SensorNeeds:
+    """What a component wants to be simulated; the world renders the union and nothing else.
+    The IMU always runs."""
+
+    camera_hz: int = 0
+    """0: no images; else a divisor of the camera's clock rate (30, 15, 10, 6, 5, 3, 2, 1)."""
+    stereo: bool = False
+    lidar: bool = False
+
+    def __or__(self, other: SensorNeeds) -> SensorNeeds:
+        return SensorNeeds(
+            camera_hz=max(self.camera_hz, other.camera_hz),
+            stereo=self.stereo or other.stereo,
+            lidar=self.lidar or other.lidar,
+        )
+
+
+# ------------------------------------------------------------------------------------- messages
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ImuSample:
+    """Mean over the ``imu_ticks`` before ``tick`` (an integrating IMU), IMU frame."""
+
+    tick: int
+    time_s: float
+    angular_velocity: Array
+    """(3,) rad/s"""
+    specific_force: Array
+    """(3,) m/s^2; +g along the upward axis at rest."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LidarScan:
+    """All pulses fired in (``start_tick``, ``end_tick``], LIDAR frame, each cast from the pose of
+    its own instant. A pulse without return has range 0."""
+
+    start_tick: int
+    end_tick: int
+    start_time_s: float
+    end_time_s: float
+    directions: Float32
+    """(N, 3) nominal unit beam directions (angle noise is not in them)."""
+    ranges: Float32
+    """(N,) metres; 0 where nothing came back."""
+    time_offsets: Float32
+    """(N,) seconds after ``start_time_s``, ascending."""
+    intensity: NDArray[np.uint8]
+    """(N,) return strength 0..255, calibrated to reflectivity in percent below 150 (Livox)."""
+
+    @property
+    def points(self) -> Float32:
+        """(N, 3) float32 metres; (0, 0, 0) where nothing came back."""
+        return self.directions * self.ranges[:, None]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CameraImage:
+    """One exposure (global shutter) at ``tick``."""
+
+    tick: int
+    time_s: float
+    rgb: NDArray[np.uint8]
+    """(H, W, 3)"""
+    right_rgb: NDArray[np.uint8] | None = None
+    """(H, W, 3), only where stereo was asked for."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Observation:
+    """Everything that has ARRIVED since the previous observation, oldest first."""
+
+    tick: int
+    time_s: float
+    imu: tuple[ImuSample, ...] = ()
+    scans: tuple[LidarScan, ...] = ()
+    images: tuple[CameraImage, ...] = ()
+    rotor_speed_radps: Array
+    """(4,) speed-controller telemetry of now."""
+    battery_fraction: float
+    """Usable energy left, 1 at take-off."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Command:
+    """Demanded rotor speeds, (4,) rad/s; 0 switches a motor off."""
+
+    rotor_speed_radps: Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Contact:
+    """One touching pair. ``part``: ``leg``, ``rotor`` or ``body``; ``other``: the scene geom."""
+
+    part: str
+    other: str
+    normal_force_n: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Truth:
+    """The true state. Only the recorder, the referee and the ``oracle`` estimator may look."""
+
+    tick: int
+    time_s: float
+    world_from_body: Pose
+    velocity_world: Array
+    """(3,) m/s of the body origin"""
+    acceleration_world: Array
+    """(3,) m/s^2, mean over the last control step, gravity not included"""
+    angular_velocity_body: Array
+    """(3,) rad/s"""
+    wind_world: Array
+    """(3,) m/s, mean and turbulence"""
+    rotor_speed_radps: Array
+    """(4,)"""
+    contacts: tuple[Contact, ...]
+    peak_contact_accel: float
+    """m/s^2, largest |acceleration| of any tick of the last control step"""
+    energy_used_j: float
+
+
+class World(Protocol):
+    """The simulated world as the main loop sees it."""
+
+    rig: SensorRig
+
+    def reset(self) -> Observation: ...
+
+    def step(self, command: Command) -> Observation:
+        """Advances ``control_ticks`` and returns what arrived meanwhile."""
+        ...
+
+    def truth(self) -> Truth: ...
+
+    def close(self) -> None: ...

@@ -1,0 +1,177 @@
+"""Rotations, poses and camera frames: the only place where representations are converted.
+
+Conventions: world ENU (z up), body FLU (x forward, y left, z up), camera optical (x right, y down,
+z forward), LIDAR (x along the long axis of its field of view, z along the boresight). Quaternions
+are Hamilton, unit, in the order w, x, y, z. Names read right to left: ``world_from_body`` maps body
+coordinates to world coordinates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_SMALL_ANGLE = 1e-8
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A rigid transform ``target_from_source``.
+
+    rotation: (3, 3) float64, orthonormal; translation: (3,) float64, metres, origin of the source
+    frame expressed in the target frame.
+    """
+
+    rotation: Array
+    translation: Array
+
+    @staticmethod
+    def identity() -> Pose:
+        return Pose(np.eye(3), np.zeros(3))
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """Composition: ``a_from_c = a_from_b @ b_from_c``."""
+        return Pose(
+            self.rotation @ other.rotation, self.rotation @ other.translation + self.translation
+        )
+
+    def inverse(self) -> Pose:
+        transposed = self.rotation.T
+        return Pose(transposed, -transposed @ self.translation)
+
+    def apply(self, points: Array) -> Array:
+        """Transforms (..., 3) points from the source frame to the target frame."""
+        return points @ self.rotation.T + self.translation
+
+    def matrix(self) -> Array:
+        """The (4, 4) homogeneous matrix."""
+        homogeneous = np.eye(4)
+        homogeneous[:3, :3] = self.rotation
+        homogeneous[:3, 3] = self.translation
+        return homogeneous
+
+
+def skew(vector: Array) -> Array:
+    """(3,) -> (3, 3) with ``skew(a) @ b == cross(a, b)``."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def so3_exp(rotation_vector: Array) -> Array:
+    """Rotation matrix of a rotation vector (3,) in radians (Rodrigues)."""
+    angle = float(np.sqrt(rotation_vector @ rotation_vector))
+    generator = skew(rotation_vector)
+    if angle < _SMALL_ANGLE:
+        return np.eye(3) + generator
+    return (
+        np.eye(3)
+        + (np.sin(angle) / angle) * generator
+        + ((1.0 - np.cos(angle)) / angle**2) * generator @ generator
+    )
+
+
+def so3_log(rotation: Array) -> Array:
+    """Rotation vector (3,) in radians, angle in [0, pi], of a rotation matrix."""
+    w, x, y, z = quat_wxyz_from_matrix(rotation)
+    vector = np.array([x, y, z])
+    sine = float(np.sqrt(vector @ vector))
+    if sine < _SMALL_ANGLE:
+        return 2.0 * vector
+    return (2.0 * np.arctan2(sine, w) / sine) * vector
+
+
+def so3_right_jacobian(rotation_vector: Array) -> Array:
+    """Jr with ``exp(v + d) ~ exp(v) exp(Jr(v) d)``."""
+    angle = float(np.sqrt(rotation_vector @ rotation_vector))
+    generator = skew(rotation_vector)
+    if angle < 1e-5:
+        return np.eye(3) - 0.5 * generator
+    return (
+        np.eye(3)
+        - ((1.0 - np.cos(angle)) / angle**2) * generator
+        + ((angle - np.sin(angle)) / angle**3) * generator @ generator
+    )
+
+
+def quat_wxyz_from_matrix(rotation: Array) -> Array:
+    """Unit quaternion (4,) wxyz with w >= 0 of a rotation matrix (Shepperd's method)."""
+    trace = rotation[0, 0] + rotation[1, 1] + rotation[2, 2]
+    candidates = np.array([trace, rotation[0, 0], rotation[1, 1], rotation[2, 2]])
+    largest = int(np.argmax(candidates))
+    quat = np.empty(4)
+    if largest == 0:
+        quat[0] = 1.0 + trace
+        quat[1] = rotation[2, 1] - rotation[1, 2]
+        quat[2] = rotation[0, 2] - rotation[2, 0]
+        quat[3] = rotation[1, 0] - rotation[0, 1]
+    else:
+        i = largest - 1
+        j, k = (i + 1) % 3, (i + 2) % 3
+        quat[0] = rotation[k, j] - rotation[j, k]
+        quat[1 + i] = 1.0 + rotation[i, i] - rotation[j, j] - rotation[k, k]
+        quat[1 + j] = rotation[j, i] + rotation[i, j]
+        quat[1 + k] = rotation[k, i] + rotation[i, k]
+    quat /= np.sqrt(quat @ quat)
+    return quat if quat[0] >= 0.0 else -quat
+
+
+def matrix_from_quat_wxyz(quat_wxyz: Array) -> Array:
+    """Rotation matrix (3, 3) of a quaternion (4,) wxyz of any non-zero norm."""
+    w, x, y, z = np.asarray(quat_wxyz, dtype=np.float64) / np.linalg.norm(quat_wxyz)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def matrices_from_quats_wxyz(quats_wxyz: Array) -> Array:
+    """(N, 4) wxyz unit quaternions -> (N, 3, 3) rotation matrices."""
+    w, x, y, z = np.moveaxis(np.asarray(quats_wxyz, dtype=np.float64), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rotation_from_yaw(yaw: float) -> Array:
+    """Rotation about +z by ``yaw`` radians."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def yaw_from_rotation(rotation: Array) -> float:
+    """Heading in radians of the body x axis projected on the ground, in (-pi, pi]."""
+    return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+
+
+def tilt_from_rotation(rotation: Array) -> float:
+    """Angle in radians between the body z axis and the world z axis."""
+    return float(np.arccos(np.clip(rotation[2, 2], -1.0, 1.0)))
+
+
+def wrap_angle(angle: float) -> float:
+    """Wraps radians to (-pi, pi]."""
+    return float(-((-angle + np.pi) % (2.0 * np.pi) - np.pi))
+
+
+def interpolate_pose(first: Pose, second: Pose, fraction: float) -> Pose:
+    """Geodesic in SO(3), straight line in R3; ``fraction`` 0 gives ``first``, 1 gives ``second``."""
+    step = so3_log(first.rotation.T @ second.rotation)
+    return Pose(
+        first.rotation @ so3_exp(fraction * step),
+        (1.0 - fraction) * first.translation + fraction * second.translation,
+    )
+
+
+# A sensor that looks straight down from a body that faces +x: image up is forward, image right is
+# right. The LIDAR's long axis (x) lies across the flight direction, like the camera's.
+BODY_FROM_DOWNWARD_OPTICAL: Array = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
