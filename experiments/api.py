@@ -1,8 +1,11 @@
-"""What the rest of the project may know of experiments: outcomes."""
+"""What the rest of the project may know of experiments: outcomes and their parameters."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
+
+from sim.api import FORBID_EXTRA
 
 
 class Outcome(StrEnum):
@@ -15,3 +18,26 @@ class Outcome(StrEnum):
     ABORTED = "ABORTED"
     COMPLETED = "COMPLETED"
     """``fly``: the survey was flown to its end"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RefereeParams:
+    """When a flight is over, whatever the vehicle believes."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    timeout_s: float = 300.0
+    divergence_m: float = 20.0
+    """position error at which the estimate counts as lost"""
+    tip_tilt_deg: float = 60.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BiasParams:
+    """An offset ramped into the estimate after take-off. It proves that the loop is closed: the
+    vehicle must end up displaced by minus the bias."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    xy_m: tuple[float, float] = (0.0, 0.0)
+    ramp_s: float = 5.0

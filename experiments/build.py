@@ -1,0 +1,128 @@
+"""Wires a configuration into the objects of one flight: the only module that knows all folders."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.api import Controller
+from estimator.api import Estimator, Mapper
+from experiments.bias import BiasedEstimator
+from experiments.config import Config, UsageError
+from experiments.suggest import nearest
+from landing.api import Lander
+from scenes.api import Scene
+from sim.api import SensorRig, Truth, World
+
+Array = NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class Flight:
+    """The parts of one flight, ready for ``experiments.loop.run_flight``."""
+
+    scene: Scene
+    world: World
+    estimator: Estimator
+    mapper: Mapper
+    lander: Lander
+    controller: Controller
+
+
+def build_scene(config: Config) -> Scene:
+    """Loads the scene of a configuration. Raises ValueError or FileNotFoundError, one line each."""
+    from scenes.compose import load_scene
+
+    return load_scene(config.scene, config.seed)
+
+
+def build_flight(config: Config, scene: Scene) -> Flight:
+    """Everything that flies. The estimator gets the truth only if it is the oracle."""
+    from controller.cascade import CascadeController
+    from estimator.mapper import GridMapper
+    from landing.lander import SiteLander
+    from sim.world import MujocoWorld
+
+    make_estimator = _estimator_factory(config)
+    world = MujocoWorld(
+        scene,
+        sim=config.sim,
+        wind=config.wind,
+        lidar=config.lidar,
+        camera=config.camera,
+        imu=config.imu,
+        seed=config.seed,
+    )
+    estimator = make_estimator(world.rig, world.truth)
+    if any(config.bias.xy_m):
+        estimator = BiasedEstimator(estimator, config.bias)
+    mapper = GridMapper(world.rig, config.mapper)
+    lander = SiteLander(world.rig, config.landing, config.survey)
+    world.start_sensors(estimator.needs | mapper.needs | lander.needs)
+    controller = CascadeController(world.rig.vehicle, config.control)
+    return Flight(
+        scene=scene,
+        world=world,
+        estimator=estimator,
+        mapper=mapper,
+        lander=lander,
+        controller=controller,
+    )
+
+
+_EstimatorFactory = Callable[[SensorRig, Callable[[], Truth]], Estimator]
+
+
+def _livo(config: Config) -> _EstimatorFactory:
+    from estimator.livo import Livo
+
+    return lambda rig, _truth: Livo(rig, config.livo, seed=config.seed)
+
+
+def _oracle(config: Config) -> _EstimatorFactory:
+    from estimator.oracle import Oracle
+
+    return lambda rig, truth: Oracle(truth, rig)
+
+
+ESTIMATORS: Mapping[str, Callable[[Config], _EstimatorFactory]] = {
+    "livo": _livo,
+    "oracle": _oracle,
+}
+
+
+def check_estimator(name: str) -> None:
+    """Raises UsageError naming the nearest known estimator unless ``name`` can be built."""
+    if name not in ESTIMATORS and ":" not in name:
+        known = ", ".join(ESTIMATORS)
+        raise UsageError(
+            f"unknown estimator '{name}'{nearest(name, ESTIMATORS)}; "
+            f"known: {known}, or MODULE:FUNCTION of your own"
+        )
+
+
+def _estimator_factory(config: Config) -> _EstimatorFactory:
+    check_estimator(config.estimator)
+    if config.estimator in ESTIMATORS:
+        return ESTIMATORS[config.estimator](config)
+    build = _outside_builder(config.estimator)
+    return lambda rig, _truth: build({}, rig)
+
+
+def _outside_builder(name: str) -> Callable[[dict[str, Any], SensorRig], Estimator]:
+    """``my_lab.vio:build`` -> the function ``build`` of the module ``my_lab.vio``."""
+    module_name, _, function_name = name.partition(":")
+    try:
+        build = getattr(importlib.import_module(module_name), function_name)
+    except (ImportError, AttributeError) as error:
+        raise UsageError(
+            f"estimator '{name}': {error}; give MODULE:FUNCTION importable from here"
+        ) from error
+    if not callable(build):
+        raise UsageError(f"estimator '{name}': {function_name} is not a function")
+    return build

@@ -1,0 +1,230 @@
+"""One flight from configuration to run directory."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import math
+import os
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.api import GridMap
+from experiments.build import Flight, build_flight, build_scene, check_estimator, truth_lookup
+from experiments.config import Config, UsageError, dump_config
+from experiments.loop import run_flight
+from experiments.metrics import levelness_error_deg
+from experiments.recorder import NullRecorder, Recorder, RunRecorder
+from experiments.referee import FlightResult, Referee
+from experiments.timing import StageClock, Timed
+
+Progress = Callable[[float, str, str], None]
+"""Called with simulated seconds, phase and note."""
+
+_STAGES = (
+    ("world", "step", "world"),
+    ("estimator", "update", "estimator"),
+    ("mapper", "update", "mapper"),
+    ("lander", "update", "lander"),
+    ("controller", "update", "controller"),
+)
+
+
+def limit_threads() -> None:
+    """Keeps OpenCV and numba on the calling thread: two cores are shared with the sensors' worker,
+    and one flight must not depend on how many threads a library finds."""
+    import cv2
+    import numba
+
+    cv2.setNumThreads(1)
+    numba.set_num_threads(1)
+
+
+def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) -> dict[str, Any]:
+    """Flies one configuration and returns ``result.json`` as a dictionary.
+
+    With ``out_dir`` the run directory appears there at once, complete, when the flight is over;
+    an earlier run of that name is replaced. Raises UsageError for bad input before anything is
+    written.
+    """
+    check_estimator(config.estimator)
+    if out_dir is not None:
+        _check_out_dir(out_dir)
+    limit_threads()
+    scene = build_scene(config)
+    flight = build_flight(config, scene)
+    if out_dir is None:
+        return _fly_and_judge(config, flight, NullRecorder(), progress)
+    partial = out_dir.with_name(f".{out_dir.name}.partial-{os.getpid()}")
+    partial.mkdir(parents=True)
+    try:
+        recorder = RunRecorder(partial, scene, flight.world.rig, config)
+        result = _fly_and_judge(config, flight, recorder, progress)
+        (partial / "config.json").write_text(dump_config(config))
+        (partial / "result.json").write_text(json.dumps(result, indent=2) + "\n")
+        if out_dir.exists():
+            shutil.rmtree(out_dir)
+        os.replace(partial, out_dir)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return result
+
+
+def _fly_and_judge(
+    config: Config, flight: Flight, recorder: Recorder, progress: Progress | None
+) -> dict[str, Any]:
+    clock = StageClock()
+    surveyed: list[GridMap] = []
+    latest: list[GridMap] = []
+
+    def keep_map() -> None:
+        surveyed.extend(_snapshot(grid) for grid in latest)
+
+    referee = Referee(
+        config.referee,
+        survey_only=config.landing.survey_only,
+        steps_per_s=config.sim.tick_hz / config.sim.control_ticks,
+        judge_ground=truth_lookup(flight.scene).judge,
+        moving_geoms=truth_lookup(flight.scene).moving_geoms,
+        on_survey_end=keep_map,
+    )
+    watched = _Watcher(recorder, latest, progress)
+    parts = {name: Timed(getattr(flight, name), call, stage, clock) for name, call, stage in _STAGES}
+    try:
+        outcome = run_flight(
+            **parts,  # type: ignore[arg-type]
+            recorder=Timed(watched, "tick", "recorder", clock),  # type: ignore[arg-type]
+            referee=Timed(referee, "judge", "referee", clock),  # type: ignore[arg-type]
+        )
+    finally:
+        flight.world.close()
+        recorder.close()
+    return _clean(_result(config, flight, outcome, clock, surveyed or latest))
+
+
+class _Watcher:
+    """Passes every tick on to the recorder, keeps the newest map at hand, reports progress."""
+
+    def __init__(self, recorder: Recorder, latest: list[GridMap], progress: Progress | None) -> None:
+        self._recorder = recorder
+        self._latest = latest
+        self._progress = progress
+        self._next_s = 0.0
+
+    def tick(self, *event: Any) -> None:
+        truth, _obs, _estimate, map_view, view = event[:5]
+        self._latest[:] = [map_view.coarse]
+        if self._progress is not None and truth.time_s >= self._next_s:
+            self._next_s = truth.time_s + 0.5
+            self._progress(truth.time_s, str(view.phase), view.note)
+        self._recorder.tick(*event)
+
+
+def _snapshot(grid: GridMap) -> GridMap:
+    arrays = {
+        name: value.copy() if isinstance(value := getattr(grid, name), np.ndarray) else value
+        for name in GridMap.__dataclass_fields__
+    }
+    return GridMap(**arrays)
+
+
+def _result(
+    config: Config, flight: Flight, outcome: FlightResult, clock: StageClock, maps: list[GridMap]
+) -> dict[str, Any]:
+    wall_s = clock.wall_s()
+    return {
+        "outcome": str(outcome.outcome),
+        "reason": outcome.reason,
+        "scene": config.scene,
+        "seed": config.seed,
+        "estimator": config.estimator,
+        "wind_kmh": config.wind.mean_kmh,
+        "position_error_m": outcome.position_error.summary(),
+        "trajectory_error_m": outcome.deviation.mean,
+        "trajectory_error_max_m": outcome.deviation.largest,
+        "trajectory_variance_m2": outcome.deviation.variance,
+        "landing": outcome.landing,
+        "map": _map_figures(flight, outcome, maps, config.seed),
+        "timing": {
+            "wall_s": wall_s,
+            "sim_s": outcome.sim_s,
+            "real_time_factor": outcome.sim_s / wall_s,
+            "stage_ms": clock.stage_ms(outcome.sim_s),
+        },
+        "versions": _versions(),
+        "git_revision": _git_revision(),
+    }
+
+
+def _map_figures(
+    flight: Flight, outcome: FlightResult, maps: list[GridMap], seed: int
+) -> dict[str, Any]:
+    """``density_per_m2``: returns per square metre of the mapped area at the end of the survey."""
+    grid = maps[0]
+    seen = grid.count > 0
+    area = float(seen.sum()) * grid.cell_m**2
+    errors: NDArray[np.float64] = levelness_error_deg(
+        grid, truth_lookup(flight.scene).surface_points, seed
+    )
+    return {
+        "duration_s": outcome.survey_s,
+        "density_per_m2": float(grid.count[seen].sum()) / area if area > 0 else 0.0,
+        "levelness_error_deg": {
+            "mean": float(errors.mean()) if errors.size else None,
+            "max": float(errors.max()) if errors.size else None,
+            "places": int(errors.size),
+        },
+    }
+
+
+def _check_out_dir(out_dir: Path) -> None:
+    if not out_dir.exists():
+        return
+    if not out_dir.is_dir():
+        raise UsageError(f"--out {out_dir}: is a file; name a new directory")
+    if any(out_dir.iterdir()) and not (out_dir / "result.json").exists():
+        raise UsageError(f"--out {out_dir}: holds something that is no run; name another directory")
+
+
+def _clean(value: Any) -> Any:
+    """Plain JSON: numpy scalars to Python's, NaN and infinities to null."""
+    if isinstance(value, dict):
+        return {key: _clean(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_clean(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _versions() -> dict[str, str]:
+    names = ("touchdown", "mujoco", "numpy", "numba", "open3d-cpu", "open3d", "rerun-sdk")
+    found: dict[str, str] = {}
+    for name in (*names, "opencv-contrib-python-headless"):
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def _git_revision() -> str | None:
+    """The revision of the source tree, None for an installed package."""
+    root = Path(__file__).resolve().parent.parent
+    if not (root / ".git").exists():
+        return None
+    try:
+        call = subprocess.run(
+            ["git", "rev-parse", "HEAD"], cwd=root, capture_output=True, text=True, check=False
+        )
+    except OSError:
+        return None
+    return call.stdout.strip() or None

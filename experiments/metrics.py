@@ -1,0 +1,192 @@
+"""The figures by which flights are judged and compared.
+
+Running statistics only: nothing here grows with the duration of a flight.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.api import Estimate, GridMap
+from sim.api import Truth
+from sim.frames import tilt_from_rotation, wrap_angle, yaw_from_rotation
+
+Array = NDArray[np.float64]
+
+TOUCHDOWN_WINDOW_S = 0.5
+"""Speeds and accelerations at touchdown are means over this span before the first contact."""
+
+
+@dataclass(slots=True)
+class PositioningError:
+    """|estimate - truth| of the composed causal pose, world frame, no alignment."""
+
+    count: int = 0
+    total: float = 0.0
+    total_squared: float = 0.0
+    largest: float = 0.0
+    axes: Array = field(default_factory=lambda: np.zeros(3))
+    yaw: float = 0.0
+
+    def add(self, estimate: Estimate, truth: Truth) -> None:
+        pose = estimate.world_from_body
+        error = pose.translation - truth.world_from_body.translation
+        distance = float(np.sqrt(error @ error))
+        self.count += 1
+        self.total += distance
+        self.total_squared += distance * distance
+        self.largest = max(self.largest, distance)
+        self.axes += np.abs(error)
+        true_yaw = yaw_from_rotation(truth.world_from_body.rotation)
+        self.yaw += abs(wrap_angle(yaw_from_rotation(pose.rotation) - true_yaw))
+
+    def summary(self) -> dict[str, float | None]:
+        """Means over the span in metres and degrees; x, y, z and yaw are mean absolute errors."""
+        if self.count == 0:
+            return dict.fromkeys(("mean", "rmse", "max", "x", "y", "z", "yaw_deg"))
+        x, y, z = (self.axes / self.count).tolist()
+        return {
+            "mean": self.total / self.count,
+            "rmse": float(np.sqrt(self.total_squared / self.count)),
+            "max": self.largest,
+            "x": x,
+            "y": y,
+            "z": z,
+            "yaw_deg": float(np.degrees(self.yaw / self.count)),
+        }
+
+
+@dataclass(slots=True)
+class TrajectoryDeviation:
+    """E_tra and its variance: |truth - reference| at equal times (the paper's Table 2)."""
+
+    count: int = 0
+    mean: float = 0.0
+    _m2: float = 0.0
+    largest: float = 0.0
+
+    def add(self, truth: Truth, reference_world: Array) -> None:
+        distance = float(np.linalg.norm(truth.world_from_body.translation - reference_world))
+        self.count += 1
+        delta = distance - self.mean
+        self.mean += delta / self.count
+        self._m2 += delta * (distance - self.mean)
+        self.largest = max(self.largest, distance)
+
+    @property
+    def variance(self) -> float:
+        return self._m2 / self.count if self.count else 0.0
+
+
+class TouchdownWindow:
+    """The last half second of truth before the first contact, and what follows it."""
+
+    def __init__(self, steps_per_s: float) -> None:
+        length = max(1, round(TOUCHDOWN_WINDOW_S * steps_per_s))
+        self._vertical_speed: deque[float] = deque(maxlen=length)
+        self._horizontal_speed: deque[float] = deque(maxlen=length)
+        self._vertical_accel: deque[float] = deque(maxlen=length)
+        self.contact_xy: Array | None = None
+        self.contact_time_s: float | None = None
+        self.tilt_deg = 0.0
+        self.impact_peak_mps2 = 0.0
+        self.bounce_m = 0.0
+        self._lowest = np.inf
+        self.contact_with: str | None = None
+
+    def add_before(self, truth: Truth) -> None:
+        velocity = truth.velocity_world
+        self._vertical_speed.append(abs(float(velocity[2])))
+        self._horizontal_speed.append(float(np.hypot(velocity[0], velocity[1])))
+        self._vertical_accel.append(abs(float(truth.acceleration_world[2])))
+
+    def first_contact(self, truth: Truth) -> None:
+        self.contact_xy = truth.world_from_body.translation[:2].copy()
+        self.contact_time_s = truth.time_s
+        self.contact_with = truth.contacts[0].other
+
+    def add_after(self, truth: Truth) -> None:
+        height = float(truth.world_from_body.translation[2])
+        self._lowest = min(self._lowest, height)
+        self.bounce_m = max(self.bounce_m, height - self._lowest)
+        tilt = float(np.degrees(tilt_from_rotation(truth.world_from_body.rotation)))
+        self.tilt_deg = max(self.tilt_deg, tilt)
+        self.impact_peak_mps2 = max(self.impact_peak_mps2, truth.peak_contact_accel)
+
+    def summary(self) -> dict[str, float]:
+        return {
+            "vertical_speed_mps": float(np.mean(self._vertical_speed)),
+            "horizontal_speed_mps": float(np.mean(self._horizontal_speed)),
+            "vertical_accel_mps2": float(np.mean(self._vertical_accel)),
+            "impact_peak_mps2": self.impact_peak_mps2,
+            "bounce_m": self.bounce_m,
+            "tilt_deg": self.tilt_deg,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneFit:
+    """Unit upward normal (3,) and largest |residual| in metres of a height patch."""
+
+    normal: Array
+    residual_m: float
+
+
+def fit_plane(points: Array) -> PlaneFit:
+    """Least squares z = a x + b y + c of (N, 3) points, N >= 3."""
+    centred = points - points.mean(axis=0)
+    slope, *_ = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)
+    residual = centred[:, 2] - centred[:, :2] @ slope
+    normal = np.array([-slope[0], -slope[1], 1.0])
+    return PlaneFit(normal / np.linalg.norm(normal), float(np.abs(residual).max()))
+
+
+LEVELNESS_PLACES = 10
+LEVELNESS_RADIUS_M = 1.0
+LEVELNESS_RESIDUAL_M = 0.03
+
+
+def levelness_error_deg(
+    grid: GridMap, true_points: Callable[[Array, float], Array], seed: int
+) -> Array:
+    """Angle between map and true normals at up to ten seeded places where the ground is planar.
+
+    ``true_points(xy (2,), radius)`` gives (N, 3) points of the true surface in that disc. Places are
+    drawn from the mapped cells; one counts when the true patch is planar to 3 cm within 1 m.
+    Returns (<= 10,) degrees.
+    """
+    rng = np.random.default_rng([seed, 0x1E7E1])
+    rows, cols = np.nonzero(grid.count > 2)
+    errors: list[float] = []
+    if rows.size == 0:
+        return np.zeros(0)
+    for pick in rng.integers(0, rows.size, size=400):
+        centre = grid.origin_xy_m + (np.array([cols[pick], rows[pick]]) + 0.5) * grid.cell_m
+        truth = fit_plane(true_points(centre, LEVELNESS_RADIUS_M))
+        if truth.residual_m > LEVELNESS_RESIDUAL_M:
+            continue
+        mapped = _map_points(grid, centre, LEVELNESS_RADIUS_M)
+        if mapped.shape[0] < 20:
+            continue
+        cosine = float(np.clip(fit_plane(mapped).normal @ truth.normal, -1.0, 1.0))
+        errors.append(float(np.degrees(np.arccos(cosine))))
+        if len(errors) == LEVELNESS_PLACES:
+            break
+    return np.array(errors)
+
+
+def _map_points(grid: GridMap, centre_xy: Array, radius: float) -> Array:
+    """(N, 3) centres and mean heights of the seen cells within ``radius`` of a point."""
+    low = np.floor((centre_xy - radius - grid.origin_xy_m) / grid.cell_m).astype(int)
+    high = np.ceil((centre_xy + radius - grid.origin_xy_m) / grid.cell_m).astype(int)
+    (c0, r0), (c1, r1) = np.maximum(low, 0), high
+    patch = grid.height_m[r0:r1, c0:c1]
+    rows, cols = np.nonzero((grid.count[r0:r1, c0:c1] > 0) & np.isfinite(patch))
+    xy = grid.origin_xy_m + (np.stack([cols + c0, rows + r0], axis=1) + 0.5) * grid.cell_m
+    near = np.linalg.norm(xy - centre_xy, axis=1) <= radius
+    return np.column_stack([xy, patch[rows, cols].astype(np.float64)])[near]

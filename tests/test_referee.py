@@ -1,0 +1,118 @@
+"""Every outcome from a story told in a few ticks."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from experiments.api import Outcome, RefereeParams
+from experiments.referee import Referee
+from flight_fakes import LEG_ON_LAWN, make_estimate, make_truth, make_view
+from landing.api import Phase
+from sim.api import Contact
+from sim.frames import Pose, so3_exp
+
+SAFE_LAWN = SimpleNamespace(
+    slope_deg=1.0, safe_geometry=True, land_class="lawn", safe=True, obstacle_distance_m=4.0
+)
+
+
+def make_referee(**changes: Any) -> Referee:
+    values: dict[str, Any] = {
+        "survey_only": False,
+        "steps_per_s": 200.0,
+        "judge_ground": lambda xy: SAFE_LAWN,
+        "moving_geoms": frozenset({"car"}),
+    }
+    return Referee(RefereeParams(timeout_s=100.0), **(values | changes))
+
+
+def judge(
+    referee: Referee, time_s: float, position: Any, phase: Phase, *, estimate: Any = None,
+    view: dict[str, Any] | None = None, **truth: Any,
+) -> Outcome | None:  # fmt: skip
+    believed = position if estimate is None else estimate
+    return referee.judge(
+        make_truth(time_s, position, **truth),
+        make_estimate(time_s, believed),
+        make_view(phase, reference_world=np.asarray(position, float), **(view or {})),
+    )
+
+
+def fly_to_descent(referee: Referee) -> None:
+    assert judge(referee, 0.0, [0, 0, 0.3], Phase.INIT, contacts=LEG_ON_LAWN) is None
+    assert judge(referee, 1.0, [0, 0, 5.0], Phase.TAKEOFF) is None
+    assert judge(referee, 10.0, [0, 0, 30.0], Phase.SURVEY, estimate=[0.1, 0, 30]) is None
+    assert judge(referee, 46.0, [0, 0, 30.0], Phase.SELECT, estimate=[9.0, 0, 30]) is None
+    assert judge(referee, 60.0, [5, 6, 1.0], Phase.DESCEND) is None
+
+
+def test_a_good_landing() -> None:
+    ended = []
+    referee = make_referee(on_survey_end=lambda: ended.append(True))
+    fly_to_descent(referee)
+    site = {"committed_site_world": np.array([5.0, 6.1, 0.0])}
+    landed = [
+        judge(referee, time_s, [5, 6, 0.3], Phase.DONE, contacts=LEG_ON_LAWN, view=site)
+        for time_s in (61.0, 61.2, 61.6)
+    ]
+    assert landed == [None, None, Outcome.LANDED]
+    result = referee.result(Outcome.LANDED)
+    assert ended == [True]
+    assert result.survey_s == pytest.approx(36.0)
+    assert result.landing is not None
+    assert result.landing["target_offset_m"] == pytest.approx(0.1)
+    assert result.landing["safe"] is True
+    # Two samples between lift-off and the survey's end: exact at 1 s, 0.1 m off at 10 s.
+    assert result.position_error.summary()["mean"] == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(
+    ("flags", "expected"),
+    [({"no_site": True}, Outcome.NO_SITE), ({"aborted": True}, Outcome.ABORTED)],
+)
+def test_honest_aborts(flags: dict[str, bool], expected: Outcome) -> None:
+    referee = make_referee()
+    fly_to_descent(referee)
+    contact = {"contacts": LEG_ON_LAWN, "view": flags}
+    assert judge(referee, 61.0, [0, 0, 0.3], Phase.DONE, **contact) is None
+    assert judge(referee, 61.6, [0, 0, 0.3], Phase.DONE, **contact) is expected
+
+
+@pytest.mark.parametrize(
+    "contact",
+    [
+        Contact(part="rotor", other="tree", normal_force_n=1.0),
+        Contact(part="leg", other="car", normal_force_n=1.0),
+    ],
+)
+def test_rotors_and_moving_things_must_not_be_touched(contact: Contact) -> None:
+    referee = make_referee()
+    fly_to_descent(referee)
+    outcome = judge(referee, 61.0, [5, 6, 1.0], Phase.DESCEND, contacts=(contact,))
+    assert outcome is Outcome.COLLIDED
+    assert contact.other in referee.result(Outcome.COLLIDED).reason
+
+
+def test_touching_anything_during_the_survey_is_a_collision() -> None:
+    referee = make_referee()
+    judge(referee, 0.0, [0, 0, 0.3], Phase.INIT)
+    judge(referee, 1.0, [0, 0, 5.0], Phase.TAKEOFF)
+    assert judge(referee, 9.0, [0, 0, 30], Phase.SURVEY, contacts=LEG_ON_LAWN) is Outcome.COLLIDED
+
+
+def test_lost_tipped_and_late() -> None:
+    assert judge(make_referee(), 0, [0, 0, 0], Phase.INIT, estimate=[21, 0, 0]) is Outcome.DIVERGED
+    lost = judge(make_referee(), 0, [0, 0, 0], Phase.INIT, estimate=[np.nan, 0, 0])
+    assert lost is Outcome.DIVERGED
+    tipped = Pose(so3_exp(np.array([1.2, 0, 0])), np.zeros(3))
+    assert judge(make_referee(), 0, [0, 0, 0], Phase.INIT, world_from_body=tipped) is Outcome.TIPPED
+    assert judge(make_referee(), 100.0, [0, 0, 0], Phase.INIT) is Outcome.TIMEOUT
+
+
+def test_survey_only_completes_without_touching_down() -> None:
+    referee = make_referee(survey_only=True)
+    judge(referee, 0.0, [0, 0, 0.3], Phase.INIT)
+    judge(referee, 1.0, [0, 0, 5.0], Phase.SURVEY)
+    assert judge(referee, 40.0, [0, 0, 30.0], Phase.DONE) is Outcome.COMPLETED
+    assert referee.result(Outcome.COMPLETED).landing is None
