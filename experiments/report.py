@@ -1,0 +1,116 @@
+"""Tables over finished runs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+from experiments.config import UsageError
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """``path`` leads to the value in result.json, dots between the keys."""
+
+    title: str
+    path: str
+    format: str = "{}"
+
+    def text(self, row: Row) -> str:
+        value = lookup(row, self.path)
+        if value is None:
+            return "–"
+        if isinstance(value, bool):
+            return "yes" if value else "no"
+        return self.format.format(value)
+
+
+LANDING_COLUMNS: tuple[Column, ...] = (
+    Column("scene", "scene"),
+    Column("estimator", "estimator"),
+    Column("seed", "seed"),
+    Column("outcome", "outcome"),
+    Column("position error mean (m)", "position_error_m.mean", "{:.3f}"),
+    Column("max (m)", "position_error_m.max", "{:.3f}"),
+    Column("yaw (deg)", "position_error_m.yaw_deg", "{:.3f}"),
+    Column("E_tra (m)", "trajectory_error_m", "{:.3f}"),
+    Column("d_L (m)", "landing.target_offset_m", "{:.3f}"),
+    Column("v_z (m/s)", "landing.vertical_speed_mps", "{:.3f}"),
+    Column("slope (deg)", "landing.slope_deg", "{:.2f}"),
+    Column("tilt (deg)", "landing.tilt_deg", "{:.2f}"),
+    Column("safe geometry", "landing.safe_geometry"),
+    Column("true class", "landing.class_true"),
+    Column("levelness (deg)", "map.levelness_error_deg.mean", "{:.2f}"),
+    Column("real-time factor", "timing.real_time_factor", "{:.2f}"),
+)
+
+
+def lookup(row: Row, path: str) -> Any:
+    """The value at a dotted path, None where any key is missing."""
+    value: Any = row
+    for key in path.split("."):
+        if not isinstance(value, Mapping):
+            return None
+        value = value.get(key)
+    return value
+
+
+def load_runs(directory: Path) -> list[dict[str, Any]]:
+    """Every ``result.json`` at or below ``directory``, by scene, estimator and seed.
+
+    Raises UsageError when there is none or one cannot be read.
+    """
+    if not directory.is_dir():
+        raise UsageError(f"'{directory}' is no directory of runs")
+    rows = [_load(path) for path in sorted(directory.rglob("result.json"))]
+    if not rows:
+        raise UsageError(f"'{directory}' holds no finished run (no result.json)")
+    return sorted(rows, key=lambda row: (row["scene"], row["estimator"], row["seed"]))
+
+
+def _load(path: Path) -> dict[str, Any]:
+    try:
+        row: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise UsageError(f"'{path}' cannot be read: {error}") from error
+    missing = {"scene", "estimator", "seed", "outcome"} - row.keys()
+    if missing:
+        raise UsageError(f"'{path}' is no run's result: {', '.join(sorted(missing))} missing")
+    return row
+
+
+def markdown_table(rows: list[dict[str, Any]], columns: tuple[Column, ...]) -> str:
+    """One row a run; columns without any value are left out."""
+    kept = [c for c in columns if any(lookup(row, c.path) is not None for row in rows)]
+    lines = ["| " + " | ".join(column.title for column in kept) + " |"]
+    lines.append("|" + "---|" * len(kept))
+    lines += ["| " + " | ".join(column.text(row) for column in kept) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Counts of outcomes and unsafe touchdowns, and means over the runs that have the value."""
+    outcomes: dict[str, int] = {}
+    for row in rows:
+        outcomes[row["outcome"]] = outcomes.get(row["outcome"], 0) + 1
+    means: dict[str, float | None] = {}
+    for column in LANDING_COLUMNS:
+        values = [lookup(row, column.path) for row in rows]
+        numbers = [float(v) for v in values if isinstance(v, float)]
+        if numbers:
+            means[column.path] = fmean(numbers)
+    unsafe = sum(
+        row["outcome"] == "LANDED" and lookup(row, "landing.safe_geometry") is False for row in rows
+    )
+    return {
+        "runs": len(rows),
+        "outcomes": outcomes,
+        "unsafe_touchdowns": unsafe,
+        "means": means,
+    }
