@@ -46,3 +46,27 @@ class ControlParams:
 
     control_hz: int = 200
     max_tilt_deg: float = 30.0
+    motor_response_s: float = 0.012
+    """time constant of the rotors behind the lead that speeds them up"""
+    rate_radps: float = 28.0
+    """crossover of the roll and pitch rate loops"""
+    yaw_rate_radps: float = 12.0
+    attitude_radps: float = 9.0
+    """crossover of the roll and pitch angle loops"""
+    yaw_radps: float = 4.0
+    velocity_xy_radps: float = 3.5
+    velocity_z_radps: float = 6.0
+    position_xy_radps: float = 1.4
+    position_z_radps: float = 2.0
+    rate_integral_ratio: float = 10.0
+    """crossover of a rate loop over the corner frequency of its integral"""
+    velocity_integral_ratio: float = 5.0
+    """the same of the velocity loops"""
+    rate_derivative_s: float = 0.012
+    """derivative time of the rate loops' D term"""
+    acceleration_feedback: float = 0.0
+    """D term of the velocity loops: share of the acceleration error that is fed back"""
+    disturbance_radps: float = 6.0
+    """bandwidth of the observer of the wind's horizontal force"""
+    max_correction_mps: float = 3.0
+    """bound on the velocity that the position loop may add to the reference's"""

@@ -132,6 +132,15 @@ class MapperParams:
     fine_extent_m: float = 24.0
     fine_below_m: float = 14.0
     """height above ground below which the fine grid fills"""
+    fine_recentre_m: float = 6.0
+    """the fine window follows once the vehicle is this far from its centre"""
+    count_cap: float = 200.0
+    """returns that a cell remembers; older ones fade"""
+    extreme_memory_s: float = 60.0
+    """time constant with which unconfirmed lowest and highest returns are forgotten"""
+    missing_min_reach_m: float = 1.5
+    missing_max_reach_m: float = 60.0
+    """a pulse without return counts as missing only where the ground is expected within these"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -141,3 +150,29 @@ class LivoParams:
     __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: int = 10
+    voxel_m: float = 1.0
+    """side of the plane map's voxels"""
+    map_voxels: int = 131072
+    """capacity of the plane map, a power of two; it never grows"""
+    voxel_points: int = 150
+    """a voxel stops learning after so many returns: the oldest carry the least drift"""
+    scan_points: int = 2000
+    """returns of a scan that are matched, spread evenly"""
+    map_tilt_sigma_deg: float = 0.09
+    """error of the plane map that repeats from scan to scan, as if each scan had it afresh"""
+    map_height_sigma_m: float = 0.01
+    map_lateral_sigma_m: float = 0.3
+    map_yaw_sigma_deg: float = 0.5
+    blind_lateral_sigma_m: float = 0.05
+    """the same while no image is tracked and the planes alone must hold x, y and yaw"""
+    blind_yaw_sigma_deg: float = 0.1
+    keyframes: int = 40
+    """remembered images; the most redundant one goes"""
+    look_back: int = 3
+    """keyframes that each image is tracked from"""
+    features: int = 220
+    """corners of a keyframe"""
+    pixel_sigma: float = 0.5
+    """standard deviation of a tracked corner, its landmark's error included"""
+    blend_s: float = 0.15
+    """a correction of the filter reaches control over this time"""

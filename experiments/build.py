@@ -63,7 +63,7 @@ def build_flight(config: Config, scene: Scene) -> Flight:
         estimator = BiasedEstimator(estimator, config.bias)
     mapper = GridMapper(world.rig, config.mapper)
     lander = SiteLander(world.rig, config.landing, config.survey)
-    world.start_sensors(estimator.needs | mapper.needs | lander.needs)
+    world.require(estimator.needs | mapper.needs | lander.needs)
     controller = CascadeController(world.rig.vehicle, config.control)
     return Flight(
         scene=scene,
@@ -73,6 +73,42 @@ def build_flight(config: Config, scene: Scene) -> Flight:
         lander=lander,
         controller=controller,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class TruthLookup:
+    """The true ground, for referee and metrics."""
+
+    scene: Scene
+
+    def judge(self, xy: Array) -> Any:
+        """``scenes.truth.TouchdownJudgement`` of the point ``xy`` (2,), world frame."""
+        from scenes.truth import judge_touchdown
+
+        return judge_touchdown(self.scene, xy)
+
+    def surface_points(self, xy: Array, radius_m: float) -> Array:
+        """(N, 3) points of the true surface on a grid of 5 cm in the disc around ``xy``."""
+        from scenes.raycast import cast_down
+
+        cell = 0.05
+        cells = int(radius_m / cell)
+        side = 2 * cells + 1
+        origin = xy - (cells + 0.5) * cell
+        heights, _ = cast_down(self.scene, origin, cell, (side, side))
+        rows, cols = np.mgrid[:side, :side]
+        offsets = (np.stack([cols, rows], axis=-1) - cells) * cell
+        near = (np.hypot(offsets[..., 0], offsets[..., 1]) <= radius_m) & np.isfinite(heights)
+        return np.column_stack([xy + offsets[near], heights[near]])
+
+    @property
+    def moving_geoms(self) -> frozenset[str]:
+        """Names of the geoms of moving bodies."""
+        model = self.scene.model
+        bodies = {model.body(moving.body_name).id for moving in self.scene.moving}
+        return frozenset(
+            model.geom(i).name for i in range(model.ngeom) if int(model.geom_bodyid[i]) in bodies
+        )
 
 
 _EstimatorFactory = Callable[[SensorRig, Callable[[], Truth]], Estimator]
@@ -90,10 +126,7 @@ def _oracle(config: Config) -> _EstimatorFactory:
     return lambda rig, truth: Oracle(truth, rig)
 
 
-ESTIMATORS: Mapping[str, Callable[[Config], _EstimatorFactory]] = {
-    "livo": _livo,
-    "oracle": _oracle,
-}
+ESTIMATORS: Mapping[str, Callable[[Config], _EstimatorFactory]] = {"livo": _livo, "oracle": _oracle}
 
 
 def check_estimator(name: str) -> None:
@@ -126,3 +159,25 @@ def _outside_builder(name: str) -> Callable[[dict[str, Any], SensorRig], Estimat
     if not callable(build):
         raise UsageError(f"estimator '{name}': {function_name} is not a function")
     return build
+
+
+def scene_names() -> list[str]:
+    """Names that a configuration's ``scene`` may have besides the path of an MJCF file."""
+    from scenes.registry import scene_names as names
+
+    return names()
+
+
+def scene_spec(name: str, seed: int) -> Any:
+    """The uncompiled ``mujoco.MjSpec`` of a scene with the vehicle in it. Raises as build_scene."""
+    from scenes.compose import compose_spec
+
+    return compose_spec(name, seed)[0]
+
+
+def control_margins(config: Config, scene: Scene) -> list[Any]:
+    """``controller.design.LoopMargin`` of every loop for the vehicle of a scene."""
+    from controller.design import loop_margins
+    from sim.vehicle import vehicle_model
+
+    return loop_margins(vehicle_model(scene.model), config.control)

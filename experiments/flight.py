@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.api import GridMap
-from experiments.build import Flight, build_flight, build_scene, check_estimator, truth_lookup
+from experiments.build import Flight, TruthLookup, build_flight, build_scene, check_estimator
 from experiments.config import Config, UsageError, dump_config
 from experiments.loop import run_flight
 from experiments.metrics import levelness_error_deg
@@ -90,12 +90,14 @@ def _fly_and_judge(
         config.referee,
         survey_only=config.landing.survey_only,
         steps_per_s=config.sim.tick_hz / config.sim.control_ticks,
-        judge_ground=truth_lookup(flight.scene).judge,
-        moving_geoms=truth_lookup(flight.scene).moving_geoms,
+        judge_ground=TruthLookup(flight.scene).judge,
+        moving_geoms=TruthLookup(flight.scene).moving_geoms,
         on_survey_end=keep_map,
     )
     watched = _Watcher(recorder, latest, progress)
-    parts = {name: Timed(getattr(flight, name), call, stage, clock) for name, call, stage in _STAGES}
+    parts = {
+        name: Timed(getattr(flight, name), call, stage, clock) for name, call, stage in _STAGES
+    }
     try:
         outcome = run_flight(
             **parts,  # type: ignore[arg-type]
@@ -111,7 +113,9 @@ def _fly_and_judge(
 class _Watcher:
     """Passes every tick on to the recorder, keeps the newest map at hand, reports progress."""
 
-    def __init__(self, recorder: Recorder, latest: list[GridMap], progress: Progress | None) -> None:
+    def __init__(
+        self, recorder: Recorder, latest: list[GridMap], progress: Progress | None
+    ) -> None:
         self._recorder = recorder
         self._latest = latest
         self._progress = progress
@@ -170,7 +174,7 @@ def _map_figures(
     seen = grid.count > 0
     area = float(seen.sum()) * grid.cell_m**2
     errors: NDArray[np.float64] = levelness_error_deg(
-        grid, truth_lookup(flight.scene).surface_points, seed
+        grid, TruthLookup(flight.scene).surface_points, seed
     )
     return {
         "duration_s": outcome.survey_s,

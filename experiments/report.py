@@ -108,9 +108,4 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     unsafe = sum(
         row["outcome"] == "LANDED" and lookup(row, "landing.safe_geometry") is False for row in rows
     )
-    return {
-        "runs": len(rows),
-        "outcomes": outcomes,
-        "unsafe_touchdowns": unsafe,
-        "means": means,
-    }
+    return {"runs": len(rows), "outcomes": outcomes, "unsafe_touchdowns": unsafe, "means": means}

@@ -127,3 +127,39 @@ class LandingParams:
     max_slope_deg: float = 5.0
     max_step_m: float = 0.10
     clear_radius_m: float = 1.5
+    flatness_form: str = "corrected"
+    """``corrected`` or ``literal`` (Eqs. 16 and 17 to the letter)"""
+    flatness_sigma_deg: float = 5.0
+    """sigma of Eq. 16 in the corrected form"""
+    normal_half_width_m: float = 0.5
+    """half the window that normals are fitted in"""
+    edge_blur_m: float = 0.3
+    edge_low: float = 40.0
+    edge_high: float = 100.0
+    """hysteresis thresholds of Canny on the 8-bit colour map"""
+    smoothness_full_m: float = 8.0
+    """an edge farther away than this costs nothing more"""
+    slope_margin_deg: float = 0.5
+    step_margin_m: float = 0.02
+    map_margin_m: float = 0.35
+    """the footprint is widened by this: error of map and position from survey height"""
+    low_margin_m: float = 0.15
+    """the same for a look from 10 m and below"""
+    min_returns: float = 4.0
+    """a cell with fewer is not trusted"""
+    max_missing_ratio: float = 0.2
+    """share of pulses without return above which the ground counts as water"""
+    max_candidates: int = 12
+    search_legs: int = 1
+    """further survey legs when no site was found"""
+    go_arounds: int = 2
+    climb_speed_mps: float = 3.0
+    cruise_speed_mps: float = 7.0
+    descent_speed_mps: float = 2.5
+    obstacle_margin_m: float = 6.0
+    """height above anything mapped while flying over it"""
+    look_height_m: float = 10.0
+    commit_height_m: float = 4.0
+    sweep_m: float = 1.0
+    final_speed_mps: float = 0.6
+    touchdown_speed_mps: float = 0.12

@@ -74,6 +74,8 @@ class Scene:
     """by geom name; the terrain's entry is a default, its raster goes before"""
     ground: GroundRaster | None
     moving: tuple[MovingBody, ...]
+    source: str = ""
+    """the name or path that it was loaded from"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

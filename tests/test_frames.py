@@ -67,10 +67,7 @@ def test_inverse_and_associativity(rng: np.random.Generator) -> None:
 def test_right_jacobian_against_finite_differences(rng: np.random.Generator) -> None:
     vector, step = rng.normal(size=3), 1e-6
     numeric = np.stack(
-        [
-            so3_log(so3_exp(vector).T @ so3_exp(vector + step * axis)) / step
-            for axis in np.eye(3)
-        ],
+        [so3_log(so3_exp(vector).T @ so3_exp(vector + step * axis)) / step for axis in np.eye(3)],
         axis=1,
     )
     np.testing.assert_allclose(so3_right_jacobian(vector), numeric, atol=1e-5)

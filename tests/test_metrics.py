@@ -43,7 +43,9 @@ def test_touchdown_window_keeps_only_the_last_half_second() -> None:
     for step in range(20):
         speed = -5.0 if step < 15 else -0.2
         truth = make_truth(
-            step / 10, [0, 0, 1], velocity_world=np.array([0.03, 0.04, speed]),
+            step / 10,
+            [0, 0, 1],
+            velocity_world=np.array([0.03, 0.04, speed]),
             acceleration_world=np.array([0.0, 0.0, -0.1]),
         )
         window.add_before(truth)

@@ -1,0 +1,54 @@
+# `make land` and `make test` each do all set-up from a bare clone.
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+# The first interpreter that is new enough; override with `make PYTHON=...`.
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
+	command -v $$p >/dev/null 2>&1 && \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' && echo $$p && break; done)
+
+export MUJOCO_GL ?= egl
+
+.DEFAULT_GOAL := help
+.PHONY: help land test check bench format clean
+
+help:
+	@echo "make land    set everything up, fly over crossroad and land"
+	@echo "make test    the tests"
+	@echo "make check   style, types, architecture"
+	@echo "make bench   real-time factor and the time of each stage"
+	@echo "make format  put the sources in order"
+	@echo "make clean   remove the environment and what was built"
+
+land: $(READY)
+	$(BIN)/touchdown land crossroad
+
+test: $(READY)
+	$(BIN)/python -m pytest
+
+check: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest tests/test_architecture.py
+
+bench: $(READY)
+	$(BIN)/touchdown bench loop
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+$(READY): pyproject.toml constraints.txt .ci/system-libraries
+	@test -n "$(PYTHON)" || { \
+	    echo "touchdown needs Python 3.11 or newer; none was found on PATH" \
+	         "(Debian: apt-get install python3 python3-venv)" >&2; exit 1; }
+	@.ci/system-libraries $(PYTHON)
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade pip
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+	    --constraint constraints.txt --editable ".[dev]"
+	@touch $@
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info

@@ -1,0 +1,204 @@
+"""The flight controller: position, velocity, attitude and body rate loops, then the mixer."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from controller.api import ControlParams, Setpoint
+from controller.disturbance import DisturbanceObserver
+from controller.gains import cascade_gains
+from controller.mixer import Mixer, MotorLead
+from controller.pid import VectorPid
+from estimator.api import Estimate
+from sim.api import GRAVITY_MPS2, Command, VehicleModel
+
+Array = NDArray[np.float64]
+
+_MAX_RATE_RADPS = np.array([4.0, 4.0, 1.5])
+_MAX_JERK_MPS3 = 12.0
+_MIN_VERTICAL_FORCE = 0.3
+_MAX_VERTICAL_FORCE = 1.8
+"""fractions of the weight; below, tilting would no longer steer"""
+
+
+class CascadeController:
+    """Implements ``controller.api.Controller`` at ``params.control_hz``.
+
+    Position P -> velocity PID with the reference's velocity and acceleration fed forward -> thrust
+    vector, bounded in tilt -> attitude P, yaw apart -> body rate PID -> mixer -> motor lead. The
+    derivative of the velocity loop is the estimated acceleration.
+    """
+
+    def __init__(self, vehicle: VehicleModel, params: ControlParams) -> None:
+        if not 0.0 < params.max_tilt_deg < 60.0:
+            raise ValueError(f"max_tilt_deg is {params.max_tilt_deg:g}; choose it between 0 and 60")
+        step_s = 1.0 / params.control_hz
+        gains = cascade_gains(params)
+        self._vehicle = vehicle
+        self._step_s = step_s
+        self._gains = gains
+        self._velocity_pid = VectorPid(gains.velocity, step_s)
+        self._rate_pid = VectorPid(gains.rate, step_s)
+        self._mixer = Mixer(vehicle)
+        self._lead = MotorLead(vehicle, params.motor_response_s, step_s)
+        self._observer = DisturbanceObserver(vehicle, params.disturbance_radps, step_s)
+        self._max_correction = params.max_correction_mps
+        self._max_slope = float(np.tan(np.radians(params.max_tilt_deg)))
+        self._weight = vehicle.mass_kg * GRAVITY_MPS2
+        self._drag_per_mass = vehicle.linear_drag / vehicle.mass_kg
+        # A proportional angle loop follows a ramp late by 1 / gain, the thrust by the motor's lag.
+        self._reference_lead_s = np.array(
+            [1.0 / params.attitude_radps, 1.0 / params.attitude_radps, params.motor_response_s]
+        )
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets integrals and references, as after a stop of the motors."""
+        self._velocity_pid.reset()
+        self._rate_pid.reset()
+        self._lead.reset()
+        self._observer.reset()
+        self._last_acceleration: Array | None = None
+        self._last_rates: Array | None = None
+
+    def update(self, estimate: Estimate, setpoint: Setpoint) -> Command:
+        """Rotor speeds (4,) rad/s for the control step that begins now."""
+        if not setpoint.motors_on:
+            self.reset()
+            return Command(rotor_speed_radps=np.zeros(4))
+        rotation = estimate.odom_from_body.rotation
+        rates = estimate.angular_velocity_body
+        force = self._wanted_force(estimate, setpoint)
+        thrust = force[2] / max(rotation[2, 2], 0.5)  # holds the height while tilted
+        wanted_rates = _rate_setpoint(
+            rotation,
+            force,
+            setpoint.yaw_odom,
+            setpoint.yaw_rate,
+            self._gains.attitude,
+            _MAX_RATE_RADPS,
+        )
+        last_rates = rates if self._last_rates is None else self._last_rates
+        demand = self._rate_pid.output(wanted_rates - rates, (rates - last_rates) / self._step_s)
+        self._last_rates = rates
+        wrench = _wrench(thrust, demand, rates, self._vehicle.inertia_kgm2)
+        limited = setpoint.thrust_limit is not None
+        limit_n = setpoint.thrust_limit * self._weight if limited else np.inf
+        speeds = self._mixer.speeds(wrench, limit_n)
+        if not limited:
+            self._settle(force, wrench, demand, self._mixer.wrench(speeds))
+        return Command(rotor_speed_radps=self._lead.command(speeds))
+
+    def _wanted_force(self, estimate: Estimate, setpoint: Setpoint) -> Array:
+        """(3,) N, odom frame: what the rotors should push with, within the tilt limit."""
+        reference = setpoint.acceleration_odom
+        last = reference if self._last_acceleration is None else self._last_acceleration
+        self._last_acceleration = reference
+        drag = _expected_drag(setpoint.velocity_odom, self._drag_per_mass)
+        unexpected = self._observer.update(
+            estimate.acceleration_odom,
+            estimate.odom_from_body.rotation,
+            self._lead.modelled_radps,
+            drag,
+        )
+        velocity_error, acceleration_error, feed_forward = _outer_errors(
+            setpoint.position_odom - estimate.odom_from_body.translation,
+            setpoint.velocity_odom - estimate.velocity_odom,
+            estimate.acceleration_odom - reference,
+            reference,
+            (reference - last) / self._step_s,
+            self._gains.position,
+            self._max_correction,
+            self._reference_lead_s,
+        )
+        feedback = self._velocity_pid.output(velocity_error, acceleration_error)
+        wanted = feedback + feed_forward - drag - unexpected
+        self._unlimited_force = self._vehicle.mass_kg * wanted
+        self._unlimited_force[2] += self._weight
+        return _limited_force(self._unlimited_force, self._weight, self._max_slope)
+
+    def _settle(self, force: Array, wrench: Array, demand: Array, achieved: Array) -> None:
+        """Integrates both PIDs, telling them what tilt limit and rotors left undone."""
+        delivered = force * (achieved[0] / wrench[0])
+        missing = (delivered - self._unlimited_force) / self._vehicle.mass_kg
+        self._velocity_pid.settle(missing)
+        self._rate_pid.settle((achieved[1:] - wrench[1:]) / self._vehicle.inertia_kgm2)
+
+
+@njit(cache=True)
+def _outer_errors(
+    position_error: Array,
+    velocity_error: Array,
+    acceleration_error: Array,
+    reference: Array,
+    jerk: Array,
+    gain: Array,
+    max_correction: float,
+    lead_s: Array,
+) -> tuple[Array, Array, Array]:
+    """Velocity error with the position loop's correction, acceleration error, and feed-forward.
+
+    The feed-forward looks ahead by the lag of the loops inside.
+    """
+    correction = gain * position_error
+    size = np.sqrt(np.sum(correction * correction))
+    if size > max_correction:
+        correction *= max_correction / size
+    jerk_size = np.sqrt(np.sum(jerk * jerk))
+    if jerk_size > _MAX_JERK_MPS3:
+        jerk = jerk * (_MAX_JERK_MPS3 / jerk_size)
+    return velocity_error + correction, acceleration_error, reference + lead_s * jerk
+
+
+@njit(cache=True)
+def _expected_drag(velocity: Array, drag_per_mass: float) -> Array:
+    """(3,) m/s^2: rotor drag of the reference's own speed in still air; the rest is observed."""
+    drag = -drag_per_mass * velocity
+    drag[2] = 0.0
+    return drag
+
+
+@njit(cache=True)
+def _limited_force(force: Array, weight: float, max_slope: float) -> Array:
+    """Vertical share first, then as much of the horizontal as the tilt limit allows."""
+    limited = force.copy()
+    low, high = _MIN_VERTICAL_FORCE * weight, _MAX_VERTICAL_FORCE * weight
+    limited[2] = min(max(force[2], low), high)
+    horizontal = np.sqrt(force[0] ** 2 + force[1] ** 2)
+    if horizontal > max_slope * limited[2]:
+        limited[:2] *= max_slope * limited[2] / horizontal
+    return limited
+
+
+@njit(cache=True)
+def _rate_setpoint(
+    rotation: Array, force: Array, yaw: float, yaw_rate: float, gain: Array, limit: Array
+) -> Array:
+    """(3,) body rates that turn the thrust axis towards ``force`` on the shortest way, and yaw.
+
+    Tilt and heading are apart, so that a large yaw error cannot disturb the thrust direction.
+    """
+    direction = rotation.T @ force  # in the body frame
+    sine = np.sqrt(direction[0] ** 2 + direction[1] ** 2)
+    per_sine = np.arctan2(sine, direction[2]) / sine if sine > 1e-12 else 0.0
+    heading_error = yaw - np.arctan2(rotation[1, 0], rotation[0, 0])
+    heading_error -= 2.0 * np.pi * np.round(heading_error / (2.0 * np.pi))
+    wanted = np.empty(3)
+    wanted[0] = -gain[0] * per_sine * direction[1]
+    wanted[1] = gain[1] * per_sine * direction[0]
+    wanted[2] = (gain[2] * heading_error + yaw_rate) * rotation[2, 2]
+    return np.minimum(np.maximum(wanted, -limit), limit)
+
+
+@njit(cache=True)
+def _wrench(thrust: float, angular_acceleration: Array, rates: Array, inertia: Array) -> Array:
+    """Euler's equation: torque = J alpha + rates x (J rates)."""
+    spin = inertia * rates
+    wrench = np.empty(4)
+    wrench[0] = thrust
+    wrench[1] = inertia[0] * angular_acceleration[0] + rates[1] * spin[2] - rates[2] * spin[1]
+    wrench[2] = inertia[1] * angular_acceleration[1] + rates[2] * spin[0] - rates[0] * spin[2]
+    wrench[3] = inertia[2] * angular_acceleration[2] + rates[0] * spin[1] - rates[1] * spin[0]
+    return wrench

@@ -1,0 +1,293 @@
+"""The linear model of every loop, and the margins that the cascade's gains leave in it.
+
+``python -m controller.design`` prints them. Each loop is cut where its controller acts on the loop
+inside, which is closed; the loops around it are open. The rows called ``actuator`` cut the complete
+cascade at the rotors. The model is discrete at the control rate: airframe and motor lag behind a
+zero-order hold, one more sample of delay, the motor lead, and the very gains that fly. Torques are
+scaled by the inertia and thrust by the mass, so of the vehicle only the motors' lag matters; drag,
+which damps, is left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.api import ControlParams
+from controller.gains import CascadeGains, cascade_gains
+from controller.mixer import lead_coefficients
+from sim.api import GRAVITY_MPS2, VehicleModel
+
+Array = NDArray[np.float64]
+System = Any
+"""A discrete ``control.StateSpace``; python-control is slow to import, so only functions do."""
+
+MIN_GAIN_MARGIN_DB = 6.0
+MIN_PHASE_MARGIN_DEG = 45.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LoopMargin:
+    """Stability margins of one loop, cut at one place."""
+
+    name: str
+    gain_margin_db: float
+    """the smaller of what the gain may rise and what it may fall by"""
+    phase_margin_deg: float
+    """smallest over all crossovers"""
+    crossover_rad_s: float
+    """the highest frequency at which the loop's gain is 1"""
+
+
+@dataclass(frozen=True, slots=True)
+class _Stage:
+    """One loop: command = forward * reference - feedback * outputs of the plant."""
+
+    name: str
+    forward: System
+    """1 x 1"""
+    feedback: System
+    """1 x number of outputs"""
+
+
+def loop_margins(vehicle: VehicleModel, params: ControlParams) -> list[LoopMargin]:
+    """Margins of every loop of ``CascadeController(vehicle, params)``, inner loops first."""
+    rows = []
+    for axes, plant, stages in _chains(vehicle.motor_time_constant_s, params):
+        rows += [_margin(name, loop) for name, loop in _cut_loops(plant, stages)]
+        rows.append(_margin(f"actuator, {axes}", _cut_at_actuator(plant, stages)))
+    return rows
+
+
+def closed_loop_poles(vehicle: VehicleModel, params: ControlParams) -> Array:
+    """(n,) complex poles in the z plane of the three complete cascades: tilt, yaw, height."""
+    poles = []
+    for _, plant, stages in _chains(vehicle.motor_time_constant_s, params):
+        for stage in stages:
+            plant = _closed(plant, stage)
+        poles.append(plant.poles())
+    return np.concatenate(poles)
+
+
+# --------------------------------------------------------------------------------- the cascades
+
+
+def _chains(motor_s: float, params: ControlParams) -> list[tuple[str, System, list[_Stage]]]:
+    """Roll and pitch with the horizontal motion that they steer (both alike), yaw, and height."""
+    gains = cascade_gains(params)
+    return [
+        ("roll/pitch", _tilt_plant(motor_s, params), _tilt_stages(gains, params)),
+        ("yaw", _yaw_plant(motor_s, params), _yaw_stages(gains, params)),
+        ("thrust", _height_plant(motor_s, params), _height_stages(gains, params)),
+    ]
+
+
+def _tilt_stages(gains: CascadeGains, params: ControlParams) -> list[_Stage]:
+    """Outputs of the plant: rate, angle, velocity, position, acceleration."""
+    step_s, outputs = 1.0 / params.control_hz, 5
+    attitude = _gain([[gains.attitude[0]]], step_s)
+    velocity = _pi(gains.velocity.kp[0], gains.velocity.ki[0], step_s)
+    per_g = _gain([[1.0 / GRAVITY_MPS2]], step_s)
+    damping = _gain([[0.0, 0.0, 0.0, 0.0, gains.velocity.kd[0]]], step_s)
+    position = _gain([[gains.position[0]]], step_s)
+    return [
+        _rate_stage("rate roll/pitch", gains, 0, outputs, step_s),
+        _Stage("attitude roll/pitch", attitude, attitude * _pick(1, outputs, step_s)),
+        _Stage(
+            "velocity horizontal",
+            per_g * velocity,
+            per_g * (velocity * _pick(2, outputs, step_s) + damping),
+        ),
+        _Stage("position horizontal", position, position * _pick(3, outputs, step_s)),
+    ]
+
+
+def _rate_stage(
+    name: str, gains: CascadeGains, axis: int, outputs: int, step_s: float
+) -> _Stage:
+    """The derivative, a backward difference, acts on the measured rate alone; output 0."""
+    import control
+
+    forward = _pi(gains.rate.kp[axis], gains.rate.ki[axis], step_s)
+    per_step = gains.rate.kd[axis] / step_s
+    derivative = control.ss(0.0, 1.0, -per_step, per_step, step_s)
+    return _Stage(name, forward, (forward + derivative) * _pick(0, outputs, step_s))
+
+
+def _yaw_stages(gains: CascadeGains, params: ControlParams) -> list[_Stage]:
+    """Outputs of the plant: rate, angle."""
+    step_s = 1.0 / params.control_hz
+    attitude = _gain([[gains.attitude[2]]], step_s)
+    return [
+        _rate_stage("rate yaw", gains, 2, 2, step_s),
+        _Stage("attitude yaw", attitude, attitude * _pick(1, 2, step_s)),
+    ]
+
+
+def _height_stages(gains: CascadeGains, params: ControlParams) -> list[_Stage]:
+    """Outputs of the plant: velocity, position, acceleration."""
+    step_s = 1.0 / params.control_hz
+    velocity = _pi(gains.velocity.kp[2], gains.velocity.ki[2], step_s)
+    damping = _gain([[0.0, 0.0, gains.velocity.kd[2]]], step_s)
+    position = _gain([[gains.position[2]]], step_s)
+    return [
+        _Stage("velocity vertical", velocity, velocity * _pick(0, 3, step_s) + damping),
+        _Stage("position vertical", position, position * _pick(1, 3, step_s)),
+    ]
+
+
+# ----------------------------------------------------------------------------------- the plants
+
+
+def _tilt_plant(motor_s: float, params: ControlParams) -> System:
+    """Angular acceleration demanded -> rate, angle, velocity, position, acceleration."""
+    return _plant(
+        motor_s,
+        params,
+        links=[1.0, 1.0, GRAVITY_MPS2, 1.0],
+        rows=[[0, 1, 0, 0, 0], [0, 0, 1, 0, 0], [0, 0, 0, 1, 0], [0, 0, 0, 0, 1],
+              [0, 0, GRAVITY_MPS2, 0, 0]],
+    )  # fmt: skip
+
+
+def _yaw_plant(motor_s: float, params: ControlParams) -> System:
+    """Angular acceleration demanded -> rate, angle."""
+    return _plant(motor_s, params, links=[1.0, 1.0], rows=[[0, 1, 0], [0, 0, 1]])
+
+
+def _height_plant(motor_s: float, params: ControlParams) -> System:
+    """Acceleration demanded -> velocity, position, acceleration."""
+    return _plant(motor_s, params, links=[1.0, 1.0], rows=[[0, 1, 0], [0, 0, 1], [1, 0, 0]])
+
+
+def _plant(
+    motor_s: float, params: ControlParams, links: list[float], rows: list[list[float]]
+) -> System:
+    """The motor's lag followed by one integrator per link, ``rows`` picking outputs from these
+    states; sampled, behind the lead and a sample of delay."""
+    import control
+
+    size, step_s = len(links) + 1, 1.0 / params.control_hz
+    dynamics = np.diag(links, k=-1)
+    dynamics[0, 0] = -1.0 / motor_s
+    drive = np.zeros((size, 1))
+    drive[0] = 1.0 / motor_s
+    continuous = control.ss(dynamics, drive, np.array(rows, dtype=float), 0.0)
+    sampled = control.sample_system(continuous, step_s, method="zoh")
+    delay = control.ss(0.0, 1.0, 1.0, 0.0, step_s)
+    gain, decay = lead_coefficients(motor_s, params.motor_response_s, step_s)
+    approach = (1.0 - decay) * gain
+    lead = control.ss(1.0 - approach, approach, 1.0 - gain, gain, step_s)
+    return sampled * delay * lead
+
+
+def _pi(proportional: float, integral: float, step_s: float) -> System:
+    """As ``controller.pid`` computes it: the integral moves after the output."""
+    import control
+
+    return control.ss(1.0, step_s * integral, 1.0, proportional, step_s)
+
+
+def _gain(matrix: list[list[float]], step_s: float) -> System:
+    import control
+
+    return control.ss([], [], [], np.array(matrix), step_s)
+
+
+def _pick(index: int, count: int, step_s: float) -> System:
+    """The row that selects one output."""
+    return _gain([[float(i == index) for i in range(count)]], step_s)
+
+
+# ------------------------------------------------------------------------------- cuts and margins
+
+
+def _closed(plant: System, stage: _Stage) -> System:
+    """From the stage's reference to the plant's outputs."""
+    import control
+
+    return control.feedback(plant, stage.feedback) * stage.forward
+
+
+def _cut_loops(plant: System, stages: list[_Stage]) -> list[tuple[str, System]]:
+    loops = []
+    for stage in stages:
+        loops.append((stage.name, stage.feedback * plant))
+        plant = _closed(plant, stage)
+    return loops
+
+
+def _cut_at_actuator(plant: System, stages: list[_Stage]) -> System:
+    """Loop gain at the rotors with every loop closed."""
+    law = stages[-1].feedback
+    for stage in reversed(stages[:-1]):
+        law = stage.forward * law + stage.feedback
+    return law * plant
+
+
+def _margin(name: str, loop: System) -> LoopMargin:
+    """Margins from the frequency response: exact enough on a fine grid, and free of the rounding
+    that polynomials with many poles near z = 1 suffer from."""
+    import control
+
+    grid = np.geomspace(0.01, 0.999 * np.pi / loop.dt, 20_000)
+    response = control.frd(loop, grid)
+    gain, phase, _, _, crossover, _ = control.stability_margins(response, returnall=True)
+    return LoopMargin(
+        name=name,
+        gain_margin_db=float(np.min(np.abs(20.0 * np.log10(gain)), initial=np.inf)),
+        phase_margin_deg=float(np.min(np.abs(phase), initial=np.inf)),
+        crossover_rad_s=float(np.max(crossover, initial=0.0)),
+    )
+
+
+def _table(margins: list[LoopMargin]) -> str:
+    lines = [f"{'loop':<22}{'gain margin':>13}{'phase margin':>15}{'crossover':>14}"]
+    for m in margins:
+        enough = (
+            m.gain_margin_db >= MIN_GAIN_MARGIN_DB and m.phase_margin_deg >= MIN_PHASE_MARGIN_DEG
+        )
+        lines.append(
+            f"{m.name:<22}{m.gain_margin_db:>10.1f} dB{m.phase_margin_deg:>11.1f} deg"
+            f"{m.crossover_rad_s:>8.2f} rad/s{'' if enough else '  too small'}"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Prints the margins of the default gains."""
+    parser = argparse.ArgumentParser(prog="python -m controller.design", description=main.__doc__)
+    parser.add_argument(
+        "--motor-time-constant",
+        type=float,
+        default=0.04,
+        help="lag of the rotors in seconds, as in the vehicle's MJCF (default: %(default)s)",
+    )
+    motor_s = parser.parse_args().motor_time_constant
+    print(_table(loop_margins(_nominal_vehicle(motor_s), ControlParams())))
+
+
+def _nominal_vehicle(motor_s: float) -> VehicleModel:
+    """Unit mass and inertia: the margins do not depend on them."""
+    return VehicleModel(
+        mass_kg=1.0,
+        inertia_kgm2=np.ones(3),
+        rotor_xy_m=np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]),
+        rotor_spin=np.array([1.0, -1.0, 1.0, -1.0]),
+        thrust_coefficient=1.0,
+        torque_coefficient=1.0,
+        rotor_speed_min=0.0,
+        rotor_speed_max=10.0,
+        motor_time_constant_s=motor_s,
+        linear_drag=0.0,
+        leg_height_m=0.0,
+        footprint_radius_m=1.0,
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""An observer of the horizontal force that air exerts on the vehicle.
+
+Newton's law of the measured acceleration, less gravity and the thrust that the modelled rotors give
+along the measured body axis, leaves what the air does: drag of wind and own speed. As thrust and
+tilt are those of the vehicle and not those commanded, the loops' own action cancels in the
+difference, and feeding the observed force forward leaves the loops' margins as they are (an
+incremental inversion in the sense of Smeur, de Croon and Chu, 2018).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sim.api import GRAVITY_MPS2, VehicleModel
+
+Array = NDArray[np.float64]
+
+_SUPPORTED = 0.35 * GRAVITY_MPS2
+"""An unexplained upward push above this means that the ground carries the vehicle. In the air a
+fast descent through the rotors' inflow comes to about half of it."""
+
+
+class DisturbanceObserver:
+    """Low-pass estimate of the horizontal acceleration that thrust does not explain."""
+
+    def __init__(self, vehicle: VehicleModel, bandwidth_radps: float, step_s: float) -> None:
+        self._thrust_per_mass = vehicle.thrust_coefficient / vehicle.mass_kg
+        self._approach = 1.0 - float(np.exp(-bandwidth_radps * step_s))
+        self.reset()
+
+    def reset(self) -> None:
+        """Still air."""
+        self.acceleration = np.zeros(3)
+
+    def update(
+        self, acceleration: Array, rotation: Array, rotor_speed_radps: Array, expected: Array
+    ) -> Array:
+        """(3,) m/s^2 beyond ``expected`` (3,), odom frame, vertical share always 0.
+
+        acceleration: (3,) m/s^2 measured, gravity removed; rotation: odom_from_body;
+        rotor_speed_radps: (4,) modelled. Forgets while the ground carries the vehicle, where the
+        unexplained force is friction.
+        """
+        self.acceleration = _update(
+            self.acceleration,
+            acceleration,
+            rotation,
+            self._thrust_per_mass * (rotor_speed_radps @ rotor_speed_radps),
+            expected,
+            self._approach,
+        )
+        return self.acceleration
+
+
+@njit(cache=True)
+def _update(
+    estimate: Array,
+    acceleration: Array,
+    rotation: Array,
+    thrust_per_mass: float,
+    expected: Array,
+    approach: float,
+) -> Array:
+    residual = acceleration - thrust_per_mass * rotation[:, 2] - expected
+    residual[2] += GRAVITY_MPS2
+    if residual[2] > _SUPPORTED:
+        residual[:] = 0.0
+    residual[2] = 0.0
+    return estimate + approach * (residual - estimate)

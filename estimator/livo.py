@@ -1,0 +1,314 @@
+"""LIDAR-inertial-visual odometry: a tightly coupled estimator for flight over ground.
+
+One error-state filter carries pose, velocity, IMU biases and the poses of remembered keyframes.
+Scans measure height, roll and pitch against a map of planes (and sideways motion where walls and
+slopes allow); images measure x, y and yaw against landmarks of keyframes whose depth the LIDAR
+gave. Order, LIDAR before vision, and the sequential update follow FAST-LIVO (Zheng et al. 2022);
+that landmarks hang on cloned keyframe poses, not on a map taken for certain, is what lets a
+later view of the same ground close the loop.
+
+Scans and images arrive late. The filter lives at measurement time; the estimate handed out is its
+state carried over the buffered IMU samples to now.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.api import Estimate, LivoParams, PoseTrack
+from estimator.deskew import deskew, thin_out
+from estimator.eskf import Eskf
+from estimator.imu_propagation import ImuBuffer, NavState, propagate_nominal
+from estimator.landmark_depth import RecentReturns
+from estimator.lidar_update import LidarReport, update_with_scan
+from estimator.patch_tracker import grey_levels
+from estimator.plane_map import PlaneMap
+from estimator.stillness import Stillness
+from estimator.visual import VisualFrontEnd, VisualReport
+from sim.api import (
+    GRAVITY_MPS2,
+    CameraImage,
+    LidarScan,
+    Observation,
+    SensorNeeds,
+    SensorRig,
+)
+from sim.frames import Pose, quat_wxyz_from_matrix, so3_exp, so3_log
+
+Array = NDArray[np.float64]
+
+_START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)
+"""rad, m, m/s: the take-off pose is known, but the legs settle"""
+_HISTORY = 128
+"""IMU steps of past poses kept for deskewing"""
+_RESTING_THRUST = 0.85
+"""of the weight: with less static thrust the vehicle cannot leave the ground"""
+
+
+class Livo:
+    """``update`` once a control step; see the module's text. Deterministic: ``seed`` is unused
+    because nothing here is drawn at random."""
+
+    def __init__(self, rig: SensorRig, params: LivoParams | None = None, seed: int = 0) -> None:
+        self._rig = rig
+        self._params = params = params or LivoParams()
+        self.needs = SensorNeeds(camera_hz=params.camera_hz, lidar=True)
+        step_s = rig.imu_ticks / rig.tick_hz
+        self._buffer = ImuBuffer(rig.imu, step_s)
+        self._imu_from_body = rig.body_from_imu.inverse()
+        self._imu_from_lidar = self._imu_from_body @ rig.body_from_lidar
+        start = rig.world_from_body_start @ rig.body_from_imu
+        zero = np.zeros(3)
+        state = NavState(0, start.rotation, start.translation, zero, zero, zero)
+        bias_sigmas = np.repeat([rig.imu.gyro_bias_sigma, rig.imu.accel_bias_sigma], 3)
+        self._eskf = Eskf(state, np.concatenate([_START_SIGMAS, bias_sigmas]) ** 2)
+        self._head = state
+        self._stillness = Stillness(rig.imu.gyro_density, step_s)
+        self._map = PlaneMap(params.voxel_m, params.map_voxels, params.voxel_points)
+        self._recent = RecentReturns()
+        self._vision = VisualFrontEnd(
+            rig.camera,
+            self._imu_from_body @ rig.body_from_camera,
+            max_keyframes=params.keyframes,
+            look_back=params.look_back,
+            features=params.features,
+            sigma_px=params.pixel_sigma,
+            open_ticks=2 * rig.tick_hz,
+        )
+        self._undistort = _undistortion_maps(rig)
+        self._history_ticks = np.zeros(1, dtype=np.int64)
+        self._history_rotations = state.rotation[None]
+        self._history_positions = state.position[None]
+        self._gyro, self._force = np.zeros(3), np.zeros(3)
+        self._offset = np.zeros(9)
+        self._vision_tick = 0
+        self._last_height = 0.0
+        self._diagnostics: dict[str, float] = {"skipped": 0.0}
+        self._scan_track: PoseTrack | None = None
+
+    # ------------------------------------------------------------------------ the cycle
+
+    def update(self, obs: Observation) -> Estimate:
+        """Takes what has arrived and returns the belief about ``obs.tick``."""
+        self._scan_track = None
+        vehicle = self._rig.vehicle
+        thrust = vehicle.thrust_coefficient * float(obs.rotor_speed_radps @ obs.rotor_speed_radps)
+        resting = thrust < _RESTING_THRUST * vehicle.mass_kg * GRAVITY_MPS2
+        for sample in obs.imu:
+            if not np.all(np.isfinite(sample.angular_velocity + sample.specific_force)):
+                self._diagnostics["skipped"] += 1.0
+                continue
+            self._gyro, self._force = sample.angular_velocity, sample.specific_force
+            self._buffer.push(sample.tick, self._gyro, self._force, resting)
+            self._head = propagate_nominal(
+                self._head,
+                np.array([sample.tick]),
+                self._gyro[None],
+                self._force[None],
+                self._buffer.step_s,
+            )
+        measured = False
+        arrivals: list[LidarScan | CameraImage] = [*obs.scans, *obs.images]
+        arrivals.sort(key=lambda m: (_tick_of(m), isinstance(m, CameraImage)))
+        for message in arrivals:
+            measured |= self._take(message)
+        lag = self._rig.compute_latency_ticks + self._rig.lidar_scan_ticks
+        if obs.tick - self._eskf.state.tick > lag + self._rig.lidar_scan_ticks:
+            self._advance(obs.tick - lag)
+            measured = True
+        if measured:
+            self._recompute_head()
+        return self._estimate(obs)
+
+    def _take(self, message: LidarScan | CameraImage) -> bool:
+        tick = _tick_of(message)
+        if tick < self._eskf.state.tick or tick > self._head.tick:
+            self._diagnostics["skipped"] += 1.0
+            return False
+        self._advance(tick)
+        if isinstance(message, LidarScan):
+            self._take_scan(message)
+        else:
+            self._take_image(message)
+        return True
+
+    def _advance(self, tick: int) -> None:
+        """Carries the filter to ``tick`` over buffered samples."""
+        count = self._buffer.until(tick)
+        if count == 0:
+            return
+        _, gyro, force, resting = self._buffer.samples(count)
+        ticks, rotations, positions = self._eskf.propagate(self._buffer, count)
+        self._history_ticks = np.concatenate([self._history_ticks, ticks[1:]])[-_HISTORY:]
+        self._history_rotations = np.concatenate([self._history_rotations, rotations[1:]])
+        self._history_positions = np.concatenate([self._history_positions, positions[1:]])
+        self._history_rotations = self._history_rotations[-_HISTORY:]
+        self._history_positions = self._history_positions[-_HISTORY:]
+        still = self._stillness.update(self._eskf, gyro, force, resting)
+        self._diagnostics["still"] = float(still)
+        if still:
+            self._correct_history()
+        self._buffer.drop(count)
+
+    def _correct_history(self) -> None:
+        """Moves the remembered poses rigidly, so that the newest is the filter's."""
+        state = self._eskf.state
+        turn = state.rotation @ self._history_rotations[-1].T
+        offset = self._history_positions - self._history_positions[-1]
+        self._history_positions = offset @ turn.T + state.position
+        self._history_rotations = turn @ self._history_rotations
+
+    # ------------------------------------------------------------------------ measurements
+
+    def _take_scan(self, scan: LidarScan) -> None:
+        first = int(np.searchsorted(self._history_ticks, scan.start_tick))
+        if (
+            first + 1 >= len(self._history_ticks)
+            or self._history_ticks[first] != scan.start_tick
+            or self._history_ticks[-1] != scan.end_tick
+        ):
+            self._diagnostics["skipped"] += 1.0
+            return
+        points, beams = deskew(
+            scan.directions, scan.ranges, scan.time_offsets,
+            self._imu_from_lidar.rotation, self._imu_from_lidar.translation,
+            self._history_rotations[first:], self._history_positions[first:],
+            self._buffer.step_s, self._rig.lidar.min_range_m, self._rig.lidar.max_range_m,
+        )  # fmt: skip
+        report = LidarReport(matched=0, rms_m=0.0, lateral_strength=np.zeros(3))
+        if len(points) >= 50:
+            report = self._update_with_points(points, beams, scan.end_tick)
+        self._correct_history()
+        state = self._eskf.state
+        odom_points = points @ state.rotation.T + state.position
+        self._map.insert(odom_points)
+        self._recent.add(odom_points)
+        self._scan_track = self._track_over(first)
+        self._diagnostics |= {
+            "scan_returns": float(len(points)),
+            "lidar_matched": float(report.matched),
+            "lidar_rms_m": report.rms_m,
+            "lidar_lateral_weakest": float(report.lateral_strength[0]),
+            "lidar_lateral_middle": float(report.lateral_strength[1]),
+            "map_voxels": float(self._map.used),
+        }
+
+    def _update_with_points(self, points: Array, beams: Array, tick: int) -> LidarReport:
+        params = self._params
+        reach = float(np.median(np.linalg.norm(beams, axis=1)))
+        self._last_height = reach
+        # the footprint is about 1.75 x 0.5 of the height: so many even cells cover it
+        cell = np.sqrt(1.75 * 0.5 / params.scan_points) * reach
+        chosen = thin_out(points, float(cell), 15)[: 2 * params.scan_points]
+        blind = tick - self._vision_tick > self._rig.tick_hz // 2
+        lateral = params.blind_lateral_sigma_m if blind else params.map_lateral_sigma_m
+        yaw_deg = params.blind_yaw_sigma_deg if blind else params.map_yaw_sigma_deg
+        tilt = np.radians(params.map_tilt_sigma_deg)
+        return update_with_scan(
+            self._eskf,
+            self._map,
+            points[chosen],
+            beams[chosen],
+            range_sigma_m=self._rig.lidar.range_sigma_m,
+            angle_sigma_rad=float(np.radians(self._rig.lidar.angle_sigma_deg)),
+            floor_sigmas=np.array(
+                [tilt, tilt, np.radians(yaw_deg), lateral, lateral, params.map_height_sigma_m]
+            ),
+        )
+
+    def _take_image(self, image: CameraImage) -> None:
+        rgb = image.rgb
+        if self._undistort is not None:
+            rgb = cv2.remap(rgb, self._undistort[0], self._undistort[1], cv2.INTER_LINEAR)
+        levels = grey_levels(rgb)
+        self._vision.measure_open_keyframes(self._eskf, self._recent, image.tick)
+        report = self._vision.update(self._eskf, levels)
+        if report.used:
+            self._vision_tick = image.tick
+            self._correct_history()
+        elif self._vision.keyframes:
+            self._diagnostics["skipped"] += 1.0
+        if self._vision.wants_keyframe(report, image.tick):
+            self._vision.add_keyframe(self._eskf, levels, self._recent, image.tick)
+        self._diagnostics |= _visual_diagnostics(report, len(self._vision.keyframes))
+
+    def _track_over(self, first: int) -> PoseTrack:
+        imu_from_body = self._imu_from_body
+        rotations = self._history_rotations[first:] @ imu_from_body.rotation
+        positions = self._history_positions[first:] + (
+            self._history_rotations[first:] @ imu_from_body.translation
+        )
+        return PoseTrack(
+            times_s=self._history_ticks[first:] / self._rig.tick_hz,
+            positions_odom=positions,
+            quats_wxyz=np.array([quat_wxyz_from_matrix(r) for r in rotations]),
+        )
+
+    # ------------------------------------------------------------------------ the estimate
+
+    def _recompute_head(self) -> None:
+        """Carries the corrected filter to now; what jumps is kept as an offset that fades."""
+        old = self._head
+        ticks, gyro, force, _ = self._buffer.samples(self._buffer.count)
+        self._head = propagate_nominal(self._eskf.state, ticks, gyro, force, self._buffer.step_s)
+        shown = old.rotation @ so3_exp(self._offset[:3])
+        self._offset = np.concatenate(
+            [
+                so3_log(self._head.rotation.T @ shown),
+                old.position + self._offset[3:6] - self._head.position,
+                old.velocity + self._offset[6:9] - self._head.velocity,
+            ]
+        )
+
+    def _estimate(self, obs: Observation) -> Estimate:
+        head = self._head
+        self._offset = self._offset * np.exp(-self._buffer.step_s / self._params.blend_s)
+        rotation = head.rotation @ so3_exp(self._offset[:3])
+        rate_imu = self._gyro - head.gyro_bias
+        pose = Pose(rotation, head.position + self._offset[3:6]) @ self._imu_from_body
+        lever = np.cross(rate_imu, self._imu_from_body.translation)
+        acceleration = rotation @ (self._force - head.accel_bias)
+        acceleration = acceleration - np.array([0.0, 0.0, GRAVITY_MPS2])
+        cov = self._eskf.covariance
+        body_from_imu = self._rig.body_from_imu.rotation
+        return Estimate(
+            tick=obs.tick,
+            time_s=obs.time_s,
+            odom_from_body=pose,
+            world_from_odom=Pose.identity(),
+            velocity_odom=head.velocity + self._offset[6:9] + rotation @ lever,
+            angular_velocity_body=body_from_imu @ rate_imu,
+            acceleration_odom=acceleration,
+            position_covariance=cov[3:6, 3:6].copy(),
+            rotation_covariance=body_from_imu @ cov[:3, :3] @ body_from_imu.T,
+            healthy=bool(np.trace(cov[3:6, 3:6]) < 1.0),
+            scan_track=self._scan_track,
+            diagnostics=dict(self._diagnostics),
+        )
+
+
+def _tick_of(message: LidarScan | CameraImage) -> int:
+    return message.end_tick if isinstance(message, LidarScan) else message.tick
+
+
+def _visual_diagnostics(report: VisualReport, keyframes: int) -> dict[str, float]:
+    return {
+        "features_tracked": float(report.used),
+        "visual_rms_px": report.rms_px,
+        "looked_back": float(report.looked_back),
+        "overlap": report.best_share,
+        "keyframes": float(keyframes),
+    }
+
+
+def _undistortion_maps(rig: SensorRig) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
+    """Remapping to a pinhole with the same K, or None for a lens without distortion."""
+    camera = rig.camera
+    if not np.any(camera.distortion):
+        return None
+    size = (camera.width, camera.height)
+    matrix = camera.matrix()
+    maps = cv2.initUndistortRectifyMap(matrix, camera.distortion, None, matrix, size, cv2.CV_32FC1)
+    return maps[0], maps[1]

@@ -1,0 +1,331 @@
+"""Compiled kernels of the mapper: deskew, colour, accumulate. One thread, fixed order of sums, so
+the same scans give the same map to the bit."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+
+@numba.njit(cache=True)
+def _lerp_pose(
+    times: Array, positions: Array, quats: Array, index: int, time: float, pose: Array
+) -> None:
+    """Writes x, y, z, then the nine rotation entries (row-major) of the pose at ``time`` between
+    track entries ``index`` and ``index + 1``: straight line and normalised quaternion lerp."""
+    span = times[index + 1] - times[index]
+    f = 0.0 if span <= 0.0 else (time - times[index]) / span
+    f = min(max(f, 0.0), 1.0)
+    for k in range(3):
+        pose[k] = positions[index, k] + f * (positions[index + 1, k] - positions[index, k])
+    dot = 0.0
+    for k in range(4):
+        dot += quats[index, k] * quats[index + 1, k]
+    g = f if dot >= 0.0 else -f
+    w = (1.0 - f) * quats[index, 0] + g * quats[index + 1, 0]
+    x = (1.0 - f) * quats[index, 1] + g * quats[index + 1, 1]
+    y = (1.0 - f) * quats[index, 2] + g * quats[index + 1, 2]
+    z = (1.0 - f) * quats[index, 3] + g * quats[index + 1, 3]
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    pose[3] = 1.0 - s * (y * y + z * z)
+    pose[4] = s * (x * y - w * z)
+    pose[5] = s * (x * z + w * y)
+    pose[6] = s * (x * y + w * z)
+    pose[7] = 1.0 - s * (x * x + z * z)
+    pose[8] = s * (y * z - w * x)
+    pose[9] = s * (x * z - w * y)
+    pose[10] = s * (y * z + w * x)
+    pose[11] = 1.0 - s * (x * x + y * y)
+
+
+@numba.njit(cache=True)
+def deskew(
+    directions: Float32,
+    time_offsets: Float32,
+    start_time: float,
+    track_times: Array,
+    track_positions: Array,
+    track_quats: Array,
+    lidar_rotation: Array,
+    lidar_translation: Array,
+    origins: Float32,
+    beams: Float32,
+) -> None:
+    """Origin and direction of every pulse in the odom frame, from the pose of its own instant.
+
+    directions: (N, 3) float32, LIDAR frame; time_offsets: (N,) float32 seconds, ascending; the
+    track: (M,), (M, 3), (M, 4) wxyz, M >= 2; lidar_*: body_from_lidar. Writes ``origins`` and
+    ``beams``, (N, 3) float32. Times outside the track take its nearest end.
+    """
+    pose = np.empty(12)
+    index = 0
+    last = track_times.shape[0] - 2
+    for i in range(directions.shape[0]):
+        time = start_time + time_offsets[i]
+        while index < last and track_times[index + 1] < time:
+            index += 1
+        _lerp_pose(track_times, track_positions, track_quats, index, time, pose)
+        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
+        bx = lidar_rotation[0, 0] * dx + lidar_rotation[0, 1] * dy + lidar_rotation[0, 2] * dz
+        by = lidar_rotation[1, 0] * dx + lidar_rotation[1, 1] * dy + lidar_rotation[1, 2] * dz
+        bz = lidar_rotation[2, 0] * dx + lidar_rotation[2, 1] * dy + lidar_rotation[2, 2] * dz
+        tx, ty, tz = lidar_translation[0], lidar_translation[1], lidar_translation[2]
+        for k in range(3):
+            r0, r1, r2 = pose[3 + 3 * k], pose[4 + 3 * k], pose[5 + 3 * k]
+            beams[i, k] = r0 * bx + r1 * by + r2 * bz
+            origins[i, k] = pose[k] + r0 * tx + r1 * ty + r2 * tz
+
+
+@numba.njit(cache=True)
+def sample_colours(
+    origins: Float32,
+    beams: Float32,
+    ranges: Float32,
+    prefer_low: float,
+    prefer_high: float,
+    time_offsets: Float32,
+    image: NDArray[np.uint8],
+    rotation: Array,
+    translation: Array,
+    intrinsics: Array,
+    colours: Float32,
+) -> None:
+    """Colours the returns whose time lies in [prefer_low, prefer_high] and that have none yet.
+
+    rotation (3, 3), translation (3,): camera_from_odom at the exposure; intrinsics: (9,) fx, fy,
+    cx, cy, k1, k2, p1, p2, k3 (OpenCV); image: (H, W, 3); ``colours``: (N, 3) float32, NaN where
+    uncoloured. Nearest pixel. The LIDAR sits beside the camera, so what one sees the other sees.
+    """
+    rows, cols = image.shape[0], image.shape[1]
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    k1, k2, p1, p2, k3 = intrinsics[4], intrinsics[5], intrinsics[6], intrinsics[7], intrinsics[8]
+    for i in range(ranges.shape[0]):
+        r = ranges[i]
+        time = time_offsets[i]
+        if r <= 0.0 or time < prefer_low or time > prefer_high or not np.isnan(colours[i, 0]):
+            continue
+        x = origins[i, 0] + r * beams[i, 0]
+        y = origins[i, 1] + r * beams[i, 1]
+        z = origins[i, 2] + r * beams[i, 2]
+        zc = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + translation[2]
+        if not zc > 0.05:
+            continue
+        u = (rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0]) / zc
+        v = (rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1]) / zc
+        q = u * u + v * v
+        if q > 4.0:
+            continue
+        radial = 1.0 + q * (k1 + q * (k2 + q * k3))
+        ud = u * radial + 2.0 * p1 * u * v + p2 * (q + 2.0 * u * u)
+        vd = v * radial + p1 * (q + 2.0 * v * v) + 2.0 * p2 * u * v
+        col = int(np.floor(fx * ud + cx + 0.5))
+        row = int(np.floor(fy * vd + cy + 0.5))
+        if 0 <= col < cols and 0 <= row < rows:
+            for k in range(3):
+                colours[i, k] = image[row, col, k]
+
+
+@numba.njit(cache=True)
+def accumulate_returns(
+    origins: Float32,
+    beams: Float32,
+    ranges: Float32,
+    colours: Float32,
+    intensities: NDArray[np.uint8],
+    now: float,
+    count_cap: float,
+    extreme_memory: float,
+    origin_x: float,
+    origin_y: float,
+    cell: float,
+    count: Float32,
+    height: Float32,
+    std: Float32,
+    low: Float32,
+    high: Float32,
+    rgb: Float32,
+    rgb_count: Float32,
+    intensity: Float32,
+    missing: Float32,
+    last_seen: Float32,
+) -> int:
+    """Adds returns to a grid (layout of ``GridMap``); returns how many fell inside.
+
+    Running mean and variance with the weight of a new return never below 1 / ``count_cap``: up to
+    that many returns the exact moments (Welford), after it an exponential memory. Extremes relax
+    towards the mean with time constant ``extreme_memory`` seconds of not being confirmed.
+    """
+    rows, cols = count.shape
+    inside = 0
+    for i in range(ranges.shape[0]):
+        r = ranges[i]
+        if not r > 0.0:
+            continue
+        x = origins[i, 0] + r * beams[i, 0]
+        y = origins[i, 1] + r * beams[i, 1]
+        z = origins[i, 2] + r * beams[i, 2]
+        if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
+            continue
+        col = int(np.floor((x - origin_x) / cell))
+        row = int(np.floor((y - origin_y) / cell))
+        if col < 0 or row < 0 or col >= cols or row >= rows:
+            continue
+        inside += 1
+        n = count[row, col] + 1.0
+        if n > count_cap:
+            n = count_cap
+            missing[row, col] *= 1.0 - 1.0 / count_cap
+        if np.isnan(height[row, col]):
+            height[row, col] = z
+            std[row, col] = 0.0
+            low[row, col] = z
+            high[row, col] = z
+            intensity[row, col] = intensities[i]
+        else:
+            gain = 1.0 / n
+            delta = z - height[row, col]
+            variance = (1.0 - gain) * (std[row, col] * std[row, col] + gain * delta * delta)
+            height[row, col] += gain * delta
+            std[row, col] = np.sqrt(variance)
+            idle = now - last_seen[row, col]
+            if idle > 0.0:
+                keep = np.exp(-idle / extreme_memory)
+                mean = height[row, col]
+                high[row, col] = mean + keep * (high[row, col] - mean)
+                low[row, col] = mean + keep * (low[row, col] - mean)
+            high[row, col] = max(high[row, col], z)
+            low[row, col] = min(low[row, col], z)
+            intensity[row, col] += gain * (intensities[i] - intensity[row, col])
+        count[row, col] = n
+        last_seen[row, col] = now
+        if not np.isnan(colours[i, 0]):
+            m = min(rgb_count[row, col] + 1.0, count_cap)
+            rgb_count[row, col] = m
+            if m == 1.0:
+                for k in range(3):
+                    rgb[row, col, k] = colours[i, k]
+            else:
+                for k in range(3):
+                    rgb[row, col, k] += (colours[i, k] - rgb[row, col, k]) / m
+    return inside
+
+
+@numba.njit(cache=True)
+def update_ground_level(
+    origins: Float32,
+    beams: Float32,
+    ranges: Float32,
+    origin_x: float,
+    origin_y: float,
+    block: float,
+    level: Float32,
+) -> None:
+    """Lowest return of every block of the scene, (rows, cols), NaN where nothing was seen: the
+    level at which pulses without return are expected to have met the ground."""
+    rows, cols = level.shape
+    for i in range(ranges.shape[0]):
+        r = ranges[i]
+        if not r > 0.0:
+            continue
+        x = origins[i, 0] + r * beams[i, 0]
+        y = origins[i, 1] + r * beams[i, 1]
+        z = origins[i, 2] + r * beams[i, 2]
+        if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
+            continue
+        col = int(np.floor((x - origin_x) / block))
+        row = int(np.floor((y - origin_y) / block))
+        if 0 <= col < cols and 0 <= row < rows:
+            known = level[row, col]
+            if np.isnan(known) or z < known:
+                level[row, col] = z
+
+
+@numba.njit(cache=True)
+def _expected_level(
+    x: float,
+    y: float,
+    fallback: float,
+    origin_x: float,
+    origin_y: float,
+    block: float,
+    level: Float32,
+) -> float:
+    """Level of the block at (x, y), else the lowest of its eight neighbours, else the fallback."""
+    rows, cols = level.shape
+    col = int(np.floor((x - origin_x) / block))
+    row = int(np.floor((y - origin_y) / block))
+    if not (0 <= col < cols and 0 <= row < rows):
+        return fallback
+    if not np.isnan(level[row, col]):
+        return level[row, col]
+    best = np.inf
+    for r in range(max(row - 1, 0), min(row + 2, rows)):
+        for c in range(max(col - 1, 0), min(col + 2, cols)):
+            if level[r, c] < best:
+                best = level[r, c]
+    return best if best < np.inf else fallback
+
+
+@numba.njit(cache=True)
+def locate_missing(
+    origins: Float32,
+    beams: Float32,
+    ranges: Float32,
+    min_reach: float,
+    max_reach: float,
+    fallback: float,
+    origin_x: float,
+    origin_y: float,
+    block: float,
+    level: Float32,
+    spots: Float32,
+) -> int:
+    """Where pulses that did not come back should have met the ground: writes (K, 2) x, y into
+    ``spots`` and returns K. Three fixed-point steps of the beam against the block levels; only
+    distances within (min_reach, max_reach) count, since beyond them silence means nothing."""
+    found = 0
+    for i in range(ranges.shape[0]):
+        if ranges[i] > 0.0 or not beams[i, 2] < -0.05:
+            continue
+        x, y, distance = origins[i, 0], origins[i, 1], 0.0
+        for _ in range(3):
+            ground = _expected_level(x, y, fallback, origin_x, origin_y, block, level)
+            distance = (ground - origins[i, 2]) / beams[i, 2]
+            x = origins[i, 0] + distance * beams[i, 0]
+            y = origins[i, 1] + distance * beams[i, 1]
+        if min_reach < distance < max_reach:
+            spots[found, 0] = x
+            spots[found, 1] = y
+            found += 1
+    return found
+
+
+@numba.njit(cache=True)
+def accumulate_missing(
+    spots: Float32,
+    origin_x: float,
+    origin_y: float,
+    cell: float,
+    count_cap: float,
+    count: Float32,
+    missing: Float32,
+) -> None:
+    """Counts pulses without return, (K, 2) x, y, in their cells; with many of them the memory of
+    returns fades, so that the ratio of both follows the recent past."""
+    rows, cols = count.shape
+    for i in range(spots.shape[0]):
+        x, y = spots[i, 0], spots[i, 1]
+        if not (np.isfinite(x) and np.isfinite(y)):
+            continue
+        col = int(np.floor((x - origin_x) / cell))
+        row = int(np.floor((y - origin_y) / cell))
+        if 0 <= col < cols and 0 <= row < rows:
+            if missing[row, col] + 1.0 > count_cap:
+                missing[row, col] = count_cap
+                count[row, col] *= 1.0 - 1.0 / count_cap
+            else:
+                missing[row, col] += 1.0

@@ -1,0 +1,261 @@
+"""A bounded voxel-hash map of planes: running moments of the returns in each voxel.
+
+Voxel planes with a covariance follow the idea of VoxelMap (Yuan et al. 2022); here the moments are
+kept (ten numbers a voxel), so that voxels can be merged exactly where a surface lies close to a
+voxel's face and each side would hold only one half of its noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_EMPTY = np.int64(-1)
+_OFFSET = 1 << 20
+_MOMENTS = 10
+"""count, sum of (x, y, z), sums of xx, xy, xz, yy, yz, zz about the voxel's centre"""
+
+
+@njit(cache=True)
+def _pack(ix: int, iy: int, iz: int) -> int:
+    return (
+        (np.int64(ix + _OFFSET) << np.int64(42))
+        | (np.int64(iy + _OFFSET) << np.int64(21))
+        | np.int64(iz + _OFFSET)
+    )
+
+
+@njit(cache=True)
+def _slot(keys: NDArray[np.int64], key: int) -> int:
+    """Slot that holds ``key``, or the empty slot where it belongs (linear probing)."""
+    mask = keys.shape[0] - 1
+    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
+    slot = np.int64(mixed >> np.uint64(33)) & mask
+    while keys[slot] != _EMPTY and keys[slot] != key:
+        slot = (slot + 1) & mask
+    return slot
+
+
+@njit(cache=True)
+def insert_points(
+    keys: NDArray[np.int64],
+    moments: Array,
+    used: int,
+    points: Array,
+    voxel: float,
+    max_count: int,
+) -> int:
+    """Adds (N, 3) points; returns the number of used slots.
+
+    A voxel that has seen ``max_count`` points is left as it is: its oldest points carry the least
+    drift, and the cost of a scan stays constant. When the table is 70 % full, new voxels are
+    refused.
+    """
+    limit = int(0.7 * keys.shape[0])
+    for i in range(points.shape[0]):
+        ix = int(np.floor(points[i, 0] / voxel))
+        iy = int(np.floor(points[i, 1] / voxel))
+        iz = int(np.floor(points[i, 2] / voxel))
+        key = _pack(ix, iy, iz)
+        slot = _slot(keys, key)
+        if keys[slot] == _EMPTY:
+            if used >= limit:
+                continue
+            keys[slot] = key
+            used += 1
+        m = moments[slot]
+        if m[0] >= max_count:
+            continue
+        x = points[i, 0] - (ix + 0.5) * voxel
+        y = points[i, 1] - (iy + 0.5) * voxel
+        z = points[i, 2] - (iz + 0.5) * voxel
+        m[0] += 1.0
+        m[1] += x
+        m[2] += y
+        m[3] += z
+        m[4] += x * x
+        m[5] += x * y
+        m[6] += x * z
+        m[7] += y * y
+        m[8] += y * z
+        m[9] += z * z
+    return used
+
+
+@njit(cache=True)
+def smallest_eigen(cov: Array) -> tuple[float, float, float, float, float, float]:
+    """Eigenvalues (ascending) and the unit eigenvector of the smallest, of a symmetric 3x3.
+
+    Closed form (Smith 1961); the vector is the largest cross product of two rows of C - l I.
+    """
+    a, b, c = cov[0, 0], cov[1, 1], cov[2, 2]
+    d, e, f = cov[0, 1], cov[0, 2], cov[1, 2]
+    q = (a + b + c) / 3.0
+    p2 = (a - q) ** 2 + (b - q) ** 2 + (c - q) ** 2 + 2.0 * (d * d + e * e + f * f)
+    p = np.sqrt(p2 / 6.0)
+    if p < 1e-12:
+        return q, q, q, 0.0, 0.0, 1.0
+    ra, rb, rc, rd, re, rf = (a - q) / p, (b - q) / p, (c - q) / p, d / p, e / p, f / p
+    half_det = 0.5 * (
+        ra * (rb * rc - rf * rf) - rd * (rd * rc - rf * re) + re * (rd * rf - rb * re)
+    )
+    phi = np.arccos(min(1.0, max(-1.0, half_det))) / 3.0
+    high = q + 2.0 * p * np.cos(phi)
+    low = q + 2.0 * p * np.cos(phi + 2.0 * np.pi / 3.0)
+    mid = 3.0 * q - high - low
+    a, b, c = a - low, b - low, c - low
+    best, nx, ny, nz = -1.0, 0.0, 0.0, 1.0
+    for k in range(3):
+        if k == 0:
+            cx, cy, cz = d * f - e * b, e * d - a * f, a * b - d * d
+        elif k == 1:
+            cx, cy, cz = d * c - e * f, e * e - a * c, a * f - d * e
+        else:
+            cx, cy, cz = b * c - f * f, f * e - d * c, d * f - b * e
+        norm2 = cx * cx + cy * cy + cz * cz
+        if norm2 > best:
+            best, nx, ny, nz = norm2, cx, cy, cz
+    if best < 1e-30:
+        return low, mid, high, 0.0, 0.0, 1.0
+    scale = 1.0 / np.sqrt(best)
+    return low, mid, high, nx * scale, ny * scale, nz * scale
+
+
+@njit(cache=True)
+def _gather(
+    keys: NDArray[np.int64],
+    moments: Array,
+    x: float,
+    y: float,
+    z: float,
+    voxel: float,
+    margin: float,
+    total: Array,
+) -> tuple[float, float, float]:
+    """Moments about the centre of the voxel of (x, y, z), merged with the neighbours whose face is
+    within ``margin``, into ``total`` (10,). Returns that centre."""
+    cell = (np.floor(x / voxel), np.floor(y / voxel), np.floor(z / voxel))
+    centre = ((cell[0] + 0.5) * voxel, (cell[1] + 0.5) * voxel, (cell[2] + 0.5) * voxel)
+    side = np.zeros(3, dtype=np.int64)
+    at = (x - centre[0], y - centre[1], z - centre[2])
+    for k in range(3):
+        if at[k] > 0.5 * voxel - margin:
+            side[k] = 1
+        elif at[k] < margin - 0.5 * voxel:
+            side[k] = -1
+    total[:] = 0.0
+    for corner in range(8):
+        step = np.zeros(3, dtype=np.int64)
+        wanted = True
+        for k in range(3):
+            if (corner >> k) & 1:
+                step[k] = side[k]
+                wanted = wanted and side[k] != 0
+        if not wanted:
+            continue
+        key = _pack(int(cell[0]) + step[0], int(cell[1]) + step[1], int(cell[2]) + step[2])
+        slot = _slot(keys, key)
+        if keys[slot] == _EMPTY:
+            continue
+        m = moments[slot]
+        n, sx, sy, sz = m[0], step[0] * voxel, step[1] * voxel, step[2] * voxel
+        total[0] += n
+        total[1] += m[1] + n * sx
+        total[2] += m[2] + n * sy
+        total[3] += m[3] + n * sz
+        total[4] += m[4] + 2.0 * sx * m[1] + n * sx * sx
+        total[5] += m[5] + sx * m[2] + sy * m[1] + n * sx * sy
+        total[6] += m[6] + sx * m[3] + sz * m[1] + n * sx * sz
+        total[7] += m[7] + 2.0 * sy * m[2] + n * sy * sy
+        total[8] += m[8] + sy * m[3] + sz * m[2] + n * sy * sz
+        total[9] += m[9] + 2.0 * sz * m[3] + n * sz * sz
+    return centre
+
+
+@njit(cache=True)
+def match_planes(
+    keys: NDArray[np.int64],
+    moments: Array,
+    points: Array,
+    voxel: float,
+    margin: float,
+    min_count: int,
+    max_thickness: float,
+) -> tuple[NDArray[np.bool_], Array, Array, Array]:
+    """The plane of the voxel of each of (N, 3) points.
+
+    Returns found (N,), unit normals (N, 3), plane points (N, 3), and the variance of the plane's
+    height at the point (N, 2): its thickness (what single returns scatter) and its own uncertainty.
+    A voxel is planar if its smallest standard deviation is below ``max_thickness`` and three times
+    below the next one.
+    """
+    count = points.shape[0]
+    found = np.zeros(count, dtype=np.bool_)
+    normals = np.zeros((count, 3))
+    anchors = np.zeros((count, 3))
+    variances = np.zeros((count, 2))
+    total = np.zeros(_MOMENTS)
+    cov = np.zeros((3, 3))
+    for i in range(count):
+        cx, cy, cz = _gather(
+            keys, moments, points[i, 0], points[i, 1], points[i, 2], voxel, margin, total
+        )
+        n = total[0]
+        if n < min_count:
+            continue
+        mx, my, mz = total[1] / n, total[2] / n, total[3] / n
+        cov[0, 0] = total[4] / n - mx * mx
+        cov[0, 1] = total[5] / n - mx * my
+        cov[0, 2] = total[6] / n - mx * mz
+        cov[1, 1] = total[7] / n - my * my
+        cov[1, 2] = total[8] / n - my * mz
+        cov[2, 2] = total[9] / n - mz * mz
+        low, mid, _, nx, ny, nz = smallest_eigen(cov)
+        low = max(low, 1e-6)
+        if low > max_thickness * max_thickness or mid < 9.0 * low:
+            continue
+        dx = points[i, 0] - cx - mx
+        dy = points[i, 1] - cy - my
+        dz = points[i, 2] - cz - mz
+        along = dx * nx + dy * ny + dz * nz
+        reach2 = dx * dx + dy * dy + dz * dz - along * along
+        found[i] = True
+        normals[i, 0], normals[i, 1], normals[i, 2] = nx, ny, nz
+        anchors[i, 0], anchors[i, 1], anchors[i, 2] = cx + mx, cy + my, cz + mz
+        variances[i, 0] = low
+        variances[i, 1] = low / n * (1.0 + reach2 / mid)
+    return found, normals, anchors, variances
+
+
+class PlaneMap:
+    """Planes of everything that was seen, odom frame; memory fixed by ``capacity`` (a power of 2).
+
+    ``voxel_m``: side; ``max_points``: a voxel stops learning after so many returns.
+    """
+
+    def __init__(self, voxel_m: float, capacity: int = 1 << 17, max_points: int = 150) -> None:
+        if capacity & (capacity - 1):
+            raise ValueError(f"PlaneMap: capacity {capacity} must be a power of two")
+        self.voxel_m = voxel_m
+        self.max_points = max_points
+        self.used = 0
+        self._keys = np.full(capacity, _EMPTY, dtype=np.int64)
+        self._moments = np.zeros((capacity, _MOMENTS))
+
+    def insert(self, points_odom: Array) -> None:
+        """Adds (N, 3) points."""
+        self.used = insert_points(
+            self._keys, self._moments, self.used, points_odom, self.voxel_m, self.max_points
+        )
+
+    def match(
+        self, points_odom: Array, min_count: int = 8, max_thickness_m: float = 0.12
+    ) -> tuple[NDArray[np.bool_], Array, Array, Array]:
+        """See ``match_planes``."""
+        margin = 0.12 * self.voxel_m
+        return match_planes(
+            self._keys, self._moments, points_odom, self.voxel_m, margin, min_count, max_thickness_m
+        )

@@ -1,0 +1,247 @@
+"""Visual update: where the landmarks of a few keyframes appear now, against where they should."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from estimator.eskf import CLONE_DIM, Eskf
+from estimator.keyframes import (
+    Keyframe,
+    choose,
+    detect_features,
+    measure_planes,
+    most_redundant,
+    overlaps,
+)
+from estimator.landmark_depth import RecentReturns
+from estimator.patch_tracker import Grey, track
+from sim.api import CameraIntrinsics
+from sim.frames import Pose
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class VisualReport:
+    """What one image did, for the recording."""
+
+    used: int = 0
+    looked_back: int = 0
+    rms_px: float = 0.0
+    best_share: float = 0.0
+
+
+@njit(cache=True)
+def reprojection_information(
+    pixels: Array,
+    landmarks: Array,
+    rotation: Array,
+    position: Array,
+    key_rotation: Array,
+    key_position: Array,
+    camera_rotation: Array,
+    camera_position: Array,
+    intrinsics: Array,
+    sigma_px: float,
+    gate_px: float,
+) -> tuple[Array, Array, int, float]:
+    """Information (12, 12) and vector (12,) of the reprojection residuals of one keyframe.
+
+    ``pixels`` (N, 2) measured now; ``landmarks`` (N, 3) in the keyframe's IMU frame; ``rotation``,
+    ``position``: odom_from_imu now; ``key_*``: odom_from_imu of the keyframe; ``camera_*``:
+    camera_from_imu; ``intrinsics``: fx, fy, cx, cy. Error order: present rotation (right
+    perturbation) and position, then the keyframe's. Cauchy weights of scale ``gate_px`` / 2, zero
+    beyond ``gate_px``. Returns also the number used and their rms in pixels.
+    """
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    information = np.zeros((12, 12))
+    vector = np.zeros(12)
+    jacobian = np.zeros((2, 12))
+    projection = np.zeros((2, 3))
+    key_now = np.ascontiguousarray(rotation.T) @ key_rotation
+    back = np.ascontiguousarray(rotation.T)
+    used, total = 0, 0.0
+    for i in range(pixels.shape[0]):
+        q = landmarks[i]
+        world = key_rotation @ q + key_position
+        p = back @ (world - position)
+        c = camera_rotation @ p + camera_position
+        if c[2] < 1e-2:
+            continue
+        ru = pixels[i, 0] - (fx * c[0] / c[2] + cx)
+        rv = pixels[i, 1] - (fy * c[1] / c[2] + cy)
+        error2 = ru * ru + rv * rv
+        if error2 > gate_px * gate_px:
+            continue
+        projection[0, 0], projection[0, 2] = fx / c[2], -fx * c[0] / (c[2] * c[2])
+        projection[1, 1], projection[1, 2] = fy / c[2], -fy * c[1] / (c[2] * c[2])
+        m = projection @ camera_rotation
+        to_key = m @ key_now
+        to_world = m @ back
+        for a in range(2):
+            jacobian[a, 0] = m[a, 1] * p[2] - m[a, 2] * p[1]
+            jacobian[a, 1] = m[a, 2] * p[0] - m[a, 0] * p[2]
+            jacobian[a, 2] = m[a, 0] * p[1] - m[a, 1] * p[0]
+            jacobian[a, 6] = -(to_key[a, 1] * q[2] - to_key[a, 2] * q[1])
+            jacobian[a, 7] = -(to_key[a, 2] * q[0] - to_key[a, 0] * q[2])
+            jacobian[a, 8] = -(to_key[a, 0] * q[1] - to_key[a, 1] * q[0])
+            for b in range(3):
+                jacobian[a, 3 + b] = -to_world[a, b]
+                jacobian[a, 9 + b] = to_world[a, b]
+        weight = 1.0 / ((1.0 + 4.0 * error2 / (gate_px * gate_px)) * sigma_px * sigma_px)
+        for a in range(12):
+            vector[a] += weight * (jacobian[0, a] * ru + jacobian[1, a] * rv)
+            for b in range(12):
+                information[a, b] += weight * (
+                    jacobian[0, a] * jacobian[0, b] + jacobian[1, a] * jacobian[1, b]
+                )
+        used += 1
+        total += error2
+    rms = np.sqrt(total / used) if used > 0 else 0.0
+    return information, vector, used, rms
+
+
+class VisualFrontEnd:
+    """Keyframes and the update by an image. Keyframe k is clone k of the filter."""
+
+    def __init__(
+        self,
+        camera: CameraIntrinsics,
+        imu_from_camera: Pose,
+        *,
+        max_keyframes: int,
+        look_back: int,
+        features: int,
+        sigma_px: float,
+        open_ticks: int,
+    ) -> None:
+        self._camera = camera
+        self._imu_from_camera = imu_from_camera
+        self._camera_from_imu = imu_from_camera.inverse()
+        self._intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        self._max_keyframes = max_keyframes
+        self._look_back = look_back
+        self._features = features
+        self._sigma_px = sigma_px
+        self._open_ticks = open_ticks
+        self.keyframes: list[Keyframe] = []
+
+    # ------------------------------------------------------------------------ keyframes
+
+    def measure_open_keyframes(self, eskf: Eskf, recent: RecentReturns, tick: int) -> None:
+        """Completes planes of young keyframes: the LIDAR sweeps over their rims a little later."""
+        for k, keyframe in enumerate(self.keyframes):
+            age = tick - keyframe.tick
+            if age <= self._open_ticks and age % (self._open_ticks // 4) == 0:
+                camera_from_odom = (eskf.clones[k] @ self._imu_from_camera).inverse()
+                measure_planes(keyframe, recent, camera_from_odom, self._camera)
+
+    def add_keyframe(
+        self, eskf: Eskf, levels: tuple[Grey, Grey, Grey], recent: RecentReturns, tick: int
+    ) -> bool:
+        """Makes the present image a keyframe, if enough of its features have a plane."""
+        pixels = detect_features(levels[0], self._features)
+        count = len(pixels)
+        keyframe = Keyframe(
+            tick, levels, pixels, np.zeros(count, dtype=np.bool_), np.zeros((count, 3)), 0.0
+        )
+        camera_from_odom = (eskf.state.pose @ self._imu_from_camera).inverse()
+        measure_planes(keyframe, recent, camera_from_odom, self._camera)
+        if int(keyframe.valid.sum()) < 25:
+            return False
+        if len(self.keyframes) == self._max_keyframes:
+            gone = most_redundant(eskf.clones, [k.depth_m for k in self.keyframes])
+            eskf.remove_clone(gone)
+            del self.keyframes[gone]
+        eskf.add_clone()
+        self.keyframes.append(keyframe)
+        return True
+
+    def wants_keyframe(self, report: VisualReport, tick: int) -> bool:
+        """Whether the view has moved so far that the next hop needs a new foothold. While nothing
+        is tracked, new ones come at a slow pace, so that they do not push out all the others."""
+        newest = self.keyframes[-1].tick if self.keyframes else -self._open_ticks
+        if report.used == 0:
+            return tick - newest >= self._open_ticks // 4
+        return report.used < 80 or report.best_share < 0.6
+
+    # ------------------------------------------------------------------------ update
+
+    def update(self, eskf: Eskf, levels: tuple[Grey, Grey, Grey]) -> VisualReport:
+        """Iterated update by one image; nothing is changed if fewer than 15 landmarks are found."""
+        poses = [clone @ self._imu_from_camera for clone in eskf.clones]
+        now = eskf.state.pose @ self._imu_from_camera
+        candidates = overlaps(self.keyframes, poses, now, self._camera)
+        share = max((c.share * _closeness(c.scale) for c in candidates), default=0.0)
+        variances = np.array(
+            [np.trace(eskf.covariance[np.ix_(i, i)][3:, 3:])
+             for i in map(eskf.clone_indices, range(len(poses)))]
+        )  # fmt: skip
+        chosen = choose(candidates, variances, self._look_back, 0.35)
+        tracks = []
+        for k in chosen:
+            keyframe = self.keyframes[k]
+            usable = np.flatnonzero(keyframe.valid)
+            found, pixels, _ = track(
+                keyframe.levels, levels, keyframe.pixels[usable], keyframe.planes[usable],
+                now.inverse() @ poses[k], self._camera,
+            )  # fmt: skip
+            if int(found.sum()) >= 10:
+                in_camera = keyframe.landmarks_camera(self._camera)[usable][found]
+                tracks.append((k, pixels[found], self._imu_from_camera.apply(in_camera)))
+        if sum(len(t[1]) for t in tracks) < 15:
+            return VisualReport(best_share=share)
+        used, rms = self._iterate(eskf, tracks)
+        return VisualReport(used=used, looked_back=len(tracks), rms_px=rms, best_share=share)
+
+    def _iterate(
+        self, eskf: Eskf, tracks: list[tuple[int, Array, Array]], iterations: int = 4
+    ) -> tuple[int, float]:
+        prior, clones = eskf.state, eskf.clones
+        keys = [k for k, _, _ in tracks]
+        touched = eskf.touched(keys)
+        size = CLONE_DIM * (1 + len(keys))
+        information, used, rms = np.zeros((size, size)), 0, 0.0
+        for iteration in range(iterations):
+            gate = (12.0, 6.0, 3.0, 3.0)[min(iteration, 3)]
+            information, vector, used, rms = self._accumulate(eskf, tracks, gate)
+            if used < 15:
+                eskf.state, eskf.clones = prior, clones
+                return 0, 0.0
+            offset = eskf.deviation(prior, clones, keys)
+            delta = eskf.gain(touched, information, vector + information @ offset)
+            eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)
+        eskf.absorb(touched, information)
+        return used, rms
+
+    def _accumulate(
+        self, eskf: Eskf, tracks: list[tuple[int, Array, Array]], gate_px: float
+    ) -> tuple[Array, Array, int, float]:
+        size = CLONE_DIM * (1 + len(tracks))
+        information, vector = np.zeros((size, size)), np.zeros(size)
+        used, total = 0, 0.0
+        for slot, (k, pixels, landmarks) in enumerate(tracks):
+            part, part_vector, count, rms = reprojection_information(
+                pixels, landmarks, eskf.state.rotation, eskf.state.position,
+                eskf.clones[k].rotation, eskf.clones[k].translation,
+                self._camera_from_imu.rotation, self._camera_from_imu.translation,
+                self._intrinsics, self._sigma_px, gate_px,
+            )  # fmt: skip
+            start = CLONE_DIM * (1 + slot)
+            where = np.concatenate([np.arange(CLONE_DIM), np.arange(start, start + CLONE_DIM)])
+            information[np.ix_(where, where)] += part
+            vector[where] += part_vector
+            used += count
+            total += count * rms * rms
+        return information, vector, used, float(np.sqrt(total / max(used, 1)))
+
+
+def _closeness(scale: float) -> float:
+    """1 at equal scale, falling to 0.6 at a quarter apart: a keyframe seen much larger or smaller
+    is a poorer foothold."""
+    ratio = max(scale, 1.0 / scale)
+    return float(1.0 if ratio < 1.0 else 1.0 - 1.6 * (ratio - 1.0))

@@ -1,0 +1,89 @@
+"""How a recording opens in the Rerun viewer."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+TIMELINE = "sim_time"
+PATHS = {
+    "true": (70, 220, 110),
+    "estimated": (255, 170, 40),
+    "reference": (90, 160, 255),
+}
+"""Recorded paths and their colours."""
+AXES = {"x": (235, 80, 80), "y": (80, 200, 90), "z": (90, 140, 255)}
+
+_TRAIL_OF_SCANS_S = 0.5
+
+
+def flight_blueprint(centre_xy_m: NDArray[np.float64], span_m: float) -> rrb.Blueprint:
+    """3-D world on the left; camera and costmap on the right; plots and phases below. The eye looks
+    at ``centre_xy_m`` from the south-west, far enough to see ``span_m`` metres."""
+    top = rrb.Horizontal(
+        _world_view(centre_xy_m, span_m),
+        rrb.Vertical(
+            rrb.Spatial2DView(origin="world/vehicle/camera", name="Camera"),
+            rrb.Spatial2DView(origin="costmap", name="Map and landing cost"),
+            row_shares=[1, 1],
+        ),
+        column_shares=[5, 3],
+    )
+    bottom = rrb.Horizontal(
+        rrb.TimeSeriesView(origin="plots/error", name="Position error [m]"),
+        rrb.Tabs(
+            rrb.TimeSeriesView(origin="plots/motion", name="Height, speed, tilt"),
+            rrb.TimeSeriesView(origin="plots/rotors", name="Rotor speeds [rad/s]"),
+            rrb.TimeSeriesView(origin="plots/tracking", name="Tracking error [m]"),
+            rrb.TimeSeriesView(origin="plots/estimator", name="Estimator"),
+            active_tab=0,
+        ),
+        rrb.TextLogView(origin="log", name="Phases"),
+        column_shares=[3, 3, 3],
+    )
+    return rrb.Blueprint(
+        rrb.Vertical(top, bottom, row_shares=[3, 1]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(
+            state="collapsed", timeline=TIMELINE, playback_speed=2.0, play_state="following"
+        ),
+        auto_views=False,
+    )
+
+
+def _world_view(centre_xy_m: NDArray[np.float64], span_m: float) -> rrb.Spatial3DView:
+    everything = rrb.VisibleTimeRanges(
+        timeline=TIMELINE,
+        start=rrb.TimeRangeBoundary.infinite(),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    recent = rrb.VisibleTimeRanges(
+        timeline=TIMELINE,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-_TRAIL_OF_SCANS_S),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    x, y = centre_xy_m
+    return rrb.Spatial3DView(
+        origin="world",
+        name="Flight",
+        contents=["$origin/**"],
+        background=rrb.Background(color=[24, 28, 36], kind=rrb.BackgroundKind.SolidColor),
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=[x - 0.62 * span_m, y - 0.72 * span_m, 0.75 * span_m],
+            look_target=[x, y, 5.0],
+            eye_up=[0.0, 0.0, 1.0],
+        ),
+        overrides={
+            **{f"world/path/{name}": everything for name in PATHS},
+            "world/scan": recent,
+        },
+    )
+
+
+def series_style(name: str, colour: tuple[int, int, int]) -> rr.SeriesLines:
+    return rr.SeriesLines(colors=[colour], names=[name], widths=[1.5])

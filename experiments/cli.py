@@ -1,0 +1,422 @@
+"""The command line. Heavy modules are imported inside the commands, so that help is instant."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from experiments.console import (
+    end_progress,
+    error_line,
+    make_progress,
+    print_margins,
+    print_result,
+    print_stages,
+)
+
+EXIT_DONE, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
+
+
+class SiteType(click.ParamType):
+    """``X,Y`` in metres, world frame."""
+
+    name = "X,Y"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float]:
+        if isinstance(value, tuple):
+            return value
+        try:
+            x, y = (float(part) for part in str(value).split(","))
+        except ValueError:
+            self.fail(f"'{value}' is not of the form X,Y in metres, such as 12.5,-3", param, ctx)
+        if not (math.isfinite(x) and math.isfinite(y)):
+            self.fail(f"'{value}' must be two finite numbers", param, ctx)
+        return x, y
+
+
+class _Group(click.Group):
+    """Names the nearest command for an unknown one."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
+            from experiments.suggest import nearest
+
+            known = self.list_commands(ctx)
+            raise click.UsageError(
+                f"unknown command '{args[0]}'{nearest(args[0], known)}; known: {', '.join(known)}"
+            )
+        return super().resolve_command(ctx, args)
+
+
+_Command = Callable[..., int]
+
+_FLIGHT_OPTIONS = (
+    click.argument("scene"),
+    click.option("--estimator", metavar="NAME", help="livo, oracle, or MODULE:FUNCTION of yours."),
+    click.option("--seed", type=int, help="Varies the place, the wind and all noise.  [0]"),
+    click.option("--wind-kmh", type=float, help="Mean wind speed at 6 m.  [12]"),
+    click.option(
+        "--config",
+        "config_file",
+        type=click.Path(path_type=Path),
+        help="A TOML file, or the config.json of an earlier run.",
+    ),
+    click.option(
+        "--set",
+        "overrides",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help="Any key of the configuration, such as survey.height_m=20. May be repeated.",
+    ),
+    click.option(
+        "--out",
+        type=click.Path(path_type=Path),
+        help="Run directory.  [runs/SCENE-ESTIMATOR-SEED]",
+    ),
+    click.option("--record/--no-record", default=None, help="Write flight.rrd.  [record]"),
+    click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object."),
+    click.option("--quiet", is_flag=True, help="No progress on stderr."),
+)
+
+
+def _flight_options(command: _Command) -> _Command:
+    for option in reversed(_FLIGHT_OPTIONS):
+        command = option(command)
+    return command
+
+
+@click.group(cls=_Group, invoke_without_command=True)
+@click.version_option(package_name="touchdown", prog_name="touchdown")
+@click.pass_context
+def cli(context: click.Context) -> int:
+    """Fly, map, choose a site and land a simulated quadrotor without GPS.
+
+    Example: touchdown land crossroad
+    """
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help())
+    return EXIT_DONE
+
+
+@cli.command()
+@_flight_options
+@click.option("--site", type=SiteType(), help="Land here (metres, world frame), do not choose.")
+def land(site: tuple[float, float] | None, **options: Any) -> int:
+    """Take off, survey, map, choose a landing site and land on it.
+
+    SCENE is a name (see `touchdown scenes list`) or the path of an MJCF file. Exit code 0 means
+    landed on safe ground, 1 any other outcome, 2 bad input.
+
+    Example: touchdown land crossroad --seed 3 --wind-kmh 20 --set landing.second_look=false
+    """
+    return _run_flight(options, site=site)
+
+
+@cli.command()
+@_flight_options
+def fly(**options: Any) -> int:
+    """Fly the survey alone and report the positioning error.
+
+    Example: touchdown fly crossroad --estimator oracle --set survey.height_m=20
+    """
+    return _run_flight(options, survey_only=True)
+
+
+def _run_flight(options: dict[str, Any], **more: Any) -> int:
+    from experiments.config import load_config
+
+    quiet, out = options["quiet"], options["out"]
+    config = load_config(
+        options["config_file"],
+        options["overrides"],
+        **{key: options[key] for key in ("scene", "estimator", "seed", "wind_kmh", "record")},
+        **more,
+    )
+    if out is None:
+        stem = Path(config.scene).stem
+        out = Path("runs") / f"{stem}-{config.estimator.replace(':', '.')}-{config.seed}"
+    result = _guarded_fly(config, out, make_progress(quiet))
+    end_progress(quiet)
+    good = _is_good(result)
+    if options["as_json"]:
+        click.echo(json.dumps({**result, "run_dir": str(out)}, indent=2))
+    else:
+        print_result(result, out, good)
+    return EXIT_DONE if good else EXIT_FAILED
+
+
+def _is_good(result: dict[str, Any]) -> bool:
+    """Landed on safe ground; for a survey alone: flown to its end."""
+    if result["outcome"] == "COMPLETED":
+        return True
+    landing = result["landing"] or {}
+    return result["outcome"] == "LANDED" and bool(landing.get("safe_geometry"))
+
+
+def _guarded_fly(config: Any, out: Path | None, progress: Callable[..., None]) -> dict[str, Any]:
+    """Flies. What goes wrong before the first control step is bad input; after it, our fault."""
+    from experiments.config import UsageError
+    from experiments.flight import fly as fly_config
+
+    airborne = False
+
+    def watch(time_s: float, phase: str, note: str) -> None:
+        nonlocal airborne
+        airborne = True
+        progress(time_s, phase, note)
+
+    try:
+        return fly_config(config, out, watch)
+    except (ValueError, OSError) as error:
+        if airborne:
+            raise
+        raise UsageError(str(error)) from error
+
+
+# ---------------------------------------------------------------------------------------- scenes
+
+
+@cli.group(cls=_Group)
+def scenes() -> int:
+    """The places to land in: names, pictures, MJCF.
+
+    Example: touchdown scenes list
+    """
+    return EXIT_DONE
+
+
+@scenes.command("list")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def scenes_list(as_json: bool) -> int:
+    """Print the names of the scenes.
+
+    Example: touchdown scenes list
+    """
+    from experiments.build import scene_names
+
+    names = scene_names()
+    click.echo(json.dumps({"scenes": names}) if as_json else "\n".join(names))
+    return EXIT_DONE
+
+
+@scenes.command("render")
+@click.argument("scene")
+@click.option("--out", type=click.Path(path_type=Path), help="PNG file.  [SCENE-VIEW.png]")
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option(
+    "--view",
+    type=click.Choice(["above", "oblique", "camera"]),
+    default="above",
+    show_default=True,
+    help="From straight above, from a corner, or through the vehicle's camera at 30 m.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def scenes_render(scene: str, out: Path | None, seed: int, view: str, as_json: bool) -> int:
+    """Write a picture of a scene.
+
+    Example: touchdown scenes render crossroad --view oblique --out crossroad.png
+    """
+    from experiments.scene_tools import render_scene
+
+    target = out or Path(f"{Path(scene).stem}-{view}.png")
+    _usage_errors(lambda: render_scene(scene, seed, view, target))
+    click.echo(json.dumps({"picture": str(target)}) if as_json else str(target))
+    return EXIT_DONE
+
+
+@scenes.command("export")
+@click.argument("scene")
+@click.option("--out", type=click.Path(path_type=Path), help="Directory.  [SCENE-SEED]")
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int:
+    """Write a scene's MJCF with its assets, to open in MuJoCo's own viewer.
+
+    Example: touchdown scenes export crossroad --out crossroad &&
+    python -m mujoco.viewer --mjcf=crossroad/scene.xml
+    """
+    from experiments.scene_tools import export_scene
+
+    target = out or Path(f"{Path(scene).stem}-{seed}")
+    model_file = _usage_errors(lambda: export_scene(scene, seed, target))
+    click.echo(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
+    return EXIT_DONE
+
+
+def _usage_errors(action: Callable[[], Any]) -> Any:
+    from experiments.config import UsageError
+
+    try:
+        return action()
+    except (ValueError, OSError) as error:
+        raise UsageError(str(error)) from error
+
+
+# ----------------------------------------------------------------------------- looking, measuring
+
+
+@cli.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--web", is_flag=True, help="Serve the viewer to a browser instead of a window.")
+def view(run: Path, web: bool) -> int:
+    """Open the recording of RUN, a run directory, in the Rerun viewer.
+
+    Example: touchdown view runs/crossroad-livo-0
+    """
+    import subprocess
+
+    from experiments.config import UsageError
+
+    recording = run if run.suffix == ".rrd" else run / "flight.rrd"
+    if not recording.is_file():
+        raise UsageError(
+            f"'{recording}' does not exist; name a run directory that was flown without --no-record"
+        )
+    command = [sys.executable, "-m", "rerun", str(recording), *(["--web-viewer"] if web else [])]
+    return EXIT_DONE if subprocess.run(command, check=False).returncode == 0 else EXIT_FAILED
+
+
+@cli.group(cls=_Group)
+def bench() -> int:
+    """Measure speed.
+
+    Example: touchdown bench loop
+    """
+    return EXIT_DONE
+
+
+@bench.command("loop")
+@click.option("--scene", default="crossroad", show_default=True)
+@click.option("--estimator", default="livo", show_default=True)
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--full", is_flag=True, help="The whole survey instead of a short one.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+def bench_loop(
+    scene: str, estimator: str, seed: int, full: bool, as_json: bool, quiet: bool
+) -> int:
+    """Fly with everything on, recording too: real-time factor and the share of each stage.
+
+    Example: touchdown bench loop --json
+    """
+    from experiments.bench import bench_config, measure_loop
+
+    config = bench_config(scene=scene, estimator=estimator, seed=seed, full=full)
+    result = _usage_errors_until_airborne(measure_loop, config, quiet)
+    if as_json:
+        click.echo(json.dumps(result["figures"], indent=2))
+    else:
+        print_stages(result["result"])
+    return EXIT_DONE if _is_good(result["result"]) else EXIT_FAILED
+
+
+def _usage_errors_until_airborne(
+    measure: Callable[..., dict[str, Any]], config: Any, quiet: bool
+) -> dict[str, Any]:
+    progress = make_progress(quiet)
+    measured = measure(config, lambda cfg, out: _guarded_fly(cfg, out, progress))
+    end_progress(quiet)
+    return measured
+
+
+@cli.group(cls=_Group)
+def control() -> int:
+    """The flight controller.
+
+    Example: touchdown control margins
+    """
+    return EXIT_DONE
+
+
+@control.command("margins")
+@click.option("--config", "config_file", type=click.Path(path_type=Path), help="A TOML file.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="May be repeated.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def control_margins(config_file: Path | None, overrides: tuple[str, ...], as_json: bool) -> int:
+    """Print gain and phase margin of every control loop, from the linear model.
+
+    Example: touchdown control margins
+    """
+    import dataclasses
+
+    from experiments.build import build_scene
+    from experiments.build import control_margins as margins_of
+    from experiments.config import load_config
+
+    config = load_config(config_file, overrides)
+    scene = _usage_errors(lambda: build_scene(config))
+    rows = [dataclasses.asdict(margin) for margin in margins_of(config, scene)]
+    if as_json:
+        click.echo(json.dumps({"loops": rows}, indent=2))
+    else:
+        print_margins(rows)
+    return EXIT_DONE
+
+
+# ------------------------------------------------------------------------------------------ entry
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs a command and returns its exit code; bad input is one line on stderr."""
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        code = cli.main(
+            args=None if arguments is None else list(arguments),
+            prog_name="touchdown",
+            standalone_mode=False,
+        )
+    except click.exceptions.NoArgsIsHelpError as error:
+        return _fail(_missing_command(error))
+    except click.ClickException as error:
+        return _fail(_click_message(error))
+    except (click.Abort, KeyboardInterrupt):
+        print("touchdown: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  nothing is left to close it
+        return EXIT_DONE
+    except ValueError as error:
+        from experiments.config import UsageError
+
+        if not isinstance(error, UsageError):
+            raise
+        return _fail(str(error))
+    return int(code or 0)
+
+
+def _interrupt(_signal: int, _frame: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def _fail(message: str) -> int:
+    print(error_line(message), file=sys.stderr)
+    return EXIT_USAGE
+
+
+def _missing_command(error: click.exceptions.NoArgsIsHelpError) -> str:
+    context = error.ctx
+    if context is None or not isinstance(context.command, click.Group):
+        return _click_message(error)
+    known = ", ".join(context.command.list_commands(context))
+    return f"'{context.command_path}' needs a command: {known}"
+
+
+def _click_message(error: click.ClickException) -> str:
+    """Click's message in the style of ours, with the way to the help of the command."""
+    message = error.format_message().rstrip(".")
+    message = message[:1].lower() + message[1:]
+    context = getattr(error, "ctx", None)
+    return f"{message}; see '{context.command_path} --help'" if context else message

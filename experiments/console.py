@@ -1,0 +1,135 @@
+"""What people read on a terminal: progress, tables, one-line errors."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from experiments.report import lookup
+
+_ROWS = (
+    ("outcome", "outcome", "{}"),
+    ("reason", "reason", "{}"),
+    ("position error, mean", "position_error_m.mean", "{:.3f} m"),
+    ("position error, max", "position_error_m.max", "{:.3f} m"),
+    ("heading error", "position_error_m.yaw_deg", "{:.3f} deg"),
+    ("tracking error E_tra", "trajectory_error_m", "{:.3f} m"),
+    ("offset from the site d_L", "landing.target_offset_m", "{:.3f} m"),
+    ("ground slope", "landing.slope_deg", "{:.2f} deg"),
+    ("vertical speed", "landing.vertical_speed_mps", "{:.3f} m/s"),
+    ("horizontal speed", "landing.horizontal_speed_mps", "{:.3f} m/s"),
+    ("tilt at touchdown", "landing.tilt_deg", "{:.2f} deg"),
+    ("ground", "landing.class_true", "{}"),
+    ("safe geometry", "landing.safe_geometry", "{}"),
+    ("map levelness error", "map.levelness_error_deg.mean", "{:.2f} deg"),
+    ("simulated time", "timing.sim_s", "{:.1f} s"),
+    ("real-time factor", "timing.real_time_factor", "{:.2f}"),
+)
+_STAGE_ORDER = ("world", "estimator", "mapper", "lander", "controller", "recorder", "referee")
+
+
+def error_line(message: str) -> str:
+    """The one line that stands for a mistake of the user."""
+    return f"touchdown: error: {' '.join(message.split())}"
+
+
+def print_result(result: Mapping[str, Any], out_dir: Path | None, good: bool) -> None:
+    """The table of a flight, and where its recording is."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False)
+    title = "{scene}, {estimator}, seed {seed}, wind {wind_kmh:g} km/h".format(**result)
+    table = Table(title=title, show_header=False, title_justify="left", min_width=52)
+    table.add_column(style="dim")
+    table.add_column(justify="right")
+    for label, path, form in _ROWS:
+        value = lookup(result, path)
+        if value is None or value == "":
+            continue
+        if isinstance(value, bool):
+            value = "yes" if value else "no"
+        text = form.format(value)
+        if path == "outcome":
+            text = f"[bold {'green' if good else 'red'}]{text}[/]"
+        table.add_row(label, text)
+    console.print(table)
+    if out_dir is not None:
+        console.print(f"run directory: {out_dir}", soft_wrap=True)
+        if (out_dir / "flight.rrd").exists():
+            console.print(f"recording:     {out_dir / 'flight.rrd'}", soft_wrap=True)
+            console.print(f"look at it:    touchdown view {out_dir}", soft_wrap=True)
+
+
+def print_stages(result: Mapping[str, Any]) -> None:
+    """Real-time factor and where the time of a flight went."""
+    from rich.console import Console
+    from rich.table import Table
+
+    timing = result["timing"]
+    stages: dict[str, float] = dict(timing["stage_ms"])
+    total = 100.0 / timing["real_time_factor"]
+    table = Table(title=f"{result['scene']}, {result['estimator']}, per 0.1 s of flight")
+    table.add_column("stage")
+    table.add_column("ms", justify="right")
+    table.add_column("share", justify="right")
+    order = [name for name in _STAGE_ORDER if name in stages]
+    order += [name for name in stages if name not in order]
+    for name in order:
+        table.add_row(name, f"{stages[name]:.1f}", f"{stages[name] / total:.0%}")
+    rest = total - sum(stages.values())
+    table.add_row("rest of the loop", f"{rest:.1f}", f"{rest / total:.0%}")
+    table.add_section()
+    table.add_row("all", f"{total:.1f}", "100%")
+    console = Console(highlight=False)
+    console.print(table)
+    console.print(f"real-time factor {timing['real_time_factor']:.2f} ({timing['sim_s']:.1f} s)")
+
+
+def print_margins(rows: list[dict[str, Any]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="loop margins", title_justify="left")
+    table.add_column("loop", no_wrap=True)
+    for title in ("gain (dB)", "phase (deg)", "crossover (rad/s)"):
+        table.add_column(title, justify="right", no_wrap=True)
+    for row in rows:
+        table.add_row(
+            row["name"],
+            f"{row['gain_margin_db']:.1f}",
+            f"{row['phase_margin_deg']:.0f}",
+            f"{row['crossover_rad_s']:.2f}",
+        )
+    Console(highlight=False).print(table)
+
+
+def make_progress(quiet: bool) -> Callable[[float, str, str], None]:
+    """Prints to stderr: one line a phase, and on a terminal a line that is kept up to date."""
+    if quiet:
+        return lambda _time_s, _phase, _note: None
+    live = sys.stderr.isatty()
+    started = time.perf_counter()
+    seen = ""
+
+    def progress(time_s: float, phase: str, note: str) -> None:
+        nonlocal seen
+        line = f"{time_s:6.1f} s  {phase:<10} {note}"
+        if phase != seen:
+            seen = phase
+            print(f"\r\033[K{line}" if live else line, file=sys.stderr, flush=True)
+        elif live:
+            pace = time_s / max(time.perf_counter() - started, 1e-9)
+            text = f"{line[:90]}  ({pace:.2f} x real time)"
+            print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
+
+    return progress
+
+
+def end_progress(quiet: bool) -> None:
+    """Leaves the cursor at the start of an empty line."""
+    if not quiet and sys.stderr.isatty():
+        print("\r\033[K", end="", file=sys.stderr, flush=True)

@@ -1,0 +1,152 @@
+"""Maps and costmaps as files: PLY clouds and PNG pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.api import GridMap
+from landing.api import Candidate, CostmapView
+from sim.frames import Pose
+
+Array = NDArray[np.float64]
+Points = NDArray[np.float32]
+Colours = NDArray[np.uint8]
+
+_UNKNOWN_BGR = (38, 32, 30)
+_CHOSEN_BGR = (80, 255, 80)
+_ACCEPTED_BGR = (255, 230, 120)
+_REFUSED_BGR = (80, 80, 255)
+_PANEL_PIXELS = 900
+_MARGIN_CELLS = 4
+
+
+def map_points(
+    grid: GridMap, rows: slice = slice(None), cols: slice = slice(None)
+) -> tuple[Points, Colours]:
+    """Occupied cells of a part of the map: (N, 3) points in the odom frame, (N, 3) RGB. A cell that
+    no image covered is grey by its LIDAR intensity."""
+    row, col = np.nonzero(grid.count[rows, cols] > 0)
+    row_start, col_start = rows.start or 0, cols.start or 0
+    x = grid.origin_xy_m[0] + (col + col_start + 0.5) * grid.cell_m
+    y = grid.origin_xy_m[1] + (row + row_start + 0.5) * grid.cell_m
+    z = grid.height_m[rows, cols][row, col]
+    rgb = grid.rgb[rows, cols][row, col]
+    grey = np.clip(grid.intensity[rows, cols][row, col], 0.0, 100.0)[:, None]
+    rgb = np.where(np.isfinite(rgb), rgb, 30.0 + 1.5 * np.nan_to_num(grey))
+    keep = np.isfinite(z)
+    points = np.column_stack([x, y, z]).astype(np.float32)[keep]
+    return points, np.clip(rgb, 0.0, 255.0).astype(np.uint8)[keep]
+
+
+def write_ply(path: Path, points: Points, colours: Colours) -> None:
+    """Binary little-endian PLY: points (N, 3) metres, colours (N, 3) RGB."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(points)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
+    )
+    rows = np.empty(len(points), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    rows["xyz"], rows["rgb"] = points, colours
+    path.write_bytes(header.encode("ascii") + rows.tobytes())
+
+
+def costmap_picture(
+    view: CostmapView, candidates: tuple[Candidate, ...], site_odom: Array | None
+) -> Colours:
+    """The coloured map beside the total cost, north up, with every candidate: (H, W, 3) RGB."""
+    rows, cols = _seen_box(view)
+    zoom = max(1, _PANEL_PIXELS // max(rows.stop - rows.start, cols.stop - cols.start))
+    photo = view.rgb[rows, cols, ::-1]
+    panels: list[Colours] = []
+    for source in (photo, _coloured(view.total[rows, cols])):
+        panel = np.repeat(np.repeat(source[::-1], zoom, axis=0), zoom, axis=1)
+        _draw_candidates(panel, view, rows, cols, zoom, candidates, site_odom)
+        panels.append(panel)
+    gap = np.full((panels[0].shape[0], 12, 3), 255, np.uint8)
+    return np.ascontiguousarray(np.hstack([panels[0], gap, panels[1]])[:, :, ::-1])
+
+
+def write_costmap(
+    path: Path,
+    view: CostmapView,
+    candidates: tuple[Candidate, ...],
+    site_odom: Array | None,
+) -> None:
+    picture = costmap_picture(view, candidates, site_odom)
+    if not cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
+        raise OSError(f"{path} cannot be written")
+
+
+def transform_points(pose: Pose, points: Points) -> Points:
+    """(N, 3) float32 through a pose."""
+    return (points @ pose.rotation.T.astype(np.float32)) + pose.translation.astype(np.float32)
+
+
+def _seen_box(view: CostmapView) -> tuple[slice, slice]:
+    """The part of the grid that holds known cells, with a small margin."""
+    known = np.isfinite(view.total)
+    if not known.any():
+        return slice(0, known.shape[0]), slice(0, known.shape[1])
+    spans = []
+    for axis in (1, 0):
+        hits = np.flatnonzero(known.any(axis=axis))
+        last = known.shape[1 - axis]
+        spans.append(
+            slice(max(hits[0] - _MARGIN_CELLS, 0), min(hits[-1] + 1 + _MARGIN_CELLS, last))
+        )
+    return spans[0], spans[1]
+
+
+def _coloured(total: NDArray[np.float32]) -> Colours:
+    """(H, W) in [0, 1], higher is better, to (H, W, 3) BGR; unknown cells dark."""
+    scaled = np.nan_to_num(np.clip(total, 0.0, 1.0) * 255.0).astype(np.uint8)
+    picture = cv2.applyColorMap(scaled, cv2.COLORMAP_VIRIDIS)
+    picture[~np.isfinite(total)] = _UNKNOWN_BGR
+    return picture
+
+
+def _draw_candidates(
+    panel: Colours,
+    view: CostmapView,
+    rows: slice,
+    cols: slice,
+    zoom: int,
+    candidates: tuple[Candidate, ...],
+    site_odom: Array | None,
+) -> None:
+    def pixel(position: Array) -> tuple[int, int]:
+        col = (position[0] - view.origin_xy_m[0]) / view.cell_m - cols.start
+        row = (position[1] - view.origin_xy_m[1]) / view.cell_m - rows.start
+        return round(col * zoom), round(panel.shape[0] - row * zoom)
+
+    metre = zoom / view.cell_m
+    radius = max(4, round(0.6 * metre))
+    for number, candidate in enumerate(candidates, start=1):
+        centre = pixel(candidate.position_odom)
+        colour = _ACCEPTED_BGR if candidate.accepted else _REFUSED_BGR
+        cv2.circle(panel, centre, radius, colour, 2, cv2.LINE_AA)
+        label = (centre[0] + radius + 3, centre[1] + 5)
+        _text(panel, f"{number}: {candidate.score:.2f}", label, colour)
+    if site_odom is not None:
+        centre = pixel(site_odom)
+        cv2.circle(panel, centre, max(9, round(1.5 * metre)), _CHOSEN_BGR, 3, cv2.LINE_AA)
+        cv2.drawMarker(panel, centre, _CHOSEN_BGR, cv2.MARKER_CROSS, 18, 2, cv2.LINE_AA)
+
+
+def _text(panel: Colours, text: str, corner: tuple[int, int], colour: tuple[int, int, int]) -> None:
+    for shade, width in (((0, 0, 0), 3), (colour, 1)):
+        cv2.putText(
+            panel,
+            text,
+            corner,
+            cv2.FONT_HERSHEY_SIMPLEX,
+            0.45,
+            shade,
+            width,
+            cv2.LINE_AA,
+        )

@@ -1,0 +1,147 @@
+"""What a flight leaves behind: trajectories, the Rerun recording, the map, the costmap."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from controller.api import Setpoint
+from estimator.api import Estimate, MapView
+from experiments.config import Config
+from experiments.tum import TumWriter
+from landing.api import LanderView
+from scenes.api import Scene
+from sim.api import Command, Observation, SensorRig, Truth
+from sim.frames import Pose, rotation_from_yaw
+
+
+class Recorder(Protocol):
+    """Sees everything, changes nothing."""
+
+    def tick(
+        self,
+        truth: Truth,
+        obs: Observation,
+        estimate: Estimate,
+        map_view: MapView,
+        lander_view: LanderView,
+        setpoint: Setpoint,
+        command: Command,
+    ) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class NullRecorder:
+    """Leaves nothing behind."""
+
+    def tick(
+        self,
+        truth: Truth,
+        obs: Observation,
+        estimate: Estimate,
+        map_view: MapView,
+        lander_view: LanderView,
+        setpoint: Setpoint,
+        command: Command,
+    ) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+class RunRecorder:
+    """Fills a run directory: ``truth.tum``, ``estimate.tum``, ``reference.tum``, ``map.ply``,
+    ``costmap.png`` and, with ``config.record``, ``flight.rrd``.
+
+    ``out_dir`` must exist. Files are complete after ``close``; memory does not grow with the
+    flight.
+    """
+
+    def __init__(self, out_dir: Path, scene: Scene, rig: SensorRig, config: Config) -> None:
+        self._out_dir = out_dir
+        self._truth = TumWriter(out_dir / "truth.tum")
+        self._estimate = TumWriter(out_dir / "estimate.tum")
+        self._reference = TumWriter(out_dir / "reference.tum")
+        self._row_ticks = max(1, round(rig.tick_hz / config.log.trajectory_hz))
+        self._next_row_tick = 0
+        self._last: tuple[Estimate, MapView] | None = None
+        self._selection: tuple[LanderView, Pose] | None = None
+        self._costmap_id = 0
+        self._recording: Recorder = NullRecorder()
+        if config.record:
+            from experiments.rerun_log import RerunLog
+
+            self._recording = RerunLog(out_dir / "flight.rrd", scene, rig, config)
+
+    def tick(
+        self,
+        truth: Truth,
+        obs: Observation,
+        estimate: Estimate,
+        map_view: MapView,
+        lander_view: LanderView,
+        setpoint: Setpoint,
+        command: Command,
+    ) -> None:
+        if truth.tick >= self._next_row_tick:
+            self._next_row_tick = truth.tick + self._row_ticks
+            self._write_rows(truth, estimate, lander_view, setpoint)
+        self._last = (estimate, map_view)
+        if lander_view.costmap is not None and lander_view.site_world is not None:
+            self._keep_selection(lander_view, estimate)
+        elif lander_view.costmap is not None and self._selection is None:
+            self._selection = (lander_view, estimate.world_from_odom)
+        self._recording.tick(truth, obs, estimate, map_view, lander_view, setpoint, command)
+
+    def close(self) -> None:
+        for writer in (self._truth, self._estimate, self._reference):
+            writer.close()
+        self._recording.close()
+        self._write_map()
+        self._write_costmap()
+
+    def _write_rows(
+        self,
+        truth: Truth,
+        estimate: Estimate,
+        lander_view: LanderView,
+        setpoint: Setpoint,
+    ) -> None:
+        self._truth.add(truth.time_s, truth.world_from_body)
+        self._estimate.add(estimate.time_s, estimate.world_from_body)
+        heading = estimate.world_from_odom.rotation @ rotation_from_yaw(setpoint.yaw_odom)
+        self._reference.add(truth.time_s, Pose(heading, lander_view.reference_world))
+
+    def _keep_selection(self, lander_view: LanderView, estimate: Estimate) -> None:
+        """Keeps each new costmap together with the map's frame of that moment."""
+        if id(lander_view.costmap) != self._costmap_id:
+            self._costmap_id = id(lander_view.costmap)
+            self._selection = (lander_view, estimate.world_from_odom)
+
+    def _write_map(self) -> None:
+        if self._last is None:
+            return
+        from experiments.pictures import map_points, transform_points, write_ply
+
+        estimate, map_view = self._last
+        points, colours = map_points(map_view.coarse)
+        write_ply(
+            self._out_dir / "map.ply",
+            transform_points(estimate.world_from_odom, points),
+            colours,
+        )
+
+    def _write_costmap(self) -> None:
+        if self._selection is None:
+            return
+        from experiments.pictures import write_costmap
+
+        view, world_from_odom = self._selection
+        site = view.site_world
+        site_odom = None if site is None else world_from_odom.inverse().apply(np.asarray(site))
+        if view.costmap is not None:
+            write_costmap(self._out_dir / "costmap.png", view.costmap, view.candidates, site_odom)

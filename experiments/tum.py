@@ -1,0 +1,46 @@
+"""Trajectories as TUM text: one ``t x y z qx qy qz qw`` a line, seconds and metres."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.frames import Pose, quat_wxyz_from_matrix
+
+Array = NDArray[np.float64]
+
+_BUFFERED_ROWS = 256
+
+
+class TumWriter:
+    """Appends poses to a file. Memory is fixed: rows are handed on in blocks."""
+
+    def __init__(self, path: Path) -> None:
+        self._file: TextIO = path.open("w", encoding="ascii")
+        self._rows: list[str] = []
+
+    def add(self, time_s: float, world_from_body: Pose) -> None:
+        x, y, z = world_from_body.translation
+        qw, qx, qy, qz = quat_wxyz_from_matrix(world_from_body.rotation)
+        self._rows.append(
+            f"{time_s:.9f} {x:.9f} {y:.9f} {z:.9f} {qx:.9f} {qy:.9f} {qz:.9f} {qw:.9f}\n"
+        )
+        if len(self._rows) >= _BUFFERED_ROWS:
+            self._flush()
+
+    def close(self) -> None:
+        self._flush()
+        self._file.close()
+
+    def _flush(self) -> None:
+        self._file.writelines(self._rows)
+        self._rows.clear()
+
+
+def read_tum(path: Path) -> tuple[Array, Array, Array]:
+    """Times (N,) s, positions (N, 3) m, quaternions (N, 4) in the order w, x, y, z."""
+    table = np.loadtxt(path, dtype=np.float64, ndmin=2)
+    return table[:, 0], table[:, 1:4], table[:, [7, 4, 5, 6]]

@@ -1,0 +1,107 @@
+"""Quick Shift on the gridded costmap (Zou, Sun, Kong 2024, Eq. 19; Vedaldi and Soatto 2008)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+Int32 = NDArray[np.int32]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Clusters:
+    """``label``: (rows, cols) int32, index of the cell's mode, -1 outside; ``modes``: (K, 2)
+    int32 row, col, in row-major order; ``density``: (rows, cols) float32, NaN outside."""
+
+    label: Int32
+    modes: Int32
+    density: Float32
+
+
+def kernel_density(values: Float32, bandwidth_cells: float) -> Float32:
+    """P of Eq. 19: average of ``values`` under a Gaussian kernel of the given bandwidth; cells
+    that are NaN neither count nor have a density."""
+    known = np.isfinite(values)
+    weight = cv2.GaussianBlur(
+        known.astype(np.float32), (0, 0), bandwidth_cells, borderType=cv2.BORDER_CONSTANT
+    )
+    total = cv2.GaussianBlur(
+        np.where(known, values, np.float32(0.0)), (0, 0), bandwidth_cells,
+        borderType=cv2.BORDER_CONSTANT,
+    )  # fmt: skip
+    return np.where(known, total / np.maximum(weight, 1e-9), np.nan).astype(np.float32)
+
+
+def _search_offsets(radius_cells: float) -> Int32:
+    """(M, 2) row, col offsets within the radius, nearest first, ties in row-major order."""
+    reach = int(radius_cells)
+    offset = np.arange(-reach, reach + 1)
+    dr, dc = (axis.ravel() for axis in np.meshgrid(offset, offset, indexing="ij"))
+    squared = dr**2 + dc**2
+    keep = (squared > 0) & (squared <= radius_cells**2)
+    order = np.argsort(squared[keep], kind="stable")
+    return np.column_stack([dr[keep], dc[keep]])[order].astype(np.int32)
+
+
+@numba.njit(cache=True)
+def _nearest_higher(density: Float32, offsets: Int32) -> Int32:
+    """Flat index of the nearest cell of higher density, itself where there is none in reach, -1
+    outside. Equal densities are ordered by index, so plateaus have one mode."""
+    rows, cols = density.shape
+    parent = np.full(rows * cols, -1, np.int32)
+    for row in range(rows):
+        for col in range(cols):
+            own = density[row, col]
+            if np.isnan(own):
+                continue
+            index = row * cols + col
+            parent[index] = index
+            for k in range(offsets.shape[0]):
+                r, c = row + offsets[k, 0], col + offsets[k, 1]
+                if r < 0 or c < 0 or r >= rows or c >= cols:
+                    continue
+                other = density[r, c]
+                if other > own or (other == own and r * cols + c < index):
+                    parent[index] = r * cols + c
+                    break
+    return parent
+
+
+@numba.njit(cache=True)
+def _follow(parent: Int32) -> Int32:
+    """Root of every cell, with path compression."""
+    root = parent.copy()
+    for index in range(parent.shape[0]):
+        if parent[index] < 0:
+            continue
+        top = index
+        while root[top] != top:
+            top = root[top]
+        walk = index
+        while root[walk] != top:
+            following = root[walk]
+            root[walk] = top
+            walk = following
+    return root
+
+
+def quick_shift(values: Float32, *, bandwidth_cells: float, radius_cells: float) -> Clusters:
+    """Moves every cell to its nearest neighbour of higher density until none is in reach.
+
+    values: (rows, cols), higher is better, NaN cells take no part. The end points are the modes:
+    the alternative landing sites.
+    """
+    density = kernel_density(values, bandwidth_cells)
+    root = _follow(_nearest_higher(density, _search_offsets(radius_cells)))
+    inside = root >= 0
+    mode_index = np.unique(root[inside])
+    label = np.full(root.shape, -1, np.int32)
+    label[inside] = np.searchsorted(mode_index, root[inside]).astype(np.int32)
+    cols = values.shape[1]
+    modes = np.column_stack([mode_index // cols, mode_index % cols]).astype(np.int32)
+    return Clusters(label=label.reshape(values.shape), modes=modes, density=density)

@@ -1,0 +1,47 @@
+"""The landing state machine as the main loop sees it."""
+
+from __future__ import annotations
+
+from controller.api import Setpoint
+from estimator.api import Estimate, MapView
+from landing.api import LanderView, LandingParams, Phase, SurveyParams
+from landing.flight import Flight, Steps
+from landing.phases import fly
+from sim.api import Observation, SensorNeeds, SensorRig
+
+
+class SiteLander:
+    """Takes off, surveys, chooses a site from the map, looks again on the way down and lands.
+
+    Implements ``landing.api.Lander``. The sequence itself is ``landing.phases.fly``, a generator
+    that is resumed once a control step.
+    """
+
+    needs = SensorNeeds(camera_hz=10, lidar=True)
+
+    def __init__(self, rig: SensorRig, params: LandingParams, survey: SurveyParams) -> None:
+        self._flight = Flight(rig, params, survey)
+        self._steps: Steps = fly(self._flight)
+
+    @property
+    def phase(self) -> Phase:
+        return self._flight.phase
+
+    def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> Setpoint:
+        """The setpoint of this control step; call once a step."""
+        self._flight.take_in(obs, estimate, map_view)
+        return next(self._steps)
+
+    def view(self) -> LanderView:
+        flight = self._flight
+        return LanderView(
+            phase=flight.phase,
+            note=flight.note,
+            candidates=flight.candidates,
+            costmap=flight.costmap,
+            site_world=flight.site_world,
+            committed_site_world=flight.committed_site_world,
+            reference_world=flight.reference_world,
+            no_site=flight.no_site,
+            aborted=flight.aborted,
+        )

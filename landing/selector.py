@@ -1,0 +1,206 @@
+"""From the map to a list of alternative landing sites, best first (section 4 of the paper)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.api import Estimate, MapView
+from landing.api import Candidate, CostmapView, LandingParams
+from landing.clustering import Clusters, quick_shift
+from landing.costmap import compute_costmap
+from landing.landable import LandableMap, assess, explain, fit_footprint, ground_planes
+from landing.terrain import Terrain, observed_terrain
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+_BANDWIDTHS = 1.5
+"""kernel bandwidth of the density, in footprint radii: about what a landing covers"""
+_SEARCH_RADII = 4.0
+"""Quick Shift looks for a higher density within this many bandwidths"""
+_AVOID_M = 3.0
+"""a site refused on a closer look is not offered again within this distance"""
+_ENOUGH_CLEARANCE_M = 1.0
+_ROOM_WEIGHT = 0.1
+_APART_M = 3.0
+"""alternatives closer than this are no alternatives"""
+
+
+def select_sites(
+    map_view: MapView,
+    estimate: Estimate,
+    params: LandingParams,
+    *,
+    footprint_radius_m: float,
+    reach_m: float = np.inf,
+    avoid_odom: Sequence[Array] = (),
+) -> tuple[list[Candidate], CostmapView | None]:
+    """Alternative sites in the observed map: accepted ones first, then by C_sum.
+
+    ``reach_m``: how far the energy left allows to fly; ``avoid_odom``: sites already refused.
+    The costmap is None where nothing was mapped.
+    """
+    terrain = observed_terrain(map_view.coarse)
+    if terrain is None:
+        return [], None
+    costmap, landable = _judge(terrain, estimate, reach_m, params)
+    bandwidth = _BANDWIDTHS * footprint_radius_m / terrain.cell_m
+    clusters = quick_shift(
+        costmap.total, bandwidth_cells=bandwidth, radius_cells=_SEARCH_RADII * bandwidth
+    )
+    allowed = landable.mask & np.isfinite(costmap.total)
+    for avoid in avoid_odom:
+        x, y = terrain.offsets_from(avoid)
+        allowed &= np.hypot(x[None, :], y[:, None]) > _AVOID_M
+    spots = _best_spots(clusters, costmap.total, allowed, landable)
+    candidates = [
+        _candidate(terrain, costmap, landable, spot, bool(allowed[spot]), params)
+        for spot in _shortlist(
+            spots, costmap.total, allowed, params.max_candidates, _APART_M / terrain.cell_m
+        )
+    ]
+    candidates.sort(key=lambda site: (not site.accepted, -site.score))
+    return candidates, costmap
+
+
+def check_site(
+    map_view: MapView, estimate: Estimate, params: LandingParams, xy_odom: Array
+) -> tuple[Candidate, CostmapView | None]:
+    """The commanded site ``xy_odom`` (2,) as a candidate: accepted or refused with the reason."""
+    terrain = observed_terrain(map_view.coarse)
+    if terrain is None:
+        return _unseen(xy_odom), None
+    costmap, landable = _judge(terrain, estimate, np.inf, params)
+    row, col = terrain.cell_of(xy_odom)
+    if not terrain.contains(row, col):
+        return _unseen(xy_odom), costmap
+    allowed = bool(landable.mask[row, col])
+    return (
+        _candidate(terrain, costmap, landable, (row, col), allowed, params, xy_odom),
+        costmap,
+    )
+
+
+def _unseen(xy: Array) -> Candidate:
+    return Candidate(
+        position_odom=np.array([xy[0], xy[1], np.nan]),
+        normal_odom=np.array([0.0, 0.0, 1.0]),
+        score=0.0,
+        flatness=0.0,
+        smoothness=0.0,
+        distance=0.0,
+        slope_deg=float("nan"),
+        roughness_m=float("nan"),
+        clearance_m=0.0,
+        accepted=False,
+        reason="refused: outside what was mapped",
+    )
+
+
+def _judge(
+    terrain: Terrain, estimate: Estimate, reach_m: float, params: LandingParams
+) -> tuple[CostmapView, LandableMap]:
+    planes = ground_planes(terrain, params)
+    position = estimate.odom_from_body.translation
+    costmap = compute_costmap(terrain, planes, position, reach_m, params)
+    landable = assess(
+        terrain, planes, params, margin_m=params.map_margin_m, min_returns=params.min_returns
+    )
+    return costmap, landable
+
+
+def _best_spots(
+    clusters: Clusters, total: Float32, allowed: NDArray[np.bool_], landable: LandableMap
+) -> list[tuple[int, int]]:
+    """One cell per cluster: the allowed one of highest cost value, room to err counting up to
+    1 m of clearance; the mode itself where nothing in the cluster is allowed."""
+    spots = clusters.modes.copy()
+    room = np.minimum(landable.clearance_m, _ENOUGH_CLEARANCE_M) / _ENOUGH_CLEARANCE_M
+    cells = np.flatnonzero(allowed & (clusters.label >= 0))
+    merit = total.ravel()[cells] + _ROOM_WEIGHT * room.ravel()[cells]
+    label = clusters.label.ravel()[cells]
+    best = np.full(spots.shape[0], -np.inf, np.float32)
+    np.maximum.at(best, label, merit)
+    winners = np.flatnonzero(merit == best[label])[::-1]  # ties: the first cell is written last
+    rows, cols = np.divmod(cells[winners], total.shape[1])
+    spots[label[winners]] = np.column_stack([rows, cols])
+    return [(int(row), int(col)) for row, col in spots]
+
+
+def _shortlist(
+    spots: list[tuple[int, int]],
+    total: Float32,
+    allowed: NDArray[np.bool_],
+    limit: int,
+    apart_cells: float,
+) -> list[tuple[int, int]]:
+    """The best ``limit`` spots that keep apart; two thirds of the places are for allowed ones, if
+    there are as many, so that refused ones of high value stay visible."""
+    by_value = sorted(spots, key=lambda spot: (-float(total[spot]), spot))
+    chosen: list[tuple[int, int]] = []
+    for wanted, places in ((True, (2 * limit + 2) // 3), (False, limit)):
+        for spot in by_value:
+            if len(chosen) >= places:
+                break
+            if bool(allowed[spot]) is wanted and all(
+                np.hypot(spot[0] - other[0], spot[1] - other[1]) >= apart_cells for other in chosen
+            ):
+                chosen.append(spot)
+    return chosen
+
+
+def _candidate(
+    terrain: Terrain,
+    costmap: CostmapView,
+    landable: LandableMap,
+    spot: tuple[int, int],
+    allowed: bool,
+    params: LandingParams,
+    xy: Array | None = None,
+) -> Candidate:
+    row, col = spot
+    xy = terrain.centre_of(row, col) if xy is None else np.asarray(xy, dtype=np.float64)
+    plane = fit_footprint(terrain, xy)
+    clearance = float(landable.clearance_m[row, col])
+    if plane is None:
+        return _unseen(xy)
+    accepted, reason = allowed, ""
+    slope_limit = params.max_slope_deg - params.slope_margin_deg
+    rough_limit = params.max_step_m - params.step_margin_m
+    figures = (
+        f"slope {plane.slope_deg:.1f} deg, roughness {plane.roughness_m:.2f} m, "
+        f"clearance {clearance:.1f} m, C_sum {_value(costmap.total, spot):.2f}"
+    )
+    if not allowed:
+        if landable.mask[row, col]:
+            reason = "refused: seen from closer it was not landable, or out of reach"
+        else:
+            why = explain(terrain, landable, row, col, params, params.map_margin_m)
+            reason = f"refused: {why}"
+    elif plane.slope_deg > slope_limit:
+        accepted, reason = False, f"refused: slope {plane.slope_deg:.1f} deg over the footprint"
+    elif plane.roughness_m > rough_limit:
+        accepted, reason = False, f"refused: {plane.roughness_m:.2f} m off its plane"
+    else:
+        reason = f"landable: {figures}"
+    return Candidate(
+        position_odom=plane.position,
+        normal_odom=plane.normal,
+        score=_value(costmap.total, spot),
+        flatness=_value(costmap.flatness, spot),
+        smoothness=_value(costmap.smoothness, spot),
+        distance=_value(costmap.distance, spot),
+        slope_deg=plane.slope_deg,
+        roughness_m=plane.roughness_m,
+        clearance_m=clearance,
+        accepted=accepted,
+        reason=reason,
+    )
+
+
+def _value(layer: Float32, spot: tuple[int, int]) -> float:
+    value = float(layer[spot])
+    return value if np.isfinite(value) else 0.0

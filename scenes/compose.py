@@ -1,0 +1,180 @@
+"""One compiled world out of a place and the vehicle."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.api import Scene
+from scenes.draft import SceneDraft
+from scenes.foreign import read_mjcf
+from scenes.registry import scene_generator
+
+Array = NDArray[np.float64]
+
+VEHICLE_XML = Path(__file__).parent / "vehicle" / "quadrotor.xml"
+VEHICLE_BODY = "vehicle/quadrotor"
+TICK_HZ = 600
+AIR_DENSITY_KGPM3 = 1.225
+AIR_VISCOSITY_PAS = 1.8e-5
+START_GAP_M = 0.003
+"""The legs start this far above the ground and settle."""
+NEAR_M, FAR_M = 0.05, 400.0
+_PROBE_HEIGHT_M = 500.0
+
+
+def load_scene(name_or_path: str, seed: int) -> Scene:
+    """The place ``name_or_path`` with the vehicle on its take-off spot.
+
+    name_or_path: a name of `scenes.registry.scene_names` or the path of an MJCF file (a path has
+    a slash or ends in .xml). seed: non-negative; the same seed gives the same model to the byte.
+    A file's place does not depend on it.
+    Raises ValueError (unknown name, negative seed, malformed MJCF) and FileNotFoundError.
+    """
+    spec, draft = compose_spec(name_or_path, seed)
+    try:
+        model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise ValueError(f"scene '{name_or_path}' does not compile: {_one_line(error)}") from error
+    _stand_on_ground(model, draft)
+    return Scene(
+        name=Path(name_or_path).stem,
+        seed=seed,
+        model=model,
+        takeoff_xy_m=draft.takeoff_xy_m,
+        takeoff_yaw=draft.takeoff_yaw,
+        bounds_xy_m=draft.bounds_xy_m,
+        surfaces=draft.surfaces,
+        ground=draft.ground,
+        moving=draft.moving,
+        source=name_or_path,
+    )
+
+
+def compose_spec(name_or_path: str, seed: int) -> tuple[Any, SceneDraft]:
+    """The uncompiled MjSpec, vehicle attached at the world's origin height, and its draft.
+
+    Raises as `load_scene`.
+    """
+    if seed < 0:
+        raise ValueError(f"seed {seed} is negative: give an integer from 0 up")
+    is_path = name_or_path.endswith(".xml") or "/" in name_or_path
+    draft = read_mjcf(Path(name_or_path)) if is_path else scene_generator(name_or_path)(seed)
+    spec = draft.spec
+    _freeze_joints(spec, name_or_path)
+    _set_physics(spec)
+    _set_visual(spec)
+    for geom in spec.geoms:
+        if geom.contype or geom.conaffinity:
+            geom.contype, geom.conaffinity = 1, 0
+    _attach_vehicle(spec, draft)
+    return spec, draft
+
+
+def _freeze_joints(spec: Any, name: str) -> None:
+    """The vehicle's free joint must be the only one; things in a scene stand still or are mocap."""
+    joints = list(spec.joints)
+    if joints:
+        warnings.warn(f"scene '{name}': its {len(joints)} joints are frozen", stacklevel=3)
+    for joint in joints:
+        spec.delete(joint)
+
+
+def _set_physics(spec: Any) -> None:
+    option = spec.option
+    option.timestep = 1.0 / TICK_HZ
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.gravity = [0.0, 0.0, -9.81]
+    option.density, option.viscosity = AIR_DENSITY_KGPM3, AIR_VISCOSITY_PAS
+
+
+def _set_visual(spec: Any) -> None:
+    """Clip planes are in units of the model's extent, which is fixed here to keep them absolute.
+    Real-time shadows and multisampling would each more than double the render time on a software
+    renderer; pictures for people are rendered large and scaled down instead."""
+    spec.stat.extent = 100.0
+    visual = spec.visual
+    visual.map.znear, visual.map.zfar = NEAR_M / 100.0, FAR_M / 100.0
+    visual.quality.shadowsize = 0
+    visual.quality.offsamples = 0
+    visual.global_.offwidth = max(int(visual.global_.offwidth), 1920)
+    visual.global_.offheight = max(int(visual.global_.offheight), 1080)
+
+
+def _attach_vehicle(spec: Any, draft: SceneDraft) -> None:
+    if not VEHICLE_XML.is_file():
+        raise FileNotFoundError(f"the vehicle's MJCF is missing: {VEHICLE_XML}")
+    vehicle = mujoco.MjSpec.from_file(str(VEHICLE_XML))
+    half_yaw = 0.5 * draft.takeoff_yaw
+    frame = spec.worldbody.add_frame(
+        pos=[*draft.takeoff_xy_m, 0.0], quat=[np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)]
+    )
+    spec.attach(vehicle, prefix="vehicle/", frame=frame)
+    body = spec.body(VEHICLE_BODY)
+    if not body.joints:
+        body.add_freejoint(name="vehicle/free")
+    for geom in body.find_all("geom"):
+        if geom.contype or geom.conaffinity:
+            geom.contype, geom.conaffinity = 0, 1
+
+
+def _stand_on_ground(model: Any, draft: SceneDraft) -> None:
+    """Moves the vehicle's reference pose so that its lowest point is just above the ground."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    body = model.body(VEHICLE_BODY).id
+    lowest, radius = _underside(model, data, body)
+    angles = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    points = draft.takeoff_xy_m + np.concatenate([np.zeros((1, 2)), 0.5 * radius * ring, radius * ring])
+    ground = max(_height_below(model, data, point, body) for point in points)
+    z = model.body_pos[body, 2] + ground - lowest + START_GAP_M
+    model.body_pos[body, 2] = z
+    model.qpos0[2] = z
+    model.qpos_spring[2] = z
+
+
+def _underside(model: Any, data: Any, body: int) -> tuple[float, float]:
+    """Lowest z (m, world) and horizontal reach (m) from the body origin of the legs' bounding
+    boxes, or of every colliding vehicle geom where none is named ``leg``."""
+    own = [g for g in range(model.ngeom) if model.body_rootid[model.geom_bodyid[g]] == body]
+    legs = [g for g in own if "leg" in model.geom(g).name and model.geom_conaffinity[g]]
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    corners = []
+    for geom in legs or own:
+        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        rotation = data.geom_xmat[geom].reshape(3, 3)
+        corners.append((centre + signs * half) @ rotation.T + data.geom_xpos[geom])
+    points = np.concatenate(corners)
+    reach = np.linalg.norm(points[:, :2] - data.xpos[body, :2], axis=1).max()
+    return float(points[:, 2].min()), float(reach)
+
+
+def _height_below(model: Any, data: Any, xy_m: Array, vehicle_body: int) -> float:
+    """World height of the first static surface below (x, y)."""
+    groups = np.ones(6, np.uint8)
+    geom_id = np.array([-1], np.int32)
+    z = _PROBE_HEIGHT_M
+    for _ in range(64):
+        start = np.array([*xy_m, z])
+        down = np.array([0.0, 0.0, -1.0])
+        distance = mujoco.mj_ray(model, data, start, down, groups, 1, -1, geom_id)
+        if distance < 0.0:
+            raise ValueError(
+                f"no ground under the take-off spot {tuple(np.round(xy_m, 2))}: add a floor, or a "
+                "site named 'takeoff' above the ground"
+            )
+        z -= distance
+        if model.body_rootid[model.geom_bodyid[geom_id[0]]] != vehicle_body:
+            return z
+        z -= 1e-4
+    return z
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

@@ -1,0 +1,1 @@
+"""Two crossing roads between houses, gardens and rugged lawns."""

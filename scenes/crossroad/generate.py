@@ -1,0 +1,138 @@
+"""`crossroad`: fills crossroad.xml with a place drawn from a seed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.api import Surface
+from scenes.bake import bake_light
+from scenes.builder import Builder, fill_texture
+from scenes.crossroad import roads
+from scenes.crossroad.layout import HALF_M, QUADRANTS, Plan, Plot, draw_plan
+from scenes.crossroad.plots import Common, Farm, Homes, Shop, Theme
+from scenes.crossroad.relief import shape_ground
+from scenes.draft import SceneDraft
+from scenes.ground import TEXELS, Canvas, Ground, shade_ground
+from scenes.props.cars import add_car_models, park_car
+from scenes.props.plants import plant_nursery
+from scenes.props.street import add_lamp, add_sign
+from scenes.terrain import Terrain, write_hfield
+
+Array = NDArray[np.float64]
+
+XML = Path(__file__).with_name("crossroad.xml")
+CAR_MODELS = 8
+
+
+def generate(seed: int) -> SceneDraft:
+    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    rng = np.random.default_rng([seed, crc32(b"scenes.crossroad")])
+    spec = mujoco.MjSpec.from_file(str(XML))
+    plan = draw_plan(rng)
+    themes = draw_themes(rng, plan)
+    pads = [pad for theme in themes for pad in theme.pads]
+    ditches = [ditch for theme in themes for ditch in theme.ditches]
+    terrain = shape_ground(rng, plan, pads, ditches)
+    write_hfield(spec, "terrain", "terrain", terrain, base_m=2.0)
+    sun = draw_sun(rng, spec)
+    builder = Builder(spec=spec, rng=rng, terrain=terrain)
+    moving = place_things(builder, plan, themes)
+    canvas = paint_ground(rng, plan, themes)
+    finish_picture(builder, plan, canvas, terrain, sun)
+    builder.surfaces["terrain"] = Surface(land_class="lawn", reflectivity=0.45)
+    return SceneDraft(
+        spec=spec,
+        takeoff_xy_m=plan.takeoff_xy_m,
+        takeoff_yaw=plan.takeoff_yaw,
+        bounds_xy_m=np.array([[-HALF_M, -HALF_M], [HALF_M, HALF_M]]),
+        surfaces=builder.surfaces,
+        ground=canvas.raster("terrain"),
+        moving=moving,
+    )
+
+
+def draw_themes(rng: np.random.Generator, plan: Plan) -> list[Theme]:
+    """The green in the south-west; houses, a shop and a farm on the other plots in any order."""
+    kinds = [Homes, Shop, Farm]
+    order = rng.permutation(3)
+    themes: list[Theme] = [Common(Plot(plan=plan, signs=QUADRANTS["SW"]), rng)]
+    for name, index in zip(("NE", "NW", "SE"), order, strict=True):
+        themes.append(kinds[int(index)](Plot(plan=plan, signs=QUADRANTS[name]), rng))
+    return themes
+
+
+def draw_sun(rng: np.random.Generator, spec: Any) -> Array:
+    """Turns and tints the light `sun`. Returns the way it travels, (3,) unit."""
+    elevation, azimuth = np.deg2rad(rng.uniform(38.0, 62.0)), rng.uniform(0.0, 2.0 * np.pi)
+    flat = np.cos(elevation)
+    direction = -np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+    warmth = rng.uniform(0.0, 1.0)
+    strength = rng.uniform(0.62, 0.74) / np.sin(elevation) * 0.86
+    light = spec.light("sun")
+    light.dir = direction
+    light.diffuse = strength * np.array([1.0, 0.985 - 0.04 * warmth, 0.95 - 0.12 * warmth])
+    return direction
+
+
+def place_things(builder: Builder, plan: Plan, themes: list[Theme]) -> tuple[Any, ...]:
+    """Everything that stands or drives. Returns the moving cars."""
+    rng = builder.rng
+    nursery = plant_nursery(builder)
+    models = add_car_models(builder, CAR_MODELS)
+    builder.claim(plan.takeoff_xy_m, 6.0)
+    openings = [opening for theme in themes for opening in theme.openings]
+    roads.place_kerbs(builder, plan, openings)
+    for theme in themes:
+        theme.build(builder, nursery, models)
+    for road in (plan.main, plan.side):
+        low, high = road.ends_m()
+        edge = 0.5 * road.width_m + 0.55
+        for index, along in enumerate(np.arange(low + rng.uniform(6.0, 12.0), high - 3.0, 24.0)):
+            side = 1.0 if index % 2 else -1.0
+            if abs(along) > 12.0 and builder.is_free(road.point(along, side * edge), 0.3):
+                heading = road.angle - side * 0.5 * np.pi
+                add_lamp(builder, road.point(along, side * edge), heading)
+        for sign in (1.0, -1.0):
+            spot = road.point(sign * 16.5, sign * (0.5 * road.width_m + 0.6))
+            if builder.is_free(spot, 0.2):
+                heading = road.angle + (0.0 if sign > 0 else np.pi)
+                red = [0.80, 0.10, 0.10, 1.0]
+                add_sign(builder, spot, heading, red if road is plan.side else [0.1, 0.25, 0.65, 1])
+    for along in (-34.0, 31.0):
+        across = (1.0 if along < 0 else -1.0) * (0.5 * plan.side.width_m - 1.05)
+        spot = plan.side.point(along + rng.uniform(-4.0, 4.0), across)
+        heading = plan.side.angle + (0.0 if across < 0 else np.pi)
+        if builder.is_free(spot, 1.0):
+            park_car(builder, models[int(rng.integers(len(models)))], spot, heading)
+    return roads.add_traffic(builder, plan, models, rng)
+
+
+def paint_ground(rng: np.random.Generator, plan: Plan, themes: list[Theme]) -> Canvas:
+    """Materials, markings and stains: plots first, roads over them."""
+    canvas = Canvas(half_m=HALF_M)
+    for theme in themes:
+        theme.paint(canvas)
+    roads.paint_surfaces(canvas, plan)
+    roads.paint_wear(canvas, plan, rng)
+    roads.paint_markings(canvas, plan)
+    return canvas
+
+
+def finish_picture(
+    builder: Builder, plan: Plan, canvas: Canvas, terrain: Terrain, sun: Array
+) -> None:
+    """Bakes the light and gives the terrain its picture."""
+    light = bake_light(builder.casters, terrain, sun, TEXELS // 2, ambient=0.50)
+    angle = plan.main.angle
+    turned = dict.fromkeys(Ground, angle)
+    turned[Ground.SIDE_PAVEMENT] = plan.side.angle
+    turned[Ground.LAWN] = angle + float(builder.rng.uniform(0.3, 1.2))
+    turned[Ground.SOIL] = angle + (0.5 * np.pi if builder.rng.random() < 0.5 else 0.0)
+    picture = shade_ground(builder.rng, canvas, light, turned)
+    fill_texture(builder.spec.texture("ground"), picture)

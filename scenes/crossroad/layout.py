@@ -1,0 +1,166 @@
+"""Where the roads run: a plan in signed distances, from which terrain, picture and kerbs follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+HALF_M = 64.0
+ROAD_DEPTH_M = 0.12
+GUTTER_M = 0.45
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Road:
+    """A straight road through the junction."""
+
+    angle: float
+    """heading in radians"""
+    width_m: float
+    junction_xy_m: Array
+
+    @property
+    def along(self) -> Array:
+        return np.array([np.cos(self.angle), np.sin(self.angle)])
+
+    @property
+    def across(self) -> Array:
+        """Unit vector to the left of ``along``."""
+        return np.array([-np.sin(self.angle), np.cos(self.angle)])
+
+    def point(self, along_m: float, across_m: float) -> Array:
+        """(2,) world point at road coordinates, origin at the junction."""
+        return self.junction_xy_m + along_m * self.along + across_m * self.across
+
+    def ends_m(self) -> tuple[float, float]:
+        """Along-road coordinates at which the centre line leaves the square of the scene."""
+        with np.errstate(divide="ignore"):
+            low = (-HALF_M - self.junction_xy_m) / self.along
+            high = (HALF_M - self.junction_xy_m) / self.along
+        return float(np.minimum(low, high).max()), float(np.maximum(low, high).min())
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Plan:
+    """The junction of a main road (about east-west) and a side road (about north-south)."""
+
+    main: Road
+    side: Road
+    corner_radius_m: float
+    pavement_m: float
+    takeoff_xy_m: Array
+    takeoff_yaw: float
+
+    def kerb_distance(self, xy_m: Array) -> Array:
+        """(..., 2) world points -> (...) metres to the kerb line, negative on the roadway."""
+        rel = np.asarray(xy_m) - self.main.junction_xy_m
+        main = np.abs(rel @ self.main.across) - 0.5 * self.main.width_m
+        side = np.abs(rel @ self.side.across) - 0.5 * self.side.width_m
+        radius = self.corner_radius_m
+        rounded = radius - np.hypot(radius - main, radius - side)
+        corner = (main < radius) & (side < radius) & (main > -radius) & (side > -radius)
+        plain = np.minimum(main, side)
+        inside = (main > 0.0) & (side > 0.0)
+        return np.where(corner & inside, rounded, plain)
+
+    @property
+    def corridor_m(self) -> float:
+        """From the kerb to the outer edge of the pavement, with a hand's width of level ground."""
+        return self.pavement_m + 0.5
+
+    def offset_point(self, main_m: Array, side_m: Array) -> Array:
+        """(..., 2) world points at signed distances (metres, left positive) from both centre
+        lines."""
+        axes = np.stack([self.main.across, self.side.across])
+        rel = np.stack(np.broadcast_arrays(main_m, side_m), axis=-1)
+        return self.main.junction_xy_m + rel @ np.linalg.inv(axes).T
+
+    def corner_arc(self, signs: tuple[int, int], distance_m: float, steps: int = 9) -> Array:
+        """(steps, 2) points of the rounded corner at ``distance_m`` outside the kerb line, from
+        the main road's straight to the side road's. signs: as in `QUADRANTS`."""
+        angle = np.linspace(0.0, 0.5 * np.pi, steps)
+        radius = self.corner_radius_m - distance_m
+        main = self.corner_radius_m - radius * np.cos(angle)
+        side = self.corner_radius_m - radius * np.sin(angle)
+        return self.offset_point(
+            signs[0] * (0.5 * self.main.width_m + main),
+            signs[1] * (0.5 * self.side.width_m + side),
+        )
+
+    def corner_outline(self, signs: tuple[int, int], distance_m: float) -> Array:
+        """The corner's filling between the straight roads and `corner_arc`, (N, 2)."""
+        inner = self.offset_point(
+            np.array(signs[0] * 0.4 * self.main.width_m), np.array(signs[1] * 0.4 * self.side.width_m)
+        )
+        reach = self.corner_radius_m
+        arc = self.corner_arc(signs, distance_m)
+        first = self.offset_point(
+            np.array(signs[0] * 0.4 * self.main.width_m),
+            np.array(signs[1] * (0.5 * self.side.width_m + reach)),
+        )
+        last = self.offset_point(
+            np.array(signs[0] * (0.5 * self.main.width_m + reach)),
+            np.array(signs[1] * 0.4 * self.side.width_m),
+        )
+        return np.concatenate([inner[None], first[None], arc, last[None]])
+
+
+QUADRANTS: dict[str, tuple[int, int]] = {"NE": (1, -1), "NW": (1, 1), "SW": (-1, 1), "SE": (-1, -1)}
+"""Sides of (main, side) road on which a plot lies: left of the way they run is positive."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Plot:
+    """One quarter of the place with its own coordinates: ``s`` metres along the main road from the
+    side road's pavement, ``t`` metres away from the main road's pavement."""
+
+    plan: Plan
+    signs: tuple[int, int]
+
+    def points(self, st_m: Array) -> Array:
+        """(..., 2) plot coordinates -> (..., 2) world."""
+        st = np.asarray(st_m, np.float64)
+        plan = self.plan
+        main = self.signs[0] * (0.5 * plan.main.width_m + plan.pavement_m + st[..., 1])
+        side = self.signs[1] * (0.5 * plan.side.width_m + plan.pavement_m + st[..., 0])
+        return plan.offset_point(main, side)
+
+    def coordinates(self, xy_m: Array) -> Array:
+        """(..., 2) world -> (..., 2) plot coordinates."""
+        plan = self.plan
+        rel = np.asarray(xy_m) - plan.main.junction_xy_m
+        t = self.signs[0] * (rel @ plan.main.across) - 0.5 * plan.main.width_m - plan.pavement_m
+        s = self.signs[1] * (rel @ plan.side.across) - 0.5 * plan.side.width_m - plan.pavement_m
+        return np.stack([s, t], axis=-1)
+
+    def rectangle(self, s: tuple[float, float], t: tuple[float, float]) -> Array:
+        """(4, 2) world corners of a rectangle of plot coordinates."""
+        return self.points(np.array([[s[0], t[0]], [s[1], t[0]], [s[1], t[1]], [s[0], t[1]]]))
+
+    @property
+    def away(self) -> float:
+        """Heading (radians) straight away from the main road."""
+        return self.plan.main.angle + self.signs[0] * 0.5 * np.pi
+
+
+def draw_plan(rng: np.random.Generator) -> Plan:
+    """A plan whose roads leave a meadow south-west of the junction for the take-off."""
+    junction = rng.uniform([-5.0, -5.0], [7.0, 7.0])
+    angle = rng.uniform(-0.09, 0.09)
+    skew = rng.uniform(-0.05, 0.05)
+    main = Road(angle=angle, width_m=rng.uniform(7.6, 9.0), junction_xy_m=junction)
+    side = Road(
+        angle=0.5 * np.pi + angle + skew, width_m=rng.uniform(6.2, 7.4), junction_xy_m=junction
+    )
+    return Plan(
+        main=main,
+        side=side,
+        corner_radius_m=rng.uniform(4.5, 6.5),
+        pavement_m=rng.uniform(2.0, 2.8),
+        takeoff_xy_m=np.array([-25.0, -20.0]) + rng.uniform(-2.5, 2.5, 2),
+        takeoff_yaw=float(rng.uniform(-0.10, 0.10)),
+    )

@@ -1,0 +1,201 @@
+"""Houses with pitched or flat roofs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.api import Surface
+from scenes.builder import GEOM, Builder, quat_z, turned
+from scenes.props.meshes import MeshData, box, polygon
+from scenes.textures import Colour, facade_bay, flat_roof, roof_tiles
+
+Array = NDArray[np.float64]
+
+WALL = Surface(land_class="building", reflectivity=0.40)
+ROOF = Surface(land_class="building", reflectivity=0.30)
+FLAT_ROOF = Surface(land_class="building", reflectivity=0.25)
+SOLAR = Surface(land_class="building", reflectivity=0.08)
+BAY_M, STOREY_M = 3.0, 2.8
+WALLS: tuple[tuple[Colour, bool], ...] = (
+    ((168.0, 92.0, 70.0), True),
+    ((222.0, 212.0, 188.0), False),
+    ((196.0, 188.0, 176.0), False),
+    ((206.0, 172.0, 120.0), True),
+    ((228.0, 228.0, 224.0), False),
+)
+ROOFS: tuple[Colour, ...] = (
+    (172.0, 88.0, 58.0), (112.0, 72.0, 58.0), (92.0, 96.0, 104.0), (150.0, 70.0, 52.0),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class House:
+    """size_m: length (along the ridge), width, wall height; ridge height over the eaves, 0: flat."""
+
+    centre_xy_m: Array
+    angle: float
+    size_m: tuple[float, float, float]
+    ridge_m: float
+
+
+def add_house(builder: Builder, house: House) -> None:
+    """Walls, roof and what stands on it. The ground below is taken as level."""
+    rng = builder.rng
+    z = builder.terrain.point(*house.centre_xy_m)
+    origin = np.array([*house.centre_xy_m, z])
+    colour, brick = WALLS[int(rng.integers(len(WALLS)))]
+    name = builder.unique("house")
+    bay = builder.material(f"{name}_wall", facade_bay(rng, colour, brick))
+    mesh = builder.mesh(f"{name}_walls", wall_mesh(house.size_m, house.ridge_m))
+    pose = {"pos": origin, "quat": quat_z(house.angle)}
+    builder.geom(
+        "building_wall", WALL, type=GEOM.mjGEOM_MESH, meshname=mesh, material=bay, **pose
+    )
+    if house.ridge_m > 0.0:
+        _add_pitched_roof(builder, house, name, origin)
+    else:
+        _add_flat_roof(builder, house, name, origin)
+    _cast_house(builder, house, origin)
+    length, width, _ = house.size_m
+    builder.claim(house.centre_xy_m, 0.5 * float(np.hypot(length, width)) + 1.0)
+
+
+def wall_mesh(size_m: tuple[float, float, float], ridge_m: float) -> MeshData:
+    """Four walls, whole window bays around, from 0.6 m below the ground; gables where the roof is
+    pitched."""
+    length, width, height = size_m
+    x, y, low = 0.5 * length, 0.5 * width, -0.6
+    storeys = max(1, round(height / STOREY_M))
+    parts = []
+    corners = [(-x, -y), (x, -y), (x, y), (-x, y)]
+    for index in range(4):
+        (x0, y0), (x1, y1) = corners[index], corners[(index + 1) % 4]
+        span = float(np.hypot(x1 - x0, y1 - y0))
+        bays = max(1, round(span / BAY_M))
+        foot = storeys * (1.0 - low / height) - 0.001
+        wall = np.array([[x0, y0, low], [x1, y1, low], [x1, y1, height], [x0, y0, height]])
+        uv = np.array([[0.0, foot], [bays, foot], [bays, 0.0], [0.0, 0.0]])
+        parts.append(polygon(wall, uv))
+        if ridge_m > 0.0 and index % 2 == 1:
+            tip = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), height + ridge_m])
+            gable = np.array([[x0, y0, height], [x1, y1, height], tip])
+            parts.append(polygon(gable, np.array([[0.02, 0.2], [0.22, 0.2], [0.12, 0.04]])))
+    top = np.array([[-x, -y, height], [x, -y, height], [x, y, height], [-x, y, height]])
+    parts.append(polygon(top, np.full((4, 2), 0.1)))
+    return MeshData.join(parts)
+
+
+def gable_roof_mesh(length: float, width: float, ridge_m: float, eaves_m: float) -> MeshData:
+    """Two slopes with a thickness of 0.16 m that reach ``eaves_m`` over the walls; the picture's
+    upper half is one slope, the lower half the other, ridge at the top of each."""
+    x = 0.5 * length + eaves_m
+    drop = eaves_m * ridge_m / (0.5 * width)
+    y, low, thick = 0.5 * width + eaves_m, -drop, 0.16
+    parts = []
+    for sign, first in ((1.0, 0.0), (-1.0, 0.5)):
+        slope = np.array([[sign * x, sign * y, low], [-sign * x, sign * y, low],
+                          [-sign * x, 0.0, ridge_m], [sign * x, 0.0, ridge_m]])  # fmt: skip
+        uv = np.array([[0.0, first + 0.49], [1.0, first + 0.49], [1.0, first], [0.0, first]])
+        parts.append(polygon(slope + [0.0, 0.0, thick], uv))
+        parts.append(polygon(slope[::-1], np.full((4, 2), 0.01)))
+        edge = slope[[0, 1]]
+        fascia = np.array([edge[1], edge[0], edge[0] + [0, 0, thick], edge[1] + [0, 0, thick]])
+        parts.append(polygon(fascia, np.full((4, 2), 0.01)))
+    for sign in (1.0, -1.0):
+        for half in (1.0, -1.0):
+            top = np.array([[sign * x, half * y, low], [sign * x, 0.0, ridge_m]])
+            quad = np.array([top[0], top[1], top[1] + [0, 0, thick], top[0] + [0, 0, thick]])
+            verge = quad if sign * half < 0 else quad[::-1]
+            parts.append(polygon(verge, np.full((4, 2), 0.01)))
+    return MeshData.join(parts)
+
+
+def _add_pitched_roof(builder: Builder, house: House, name: str, origin: Array) -> None:
+    rng = builder.rng
+    length, width, height = house.size_m
+    eaves = 0.45
+    slope_m = float(np.hypot(0.5 * width + eaves, house.ridge_m * (1.0 + 2.0 * eaves / width)))
+    base = ROOFS[int(rng.integers(len(ROOFS)))]
+    picture = roof_tiles(rng, base, (length + 2 * eaves, 2.0 * slope_m), 56.0)
+    half_px = picture.shape[0] // 2
+    # A ridge cap and a gutter line of their own.
+    for first in (0, half_px):
+        picture[first : first + 8] = np.clip(picture[first : first + 8] * 1.15 + 12, 0, 255)
+        picture[first + half_px - 14 : first + half_px - 7] = (84, 84, 86)
+    _add_skylights(rng, picture, half_px)
+    material = builder.material(f"{name}_roof", picture)
+    mesh = builder.mesh(f"{name}_roof", gable_roof_mesh(length, width, house.ridge_m, eaves))
+    at = origin + [0.0, 0.0, height]
+    builder.geom(
+        "building_roof", ROOF, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
+        pos=at, quat=quat_z(house.angle),
+    )  # fmt: skip
+    chimney = np.array([rng.uniform(-0.3, 0.3) * length, rng.choice([-1, 1]) * 0.16 * width, 0.0])
+    spot = turned(chimney[None], house.angle, at)[0] + [0.0, 0.0, 0.78 * house.ridge_m]
+    builder.geom(
+        "building_chimney", WALL, type=GEOM.mjGEOM_BOX, size=[0.32, 0.26, 0.75],
+        rgba=[0.52, 0.33, 0.27, 1], pos=spot, quat=quat_z(house.angle),
+    )  # fmt: skip
+
+
+def _add_skylights(rng: np.random.Generator, picture: NDArray[np.uint8], half_px: int) -> None:
+    """Roof windows, or solar panels on one slope, painted into the roof's picture."""
+    width = picture.shape[1]
+    if rng.random() < 0.45:
+        top, left = int(0.22 * half_px), int(rng.uniform(0.12, 0.3) * width)
+        columns = int(min(5, (width - left - 20) // 60))
+        for row in range(2):
+            for col in range(columns):
+                y, x = top + row * 96, left + col * 60
+                if y + 92 < half_px - 20:
+                    picture[y : y + 92, x : x + 56] = (186, 190, 194)
+                    picture[y + 3 : y + 89, x + 3 : x + 53] = (24, 32, 62)
+                    picture[y + 3 : y + 89 : 14, x + 3 : x + 53] = (52, 62, 96)
+                    picture[y + 3 : y + 89, x + 28 : x + 30] = (52, 62, 96)
+    for _ in range(int(rng.integers(1, 3))):
+        x = int(rng.uniform(0.1, 0.85) * (width - 60))
+        y = half_px + int(rng.uniform(0.25, 0.5) * half_px)
+        picture[y : y + 66, x : x + 46] = (70, 72, 76)
+        picture[y + 5 : y + 61, x + 5 : x + 41] = (126, 152, 176)
+
+
+def _add_flat_roof(builder: Builder, house: House, name: str, origin: Array) -> None:
+    rng = builder.rng
+    length, width, height = house.size_m
+    material = builder.material(f"{name}_roof", flat_roof(rng, (length, width), 48.0))
+    x, y = 0.5 * length, 0.5 * width
+    deck = np.array([[-x, -y, 0.06], [x, -y, 0.06], [x, y, 0.06], [-x, y, 0.06]])
+    uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
+    body = box(np.array([x, y, 0.025]), np.array([0.0, 0.0, 0.025]), 1e3)
+    mesh = builder.mesh(f"{name}_roof", MeshData.join([polygon(deck, uv), body]))
+    at = origin + [0.0, 0.0, height]
+    builder.geom(
+        "building_roof", FLAT_ROOF, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
+        pos=at, quat=quat_z(house.angle),
+    )  # fmt: skip
+    for dx, dy, hx, hy in ((0, y, x, 0.12), (0, -y, x, 0.12), (x, 0, 0.12, y), (-x, 0, 0.12, y)):
+        spot = turned(np.array([[dx, dy, 0.2]]), house.angle, at)[0]
+        builder.geom(
+            "building_parapet", WALL, type=GEOM.mjGEOM_BOX, size=[hx + 0.12, hy + 0.0, 0.26],
+            rgba=[0.78, 0.77, 0.74, 1], pos=spot, quat=quat_z(house.angle),
+        )  # fmt: skip
+    for _ in range(int(rng.integers(3, 6))):
+        local = np.array([rng.uniform(-0.75, 0.75) * x, rng.uniform(-0.7, 0.3) * y, 0.5])
+        size = rng.uniform([0.4, 0.4, 0.35], [1.1, 0.7, 0.55])
+        spot = turned(local[None], house.angle, at)[0]
+        builder.geom(
+            "building_unit", WALL, type=GEOM.mjGEOM_BOX, size=size, rgba=[0.70, 0.72, 0.73, 1],
+            pos=spot, quat=quat_z(house.angle),
+        )  # fmt: skip
+
+
+def _cast_house(builder: Builder, house: House, origin: Array) -> None:
+    length, width, height = house.size_m
+    x, y = 0.5 * length + 0.4, 0.5 * width + 0.4
+    corners = [[sx * x, sy * y, z] for sx in (-1, 1) for sy in (-1, 1) for z in (0.0, height)]
+    if house.ridge_m > 0.0:
+        corners += [[-x, 0.0, height + house.ridge_m], [x, 0.0, height + house.ridge_m]]
+    builder.cast(turned(np.array(corners), house.angle, origin))

@@ -1,0 +1,133 @@
+"""Small textured meshes made by code."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MeshData:
+    """A triangle mesh. vertices: (N, 3) metres; faces: (M, 3) counter-clockwise seen from
+    outside; uv: (N, 2) texture coordinates, u to the right and v DOWN the picture."""
+
+    vertices: Array
+    faces: Ints
+    uv: Array
+
+    @staticmethod
+    def join(parts: list[MeshData]) -> MeshData:
+        """One mesh out of several."""
+        offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+        return MeshData(
+            vertices=np.concatenate([part.vertices for part in parts]),
+            faces=np.concatenate(
+                [part.faces + offset for part, offset in zip(parts, offsets, strict=True)]
+            ).astype(np.int32),
+            uv=np.concatenate([part.uv for part in parts]),
+        )
+
+    def moved(self, offset: Array) -> MeshData:
+        return MeshData(vertices=self.vertices + offset, faces=self.faces, uv=self.uv)
+
+
+def polygon(corners: Array, uv: Array) -> MeshData:
+    """A flat convex polygon, (K, 3) corners counter-clockwise from outside, with its own vertices
+    (so that it is shaded flat)."""
+    count = len(corners)
+    fan = [[0, i, i + 1] for i in range(1, count - 1)]
+    return MeshData(
+        vertices=np.asarray(corners, np.float64),
+        faces=np.array(fan, np.int32),
+        uv=np.asarray(uv, np.float64),
+    )
+
+
+def box(half: Array, centre: Array, metres_per_uv: float = 1.0) -> MeshData:
+    """An axis-aligned box; every face is mapped in metres divided by ``metres_per_uv``."""
+    parts = []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            first, second = (axis + 1) % 3, (axis + 2) % 3
+            corners = np.zeros((4, 3))
+            square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float64)
+            if sign < 0:
+                square = square[::-1]
+            corners[:, axis] = sign * half[axis]
+            corners[:, first] = square[:, 0] * half[first]
+            corners[:, second] = square[:, 1] * half[second]
+            uv = np.stack([corners[:, first], -corners[:, second]], axis=-1) / metres_per_uv
+            parts.append(polygon(corners + centre, uv))
+    return MeshData.join(parts)
+
+
+def cylinder_y(radius: float, half_width: float, centre: Array, uv: Array, sides: int) -> MeshData:
+    """A wheel: a cylinder about the y axis; rim vertices map to ``uv[0]``, hubs to ``uv[1]``."""
+    angles = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
+    ring = np.stack([radius * np.sin(angles), np.zeros(sides), radius * np.cos(angles)], axis=-1)
+    left, right = ring + [0.0, half_width, 0.0], ring - [0.0, half_width, 0.0]
+    parts = []
+    for i in range(sides):
+        j = (i + 1) % sides
+        parts.append(polygon(np.array([left[i], left[j], right[j], right[i]]), np.tile(uv[0], (4, 1))))
+    for side, order in ((left, -1), (right, 1)):
+        hub = side[0] * [0.0, 1.0, 0.0]
+        loop = side[::order]
+        for i in range(sides):
+            corners = np.array([hub, loop[i], loop[(i + 1) % sides]])
+            parts.append(polygon(corners, np.array([uv[1], uv[0], uv[0]])))
+    return MeshData.join(parts).moved(centre)
+
+
+def blob(
+    rng: np.random.Generator,
+    half: Array,
+    exponent: float,
+    roughness: float,
+    rings: int,
+    metres_per_uv: float,
+) -> MeshData:
+    """A lumpy closed surface: the superellipsoid ``sum |x_i / half_i|**exponent = 1`` (2: ellipsoid,
+    8: a box with round edges), displaced along the radius by ``roughness`` (share of the radius).
+    Texture: laid on from above and down the sides, ``metres_per_uv`` metres a picture."""
+    sectors = 2 * rings
+    polar = np.linspace(0.0, np.pi, rings + 1)
+    azimuth = np.linspace(0.0, 2.0 * np.pi, sectors + 1)
+    theta, phi = np.meshgrid(polar, azimuth, indexing="ij")
+    unit = np.stack(
+        [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1
+    )
+    half = np.asarray(half, np.float64)
+    # Directions evenly spread on the box-like shape, not on the sphere that it is stretched from.
+    norm = (np.abs(unit) ** exponent).sum(axis=-1) ** (1.0 / exponent)
+    shape = unit / norm[..., None]
+    waves = rng.normal(size=(10, 3)) * np.linspace(2.0, 7.0, 10)[:, None]
+    phases = rng.uniform(0.0, 2.0 * np.pi, 10)
+    lumps = np.sin(unit @ waves.T + phases) @ (1.0 / np.linspace(1.5, 4.0, 10))
+    lumps[:, -1] = lumps[:, 0]
+    vertices = shape * half * (1.0 + roughness * lumps / 1.3)[..., None]
+    # Planar from above, continued down the sides along the outward direction: no pole in sight.
+    normal = np.sign(shape) * np.abs(shape) ** (exponent - 1.0) / half
+    sideways = normal[..., :2] / np.maximum(np.linalg.norm(normal, axis=-1), 1e-9)[..., None]
+    uv = vertices[..., :2] + sideways * (half[2] - vertices[..., 2:])
+    uv = uv / metres_per_uv + rng.uniform(size=2)
+    index = np.arange((rings + 1) * (sectors + 1)).reshape(rings + 1, sectors + 1)
+    a, b = index[:-1, :-1].ravel(), index[1:, :-1].ravel()
+    c, d = index[1:, 1:].ravel(), index[:-1, 1:].ravel()
+    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
+    kept = _without_slivers(vertices.reshape(-1, 3), faces)
+    return MeshData(
+        vertices=vertices.reshape(-1, 3), faces=kept.astype(np.int32), uv=uv.reshape(-1, 2)
+    )
+
+
+def _without_slivers(vertices: Array, faces: Ints) -> Ints:
+    """Drops the triangles of no area at the poles."""
+    corner = vertices[faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    return faces[np.linalg.norm(normal, axis=1) > 1e-9]

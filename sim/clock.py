@@ -1,0 +1,41 @@
+"""Integer time: which rates fit together."""
+
+from __future__ import annotations
+
+from sim.api import SensorNeeds, SimParams
+
+MIN_TICK_HZ = 500
+"""The feet are 30 ms stiff; slower physics would not resolve a touchdown."""
+
+
+def check_rates(sim: SimParams, needs: SensorNeeds) -> None:
+    """ValueError, with the allowed values, unless every rate divides ``tick_hz`` and the camera is
+    asked for at a divisor of its own clock."""
+    if sim.tick_hz < MIN_TICK_HZ:
+        raise ValueError(f"sim.tick_hz must be {MIN_TICK_HZ} or more, not {sim.tick_hz}")
+    for name in ("control_ticks", "imu_ticks", "camera_ticks", "lidar_scan_ticks"):
+        ticks = getattr(sim, name)
+        if ticks < 1 or sim.tick_hz % ticks:
+            raise ValueError(
+                f"sim.{name} is {ticks}, but it must divide sim.tick_hz ({sim.tick_hz}): "
+                f"one of {_divisors(sim.tick_hz)}"
+            )
+    if sim.compute_latency_ticks < 0:
+        raise ValueError(
+            f"sim.compute_latency_ticks must be 0 or more, not {sim.compute_latency_ticks}"
+        )
+    camera_clock_hz = sim.tick_hz // sim.camera_ticks
+    if needs.camera_hz < 0 or (needs.camera_hz and camera_clock_hz % needs.camera_hz):
+        raise ValueError(
+            f"camera_hz is {needs.camera_hz}, but images come on pulses of a {camera_clock_hz} Hz "
+            f"clock: 0 or one of {_divisors(camera_clock_hz)}"
+        )
+
+
+def image_period_ticks(sim: SimParams, needs: SensorNeeds) -> int:
+    """Ticks between two images; 0 when none are asked for."""
+    return sim.tick_hz // needs.camera_hz if needs.camera_hz else 0
+
+
+def _divisors(number: int) -> str:
+    return ", ".join(str(i) for i in range(1, number + 1) if number % i == 0)

@@ -1,0 +1,79 @@
+"""Measurement time is not arrival time: what is measured now is handed over at a fixed later tick.
+
+The work that turns a snapshot of the world into a measurement may run in another thread meanwhile.
+The tick at which its result arrives is fixed when it is submitted, and whoever collects at that
+tick waits for the result if need be, so thread timing cannot change what a flight sees.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, Generic, ParamSpec, TypeVar
+
+T = TypeVar("T")
+P = ParamSpec("P")
+
+
+class InlineExecutor(Executor):
+    """Runs everything at once in the caller's thread."""
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        future: Future[T] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:  # handed over by Future.result, as from a thread
+            future.set_exception(error)
+        return future
+
+
+def make_executor(threads: int) -> Executor:
+    """threads 1: in the caller's thread; 2: one worker thread beside it (a single one, since an
+    OpenGL context belongs to one thread). ValueError: anything else."""
+    if threads == 1:
+        return InlineExecutor()
+    if threads == 2:
+        return ThreadPoolExecutor(max_workers=1, thread_name_prefix="sensor")
+    raise ValueError(f"sim.threads must be 1 or 2, not {threads}")
+
+
+@dataclass(frozen=True, slots=True)
+class InFlight(Generic[T]):
+    """A measurement on its way."""
+
+    due_tick: int
+    result: Future[T]
+
+
+class DeliveryQueue(Generic[T]):
+    """First in, first out; due ticks never decrease."""
+
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+        self._waiting: deque[InFlight[T]] = deque()
+
+    def submit(self, due_tick: int, fn: Callable[..., T], *args: Any) -> None:
+        """``fn(*args)`` starts now and its result arrives at ``due_tick``. ``args`` must not be
+        written to afterwards. ValueError: something already queued is due later."""
+        if self._waiting and due_tick < self._waiting[-1].due_tick:
+            raise ValueError(
+                f"due tick {due_tick} lies before {self._waiting[-1].due_tick}, already queued"
+            )
+        self._waiting.append(InFlight(due_tick, self._executor.submit(fn, *args)))
+
+    def collect(self, tick: int) -> tuple[T, ...]:
+        """Everything due at or before ``tick``, oldest first; waits for work that is not done. An
+        exception of the work is raised here."""
+        arrived = []
+        while self._waiting and self._waiting[0].due_tick <= tick:
+            arrived.append(self._waiting.popleft().result.result())
+        return tuple(arrived)
+
+    def clear(self) -> None:
+        """Forgets everything on its way, after waiting for what already runs."""
+        for item in self._waiting:
+            if not item.result.cancel():
+                item.result.exception()
+        self._waiting.clear()

@@ -1,0 +1,181 @@
+"""Wind: a mean flow with a logarithmic profile, and Dryden turbulence for low altitude.
+
+Turbulence after MIL-F-8785C, section 3.7.2 and 3.7.3.4, below 1000 ft. With h the height in feet
+(never below 10), W20 the mean wind at 20 ft and V the airspeed:
+
+    sigma_w = 0.1 W20,    sigma_u = sigma_v = sigma_w / (0.177 + 0.000823 h)^0.4
+    L_w = h,              L_u = L_v = h / (0.177 + 0.000823 h)^1.2
+    H_u(s) = sigma_u sqrt(2 L_u / pi V) / (1 + L_u s / V)
+    H_v(s) = sigma_v sqrt(L_v / pi V) (1 + sqrt(3) L_v s / V) / (1 + L_v s / V)^2,   H_w alike
+
+u is along the mean wind, v to its left, w up. The filters run on states of unit variance, so that
+height and airspeed may change from step to step, and are discretised exactly for the step's length.
+"""
+
+from __future__ import annotations
+
+from zlib import crc32
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sim.api import WindParams
+
+Array = NDArray[np.float64]
+
+FOOT_M = 0.3048
+REFERENCE_HEIGHT_M = 20.0 * FOOT_M
+MIN_HEIGHT_FT = 10.0
+MAX_HEIGHT_FT = 1000.0
+MIN_AIRSPEED_MPS = 1.0
+"""Below this airspeed V / L no longer describes how turbulence sweeps past the vehicle."""
+
+_SQRT3 = np.sqrt(3.0)
+
+
+class Wind:
+    """The air's velocity at the vehicle. ``mean_direction`` (3,) is horizontal and of unit norm."""
+
+    def __init__(self, params: WindParams, seed: int) -> None:
+        if not (np.isfinite(params.mean_kmh) and params.mean_kmh >= 0.0):
+            raise ValueError(f"wind.mean_kmh must be 0 or more, not {params.mean_kmh}")
+        if not 0.0 < params.roughness_length_m < REFERENCE_HEIGHT_M:
+            raise ValueError(
+                "wind.roughness_length_m must lie between 0 and "
+                f"{REFERENCE_HEIGHT_M:.2f} m, not {params.roughness_length_m}"
+            )
+        self._rng = np.random.default_rng([seed, crc32(b"wind")])
+        seeded_direction = self._rng.uniform(-np.pi, np.pi)
+        direction = (
+            seeded_direction
+            if params.direction_deg is None
+            else float(np.radians(params.direction_deg))
+        )
+        self.mean_direction = np.array([np.cos(direction), np.sin(direction), 0.0])
+        self._w20 = params.mean_kmh / 3.6
+        self._roughness = params.roughness_length_m
+        self._turbulent = params.turbulence and self._w20 > 0.0
+        self._noise = np.empty(5)
+        self._state = _stationary_state(self._rng.standard_normal(5))
+        self._velocity = np.zeros(3)
+
+    def mean_speed(self, height_m: float) -> float:
+        """Mean wind speed in m/s at a height over the ground; 0 at the roughness length."""
+        height = max(height_m, self._roughness)
+        profile = np.log(height / self._roughness) / np.log(REFERENCE_HEIGHT_M / self._roughness)
+        return float(self._w20 * profile)
+
+    def step(self, dt_s: float, height_m: float, airspeed_mps: float) -> Array:
+        """Advances by ``dt_s`` and returns the wind, (3,) m/s in the world frame (valid until the
+        next call).
+
+        height_m: over the ground; airspeed_mps: of the vehicle relative to the mean flow.
+        """
+        along = self.mean_speed(height_m)
+        if not self._turbulent:
+            np.multiply(self.mean_direction, along, out=self._velocity)
+            return self._velocity
+        self._rng.standard_normal(out=self._noise)
+        _advance(
+            self._state,
+            self._noise,
+            dt_s,
+            height_m / FOOT_M,
+            max(airspeed_mps, MIN_AIRSPEED_MPS),
+            self._w20,
+            along,
+            self.mean_direction,
+            self._velocity,
+        )
+        return self._velocity
+
+
+@njit(cache=True)
+def dryden_scales(height_ft: float, w20_mps: float) -> tuple[float, float, float, float]:
+    """``sigma_uv`` and ``sigma_w`` in m/s, ``L_uv`` and ``L_w`` in metres."""
+    height = min(max(height_ft, MIN_HEIGHT_FT), MAX_HEIGHT_FT)
+    shape = 0.177 + 0.000823 * height
+    sigma_w = 0.1 * w20_mps
+    return sigma_w / shape**0.4, sigma_w, height / shape**1.2 * FOOT_M, height * FOOT_M
+
+
+def dryden_psd(omega: Array, sigma: float, time_scale_s: float, *, longitudinal: bool) -> Array:
+    """One-sided power spectral density over angular frequency, (m/s)^2 / (rad/s), whose integral
+    over [0, inf) is ``sigma**2``. ``time_scale_s`` is L / V."""
+    x = (omega * time_scale_s) ** 2
+    if longitudinal:
+        return sigma**2 * (2.0 * time_scale_s / np.pi) / (1.0 + x)
+    return sigma**2 * (time_scale_s / np.pi) * (1.0 + 3.0 * x) / (1.0 + x) ** 2
+
+
+def _stationary_state(noise: Array) -> Array:
+    """(5,) standard normal -> a draw of (u, a_v, b_v, a_w, b_w) in steady state. The pair (a, b)
+    has the covariance [[1/2, 1/4], [1/4, 1/4]]."""
+    state = np.empty(5)
+    state[0] = noise[0]
+    for i in (1, 3):
+        state[i] = np.sqrt(0.5) * noise[i]
+        state[i + 1] = 0.5 * state[i] + np.sqrt(0.125) * noise[i + 1]
+    return state
+
+
+@njit(cache=True)
+def _advance(
+    state: Array,
+    noise: Array,
+    dt: float,
+    height_ft: float,
+    airspeed: float,
+    w20: float,
+    mean_speed: float,
+    direction: Array,
+    velocity: Array,
+) -> None:
+    sigma_uv, sigma_w, scale_uv, scale_w = dryden_scales(height_ft, w20)
+    steps_uv = dt * airspeed / scale_uv
+    steps_w = dt * airspeed / scale_w
+    state[0] = np.exp(-steps_uv) * state[0] + np.sqrt(-np.expm1(-2.0 * steps_uv)) * noise[0]
+    _advance_pair(state[1:3], noise[1:3], steps_uv)
+    _advance_pair(state[3:5], noise[3:5], steps_w)
+    u = mean_speed + sigma_uv * state[0]
+    v = sigma_uv * (_SQRT3 * state[1] + (1.0 - _SQRT3) * state[2])
+    velocity[0] = u * direction[0] - v * direction[1]
+    velocity[1] = u * direction[1] + v * direction[0]
+    velocity[2] = sigma_w * (_SQRT3 * state[3] + (1.0 - _SQRT3) * state[4])
+
+
+@njit(cache=True)
+def _advance_pair(pair: Array, noise: Array, steps: float) -> None:
+    """a = n / (1 + T s), b = a / (1 + T s) over ``steps = dt / T``; n is white of intensity T.
+
+    The filter's output is ``b + sqrt(3) T db/dt = sqrt(3) a + (1 - sqrt(3)) b``, of unit variance.
+    The covariance of what the noise adds is the integral of (1, x)(1, x)^T exp(-2x) over the step.
+    """
+    q_aa = _moment(0, steps)
+    q_ab = _moment(1, steps)
+    q_bb = _moment(2, steps)
+    decay = np.exp(-steps)
+    add_a = np.sqrt(q_aa) * noise[0]
+    add_b = q_ab / q_aa * add_a + np.sqrt(max(q_bb - q_ab * q_ab / q_aa, 0.0)) * noise[1]
+    a = pair[0]
+    pair[0] = decay * a + add_a
+    pair[1] = decay * (steps * a + pair[1]) + add_b
+
+
+@njit(cache=True)
+def _moment(power: int, steps: float) -> float:
+    """Integral of x^power exp(-2x) over [0, steps]; a series where the closed form cancels."""
+    if steps < 0.1:
+        term = steps ** (power + 1)
+        total = 0.0
+        for k in range(12):
+            total += term / (power + 1 + k)
+            term *= -2.0 * steps / (k + 1)
+        return total
+    decay = np.exp(-2.0 * steps)
+    if power == 0:
+        return (1.0 - decay) / 2.0
+    if power == 1:
+        return (1.0 - decay * (1.0 + 2.0 * steps)) / 4.0
+    return (1.0 - decay * (1.0 + 2.0 * steps + 2.0 * steps * steps)) / 4.0

@@ -1,0 +1,358 @@
+"""The simulated world: physics, air, sensors and their delays behind ``sim.api.World``."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.api import Scene
+from sim.api import (
+    CameraImage,
+    CameraParams,
+    Command,
+    Contact,
+    ImuParams,
+    ImuSample,
+    LidarParams,
+    LidarScan,
+    Observation,
+    SensorNeeds,
+    SensorRig,
+    SimParams,
+    Truth,
+    WindParams,
+)
+from sim.battery import Battery
+from sim.camera import CameraSensor, Snapshot
+from sim.clock import check_rates, image_period_ticks
+from sim.contacts import ContactSensor
+from sim.delivery import DeliveryQueue, make_executor
+from sim.frames import Pose, matrix_from_quat_wxyz
+from sim.ground import GroundProbe
+from sim.imu import ImuSensor
+from sim.lidar import LidarSensor
+from sim.livox import pattern
+from sim.moving import MovingBodies
+from sim.physics import prepare_physics, settle_on_ground
+from sim.rotors import Rotors
+from sim.vehicle import rotor_geometry, sensor_poses, vehicle_body_id, vehicle_model
+from sim.wind import Wind
+
+Array = NDArray[np.float64]
+
+RIGHT_CAMERA = "vehicle/camera_right"
+
+_NOTHING = SensorNeeds()
+
+
+class MujocoWorld:
+    """One vehicle in one scene. Same arguments and commands: the same flight to the bit, whatever
+    ``sim.threads``.
+
+    The first scan ends, and the first image is exposed, one period after tick 0. The world writes
+    the physics options of ``scene.model`` (time step, air, wind). Raises ValueError for rates that
+    do not fit together, parameters out of range, a scene without vehicle or a take-off place on
+    which the vehicle cannot stand.
+    """
+
+    rig: SensorRig
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        sim: SimParams,
+        wind: WindParams,
+        lidar: LidarParams,
+        camera: CameraParams,
+        imu: ImuParams,
+        seed: int,
+        needs: SensorNeeds = _NOTHING,
+    ) -> None:
+        check_rates(sim, needs)
+        self._scene, self._sim, self._needs, self._seed = scene, sim, needs, seed
+        self._wind_params, self._imu_params = wind, imu
+        self._model = scene.model
+        self._step_s = sim.control_ticks / sim.tick_hz
+        self._executor = make_executor(sim.threads)
+        self._prepare_body()
+        self._prepare_sensors(lidar, camera)
+        self.rig = self._make_rig(lidar, imu)
+        self.reset()
+
+    # ------------------------------------------------------------------------ preparation
+
+    def _prepare_body(self) -> None:
+        prepare_physics(self._model, self._sim.tick_hz)
+        self._data = mujoco.MjData(self._model)
+        self._moving = MovingBodies(self._scene)
+        self._moving.write(self._data, 0.0)
+        self._start_state = settle_on_ground(self._scene, self._data)
+        self._vehicle = vehicle_model(self._model)
+        body_id = vehicle_body_id(self._model)
+        position = int(self._model.jnt_qposadr[self._model.body_jntadr[body_id]])
+        velocity = int(self._model.body_dofadr[body_id])
+        # Views into MjData, so that a tick looks nothing up by name.
+        self._position = self._data.qpos[position : position + 3]
+        self._quat = self._data.qpos[position + 3 : position + 7]
+        self._velocity = self._data.qvel[velocity : velocity + 3]
+        self._angular_velocity = self._data.qvel[velocity + 3 : velocity + 6]
+        self._wrench = self._data.xfrc_applied[body_id]
+        self._air = self._model.opt.wind
+        self._contact_sensor = ContactSensor(self._model)
+        self._ground = GroundProbe(self._model)
+
+    def _prepare_sensors(self, lidar: LidarParams, camera: CameraParams) -> None:
+        ticks = self._sim.lidar_scan_ticks
+        self._track_positions = np.empty((ticks + 1, 3))
+        self._track_quats = np.empty((ticks + 1, 4))
+        pattern(lidar.preset)  # an unknown one is an error even where no LIDAR is asked for
+        self._lidar_params, self._camera_params = lidar, camera
+        self._camera = CameraSensor(self._scene, camera, self._seed)
+        self._lidar: LidarSensor | None = None
+        self._right: CameraSensor | None = None
+        self._scans: DeliveryQueue[LidarScan] = DeliveryQueue(self._executor)
+        self._images: DeliveryQueue[CameraImage] = DeliveryQueue(self._executor)
+        self._add_sensors()
+
+    def _add_sensors(self) -> None:
+        """Builds what is needed and not there yet."""
+        self._image_period = image_period_ticks(self._sim, self._needs)
+        if self._needs.lidar and self._lidar is None:
+            self._lidar = LidarSensor(self._scene, self._lidar_params, self._seed)
+        if self._needs.stereo and self._right is None:
+            self._right = CameraSensor(self._scene, self._camera_params, self._seed, RIGHT_CAMERA)
+
+    def _make_rig(self, lidar: LidarParams, imu: ImuParams) -> SensorRig:
+        body_from_imu, body_from_lidar, body_from_camera, body_from_camera_right = sensor_poses(
+            self._model
+        )
+        return SensorRig(
+            tick_hz=self._sim.tick_hz,
+            body_from_imu=body_from_imu,
+            body_from_lidar=body_from_lidar,
+            body_from_camera=body_from_camera,
+            body_from_camera_right=body_from_camera_right,
+            camera=self._camera.intrinsics(),
+            lidar=lidar,
+            imu=imu,
+            imu_ticks=self._sim.imu_ticks,
+            camera_ticks=self._sim.camera_ticks,
+            lidar_scan_ticks=self._sim.lidar_scan_ticks,
+            compute_latency_ticks=self._sim.compute_latency_ticks,
+            world_from_body_start=self._pose(),
+            vehicle=self._vehicle,
+        )
+
+    # ------------------------------------------------------------------------ the protocol
+
+    def require(self, needs: SensorNeeds) -> None:
+        """Adds sensors to those asked for so far, before the first ``reset``: estimators know what
+        they need only once they know the rig. ValueError for a rate that does not fit."""
+        if self._tick > 0:
+            raise RuntimeError(f"sensors are added before a flight, not at tick {self._tick}")
+        wanted = self._needs | needs
+        check_rates(self._sim, wanted)
+        self._needs = wanted
+        self._add_sensors()
+
+    def reset(self) -> Observation:
+        """Back to tick 0: on the ground at the take-off spot, rotors stopped, battery full."""
+        self._scans.clear()
+        self._images.clear()
+        state = mujoco.mjtState.mjSTATE_INTEGRATION
+        mujoco.mj_setState(self._model, self._data, self._start_state, state)
+        self._wind = Wind(self._wind_params, self._seed)
+        self._air[:] = self._wind.step(self._step_s, self._vehicle.leg_height_m, 0.0)
+        mujoco.mj_forward(self._model, self._data)
+        self._tick = 0
+        self._rotors = Rotors(
+            self._vehicle, rotor_geometry(self._model), tick_s=1.0 / self._sim.tick_hz
+        )
+        self._battery = Battery(self._sim.battery_capacity_j)
+        self._imu = ImuSensor(self._imu_params, self._sim.tick_hz, self._sim.imu_ticks, self._seed)
+        self._ground_z = float(self._position[2]) - self._vehicle.leg_height_m
+        self._imu_rotation = matrix_from_quat_wxyz(self._quat)
+        self._imu_velocity = self._velocity.copy()
+        self._track_positions[0] = self._position
+        self._track_quats[0] = self._quat
+        self._acceleration = np.zeros(3)
+        self._peak_acceleration = 0.0
+        self._contacts: tuple[Contact, ...] = self._contact_sensor.read(self._data)
+        return self._observation(())
+
+    def step(self, command: Command) -> Observation:
+        """Advances ``control_ticks``. RuntimeError: the command or the physics is not finite."""
+        self._take_command(command)
+        height = float(self._position[2]) - self._ground_z
+        airspeed = float(np.linalg.norm(self._velocity - self._air))
+        self._air[:] = self._wind.step(self._step_s, height, airspeed)
+        clearance = self._ground.clearance(self._data, self._position)
+        velocity_before = self._velocity.copy()
+        self._peak_acceleration = 0.0
+        self._contacts = ()
+        imu: list[ImuSample] = []
+        for _ in range(self._sim.control_ticks):
+            self._advance_tick(clearance)
+            self._sense(imu)
+        self._acceleration = (self._velocity - velocity_before) / self._step_s
+        self._battery.draw(self._rotors.shaft_power(), self._step_s)
+        self._check_finite()
+        return self._observation(tuple(imu))
+
+    def truth(self) -> Truth:
+        """The true state now. ``acceleration_world`` is dv/dt: 0 in hover and at rest.
+        ``contacts`` are those of the last tick of the control step that had any."""
+        return Truth(
+            tick=self._tick,
+            time_s=self._tick / self._sim.tick_hz,
+            world_from_body=self._pose(),
+            velocity_world=_frozen(self._velocity),
+            acceleration_world=_frozen(self._acceleration),
+            angular_velocity_body=_frozen(self._angular_velocity),
+            wind_world=_frozen(self._air),
+            rotor_speed_radps=_frozen(self._rotors.speeds),
+            contacts=self._contacts,
+            peak_contact_accel=self._peak_acceleration,
+            energy_used_j=self._battery.energy_used_j,
+        )
+
+    def close(self) -> None:
+        """Ends the worker thread and frees the camera. The world is unusable afterwards."""
+        self._scans.clear()
+        self._images.clear()
+        for camera in (self._camera, self._right):
+            if camera is not None:
+                self._executor.submit(camera.close).result()
+        self._executor.shutdown(wait=True)
+
+    # ------------------------------------------------------------------------ one step
+
+    def _take_command(self, command: Command) -> None:
+        if not np.all(np.isfinite(command.rotor_speed_radps)):
+            raise RuntimeError(
+                f"tick {self._tick}: the command {command.rotor_speed_radps} is not finite"
+            )
+        if self._battery.empty:
+            self._rotors.cut()
+        else:
+            self._rotors.demand(command.rotor_speed_radps)
+
+    def _advance_tick(self, clearance_m: float) -> None:
+        before = self._velocity.tolist()
+        self._wrench[:] = self._rotors.step(
+            self._quat, self._velocity, self._angular_velocity, self._air, clearance_m
+        )
+        mujoco.mj_step(self._model, self._data)
+        self._tick += 1
+        self._moving.write(self._data, self._tick / self._sim.tick_hz)
+        if self._data.ncon:
+            self._contacts = self._contact_sensor.read(self._data)
+        x, y, z = self._velocity.tolist()
+        change = ((x - before[0]) ** 2 + (y - before[1]) ** 2 + (z - before[2]) ** 2) ** 0.5
+        self._peak_acceleration = max(self._peak_acceleration, change * self._sim.tick_hz)
+
+    def _sense(self, imu: list[ImuSample]) -> None:
+        """What is measured at this tick."""
+        if self._tick % self._sim.imu_ticks == 0:
+            imu.append(self._sample_imu())
+        if self._lidar is not None:
+            self._record_track()
+        if self._image_period and self._tick % self._image_period == 0:
+            # mj_step leaves positions of the tick's beginning behind.
+            mujoco.mj_kinematics(self._model, self._data)
+            mujoco.mj_camlight(self._model, self._data)
+            self._images.submit(
+                self._tick + self._sim.compute_latency_ticks,
+                self._render,
+                self._camera.snapshot(self._data),
+                self._tick,
+            )
+
+    def _sample_imu(self) -> ImuSample:
+        rotation, velocity = matrix_from_quat_wxyz(self._quat), self._velocity.copy()
+        mount = self.rig.body_from_imu.rotation
+        sample = self._imu.sample(
+            self._tick,
+            self._imu_rotation @ mount,
+            rotation @ mount,
+            self._imu_velocity,
+            velocity,
+        )
+        self._imu_rotation, self._imu_velocity = rotation, velocity
+        return sample
+
+    def _record_track(self) -> None:
+        ticks = self._sim.lidar_scan_ticks
+        row = (self._tick - 1) % ticks + 1
+        self._track_positions[row] = self._position
+        self._track_quats[row] = self._quat
+        if row == ticks:
+            self._scans.submit(
+                self._tick + self._sim.compute_latency_ticks,
+                self._scan,
+                self._tick,
+                self._track_positions.copy(),
+                self._track_quats.copy(),
+            )
+            self._track_positions[0] = self._position
+            self._track_quats[0] = self._quat
+
+    # ------------------------------------------------------------------------ worker thread
+
+    def _scan(self, end_tick: int, positions: Array, quats_wxyz: Array) -> LidarScan:
+        assert self._lidar is not None
+        start_tick = end_tick - self._sim.lidar_scan_ticks
+        times_s = np.arange(start_tick, end_tick + 1) / self._sim.tick_hz
+        return self._lidar.scan(
+            start_tick,
+            end_tick,
+            self._sim.tick_hz,
+            times_s,
+            positions,
+            quats_wxyz,
+            self.rig.body_from_lidar,
+            self._moving.tracks(times_s),
+        )
+
+    def _render(self, snapshot: Snapshot, tick: int) -> CameraImage:
+        return CameraImage(
+            tick=tick,
+            time_s=tick / self._sim.tick_hz,
+            rgb=self._camera.render(snapshot, tick),
+            right_rgb=self._right.render(snapshot, tick) if self._right else None,
+        )
+
+    # ------------------------------------------------------------------------ messages
+
+    def _observation(self, imu: tuple[ImuSample, ...]) -> Observation:
+        return Observation(
+            tick=self._tick,
+            time_s=self._tick / self._sim.tick_hz,
+            imu=imu,
+            scans=self._scans.collect(self._tick),
+            images=self._images.collect(self._tick),
+            rotor_speed_radps=_frozen(self._rotors.speeds),
+            battery_fraction=self._battery.fraction,
+        )
+
+    def _pose(self) -> Pose:
+        rotation = matrix_from_quat_wxyz(self._quat)
+        rotation.setflags(write=False)
+        return Pose(rotation, _frozen(self._position))
+
+    def _check_finite(self) -> None:
+        checksum = float(self._position @ self._position + self._velocity @ self._velocity)
+        if not checksum < 1e12:
+            raise RuntimeError(
+                f"tick {self._tick}: the physics diverged (position {self._position}, "
+                f"velocity {self._velocity})"
+            )
+
+
+def _frozen(array: Array) -> Array:
+    """A read-only copy."""
+    copy = array.copy()
+    copy.setflags(write=False)
+    return copy

@@ -1,0 +1,10 @@
+"""Settings of the whole test suite, before anything is imported."""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+# Tests share the machine with each other's processes; libraries stay on one thread.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")

@@ -1,0 +1,447 @@
+"""The LIDAR against hand-computed geometry and against MuJoCo's own ray caster."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from scenes.api import LAND_CLASSES, GroundRaster, Scene, Surface
+from sim import livox
+from sim.api import LidarParams, LidarScan
+from sim.frames import (
+    BODY_FROM_DOWNWARD_OPTICAL,
+    Pose,
+    matrices_from_quats_wxyz,
+    quat_wxyz_from_matrix,
+    so3_exp,
+)
+from sim.lidar import LidarSensor
+from sim.lidar_kernels import max_range
+from sim.lidar_scene import LidarScene
+
+Array = NDArray[np.float64]
+
+TICK_HZ = 600
+DOWN = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.zeros(3))
+# Boresight along body +x, long axis along body -y, short axis up.
+FORWARD = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+PERFECT = LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.0)
+BRIGHT = Surface(land_class="other", reflectivity=0.8)
+
+
+def make_scene(
+    world: str,
+    surfaces: Mapping[str, Surface] | None = None,
+    ground: GroundRaster | None = None,
+    assets: str = "",
+) -> Scene:
+    xml = f"<mujoco><asset>{assets}</asset><worldbody>{world}</worldbody></mujoco>"
+    return Scene(
+        name="test",
+        seed=0,
+        model=mujoco.MjModel.from_xml_string(xml),
+        takeoff_xy_m=np.zeros(2),
+        takeoff_yaw=0.0,
+        bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]),
+        surfaces=surfaces or {},
+        ground=ground,
+        moving=(),
+    )
+
+
+def take_scan(
+    scene: Scene,
+    mount: Pose = DOWN,
+    height: float = 30.0,
+    params: LidarParams = PERFECT,
+    seed: int = 1,
+    ticks: tuple[int, int] = (0, 60),
+    turn_rate: Array | None = None,
+    **bodies: object,
+) -> LidarScan:
+    """A scan from (0, 0, height), the body level or turning at ``turn_rate`` (3,) rad/s."""
+    times, positions, quats = track(ticks, height, turn_rate)
+    sensor = LidarSensor(scene, params, seed)
+    return sensor.scan(*ticks, TICK_HZ, times, positions, quats, mount, dict(bodies))  # type: ignore[arg-type]
+
+
+def track(
+    ticks: tuple[int, int], height: float, turn_rate: Array | None = None
+) -> tuple[Array, Array, Array]:
+    times = np.arange(ticks[0], ticks[1] + 1) / TICK_HZ
+    rate = np.zeros(3) if turn_rate is None else turn_rate
+    quats = np.array([quat_wxyz_from_matrix(so3_exp(rate * (t - times[0]))) for t in times])
+    return times, np.tile([0.0, 0.0, height], (len(times), 1)), quats
+
+
+def returned(scan: LidarScan) -> NDArray[np.bool_]:
+    return scan.ranges > 0.0
+
+
+# ------------------------------------------------------------------------------------- pattern
+
+
+def angles_deg(beams: NDArray[np.float32]) -> tuple[Array, Array]:
+    """Azimuth along the long axis and elevation along the short one."""
+    x, y, z = beams.astype(np.float64).T
+    return np.rad2deg(np.arctan2(x, z)), np.rad2deg(np.arcsin(y))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "recorded", "model"),
+    [(0.1, 61.0, 60.0), (0.2, 83.0, 82.0), (0.3, 91.0, 90.0), (0.5, 95.0, 95.0)],
+)
+def test_coverage_of_the_field_of_view(seconds: float, recorded: float, model: float) -> None:
+    cells = np.array([264, 81])
+    width, height = livox.FIELD_OF_VIEW_DEG
+    shares = []
+    for start in (0, 1_234_567, 50_000_000):
+        azimuth, elevation = angles_deg(
+            livox.directions(start, int(seconds * livox.POINT_RATE_HZ))
+        )
+        seen, _, _ = np.histogram2d(
+            azimuth,
+            elevation,
+            bins=cells,
+            range=[[-width / 2, width / 2], [-height / 2, height / 2]],
+        )
+        shares.append(100.0 * np.mean(seen > 0))
+    assert np.mean(shares) == pytest.approx(model, abs=1.0)
+    assert np.mean(shares) == pytest.approx(recorded, abs=3.0)
+
+
+def test_pattern_is_a_function_of_the_pulse_index() -> None:
+    whole = livox.directions(1_000_000, 500)
+    np.testing.assert_array_equal(livox.directions(1_000_123, 100), whole[123:223])
+    np.testing.assert_allclose(np.linalg.norm(whole, axis=1), 1.0, atol=1e-6)
+
+
+def test_six_lasers_fan_out_in_the_short_direction() -> None:
+    fan = livox.directions(0, 6)
+    # Within 25 microseconds the prisms hardly turn: the lasers' own spread of 2 * 0.03661 rad
+    # remains, refracted a little.
+    _, elevation = angles_deg(fan)
+    assert np.all(np.diff(elevation) > 0.0)
+    assert np.ptp(elevation) == pytest.approx(np.rad2deg(2 * 0.03661), rel=0.25)
+
+
+def test_unknown_preset_is_named() -> None:
+    with pytest.raises(ValueError, match=r"'avios'.*horizon"):
+        LidarSensor(make_scene(PLANE), LidarParams(preset="avios"), 0)
+
+
+# ----------------------------------------------------------------------- geometry and ray caster
+
+PLANE = '<geom name="plane" type="plane" size="0 0 1"/>'
+
+
+def test_box_on_a_plane_from_known_height() -> None:
+    box = '<geom name="box" type="box" size="2 3 1" pos="0 0 1"/>'
+    scan = take_scan(make_scene(PLANE + box, {"plane": BRIGHT, "box": BRIGHT}))
+    points = DOWN.apply(scan.points.astype(np.float64)) + [0.0, 0.0, 30.0]
+    down = -scan.directions.astype(np.float64) @ DOWN.rotation.T
+    crossing = 28.0 * down[:, :2] / -down[:, 2:]
+    inside = (np.abs(crossing) < [2.0, 3.0]).all(axis=1)
+    assert inside.sum() > 100
+    assert returned(scan).all()
+    np.testing.assert_allclose(points[inside, 2], 2.0, atol=1e-4)
+    on_ground = (np.abs(points[:, :2]) > [2.01, 3.01]).any(axis=1)
+    np.testing.assert_allclose(points[on_ground, 2], 0.0, atol=1e-4)
+
+
+def test_scan_holds_the_pulses_of_its_span() -> None:
+    scene = make_scene(PLANE)
+    first, second = take_scan(scene), take_scan(scene, ticks=(60, 120))
+    assert len(first.ranges) == len(second.ranges) == 24_000
+    assert first.time_offsets[0] == pytest.approx(1 / 240_000)
+    assert first.time_offsets[-1] == pytest.approx(0.1)
+    assert np.all(np.diff(second.time_offsets) > 0.0)
+    np.testing.assert_array_equal(second.directions, livox.directions(24_001, 24_000))
+    assert not first.ranges.flags.writeable
+
+
+GEOMS = {
+    "sphere": ('type="sphere" size="1.3"', 2e-3),
+    "pebble": ('type="sphere" size="0.3"', 1e-3),
+    "ellipsoid": ('type="ellipsoid" size="1 0.6 1.4"', 2e-3),
+    "capsule": ('type="capsule" size="0.4 1"', 1e-3),
+    "cylinder": ('type="cylinder" size="0.7 1"', 1.2e-3),
+    "box": ('type="box" size="1 0.5 0.8"', 1e-3),
+    "mesh": ('type="mesh" mesh="tetrahedron"', 1e-3),
+    "hfield": ('type="hfield" hfield="field"', 1e-3),
+    "plane": ('type="plane" size="4 3 1"', 1e-3),
+}
+ASSETS = (
+    '<mesh name="tetrahedron" vertex="0 0 0 2 0 0 0 2 0 0 0 2"/>'
+    '<hfield name="field" nrow="33" ncol="41" size="3 2 1 0.5"/>'
+)
+
+
+@pytest.mark.parametrize("kind", GEOMS)
+def test_distances_are_those_of_mujoco(kind: str) -> None:
+    """Flat shapes: along the ray. Round ones are tessellated: across the surface, since a ray at a
+    grazing angle stretches the same chord error."""
+    attributes, tolerance = GEOMS[kind]
+    scene = make_scene(
+        f'<geom name="g" {attributes} pos="1 2 3" euler="20 30 40"/>', assets=ASSETS
+    )
+    rng = np.random.default_rng(7)
+    model = scene.model
+    model.hfield_data[:] = rng.uniform(size=model.nhfielddata)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    rays = rng.standard_normal((6000, 6))
+    rays[:, 3:] /= np.linalg.norm(rays[:, 3:], axis=1, keepdims=True)
+    if kind == "plane":  # MuJoCo's planes have a front only
+        rays[:, 3:] *= -np.sign(rays[:, 3:] @ data.geom_xmat[0].reshape(3, 3)[:, 2:])
+    rays[:, :3] = [1.0, 2.0, 3.0] + rng.uniform(-1.1, 1.1, (6000, 3)) - 15.0 * rays[:, 3:]
+    target = LidarScene(scene).static
+    assert target is not None
+    hits = target.cast(rays.astype(np.float32))
+    geom = np.zeros(1, dtype=np.int32)
+    truth = np.array(
+        [mujoco.mj_ray(model, data, r[:3], r[3:], None, 1, -1, geom) for r in rays]
+    )
+    both = (truth >= 0.0) & np.isfinite(hits.distance)
+    agree = (truth >= 0.0) == np.isfinite(hits.distance)
+    error = np.abs(hits.distance - truth)[both]
+    if kind not in ("box", "mesh", "hfield", "plane"):
+        error *= np.abs(hits.cosine[both])
+    assert both.sum() > 300
+    assert agree.mean() > 0.998
+    assert np.mean(error < tolerance) > 0.999
+
+
+def test_vehicle_hidden_groups_and_invisible_geoms_are_transparent() -> None:
+    clutter = (
+        '<geom name="vehicle/leg" type="box" size="9 9 0.1" pos="0 0 20"/>'
+        '<body name="vehicle/hull"><geom type="box" size="9 9 0.1" pos="0 0 21"/></body>'
+        '<geom name="helper" type="box" size="9 9 0.1" pos="0 0 22" group="3"/>'
+        '<geom name="ghost" type="box" size="9 9 0.1" pos="0 0 23" rgba="1 1 1 0"/>'
+    )
+    scan = take_scan(make_scene(PLANE + clutter, {"plane": BRIGHT}))
+    heights = scan.ranges * scan.directions[:, 2]
+    np.testing.assert_allclose(heights, 30.0, atol=1e-3)
+
+
+# -------------------------------------------------------------------------------- noise and returns
+
+
+def wall(distance: float, half_size: float = 200.0) -> str:
+    return (
+        f'<geom name="wall" type="box" size="0.5 {half_size} {half_size}" '
+        f'pos="{distance + 0.5} 0 30"/>'
+    )
+
+
+def test_wall_at_20_m_has_two_centimetres_of_noise() -> None:
+    scene = make_scene(wall(20.0, 30.0), {"wall": BRIGHT})
+    scan = take_scan(scene, FORWARD, params=LidarParams())
+    azimuth, _ = angles_deg(scan.directions)
+    points = scan.points[np.abs(azimuth) < 10.0].astype(np.float64)
+    assert len(points) > 3000
+    centred = points - points.mean(axis=0)
+    normal = np.linalg.svd(centred, full_matrices=False)[2][2]
+    assert np.std(centred @ normal) == pytest.approx(0.02, abs=0.002)
+    assert points[:, 2].mean() == pytest.approx(20.0, abs=0.005)
+
+
+def test_beam_angle_noise() -> None:
+    """A beam that deviates by s radians at incidence a changes the range by R s tan(a)."""
+    scene = make_scene(wall(20.0, 30.0), {"wall": BRIGHT})
+    noisy = take_scan(
+        scene, FORWARD, params=LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.05)
+    )
+    clean = take_scan(scene, FORWARD)
+    tangent = np.hypot(clean.directions[:, 0], clean.directions[:, 1]) / clean.directions[:, 2]
+    oblique = tangent > 0.2
+    deviation = (noisy.ranges - clean.ranges) / (clean.ranges * tangent)
+    assert np.rad2deg(np.std(deviation[oblique])) == pytest.approx(0.05, rel=0.03)
+
+
+@pytest.mark.parametrize(("reflectivity", "limit"), [(0.1, 90.0), (0.2, 130.0), (0.8, 260.0)])
+def test_range_limits(reflectivity: float, limit: float) -> None:
+    assert max_range(reflectivity) == pytest.approx(limit)
+    surface = Surface(land_class="other", reflectivity=reflectivity)
+
+    def share(distance: float) -> float:
+        scene = make_scene(wall(distance), {"wall": surface})
+        params = LidarParams(max_range_m=400.0)
+        scan = take_scan(scene, FORWARD, params=params)
+        ahead = scan.directions[:, 2] > np.cos(np.deg2rad(3.0))
+        return float(np.mean(returned(scan)[ahead]))
+
+    assert share(0.94 * limit) > 0.95
+    assert share(1.06 * limit) < 0.05
+
+
+def test_incidence_shortens_the_range_and_dims_the_return() -> None:
+    scene = make_scene(PLANE, {"plane": Surface(land_class="lawn", reflectivity=0.4)})
+    scan = take_scan(scene)
+    cosine = scan.directions[:, 2]
+    np.testing.assert_allclose(scan.intensity, 150.0 * 0.4 * cosine, atol=0.51)
+    assert max_range(0.1 * 0.5) < max_range(0.1)
+
+
+def test_nothing_nearer_than_the_least_range() -> None:
+    scene = make_scene(PLANE, {"plane": BRIGHT})
+    assert not returned(take_scan(scene, height=0.3)).any()
+    assert returned(take_scan(scene, height=0.6)).all()
+
+
+@pytest.mark.parametrize("by_raster", [False, True])
+def test_water_returns_near_nadir_only(by_raster: bool) -> None:
+    water = LAND_CLASSES.index("water")
+    raster = GroundRaster(
+        geom_name="plane",
+        origin_xy_m=np.array([-50.0, -50.0]),
+        cell_m=1.0,
+        class_id=np.full((100, 100), water, dtype=np.uint8),
+        reflectivity=np.full((100, 100), 0.05, dtype=np.float32),
+    )
+    lake = Surface(land_class="water", reflectivity=0.05, water=True)
+    scene = make_scene(
+        PLANE, {} if by_raster else {"plane": lake}, raster if by_raster else None
+    )
+    scan = take_scan(scene, params=LidarParams())
+    incidence = np.rad2deg(np.arccos(scan.directions[:, 2]))
+    assert returned(scan)[incidence < 3.0].mean() > 0.8
+    assert 0.05 < returned(scan)[(incidence > 9.0) & (incidence < 11.0)].mean() < 0.7
+    assert returned(scan)[incidence > 20.0].sum() == 0
+
+
+def test_terrain_raster_gives_reflectivity_by_position() -> None:
+    reflectivity = np.full((60, 60), 0.2, dtype=np.float32)
+    reflectivity[:, 30:] = 0.6
+    raster = GroundRaster(
+        geom_name="plane",
+        origin_xy_m=np.array([-30.0, -30.0]),
+        cell_m=1.0,
+        class_id=np.zeros((60, 60), dtype=np.uint8),
+        reflectivity=reflectivity,
+    )
+    scan = take_scan(make_scene(PLANE, ground=raster))
+    world_x = (scan.points.astype(np.float64) @ DOWN.rotation.T)[:, 0]
+    expected = np.where(world_x > 0.0, 0.6, 0.2) * scan.directions[:, 2] * 150.0
+    np.testing.assert_allclose(scan.intensity, expected, atol=0.51)
+
+
+def test_porous_crown_lets_its_share_through() -> None:
+    crown = '<geom name="crown" type="ellipsoid" size="20 30 2" pos="0 0 10"/>'
+    trunk = '<geom name="trunk" type="cylinder" size="1 5" pos="0 0 5"/>'
+    leaves = Surface(land_class="trees", reflectivity=0.5, porosity=0.3)
+    scene = make_scene(
+        PLANE + crown + trunk, {"plane": BRIGHT, "crown": leaves, "trunk": BRIGHT}
+    )
+    scan = take_scan(scene)
+    points = scan.points.astype(np.float64) @ DOWN.rotation.T + [0.0, 0.0, 30.0]
+    over = np.hypot(points[:, 0] / 20.0, points[:, 1] / 30.0) < 0.5
+    low = points[:, 2] < 1.0
+    through_ground = low & (np.hypot(points[:, 0], points[:, 1]) > 1.1)
+    crown_hit = points[:, 2] > 10.0
+    near_axis = np.hypot(points[:, 0], points[:, 1]) < 0.9
+    assert (points[over & ~near_axis, 2] > 10.0).mean() == pytest.approx(0.7, abs=0.02)
+    assert returned(scan).all()
+    np.testing.assert_allclose(points[through_ground, 2], 0.0, atol=2e-3)
+    assert np.all(crown_hit | low | (np.hypot(points[:, 0], points[:, 1]) < 1.1))
+    on_trunk = near_axis & ~crown_hit
+    np.testing.assert_allclose(points[on_trunk, 2], 10.0, atol=2e-3)
+
+
+# ------------------------------------------------------------------------------------------ motion
+
+
+def test_turning_vehicle_bends_the_wall_until_deskewed() -> None:
+    scene = make_scene(wall(20.0, 60.0), {"wall": BRIGHT})
+    rate = np.array([0.0, 0.0, np.deg2rad(60.0)])
+    scan = take_scan(scene, FORWARD, turn_rate=rate)
+    in_body = scan.points.astype(np.float64) @ FORWARD.rotation.T
+    turns = np.array([so3_exp(rate * t) for t in scan.time_offsets[::50]])
+    straight = np.einsum("nij,nj->ni", turns, in_body[::50])
+    np.testing.assert_allclose(straight[:, 0], 20.0, atol=2e-3)
+    assert np.std(in_body[:, 0]) > 0.5
+
+
+def test_lever_arm_and_translation() -> None:
+    """A LIDAR 0.4 m below a body that climbs at 10 m/s sees the ground recede."""
+    scene = make_scene(PLANE, {"plane": BRIGHT})
+    times, positions, quats = track((0, 60), 20.0)
+    positions[:, 2] += 10.0 * times
+    mount = Pose(DOWN.rotation, np.array([0.0, 0.0, -0.4]))
+    scan = LidarSensor(scene, PERFECT, 0).scan(0, 60, TICK_HZ, times, positions, quats, mount, {})
+    heights = scan.ranges * scan.directions[:, 2]
+    np.testing.assert_allclose(heights, 19.6 + 10.0 * scan.time_offsets, atol=1e-3)
+
+
+CAR = (
+    '<body name="car" mocap="true" pos="0 0 0.75">'
+    '<geom name="car" type="box" size="2 0.9 0.75"/></body>'
+)
+
+
+def roof_points(scan: LidarScan) -> Array:
+    points = scan.points.astype(np.float64) @ DOWN.rotation.T + [0.0, 0.0, 20.0]
+    roof: Array = points[np.abs(points[:, 2] - 1.5) < 0.01]
+    return roof
+
+
+def test_moving_body_is_hit_where_it_is() -> None:
+    scene = make_scene(PLANE + CAR, {"plane": BRIGHT, "car": BRIGHT})
+    quarter_turn = Pose(so3_exp(np.array([0.0, 0.0, np.pi / 2])), np.array([1.0, 4.0, 0.75]))
+    roof = roof_points(take_scan(scene, height=20.0, car=quarter_turn))
+    assert len(roof) > 100
+    assert np.all(np.abs(roof[:, :2] - [1.0, 4.0]) < [0.91, 2.01])
+    at_rest = roof_points(take_scan(scene, height=20.0))
+    assert np.all(np.abs(at_rest[:, :2]) < [2.01, 0.91])
+
+
+def test_moving_body_moves_within_the_scan() -> None:
+    scene = make_scene(PLANE + CAR, {"plane": BRIGHT, "car": BRIGHT})
+    times, positions, quats = track((0, 60), 20.0)
+    path = np.stack([0.0 * times, -3.0 + 60.0 * times, 0.75 + 0.0 * times], axis=-1)
+    sensor = LidarSensor(scene, PERFECT, 0)
+    scan = sensor.scan(0, 60, TICK_HZ, times, positions, quats, DOWN, {"car": (path, quats)})
+    points = scan.points.astype(np.float64) @ DOWN.rotation.T + [0.0, 0.0, 20.0]
+    on_roof = np.abs(points[:, 2] - 1.5) < 0.01
+    drawn_from = -3.0 + 60.0 * scan.time_offsets.astype(np.float64)
+    assert on_roof.sum() > 100
+    assert np.all(np.abs(points[on_roof, 1] - drawn_from[on_roof]) < 0.92)
+
+
+def test_unknown_moving_body_is_named() -> None:
+    with pytest.raises(ValueError, match="'tram' is not a moving body"):
+        take_scan(make_scene(PLANE + CAR), tram=Pose.identity())
+
+
+def test_track_must_cover_the_scan() -> None:
+    times, positions, quats = track((0, 59), 20.0)
+    with pytest.raises(ValueError, match="cover the scan"):
+        LidarSensor(make_scene(PLANE), PERFECT, 0).scan(
+            0, 60, TICK_HZ, times, positions, quats, DOWN, {}
+        )
+
+
+def test_quaternion_signs_do_not_matter() -> None:
+    scene = make_scene(wall(20.0, 60.0), {"wall": BRIGHT})
+    times, positions, quats = track((0, 60), 30.0, np.array([0.1, 0.2, 0.9]))
+    flipped = quats * np.where(np.arange(61) % 3 == 0, -1.0, 1.0)[:, None]
+    np.testing.assert_allclose(
+        matrices_from_quats_wxyz(flipped), matrices_from_quats_wxyz(quats), atol=1e-12
+    )
+    sensor = LidarSensor(scene, PERFECT, 0)
+    scans = [
+        sensor.scan(0, 60, TICK_HZ, times, positions, q, FORWARD, {}) for q in (quats, flipped)
+    ]
+    np.testing.assert_allclose(scans[0].ranges, scans[1].ranges, atol=1e-4)
+
+
+def test_same_seed_same_bytes() -> None:
+    scene = make_scene(PLANE + CAR)
+    first, again, other = (take_scan(scene, params=LidarParams(), seed=s) for s in (5, 5, 6))
+    assert first.ranges.tobytes() == again.ranges.tobytes()
+    assert first.intensity.tobytes() == again.intensity.tobytes()
+    assert first.ranges.tobytes() != other.ranges.tobytes()
