@@ -45,7 +45,7 @@ class ControlParams:
     __pydantic_config__ = FORBID_EXTRA
 
     control_hz: int = 200
-    max_tilt_deg: float = 30.0
+    max_tilt_deg: float = 35.0
     motor_response_s: float = 0.012
     """time constant of the rotors behind the lead that speeds them up"""
     rate_radps: float = 28.0
@@ -55,9 +55,9 @@ class ControlParams:
     """crossover of the roll and pitch angle loops"""
     yaw_radps: float = 4.0
     velocity_xy_radps: float = 3.5
-    velocity_z_radps: float = 6.0
+    velocity_z_radps: float = 7.0
     position_xy_radps: float = 1.4
-    position_z_radps: float = 2.0
+    position_z_radps: float = 2.5
     rate_integral_ratio: float = 10.0
     """crossover of a rate loop over the corner frequency of its integral"""
     velocity_integral_ratio: float = 5.0

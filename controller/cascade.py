@@ -84,10 +84,9 @@ class CascadeController:
         demand = self._rate_pid.output(wanted_rates - rates, (rates - last_rates) / self._step_s)
         self._last_rates = rates
         wrench = _wrench(thrust, demand, rates, self._vehicle.inertia_kgm2)
-        limited = setpoint.thrust_limit is not None
-        limit_n = setpoint.thrust_limit * self._weight if limited else np.inf
-        speeds = self._mixer.speeds(wrench, limit_n)
-        if not limited:
+        share = setpoint.thrust_limit
+        speeds = self._mixer.speeds(wrench, np.inf if share is None else share * self._weight)
+        if share is None:  # on the ground the errors are not the controller's to integrate away
             self._settle(force, wrench, demand, self._mixer.wrench(speeds))
         return Command(rotor_speed_radps=self._lead.command(speeds))
 

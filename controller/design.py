@@ -5,7 +5,8 @@ inside, which is closed; the loops around it are open. The rows called ``actuato
 cascade at the rotors. The model is discrete at the control rate: airframe and motor lag behind a
 zero-order hold, one more sample of delay, the motor lead, and the very gains that fly. Torques are
 scaled by the inertia and thrust by the mass, so of the vehicle only the motors' lag matters; drag,
-which damps, is left out.
+which damps, is left out, and so is the observer of the wind's force, in which the loops' own action
+cancels.
 """
 
 from __future__ import annotations
@@ -45,13 +46,21 @@ class LoopMargin:
 
 @dataclass(frozen=True, slots=True)
 class _Stage:
-    """One loop: command = forward * reference - feedback * outputs of the plant."""
+    """One loop: command = forward (reference - measured outputs) - damping outputs."""
 
     name: str
     forward: System
     """1 x 1"""
-    feedback: System
-    """1 x number of outputs"""
+    measured: System
+    """1 x number of outputs: picks what the reference is compared with"""
+    damping: System | None = None
+    """1 x number of outputs: the derivative on measurement"""
+
+    @property
+    def feedback(self) -> System:
+        """1 x number of outputs: all that the loop feeds back."""
+        direct = self.forward * self.measured
+        return direct if self.damping is None else direct + self.damping
 
 
 def loop_margins(vehicle: VehicleModel, params: ControlParams) -> list[LoopMargin]:
@@ -96,26 +105,21 @@ def _tilt_stages(gains: CascadeGains, params: ControlParams) -> list[_Stage]:
     position = _gain([[gains.position[0]]], step_s)
     return [
         _rate_stage("rate roll/pitch", gains, 0, outputs, step_s),
-        _Stage("attitude roll/pitch", attitude, attitude * _pick(1, outputs, step_s)),
-        _Stage(
-            "velocity horizontal",
-            per_g * velocity,
-            per_g * (velocity * _pick(2, outputs, step_s) + damping),
-        ),
-        _Stage("position horizontal", position, position * _pick(3, outputs, step_s)),
+        _Stage("attitude roll/pitch", attitude, _pick(1, outputs, step_s)),
+        _Stage("velocity horizontal", per_g * velocity, _pick(2, outputs, step_s), per_g * damping),
+        _Stage("position horizontal", position, _pick(3, outputs, step_s)),
     ]
 
 
-def _rate_stage(
-    name: str, gains: CascadeGains, axis: int, outputs: int, step_s: float
-) -> _Stage:
+def _rate_stage(name: str, gains: CascadeGains, axis: int, outputs: int, step_s: float) -> _Stage:
     """The derivative, a backward difference, acts on the measured rate alone; output 0."""
     import control
 
     forward = _pi(gains.rate.kp[axis], gains.rate.ki[axis], step_s)
     per_step = gains.rate.kd[axis] / step_s
     derivative = control.ss(0.0, 1.0, -per_step, per_step, step_s)
-    return _Stage(name, forward, (forward + derivative) * _pick(0, outputs, step_s))
+    output = _pick(0, outputs, step_s)
+    return _Stage(name, forward, output, derivative * output)
 
 
 def _yaw_stages(gains: CascadeGains, params: ControlParams) -> list[_Stage]:
@@ -124,7 +128,7 @@ def _yaw_stages(gains: CascadeGains, params: ControlParams) -> list[_Stage]:
     attitude = _gain([[gains.attitude[2]]], step_s)
     return [
         _rate_stage("rate yaw", gains, 2, 2, step_s),
-        _Stage("attitude yaw", attitude, attitude * _pick(1, 2, step_s)),
+        _Stage("attitude yaw", attitude, _pick(1, 2, step_s)),
     ]
 
 
@@ -135,8 +139,8 @@ def _height_stages(gains: CascadeGains, params: ControlParams) -> list[_Stage]:
     damping = _gain([[0.0, 0.0, gains.velocity.kd[2]]], step_s)
     position = _gain([[gains.position[2]]], step_s)
     return [
-        _Stage("velocity vertical", velocity, velocity * _pick(0, 3, step_s) + damping),
-        _Stage("position vertical", position, position * _pick(1, 3, step_s)),
+        _Stage("velocity vertical", velocity, _pick(0, 3, step_s), damping),
+        _Stage("position vertical", position, _pick(1, 3, step_s)),
     ]
 
 
@@ -210,7 +214,9 @@ def _closed(plant: System, stage: _Stage) -> System:
     """From the stage's reference to the plant's outputs."""
     import control
 
-    return control.feedback(plant, stage.feedback) * stage.forward
+    if stage.damping is not None:
+        plant = control.feedback(plant, stage.damping)
+    return control.feedback(plant * stage.forward, stage.measured)
 
 
 def _cut_loops(plant: System, stages: list[_Stage]) -> list[tuple[str, System]]:
@@ -234,7 +240,7 @@ def _margin(name: str, loop: System) -> LoopMargin:
     that polynomials with many poles near z = 1 suffer from."""
     import control
 
-    grid = np.geomspace(0.01, 0.999 * np.pi / loop.dt, 20_000)
+    grid = np.geomspace(0.01, 0.999 * np.pi / loop.dt, 1_500)
     response = control.frd(loop, grid)
     gain, phase, _, _, crossover, _ = control.stability_margins(response, returnall=True)
     return LoopMargin(

@@ -47,7 +47,7 @@ class DisturbanceObserver:
             self.acceleration,
             acceleration,
             rotation,
-            self._thrust_per_mass * (rotor_speed_radps @ rotor_speed_radps),
+            self._thrust_per_mass * float(rotor_speed_radps @ rotor_speed_radps),
             expected,
             self._approach,
         )

@@ -1,7 +1,7 @@
 """PID gains in closed form from the bandwidths in ``ControlParams``.
 
-Every loop of the cascade sees, below the bandwidth of the loop inside it, an integrator: torque over
-inertia gives angular rate, rate gives angle, thrust direction gives velocity, velocity gives
+Every loop of the cascade sees, below the bandwidth of the loop inside it, an integrator: torque
+over inertia gives angular rate, rate gives angle, thrust direction gives velocity, velocity gives
 position. A proportional gain k on an integrator crosses 0 dB at k rad/s, and a PI corner at
 k / ratio costs atan(1 / ratio) of phase there. ``controller.design`` checks the margins of these
 gains against the full linear model, motor lag and sampling included.
@@ -41,8 +41,12 @@ class CascadeGains:
 
 def cascade_gains(params: ControlParams) -> CascadeGains:
     """Gains for the bandwidths ``params``; raises ValueError when one is not positive."""
-    position = np.array([params.position_xy_radps, params.position_xy_radps, params.position_z_radps])
-    velocity = np.array([params.velocity_xy_radps, params.velocity_xy_radps, params.velocity_z_radps])
+    position = np.array(
+        [params.position_xy_radps, params.position_xy_radps, params.position_z_radps]
+    )
+    velocity = np.array(
+        [params.velocity_xy_radps, params.velocity_xy_radps, params.velocity_z_radps]
+    )
     attitude = np.array([params.attitude_radps, params.attitude_radps, params.yaw_radps])
     rate = np.array([params.rate_radps, params.rate_radps, params.yaw_rate_radps])
     ratios = [params.rate_integral_ratio, params.velocity_integral_ratio]

@@ -69,6 +69,9 @@ class Mixer:
 def _squared_speeds(
     inverse: Array, wrench: Array, low: float, high: float, thrust_limit: float
 ) -> Array:
+    exact = inverse @ wrench
+    if wrench[0] <= thrust_limit and np.min(exact) >= low and np.max(exact) <= high:
+        return exact
     per_thrust = inverse[:, 0]
     tilting = inverse[:, 1] * wrench[1] + inverse[:, 2] * wrench[2]
     yawing = inverse[:, 3] * wrench[3]

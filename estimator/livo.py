@@ -43,8 +43,10 @@ _START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)
 """rad, m, m/s: the take-off pose is known, but the legs settle"""
 _HISTORY = 128
 """IMU steps of past poses kept for deskewing"""
-_RESTING_THRUST = 0.85
-"""of the weight: with less static thrust the vehicle cannot leave the ground"""
+_LIFTING_THRUST = 0.85
+"""of the weight: before so much static thrust the vehicle cannot have left the ground"""
+_IDLE_MARGIN = 1.2
+"""of the idle speed: below it the rotors carry nothing"""
 
 
 class Livo:
@@ -84,6 +86,7 @@ class Livo:
         self._gyro, self._force = np.zeros(3), np.zeros(3)
         self._offset = np.zeros(9)
         self._vision_tick = 0
+        self._lifted = False
         self._last_height = 0.0
         self._diagnostics: dict[str, float] = {"skipped": 0.0}
         self._scan_track: PoseTrack | None = None
@@ -93,9 +96,7 @@ class Livo:
     def update(self, obs: Observation) -> Estimate:
         """Takes what has arrived and returns the belief about ``obs.tick``."""
         self._scan_track = None
-        vehicle = self._rig.vehicle
-        thrust = vehicle.thrust_coefficient * float(obs.rotor_speed_radps @ obs.rotor_speed_radps)
-        resting = thrust < _RESTING_THRUST * vehicle.mass_kg * GRAVITY_MPS2
+        resting = self._resting(obs.rotor_speed_radps)
         for sample in obs.imu:
             if not np.all(np.isfinite(sample.angular_velocity + sample.specific_force)):
                 self._diagnostics["skipped"] += 1.0
@@ -121,6 +122,16 @@ class Livo:
         if measured:
             self._recompute_head()
         return self._estimate(obs)
+
+    def _resting(self, rotor_speed: Array) -> bool:
+        """Whether the rotors tell that the vehicle stands on the ground. In flight a sinking
+        vehicle needs less speed than its static thrust says, so that after the first lift-off only
+        idling rotors count."""
+        vehicle = self._rig.vehicle
+        thrust = vehicle.thrust_coefficient * float(rotor_speed @ rotor_speed)
+        self._lifted |= thrust > _LIFTING_THRUST * vehicle.mass_kg * GRAVITY_MPS2
+        slow = bool(np.all(rotor_speed <= _IDLE_MARGIN * vehicle.rotor_speed_min))
+        return slow or not self._lifted
 
     def _take(self, message: LidarScan | CameraImage) -> bool:
         tick = _tick_of(message)
@@ -183,7 +194,8 @@ class Livo:
         self._correct_history()
         state = self._eskf.state
         odom_points = points @ state.rotation.T + state.position
-        self._map.insert(odom_points)
+        # close to the ground a scan would fill a voxel from one corner of it: spread what it learns
+        self._map.insert(odom_points[thin_out(points, 0.12 * self._params.voxel_m, 16)])
         self._recent.add(odom_points)
         self._scan_track = self._track_over(first)
         self._diagnostics |= {

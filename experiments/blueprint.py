@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
@@ -32,15 +31,22 @@ def flight_blueprint(centre_xy_m: NDArray[np.float64], span_m: float) -> rrb.Blu
         column_shares=[5, 3],
     )
     bottom = rrb.Horizontal(
-        rrb.TimeSeriesView(origin="plots/error", name="Position error [m]"),
+        _plot("plots/error", "Position error [m]"),
         rrb.Tabs(
-            rrb.TimeSeriesView(origin="plots/motion", name="Height, speed, tilt"),
-            rrb.TimeSeriesView(origin="plots/rotors", name="Rotor speeds [rad/s]"),
-            rrb.TimeSeriesView(origin="plots/tracking", name="Tracking error [m]"),
-            rrb.TimeSeriesView(origin="plots/estimator", name="Estimator"),
+            _plot("plots/motion", "Height, speed, tilt"),
+            _plot("plots/rotors", "Rotor speeds [rad/s]"),
+            _plot("plots/tracking", "Tracking error [m]"),
+            _plot("plots/estimator", "Estimator"),
             active_tab=0,
         ),
-        rrb.TextLogView(origin="log", name="Phases"),
+        rrb.TextLogView(
+            origin="log",
+            name="Phases",
+            columns=rrb.TextLogColumns(
+                timeline_columns=[TIMELINE],
+                text_log_columns=[rrb.encodings.TextLogColumn("Body")],
+            ),
+        ),
         column_shares=[3, 3, 3],
     )
     return rrb.Blueprint(
@@ -52,6 +58,14 @@ def flight_blueprint(centre_xy_m: NDArray[np.float64], span_m: float) -> rrb.Blu
         ),
         auto_views=False,
     )
+
+
+def _plot(origin: str, name: str) -> rrb.TimeSeriesView:
+    """A plot of the whole flight; by itself, the viewer would follow the cursor."""
+    whole = rrb.TimeRange(
+        start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite()
+    )
+    return rrb.TimeSeriesView(origin=origin, name=name, axis_x=rrb.TimeAxis(view_range=whole))
 
 
 def _world_view(centre_xy_m: NDArray[np.float64], span_m: float) -> rrb.Spatial3DView:
@@ -83,7 +97,3 @@ def _world_view(centre_xy_m: NDArray[np.float64], span_m: float) -> rrb.Spatial3
             "world/scan": recent,
         },
     )
-
-
-def series_style(name: str, colour: tuple[int, int, int]) -> rr.SeriesLines:
-    return rr.SeriesLines(colors=[colour], names=[name], widths=[1.5])

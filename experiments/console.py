@@ -72,7 +72,9 @@ def print_stages(result: Mapping[str, Any]) -> None:
     timing = result["timing"]
     stages: dict[str, float] = dict(timing["stage_ms"])
     total = 100.0 / timing["real_time_factor"]
-    table = Table(title=f"{result['scene']}, {result['estimator']}, per 0.1 s of flight")
+    table = Table(
+        title=f"{result['scene']}, {result['estimator']}, per 0.1 s of flight", min_width=46
+    )
     table.add_column("stage")
     table.add_column("ms", justify="right")
     table.add_column("share", justify="right")

@@ -20,8 +20,9 @@ _UNKNOWN_BGR = (38, 32, 30)
 _CHOSEN_BGR = (80, 255, 80)
 _ACCEPTED_BGR = (255, 230, 120)
 _REFUSED_BGR = (80, 80, 255)
-_PANEL_PIXELS = 900
-_MARGIN_CELLS = 4
+_PANEL_PIXELS = 1200
+_MARGIN_CELLS = 8
+_LABEL_PIXELS = 66
 
 
 def map_points(
@@ -60,8 +61,10 @@ def costmap_picture(
 ) -> Colours:
     """The coloured map beside the total cost, north up, with every candidate: (H, W, 3) RGB."""
     rows, cols = _seen_box(view)
-    zoom = max(1, _PANEL_PIXELS // max(rows.stop - rows.start, cols.stop - cols.start))
-    photo = view.rgb[rows, cols, ::-1]
+    cells = max(rows.stop - rows.start, cols.stop - cols.start)
+    zoom = max(1, round(_PANEL_PIXELS / cells))
+    photo = view.rgb[rows, cols, ::-1].copy()
+    photo[~np.isfinite(view.total[rows, cols]) & ~photo.any(axis=2)] = _UNKNOWN_BGR
     panels: list[Colours] = []
     for source in (photo, _coloured(view.total[rows, cols])):
         panel = np.repeat(np.repeat(source[::-1], zoom, axis=0), zoom, axis=1)
@@ -124,29 +127,42 @@ def _draw_candidates(
         row = (position[1] - view.origin_xy_m[1]) / view.cell_m - rows.start
         return round(col * zoom), round(panel.shape[0] - row * zoom)
 
-    metre = zoom / view.cell_m
-    radius = max(4, round(0.6 * metre))
-    for number, candidate in enumerate(candidates, start=1):
+    metre, scale = zoom / view.cell_m, panel.shape[0] / 700.0
+    radius, width = max(5, round(0.6 * metre)), max(2, round(2 * scale))
+    for number, candidate in reversed(list(enumerate(candidates, start=1))):
         centre = pixel(candidate.position_odom)
         colour = _ACCEPTED_BGR if candidate.accepted else _REFUSED_BGR
-        cv2.circle(panel, centre, radius, colour, 2, cv2.LINE_AA)
-        label = (centre[0] + radius + 3, centre[1] + 5)
-        _text(panel, f"{number}: {candidate.score:.2f}", label, colour)
+        cv2.circle(panel, centre, radius, colour, width, cv2.LINE_AA)
+        label = f"{number}: {candidate.score:.2f}"
+        left, room = centre[0] + radius + 3, round(_LABEL_PIXELS * scale)
+        if left + room > panel.shape[1]:
+            left = centre[0] - radius - 3 - room
+        _text(panel, label, (left, centre[1] + round(5 * scale)), colour, scale)
     if site_odom is not None:
         centre = pixel(site_odom)
-        cv2.circle(panel, centre, max(9, round(1.5 * metre)), _CHOSEN_BGR, 3, cv2.LINE_AA)
-        cv2.drawMarker(panel, centre, _CHOSEN_BGR, cv2.MARKER_CROSS, 18, 2, cv2.LINE_AA)
+        cv2.circle(panel, centre, max(12, round(1.5 * metre)), _CHOSEN_BGR, width + 1, cv2.LINE_AA)
+        cv2.drawMarker(
+            panel, centre, _CHOSEN_BGR, cv2.MARKER_CROSS, round(14 * scale), width, cv2.LINE_AA
+        )
 
 
-def _text(panel: Colours, text: str, corner: tuple[int, int], colour: tuple[int, int, int]) -> None:
-    for shade, width in (((0, 0, 0), 3), (colour, 1)):
+def _text(
+    panel: Colours,
+    text: str,
+    corner: tuple[int, int],
+    colour: tuple[int, int, int],
+    scale: float,
+) -> None:
+    """Text with a dark rim, legible on any ground."""
+    rim = max(1, round(scale))
+    for dx, dy, shade in (
+        (-rim, 0, (0, 0, 0)),
+        (rim, 0, (0, 0, 0)),
+        (0, -rim, (0, 0, 0)),
+        (0, rim, (0, 0, 0)),
+        (0, 0, colour),
+    ):
+        place = (corner[0] + dx, corner[1] + dy)
         cv2.putText(
-            panel,
-            text,
-            corner,
-            cv2.FONT_HERSHEY_SIMPLEX,
-            0.45,
-            shade,
-            width,
-            cv2.LINE_AA,
+            panel, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, shade, 1, cv2.LINE_AA
         )

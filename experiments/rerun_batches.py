@@ -13,7 +13,8 @@ from sim.frames import Pose, quat_wxyz_from_matrix
 
 Array = NDArray[np.float64]
 
-_PATH_WIDTH = 2.0
+_PATH_WIDTHS = {"true": 2.2, "estimated": 1.6, "reference": 1.0}
+"""In points of the screen: where paths coincide, the broader one shows as a rim."""
 _MOTION_STYLE = {
     "height_m": (120, 200, 255),
     "speed_mps": (255, 200, 80),
@@ -107,7 +108,7 @@ def log_styles(stream: rr.RecordingStream) -> None:
     """Colours, widths and names, once."""
     for name, colour in PATHS.items():
         style = rr.LineStrips3D.from_fields(
-            colors=[colour], radii=rr.Radius.ui_points([_PATH_WIDTH])
+            colors=[colour], radii=rr.Radius.ui_points([_PATH_WIDTHS[name]])
         )
         stream.log(f"world/path/{name}", style, static=True)
     series = {f"plots/error/{axis}": (axis, AXES[axis]) for axis in "xyz"}

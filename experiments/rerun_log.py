@@ -36,6 +36,7 @@ _PATH_HZ = 5.0
 _FLUSH_S = 2.0
 _MAP_POINT_M = 0.11
 _SPAN_M = 75.0
+_RING_M, _POLE_M = 1.5, 12.0
 _RGB_ACCEPTED, _RGB_REFUSED, _RGB_CHOSEN = (120, 230, 255), (255, 90, 90), (90, 255, 90)
 
 
@@ -75,6 +76,7 @@ class RerunLog:
         self._camera_due = Every(self._params.camera_hz)
         self._map_due = Every(1.0 / self._params.map_period_s)
         self._seen_text = ("", "")
+        self._seen_site: Array = np.full(3, np.nan)
         self._seen_costmap: object = None
         self._seen_candidates: object = ()
         self._last: tuple[Truth, Estimate, MapView] | None = None
@@ -196,7 +198,7 @@ class RerunLog:
             )
 
     def _log_scan(self, scan: LidarScan, estimate: Estimate) -> None:
-        track = estimate.scan_track or self._track.view()
+        track = estimate.scan_track or self._track.around(scan)
         points = scan_points_odom(scan, track, self._rig.body_from_lidar, self._params.scan_points)
         pose = estimate.world_from_odom
         points = points @ pose.rotation.T + pose.translation
@@ -206,7 +208,7 @@ class RerunLog:
             rr.Points3D(
                 points.astype(np.float32),
                 colors=height_colours(points[:, 2]),
-                radii=[0.05],
+                radii=[0.08],
             ),
         )
 
@@ -236,6 +238,10 @@ class RerunLog:
             level = "WARN" if view.no_site or view.aborted else "INFO"
             self._stream.set_time(TIMELINE, duration=time_s)
             self._stream.log("log/phase", rr.TextLog(": ".join(filter(None, text)), level=level))
+        if view.site_world is not None and not np.array_equal(view.site_world, self._seen_site):
+            self._seen_site = view.site_world.copy()
+            self._stream.set_time(TIMELINE, duration=time_s)
+            self._stream.log("world/site", _site_lines(view.site_world))
         if view.costmap is not None and view.costmap is not self._seen_costmap:
             self._seen_costmap = view.costmap
             self._log_costmap(time_s, estimate, view)
@@ -277,6 +283,18 @@ def _survey_middle(scene: Scene, config: Config) -> Array:
 
 def _transform(pose: Pose) -> rr.Transform3D:
     return rr.Transform3D(translation=pose.translation, mat3x3=pose.rotation)
+
+
+def _site_lines(site_world: Array) -> rr.LineStrips3D:
+    """A ring of the radius that must be clear, and a pole to find it by."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 37)
+    ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
+    pole = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, _POLE_M]])
+    return rr.LineStrips3D(
+        [site_world + _RING_M * ring + np.array([0.0, 0.0, 0.2]), site_world + pole],
+        colors=[_RGB_CHOSEN],
+        radii=rr.Radius.ui_points([2.0, 0.8]),
+    )
 
 
 def _candidate_points(candidates: tuple[Candidate, ...]) -> rr.Points3D:

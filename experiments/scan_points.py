@@ -31,11 +31,16 @@ class OdomTrack:
         if not self._poses or estimate.time_s > self._poses[-1][0]:
             self._poses.append((estimate.time_s, estimate.odom_from_body))
 
-    def view(self) -> PoseTrack:
+    def around(self, scan: LidarScan) -> PoseTrack:
+        """The poses over the span of a scan and one on either side."""
+        times = np.array([time_s for time_s, _ in self._poses])
+        first = max(int(np.searchsorted(times, scan.start_time_s)) - 1, 0)
+        last = int(np.searchsorted(times, scan.end_time_s)) + 1
+        poses = [pose for _, pose in self._poses][first:last]
         return PoseTrack(
-            times_s=np.array([time_s for time_s, _ in self._poses]),
-            positions_odom=np.array([pose.translation for _, pose in self._poses]),
-            quats_wxyz=np.array([quat_wxyz_from_matrix(p.rotation) for _, p in self._poses]),
+            times_s=times[first:last],
+            positions_odom=np.array([pose.translation for pose in poses]),
+            quats_wxyz=np.array([quat_wxyz_from_matrix(pose.rotation) for pose in poses]),
         )
 
 

@@ -53,39 +53,38 @@ def export_scene(name: str, seed: int, out: Path) -> Path:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError(f"--out {out} exists; name a new directory")
     spec = scene_spec(name, seed)
-    spec.compile()
     out.mkdir(parents=True, exist_ok=True)
     for texture in spec.textures:
-        _export_texture(texture, spec, out)
+        if texture.file:
+            _copy_file(texture, spec.texturedir, spec, out)
+        elif len(texture.data) > 0:
+            _write_picture(texture, out)
     for asset in (*spec.meshes, *spec.hfields):
-        _copy_file(asset, spec.meshdir, spec, out)
+        if asset.file:
+            _copy_file(asset, spec.meshdir, spec, out)
     spec.meshdir = spec.texturedir = ""
+    spec.modelfiledir = str(out.resolve())  # where compiling looks for the files just written
+    spec.compile()
     model_file = out / "scene.xml"
     model_file.write_text(spec.to_xml(), encoding="utf-8")
     return model_file
 
 
-def _export_texture(texture: Any, spec: Any, out: Path) -> None:
-    """Pictures made in memory become PNG files; files are copied."""
-    if texture.file:
-        _copy_file(texture, spec.texturedir, spec, out)
-        return
+def _write_picture(texture: Any, out: Path) -> None:
+    """A texture made in memory becomes a PNG file; MJCF has no other place for it."""
     pixels = np.frombuffer(bytes(texture.data), dtype=np.uint8)
-    if pixels.size == 0:
-        return
-    shape = (texture.height, texture.width, texture.nchannel)
-    picture = pixels.reshape(shape)[:, :, 2::-1] if texture.nchannel >= 3 else pixels.reshape(shape)
-    file_name = f"{texture.name.replace('/', '_')}.png"
-    cv2.imwrite(str(out / file_name), np.ascontiguousarray(picture))
-    texture.file = file_name
+    picture = pixels.reshape(texture.height, texture.width, texture.nchannel)
+    if texture.nchannel >= 3:
+        picture = picture[:, :, 2::-1]
+    texture.file = f"{texture.name.replace('/', '_')}.png"
+    cv2.imwrite(str(out / texture.file), np.ascontiguousarray(picture))
     texture.data = b""
 
 
 def _copy_file(asset: Any, folder: str, spec: Any, out: Path) -> None:
-    if asset.file:
-        source = Path(spec.modelfiledir or ".") / folder / asset.file
-        shutil.copyfile(source, out / source.name)
-        asset.file = source.name
+    source = Path(spec.modelfiledir or ".") / folder / asset.file
+    shutil.copyfile(source, out / source.name)
+    asset.file = source.name
 
 
 def _eye(scene: Scene, view: str) -> Any:

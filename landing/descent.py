@@ -23,7 +23,7 @@ _MAX_LOW_SHIFT_M = 0.8
 _SHIFT_SPEED_MPS = 1.5
 _SWEEP_SPEED_MPS = 1.2
 _ACCEL_MPS2 = 1.5
-_SLOW_ABOVE_M = 0.25
+_SLOW_ABOVE_M = 0.2
 """height of the legs at which touchdown speed is reached"""
 _FREEZE_ABOVE_M = 1.5
 """below this the LIDAR's shortest range is near: the ground height stays as last seen"""

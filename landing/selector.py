@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from landing.clustering import Clusters, quick_shift
 from landing.costmap import compute_costmap
 from landing.landable import LandableMap, assess, explain, fit_footprint, ground_planes
 from landing.terrain import Terrain, observed_terrain
+from landing.traffic import traffic_penalty
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -29,6 +31,16 @@ _APART_M = 3.0
 """alternatives closer than this are no alternatives"""
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Judged:
+    """One map with everything that was computed of it."""
+
+    terrain: Terrain
+    costmap: CostmapView
+    landable: LandableMap
+    margin_m: float
+
+
 def select_sites(
     map_view: MapView,
     estimate: Estimate,
@@ -38,7 +50,8 @@ def select_sites(
     reach_m: float = np.inf,
     avoid_odom: Sequence[Array] = (),
 ) -> tuple[list[Candidate], CostmapView | None]:
-    """Alternative sites in the observed map: accepted ones first, then by C_sum.
+    """Alternative sites in the observed map: accepted ones first, then by C_sum less the
+    penalty of ``landing.traffic``.
 
     ``reach_m``: how far the energy left allows to fly; ``avoid_odom``: sites already refused.
     The costmap is None where nothing was mapped.
@@ -46,42 +59,44 @@ def select_sites(
     terrain = observed_terrain(map_view.coarse)
     if terrain is None:
         return [], None
-    costmap, landable = _judge(terrain, estimate, reach_m, params)
+    judged = _judge(terrain, estimate, reach_m, params, params.map_margin_m)
+    costmap, landable = judged.costmap, judged.landable
     bandwidth = _BANDWIDTHS * footprint_radius_m / terrain.cell_m
     clusters = quick_shift(
         costmap.total, bandwidth_cells=bandwidth, radius_cells=_SEARCH_RADII * bandwidth
     )
+    value = costmap.total - traffic_penalty(terrain, landable, params)
     allowed = landable.mask & np.isfinite(costmap.total)
     for avoid in avoid_odom:
         x, y = terrain.offsets_from(avoid)
         allowed &= np.hypot(x[None, :], y[:, None]) > _AVOID_M
-    spots = _best_spots(clusters, costmap.total, allowed, landable)
+    spots = _best_spots(clusters, value, allowed, landable)
     candidates = [
-        _candidate(terrain, costmap, landable, spot, bool(allowed[spot]), params)
+        _candidate(judged, spot, terrain.centre_of(*spot), bool(allowed[spot]), params)
         for spot in _shortlist(
-            spots, costmap.total, allowed, params.max_candidates, _APART_M / terrain.cell_m
+            spots, value, allowed, params.max_candidates, _APART_M / terrain.cell_m
         )
     ]
-    candidates.sort(key=lambda site: (not site.accepted, -site.score))
+    candidates.sort(key=lambda site: not site.accepted)  # stable: best first within both
     return candidates, costmap
 
 
 def check_site(
     map_view: MapView, estimate: Estimate, params: LandingParams, xy_odom: Array
 ) -> tuple[Candidate, CostmapView | None]:
-    """The commanded site ``xy_odom`` (2,) as a candidate: accepted or refused with the reason."""
+    """The commanded site ``xy_odom`` (2,) as a candidate: accepted or refused with the reason.
+
+    Someone chose this place, so it needs less room to err than one that the map alone suggests.
+    """
     terrain = observed_terrain(map_view.coarse)
     if terrain is None:
         return _unseen(xy_odom), None
-    costmap, landable = _judge(terrain, estimate, np.inf, params)
-    row, col = terrain.cell_of(xy_odom)
-    if not terrain.contains(row, col):
-        return _unseen(xy_odom), costmap
-    allowed = bool(landable.mask[row, col])
-    return (
-        _candidate(terrain, costmap, landable, (row, col), allowed, params, xy_odom),
-        costmap,
-    )
+    judged = _judge(terrain, estimate, np.inf, params, params.low_margin_m)
+    spot = terrain.cell_of(xy_odom)
+    if not terrain.contains(*spot):
+        return _unseen(xy_odom), judged.costmap
+    allowed = bool(judged.landable.mask[spot])
+    return _candidate(judged, spot, xy_odom, allowed, params), judged.costmap
 
 
 def _unseen(xy: Array) -> Candidate:
@@ -101,45 +116,43 @@ def _unseen(xy: Array) -> Candidate:
 
 
 def _judge(
-    terrain: Terrain, estimate: Estimate, reach_m: float, params: LandingParams
-) -> tuple[CostmapView, LandableMap]:
+    terrain: Terrain, estimate: Estimate, reach_m: float, params: LandingParams, margin_m: float
+) -> _Judged:
     planes = ground_planes(terrain, params)
     position = estimate.odom_from_body.translation
     costmap = compute_costmap(terrain, planes, position, reach_m, params)
-    landable = assess(
-        terrain, planes, params, margin_m=params.map_margin_m, min_returns=params.min_returns
-    )
-    return costmap, landable
+    landable = assess(terrain, planes, params, margin_m=margin_m, min_returns=params.min_returns)
+    return _Judged(terrain=terrain, costmap=costmap, landable=landable, margin_m=margin_m)
 
 
 def _best_spots(
-    clusters: Clusters, total: Float32, allowed: NDArray[np.bool_], landable: LandableMap
+    clusters: Clusters, value: Float32, allowed: NDArray[np.bool_], landable: LandableMap
 ) -> list[tuple[int, int]]:
     """One cell per cluster: the allowed one of highest cost value, room to err counting up to
     1 m of clearance; the mode itself where nothing in the cluster is allowed."""
     spots = clusters.modes.copy()
     room = np.minimum(landable.clearance_m, _ENOUGH_CLEARANCE_M) / _ENOUGH_CLEARANCE_M
     cells = np.flatnonzero(allowed & (clusters.label >= 0))
-    merit = total.ravel()[cells] + _ROOM_WEIGHT * room.ravel()[cells]
+    merit = value.ravel()[cells] + _ROOM_WEIGHT * room.ravel()[cells]
     label = clusters.label.ravel()[cells]
     best = np.full(spots.shape[0], -np.inf, np.float32)
     np.maximum.at(best, label, merit)
     winners = np.flatnonzero(merit == best[label])[::-1]  # ties: the first cell is written last
-    rows, cols = np.divmod(cells[winners], total.shape[1])
+    rows, cols = np.divmod(cells[winners], value.shape[1])
     spots[label[winners]] = np.column_stack([rows, cols])
     return [(int(row), int(col)) for row, col in spots]
 
 
 def _shortlist(
     spots: list[tuple[int, int]],
-    total: Float32,
+    value: Float32,
     allowed: NDArray[np.bool_],
     limit: int,
     apart_cells: float,
 ) -> list[tuple[int, int]]:
     """The best ``limit`` spots that keep apart; two thirds of the places are for allowed ones, if
     there are as many, so that refused ones of high value stay visible."""
-    by_value = sorted(spots, key=lambda spot: (-float(total[spot]), spot))
+    by_value = sorted(spots, key=lambda spot: (-float(value[spot]), spot))
     chosen: list[tuple[int, int]] = []
     for wanted, places in ((True, (2 * limit + 2) // 3), (False, limit)):
         for spot in by_value:
@@ -153,16 +166,13 @@ def _shortlist(
 
 
 def _candidate(
-    terrain: Terrain,
-    costmap: CostmapView,
-    landable: LandableMap,
-    spot: tuple[int, int],
-    allowed: bool,
-    params: LandingParams,
-    xy: Array | None = None,
+    judged: _Judged, spot: tuple[int, int], xy: Array, allowed: bool, params: LandingParams
 ) -> Candidate:
+    """The site at ``xy`` (2,) in the cell ``spot``; ``allowed`` by the geometric check and by
+    earlier looks. The plane through the whole footprint has the last word."""
+    terrain, costmap, landable = judged.terrain, judged.costmap, judged.landable
     row, col = spot
-    xy = terrain.centre_of(row, col) if xy is None else np.asarray(xy, dtype=np.float64)
+    xy = np.asarray(xy, dtype=np.float64)
     plane = fit_footprint(terrain, xy)
     clearance = float(landable.clearance_m[row, col])
     if plane is None:
@@ -178,7 +188,7 @@ def _candidate(
         if landable.mask[row, col]:
             reason = "refused: seen from closer it was not landable, or out of reach"
         else:
-            why = explain(terrain, landable, row, col, params, params.map_margin_m)
+            why = explain(terrain, landable, row, col, params, judged.margin_m)
             reason = f"refused: {why}"
     elif plane.slope_deg > slope_limit:
         accepted, reason = False, f"refused: slope {plane.slope_deg:.1f} deg over the footprint"

@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Terrain:
-    """A copy of the observed part of a grid; unseen cells have count 0 and NaN elsewhere."""
+    """The observed part of a grid; unseen cells have count 0 and NaN elsewhere."""
 
     origin_xy_m: Array
     cell_m: float
@@ -83,8 +83,8 @@ class Terrain:
 
 
 def observed_terrain(grid: GridMap) -> Terrain | None:
-    """The bounding box of everything seen (returns or missing pulses), copied so that it stays as
-    it was at the decision; None for an empty map."""
+    """The bounding box of everything seen (returns or missing pulses), None for an empty map. The
+    layers are views: the mapper goes on writing to them in later control steps."""
     seen = (grid.count > 0.0) | (grid.missing > 0.0)
     rows, cols = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
     if rows.size == 0:
@@ -93,13 +93,13 @@ def observed_terrain(grid: GridMap) -> Terrain | None:
     return Terrain(
         origin_xy_m=grid.origin_xy_m + np.array([cols[0], rows[0]]) * grid.cell_m,
         cell_m=grid.cell_m,
-        count=grid.count[box].copy(),
-        height=grid.height_m[box].copy(),
-        std=grid.height_std_m[box].copy(),
-        low=grid.min_height_m[box].copy(),
-        high=grid.max_height_m[box].copy(),
-        rgb=grid.rgb[box].copy(),
-        missing=grid.missing[box].copy(),
+        count=grid.count[box],
+        height=grid.height_m[box],
+        std=grid.height_std_m[box],
+        low=grid.min_height_m[box],
+        high=grid.max_height_m[box],
+        rgb=grid.rgb[box],
+        missing=grid.missing[box],
     )
 
 
@@ -145,16 +145,10 @@ class PlaneField:
     """A plane per cell, least squares over the square window around it; NaN where too few cells
     of the window are known."""
 
-    gradient_x: Float32
-    """dz/dx, (rows, cols)"""
-    gradient_y: Float32
+    angle_rad: Float32
+    """between the plane's normal and the vertical, (rows, cols)"""
     level: Float32
     """height of the plane at the cell's centre"""
-
-    @property
-    def angle_rad(self) -> Float32:
-        """Angle between the plane's normal and the vertical."""
-        return np.arctan(np.hypot(self.gradient_x, self.gradient_y))
 
 
 def fit_planes(
@@ -167,9 +161,9 @@ def fit_planes(
     """
     reach = max(round(half_width_m / cell_m), 1)
     enough = min_share * (2 * reach + 1) ** 2
-    gradient_x, gradient_y, level = (np.full(height.shape, np.nan, np.float32) for _ in range(3))
-    _sliding_planes(height, cell_m, reach, enough, gradient_x, gradient_y, level)
-    return PlaneField(gradient_x=gradient_x, gradient_y=gradient_y, level=level)
+    angle, level = (np.full(height.shape, np.nan, np.float32) for _ in range(2))
+    _sliding_planes(height, cell_m, reach, enough, angle, level)
+    return PlaneField(angle_rad=angle, level=level)
 
 
 @numba.njit(cache=True)
@@ -209,8 +203,7 @@ def _sliding_planes(
     cell: float,
     reach: int,
     enough: float,
-    gradient_x: Float32,
-    gradient_y: Float32,
+    angle: Float32,
     level: Float32,
 ) -> None:
     """Window sums slide along the rows; row and column numbers are the coordinates."""
@@ -247,8 +240,7 @@ def _sliding_planes(
                 continue
             gx = (cxz * cyy - cyz * cxy) / determinant
             gy = (cyz * cxx - cxz * cxy) / determinant
-            gradient_x[row, col] = gx / cell
-            gradient_y[row, col] = gy / cell
+            angle[row, col] = np.arctan(np.sqrt(gx * gx + gy * gy) / cell)
             level[row, col] = base + mz + gx * (col - mx) + gy * (row - my)
 
 

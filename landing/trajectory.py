@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -134,7 +135,7 @@ def peaks(trajectory: PiecewiseTrajectory, per_segment: int = 64) -> tuple[float
     """Largest speed (m/s) and acceleration (m/s^2), from ``per_segment`` samples of each piece."""
     speed = acceleration = 0.0
     breaks = trajectory.breaks_s
-    for start, end in zip(breaks[:-1], breaks[1:], strict=True):
+    for start, end in pairwise(breaks):
         for t in np.linspace(start, end, per_segment):
             _, v, a = trajectory.sample(float(t))
             speed = max(speed, float(np.sqrt(v @ v)))

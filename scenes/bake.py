@@ -46,7 +46,7 @@ def bake_light(
 
 
 def _darken(layer: Float32, outline: Array, half_m: float, cell: float, factor: float) -> None:
-    """Multiplies the convex hull of ``outline`` (N, 2) metres into ``layer``, in its bounding box."""
+    """Multiplies the convex hull of ``outline`` (N, 2) metres into ``layer``."""
     hull = cv2.convexHull(((outline + half_m) / cell - 0.5).astype(np.float32))[:, 0]
     low = np.clip(np.floor(hull.min(axis=0)).astype(int) - 1, 0, layer.shape[0])
     high = np.clip(np.ceil(hull.max(axis=0)).astype(int) + 2, 0, layer.shape[0])

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 VEHICLE_XML = Path(__file__).parent / "vehicle" / "quadrotor.xml"
 VEHICLE_BODY = "vehicle/quadrotor"
+VEHICLE_GROUP = 4
 TICK_HZ = 600
 AIR_DENSITY_KGPM3 = 1.225
 AIR_VISCOSITY_PAS = 1.8e-5
@@ -57,7 +58,7 @@ def load_scene(name_or_path: str, seed: int) -> Scene:
 
 
 def compose_spec(name_or_path: str, seed: int) -> tuple[Any, SceneDraft]:
-    """The uncompiled MjSpec, vehicle attached at the world's origin height, and its draft.
+    """The uncompiled MjSpec, vehicle attached at height 0 over the take-off spot, and its draft.
 
     Raises as `load_scene`.
     """
@@ -70,6 +71,8 @@ def compose_spec(name_or_path: str, seed: int) -> tuple[Any, SceneDraft]:
     _set_physics(spec)
     _set_visual(spec)
     for geom in spec.geoms:
+        # The vehicle's group, which sensors do not see.
+        geom.group = 0 if geom.group == VEHICLE_GROUP else geom.group
         if geom.contype or geom.conaffinity:
             geom.contype, geom.conaffinity = 1, 0
     _attach_vehicle(spec, draft)
@@ -110,12 +113,11 @@ def _attach_vehicle(spec: Any, draft: SceneDraft) -> None:
     if not VEHICLE_XML.is_file():
         raise FileNotFoundError(f"the vehicle's MJCF is missing: {VEHICLE_XML}")
     vehicle = mujoco.MjSpec.from_file(str(VEHICLE_XML))
-    half_yaw = 0.5 * draft.takeoff_yaw
-    frame = spec.worldbody.add_frame(
-        pos=[*draft.takeoff_xy_m, 0.0], quat=[np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)]
-    )
-    spec.attach(vehicle, prefix="vehicle/", frame=frame)
+    spec.attach(vehicle, prefix="vehicle/", frame=spec.worldbody.add_frame())
     body = spec.body(VEHICLE_BODY)
+    half_yaw = 0.5 * draft.takeoff_yaw
+    body.pos = [*draft.takeoff_xy_m, 0.0]
+    body.quat = [np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)]
     if not body.joints:
         body.add_freejoint(name="vehicle/free")
     for geom in body.find_all("geom"):
@@ -131,7 +133,9 @@ def _stand_on_ground(model: Any, draft: SceneDraft) -> None:
     lowest, radius = _underside(model, data, body)
     angles = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    points = draft.takeoff_xy_m + np.concatenate([np.zeros((1, 2)), 0.5 * radius * ring, radius * ring])
+    points = draft.takeoff_xy_m + np.concatenate(
+        [np.zeros((1, 2)), 0.5 * radius * ring, radius * ring]
+    )
     ground = max(_height_below(model, data, point, body) for point in points)
     z = model.body_pos[body, 2] + ground - lowest + START_GAP_M
     model.body_pos[body, 2] = z

@@ -54,7 +54,9 @@ def read_mjcf(path: Path) -> SceneDraft:
         spec = mujoco.MjSpec.from_file(str(path))
         model = spec.copy().compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise ValueError(f"{path}: not a valid MJCF file: {' '.join(str(error).split())}") from error
+        raise ValueError(
+            f"{path}: not a valid MJCF file: {' '.join(str(error).split())}"
+        ) from error
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     xy, yaw = _takeoff(model, data)

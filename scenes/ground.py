@@ -43,9 +43,10 @@ class Ground(IntEnum):
 
 # land class, reflectivity at 905 nm, RGB, gains of fine noise, coarse noise, grain, large patches;
 # hue drift over large patches (RGB); 1 where the edge to a neighbour of the same kind is ragged.
-_TABLE: dict[Ground, tuple[str, float, tuple[int, int, int], tuple[float, ...], tuple[int, ...], int]] = {
-    Ground.LAWN: ("lawn", 0.46, (94, 114, 60), (0.17, 0.11, 0.09, 0.06), (6, 1, 0), 1),
-    Ground.MEADOW: ("lawn", 0.44, (114, 119, 70), (0.20, 0.17, 0.10, 0.06), (7, 1, 0), 1),
+_Row = tuple[str, float, tuple[int, int, int], tuple[float, ...], tuple[int, ...], int]
+_TABLE: dict[Ground, _Row] = {
+    Ground.LAWN: ("lawn", 0.46, (94, 114, 60), (0.17, 0.11, 0.09, 0.06), (5, 2, 1), 1),
+    Ground.MEADOW: ("lawn", 0.44, (114, 119, 70), (0.20, 0.17, 0.10, 0.06), (6, 2, 1), 1),
     Ground.SOIL: ("field", 0.25, (126, 98, 72), (0.17, 0.11, 0.08, 0.08), (6, 5, 5), 1),
     Ground.PAVEMENT: ("path", 0.34, (170, 165, 154), (0.04, 0.04, 0.035, 0.03), (2, 1, -2), 0),
     Ground.SIDE_PAVEMENT: ("path", 0.34, (166, 161, 151), (0.04, 0.04, 0.035, 0.03), (2, 1, -2), 0),
@@ -139,7 +140,8 @@ def shade_ground(
     patches = fractal_noise(rng, (512, 512), 56.0, 4, 0.6)
     hue = fractal_noise(rng, (512, 512), 40.0, 3, 0.6)
     size = (TEXELS, TEXELS)
-    bright = cv2.resize((light * 255.0).astype(np.uint8), size, interpolation=cv2.INTER_LINEAR)
+    glow = (light * 255.0).astype(np.uint8)
+    bright = np.asarray(cv2.resize(glow, size, interpolation=cv2.INTER_LINEAR), np.uint8)
     picture = np.empty((TEXELS, TEXELS, 3), np.uint8)
     _shade(
         picture, canvas.material, canvas.paint, canvas.stain, bright, fine, coarse, patches, hue,
@@ -186,15 +188,15 @@ def _clump(row: int, col: int, material: int, salt: int) -> float:
     outline, so that there are corners to track at the scale of a camera's pixel."""
     cell_row, cell_col = row // 7, col // 7
     pick = _hash(cell_row, cell_col, salt + 7 + material)
-    if pick > 0.17:
+    if pick > 0.26:
         return 0.0
     place = _hash(cell_col, cell_row, salt + 13)
     down = row - cell_row * 7 - 2.0 - 2.0 * place
     right = col - cell_col * 7 - 2.0 - 2.0 * ((place * 64.0) % 1.0)
-    radius = 1.0 + 8.0 * pick
-    if down * down + (0.6 + pick * 5.0) * right * right > radius * radius:
+    radius = 1.0 + 5.5 * pick
+    if down * down + (0.6 + pick * 3.4) * right * right > radius * radius:
         return 0.0
-    return -0.26 if place < 0.62 else 0.22
+    return -0.27 if place < 0.60 else 0.25
 
 
 @njit(cache=True)
@@ -213,9 +215,23 @@ def _pattern(material: int, u: float, v: float, salt: int) -> float:
 
 @njit(cache=True)
 def _shade(
-    picture, material, paint, stain, bright, fine, coarse, patches, hue,
-    base, gains, hues, ragged, frames, texel_m, salt,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+    picture: Bytes,
+    material: Bytes,
+    paint: Bytes,
+    stain: Bytes,
+    bright: Bytes,
+    fine: Float32,
+    coarse: Float32,
+    patches: Float32,
+    hue: Float32,
+    base: Float32,
+    gains: Float32,
+    hues: Float32,
+    ragged: Bytes,
+    frames: Array,
+    texel_m: float,
+    salt: int,
+) -> None:
     """Fills ``picture`` row by row. All noise is addressed so that nothing repeats in step: the two
     tiles are turned against each other, and grain is hashed from the texel's number."""
     rows, cols = material.shape

@@ -7,13 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
+from scenes.compose import VEHICLE_GROUP
 from scenes.terrain import Terrain
 
 Array = NDArray[np.float64]
 
-VEHICLE_GROUP = 4
+
 _EYE_M = 4000.0
 _TILE_M = 4.0
+_OFF_EDGE_M = np.array([1.37e-4, 2.11e-4])
+"""A ray that runs exactly along the edge of two triangles can slip through: aim beside it."""
 
 
 def cast_down(
@@ -26,11 +29,7 @@ def cast_down(
     MuJoCo casts many rays from one point only: tiles of 4 m seen from 4 km up, where the rays lean
     by at most 0.7 mm per metre of height.
     """
-    model = scene.model
-    data = mujoco.MjData(model)
-    for moving in scene.moving:
-        data.mocap_pos[model.body(moving.body_name).mocapid[0]] = [0.0, 0.0, -1e5]
-    mujoco.mj_kinematics(model, data)
+    model, data = scene.model, _static_data(scene)
     heights = np.full(shape, np.nan)
     geoms = np.full(shape, -1, np.int32)
     tile = max(1, round(_TILE_M / cell_m))
@@ -46,6 +45,43 @@ def cast_down(
     return heights, geoms
 
 
+def raise_thin_things(scene: Scene, heights: Array, origin_xy_m: Array, cell_m: float) -> None:
+    """Lifts the cells (in place) that hold geoms too narrow for the grid of `cast_down`, by rays
+    along each such geom's horizontal middle line."""
+    model, data = scene.model, _static_data(scene)
+    for geom in range(model.ngeom):
+        if (
+            model.geom_group[geom] == VEHICLE_GROUP
+            or model.body_mocapid[model.geom_bodyid[geom]] >= 0
+        ):
+            continue
+        rotation = data.geom_xmat[geom].reshape(3, 3)
+        centre = rotation @ model.geom_aabb[geom, :3] + data.geom_xpos[geom]
+        axes = rotation * model.geom_aabb[geom, 3:]
+        reach = np.linalg.norm(axes[:2], axis=0)
+        longest = int(np.argmax(reach))
+        others = np.delete(reach, longest)
+        if model.geom_rbound[geom] == 0.0 or others.max() > 1.5 * cell_m:
+            continue
+        steps = np.linspace(-1.0, 1.0, 2 * int(np.ceil(reach[longest] / (0.4 * cell_m))) + 1)
+        line = centre[:2] + 0.999 * steps[:, None] * axes[:2, longest]
+        cells = np.floor((line - origin_xy_m) / cell_m).astype(int)
+        inside = ((cells >= 0) & (cells < np.array(heights.shape)[::-1])).all(axis=1)
+        for (col, row), (x, y) in zip(cells[inside], line[inside], strict=True):
+            z, _ = _cast_tile(model, data, np.array([x]), np.array([y]))
+            heights[row, col] = np.fmax(heights[row, col], z[0, 0])
+
+
+def _static_data(scene: Scene) -> mujoco.MjData:
+    """Kinematics at time 0 with the moving bodies far below the ground."""
+    model = scene.model
+    data = mujoco.MjData(model)
+    for moving in scene.moving:
+        data.mocap_pos[model.body(moving.body_name).mocapid[0]] = [0.0, 0.0, -1e5]
+    mujoco.mj_kinematics(model, data)
+    return data
+
+
 def _cast_tile(
     model: mujoco.MjModel, data: mujoco.MjData, x_m: Array, y_m: Array
 ) -> tuple[Array, NDArray[np.int32]]:
@@ -53,7 +89,7 @@ def _cast_tile(
     groups = np.ones(6, np.uint8)
     groups[VEHICLE_GROUP] = 0
     eye = np.array([0.5 * (x_m[0] + x_m[-1]), 0.5 * (y_m[0] + y_m[-1]), _EYE_M])
-    grid = np.stack(np.meshgrid(x_m, y_m), axis=-1).reshape(-1, 2)
+    grid = np.stack(np.meshgrid(x_m, y_m), axis=-1).reshape(-1, 2) + _OFF_EDGE_M
     rays = np.column_stack([grid - eye[:2], np.full(len(grid), -_EYE_M)])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     distance = np.empty(len(rays))

@@ -34,7 +34,7 @@ class Terrain:
 
     def at(self, xy_m: Array) -> Array:
         """Height in metres at (..., 2) world points, exactly on MuJoCo's triangles: each cell is
-        cut along the diagonal from (x_max, y_min) to (x_min, y_max). Points outside are clamped
+        cut along the diagonal from (x_min, y_min) to (x_max, y_max). Points outside are clamped
         to the border."""
         heights = self.heights_m
         last = heights.shape[0] - 1
@@ -43,9 +43,9 @@ class Terrain:
         u, v = grid[..., 0] - col, grid[..., 1] - row
         h00, h10 = heights[row, col], heights[row, col + 1]
         h01, h11 = heights[row + 1, col], heights[row + 1, col + 1]
-        lower = h00 + u * (h10 - h00) + v * (h01 - h00)
-        upper = h11 + (1 - u) * (h01 - h11) + (1 - v) * (h10 - h11)
-        return np.where(u + v <= 1.0, lower, upper)
+        lower = h00 + u * (h10 - h00) + v * (h11 - h10)
+        upper = h00 + v * (h01 - h00) + u * (h11 - h01)
+        return np.where(u >= v, lower, upper)
 
     def point(self, x_m: float, y_m: float) -> float:
         """Height in metres at one world point."""

@@ -1,4 +1,4 @@
-"""Pictures for roofs, walls, leaves and car bodies, painted by code; all uint8 RGB, top row first."""
+"""Pictures for roofs, walls and leaves, painted by code; all uint8 RGB, top row first."""
 
 from __future__ import annotations
 
@@ -92,18 +92,20 @@ def flat_roof(rng: np.random.Generator, size_m: tuple[float, float], px_per_m: f
 
 
 def facade_bay(rng: np.random.Generator, wall: Colour, brick: bool, px: int = 224) -> Picture:
-    """One window bay, 3.0 m wide and 2.8 m high, to be repeated. wall: RGB 0..255."""
-    rows, cols = np.mgrid[0:px, 0:px].astype(np.float32)
+    """(2 px, px, 3): a window bay, 3.0 m wide and 2.8 m high, to be repeated along the wall, above
+    as much plain wall. wall: RGB 0..255."""
+    rows, cols = np.mgrid[0 : 2 * px, 0:px].astype(np.float32)
     y, x = rows * 2.8 / px, cols * 3.0 / px
-    shade = np.ones((px, px), np.float32)
+    shade = np.ones((2 * px, px), np.float32)
     if brick:
         course = np.floor(y / 0.0875)
         shifted = x / 0.25 + 0.5 * (course % 2)
-        table = rng.normal(0.0, 0.10, (40, 16)).astype(np.float32)
-        shade += table[course.astype(int) % 40, np.floor(shifted).astype(int) % 12]
+        table = rng.normal(0.0, 0.10, (64, 16)).astype(np.float32)
+        shade += table[course.astype(int) % 64, np.floor(shifted).astype(int) % 12]
         joint = (y / 0.0875 - course < 0.16) | (shifted - np.floor(shifted) < 0.07)
         shade = np.where(joint, 1.18, shade)
-    shade += 0.03 * fractal_noise(rng, (px, px), 60.0, 4) + 0.02 * rng.standard_normal((px, px))
+    shade += 0.03 * fractal_noise(rng, (2 * px, px), 60.0, 4)
+    shade += 0.02 * rng.standard_normal((2 * px, px))
     picture = (shade[..., None] * np.array(wall, np.float32)).astype(np.float32)
 
     def fill(x0: float, y0: float, x1: float, y1: float, colour: Colour) -> None:

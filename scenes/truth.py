@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from scenes.api import LAND_CLASSES, OTHER_CLASS_ID, SAFE_CLASSES, Scene, TruthMaps
-from scenes.raycast import bare_ground, cast_down, class_ids
+from scenes.raycast import bare_ground, cast_down, class_ids, raise_thin_things
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,8 @@ def truth_maps(scene: Scene, cell_m: float = 0.1, region: Array | None = None) -
     """Rasters of the whole scene, or of ``region`` [[x_min, y_min], [x_max, y_max]] (2, 2) metres,
     world frame.
 
-    A thing thinner than ``cell_m`` can slip between the rays (`judge_touchdown` looks closer).
+    Cells are looked at in their centres; poles, rails and other geoms narrower than a cell are
+    looked at along their own middle line as well.
     Raises ValueError for a cell that is not positive and below 0.25 m, or an empty region.
     """
     if not 0.0 < cell_m <= 0.25:
@@ -66,13 +67,16 @@ def truth_maps(scene: Scene, cell_m: float = 0.1, region: Array | None = None) -
     bounds = np.asarray(scene.bounds_xy_m if region is None else region, np.float64)
     count = np.round((bounds[1] - bounds[0]) / cell_m).astype(int)
     if (count < 1).any():
-        raise ValueError(f"region {bounds.tolist()} is empty: give [[x_min, y_min], [x_max, y_max]]")
+        raise ValueError(
+            f"region {bounds.tolist()} is empty: give [[x_min, y_min], [x_max, y_max]]"
+        )
     # The rule looks 1.5 m around, so rays are cast beyond the region.
     margin = int(np.ceil(CLEAR_RADIUS_M / cell_m)) + 1
     origin = bounds[0] - margin * cell_m
     shape = (int(count[1]) + 2 * margin, int(count[0]) + 2 * margin)
     heights, geoms = cast_down(scene, origin, cell_m, shape)
     classes = class_ids(scene, origin, cell_m, geoms)
+    raise_thin_things(scene, heights, origin, cell_m)
     slope = fitted_slope_deg(heights, cell_m)
     rule = geometric_rule(heights, slope, classes == _WATER, cell_m)
     inside = (slice(margin, -margin), slice(margin, -margin))
@@ -253,7 +257,9 @@ def _obstacle_distance(scene: Scene, point: Array, height_m: float) -> float:
         origin = point - (cells + 0.5) * SEARCH_CELL_M
         shape = (2 * cells + 1, 2 * cells + 1)
         heights, _ = cast_down(scene, origin, SEARCH_CELL_M, shape)
-        offsets = np.stack(np.meshgrid(*2 * [np.arange(-cells, cells + 1)]), axis=-1) * SEARCH_CELL_M
+        offsets = (
+            np.stack(np.meshgrid(*2 * [np.arange(-cells, cells + 1)]), axis=-1) * SEARCH_CELL_M
+        )
         ground = bare_ground(scene, point + offsets, height_m)
         tall = heights - ground > MAX_TALL_M
         if tall.any():

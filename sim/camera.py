@@ -1,4 +1,4 @@
-"""An offscreen camera: MuJoCo's renderer with the intrinsics, the noise and the threading of a sensor.
+"""An offscreen camera: MuJoCo's renderer with the intrinsics, noise and threading of a sensor.
 
 The physics thread takes a ``Snapshot`` (a few array copies); one thread, the physics' own or a
 worker, turns snapshots into pictures with an MjData, a GL context and a scene of its own. The GIL
@@ -57,8 +57,7 @@ class CameraSensor:
     (the model's own are not looked at).
 
     ``render`` may run in any one thread: the GL context is made at the first picture and belongs
-    to the thread that asked for it. Grey noise depends on (seed, camera, tick) alone. ``samples``
-    is the number of multisampling samples a pixel (0: none).
+    to the thread that asked for it. Grey noise depends on (seed, camera, tick) alone.
 
     Raises ValueError when the model has no such camera; ``render`` raises RuntimeError when there
     is no way to render on this machine, or when called from a second thread.
@@ -70,20 +69,16 @@ class CameraSensor:
         params: CameraParams,
         seed: int,
         camera_name: str = CAMERA_NAME,
-        samples: int = 4,
     ) -> None:
         self._model = scene.model
         self._params = params
-        self._camera_id = mujoco.mj_name2id(
-            self._model, mujoco.mjtObj.mjOBJ_CAMERA, camera_name
-        )
+        self._camera_id = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, camera_name)
         if self._camera_id < 0:
             names = [self._model.camera(i).name for i in range(self._model.ncam)]
             raise ValueError(
                 f"scene '{scene.name}' has no camera '{camera_name}': its cameras are "
                 f"{', '.join(names) or 'none'}"
             )
-        self._samples = samples
         self._noise_key = [seed, crc32(camera_name.encode())]
         self._noise = _noise_tile(params, self._noise_key)
         self._stage: _Stage | None = None
@@ -124,7 +119,7 @@ class CameraSensor:
     def _own_stage(self) -> _Stage:
         thread = threading.get_ident()
         if self._stage is None:
-            self._stage = _Stage(self._model, self._params, self.intrinsics(), self._samples)
+            self._stage = _Stage(self._model, self._params, self.intrinsics())
             self._thread = thread
         if self._thread != thread:
             raise RuntimeError(
@@ -146,14 +141,13 @@ class _Stage:
         model: mujoco.MjModel,
         params: CameraParams,
         intrinsics: CameraIntrinsics,
-        samples: int,
     ) -> None:
         self._model = model
         self._data = mujoco.MjData(model)
         self._intrinsics = intrinsics
         self._gl = _gl_context(params.width, params.height)
         self._gl.make_current()
-        self._context = _mujoco_context(model, params, samples)
+        self._context = _mujoco_context(model, params)
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             self._scene.flags[flag] = 0
@@ -201,13 +195,11 @@ class _Stage:
         self._gl.free()
 
 
-def _mujoco_context(
-    model: mujoco.MjModel, params: CameraParams, samples: int
-) -> mujoco.MjrContext:
+def _mujoco_context(model: mujoco.MjModel, params: CameraParams) -> mujoco.MjrContext:
     """The context reads its sizes from the model, which is shared: they are put back."""
     quality, buffer = model.vis.quality, model.vis.global_
     kept = quality.offsamples, quality.shadowsize, buffer.offwidth, buffer.offheight
-    quality.offsamples, quality.shadowsize = samples, 0
+    quality.offsamples, quality.shadowsize = params.samples, 0
     buffer.offwidth, buffer.offheight = params.width, params.height
     try:
         context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)

@@ -1,4 +1,4 @@
-"""An integrating IMU: mean angular rate and specific force over each sample, with bias and noise."""
+"""An integrating IMU: mean angular rate and specific force a sample, with bias and noise."""
 
 from __future__ import annotations
 

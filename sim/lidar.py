@@ -171,9 +171,7 @@ class LidarSensor:
         hits.geom[passing] = -1
         return hits
 
-    def _cast(
-        self, rays: Float32, times: Array, movers: list[tuple[RayTarget, _Track]]
-    ) -> Hits:
+    def _cast(self, rays: Float32, times: Array, movers: list[tuple[RayTarget, _Track]]) -> Hits:
         """Nearest hits over the static scene and every moving body."""
         if self._scene.static is not None:
             hits = self._scene.static.cast(rays)

@@ -200,9 +200,7 @@ def _uniform(bits: np.uint32, salt: np.uint32) -> float:
 
 
 @njit(cache=True, nogil=True)
-def passing(
-    geom: Int32, cosine: Float32, bits: Uint32, porosity: Float32
-) -> NDArray[np.int64]:
+def passing(geom: Int32, cosine: Float32, bits: Uint32, porosity: Float32) -> NDArray[np.int64]:
     """Indices of the pulses that pass through what they hit. A pulse that entered a porous body
     leaves it freely: the answer hangs on pulse and geom alone, and insides never reflect."""
     out = np.empty(geom.shape[0], dtype=np.int64)
@@ -250,8 +248,8 @@ def receive(
         if g == ground_geom:
             x = rays[i, 0] + distance[i] * rays[i, 3]
             y = rays[i, 1] + distance[i] * rays[i, 4]
-            col = int(math.floor((x - ground_origin[0]) / ground_cell))
-            row = int(math.floor((y - ground_origin[1]) / ground_cell))
+            col = math.floor((x - ground_origin[0]) / ground_cell)
+            row = math.floor((y - ground_origin[1]) / ground_cell)
             if 0 <= row < rows and 0 <= col < cols:
                 rho, wet = ground_reflectivity[row, col], ground_water[row, col]
         c = abs(cosine[i])
@@ -262,9 +260,7 @@ def receive(
         if distance[i] > max_range(strength) * (1.0 + _LIMIT_SPREAD * normals[i, 3]):
             continue
         ranges[i] = max(distance[i] + range_sigma * normals[i, 2], min_range)
-        intensity[i] = np.uint8(
-            min(max(_INTENSITY_PER_REFLECTIVITY * strength + 0.5, 1.0), 255.0)
-        )
+        intensity[i] = np.uint8(min(max(_INTENSITY_PER_REFLECTIVITY * strength + 0.5, 1.0), 255.0))
 
 
 @njit(cache=True, inline="always")

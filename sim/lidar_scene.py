@@ -67,6 +67,8 @@ class RayTarget:
             o3d.core.Tensor.from_numpy(points),
             o3d.core.Tensor.from_numpy(np.concatenate(indices).astype(np.uint32)),
         )
+        # Embree builds its hierarchy at the first ray: now, rather than in the middle of a flight.
+        self.cast(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]], dtype=np.float32))
 
     def cast(self, rays: Float32) -> Hits:
         """(N, 6) float32 origins and unit directions in the target's frame."""

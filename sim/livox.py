@@ -47,13 +47,14 @@ class ScanPattern:
     field_of_view_deg: tuple[float, float]
 
 
-# One row a prism, in the order the beam meets them: turns per turn of the fast prisms, azimuth
-# offset [rad], wedge angle [rad], and whether the wedge face comes first.
+# One row a prism, in the order the beam meets them: 1 where it turns with the motor and -1 where
+# against, 1 where it is the slow one, azimuth offset [rad], wedge angle [rad], 1 where the wedge
+# face comes first.
 _PRISMS: Array = np.array(
     [
-        [-1.0 / _SLOW_RATIO, 4.55226, 0.32929, 0.0],
-        [1.0, _PHASE_RAD + 1.56112, 0.41937, 0.0],
-        [-1.0, -_PHASE_RAD + 1.56112, 0.41991, 1.0],
+        [-1.0, 1.0, 4.55226, 0.32929, 0.0],
+        [1.0, 0.0, _PHASE_RAD + 1.56112, 0.41937, 0.0],
+        [-1.0, 0.0, -_PHASE_RAD + 1.56112, 0.41991, 1.0],
     ]
 )
 
@@ -84,25 +85,36 @@ def _refract(
     return ratio * x + gain * nx, ratio * y + gain * ny, ratio * z + gain * nz
 
 
+@njit(cache=True, inline="always")
+def _circle(turns: float) -> tuple[float, float]:
+    """Cosine and sine of an angle in turns; whole ones are dropped first, exact for hours."""
+    angle = 2.0 * math.pi * (turns - math.floor(turns))
+    return math.cos(angle), math.sin(angle)
+
+
 @njit(cache=True, nogil=True)
 def _trace_horizon(start_index: int, beams: Float32, prisms: Array) -> None:
     """Fills ``beams`` (N, 3) with the pulses from ``start_index`` on."""
     into_glass = 1.0 / _REFRACTIVE_INDEX
-    wedge_cos = np.cos(prisms[:, 2])
-    wedge_sin = np.sin(prisms[:, 2])
+    offset_cos, offset_sin = np.cos(prisms[:, 2]), np.sin(prisms[:, 2])
+    wedge_cos, wedge_sin = np.cos(prisms[:, 3]), np.sin(prisms[:, 3])
+    tilts = (2.0 * np.arange(LASERS) / (LASERS - 1) - 1.0) * _LASER_SPREAD_RAD
+    tilt_cos, tilt_sin = np.cos(tilts), np.sin(tilts)
     for k in range(beams.shape[0]):
         index = start_index + k
+        laser = index % LASERS
         turns = _FREQUENCY_HZ * (index / POINT_RATE_HZ)
-        tilt = (2.0 * (index % LASERS) / (LASERS - 1) - 1.0) * _LASER_SPREAD_RAD
-        x, y, z = 0.0, math.sin(tilt), math.cos(tilt)
+        fast_cos, fast_sin = _circle(turns)
+        slow_cos, slow_sin = _circle(turns / _SLOW_RATIO)
+        x, y, z = 0.0, tilt_sin[laser], tilt_cos[laser]
         for p in range(prisms.shape[0]):
-            # Whole turns are dropped before they are scaled by 2 pi: exact for hours of flight.
-            rotation = turns * prisms[p, 0]
-            azimuth = 2.0 * math.pi * (rotation - math.floor(rotation)) + prisms[p, 1]
-            nx = wedge_sin[p] * math.cos(azimuth)
-            ny = wedge_sin[p] * math.sin(azimuth)
+            slow = prisms[p, 1] > 0.5
+            c = slow_cos if slow else fast_cos
+            s = prisms[p, 0] * (slow_sin if slow else fast_sin)
+            nx = wedge_sin[p] * (c * offset_cos[p] - s * offset_sin[p])
+            ny = wedge_sin[p] * (s * offset_cos[p] + c * offset_sin[p])
             nz = wedge_cos[p]
-            if prisms[p, 3] > 0.5:
+            if prisms[p, 4] > 0.5:
                 x, y, z = _refract(x, y, z, nx, ny, nz, into_glass)
                 x, y, z = _refract(x, y, z, 0.0, 0.0, 1.0, _REFRACTIVE_INDEX)
             else:

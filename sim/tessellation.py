@@ -19,7 +19,7 @@ Mesh = tuple[Array, Triangles]
 
 CHORD_M = 1e-3
 """Largest distance between a round surface up to 1 m across and its triangles."""
-CHORD_RELATIVE = 2e-3
+CHORD_RELATIVE = 1e-3
 """The same for larger ones, as a share of the radius."""
 POROUS_CHORD_RELATIVE = 1e-2
 """Crowns and reeds have no sharp surface in the first place."""

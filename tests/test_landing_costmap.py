@@ -24,13 +24,13 @@ def terrain_of(height: np.ndarray, **grid: object) -> Terrain:
     return terrain
 
 
-def test_planes_recover_gradients_exactly_and_skip_unknown_windows() -> None:
+def test_planes_recover_slope_and_level_and_skip_unknown_windows() -> None:
     y, x = np.mgrid[0:40, 0:60] * 0.2
     height = (0.1 * x - 0.05 * y + 300.0).astype(np.float32)
     height[:, 30:] = np.nan
     planes = fit_planes(height, 0.2, 0.5)
-    assert planes.gradient_x[5:35, 5:28] == pytest.approx(0.1, abs=1e-3)
-    assert planes.gradient_y[5:35, 5:28] == pytest.approx(-0.05, abs=1e-3)
+    angle = np.arctan(np.hypot(0.1, 0.05))
+    assert planes.angle_rad[5:35, 5:28] == pytest.approx(angle, abs=1e-3)
     assert planes.level[5:35, 5:28] == pytest.approx(height[5:35, 5:28], abs=1e-3)
     assert np.isnan(planes.level[:, 33:]).all()
 

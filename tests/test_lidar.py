@@ -100,9 +100,7 @@ def test_coverage_of_the_field_of_view(seconds: float, recorded: float, model: f
     width, height = livox.FIELD_OF_VIEW_DEG
     shares = []
     for start in (0, 1_234_567, 50_000_000):
-        azimuth, elevation = angles_deg(
-            livox.directions(start, int(seconds * livox.POINT_RATE_HZ))
-        )
+        azimuth, elevation = angles_deg(livox.directions(start, int(seconds * livox.POINT_RATE_HZ)))
         seen, _, _ = np.histogram2d(
             azimuth,
             elevation,
@@ -142,7 +140,7 @@ PLANE = '<geom name="plane" type="plane" size="0 0 1"/>'
 def test_box_on_a_plane_from_known_height() -> None:
     box = '<geom name="box" type="box" size="2 3 1" pos="0 0 1"/>'
     scan = take_scan(make_scene(PLANE + box, {"plane": BRIGHT, "box": BRIGHT}))
-    points = DOWN.apply(scan.points.astype(np.float64)) + [0.0, 0.0, 30.0]
+    points = DOWN.apply(scan.points.astype(np.float64)) + np.array([0.0, 0.0, 30.0])
     down = -scan.directions.astype(np.float64) @ DOWN.rotation.T
     crossing = 28.0 * down[:, :2] / -down[:, 2:]
     inside = (np.abs(crossing) < [2.0, 3.0]).all(axis=1)
@@ -165,11 +163,11 @@ def test_scan_holds_the_pulses_of_its_span() -> None:
 
 
 GEOMS = {
-    "sphere": ('type="sphere" size="1.3"', 2e-3),
-    "pebble": ('type="sphere" size="0.3"', 1e-3),
-    "ellipsoid": ('type="ellipsoid" size="1 0.6 1.4"', 2e-3),
-    "capsule": ('type="capsule" size="0.4 1"', 1e-3),
-    "cylinder": ('type="cylinder" size="0.7 1"', 1.2e-3),
+    "sphere": ('type="sphere" size="1"', 2e-3),
+    "pebble": ('type="sphere" size="0.3"', 2e-3),
+    "ellipsoid": ('type="ellipsoid" size="1 0.6 1.4"', 2.8e-3),
+    "capsule": ('type="capsule" size="0.4 1"', 2e-3),
+    "cylinder": ('type="cylinder" size="0.7 1"', 2e-3),
     "box": ('type="box" size="1 0.5 0.8"', 1e-3),
     "mesh": ('type="mesh" mesh="tetrahedron"', 1e-3),
     "hfield": ('type="hfield" hfield="field"', 1e-3),
@@ -183,12 +181,10 @@ ASSETS = (
 
 @pytest.mark.parametrize("kind", GEOMS)
 def test_distances_are_those_of_mujoco(kind: str) -> None:
-    """Flat shapes: along the ray. Round ones are tessellated: across the surface, since a ray at a
-    grazing angle stretches the same chord error."""
+    """Flat shapes: every ray. Round ones are tessellated to 1 mm across the surface, which is 2 mm
+    along a ray at 60 degrees of incidence: rays up to that."""
     attributes, tolerance = GEOMS[kind]
-    scene = make_scene(
-        f'<geom name="g" {attributes} pos="1 2 3" euler="20 30 40"/>', assets=ASSETS
-    )
+    scene = make_scene(f'<geom name="g" {attributes} pos="1 2 3" euler="20 30 40"/>', assets=ASSETS)
     rng = np.random.default_rng(7)
     model = scene.model
     model.hfield_data[:] = rng.uniform(size=model.nhfielddata)
@@ -198,20 +194,18 @@ def test_distances_are_those_of_mujoco(kind: str) -> None:
     rays[:, 3:] /= np.linalg.norm(rays[:, 3:], axis=1, keepdims=True)
     if kind == "plane":  # MuJoCo's planes have a front only
         rays[:, 3:] *= -np.sign(rays[:, 3:] @ data.geom_xmat[0].reshape(3, 3)[:, 2:])
-    rays[:, :3] = [1.0, 2.0, 3.0] + rng.uniform(-1.1, 1.1, (6000, 3)) - 15.0 * rays[:, 3:]
+    targets = np.array([1.0, 2.0, 3.0]) + rng.uniform(-1.1, 1.1, (6000, 3))
+    rays[:, :3] = targets - 15.0 * rays[:, 3:]
     target = LidarScene(scene).static
     assert target is not None
     hits = target.cast(rays.astype(np.float32))
     geom = np.zeros(1, dtype=np.int32)
-    truth = np.array(
-        [mujoco.mj_ray(model, data, r[:3], r[3:], None, 1, -1, geom) for r in rays]
-    )
+    truth = np.array([mujoco.mj_ray(model, data, r[:3], r[3:], None, 1, -1, geom) for r in rays])
     both = (truth >= 0.0) & np.isfinite(hits.distance)
     agree = (truth >= 0.0) == np.isfinite(hits.distance)
-    error = np.abs(hits.distance - truth)[both]
-    if kind not in ("box", "mesh", "hfield", "plane"):
-        error *= np.abs(hits.cosine[both])
-    assert both.sum() > 300
+    steep = hits.cosine > (-1.0 if kind in ("box", "mesh", "hfield", "plane") else 0.5)
+    error = np.abs(hits.distance - truth)[both & steep]
+    assert error.size > 200
     assert agree.mean() > 0.998
     assert np.mean(error < tolerance) > 0.999
 
@@ -253,9 +247,7 @@ def test_wall_at_20_m_has_two_centimetres_of_noise() -> None:
 def test_beam_angle_noise() -> None:
     """A beam that deviates by s radians at incidence a changes the range by R s tan(a)."""
     scene = make_scene(wall(20.0, 30.0), {"wall": BRIGHT})
-    noisy = take_scan(
-        scene, FORWARD, params=LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.05)
-    )
+    noisy = take_scan(scene, FORWARD, params=LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.05))
     clean = take_scan(scene, FORWARD)
     tangent = np.hypot(clean.directions[:, 0], clean.directions[:, 1]) / clean.directions[:, 2]
     oblique = tangent > 0.2
@@ -304,9 +296,7 @@ def test_water_returns_near_nadir_only(by_raster: bool) -> None:
         reflectivity=np.full((100, 100), 0.05, dtype=np.float32),
     )
     lake = Surface(land_class="water", reflectivity=0.05, water=True)
-    scene = make_scene(
-        PLANE, {} if by_raster else {"plane": lake}, raster if by_raster else None
-    )
+    scene = make_scene(PLANE, {} if by_raster else {"plane": lake}, raster if by_raster else None)
     scan = take_scan(scene, params=LidarParams())
     incidence = np.rad2deg(np.arccos(scan.directions[:, 2]))
     assert returned(scan)[incidence < 3.0].mean() > 0.8
@@ -334,22 +324,21 @@ def test_porous_crown_lets_its_share_through() -> None:
     crown = '<geom name="crown" type="ellipsoid" size="20 30 2" pos="0 0 10"/>'
     trunk = '<geom name="trunk" type="cylinder" size="1 5" pos="0 0 5"/>'
     leaves = Surface(land_class="trees", reflectivity=0.5, porosity=0.3)
-    scene = make_scene(
-        PLANE + crown + trunk, {"plane": BRIGHT, "crown": leaves, "trunk": BRIGHT}
-    )
+    scene = make_scene(PLANE + crown + trunk, {"plane": BRIGHT, "crown": leaves, "trunk": BRIGHT})
     scan = take_scan(scene)
     points = scan.points.astype(np.float64) @ DOWN.rotation.T + [0.0, 0.0, 30.0]
-    over = np.hypot(points[:, 0] / 20.0, points[:, 1] / 30.0) < 0.5
-    low = points[:, 2] < 1.0
-    through_ground = low & (np.hypot(points[:, 0], points[:, 1]) > 1.1)
-    crown_hit = points[:, 2] > 10.0
-    near_axis = np.hypot(points[:, 0], points[:, 1]) < 0.9
-    assert (points[over & ~near_axis, 2] > 10.0).mean() == pytest.approx(0.7, abs=0.02)
+    from_axis = np.hypot(points[:, 0], points[:, 1])
+    crossing = 20.0 * (scan.directions @ DOWN.rotation.T / scan.directions[:, 2:])[:, :2]
+    entering = np.hypot(crossing[:, 0] / 20.0, crossing[:, 1] / 30.0) < 0.9
+    on_crown = (points[:, 2] > 10.01) & entering
     assert returned(scan).all()
-    np.testing.assert_allclose(points[through_ground, 2], 0.0, atol=2e-3)
-    assert np.all(crown_hit | low | (np.hypot(points[:, 0], points[:, 1]) < 1.1))
-    on_trunk = near_axis & ~crown_hit
+    assert on_crown[entering].mean() == pytest.approx(0.7, abs=0.02)
+    on_trunk = entering & ~on_crown & (np.linalg.norm(crossing, axis=1) < 0.9)
+    assert on_trunk.sum() > 10
     np.testing.assert_allclose(points[on_trunk, 2], 10.0, atol=2e-3)
+    on_ground = entering & ~on_crown & (from_axis > 1.1)
+    assert on_ground.sum() > 3000
+    np.testing.assert_allclose(points[on_ground, 2], 0.0, atol=2e-3)
 
 
 # ------------------------------------------------------------------------------------------ motion

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -20,7 +21,7 @@ from scenes.crossroad.relief import shape_ground
 from scenes.draft import SceneDraft
 from scenes.ground import TEXELS, Canvas, Ground, shade_ground
 from scenes.props.cars import add_car_models, park_car
-from scenes.props.plants import plant_nursery
+from scenes.props.plants import Nursery, add_tree, plant_nursery
 from scenes.props.street import add_lamp, add_sign
 from scenes.terrain import Terrain, write_hfield
 
@@ -59,7 +60,7 @@ def generate(seed: int) -> SceneDraft:
 
 def draw_themes(rng: np.random.Generator, plan: Plan) -> list[Theme]:
     """The green in the south-west; houses, a shop and a farm on the other plots in any order."""
-    kinds = [Homes, Shop, Farm]
+    kinds: list[Callable[[Plot, np.random.Generator], Theme]] = [Homes, Shop, Farm]
     order = rng.permutation(3)
     themes: list[Theme] = [Common(Plot(plan=plan, signs=QUADRANTS["SW"]), rng)]
     for name, index in zip(("NE", "NW", "SE"), order, strict=True):
@@ -73,7 +74,7 @@ def draw_sun(rng: np.random.Generator, spec: Any) -> Array:
     flat = np.cos(elevation)
     direction = -np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
     warmth = rng.uniform(0.0, 1.0)
-    strength = rng.uniform(0.62, 0.74) / np.sin(elevation) * 0.86
+    strength = rng.uniform(0.62, 0.74) / np.sin(elevation) * 0.92
     light = spec.light("sun")
     light.dir = direction
     light.diffuse = strength * np.array([1.0, 0.985 - 0.04 * warmth, 0.95 - 0.12 * warmth])
@@ -90,6 +91,7 @@ def place_things(builder: Builder, plan: Plan, themes: list[Theme]) -> tuple[Any
     roads.place_kerbs(builder, plan, openings)
     for theme in themes:
         theme.build(builder, nursery, models)
+    scatter_edge_trees(builder, plan, nursery)
     for road in (plan.main, plan.side):
         low, high = road.ends_m()
         edge = 0.5 * road.width_m + 0.55
@@ -111,6 +113,17 @@ def place_things(builder: Builder, plan: Plan, themes: list[Theme]) -> tuple[Any
         if builder.is_free(spot, 1.0):
             park_car(builder, models[int(rng.integers(len(models)))], spot, heading)
     return roads.add_traffic(builder, plan, models, rng)
+
+
+def scatter_edge_trees(builder: Builder, plan: Plan, nursery: Nursery) -> None:
+    """Single trees on the outskirts, where the plots end."""
+    rng = builder.rng
+    for _ in range(14):
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        spot = rng.uniform(54.0, 61.0) * np.array([np.cos(angle), np.sin(angle)])
+        spot = np.clip(spot * 1.25, -HALF_M + 3.0, HALF_M - 3.0)
+        if float(plan.kerb_distance(spot)) > plan.corridor_m + 2.5 and builder.is_free(spot, 2.8):
+            add_tree(builder, nursery, spot, rng.uniform(0.9, 1.3))
 
 
 def paint_ground(rng: np.random.Generator, plan: Plan, themes: list[Theme]) -> Canvas:

@@ -94,7 +94,8 @@ class Plan:
     def corner_outline(self, signs: tuple[int, int], distance_m: float) -> Array:
         """The corner's filling between the straight roads and `corner_arc`, (N, 2)."""
         inner = self.offset_point(
-            np.array(signs[0] * 0.4 * self.main.width_m), np.array(signs[1] * 0.4 * self.side.width_m)
+            np.array(signs[0] * 0.4 * self.main.width_m),
+            np.array(signs[1] * 0.4 * self.side.width_m),
         )
         reach = self.corner_radius_m
         arc = self.corner_arc(signs, distance_m)

@@ -57,16 +57,27 @@ class _Base:
         )
 
     def scatter(
-        self, builder: Builder, count: int, s: tuple[float, float], t: tuple[float, float], gap: float
+        self,
+        builder: Builder,
+        count: int,
+        s: tuple[float, float],
+        t: tuple[float, float],
+        gap: float,
     ) -> list[Array]:
         """Up to ``count`` free places in a rectangle, at least ``gap`` metres clear."""
-        found = []
+        found: list[Array] = []
         for _ in range(12 * count):
             spot = self.at(self.rng.uniform(*s), self.rng.uniform(*t))
             if len(found) < count and builder.is_free(spot, gap):
                 builder.claim(spot, gap)
                 found.append(spot)
         return found
+
+    def paint(self, canvas: Canvas) -> None:
+        raise NotImplementedError
+
+    def build(self, builder: Builder, nursery: Nursery, models: Models) -> None:
+        raise NotImplementedError
 
 
 class Homes(_Base):
@@ -86,7 +97,9 @@ class Homes(_Base):
             self.lots.append((first, house))
             self.pad(middle, setback, (0.5 * size[0] + 2.0, 0.5 * size[1] + 2.0))
             self.pad(first + 17.0, 6.0, (1.6, 6.5), 2.0)
-            self.openings.append((self.plot.points(np.array([first + 17.0, -plot.plan.pavement_m])), 1.9))
+            self.openings.append(
+                (self.plot.points(np.array([first + 17.0, -plot.plan.pavement_m])), 1.9)
+            )
 
     def paint(self, canvas: Canvas) -> None:
         plot = self.plot
@@ -107,7 +120,9 @@ class Homes(_Base):
             add_house(builder, house)
             s, t = plot.coordinates(house.centre_xy_m)
             way = plot.away + (np.pi if rng.random() < 0.5 else 0.0)
-            park_car(builder, models[int(rng.integers(len(models)))], self.at(first + 17.0, 6.5), way)
+            park_car(
+                builder, models[int(rng.integers(len(models)))], self.at(first + 17.0, 6.5), way
+            )
             add_hedge(builder, nursery, self.at(first, 0.9), self.at(s - 1.6, 0.9), 0.9)
             add_hedge(builder, nursery, self.at(s + 1.6, 0.9), self.at(first + 14.6, 0.9), 0.9)
             shed = House(centre_xy_m=self.at(first + 15.5, 30.0), angle=house.angle,
@@ -135,7 +150,11 @@ class Shop(_Base):
     def __init__(self, plot: Plot, rng: np.random.Generator) -> None:
         super().__init__(plot=plot, rng=rng)
         self.shift = rng.uniform(0.0, 6.0)
-        size = (rng.uniform(17.0, 21.0), rng.uniform(10.5, 13.0), float(rng.choice([2.8, 5.6])) + 0.6)
+        size = (
+            rng.uniform(17.0, 21.0),
+            rng.uniform(10.5, 13.0),
+            float(rng.choice([2.8, 5.6])) + 0.6,
+        )
         self.house = House(
             centre_xy_m=self.at(18.0 + self.shift, 29.0), angle=plot.plan.main.angle,
             size_m=size, ridge_m=0.0,
@@ -166,7 +185,9 @@ class Shop(_Base):
                 spot = self.at(bay + 1.35 + shift, row) + self.rng.normal(0.0, 0.3, 2)
                 turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
                 ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-                canvas.soil(spot + self.rng.uniform(0.1, 0.4) * ring, int(self.rng.integers(30, 110)))
+                canvas.soil(
+                    spot + self.rng.uniform(0.1, 0.4) * ring, int(self.rng.integers(30, 110))
+                )
         for _ in range(9):
             start = self.at(self.rng.uniform(3, 33) + shift, self.rng.uniform(4, 20))
             steps = self.rng.normal(0.0, 0.25, (24, 2)) + self.rng.normal(0.0, 0.15, 2)
@@ -261,10 +282,9 @@ class Common(_Base):
     def __init__(self, plot: Plot, rng: np.random.Generator) -> None:
         super().__init__(plot=plot, rng=rng)
         self.start = plot.coordinates(plot.plan.takeoff_xy_m)
-        s = np.arange(-2.0, 62.0, 1.0)
+        s = np.arange(-2.0, 80.0, 1.0)
         swing = rng.uniform(1.5, 3.0) * np.sin(s / rng.uniform(7.0, 10.0) + rng.uniform(0.0, 6.0))
         t = self.start[1] + 11.0 + rng.uniform(0.0, 2.0) + swing
-        t += (4.0 - t) * np.clip((3.0 - s) / 8.0, 0.0, 1.0) * 0.0
         self.path = plot.points(np.column_stack([s, t]))
         self.path_t = t
 
@@ -272,7 +292,7 @@ class Common(_Base):
         plot = self.plot
         far = float(self.path_t.max()) + 4.0
         edge = [self.at(s, far + 1.5 * np.sin(0.23 * s)) for s in np.arange(0.8, 70.0, 2.0)]
-        canvas.fill(np.array(edge + [self.at(70.0, 75.0), self.at(0.8, 75.0)]), Ground.MEADOW)
+        canvas.fill(np.array([*edge, self.at(70.0, 75.0), self.at(0.8, 75.0)]), Ground.MEADOW)
         canvas.track(self.path, 2.0, Ground.GRAVEL)
         bed = self.at(8.0, 6.0)
         turn = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)

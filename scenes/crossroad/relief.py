@@ -65,7 +65,7 @@ def natural_ground(rng: np.random.Generator, nodes: int, half_m: float) -> Array
     shape = (nodes, nodes)
     swell = rng.uniform(0.35, 0.6) * fractal_noise(rng, shape, 38.0 / cell, 2, 0.35)
     hummocks = fractal_noise(rng, shape, 3.2 / cell, 3, 0.6)
-    patches = smoothstep(-0.2, 1.1, fractal_noise(rng, shape, 16.0 / cell, 2))
+    patches = smoothstep(-0.2, 1.1, fractal_noise(rng, shape, 16.0 / cell, 2).astype(np.float64))
     roughness = 0.006 + rng.uniform(0.07, 0.11) * patches
     return np.asarray(swell + roughness * hummocks, np.float64)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -79,7 +81,11 @@ def paint_markings(canvas: Canvas, plan: Plan) -> None:
 def _arrow(canvas: Canvas, road: Road, along: float, across: float, way: float) -> None:
     """A straight-on arrow that points to ``way`` (+1: along the road)."""
     canvas.mark(band(road, (along - way * 1.6, along + way * 0.4), (across - 0.08, across + 0.08)))
-    tip = [(along + way * 0.3, across - 0.32), (along + way * 1.5, across), (along + way * 0.3, across + 0.32)]
+    tip = [
+        (along + way * 0.3, across - 0.32),
+        (along + way * 1.5, across),
+        (along + way * 0.3, across + 0.32),
+    ]
     canvas.mark(np.array([road.point(*corner) for corner in tip]))
 
 
@@ -137,7 +143,7 @@ def place_kerbs(builder: Builder, plan: Plan, openings: list[tuple[Array, float]
     top = builder.terrain.point(*plan.main.point(0.0, 0.0)) + ROAD_DEPTH_M + 0.015
     for signs in QUADRANTS.values():
         arc = plan.corner_arc(signs, 0.08, 6)
-        for first, second in zip(arc[:-1], arc[1:], strict=True):
+        for first, second in pairwise(arc):
             add_kerb(builder, first, second, top)
     for road in (plan.main, plan.side):
         low, high = road.ends_m()
@@ -187,12 +193,15 @@ def add_traffic(
             name=name, mocap=True, pos=where, quat=[np.cos(half), 0.0, 0.0, np.sin(half)]
         )
         builder.geom(
-            "car_moving", CAR_SURFACE, body=body, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material
+            "car_moving",
+            CAR_SURFACE,
+            body=body,
+            type=GEOM.mjGEOM_MESH,
+            meshname=mesh,
+            material=material,
         )
         speed = float(rng.uniform(5.0, 9.0))
-        moving.append(
-            MovingBody(body_name=name, path_world=path, speed_mps=speed, start_m=start)
-        )
+        moving.append(MovingBody(body_name=name, path_world=path, speed_mps=speed, start_m=start))
     return tuple(moving)
 
 
@@ -217,5 +226,3 @@ def along_path(path: Array, distance_m: float) -> tuple[Array, float]:
     into = rest - float(lengths[:index].sum())
     unit = steps[index] / lengths[index]
     return path[index] + into * unit, float(np.arctan2(unit[1], unit[0]))
-
-

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -76,7 +77,7 @@ def car_mesh(shape: CarShape) -> MeshData:
         [back + 0.06, belt - 0.06, 0.92 * half],
     ])  # fmt: skip
     parts: list[MeshData] = []
-    for first, second in zip(shoulder[:-1], shoulder[1:], strict=True):
+    for first, second in pairwise(shoulder):
         (x0, z0, w0), (x1, z1, w1) = first, second
         deck = [[x0, -w0, z0], [x0, w0, z0], [x1, w1, z1], [x1, -w1, z1]]
         left = [[x0, w0, z0], [x0, w0, sill], [x1, w1, sill], [x1, w1, z1]]
@@ -135,17 +136,80 @@ def car_atlas(rng: np.random.Generator, shape: CarShape, paint: Colour) -> NDArr
         cv2.fillConvexPoly(atlas, (pixels * 16).astype(np.int32), colour, cv2.LINE_AA, 4)
 
     m = 0.5 * width
-    quad([(fx - 0.06, m - 0.43 * width), (fx - 0.06, m + 0.43 * width), (hx, m + 0.33 * width), (hx, m - 0.33 * width)], glass, TOP_ROW)  # noqa: E501
-    quad([(fx - 0.10, m - 0.30 * width), (fx - 0.10, m - 0.1 * width), (hx + 0.04, m - 0.02 * width), (hx + 0.04, m - 0.20 * width)], (70.0, 86.0, 98.0), TOP_ROW)  # noqa: E501
-    quad([(tx, m - 0.33 * width), (tx, m + 0.33 * width), (rx + 0.05, m + 0.40 * width), (rx + 0.05, m - 0.40 * width)], glass, TOP_ROW)  # noqa: E501
+    quad(
+        [
+            (fx - 0.06, m - 0.43 * width),
+            (fx - 0.06, m + 0.43 * width),
+            (hx, m + 0.33 * width),
+            (hx, m - 0.33 * width),
+        ],
+        glass,
+        TOP_ROW,
+    )
+    quad(
+        [
+            (fx - 0.10, m - 0.30 * width),
+            (fx - 0.10, m - 0.1 * width),
+            (hx + 0.04, m - 0.02 * width),
+            (hx + 0.04, m - 0.20 * width),
+        ],
+        (70.0, 86.0, 98.0),
+        TOP_ROW,
+    )
+    quad(
+        [
+            (tx, m - 0.33 * width),
+            (tx, m + 0.33 * width),
+            (rx + 0.05, m + 0.40 * width),
+            (rx + 0.05, m - 0.40 * width),
+        ],
+        glass,
+        TOP_ROW,
+    )
     for y in (0.17, 0.83):
-        quad([(fx + 0.1, y * width), (length - 0.2, (0.5 + 0.85 * (y - 0.5)) * width), (length - 0.2, (0.5 + 0.85 * (y - 0.5)) * width + 0.02), (fx + 0.1, y * width + 0.02)], trim, TOP_ROW)  # noqa: E501
+        quad(
+            [
+                (fx + 0.1, y * width),
+                (length - 0.2, (0.5 + 0.85 * (y - 0.5)) * width),
+                (length - 0.2, (0.5 + 0.85 * (y - 0.5)) * width + 0.02),
+                (fx + 0.1, y * width + 0.02),
+            ],
+            trim,
+            TOP_ROW,
+        )
     if rng.random() < 0.4:
-        quad([(tx + 0.35, m - 0.38), (hx - 0.15, m - 0.38), (hx - 0.15, m + 0.38), (tx + 0.35, m + 0.38)], (48.0, 54.0, 60.0), TOP_ROW)  # noqa: E501
+        quad(
+            [
+                (tx + 0.35, m - 0.38),
+                (hx - 0.15, m - 0.38),
+                (hx - 0.15, m + 0.38),
+                (tx + 0.35, m + 0.38),
+            ],
+            (48.0, 54.0, 60.0),
+            TOP_ROW,
+        )
     for y in (0.10, 0.90):
-        quad([(length - 0.32, (y - 0.07) * width), (length, (y - 0.05) * width), (length, (y + 0.05) * width), (length - 0.32, (y + 0.07) * width)], (225.0, 230.0, 232.0), TOP_ROW)  # noqa: E501
+        quad(
+            [
+                (length - 0.32, (y - 0.07) * width),
+                (length, (y - 0.05) * width),
+                (length, (y + 0.05) * width),
+                (length - 0.32, (y + 0.07) * width),
+            ],
+            (225.0, 230.0, 232.0),
+            TOP_ROW,
+        )
     top = shape.height_m
-    quad([(fx - 0.12, top - shape.belt_m - 0.03), (hx, 0.10), (tx, 0.12), (rx + 0.14, top - shape.belt_m - 0.03)], glass, SIDE_ROW)  # noqa: E501
+    quad(
+        [
+            (fx - 0.12, top - shape.belt_m - 0.03),
+            (hx, 0.10),
+            (tx, 0.12),
+            (rx + 0.14, top - shape.belt_m - 0.03),
+        ],
+        glass,
+        SIDE_ROW,
+    )
     for x in (0.5 * (hx + tx) + 0.15, hx - 0.1, tx + 0.2):
         quad([(x, 0.05), (x + 0.05, 0.05), (x + 0.05, top - 0.3), (x, top - 0.3)], trim, SIDE_ROW)
     for x in (0.5 * length + 0.31 * length, 0.5 * length - 0.30 * length):
@@ -154,8 +218,26 @@ def car_atlas(rng: np.random.Generator, shape: CarShape, paint: Colour) -> NDArr
     low = top - shape.nose_m + 0.08
     for offset, lamp in ((0.0, (235.0, 238.0, 236.0)), (2.2, (170.0, 16.0, 18.0))):
         for y in (0.08, 0.74):
-            quad([(offset + y * width, low), (offset + (y + 0.18) * width, low), (offset + (y + 0.18) * width, low + 0.16), (offset + y * width, low + 0.16)], lamp, END_ROW)  # noqa: E501
-        quad([(offset + 0.36 * width, low + 0.1), (offset + 0.64 * width, low + 0.1), (offset + 0.64 * width, low + 0.22), (offset + 0.36 * width, low + 0.22)], (225.0, 225.0, 215.0), END_ROW)  # noqa: E501
+            quad(
+                [
+                    (offset + y * width, low),
+                    (offset + (y + 0.18) * width, low),
+                    (offset + (y + 0.18) * width, low + 0.16),
+                    (offset + y * width, low + 0.16),
+                ],
+                lamp,
+                END_ROW,
+            )
+        quad(
+            [
+                (offset + 0.36 * width, low + 0.1),
+                (offset + 0.64 * width, low + 0.1),
+                (offset + 0.64 * width, low + 0.22),
+                (offset + 0.36 * width, low + 0.22),
+            ],
+            (225.0, 225.0, 215.0),
+            END_ROW,
+        )
     atlas[480:, 480:] = (22.0, 22.0, 24.0)
     atlas[480:, 448:480] = (150.0, 152.0, 155.0)
     return np.clip(atlas, 0, 255).astype(np.uint8)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +28,13 @@ WALLS: tuple[tuple[Colour, bool], ...] = (
     ((228.0, 228.0, 224.0), False),
 )
 ROOFS: tuple[Colour, ...] = (
-    (172.0, 88.0, 58.0), (112.0, 72.0, 58.0), (92.0, 96.0, 104.0), (150.0, 70.0, 52.0),
+    (158.0, 90.0, 66.0), (112.0, 72.0, 58.0), (92.0, 96.0, 104.0), (142.0, 76.0, 58.0),
 )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class House:
-    """size_m: length (along the ridge), width, wall height; ridge height over the eaves, 0: flat."""
+    """size_m: length (along the ridge), width, wall height; ridge_m: over the eaves, 0: flat."""
 
     centre_xy_m: Array
     angle: float
@@ -51,9 +52,7 @@ def add_house(builder: Builder, house: House) -> None:
     bay = builder.material(f"{name}_wall", facade_bay(rng, colour, brick))
     mesh = builder.mesh(f"{name}_walls", wall_mesh(house.size_m, house.ridge_m))
     pose = {"pos": origin, "quat": quat_z(house.angle)}
-    builder.geom(
-        "building_wall", WALL, type=GEOM.mjGEOM_MESH, meshname=mesh, material=bay, **pose
-    )
+    builder.geom("building_wall", WALL, type=GEOM.mjGEOM_MESH, meshname=mesh, material=bay, **pose)
     if house.ridge_m > 0.0:
         _add_pitched_roof(builder, house, name, origin)
     else:
@@ -75,16 +74,19 @@ def wall_mesh(size_m: tuple[float, float, float], ridge_m: float) -> MeshData:
         (x0, y0), (x1, y1) = corners[index], corners[(index + 1) % 4]
         span = float(np.hypot(x1 - x0, y1 - y0))
         bays = max(1, round(span / BAY_M))
-        foot = storeys * (1.0 - low / height) - 0.001
-        wall = np.array([[x0, y0, low], [x1, y1, low], [x1, y1, height], [x0, y0, height]])
-        uv = np.array([[0.0, foot], [bays, foot], [bays, 0.0], [0.0, 0.0]])
-        parts.append(polygon(wall, uv))
+        levels = [low, *np.linspace(0.0, height, storeys + 1)]
+        for first, last in pairwise(levels):
+            wall = np.array([[x0, y0, first], [x1, y1, first], [x1, y1, last], [x0, y0, last]])
+            upper, lower = (0.0, 0.499) if first >= 0.0 else (0.52, 0.52 - 0.5 * low / STOREY_M)
+            uv = np.array([[0.0, lower], [bays, lower], [bays, upper], [0.0, upper]])
+            parts.append(polygon(wall, uv))
         if ridge_m > 0.0 and index % 2 == 1:
             tip = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), height + ridge_m])
             gable = np.array([[x0, y0, height], [x1, y1, height], tip])
-            parts.append(polygon(gable, np.array([[0.02, 0.2], [0.22, 0.2], [0.12, 0.04]])))
+            peak = max(0.99 - 0.5 * ridge_m / STOREY_M, 0.51)
+            parts.append(polygon(gable, np.array([[0.0, 0.99], [bays, 0.99], [0.5 * bays, peak]])))
     top = np.array([[-x, -y, height], [x, -y, height], [x, y, height], [-x, y, height]])
-    parts.append(polygon(top, np.full((4, 2), 0.1)))
+    parts.append(polygon(top, np.full((4, 2), 0.8)))
     return MeshData.join(parts)
 
 
@@ -99,7 +101,7 @@ def gable_roof_mesh(length: float, width: float, ridge_m: float, eaves_m: float)
         slope = np.array([[sign * x, sign * y, low], [-sign * x, sign * y, low],
                           [-sign * x, 0.0, ridge_m], [sign * x, 0.0, ridge_m]])  # fmt: skip
         uv = np.array([[0.0, first + 0.49], [1.0, first + 0.49], [1.0, first], [0.0, first]])
-        parts.append(polygon(slope + [0.0, 0.0, thick], uv))
+        parts.append(polygon(slope + np.array([0.0, 0.0, thick]), uv))
         parts.append(polygon(slope[::-1], np.full((4, 2), 0.01)))
         edge = slope[[0, 1]]
         fascia = np.array([edge[1], edge[0], edge[0] + [0, 0, thick], edge[1] + [0, 0, thick]])
@@ -128,7 +130,7 @@ def _add_pitched_roof(builder: Builder, house: House, name: str, origin: Array) 
     _add_skylights(rng, picture, half_px)
     material = builder.material(f"{name}_roof", picture)
     mesh = builder.mesh(f"{name}_roof", gable_roof_mesh(length, width, house.ridge_m, eaves))
-    at = origin + [0.0, 0.0, height]
+    at = origin + np.array([0.0, 0.0, height])
     builder.geom(
         "building_roof", ROOF, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
         pos=at, quat=quat_z(house.angle),
@@ -171,7 +173,7 @@ def _add_flat_roof(builder: Builder, house: House, name: str, origin: Array) -> 
     uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     body = box(np.array([x, y, 0.025]), np.array([0.0, 0.0, 0.025]), 1e3)
     mesh = builder.mesh(f"{name}_roof", MeshData.join([polygon(deck, uv), body]))
-    at = origin + [0.0, 0.0, height]
+    at = origin + np.array([0.0, 0.0, height])
     builder.geom(
         "building_roof", FLAT_ROOF, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
         pos=at, quat=quat_z(house.angle),

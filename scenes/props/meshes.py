@@ -70,11 +70,14 @@ def cylinder_y(radius: float, half_width: float, centre: Array, uv: Array, sides
     """A wheel: a cylinder about the y axis; rim vertices map to ``uv[0]``, hubs to ``uv[1]``."""
     angles = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
     ring = np.stack([radius * np.sin(angles), np.zeros(sides), radius * np.cos(angles)], axis=-1)
-    left, right = ring + [0.0, half_width, 0.0], ring - [0.0, half_width, 0.0]
+    aside = np.array([0.0, half_width, 0.0])
+    left, right = ring + aside, ring - aside
     parts = []
     for i in range(sides):
         j = (i + 1) % sides
-        parts.append(polygon(np.array([left[i], left[j], right[j], right[i]]), np.tile(uv[0], (4, 1))))
+        parts.append(
+            polygon(np.array([left[i], left[j], right[j], right[i]]), np.tile(uv[0], (4, 1)))
+        )
     for side, order in ((left, -1), (right, 1)):
         hub = side[0] * [0.0, 1.0, 0.0]
         loop = side[::order]
@@ -93,7 +96,7 @@ def blob(
     metres_per_uv: float,
 ) -> MeshData:
     """A lumpy closed surface: the superellipsoid ``sum |x_i / half_i|**exponent = 1`` (2: ellipsoid,
-    8: a box with round edges), displaced along the radius by ``roughness`` (share of the radius).
+    8: a box with round edges), displaced along the radius by ``roughness`` (share of it).
     Texture: laid on from above and down the sides, ``metres_per_uv`` metres a picture."""
     sectors = 2 * rings
     polar = np.linspace(0.0, np.pi, rings + 1)
@@ -112,9 +115,10 @@ def blob(
     lumps[:, -1] = lumps[:, 0]
     vertices = shape * half * (1.0 + roughness * lumps / 1.3)[..., None]
     # Planar from above, continued down the sides along the outward direction: no pole in sight.
+    # The lower half mirrors the upper.
     normal = np.sign(shape) * np.abs(shape) ** (exponent - 1.0) / half
     sideways = normal[..., :2] / np.maximum(np.linalg.norm(normal, axis=-1), 1e-9)[..., None]
-    uv = vertices[..., :2] + sideways * (half[2] - vertices[..., 2:])
+    uv = vertices[..., :2] + sideways * (half[2] - np.abs(vertices[..., 2:]))
     uv = uv / metres_per_uv + rng.uniform(size=2)
     index = np.arange((rings + 1) * (sectors + 1)).reshape(rings + 1, sectors + 1)
     a, b = index[:-1, :-1].ravel(), index[1:, :-1].ravel()

@@ -38,7 +38,7 @@ def add_lamp(builder: Builder, xy_m: Array, heading: float, height_m: float = 6.
     )  # fmt: skip
     square = np.array([[sx, sy] for sx in (-1, 1) for sy in (-1, 1)], np.float64)
     foot = np.column_stack([xy_m + 0.075 * square, np.full(4, z)])
-    builder.cast(np.concatenate([foot, foot + [0.0, 0.0, height_m]]))
+    builder.cast(np.concatenate([foot, foot + np.array([0.0, 0.0, height_m])]))
     joint = np.array([*xy_m, z + height_m])
     ends = [end + 0.06 * np.array([*c, 0.0]) for end in (joint, head) for c in square]
     builder.cast(np.array(ends))
@@ -59,7 +59,7 @@ def add_sign(builder: Builder, xy_m: Array, heading: float, rgba: list[float]) -
         fromto=[*(xy_m + 0.8 * face), z + 2.25, *(xy_m + 1.4 * face), z + 2.25],
     )  # fmt: skip
     offsets = np.array([[0.04, 0, 0], [-0.04, 0, 0], [0, 0.04, 0]])
-    builder.cast(np.array([*xy_m, z]) + np.concatenate([offsets, offsets + [0, 0, 2.5]]))
+    builder.cast(np.array([*xy_m, z]) + np.concatenate([offsets, offsets + np.array([0, 0, 2.5])]))
     builder.claim(xy_m, 0.5)
 
 
@@ -94,7 +94,7 @@ def add_bin(builder: Builder, xy_m: Array, rgba: list[float]) -> None:
 
 
 def add_fence(builder: Builder, start_xy_m: Array, end_xy_m: Array, rgba: list[float]) -> None:
-    """Posts every 2 m and three boards, following the ground in panels."""
+    """Posts every 2 m, three boards and a cap rail, following the ground in panels."""
     span = end_xy_m - start_xy_m
     length = float(np.hypot(*span))
     panels = max(1, round(length / 2.0))
@@ -113,13 +113,15 @@ def add_fence(builder: Builder, start_xy_m: Array, end_xy_m: Array, rgba: list[f
             for board in (0.25, 0.58, 0.91):
                 centre = np.array([x + 0.5 * pitch, 0.0, middle + board])
                 parts.append(box(np.array([0.5 * pitch, 0.025, 0.08]), centre))
+            cap = np.array([x + 0.5 * pitch, 0.0, middle + 1.08])
+            parts.append(box(np.array([0.5 * pitch, 0.07, 0.02]), cap))
     name = builder.mesh(builder.unique("fence"), MeshData.join(parts))
     origin = np.array([*(0.5 * (start_xy_m + end_xy_m)), base])
     builder.geom(
         "fence", WOOD, type=GEOM.mjGEOM_MESH, meshname=name, pos=origin, quat=quat_z(angle),
         rgba=rgba,
     )  # fmt: skip
-    for low, high in ((0.17, 0.33), (0.50, 0.66), (0.83, 0.99)):
+    for low, high in ((0.17, 0.33), (0.50, 0.66), (0.83, 0.99), (1.06, 1.10)):
         ends = [[sx * 0.5 * length, 0.03 * sy, h]
                 for sx in (-1, 1) for sy in (-1, 1) for h in (low, high)]  # fmt: skip
         builder.cast(turned(np.array(ends), angle, origin))

@@ -1,0 +1,77 @@
+"""A scene as files that MuJoCo's own viewer opens."""
+
+from __future__ import annotations
+
+import struct
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from scenes.api import Scene
+from scenes.compose import VEHICLE_BODY, compose_spec
+
+ASSETS = "assets"
+
+
+def export_scene(scene_or_spec: Scene | Any, out_dir: Path) -> Path:
+    """Writes ``scene.xml`` with its textures, height fields and meshes under ``assets/``.
+
+    scene_or_spec: a `Scene` of `load_scene` (composed anew from its source and seed; the vehicle
+    stands where the scene starts it) or a mujoco.MjSpec (written as it is; its buffers are
+    replaced by file names). Returns the path of the MJCF file.
+    """
+    spec: Any = scene_or_spec
+    if isinstance(scene_or_spec, Scene):
+        scene = scene_or_spec
+        spec, _ = compose_spec(scene.source or scene.name, scene.seed)
+        spec.body(VEHICLE_BODY).pos = scene.model.body_pos[scene.model.body(VEHICLE_BODY).id]
+    assets = Path(out_dir) / ASSETS
+    assets.mkdir(parents=True, exist_ok=True)
+    for texture in spec.textures:
+        if len(texture.data):
+            _write_texture(texture, assets)
+    for hfield in spec.hfields:
+        if len(hfield.userdata):
+            _write_hfield(hfield, assets)
+    spec.texturedir = spec.meshdir = str(assets.resolve())
+    root = ET.fromstring(spec.to_xml())
+    compiler = root.find("compiler")
+    if compiler is None:
+        compiler = ET.SubElement(root, "compiler")
+    for kind in ("texturedir", "meshdir", "assetdir"):
+        compiler.attrib.pop(kind, None)
+    compiler.set("assetdir", ASSETS)
+    path = Path(out_dir) / "scene.xml"
+    ET.indent(root)
+    path.write_text(ET.tostring(root, encoding="unicode"))
+    return path
+
+
+def _file_stem(name: str) -> str:
+    return name.replace("/", "_")
+
+
+def _write_texture(texture: Any, assets: Path) -> None:
+    """PNG, and the reference to it in place of the buffer."""
+    pixels = np.frombuffer(bytes(texture.data), np.uint8)
+    picture = pixels.reshape(texture.height, texture.width, texture.nchannel)
+    name = f"{_file_stem(texture.name)}.png"
+    ok, encoded = cv2.imencode(".png", picture[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    if not ok:
+        raise ValueError(f"texture '{texture.name}' cannot be written as PNG")
+    (assets / name).write_bytes(encoded.tobytes())
+    texture.data = b""
+    texture.file = name
+
+
+def _write_hfield(hfield: Any, assets: Path) -> None:
+    """MuJoCo's binary format: int32 rows, int32 columns, float32 data row by row."""
+    data = np.asarray(hfield.userdata, np.float32)
+    name = f"{_file_stem(hfield.name)}.bin"
+    header = struct.pack("<ii", hfield.nrow, hfield.ncol)
+    (assets / name).write_bytes(header + data.astype("<f4").tobytes())
+    hfield.userdata = np.zeros(0, np.float32)
+    hfield.file = name
