@@ -24,7 +24,7 @@ land: $(READY)
 	$(BIN)/touchdown land crossroad
 
 test: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -m "not slow"
 
 check: $(READY)
 	$(BIN)/ruff check .

@@ -158,8 +158,9 @@ class LivoParams:
     """a voxel stops learning after so many returns: the oldest carry the least drift"""
     scan_points: int = 2000
     """returns of a scan that are matched, spread evenly"""
-    map_tilt_sigma_deg: float = 0.09
-    """error of the plane map that repeats from scan to scan, as if each scan had it afresh"""
+    map_tilt_sigma_deg: float = 1.0
+    """error of the plane map that repeats from scan to scan, as if each scan had it afresh; the
+    accelerometer knows level better than a map that grew outward from the take-off spot"""
     map_height_sigma_m: float = 0.01
     map_lateral_sigma_m: float = 0.3
     map_yaw_sigma_deg: float = 0.5
@@ -172,7 +173,7 @@ class LivoParams:
     """keyframes that each image is tracked from"""
     features: int = 220
     """corners of a keyframe"""
-    pixel_sigma: float = 0.5
+    pixel_sigma: float = 0.3
     """standard deviation of a tracked corner, its landmark's error included"""
     blend_s: float = 0.15
     """a correction of the filter reaches control over this time"""

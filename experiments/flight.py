@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import importlib.metadata
 import json
 import math
@@ -84,7 +85,7 @@ def _fly_and_judge(
     latest: list[GridMap] = []
 
     def keep_map() -> None:
-        surveyed.extend(_snapshot(grid) for grid in latest)
+        surveyed.extend(copy.deepcopy(grid) for grid in latest)
 
     referee = Referee(
         config.referee,
@@ -128,14 +129,6 @@ class _Watcher:
             self._next_s = truth.time_s + 0.5
             self._progress(truth.time_s, str(view.phase), view.note)
         self._recorder.tick(*event)
-
-
-def _snapshot(grid: GridMap) -> GridMap:
-    arrays = {
-        name: value.copy() if isinstance(value := getattr(grid, name), np.ndarray) else value
-        for name in GridMap.__dataclass_fields__
-    }
-    return GridMap(**arrays)
 
 
 def _result(

@@ -20,7 +20,7 @@ def run_flight(
     recorder: Recorder,
     referee: Referee,
 ) -> FlightResult:
-    """Flies until the referee has an outcome. The truth goes to the recorder and the referee only."""
+    """Flies until the referee has an outcome; only recorder and referee see the truth."""
     obs = world.reset()
     while True:
         estimate = estimator.update(obs)  # sees only what has arrived

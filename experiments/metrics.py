@@ -156,8 +156,8 @@ def levelness_error_deg(
 ) -> Array:
     """Angle between map and true normals at up to ten seeded places where the ground is planar.
 
-    ``true_points(xy (2,), radius)`` gives (N, 3) points of the true surface in that disc. Places are
-    drawn from the mapped cells; one counts when the true patch is planar to 3 cm within 1 m.
+    ``true_points(xy (2,), radius)`` gives (N, 3) points of the true surface in that disc. Places
+    are drawn from the mapped cells; one counts when the true patch is planar to 3 cm within 1 m.
     Returns (<= 10,) degrees.
     """
     rng = np.random.default_rng([seed, 0x1E7E1])

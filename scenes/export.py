@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import struct
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -36,6 +37,8 @@ def export_scene(scene_or_spec: Scene | Any, out_dir: Path) -> Path:
     for hfield in spec.hfields:
         if len(hfield.userdata):
             _write_hfield(hfield, assets)
+    for element in [*spec.textures, *spec.hfields, *spec.meshes]:
+        _copy_file(spec, element, assets)
     spec.texturedir = spec.meshdir = str(assets.resolve())
     root = ET.fromstring(spec.to_xml())
     compiler = root.find("compiler")
@@ -48,6 +51,20 @@ def export_scene(scene_or_spec: Scene | Any, out_dir: Path) -> Path:
     ET.indent(root)
     path.write_text(ET.tostring(root, encoding="unicode"))
     return path
+
+
+def _copy_file(spec: Any, element: Any, assets: Path) -> None:
+    """Brings a file that the scene refers to beside the exported MJCF."""
+    if not element.file or (assets / element.file).is_file():
+        return
+    for folder in (spec.texturedir, spec.meshdir, ""):
+        source = Path(spec.modelfiledir) / folder / element.file
+        if source.is_file():
+            element.file = source.name
+            if source.resolve() != (assets / source.name).resolve():
+                shutil.copyfile(source, assets / source.name)
+            return
+    raise FileNotFoundError(f"asset '{element.file}' of '{element.name}' not found")
 
 
 def _file_stem(name: str) -> str:

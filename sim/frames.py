@@ -164,7 +164,7 @@ def wrap_angle(angle: float) -> float:
 
 
 def interpolate_pose(first: Pose, second: Pose, fraction: float) -> Pose:
-    """Geodesic in SO(3), straight line in R3; ``fraction`` 0 gives ``first``, 1 gives ``second``."""
+    """Geodesic in SO(3), straight line in R3: 0 gives ``first``, 1 gives ``second``."""
     step = so3_log(first.rotation.T @ second.rotation)
     return Pose(
         first.rotation @ so3_exp(fraction * step),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+
 from estimator.api import Estimate
 from landing.api import LanderView, Phase
 from sim.api import Contact, Truth

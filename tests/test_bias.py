@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flight_fakes import make_estimate
+
 from estimator.api import Estimate, PoseTrack
 from experiments.api import BiasParams
 from experiments.bias import BiasedEstimator
-from flight_fakes import make_estimate
 from sim.api import Observation, SensorNeeds
 
 

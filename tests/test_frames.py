@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from sim.frames import (
     BODY_FROM_DOWNWARD_OPTICAL,
     Pose,

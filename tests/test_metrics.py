@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from flight_fakes import LEG_ON_LAWN, make_estimate, make_truth
+
 from estimator.api import GridMap
 from experiments.metrics import (
     PositioningError,
@@ -10,7 +12,6 @@ from experiments.metrics import (
     fit_plane,
     levelness_error_deg,
 )
-from flight_fakes import LEG_ON_LAWN, make_estimate, make_truth
 
 
 def test_positioning_error_of_two_samples() -> None:

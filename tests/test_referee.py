@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from flight_fakes import LEG_ON_LAWN, make_estimate, make_truth, make_view
+
 from experiments.api import Outcome, RefereeParams
 from experiments.referee import Referee
-from flight_fakes import LEG_ON_LAWN, make_estimate, make_truth, make_view
 from landing.api import Phase
 from sim.api import Contact
 from sim.frames import Pose, so3_exp

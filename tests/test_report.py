@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+
 from experiments.config import UsageError
 from experiments.report import LANDING_COLUMNS, load_runs, lookup, markdown_table, summary
 

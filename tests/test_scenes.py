@@ -298,6 +298,13 @@ def test_export_opens_again_and_is_the_same_place(crossroad: Scene, tmp_path: Pa
     assert str(tmp_path) not in path.read_text()
 
 
+def test_export_brings_the_files_of_an_outside_scene(tmp_path: Path) -> None:
+    scene = ramp(tmp_path, 3.0)
+    path = export_scene(scene, tmp_path / "out")
+    model = mujoco.MjModel.from_xml_path(str(path))
+    np.testing.assert_array_equal(model.hfield_data, scene.model.hfield_data)
+
+
 def test_views_are_written(crossroad: Scene, tmp_path: Path) -> None:
     before = crossroad.model.vis.map.zfar, crossroad.model.vis.global_.offwidth
     paths = render_views(crossroad, tmp_path)
