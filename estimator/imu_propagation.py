@@ -215,7 +215,7 @@ class ImuBuffer:
 
 
 def propagate_nominal(
-    state: NavState, ticks: Array, gyro: Array, force: Array, step_s: float
+    state: NavState, ticks: NDArray[np.int64], gyro: Array, force: Array, step_s: float
 ) -> NavState:
     """The state after N samples ((N, 3) raw gyro and specific force)."""
     if len(gyro) == 0:

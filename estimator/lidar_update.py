@@ -102,7 +102,8 @@ def floored(information: Array, vector: Array, floor_sigmas: Array) -> tuple[Arr
     """
     widened = np.eye(6) + information * floor_sigmas**2
     solved = np.linalg.solve(widened, np.column_stack([information, vector]))
-    return 0.5 * (solved[:, :6] + solved[:, :6].T), solved[:, 6]
+    symmetric: Array = 0.5 * (solved[:, :6] + solved[:, :6].T)
+    return symmetric, np.asarray(solved[:, 6], dtype=np.float64)
 
 
 def lateral_strength(information: Array) -> Array:

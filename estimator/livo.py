@@ -233,7 +233,8 @@ class Livo:
     def _take_image(self, image: CameraImage) -> None:
         rgb = image.rgb
         if self._undistort is not None:
-            rgb = cv2.remap(rgb, self._undistort[0], self._undistort[1], cv2.INTER_LINEAR)
+            flat = cv2.remap(rgb, self._undistort[0], self._undistort[1], cv2.INTER_LINEAR)
+            rgb = np.asarray(flat, dtype=np.uint8)
         levels = grey_levels(rgb)
         self._vision.measure_open_keyframes(self._eskf, self._recent, image.tick)
         report = self._vision.update(self._eskf, levels)
@@ -323,4 +324,4 @@ def _undistortion_maps(rig: SensorRig) -> tuple[NDArray[np.float32], NDArray[np.
     size = (camera.width, camera.height)
     matrix = camera.matrix()
     maps = cv2.initUndistortRectifyMap(matrix, camera.distortion, None, matrix, size, cv2.CV_32FC1)
-    return maps[0], maps[1]
+    return np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)

@@ -25,10 +25,10 @@ _SIDE = 2 * HALF + 1
 
 def grey_levels(rgb: NDArray[np.uint8]) -> tuple[Grey, Grey, Grey]:
     """Grey image (H, W) and its halves; a light blur first tames noise and texel steps."""
-    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-    grey = cv2.GaussianBlur(grey, (3, 3), 0.7)
+    grey = cv2.GaussianBlur(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), (3, 3), 0.7)
     half = cv2.pyrDown(grey)
-    return grey, half, cv2.pyrDown(half)
+    quarter = cv2.pyrDown(half)
+    return np.asarray(grey, np.uint8), np.asarray(half, np.uint8), np.asarray(quarter, np.uint8)
 
 
 @njit(cache=True)

@@ -20,7 +20,7 @@ _MOMENTS = 10
 
 
 @njit(cache=True)
-def _pack(ix: int, iy: int, iz: int) -> int:
+def _pack(ix: int, iy: int, iz: int) -> np.int64:
     return (
         (np.int64(ix + _OFFSET) << np.int64(42))
         | (np.int64(iy + _OFFSET) << np.int64(21))
@@ -29,7 +29,7 @@ def _pack(ix: int, iy: int, iz: int) -> int:
 
 
 @njit(cache=True)
-def _slot(keys: NDArray[np.int64], key: int) -> int:
+def _slot(keys: NDArray[np.int64], key: np.int64) -> int:
     """Slot that holds ``key``, or the empty slot where it belongs (linear probing)."""
     mask = keys.shape[0] - 1
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)

@@ -288,6 +288,26 @@ def view(run: Path, web: bool) -> int:
     return EXIT_DONE if subprocess.run(command, check=False).returncode == 0 else EXIT_FAILED
 
 
+@cli.command()
+@click.argument("directory", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def report(directory: Path, as_json: bool) -> int:
+    """Print a Markdown table of all runs at or below DIRECTORY, and their summary.
+
+    Example: touchdown report runs
+    """
+    from experiments.report import LANDING_COLUMNS, load_runs, markdown_table, summary
+
+    rows = load_runs(directory)
+    totals = summary(rows)
+    if as_json:
+        click.echo(json.dumps({"summary": totals, "runs": rows}, indent=2))
+    else:
+        click.echo(markdown_table(rows, LANDING_COLUMNS))
+        click.echo(f"\n{json.dumps(totals, indent=2)}")
+    return EXIT_DONE
+
+
 @cli.group(cls=_Group)
 def bench() -> int:
     """Measure speed.

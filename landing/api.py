@@ -149,10 +149,8 @@ class LandingParams:
     """a cell with fewer is not trusted"""
     max_missing_ratio: float = 0.2
     """share of pulses without return above which the ground counts as water"""
-    paved_penalty: float = 0.1
     traffic_penalty: float = 0.3
-    """taken off C_sum when sites are ranked: near grey ground, and near grey ground that is
-    connected to where something was seen to move"""
+    """taken off C_sum when sites are ranked, near a surface on which something was seen to move"""
     max_candidates: int = 12
     search_legs: int = 1
     """further survey legs when no site was found"""

@@ -32,6 +32,7 @@ class Terrain:
     high: Float32
     rgb: Float32
     """(rows, cols, 3), 0..255, NaN where uncoloured"""
+    intensity: Float32
     missing: Float32
 
     @property
@@ -78,6 +79,7 @@ class Terrain:
             low=self.low[rows, cols],
             high=self.high[rows, cols],
             rgb=self.rgb[rows, cols],
+            intensity=self.intensity[rows, cols],
             missing=self.missing[rows, cols],
         )
 
@@ -99,6 +101,7 @@ def observed_terrain(grid: GridMap) -> Terrain | None:
         low=grid.min_height_m[box],
         high=grid.max_height_m[box],
         rgb=grid.rgb[box],
+        intensity=grid.intensity[box],
         missing=grid.missing[box],
     )
 
@@ -119,6 +122,7 @@ def pooled(terrain: Terrain, factor: int) -> Terrain:
     mean = np.nansum(weight * blocks(terrain.height), axis=(1, 3)) / safe_total
     spread = blocks(terrain.std) ** 2 + (blocks(terrain.height) - mean[:, None, :, None]) ** 2
     variance = np.nansum(weight * spread, axis=(1, 3)) / safe_total
+    intensity = np.nansum(weight * blocks(terrain.intensity), axis=(1, 3)) / safe_total
     high = np.where(np.isfinite(blocks(terrain.high)), blocks(terrain.high), -np.inf)
     top = high.max(axis=(1, 3))
     low = np.where(np.isfinite(blocks(terrain.low)), blocks(terrain.low), np.inf)
@@ -136,6 +140,7 @@ def pooled(terrain: Terrain, factor: int) -> Terrain:
         low=np.where(np.isfinite(bottom), bottom, np.nan).astype(np.float32),
         high=np.where(np.isfinite(top), top, np.nan).astype(np.float32),
         rgb=rgb.astype(np.float32),
+        intensity=intensity.astype(np.float32),
         missing=blocks(terrain.missing).sum(axis=(1, 3)).astype(np.float32),
     )
 

@@ -62,6 +62,10 @@ class Builder:
         mesh.userface = data.faces.ravel()
         mesh.usertexcoord = data.uv.ravel()
         mesh.userfacetexcoord = data.faces.ravel()
+        if data.normals is not None:
+            length = np.linalg.norm(data.normals, axis=1, keepdims=True)
+            mesh.usernormal = (data.normals / np.maximum(length, 1e-12)).ravel()
+            mesh.userfacenormal = data.faces.ravel()
         # Static things need no true inertia; the shell's exists for thin and open meshes as well.
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         return name

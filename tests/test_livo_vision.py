@@ -32,7 +32,8 @@ TEXTURE = texture()
 
 
 def view(world_from_camera: Pose) -> np.ndarray:
-    """What the camera sees of the plane z = 0, whose texel (i, j) lies at (0.02 j - 20, 0.02 i - 20)."""
+    """What the camera sees of the plane z = 0; texel (row i, column j) lies at
+    (0.02 j - 20, 0.02 i - 20)."""
     world_from_texel = np.array([[0.02, 0.0, -20.0], [0.0, 0.02, -20.0], [0.0, 0.0, 1.0]])
     inverse = world_from_camera.inverse()
     flat = np.column_stack([inverse.rotation[:, :2], inverse.translation])
@@ -59,9 +60,7 @@ def test_patches_are_found_to_a_tenth_of_a_pixel_under_scale_and_turn() -> None:
     pixels = detect_features(source[0], 100)
     planes = np.tile(plane_in(key), (len(pixels), 1))
     guess = Pose(now.rotation, now.translation + np.array([0.04, -0.03, 0.0]))
-    found, tracked, predicted = track(
-        source, target, pixels, planes, guess.inverse() @ key, CAMERA
-    )
+    found, tracked, predicted = track(source, target, pixels, planes, guess.inverse() @ key, CAMERA)
     _, _, truth = track(source, target, pixels, planes, now.inverse() @ key, CAMERA)
     assert found.sum() > 40
     assert np.linalg.norm(predicted[found] - truth[found], axis=1).mean() > 1.0
@@ -90,13 +89,11 @@ def test_feature_planes_fit_a_slope_and_refuse_a_step() -> None:
     recent = RecentReturns(scans=2, per_scan=12_000)
     recent.add(np.column_stack([x, y, z]) + rng.normal(0.0, 0.02, (12_000, 3)))
     rays = np.array([[0.0, 0.0], [-0.2, 0.15], [0.213, 0.05], [0.34, 0.0]])
-    valid, planes = feature_planes(
-        rays, recent, Pose.identity(), (0.68, 0.38), radius=16.0 / 617.0
-    )
+    valid, planes = feature_planes(rays, recent, Pose.identity(), (0.68, 0.38), radius=16.0 / 617.0)
     np.testing.assert_array_equal(valid, [True, True, False, True])
-    depth = 1.0 / np.einsum("ij,ij->i", np.column_stack([rays, np.ones(4)]), planes)
-    expected = 20.0 / (np.column_stack([rays, np.ones(4)]) @ normal)
-    np.testing.assert_allclose(depth[:2], expected[:2], atol=0.02)
+    rays3 = np.column_stack([rays[:2], np.ones(2)])
+    depth = 1.0 / np.einsum("ij,ij->i", rays3, planes[:2])
+    np.testing.assert_allclose(depth, 20.0 / (rays3 @ normal), atol=0.02)
 
 
 def test_reprojection_jacobian_matches_finite_differences() -> None:
@@ -118,9 +115,7 @@ def test_reprojection_jacobian_matches_finite_differences() -> None:
         key.rotation, key.translation, camera_from_imu.rotation, camera_from_imu.translation,
         intrinsics, 1.0, 1e6,
     )  # fmt: skip
-    jacobian = np.column_stack(
-        [(pixel(1e-6 * e) - pixel(-1e-6 * e)) / 2e-6 for e in np.eye(12)]
-    )
+    jacobian = np.column_stack([(pixel(1e-6 * e) - pixel(-1e-6 * e)) / 2e-6 for e in np.eye(12)])
     assert used == 1
     np.testing.assert_allclose(information, jacobian.T @ jacobian, rtol=1e-4, atol=1e-2)
     np.testing.assert_allclose(vector, jacobian.T @ residual, rtol=1e-4, atol=1e-3)
@@ -184,9 +179,7 @@ def test_keyframes_are_bounded_and_their_clones_go_with_them() -> None:
     eskf = filter_at(imu_pose((0, 0, 15), (0, 0, 0)))
     for k in range(7):
         pose = imu_pose((0.5 * k, 0.0, 15.0), (0, 0, 0))
-        eskf.state = NavState(
-            60 * k, pose.rotation, pose.translation, *(3 * [np.zeros(3)])
-        )
+        eskf.state = NavState(60 * k, pose.rotation, pose.translation, *(3 * [np.zeros(3)]))
         image = grey_levels(view(pose @ IMU_FROM_CAMERA))
         assert vision.add_keyframe(eskf, image, returns, 60 * k)
     assert len(vision.keyframes) == len(eskf.clones) == 4

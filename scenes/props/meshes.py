@@ -14,11 +14,13 @@ Ints = NDArray[np.int32]
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MeshData:
     """A triangle mesh. vertices: (N, 3) metres; faces: (M, 3) counter-clockwise seen from
-    outside; uv: (N, 2) texture coordinates, u to the right and v DOWN the picture."""
+    outside; uv: (N, 2) texture coordinates, u to the right and v DOWN the picture; normals: (N, 3)
+    of any length, None: MuJoCo's."""
 
     vertices: Array
     faces: Ints
     uv: Array
+    normals: Array | None = None
 
     @staticmethod
     def join(parts: list[MeshData]) -> MeshData:
@@ -96,8 +98,8 @@ def blob(
     metres_per_uv: float,
 ) -> MeshData:
     """A lumpy closed surface: the superellipsoid ``sum |x_i / half_i|**exponent = 1`` (2: an
-    ellipsoid, 8: a box with round edges), displaced along the radius by ``roughness`` (share of it).
-    Texture: laid on from above and down the sides, ``metres_per_uv`` metres a picture."""
+    ellipsoid, 8: a box with round edges), displaced along the radius by ``roughness`` (share of
+    it). Texture: laid on from above and down the sides, ``metres_per_uv`` metres a picture."""
     sectors = 2 * rings
     polar = np.linspace(0.0, np.pi, rings + 1)
     azimuth = np.linspace(0.0, 2.0 * np.pi, sectors + 1)
@@ -114,24 +116,36 @@ def blob(
     lumps = np.sin(unit @ waves.T + phases) @ (1.0 / np.linspace(1.5, 4.0, 10))
     lumps[:, -1] = lumps[:, 0]
     vertices = shape * half * (1.0 + roughness * lumps / 1.3)[..., None]
-    # Planar from above, continued down the sides along the outward direction: no pole in sight.
-    # The lower half mirrors the upper.
-    normal = np.sign(shape) * np.abs(shape) ** (exponent - 1.0) / half
-    sideways = normal[..., :2] / np.maximum(np.linalg.norm(normal, axis=-1), 1e-9)[..., None]
-    uv = vertices[..., :2] + sideways * (half[2] - np.abs(vertices[..., 2:]))
+    # Faces that look up are mapped from above, the others by the way around and the height.
+    ring = vertices[rings // 2]
+    around = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ring, axis=0), axis=1))])
+    side = np.stack(np.broadcast_arrays(around, -vertices[..., 2]), axis=-1)
+    uv = np.concatenate([vertices[..., :2].reshape(-1, 2), side.reshape(-1, 2)])
     uv = uv / metres_per_uv + rng.uniform(size=2)
     index = np.arange((rings + 1) * (sectors + 1)).reshape(rings + 1, sectors + 1)
     a, b = index[:-1, :-1].ravel(), index[1:, :-1].ravel()
     c, d = index[1:, 1:].ravel(), index[:-1, 1:].ravel()
     faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
-    kept = _without_slivers(vertices.reshape(-1, 3), faces)
-    return MeshData(
-        vertices=vertices.reshape(-1, 3), faces=kept.astype(np.int32), uv=uv.reshape(-1, 2)
-    )
-
-
-def _without_slivers(vertices: Array, faces: Ints) -> Ints:
-    """Drops the triangles of no area at the poles."""
-    corner = vertices[faces]
+    points = vertices.reshape(-1, 3)
+    corner = points[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    return faces[np.linalg.norm(normal, axis=1) > 1e-9]
+    area = np.linalg.norm(normal, axis=1)
+    upward = np.abs(normal[:, 2]) > 0.6 * area
+    smooth = np.zeros_like(points)
+    for column in range(3):
+        np.add.at(smooth, faces[:, column], normal)
+    # The seam's two columns are one line of the surface.
+    smooth = smooth.reshape(*vertices.shape)
+    smooth[:, 0] += smooth[:, -1]
+    smooth[:, -1] = smooth[:, 0]
+    smooth[0], smooth[-1] = smooth[0].sum(axis=0), smooth[-1].sum(axis=0)
+    # Vertices exist once for each way of mapping (MJCF knows one texture coordinate a vertex); at
+    # the poles the quads have a corner twice.
+    split = np.where(upward[:, None], faces, faces + len(points))[area > 1e-9]
+    used, split = np.unique(split, return_inverse=True)
+    return MeshData(
+        vertices=np.tile(points, (2, 1))[used],
+        faces=split.reshape(-1, 3).astype(np.int32),
+        uv=uv[used],
+        normals=np.tile(smooth.reshape(-1, 3), (2, 1))[used],
+    )

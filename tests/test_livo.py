@@ -1,0 +1,271 @@
+"""The whole estimator on a short made-up flight over a plane, and against broken input."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from estimator.api import Estimate, LivoParams
+from estimator.livo import Livo
+from estimator.oracle import Oracle
+from sim.api import (
+    GRAVITY_MPS2,
+    CameraImage,
+    CameraIntrinsics,
+    ImuParams,
+    ImuSample,
+    LidarParams,
+    LidarScan,
+    Observation,
+    SensorRig,
+    Truth,
+    VehicleModel,
+)
+from sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
+
+HZ, IMU_TICKS, SCAN_TICKS, LATENCY = 600, 3, 60, 36
+START_Z = 12.0
+DOWN = BODY_FROM_DOWNWARD_OPTICAL
+
+
+def make_rig(distortion: float = 0.0) -> SensorRig:
+    """Starts at 12 m, so that a second of data is enough; the IMU sits off the centre."""
+    return SensorRig(
+        tick_hz=HZ,
+        body_from_imu=Pose(np.eye(3), np.array([0.02, 0.0, 0.01])),
+        body_from_lidar=Pose(DOWN, np.array([0.0, 0.0, -0.15])),
+        body_from_camera=Pose(DOWN, np.array([0.075, 0.025, -0.13])),
+        body_from_camera_right=Pose(DOWN, np.array([0.075, -0.025, -0.13])),
+        camera=CameraIntrinsics(
+            width=212, height=120, fx=154.0, fy=156.0, cx=105.5, cy=59.5,
+            distortion=np.array([distortion, 0.0, 0.0, 0.0, 0.0]),
+        ),
+        lidar=LidarParams(),
+        imu=ImuParams(),
+        imu_ticks=IMU_TICKS,
+        camera_ticks=20,
+        lidar_scan_ticks=SCAN_TICKS,
+        compute_latency_ticks=LATENCY,
+        world_from_body_start=Pose(np.eye(3), np.array([0.0, 0.0, START_Z])),
+        vehicle=VehicleModel(
+            mass_kg=4.0, inertia_kgm2=np.ones(3), rotor_xy_m=np.zeros((4, 2)),
+            rotor_spin=np.array([1.0, -1.0, 1.0, -1.0]), thrust_coefficient=6e-5,
+            torque_coefficient=1e-6, rotor_speed_min=80.0, rotor_speed_max=600.0,
+            motor_time_constant_s=0.04, linear_drag=0.5, leg_height_m=0.3, footprint_radius_m=0.5,
+        ),
+    )  # fmt: skip
+
+
+def position_at(t: float) -> np.ndarray:
+    """Accelerates along x at 1 m/s^2, level."""
+    return np.array([0.5 * t * t, 0.0, START_Z])
+
+
+def scan_ending_at(tick: int) -> LidarScan:
+    """Level ground z = 0 under the moving LIDAR, without noise."""
+    rng = np.random.default_rng(tick)
+    count, start_s = 4000, (tick - SCAN_TICKS) / HZ
+    offsets = np.sort(rng.uniform(0.0, SCAN_TICKS / HZ, count))
+    directions = np.column_stack([rng.uniform(-0.8, 0.8, count), rng.uniform(-0.22, 0.22, count)])
+    directions = np.column_stack([directions, np.ones(count)])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return LidarScan(
+        start_tick=tick - SCAN_TICKS,
+        end_tick=tick,
+        start_time_s=start_s,
+        end_time_s=tick / HZ,
+        directions=directions.astype(np.float32),
+        ranges=((START_Z - 0.15) / directions[:, 2]).astype(np.float32),
+        time_offsets=offsets.astype(np.float32),
+        intensity=np.full(count, 40, dtype=np.uint8),
+    )
+
+
+def ground_grey(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A smooth pattern without repetition, grey levels."""
+    waves = sum(
+        np.sin(a * x + b * y + c) / k
+        for k, (a, b, c) in enumerate(
+            [
+                (3.1, 0.7, 0.1),
+                (0.9, -2.6, 1.0),
+                (5.3, 4.1, 2.0),
+                (-4.7, 6.1, 0.5),
+                (8.9, -7.3, 1.3),
+            ],
+            start=1,
+        )
+    )
+    return 128.0 + 45.0 * waves
+
+
+def image_at(tick: int, rig: SensorRig) -> CameraImage:
+    camera = rig.camera
+    pose = Pose(np.eye(3), position_at(tick / HZ)) @ rig.body_from_camera
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    rays = np.stack(
+        [(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], -1
+    )
+    ground = pose.translation + pose.translation[2] * (rays @ pose.rotation.T)
+    grey = np.clip(ground_grey(ground[..., 0], ground[..., 1]), 0, 255).astype(np.uint8)
+    return CameraImage(tick=tick, time_s=tick / HZ, rgb=np.repeat(grey[..., None], 3, axis=2))
+
+
+def observations(rig: SensorRig, last_tick: int) -> list[Observation]:
+    found = []
+    for tick in range(0, last_tick + 1, IMU_TICKS):
+        measured = tick - LATENCY
+        due = measured > 0 and measured % SCAN_TICKS == 0
+        imu = ImuSample(
+            tick=tick,
+            time_s=tick / HZ,
+            angular_velocity=np.zeros(3),
+            specific_force=np.array([1.0, 0.0, GRAVITY_MPS2]),
+        )
+        found.append(
+            Observation(
+                tick=tick,
+                time_s=tick / HZ,
+                imu=(imu,) if tick else (),
+                scans=(scan_ending_at(measured),) if due else (),
+                images=(image_at(measured, rig),) if due else (),
+                rotor_speed_radps=np.full(4, 400.0),
+                battery_fraction=1.0,
+            )
+        )
+    return found
+
+
+RIG = make_rig()
+FLIGHT = observations(RIG, 780)
+
+
+def fly(flight: list[Observation], rig: SensorRig = RIG) -> list[Estimate]:
+    livo = Livo(rig, LivoParams())
+    return [livo.update(obs) for obs in flight]
+
+
+def test_a_clean_second_is_followed_to_the_centimetre() -> None:
+    """The moving start contradicts nothing: the rotors spin at lifting speed from the beginning."""
+    estimates = fly(FLIGHT)
+    last = estimates[-1]
+    assert [e.tick for e in estimates] == [o.tick for o in FLIGHT]
+    np.testing.assert_allclose(
+        last.world_from_body.translation, position_at(last.time_s), atol=0.012
+    )
+    np.testing.assert_allclose(last.velocity_odom, [last.time_s, 0.0, 0.0], atol=0.02)
+    np.testing.assert_allclose(last.acceleration_odom, [1.0, 0.0, 0.0], atol=0.05)
+    assert last.diagnostics["features_tracked"] > 30
+    assert last.diagnostics["lidar_matched"] > 500
+    assert last.healthy
+
+
+def test_same_input_same_output_to_the_bit() -> None:
+    first, second = fly(FLIGHT), fly(FLIGHT)
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a.world_from_body.translation, b.world_from_body.translation)
+        np.testing.assert_array_equal(a.odom_from_body.rotation, b.odom_from_body.rotation)
+        assert a.diagnostics == b.diagnostics
+
+
+def test_scan_track_spans_the_scan() -> None:
+    estimates = fly(FLIGHT)
+    tracks = [
+        (obs.scans[0], e.scan_track) for obs, e in zip(FLIGHT, estimates, strict=True) if obs.scans
+    ]
+    assert all(e.scan_track is None for o, e in zip(FLIGHT, estimates, strict=True) if not o.scans)
+    for scan, track in tracks:
+        assert track is not None
+        assert track.times_s[0] == scan.start_time_s and track.times_s[-1] == scan.end_time_s
+        assert len(track.times_s) == SCAN_TICKS // IMU_TICKS + 1
+        truth = np.array([position_at(t) for t in track.times_s])
+        np.testing.assert_allclose(track.positions_odom, truth, atol=0.012)
+
+
+def broken(kind: str) -> list[Observation]:
+    flight = list(FLIGHT)
+    k = max(i for i, obs in enumerate(flight) if obs.scans and obs.tick < 500)
+    scan, image = flight[k].scans[0], flight[k].images[0]
+    if kind == "nan ranges":
+        ranges = scan.ranges.copy()
+        ranges[::2] = np.nan
+        flight[k] = dataclasses.replace(
+            flight[k], scans=(dataclasses.replace(scan, ranges=ranges),)
+        )
+    elif kind == "empty scan":
+        empty = dataclasses.replace(
+            scan,
+            directions=np.zeros((0, 3), np.float32),
+            ranges=np.zeros(0, np.float32),
+            time_offsets=np.zeros(0, np.float32),
+            intensity=np.zeros(0, np.uint8),
+        )
+        flight[k] = dataclasses.replace(flight[k], scans=(empty,))
+    elif kind == "missing scan":
+        flight[k] = dataclasses.replace(flight[k], scans=())
+    elif kind == "black image":
+        black = dataclasses.replace(image, rgb=np.zeros_like(image.rgb))
+        flight[k] = dataclasses.replace(flight[k], images=(black,))
+    elif kind == "no sensors":
+        flight = [dataclasses.replace(obs, scans=(), images=()) for obs in flight]
+    elif kind == "late scan":
+        flight[k + 30] = dataclasses.replace(flight[k + 30], scans=(scan,))
+    elif kind == "nan imu":
+        sample = dataclasses.replace(flight[k].imu[0], angular_velocity=np.full(3, np.nan))
+        flight[k] = dataclasses.replace(flight[k], imu=(sample,))
+    return flight
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "nan ranges",
+        "empty scan",
+        "missing scan",
+        "black image",
+        "no sensors",
+        "late scan",
+        "nan imu",
+    ],
+)
+def test_broken_input_costs_centimetres_at_most(kind: str) -> None:
+    estimates = fly(broken(kind))
+    for e in estimates:
+        error = e.world_from_body.translation - position_at(e.time_s)
+        assert np.isfinite(error).all() and np.linalg.norm(error) < 0.06
+        assert np.isfinite(e.position_covariance).all()
+    if kind in ("black image", "late scan", "nan imu"):
+        assert estimates[-1].diagnostics["skipped"] >= 1.0
+
+
+def test_corrections_reach_control_without_a_jump() -> None:
+    """Between two estimates the position moves by the velocity and no more than millimetres."""
+    estimates = fly(FLIGHT)
+    for a, b in itertools.pairwise(estimates):
+        step = b.odom_from_body.translation - a.odom_from_body.translation
+        expected = 0.5 * (a.velocity_odom + b.velocity_odom) * (b.time_s - a.time_s)
+        assert np.linalg.norm(step - expected) < 2e-3
+
+
+def test_a_distorted_lens_is_accepted() -> None:
+    rig = make_rig(distortion=-0.01)
+    assert fly(FLIGHT[:150], rig)[-1].healthy
+
+
+def test_oracle_tells_the_truth_and_refuses_another_tick() -> None:
+    pose = Pose(np.eye(3), np.array([1.0, 2.0, 3.0]))
+    truth = Truth(
+        tick=3, time_s=0.005, world_from_body=pose, velocity_world=np.array([1.0, 0.0, 0.0]),
+        acceleration_world=np.array([0.0, 2.0, 0.0]), angular_velocity_body=np.zeros(3),
+        wind_world=np.zeros(3), rotor_speed_radps=np.zeros(4), contacts=(),
+        peak_contact_accel=0.0, energy_used_j=0.0,
+    )  # fmt: skip
+    oracle = Oracle(lambda: truth, RIG)
+    estimate = oracle.update(FLIGHT[1])
+    np.testing.assert_array_equal(estimate.world_from_body.translation, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(estimate.acceleration_odom, [0.0, 2.0, 0.0])
+    with pytest.raises(ValueError, match="tick 3"):
+        oracle.update(FLIGHT[2])
