@@ -105,6 +105,8 @@ class Referee:
             self._start_height = height
         if self._lift_off_s is None and height > self._start_height + _LIFT_OFF_HEIGHT_M:
             self._lift_off_s = truth.time_s
+        if (view.no_site or view.aborted) and not self._reason:
+            self._reason = view.note  # why it gave up, not what it did afterwards
         if self._survey_from_s is None and view.phase == Phase.SURVEY:
             self._survey_from_s = truth.time_s
         left_survey = self._survey_from_s is not None and view.phase != Phase.SURVEY

@@ -99,7 +99,7 @@ def ground_grey(x: np.ndarray, y: np.ndarray) -> np.ndarray:
             start=1,
         )
     )
-    return 128.0 + 45.0 * waves
+    return np.asarray(128.0 + 45.0 * waves)
 
 
 def image_at(tick: int, rig: SensorRig) -> CameraImage:

@@ -52,7 +52,7 @@ def test_deskew_brings_a_fixed_point_to_one_place() -> None:
 
 
 def test_deskew_leaves_out_what_is_no_return() -> None:
-    directions = np.tile(np.float32([0.0, 0.0, 1.0]), (5, 1))
+    directions = np.tile(np.array([0.0, 0.0, 1.0], dtype=np.float32), (5, 1))
     ranges = np.array([0.0, np.nan, np.inf, 0.2, 7.0], dtype=np.float32)
     points, _ = deskew(
         directions, ranges, np.zeros(5, dtype=np.float32), np.eye(3), np.zeros(3),

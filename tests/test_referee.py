@@ -75,9 +75,11 @@ def test_a_good_landing() -> None:
 def test_honest_aborts(flags: dict[str, bool], expected: Outcome) -> None:
     referee = make_referee()
     fly_to_descent(referee)
-    contact = {"contacts": LEG_ON_LAWN, "view": flags}
+    judge(referee, 60.5, [5, 6, 1.0], Phase.RETURN, view=flags | {"note": "no place"})
+    contact = {"contacts": LEG_ON_LAWN, "view": flags | {"note": "motors off"}}
     assert judge(referee, 61.0, [0, 0, 0.3], Phase.DONE, **contact) is None
     assert judge(referee, 61.6, [0, 0, 0.3], Phase.DONE, **contact) is expected
+    assert referee.result(expected).reason == "no place"
 
 
 @pytest.mark.parametrize(
