@@ -149,6 +149,8 @@ def fit_plane(points: Array) -> PlaneFit:
 LEVELNESS_PLACES = 10
 LEVELNESS_RADIUS_M = 1.0
 LEVELNESS_RESIDUAL_M = 0.03
+LEVELNESS_MAX_SLOPE_DEG = 15.0
+"""steeper planes are roofs and banks, not ground to land on"""
 
 
 def levelness_error_deg(
@@ -157,18 +159,20 @@ def levelness_error_deg(
     """Angle between map and true normals at up to ten seeded places where the ground is planar.
 
     ``true_points(xy (2,), radius)`` gives (N, 3) points of the true surface in that disc. Places
-    are drawn from the mapped cells; one counts when the true patch is planar to 3 cm within 1 m.
+    are drawn from the mapped cells; one counts when the true patch is planar to 3 cm within 1 m
+    and slopes by at most 15 degrees.
     Returns (<= 10,) degrees.
     """
     rng = np.random.default_rng([seed, 0x1E7E1])
     rows, cols = np.nonzero(grid.count > 2)
     errors: list[float] = []
+    flattest = np.cos(np.radians(LEVELNESS_MAX_SLOPE_DEG))
     if rows.size == 0:
         return np.zeros(0)
     for pick in rng.integers(0, rows.size, size=400):
         centre = grid.origin_xy_m + (np.array([cols[pick], rows[pick]]) + 0.5) * grid.cell_m
         truth = fit_plane(true_points(centre, LEVELNESS_RADIUS_M))
-        if truth.residual_m > LEVELNESS_RESIDUAL_M:
+        if truth.residual_m > LEVELNESS_RESIDUAL_M or truth.normal[2] < flattest:
             continue
         mapped = _map_points(grid, centre, LEVELNESS_RADIUS_M)
         if mapped.shape[0] < 20:
