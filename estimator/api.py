@@ -177,3 +177,50 @@ class LivoParams:
     """standard deviation of a tracked corner, its landmark's error included"""
     blend_s: float = 0.15
     """a correction of the filter reaches control over this time"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PaperParams:
+    """LIDAR-camera positioning of Zou, Sun and Kong 2024 (``estimator/paper``)."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    camera_hz: int = 10
+    edge_model: str = ""
+    """path of a structured edge model for OpenCV; empty: edges from colour gradients"""
+    use_lidar_pose: bool = True
+    """whether scans correct the pose (Algorithm 1)"""
+    use_camera_pose: bool = True
+    """whether images correct the pose (PnP)"""
+    use_colour_smoothness: bool = True
+    """whether f_c takes part in choosing edge and planar points (Eq. 7)"""
+    use_closures: bool = True
+    """whether keyframes seen again move the map"""
+    colour_weight: float = 0.004
+    """lambda of Eq. 7"""
+    edge_threshold: float = 0.006
+    """f_s above which a return may be an edge point, below which a planar one"""
+    edge_points: int = 400
+    planar_cells: tuple[int, int] = (56, 28)
+    """columns and rows of the view's sectors, each of which gives one planar point"""
+    edge_voxel_m: float = 0.3
+    planar_voxel_m: float = 0.6
+    map_voxels: int = 131072
+    """capacity of each feature map, a power of two; it never grows"""
+    edge_sigma_m: float = 0.15
+    plane_sigma_m: float = 0.04
+    keyframe_distance_m: float = 2.0
+    keyframe_period_s: float = 0.5
+    """images further apart than either are matched with the map"""
+    sift_features: int = 350
+    brisk_features: int = 300
+    sift_sigma_px: float = 1.0
+    brisk_sigma_px: float = 0.8
+    max_keyframes: int = 160
+    recent_keyframes: int = 12
+    """keyframes whose landmarks give the odometry"""
+    blend_s: float = 0.15
+    """a correction of the filter reaches control over this time"""
+    closure_speed_mps: float = 0.1
+    """fastest motion of the odometry frame when closures correct the past"""
+    closure_rate_deg_s: float = 0.5

@@ -1,4 +1,4 @@
-"""Speed of the whole loop, measured on a real flight with everything on."""
+"""Speed of the whole loop, measured on real flights with everything on."""
 
 from __future__ import annotations
 
@@ -21,6 +21,22 @@ def bench_config(*, scene: str, estimator: str, seed: int, full: bool) -> Config
     """A landing with recording; unless ``full``, after a short survey. Raises UsageError."""
     overrides = () if full else _SHORT_SURVEY
     return load_config(None, overrides, scene=scene, estimator=estimator, seed=seed, record=True)
+
+
+def overhead_config(*, scene: str, seed: int, full: bool) -> Config:
+    """The flight of `measure_loop_overhead`: one thread, truth for the estimator, and the survey
+    alone, unless ``full``. Raises UsageError."""
+    overrides = ["sim.threads=1", "landing.survey_only=true"]
+    overrides += [] if full else list(_SHORT_SURVEY)
+    return load_config(None, overrides, scene=scene, estimator="oracle", seed=seed, record=True)
+
+
+def measure_loop_overhead(config: Config) -> dict[str, Any]:
+    """`experiments.overhead.measure_on_one_core` into a directory that is thrown away."""
+    from experiments.overhead import measure_on_one_core
+
+    with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
+        return measure_on_one_core(config, Path(folder) / "run")
 
 
 def measure_loop(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,14 @@ from experiments.bias import BiasedEstimator
 from experiments.config import Config, UsageError
 from experiments.suggest import nearest
 from landing.api import Lander
-from scenes.api import Scene
-from sim.api import SensorRig, Truth, World
+from scenes.api import Scene, TruthMaps
+from sim.api import SensorNeeds, SensorRig, Truth, World
+
+if TYPE_CHECKING:
+    from scenes.survey_facts import Difference, Layout, SurveyFacts
+    from sim.bare import BareWorld
+    from sim.hover import HoverView
+    from sim.lidar_peers import LidarPeers
 
 Array = NDArray[np.float64]
 
@@ -46,18 +53,9 @@ def build_flight(config: Config, scene: Scene) -> Flight:
     from controller.cascade import CascadeController
     from estimator.mapper import GridMapper
     from landing.lander import SiteLander
-    from sim.world import MujocoWorld
 
     make_estimator = _estimator_factory(config)
-    world = MujocoWorld(
-        scene,
-        sim=config.sim,
-        wind=config.wind,
-        lidar=config.lidar,
-        camera=config.camera,
-        imu=config.imu,
-        seed=config.seed,
-    )
+    world = _world(config, scene)
     estimator = make_estimator(world.rig, world.truth)
     if any(config.bias.xy_m):
         estimator = BiasedEstimator(estimator, config.bias)
@@ -72,6 +70,68 @@ def build_flight(config: Config, scene: Scene) -> Flight:
         mapper=mapper,
         lander=lander,
         controller=controller,
+    )
+
+
+def _world(config: Config, scene: Scene) -> Any:
+    from sim.world import MujocoWorld
+
+    return MujocoWorld(
+        scene,
+        sim=config.sim,
+        wind=config.wind,
+        lidar=config.lidar,
+        camera=config.camera,
+        imu=config.imu,
+        nav=config.nav,
+        seed=config.seed,
+    )
+
+
+@dataclass(slots=True)
+class Practice:
+    """A vehicle in the air over a scene, for a pilot from elsewhere: ``controller``, told the truth
+    by ``estimator``, holds it until the pilot takes over. ``draw()`` is what a camera of
+    ``view_pixels`` (width, height) on the vehicle sees now, (H, W, 3) uint8."""
+
+    scene: Scene
+    world: Any
+    """``sim.world.MujocoWorld``, whose ``start_in_air`` begins an episode"""
+    estimator: Estimator
+    controller: Controller
+    step_s: float
+    """of one control step"""
+    draw: Callable[[], NDArray[np.uint8]]
+    close: Callable[[], None]
+
+
+def build_practice(
+    config: Config, scene: Scene, needs: SensorNeeds, view_pixels: tuple[int, int]
+) -> Practice:
+    """World and autopilot of ``config``, sensing what ``needs`` asks for."""
+    from controller.cascade import CascadeController
+    from estimator.oracle import Oracle
+    from sim.api import CameraParams
+    from sim.camera import CameraSensor
+
+    world = _world(config, scene)
+    world.require(needs)
+    width, height = view_pixels
+    lens = CameraParams(noise_sigma=0.0, samples=4, width=width, height=height)
+    view = CameraSensor(scene, lens, config.seed)
+
+    def close() -> None:
+        view.close()
+        world.close()
+
+    return Practice(
+        scene=scene,
+        world=world,
+        estimator=Oracle(world.truth, world.rig),
+        controller=CascadeController(world.rig.vehicle, config.control),
+        step_s=config.sim.control_ticks / config.sim.tick_hz,
+        draw=lambda: view.render(world.snapshot(), 0),
+        close=close,
     )
 
 
@@ -120,13 +180,23 @@ def _livo(config: Config) -> _EstimatorFactory:
     return lambda rig, _truth: Livo(rig, config.livo, seed=config.seed)
 
 
+def _paper(config: Config) -> _EstimatorFactory:
+    from estimator.paper.estimator import PaperEstimator
+
+    return lambda rig, _truth: PaperEstimator(rig, config.paper)
+
+
 def _oracle(config: Config) -> _EstimatorFactory:
     from estimator.oracle import Oracle
 
     return lambda rig, truth: Oracle(truth, rig)
 
 
-ESTIMATORS: Mapping[str, Callable[[Config], _EstimatorFactory]] = {"livo": _livo, "oracle": _oracle}
+ESTIMATORS: Mapping[str, Callable[[Config], _EstimatorFactory]] = {
+    "livo": _livo,
+    "paper": _paper,
+    "oracle": _oracle,
+}
 
 
 def check_estimator(name: str) -> None:
@@ -168,11 +238,81 @@ def scene_names() -> list[str]:
     return names()
 
 
-def scene_spec(name: str, seed: int) -> Any:
-    """The uncompiled ``mujoco.MjSpec`` of a scene with the vehicle in it. Raises as build_scene."""
-    from scenes.compose import compose_spec
+def scene_picture(scene: Scene, view: str, pixels: int | None = None) -> NDArray[np.uint8]:
+    """(H, W, 3) RGB, as `scenes.render.scene_picture`."""
+    from scenes.render import scene_picture as picture
 
-    return compose_spec(name, seed)[0]
+    return picture(scene, view, pixels)
+
+
+def scene_truth_maps(scene: Scene, cell_m: float, region: Array | None = None) -> TruthMaps:
+    """As `scenes.truth.truth_maps`."""
+    from scenes.truth import truth_maps
+
+    return truth_maps(scene, cell_m, region)
+
+
+def export_scene(scene: Scene, out_dir: Path) -> Path:
+    """Writes MJCF and assets, as `scenes.export.export_scene`; returns the file."""
+    from scenes.export import export_scene as export
+
+    return export(scene, out_dir)
+
+
+def hover_view(config: Config, scene: Scene, height_m: float, seconds: float) -> HoverView:
+    """What the configured camera and LIDAR see from a hover above the take-off spot."""
+    from sim.hover import hover_view as look
+
+    return look(
+        scene,
+        sim=config.sim,
+        camera=config.camera,
+        lidar=config.lidar,
+        seed=config.seed,
+        height_m=height_m,
+        seconds=seconds,
+    )
+
+
+def build_bare(config: Config, scene: Scene) -> BareWorld:
+    """The bare computation beside a flight that was built before, whose world set the physics."""
+    from sim.bare import BareWorld
+
+    return BareWorld(
+        scene, sim=config.sim, camera=config.camera, lidar=config.lidar, seed=config.seed
+    )
+
+
+def lidar_peers(config: Config, scene: Scene) -> LidarPeers:
+    """Ray casters beside the configured LIDAR in a scene."""
+    from sim.lidar_peers import LidarPeers
+
+    return LidarPeers(scene, config.lidar, config.seed)
+
+
+def survey_facts(config: Config, scene: Scene) -> SurveyFacts:
+    """What the configured survey finds. A Livox Horizon sees 81.7 x 25.1 degrees: from 30 m, 26 m
+    aside and 6.7 m ahead."""
+    from scenes.survey_facts import survey_facts as facts
+
+    survey = config.survey
+    ahead, aside = survey.height_m * np.tan(0.5 * np.deg2rad([25.1, 81.7]))
+    width = (survey.legs - 1) * survey.leg_spacing_m
+    return facts(scene, survey.leg_length_m, width, float(ahead), float(aside))
+
+
+def scene_layout(scene: Scene) -> Layout:
+    """As `scenes.survey_facts.layout`."""
+    from scenes.survey_facts import layout
+
+    return layout(scene)
+
+
+def layout_difference(a: Layout, b: Layout) -> Difference:
+    """As `scenes.survey_facts.difference`."""
+    from scenes.survey_facts import difference
+
+    return difference(a, b)
 
 
 def control_margins(config: Config, scene: Scene) -> list[Any]:

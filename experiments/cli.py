@@ -13,16 +13,25 @@ from typing import Any
 
 import click
 
+from experiments.cli_base import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_USAGE,
+    CommandGroup,
+    guarded_fly,
+    is_good,
+    usage_errors,
+)
+from experiments.cli_bench import bench
+from experiments.cli_scenes import scenes
 from experiments.console import (
     end_progress,
     error_line,
     make_progress,
     print_margins,
     print_result,
-    print_stages,
 )
-
-EXIT_DONE, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
 
 
 class SiteType(click.ParamType):
@@ -42,22 +51,6 @@ class SiteType(click.ParamType):
         if not (math.isfinite(x) and math.isfinite(y)):
             self.fail(f"'{value}' must be two finite numbers", param, ctx)
         return x, y
-
-
-class _Group(click.Group):
-    """Names the nearest command for an unknown one."""
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
-            from experiments.suggest import nearest
-
-            known = self.list_commands(ctx)
-            raise click.UsageError(
-                f"unknown command '{args[0]}'{nearest(args[0], known)}; known: {', '.join(known)}"
-            )
-        return super().resolve_command(ctx, args)
 
 
 _Command = Callable[..., int]
@@ -97,7 +90,7 @@ def _flight_options(command: _Command) -> _Command:
     return command
 
 
-@click.group(cls=_Group, invoke_without_command=True)
+@click.group(cls=CommandGroup, invoke_without_command=True)
 @click.version_option(package_name="touchdown", prog_name="touchdown")
 @click.pass_context
 def cli(context: click.Context) -> int:
@@ -147,121 +140,14 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
     if out is None:
         stem = Path(config.scene).stem
         out = Path("runs") / f"{stem}-{config.estimator.replace(':', '.')}-{config.seed}"
-    result = _guarded_fly(config, out, make_progress(quiet))
+    result = guarded_fly(config, out, make_progress(quiet))
     end_progress(quiet)
-    good = _is_good(result)
+    good = is_good(result)
     if options["as_json"]:
         click.echo(json.dumps({**result, "run_dir": str(out)}, indent=2))
     else:
         print_result(result, out, good)
     return EXIT_DONE if good else EXIT_FAILED
-
-
-def _is_good(result: dict[str, Any]) -> bool:
-    """Landed on safe ground; for a survey alone: flown to its end."""
-    if result["outcome"] == "COMPLETED":
-        return True
-    landing = result["landing"] or {}
-    return result["outcome"] == "LANDED" and bool(landing.get("safe_geometry"))
-
-
-def _guarded_fly(config: Any, out: Path | None, progress: Callable[..., None]) -> dict[str, Any]:
-    """Flies. What goes wrong before the first control step is bad input; after it, our fault."""
-    from experiments.config import UsageError
-    from experiments.flight import fly as fly_config
-
-    airborne = False
-
-    def watch(time_s: float, phase: str, note: str) -> None:
-        nonlocal airborne
-        airborne = True
-        progress(time_s, phase, note)
-
-    try:
-        return fly_config(config, out, watch)
-    except (ValueError, OSError) as error:
-        if airborne:
-            raise
-        raise UsageError(str(error)) from error
-
-
-# ---------------------------------------------------------------------------------------- scenes
-
-
-@cli.group(cls=_Group)
-def scenes() -> int:
-    """The places to land in: names, pictures, MJCF.
-
-    Example: touchdown scenes list
-    """
-    return EXIT_DONE
-
-
-@scenes.command("list")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def scenes_list(as_json: bool) -> int:
-    """Print the names of the scenes.
-
-    Example: touchdown scenes list
-    """
-    from experiments.build import scene_names
-
-    names = scene_names()
-    click.echo(json.dumps({"scenes": names}) if as_json else "\n".join(names))
-    return EXIT_DONE
-
-
-@scenes.command("render")
-@click.argument("scene")
-@click.option("--out", type=click.Path(path_type=Path), help="PNG file.  [SCENE-VIEW.png]")
-@click.option("--seed", type=int, default=0, show_default=True)
-@click.option(
-    "--view",
-    type=click.Choice(["above", "oblique", "camera"]),
-    default="above",
-    show_default=True,
-    help="From straight above, from a corner, or through the vehicle's camera at 30 m.",
-)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def scenes_render(scene: str, out: Path | None, seed: int, view: str, as_json: bool) -> int:
-    """Write a picture of a scene.
-
-    Example: touchdown scenes render crossroad --view oblique --out crossroad.png
-    """
-    from experiments.scene_tools import render_scene
-
-    target = out or Path(f"{Path(scene).stem}-{view}.png")
-    _usage_errors(lambda: render_scene(scene, seed, view, target))
-    click.echo(json.dumps({"picture": str(target)}) if as_json else str(target))
-    return EXIT_DONE
-
-
-@scenes.command("export")
-@click.argument("scene")
-@click.option("--out", type=click.Path(path_type=Path), help="Directory.  [SCENE-SEED]")
-@click.option("--seed", type=int, default=0, show_default=True)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int:
-    """Write a scene's MJCF with its assets, to open in MuJoCo's own viewer.
-
-    Example: touchdown scenes export crossroad --out crossroad &&
-    python -m mujoco.viewer --mjcf=crossroad/scene.xml
-    """
-    from experiments.scene_tools import export_scene
-
-    target = out or Path(f"{Path(scene).stem}-{seed}")
-    model_file = _usage_errors(lambda: export_scene(scene, seed, target))
-    click.echo(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
-    return EXIT_DONE
-
-
-def _usage_errors(action: Callable[[], Any]) -> Any:
-    from experiments.config import UsageError
-
-    try:
-        return action()
-    except (ValueError, OSError) as error:
-        raise UsageError(str(error)) from error
 
 
 # ----------------------------------------------------------------------------- looking, measuring
@@ -308,50 +194,11 @@ def report(directory: Path, as_json: bool) -> int:
     return EXIT_DONE
 
 
-@cli.group(cls=_Group)
-def bench() -> int:
-    """Measure speed.
-
-    Example: touchdown bench loop
-    """
-    return EXIT_DONE
+cli.add_command(scenes)
+cli.add_command(bench)
 
 
-@bench.command("loop")
-@click.option("--scene", default="crossroad", show_default=True)
-@click.option("--estimator", default="livo", show_default=True)
-@click.option("--seed", type=int, default=0, show_default=True)
-@click.option("--full", is_flag=True, help="The whole survey instead of a short one.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--quiet", is_flag=True, help="No progress on stderr.")
-def bench_loop(
-    scene: str, estimator: str, seed: int, full: bool, as_json: bool, quiet: bool
-) -> int:
-    """Fly with everything on, recording too: real-time factor and the share of each stage.
-
-    Example: touchdown bench loop --json
-    """
-    from experiments.bench import bench_config, measure_loop
-
-    config = bench_config(scene=scene, estimator=estimator, seed=seed, full=full)
-    result = _usage_errors_until_airborne(measure_loop, config, quiet)
-    if as_json:
-        click.echo(json.dumps(result["figures"], indent=2))
-    else:
-        print_stages(result["result"])
-    return EXIT_DONE if _is_good(result["result"]) else EXIT_FAILED
-
-
-def _usage_errors_until_airborne(
-    measure: Callable[..., dict[str, Any]], config: Any, quiet: bool
-) -> dict[str, Any]:
-    progress = make_progress(quiet)
-    measured = measure(config, lambda cfg, out: _guarded_fly(cfg, out, progress))
-    end_progress(quiet)
-    return measured
-
-
-@cli.group(cls=_Group)
+@cli.group(cls=CommandGroup)
 def control() -> int:
     """The flight controller.
 
@@ -376,7 +223,7 @@ def control_margins(config_file: Path | None, overrides: tuple[str, ...], as_jso
     from experiments.config import load_config
 
     config = load_config(config_file, overrides)
-    scene = _usage_errors(lambda: build_scene(config))
+    scene = usage_errors(lambda: build_scene(config))
     rows = [dataclasses.asdict(margin) for margin in margins_of(config, scene)]
     if as_json:
         click.echo(json.dumps({"loops": rows}, indent=2))

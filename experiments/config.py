@@ -21,15 +21,20 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from controller.api import ControlParams
-from estimator.api import LivoParams, MapperParams
+from estimator.api import LivoParams, MapperParams, PaperParams
 from experiments.api import BiasParams, RefereeParams
 from experiments.suggest import nearest
 from landing.api import LandingParams, SurveyParams
 from sim.api import (
     FORBID_EXTRA,
+    BarometerParams,
     CameraParams,
+    GpsParams,
     ImuParams,
     LidarParams,
+    MagnetometerParams,
+    NavParams,
+    RangefinderParams,
     SimParams,
     WindParams,
 )
@@ -75,14 +80,29 @@ class Config(BaseModel):
     lidar: LidarParams = Field(default_factory=LidarParams)
     camera: CameraParams = Field(default_factory=CameraParams)
     imu: ImuParams = Field(default_factory=ImuParams)
+    gps: GpsParams = Field(default_factory=GpsParams)
+    barometer: BarometerParams = Field(default_factory=BarometerParams)
+    magnetometer: MagnetometerParams = Field(default_factory=MagnetometerParams)
+    rangefinder: RangefinderParams = Field(default_factory=RangefinderParams)
     mapper: MapperParams = Field(default_factory=MapperParams)
     livo: LivoParams = Field(default_factory=LivoParams)
+    paper: PaperParams = Field(default_factory=PaperParams)
     control: ControlParams = Field(default_factory=ControlParams)
     survey: SurveyParams = Field(default_factory=SurveyParams)
     landing: LandingParams = Field(default_factory=LandingParams)
     referee: RefereeParams = Field(default_factory=RefereeParams)
     bias: BiasParams = Field(default_factory=BiasParams)
     log: LogParams = Field(default_factory=LogParams)
+
+    @property
+    def nav(self) -> NavParams:
+        """The small sensors together, as the world takes them."""
+        return NavParams(
+            gps=self.gps,
+            barometer=self.barometer,
+            magnetometer=self.magnetometer,
+            rangefinder=self.rangefinder,
+        )
 
 
 OPTION_KEYS: Mapping[str, str] = {
@@ -252,7 +272,7 @@ POSITIVE = re.compile(
     r"|threads|max_\w+|clear_radius_m)$"
 )
 NOT_NEGATIVE = re.compile(r"(_kmh|sigma(_\w+)?|_density|_walk|weight_\w+|_latency_\w+|^seed)$")
-POSITIVE_EXCEPT = re.compile(r"_latency_ticks$")
+POSITIVE_EXCEPT = re.compile(r"[_.]latency_ticks$")
 
 
 def _check_ranges(config: Config, sources: Mapping[str, str]) -> None:

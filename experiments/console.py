@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +91,28 @@ def print_stages(result: Mapping[str, Any]) -> None:
     console.print(f"real-time factor {timing['real_time_factor']:.2f} ({timing['sim_s']:.1f} s)")
 
 
+def print_overhead(ratio: float, overhead: Mapping[str, Any]) -> None:
+    """What the loop costs on one core beyond physics, rays and pixels, largest first."""
+    from rich.console import Console
+    from rich.table import Table
+
+    bare, loop = overhead["bare_ms"], overhead["loop_ms"]
+    table = Table(title="one core, per 0.1 s of flight, processor time", min_width=46)
+    table.add_column("part")
+    table.add_column("ms", justify="right")
+    table.add_column("of bare", justify="right")
+    for name in ("physics", "rays", "pixels", "all"):
+        table.add_row(f"bare {name}", f"{bare[name]:.1f}", f"{bare[name] / bare['all']:.0%}")
+    table.add_section()
+    for name, ms in sorted(overhead["excess_ms"].items(), key=lambda item: -item[1]):
+        table.add_row(name.replace("_", " "), f"{ms:.1f}", f"{ms / bare['all']:.0%}")
+    table.add_section()
+    table.add_row("loop without estimator and lander", f"{loop['all']:.1f}", f"{ratio:.0%}")
+    console = Console(highlight=False)
+    console.print(table)
+    console.print(f"overhead: {ratio:.2f} x bare")
+
+
 def print_margins(rows: list[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -107,6 +129,51 @@ def print_margins(rows: list[dict[str, Any]]) -> None:
             f"{row['crossover_rad_s']:.2f}",
         )
     Console(highlight=False).print(table)
+
+
+def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
+    """One row a scene: seeds that build, how much the two most alike differ, safe ground."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="seeds of each scene", title_justify="left")
+    table.add_column("scene", no_wrap=True)
+    for title in ("built", "closest pair", "height", "class", "grey", "safe ground", "s a seed"):
+        table.add_column(title, justify="right")
+    notes = []
+    for row in rows:
+        pair = row["closest"] or {"seeds": [], "height_m": 0.0, "class_share": 0.0, "grey": 0.0}
+        low, middle = row["safe_share_min"] or 0.0, row["safe_share_median"] or 0.0
+        table.add_row(
+            row["scene"],
+            f"{row['built']} of {row['built'] + len(row['failed'])}",
+            " and ".join(str(seed) for seed in pair["seeds"]) + ("" if row["differ"] else " SAME"),
+            f"{pair['height_m']:.2f} m",
+            f"{pair['class_share']:.1%}",
+            f"{pair['grey']:.1f}",
+            f"{low:.1%} to {middle:.1%}",
+            f"{row['seconds_per_seed']:.1f}",
+        )
+        if row["without_safe_site"]:
+            seeds = ", ".join(str(seed) for seed in row["without_safe_site"])
+            notes.append(f"{row['scene']}: no safe site where the survey looks in seeds {seeds}")
+        notes += [f"{row['scene']} seed {seed}: {why}" for seed, why in row["failed"].items()]
+    console = Console(highlight=False)
+    console.print(table)
+    console.print(
+        "height: mean absolute difference; class: share of cells; grey: mean absolute difference "
+        "of the pictures from above, of 255; safe ground: least and median share of the area seen",
+        style="dim",
+    )
+    for note in notes:
+        console.print(note, soft_wrap=True)
+
+
+def make_notes(quiet: bool) -> Callable[[str], None]:
+    """Prints what is being worked on to stderr."""
+    if quiet:
+        return lambda _note: None
+    return lambda note: print(note, file=sys.stderr, flush=True)
 
 
 def make_progress(quiet: bool) -> Callable[[float, str, str], None]:

@@ -24,6 +24,7 @@ from experiments.metrics import levelness_error_deg
 from experiments.recorder import NullRecorder, Recorder, RunRecorder
 from experiments.referee import FlightResult, Referee
 from experiments.timing import StageClock, Timed
+from scenes.api import Scene
 
 Progress = Callable[[float, str, str], None]
 """Called with simulated seconds, phase and note."""
@@ -87,21 +88,12 @@ def _fly_and_judge(
     def keep_map() -> None:
         surveyed.extend(copy.deepcopy(grid) for grid in latest)
 
-    referee = Referee(
-        config.referee,
-        survey_only=config.landing.survey_only,
-        steps_per_s=config.sim.tick_hz / config.sim.control_ticks,
-        judge_ground=TruthLookup(flight.scene).judge,
-        moving_geoms=TruthLookup(flight.scene).moving_geoms,
-        on_survey_end=keep_map,
-    )
+    referee = make_referee(config, flight.scene, keep_map)
     watched = _Watcher(recorder, latest, progress)
-    parts = {
-        name: Timed(getattr(flight, name), call, stage, clock) for name, call, stage in _STAGES
-    }
+    parts = timed_parts(flight, clock)
     try:
         outcome = run_flight(
-            **parts,  # type: ignore[arg-type]
+            **parts,
             recorder=Timed(watched, "tick", "recorder", clock),  # type: ignore[arg-type]
             referee=Timed(referee, "judge", "referee", clock),  # type: ignore[arg-type]
         )
@@ -109,6 +101,24 @@ def _fly_and_judge(
         flight.world.close()
         recorder.close()
     return _clean(_result(config, flight, outcome, clock, surveyed or latest))
+
+
+def make_referee(config: Config, scene: Scene, on_survey_end: Callable[[], None]) -> Referee:
+    """The judge of a flight of ``config`` over ``scene``."""
+    truth = TruthLookup(scene)
+    return Referee(
+        config.referee,
+        survey_only=config.landing.survey_only,
+        steps_per_s=config.sim.tick_hz / config.sim.control_ticks,
+        judge_ground=truth.judge,
+        moving_geoms=truth.moving_geoms,
+        on_survey_end=on_survey_end,
+    )
+
+
+def timed_parts(flight: Flight, clock: StageClock) -> dict[str, Any]:
+    """The parts of a flight as ``run_flight`` takes them, each under the clock."""
+    return {name: Timed(getattr(flight, name), call, stage, clock) for name, call, stage in _STAGES}
 
 
 class _Watcher:

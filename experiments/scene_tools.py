@@ -2,104 +2,60 @@
 
 from __future__ import annotations
 
-import shutil
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import cv2
-import mujoco
-import numpy as np
-from numpy.typing import NDArray
-
-from experiments.build import build_scene, scene_spec
+from experiments.build import build_scene, export_scene, scene_names
 from experiments.config import UsageError, load_config
-from scenes.api import Scene
+from experiments.contact_sheet import contact_sheet, thumbnails
+from experiments.scene_views import VIEWS, Picture, SceneViews, write_picture
 
-_PICTURE_PIXELS = {"above": (1080, 1080), "oblique": (1600, 900), "camera": (848, 480)}
-_CAMERA_HEIGHT_M = 30.0
+CONTACT_SHEET = "contact_sheet.png"
+PICTURE_SUFFIXES = (".png", ".jpg")
 
 
-def render_scene(name: str, seed: int, view: str, out: Path) -> None:
-    """Writes a picture of a scene. ``view``: ``above`` (the whole of it, north up), ``oblique``
-    (from the south-west), ``camera`` (through the vehicle's camera 30 m above the middle).
-    Raises ValueError, FileNotFoundError or UsageError before anything is written."""
-    if out.suffix.lower() not in (".png", ".jpg"):
-        raise UsageError(f"--out {out} must end in .png or .jpg")
-    scene = build_scene(load_config(scene=name, seed=seed))
-    picture = scene_picture(scene, view)
+def render_view(name: str, seed: int, view: str, out: Path) -> None:
+    """Writes one view (`experiments.scene_views.VIEWS`) of a scene. Raises UsageError, ValueError
+    or FileNotFoundError before anything is written."""
+    if out.suffix.lower() not in PICTURE_SUFFIXES:
+        raise UsageError(f"--out {out} must end in {' or '.join(PICTURE_SUFFIXES)}")
+    picture = _views(name, seed).draw(view)
     out.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(out), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
-        raise UsageError(f"--out {out} cannot be written")
+    write_picture(out, picture)
 
 
-def scene_picture(scene: Scene, view: str) -> NDArray[np.uint8]:
-    """(H, W, 3) RGB of a scene as at time 0."""
-    model = scene.model
-    data = mujoco.MjData(model)
-    if view == "camera":
-        middle = scene.bounds_xy_m.mean(axis=0)
-        data.qpos[:3] = [*middle, data.qpos[2] + _CAMERA_HEIGHT_M]
-    mujoco.mj_forward(model, data)
-    width, height = _PICTURE_PIXELS[view]
-    with mujoco.Renderer(model, height, width) as renderer:
-        renderer.update_scene(data, camera=_eye(scene, view))
-        picture: NDArray[np.uint8] = renderer.render()
-    return picture
+def render_all_views(name: str, seed: int, out_dir: Path) -> dict[str, Picture]:
+    """Writes every view of a scene to ``out_dir/VIEW.png`` and returns them by name. Raises as
+    `render_view`."""
+    views = _views(name, seed)
+    out_dir.mkdir(parents=True, exist_ok=True)
+    pictures: dict[str, Picture] = {}
+    for view in VIEWS:
+        pictures[view] = views.draw(view)
+        write_picture(out_dir / f"{view}.png", pictures[view])
+    return pictures
 
 
-def export_scene(name: str, seed: int, out: Path) -> Path:
-    """Writes ``scene.xml`` and its textures and meshes into a new or empty directory and returns
-    the file. Raises ValueError, FileNotFoundError or UsageError before anything is written."""
+def render_every_scene(seed: int, out: Path, progress: Callable[[str], None]) -> Path:
+    """Writes every view of every named scene to ``out/SCENE/VIEW.png`` and the contact sheet of
+    them all, whose path is returned. ``progress`` is called with each name."""
+    sheet = {}
+    for name in scene_names():
+        progress(name)
+        sheet[name] = thumbnails(render_all_views(name, seed, out / name))
+    path = out / CONTACT_SHEET
+    write_picture(path, contact_sheet(sheet))
+    return path
+
+
+def export_place(name: str, seed: int, out: Path) -> Path:
+    """Writes ``scene.xml`` and its assets into a new or empty directory and returns the file.
+    Raises ValueError, FileNotFoundError or UsageError before anything is written."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError(f"--out {out} exists; name a new directory")
-    spec = scene_spec(name, seed)
-    out.mkdir(parents=True, exist_ok=True)
-    for texture in spec.textures:
-        if texture.file:
-            _copy_file(texture, spec.texturedir, spec, out)
-        elif len(texture.data) > 0:
-            _write_picture(texture, out)
-    for asset in (*spec.meshes, *spec.hfields):
-        if asset.file:
-            _copy_file(asset, spec.meshdir, spec, out)
-    spec.meshdir = spec.texturedir = ""
-    spec.modelfiledir = str(out.resolve())  # where compiling looks for the files just written
-    spec.compile()
-    model_file = out / "scene.xml"
-    model_file.write_text(spec.to_xml(), encoding="utf-8")
-    return model_file
+    return export_scene(build_scene(load_config(scene=name, seed=seed)), out)
 
 
-def _write_picture(texture: Any, out: Path) -> None:
-    """A texture made in memory becomes a PNG file; MJCF has no other place for it."""
-    pixels = np.frombuffer(bytes(texture.data), dtype=np.uint8)
-    picture = pixels.reshape(texture.height, texture.width, texture.nchannel)
-    if texture.nchannel >= 3:
-        picture = picture[:, :, 2::-1]
-    texture.file = f"{texture.name.replace('/', '_')}.png"
-    cv2.imwrite(str(out / texture.file), np.ascontiguousarray(picture))
-    texture.data = b""
-
-
-def _copy_file(asset: Any, folder: str, spec: Any, out: Path) -> None:
-    source = Path(spec.modelfiledir or ".") / folder / asset.file
-    shutil.copyfile(source, out / source.name)
-    asset.file = source.name
-
-
-def _eye(scene: Scene, view: str) -> Any:
-    if view == "camera":
-        return "vehicle/camera"
-    low, high = scene.bounds_xy_m
-    size = float((high - low).max())
-    eye = mujoco.MjvCamera()
-    mujoco.mjv_defaultFreeCamera(scene.model, eye)
-    eye.lookat[:] = [*(0.5 * (low + high)), 0.0]
-    half_angle = np.radians(0.5 * scene.model.vis.global_.fovy)
-    if view == "above":
-        eye.azimuth, eye.elevation = 90.0, -90.0
-        eye.distance = 0.5 * size / np.tan(half_angle)
-    else:
-        eye.azimuth, eye.elevation = 50.0, -38.0
-        eye.distance = 0.36 * size / np.tan(half_angle)
-    return eye
+def _views(name: str, seed: int) -> SceneViews:
+    config = load_config(scene=name, seed=seed)
+    return SceneViews(build_scene(config), config)

@@ -1,4 +1,4 @@
-"""Where the wall time of a flight goes: one stopwatch per stage of the main loop."""
+"""Where the time of a flight goes: one stopwatch per stage of the main loop."""
 
 from __future__ import annotations
 
@@ -9,17 +9,23 @@ from typing import Any
 
 
 class StageClock:
-    """Accumulates wall time per stage; constant memory."""
+    """Accumulates time per stage by ``now``, wall time unless told; constant memory."""
 
-    def __init__(self) -> None:
+    def __init__(self, now: Callable[[], float] = time.perf_counter) -> None:
+        self.now = now
+        self.restart()
+
+    def restart(self) -> None:
+        """Forgets everything so far."""
         self._seconds: defaultdict[str, float] = defaultdict(float)
-        self._started = time.perf_counter()
+        self._started = self.now()
 
     def add(self, stage: str, seconds: float) -> None:
         self._seconds[stage] += seconds
 
     def wall_s(self) -> float:
-        return time.perf_counter() - self._started
+        """All time since the start, whoever spent it."""
+        return self.now() - self._started
 
     def stage_ms(self, sim_s: float) -> dict[str, float]:
         """Milliseconds of wall time per 0.1 s of simulated time (one LIDAR scan), by stage."""
@@ -40,10 +46,10 @@ class Timed:
 
 def _timed(call: Callable[..., Any], stage: str, clock: StageClock) -> Callable[..., Any]:
     def timed(*args: Any) -> Any:
-        started = time.perf_counter()
+        started = clock.now()
         try:
             return call(*args)
         finally:
-            clock.add(stage, time.perf_counter() - started)
+            clock.add(stage, clock.now() - started)
 
     return timed

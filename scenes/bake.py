@@ -15,15 +15,24 @@ from scenes.terrain import Terrain
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 _SUBPIXEL_BITS = 4
+_SLOPE_STEPS = 3
+"""Steps towards the point where a sun ray meets the slope; each shrinks the error by the slope
+over the sun's own."""
 
 
 def bake_light(
-    casters: list[Caster], terrain: Terrain, sun_direction: Array, pixels: int, ambient: float
+    casters: list[Caster],
+    terrain: Terrain,
+    sun_direction: Array,
+    pixels: int,
+    ambient: float,
+    hilly: bool = False,
 ) -> Float32:
     """Share of full light on the ground, (pixels, pixels) float32 in (0, 1], row 0 at y_min.
 
     sun_direction: (3,) unit, the way the light travels. ambient: light left in full shadow.
-    Casters are projected on the level ground at their own foot; overlaps multiply.
+    Casters are projected on the level ground at their own foot, or, where the place is ``hilly``,
+    on the slope that the shadow falls on; overlaps multiply.
     """
     cell = 2.0 * terrain.half_m / pixels
     sun = np.ones((pixels, pixels), np.float32)
@@ -33,10 +42,13 @@ def bake_light(
         middle = points[:, :2].mean(axis=0)
         ground = terrain.point(*middle)
         height = np.maximum(points[:, 2] - ground, 0.0)
+        lift = float(height.min())
         shadow = points[:, :2] - height[:, None] * sun_direction[:2] / sun_direction[2]
+        for _ in range(_SLOPE_STEPS if hilly else 0):
+            height = np.maximum(points[:, 2] - terrain.at(shadow), 0.0)
+            shadow = points[:, :2] - height[:, None] * sun_direction[:2] / sun_direction[2]
         _darken(sun, shadow, terrain.half_m, cell, 1.0 - caster.opacity)
         # Low things dim the ground around their foot, high crowns hardly do.
-        lift = float(height.min())
         _darken(sky, points[:, :2], terrain.half_m, 4.0 * cell, 1.0 - 0.55 * np.exp(-lift / 1.5))
     soft = cv2.GaussianBlur(sun, (0, 0), 0.8)
     open_sky = cv2.GaussianBlur(sky, (0, 0), 0.35 / (4.0 * cell))

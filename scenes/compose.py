@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +66,6 @@ def compose_spec(name_or_path: str, seed: int) -> tuple[Any, SceneDraft]:
     is_path = name_or_path.endswith(".xml") or "/" in name_or_path
     draft = read_mjcf(Path(name_or_path)) if is_path else scene_generator(name_or_path)(seed)
     spec = draft.spec
-    _freeze_joints(spec, name_or_path)
     _set_physics(spec)
     _set_visual(spec)
     for geom in spec.geoms:
@@ -77,15 +75,6 @@ def compose_spec(name_or_path: str, seed: int) -> tuple[Any, SceneDraft]:
             geom.contype, geom.conaffinity = 1, 0
     _attach_vehicle(spec, draft)
     return spec, draft
-
-
-def _freeze_joints(spec: Any, name: str) -> None:
-    """The vehicle's free joint must be the only one; things in a scene stand still or are mocap."""
-    joints = list(spec.joints)
-    if joints:
-        warnings.warn(f"scene '{name}': its {len(joints)} joints are frozen", stacklevel=3)
-    for joint in joints:
-        spec.delete(joint)
 
 
 def _set_physics(spec: Any) -> None:

@@ -24,7 +24,16 @@ REFLECTIVITY_905NM = {
 }
 """Typical diffuse reflectivity at 905 nm by class (vegetation is bright in the near infrared)."""
 DEFAULT_SURFACE = Surface(land_class="other", reflectivity=REFLECTIVITY_905NM["other"])
-_HALF_BOUNDS_M = 60.0
+_HALF_BOUNDS_M = 80.0
+_SMALL_M, _HUGE_M = 20.0, 20_000.0
+_MAX_GROUND_M = 50.0
+"""Rays from above and the camera's clip planes count on ground near height 0."""
+_OURS = "vehicle/"
+_MOVING_KINDS = (
+    "keys", "sensors", "actuators", "equalities", "tendons", "excludes", "pairs", "tuples",
+    "flexes", "skins", "joints",
+)  # fmt: skip
+"""In an order in which nothing refers to what is gone already."""
 
 
 def surface_of_name(name: str) -> Surface | None:
@@ -42,40 +51,159 @@ def surface_of_name(name: str) -> Surface | None:
 
 
 def read_mjcf(path: Path) -> SceneDraft:
-    """A place from an MJCF file. The take-off spot is the site or body named ``takeoff``, else
-    the origin; classes follow from names (`surface_of_name`), other geoms are class ``other``
-    with reflectivity 0.30, and one warning says so.
+    """A place from an MJCF file.
 
-    Raises FileNotFoundError, or ValueError for a file that MuJoCo cannot read.
+    The take-off spot is the site or body named ``takeoff``, else where a vehicle of ours stands
+    (a file written by `scenes.export`), else the origin. Classes follow from names
+    (`surface_of_name`); other geoms are class ``other`` with reflectivity 0.30, and one warning
+    says so. Joints, actuators and the like are left out: things stand where the file puts them. A
+    file without a light gets a sun. Ground far from height 0 is moved there.
+
+    Raises FileNotFoundError for a missing file or asset, or ValueError for what MuJoCo cannot
+    read and for a take-off spot without ground.
     """
     if not path.is_file():
         raise FileNotFoundError(f"scene file not found: {path}")
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-        model = spec.copy().compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise ValueError(
-            f"{path}: not a valid MJCF file: {' '.join(str(error).split())}"
-        ) from error
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+        raise ValueError(f"{path}: not a valid MJCF file: {_one_line(error)}") from error
+    stand_still(spec, path)
+    model, data = _compiled(spec, path)
     xy, yaw = _takeoff(model, data)
+    if _remove_vehicle(spec):
+        model, data = _compiled(spec, path)
+    ground = _ground_height(model, data, xy)
+    if abs(ground) > _MAX_GROUND_M:
+        _lift(spec, -ground)
+    if not spec.lights:
+        spec.worldbody.add_light(
+            name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=[-0.4, 0.3, -0.86],
+            diffuse=[0.62, 0.60, 0.55], ambient=[0.20, 0.20, 0.22], castshadow=False,
+        )  # fmt: skip
     return SceneDraft(
         spec=spec,
         takeoff_xy_m=xy,
         takeoff_yaw=yaw,
-        bounds_xy_m=_bounds(model, data, xy),
+        bounds_xy_m=_bounds(model, data, xy, path),
         surfaces=_surfaces(spec, path),
         ground=None,
     )
 
 
-def _takeoff(model: Any, data: Any) -> tuple[np.ndarray, float]:
-    for kind, positions, matrices in (
-        (mujoco.mjtObj.mjOBJ_SITE, data.site_xpos, data.site_xmat),
-        (mujoco.mjtObj.mjOBJ_BODY, data.xpos, data.xmat),
+def stand_still(spec: Any, path: Path) -> None:
+    """Deletes what moves or refers to what moves, and undoes settings that would change the
+    vehicle or hide geoms."""
+    moving = len(spec.joints) + len(spec.flexes)
+    for kind in _MOVING_KINDS:
+        for element in list(getattr(spec, kind)):
+            spec.delete(element)
+    if moving:
+        warnings.warn(
+            f"{path}: its {moving} joints and soft bodies are left out; nothing in a scene moves "
+            "by itself",
+            stacklevel=4,
+        )
+    compiler, option = spec.compiler, spec.option
+    compiler.settotalmass = -1.0
+    compiler.boundmass = compiler.boundinertia = 0.0
+    compiler.discardvisual = compiler.fusestatic = False
+    compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    option.disableflags = option.enableflags = 0
+    spec.memory = spec.njmax = spec.nconmax = -1
+
+
+def _remove_vehicle(spec: Any) -> bool:
+    """Deletes bodies called like ours with what belongs to them. Returns whether there were any."""
+    bodies = [body for body in spec.worldbody.bodies if body.name.startswith(_OURS)]
+    for body in bodies:
+        spec.delete(body)
+    default = spec.find_default(f"{_OURS}main")
+    if default is not None:
+        spec.delete(default)
+    for kind in ("materials", "textures", "meshes", "hfields", "numerics", "texts"):
+        for element in [e for e in getattr(spec, kind) if e.name.startswith(_OURS)]:
+            spec.delete(element)
+    return bool(bodies)
+
+
+def _compiled(spec: Any, path: Path) -> tuple[Any, Any]:
+    """The model, and its data with the poses of time 0."""
+    try:
+        model = spec.copy().compile()
+    except (ValueError, mujoco.FatalError) as error:
+        _blame_asset(spec, path)
+        raise ValueError(f"{path}: not a valid MJCF file: {_one_line(error)}") from error
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return model, data
+
+
+def _blame_asset(spec: Any, path: Path) -> None:
+    """Raises for the first asset whose file is missing or of a kind that MuJoCo cannot read."""
+    for kind, elements, folder, readable in (
+        ("mesh", spec.meshes, spec.meshdir, (".obj", ".stl", ".msh")),
+        ("texture", spec.textures, spec.texturedir, (".png", ".ktx")),
+        ("height field", spec.hfields, spec.meshdir, (".png", ".bin")),
     ):
-        index = mujoco.mj_name2id(model, kind, "takeoff")
+        for element in elements:
+            if not element.file:
+                continue
+            target = Path(spec.modelfiledir) / folder / element.file
+            if not target.is_file():
+                raise FileNotFoundError(
+                    f"{path}: {kind} '{element.name}' needs the file '{element.file}', which is "
+                    f"not in {target.parent}"
+                )
+            if target.suffix.lower() not in readable:
+                raise ValueError(
+                    f"{path}: MuJoCo cannot read '{element.file}' of {kind} '{element.name}'; "
+                    f"convert it to {' or '.join(readable)}"
+                )
+
+
+def _ground_height(model: Any, data: Any, xy_m: np.ndarray) -> float:
+    """World height of the highest surface at (2,) ``xy_m``."""
+    top = float(np.max(data.geom_xpos[:, 2] + model.geom_rbound, initial=0.0)) + 1.0
+    start, down = np.array([*xy_m, top]), np.array([0.0, 0.0, -1.0])
+    hit = np.full(1, -1, np.int32)
+    distance = mujoco.mj_ray(model, data, start, down, None, 1, -1, hit)
+    if distance < 0.0:
+        raise ValueError(
+            f"no ground under the take-off spot {np.round(xy_m, 2).tolist()}: add a floor, or a "
+            "site named 'takeoff' above the ground"
+        )
+    return top - float(distance)
+
+
+def _lift(spec: Any, by_m: float) -> None:
+    """Moves everything of the world up."""
+    world = spec.worldbody
+    offset = np.array([0.0, 0.0, by_m])
+    for element in (*world.geoms, *world.bodies, *world.sites, *world.cameras, *world.lights):
+        if element.frame is not None:
+            continue
+        ends = getattr(element, "fromto", np.full(6, np.nan))
+        if np.isfinite(ends[0]):
+            element.fromto = ends + np.tile(offset, 2)
+        else:
+            element.pos = element.pos + offset
+    for frame in world.frames:
+        if frame.frame is None:
+            frame.pos = frame.pos + offset
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _takeoff(model: Any, data: Any) -> tuple[np.ndarray, float]:
+    for kind, name, positions, matrices in (
+        (mujoco.mjtObj.mjOBJ_SITE, "takeoff", data.site_xpos, data.site_xmat),
+        (mujoco.mjtObj.mjOBJ_BODY, "takeoff", data.xpos, data.xmat),
+        (mujoco.mjtObj.mjOBJ_BODY, f"{_OURS}quadrotor", data.xpos, data.xmat),
+    ):
+        index = mujoco.mj_name2id(model, kind, name)
         if index >= 0:
             rotation = matrices[index].reshape(3, 3)
             return positions[index, :2].copy(), float(np.arctan2(rotation[1, 0], rotation[0, 0]))
@@ -90,7 +218,10 @@ def _surfaces(spec: Any, path: Path) -> dict[str, Surface]:
         if not geom.name:
             stem = geom.material or "geom"
             name = f"{stem}_{index}"
-            geom.name = name if name not in taken else f"{name}_unnamed"
+            while name in taken:
+                name += "_unnamed"
+            geom.name = name
+            taken.add(name)
         found = surface_of_name(geom.material or "") or surface_of_name(geom.name)
         if found is None:
             unknown.append(geom.name)
@@ -106,9 +237,9 @@ def _surfaces(spec: Any, path: Path) -> dict[str, Surface]:
     return surfaces
 
 
-def _bounds(model: Any, data: Any, takeoff_xy_m: np.ndarray) -> np.ndarray:
-    """The horizontal box around all finite geoms, cut to 120 m around the take-off spot; that
-    whole square where an infinite plane lies below."""
+def _bounds(model: Any, data: Any, takeoff_xy_m: np.ndarray, path: Path) -> np.ndarray:
+    """The horizontal box around all finite geoms, cut to 160 m around the take-off spot; that
+    whole square where an infinite plane lies below. Warns of a size that is hardly in metres."""
     window = np.stack([takeoff_xy_m - _HALF_BOUNDS_M, takeoff_xy_m + _HALF_BOUNDS_M])
     planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
     if bool((planes & (model.geom_size[:, :2] == 0.0).any(axis=1)).any()) or model.ngeom == 0:
@@ -119,4 +250,9 @@ def _bounds(model: Any, data: Any, takeoff_xy_m: np.ndarray) -> np.ndarray:
     world = np.einsum("nij,nj->ni", rotations, centres) + data.geom_xpos
     reach = np.einsum("nij,nj->ni", np.abs(rotations), half)
     low, high = (world - reach).min(axis=0)[:2], (world + reach).max(axis=0)[:2]
+    size = float((high - low).max())
+    if not _SMALL_M <= size <= _HUGE_M:
+        warnings.warn(
+            f"{path}: the scene is {size:.3g} m across; are its lengths in metres?", stacklevel=3
+        )
     return np.stack([np.maximum(low, window[0]), np.minimum(high, window[1])])

@@ -39,6 +39,24 @@ class Ground(IntEnum):
     MULCH = 9
     CAR_PARK = 10
     WORN = 11
+    LITTER = 12
+    FERN = 13
+    SAND = 14
+    FAIRWAY = 15
+    GREEN = 16
+    ROUGH = 17
+    PUDDLE = 18
+    DECK = 19
+    PLANKS = 20
+    PITCH = 21
+    CLAY = 22
+    LANE = 23
+    COBBLES = 24
+    RUBBER = 25
+    CROPS = 26
+    BEACH = 27
+    MUD = 28
+    ROOF_DECK = 29
 
 
 # land class, reflectivity at 905 nm, RGB, gains of fine noise, coarse noise, grain, large patches;
@@ -57,6 +75,24 @@ _TABLE: dict[Ground, _Row] = {
     Ground.MULCH: ("field", 0.22, (88, 66, 50), (0.22, 0.08, 0.14, 0.04), (4, 2, 0), 1),
     Ground.CAR_PARK: ("road", 0.15, (110, 109, 108), (0.08, 0.05, 0.09, 0.05), (2, 2, 1), 0),
     Ground.WORN: ("lawn", 0.38, (128, 113, 78), (0.16, 0.12, 0.09, 0.07), (8, 5, 0), 1),
+    Ground.LITTER: ("trees", 0.34, (98, 82, 60), (0.24, 0.15, 0.14, 0.08), (7, 5, 2), 1),
+    Ground.FERN: ("trees", 0.40, (78, 92, 48), (0.26, 0.18, 0.14, 0.06), (7, 4, 1), 1),
+    Ground.SAND: ("field", 0.48, (214, 196, 156), (0.05, 0.04, 0.05, 0.03), (3, 2, 0), 0),
+    Ground.FAIRWAY: ("lawn", 0.47, (92, 120, 58), (0.11, 0.09, 0.08, 0.05), (5, 2, 1), 0),
+    Ground.GREEN: ("lawn", 0.48, (110, 140, 72), (0.05, 0.05, 0.05, 0.04), (3, 2, 1), 0),
+    Ground.ROUGH: ("lawn", 0.43, (92, 104, 56), (0.23, 0.17, 0.11, 0.06), (8, 3, 1), 1),
+    Ground.PUDDLE: ("water", 0.05, (74, 80, 78), (0.02, 0.02, 0.01, 0.03), (1, 1, 2), 0),
+    Ground.DECK: ("path", 0.42, (206, 196, 176), (0.03, 0.04, 0.03, 0.03), (3, 2, 0), 0),
+    Ground.PLANKS: ("path", 0.36, (158, 122, 88), (0.06, 0.05, 0.05, 0.04), (3, 2, 1), 0),
+    Ground.PITCH: ("field", 0.46, (88, 122, 58), (0.12, 0.08, 0.08, 0.05), (5, 2, 1), 0),
+    Ground.CLAY: ("field", 0.30, (176, 98, 68), (0.06, 0.06, 0.07, 0.05), (5, 3, 2), 0),
+    Ground.LANE: ("road", 0.19, (134, 127, 117), (0.13, 0.07, 0.12, 0.05), (4, 3, 1), 1),
+    Ground.COBBLES: ("path", 0.28, (142, 134, 124), (0.06, 0.07, 0.05, 0.05), (4, 2, 0), 0),
+    Ground.RUBBER: ("path", 0.22, (150, 78, 66), (0.03, 0.03, 0.06, 0.03), (2, 1, 0), 0),
+    Ground.CROPS: ("field", 0.36, (108, 92, 62), (0.17, 0.12, 0.10, 0.06), (6, 5, 4), 1),
+    Ground.BEACH: ("field", 0.42, (198, 182, 146), (0.07, 0.06, 0.08, 0.04), (4, 3, 1), 1),
+    Ground.MUD: ("field", 0.16, (96, 84, 66), (0.14, 0.16, 0.06, 0.07), (3, 3, 1), 1),
+    Ground.ROOF_DECK: ("path", 0.21, (134, 133, 130), (0.05, 0.05, 0.06, 0.06), (3, 2, -1), 0),
 }  # fmt: skip
 PAINT_REFLECTIVITY = 0.60
 
@@ -71,9 +107,15 @@ class Canvas:
     paint: Bytes = field(default_factory=lambda: np.zeros((TEXELS, TEXELS), np.uint8))
     stain: Bytes = field(default_factory=lambda: np.zeros((TEXELS, TEXELS), np.uint8))
 
+    @staticmethod
+    def of_size(half_m: float, texels: int) -> Canvas:
+        """A canvas of (texels, texels) rather than `TEXELS`, a multiple of `RASTER_STRIDE`."""
+        blank = np.zeros((3, texels, texels), np.uint8)
+        return Canvas(half_m=half_m, material=blank[0], paint=blank[1], stain=blank[2])
+
     @property
     def texel_m(self) -> float:
-        return 2.0 * self.half_m / TEXELS
+        return 2.0 * self.half_m / len(self.material)
 
     def texels(self, xy_m: Array) -> NDArray[np.int32]:
         """(N, 2) world metres to cv2's fixed-point column and row."""
@@ -123,7 +165,7 @@ class Canvas:
 def shade_ground(
     rng: np.random.Generator, canvas: Canvas, light: Float32, pattern_angles: dict[Ground, float]
 ) -> Bytes:
-    """The picture, (TEXELS, TEXELS, 3) uint8, top row = y_max.
+    """The picture, (rows, cols, 3) uint8 as the canvas is, top row = y_max.
 
     light: (n, n) share of full light, row 0 at y_min (see `scenes.bake`). pattern_angles: radians
     by which slabs, mowing stripes and furrows of a material are turned.
@@ -139,10 +181,10 @@ def shade_ground(
     coarse = tileable_noise(rng, _TILE, 1.25, 5.0)
     patches = fractal_noise(rng, (512, 512), 56.0, 4, 0.6)
     hue = fractal_noise(rng, (512, 512), 40.0, 3, 0.6)
-    size = (TEXELS, TEXELS)
+    size = canvas.material.shape
     glow = (light * 255.0).astype(np.uint8)
     bright = np.asarray(cv2.resize(glow, size, interpolation=cv2.INTER_LINEAR), np.uint8)
-    picture = np.empty((TEXELS, TEXELS, 3), np.uint8)
+    picture = np.empty((*size, 3), np.uint8)
     _shade(
         picture, canvas.material, canvas.paint, canvas.stain, bright, fine, coarse, patches, hue,
         base, gains, hues, ragged, frames, canvas.texel_m, int(rng.integers(1, 2**31)),
@@ -208,8 +250,22 @@ def _pattern(material: int, u: float, v: float, salt: int) -> float:
         return _slab(u, v, 0.4, 0.2, 0.026, salt)
     if material == 0:
         return 0.055 if np.sin(2.0 * np.pi * v / 2.6) > 0.0 else -0.055
+    if material == 15:
+        return 0.075 if np.sin(np.pi * v / 5.5) > 0.0 else -0.075
+    if material == 16:
+        return 0.035 if np.sin(np.pi * u / 1.5) * np.sin(np.pi * v / 1.5) > 0.0 else -0.035
+    if material == 14:
+        return 0.03 * np.sin(2.0 * np.pi * v / 0.16)
     if material == 2:
         return 0.13 * np.sin(2.0 * np.pi * v / 0.75)
+    if material == 19:
+        return _slab(u, v, 0.6, 0.6, 0.02, salt)
+    if material == 20:
+        return _slab(u, v, 2.4, 0.15, 0.02, salt)
+    if material == 21:
+        return 0.07 if np.sin(np.pi * u / 4.0) > 0.0 else -0.07
+    if material == 24:
+        return 1.3 * _slab(u, v, 0.17, 0.13, 0.022, salt)
     return 0.0
 
 
@@ -266,6 +322,11 @@ def _shade(
             red = base[here, 0] * tone + hues[here, 0] * drift
             green = base[here, 1] * tone + hues[here, 1] * drift
             blue = base[here, 2] * tone + hues[here, 2] * drift
+            if here == 26:
+                leaf = np.sin(2.0 * np.pi * (c * y - s * x) / 0.5) + 0.45 * a + 0.45 * b
+                if leaf > 0.25:
+                    lit = tone * (0.8 + 0.35 * min(leaf, 1.2))
+                    red, green, blue = 70.0 * lit, 112.0 * lit, 44.0 * lit
             if here <= 1 and drift + 0.5 * here > 0.35:
                 bloom = _hash(row, col, salt + 1)
                 if bloom > 0.9988:

@@ -8,7 +8,19 @@ from collections.abc import Callable
 
 from scenes.draft import SceneDraft
 
-_GENERATORS = {"crossroad": "scenes.crossroad.generate"}
+_GENERATORS = {
+    "footbridge": "scenes.footbridge.generate",
+    "rooftop_parking": "scenes.rooftop_parking.generate",
+    "cottage": "scenes.cottage.generate",
+    "crossroad": "scenes.crossroad.generate",
+    "forest": "scenes.forest.generate",
+    "turf": "scenes.turf.generate",
+    "flat": "scenes.flat.generate",
+    "houses": "scenes.houses.generate",
+    "lake": "scenes.lake.generate",
+    "pools": "scenes.pools.generate",
+    "open_water": "scenes.open_water.generate",
+}
 
 
 def scene_names() -> list[str]:

@@ -128,3 +128,16 @@ def hedge_or_soil_tint(rng: np.random.Generator, base: Colour, spread: float) ->
     factor = 1.0 + spread * rng.uniform(-1.0, 1.0) + 0.5 * spread * rng.uniform(-1.0, 1.0, 3)
     red, green, blue = np.array(base) * factor
     return float(red), float(green), float(blue)
+
+
+def planks(rng: np.random.Generator, px: int = 256) -> Picture:
+    """(px, px, 3), light grey-brown boards of an eighth of the picture, to be tinted."""
+    rows, _ = np.mgrid[0:px, 0:px].astype(np.float32)
+    board = np.floor(rows / (px / 8)).astype(int)
+    tone = 0.86 + 0.07 * rng.standard_normal(8).astype(np.float32)[board]
+    grain = cv2.GaussianBlur(
+        rng.standard_normal((px, px), dtype=np.float32), (0, 0), 9.0, None, 0.7
+    )
+    tone += 0.35 * grain
+    tone[(rows % (px / 8)) < 2] *= 0.55
+    return to_picture(tone[..., None] * np.array([255.0, 250.0, 242.0], np.float32))

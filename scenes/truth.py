@@ -251,7 +251,9 @@ def _clear_cells(
 
 
 def _obstacle_distance(scene: Scene, point: Array, height_m: float) -> float:
-    """Distance to the nearest cell of 5 cm that stands over the bare ground; tiles outwards."""
+    """Distance to the nearest cell of 5 cm that stands over the bare ground, or over the point
+    itself where that lies on a deck; tiles outwards."""
+    on_deck = height_m - float(bare_ground(scene, point, height_m)) > MAX_TALL_M
     for reach in (2.0, 5.0, SEARCH_M):
         cells = round(reach / SEARCH_CELL_M)
         origin = point - (cells + 0.5) * SEARCH_CELL_M
@@ -261,6 +263,8 @@ def _obstacle_distance(scene: Scene, point: Array, height_m: float) -> float:
             np.stack(np.meshgrid(*2 * [np.arange(-cells, cells + 1)]), axis=-1) * SEARCH_CELL_M
         )
         ground = bare_ground(scene, point + offsets, height_m)
+        if on_deck:
+            ground = np.maximum(ground, height_m)
         tall = heights - ground > MAX_TALL_M
         if tall.any():
             nearest = float(np.hypot(*offsets[tall].T).min())

@@ -7,21 +7,28 @@ Every array is float64 unless stated. Time is an integer count of ticks of ``Sim
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.frames import Pose
+from sim.nav_types import FORBID_EXTRA as FORBID_EXTRA
+from sim.nav_types import BarometerParams as BarometerParams
+from sim.nav_types import BarometerSample as BarometerSample
+from sim.nav_types import GpsFix as GpsFix
+from sim.nav_types import GpsParams as GpsParams
+from sim.nav_types import MagnetometerParams as MagnetometerParams
+from sim.nav_types import MagnetometerSample as MagnetometerSample
+from sim.nav_types import NavParams as NavParams
+from sim.nav_types import RangefinderParams as RangefinderParams
+from sim.nav_types import RangefinderSample as RangefinderSample
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 GRAVITY_MPS2 = 9.81
 AIR_DENSITY_KGPM3 = 1.225
-
-FORBID_EXTRA = {"extra": "forbid"}
-"""Read by pydantic: an unknown configuration key is an error, not a silent default."""
 
 
 # ------------------------------------------------------------------------------- parameters
@@ -70,10 +77,17 @@ class LidarParams:
     __pydantic_config__ = FORBID_EXTRA
 
     preset: str = "horizon"
+    """``horizon``, ``avia`` or ``mid360``: pattern, point rate, range limits and beam."""
     range_sigma_m: float = 0.02
     angle_sigma_deg: float = 0.05
     min_range_m: float = 0.5
     max_range_m: float = 260.0
+    divergence: bool = True
+    """Beams have a width: at edges they split into several echoes. False: mere rays."""
+    return_mode: Literal["first", "strongest"] = "first"
+    """Which echo of a split beam is reported."""
+    pulse_length_m: float = 1.0
+    """Surfaces nearer to one another than this merge into one echo at their mean range."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -90,6 +104,15 @@ class CameraParams:
     """Standard deviation of the grey-level noise (of 255)."""
     samples: int = 0
     """Multisampling samples a pixel; 4 smooths silhouettes and nearly doubles the drawing time."""
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """k1, k2, p1, p2, k3 of OpenCV's lens model"""
+    gain: float = 1.0
+    """exposure relative to the scene's own, linear in light; what it clips is lost"""
+    auto_exposure: bool = False
+    """choose the gain for every picture, within 1/4 to 4, so that its mean is a middle grey"""
+    readout_s: float = 0.0
+    """rolling shutter: time from the exposure of the first row to that of the last, in steps of one
+    tick; 0: all rows at once"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -110,6 +133,12 @@ class ImuParams:
     """rad/s, turn-on"""
     accel_bias_sigma: float = 3.0e-2
     """m/s^2, turn-on"""
+    vibration_gyro_density: float = 0.0
+    """rad/s/sqrt(Hz) that the propellers shake into the sensor in hover, broad band; grows with the
+    square of the rotor speed. 0: a perfectly isolated mount; 4e-3 is the median of unisolated
+    sensors on a DJI Phantom 4 (flights of Hurwitz and Klein 2023), a damped mount a tenth of it"""
+    vibration_accel_density: float = 0.0
+    """m/s^2/sqrt(Hz), likewise; 0.12 on the same flights (three times that along the rotor axes)"""
 
 
 # ------------------------------------------------------------------- what a vehicle knows of itself
@@ -183,6 +212,7 @@ class SensorRig:
     compute_latency_ticks: int
     world_from_body_start: Pose
     vehicle: VehicleModel
+    nav: NavParams = field(default_factory=NavParams)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -194,12 +224,20 @@ class SensorNeeds:
     """0: no images; else a divisor of the camera's clock rate (30, 15, 10, 6, 5, 3, 2, 1)."""
     stereo: bool = False
     lidar: bool = False
+    gps: bool = False
+    barometer: bool = False
+    magnetometer: bool = False
+    rangefinder: bool = False
 
     def __or__(self, other: SensorNeeds) -> SensorNeeds:
         return SensorNeeds(
             camera_hz=max(self.camera_hz, other.camera_hz),
             stereo=self.stereo or other.stereo,
             lidar=self.lidar or other.lidar,
+            gps=self.gps or other.gps,
+            barometer=self.barometer or other.barometer,
+            magnetometer=self.magnetometer or other.magnetometer,
+            rangefinder=self.rangefinder or other.rangefinder,
         )
 
 
@@ -244,7 +282,8 @@ class LidarScan:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CameraImage:
-    """One exposure (global shutter) at ``tick``."""
+    """One exposure at ``tick``; with a rolling shutter the last row is exposed then and the first
+    one ``CameraParams.readout_s`` earlier."""
 
     tick: int
     time_s: float
@@ -263,6 +302,10 @@ class Observation:
     imu: tuple[ImuSample, ...] = ()
     scans: tuple[LidarScan, ...] = ()
     images: tuple[CameraImage, ...] = ()
+    gps: tuple[GpsFix, ...] = ()
+    barometer: tuple[BarometerSample, ...] = ()
+    magnetometer: tuple[MagnetometerSample, ...] = ()
+    rangefinder: tuple[RangefinderSample, ...] = ()
     rotor_speed_radps: Array
     """(4,) speed-controller telemetry of now."""
     battery_fraction: float

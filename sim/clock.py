@@ -37,5 +37,19 @@ def image_period_ticks(sim: SimParams, needs: SensorNeeds) -> int:
     return sim.tick_hz // needs.camera_hz if needs.camera_hz else 0
 
 
+def readout_ticks(readout_s: float, sim: SimParams) -> int:
+    """Ticks between the first and the last row of a rolling shutter; 0 for a global one.
+
+    ValueError: the rows would still be read when the next exposure may begin.
+    """
+    ticks = round(readout_s * sim.tick_hz)
+    if ticks >= sim.camera_ticks:
+        raise ValueError(
+            f"camera.readout_s is {readout_s:g}, but the camera's clock beats every "
+            f"{sim.camera_ticks / sim.tick_hz:.4g} s: give less"
+        )
+    return ticks
+
+
 def _divisors(number: int) -> str:
     return ", ".join(str(i) for i in range(1, number + 1) if number % i == 0)

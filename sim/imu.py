@@ -20,7 +20,8 @@ class ImuSensor:
     """Samples every ``imu_ticks`` ticks of ``tick_hz``.
 
     White noise of density d averages to d / sqrt(T) over a sample of T seconds. The bias starts at
-    a random turn-on value and walks by w sqrt(T) a sample.
+    a random turn-on value and walks by w sqrt(T) a sample. Vibration is white as well: the lines
+    of four propellers at different speeds, folded by the sampling, fill the whole band.
     """
 
     def __init__(self, params: ImuParams, tick_hz: int, imu_ticks: int, seed: int) -> None:
@@ -31,6 +32,10 @@ class ImuSensor:
         self._walk = _stack(params.gyro_bias_walk, params.accel_bias_walk) * math.sqrt(
             self._period_s
         )
+        self._vibration = _stack(
+            params.vibration_gyro_density, params.vibration_accel_density
+        ) / math.sqrt(self._period_s)
+        self._vibration_rng = np.random.default_rng([seed, crc32(b"imu vibration")])
         turn_on = _stack(params.gyro_bias_sigma, params.accel_bias_sigma)
         self._bias = turn_on * self._rng.standard_normal(6)
 
@@ -46,15 +51,19 @@ class ImuSensor:
         rotation_end: Array,
         velocity_start: Array,
         velocity_end: Array,
+        shake: float = 0.0,
     ) -> ImuSample:
         """The sample that ends at ``tick`` from the world_from_imu rotations (3, 3) at both ends of
-        its period and the world velocities (3,) m/s of the IMU's own point."""
+        its period and the world velocities (3,) m/s of the IMU's own point. ``shake``: mean square
+        of the rotor speeds over that in hover."""
         turn = so3_log(rotation_start.T @ rotation_end)
         rotation_mid = rotation_start @ so3_exp(0.5 * turn)
         acceleration = (velocity_end - velocity_start) / self._period_s
         ideal = np.concatenate([turn / self._period_s, rotation_mid.T @ (acceleration + _UP)])
         white, walk = self._rng.standard_normal((2, 6))
         measured = ideal + self._bias + self._noise * white
+        if self._vibration.any():
+            measured += shake * self._vibration * self._vibration_rng.standard_normal(6)
         self._bias = self._bias + self._walk * walk
         measured.setflags(write=False)
         return ImuSample(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from typing import Any
 
 # Open3D would otherwise probe for a display when it is first imported.
 os.environ.setdefault("OPEN3D_CPU_RENDERING", "true")
@@ -20,6 +21,8 @@ from numpy.typing import NDArray
 
 from scenes.api import LAND_CLASSES, GroundRaster, Scene, Surface
 from sim.frames import Pose
+from sim.lidar_ground import GroundGrid
+from sim.quadrics import ShapeTable, settle
 from sim.tessellation import geom_mesh
 
 Array = NDArray[np.float64]
@@ -32,7 +35,9 @@ DEFAULT_SURFACE = Surface(land_class="other", reflectivity=0.3)
 """Of geoms that the scene says nothing about."""
 
 _PLANE_MARGIN_M = 300.0
-_MISS = np.uint32(0xFFFFFFFF)
+_MOST_LAYERS = 8
+"""Wrappings of round shapes that one ray may graze."""
+_LAYER_STEP_M = 1e-4
 _NO_GEOM = -1
 
 
@@ -48,17 +53,50 @@ class Hits:
     """(N,) of the angle between the surface's outward normal and the way back along the ray;
     negative when the ray meets the surface from inside"""
 
+    @staticmethod
+    def none(count: int) -> Hits:
+        return Hits(
+            np.full(count, np.inf, dtype=np.float32),
+            np.full(count, _NO_GEOM, dtype=np.int32),
+            np.zeros(count, dtype=np.float32),
+        )
+
+    @staticmethod
+    def joined(*groups: Hits) -> Hits:
+        return Hits(
+            np.concatenate([group.distance for group in groups]),
+            np.concatenate([group.geom for group in groups]),
+            np.concatenate([group.cosine for group in groups]),
+        )
+
+    def at(self, rays: NDArray[Any]) -> Hits:
+        return Hits(self.distance[rays], self.geom[rays], self.cosine[rays])
+
+    def put(self, rays: NDArray[Any], hits: Hits) -> None:
+        self.distance[rays] = hits.distance
+        self.geom[rays] = hits.geom
+        self.cosine[rays] = hits.cosine
+
 
 class RayTarget:
-    """Triangles of some geoms, rigid in one frame, under one Embree acceleration structure."""
+    """Some geoms, rigid in one frame, under one Embree acceleration structure."""
 
-    def __init__(self, vertices: list[Array], triangles: list[Int32], geoms: list[int]) -> None:
+    def __init__(
+        self,
+        vertices: list[Array],
+        triangles: list[Int32],
+        geoms: list[int],
+        shapes: ShapeTable,
+        ground: GroundGrid | None = None,
+    ) -> None:
         offsets = np.cumsum([0] + [len(block) for block in vertices])[:-1]
         points = np.concatenate(vertices).astype(np.float32)
         indices = [block + start for block, start in zip(triangles, offsets, strict=True)]
         self._geom_of_triangle = np.repeat(
             np.array(geoms, dtype=np.int32), [len(block) for block in triangles]
         )
+        self._shapes = shapes
+        self._ground = ground
         self.center = 0.5 * (points.min(axis=0) + points.max(axis=0)).astype(np.float64)
         self.radius = float(np.linalg.norm(points - self.center, axis=1).max())
         self.triangle_count = len(self._geom_of_triangle)
@@ -71,16 +109,70 @@ class RayTarget:
         self.cast(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]], dtype=np.float32))
 
     def cast(self, rays: Float32) -> Hits:
-        """(N, 6) float32 origins and unit directions in the target's frame."""
-        answer = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), nthreads=1)
-        triangle = answer["primitive_ids"].numpy()
-        missed = triangle == _MISS
-        triangle[missed] = 0
-        geom = self._geom_of_triangle[triangle]
-        geom[missed] = _NO_GEOM
-        normals = answer["primitive_normals"].numpy()
-        cosine = -np.einsum("ij,ij->i", normals, rays[:, 3:])
-        return Hits(answer["t_hit"].numpy(), geom, cosine)
+        """Nearest hits of (N, 6) float32 origins and unit directions in the target's frame."""
+        return self.cast_apart(rays)[0]
+
+    def cast_apart(self, rays: Float32) -> tuple[Hits, NDArray[np.int64]]:
+        """As ``cast``, and the indices of the rays that came near anything but open ground."""
+        if self._ground is None:
+            return self._cast_wrapped(rays), np.arange(len(rays))
+        hits = Hits.none(len(rays))
+        others = self._ground.march(rays, hits.distance, hits.geom, hits.cosine)
+        if others.size:
+            hits.put(others, self._cast_wrapped(rays[others]))
+        return hits, others
+
+    def embree(self, rays: Float32) -> dict[str, o3d.core.Tensor]:
+        """The bare cast against the triangles, as Open3D answers it."""
+        answer: dict[str, o3d.core.Tensor] = self._scene.cast_rays(
+            o3d.core.Tensor.from_numpy(rays), nthreads=1
+        )
+        return answer
+
+    def _cast_wrapped(self, rays: Float32) -> Hits:
+        hits, again, reached = self._cast_once(rays)
+        for _ in range(_MOST_LAYERS):
+            if not again.size:
+                break
+            onward, travelled = rays_behind(rays[again], reached + np.float32(_LAYER_STEP_M))
+            behind, more, reached = self._cast_once(onward)
+            behind.distance[:] += travelled
+            nearer = behind.distance < hits.distance[again]
+            hits.put(again[nearer], behind.at(nearer))
+            reached += travelled[more]
+            again = again[more]
+            # What is known lies before all that is still to come.
+            open_ended = hits.distance[again] > reached
+            again, reached = again[open_ended], reached[open_ended]
+        return hits
+
+    def _cast_once(self, rays: Float32) -> tuple[Hits, NDArray[np.int64], Float32]:
+        """Hits, the rays that have to be cast on, and how far those came."""
+        answer = self.embree(rays)
+        hits = Hits.none(len(rays))
+        reached = answer["t_hit"].numpy()
+        again = settle(
+            rays,
+            reached,
+            answer["primitive_ids"].numpy(),
+            answer["primitive_normals"].numpy(),
+            self._geom_of_triangle,
+            self._shapes.kind,
+            self._shapes.rotation,
+            self._shapes.center,
+            self._shapes.size,
+            hits.distance,
+            hits.geom,
+            hits.cosine,
+        )
+        return hits, again, reached[again]
+
+
+def rays_behind(rays: Float32, distance: Float32) -> tuple[Float32, Float32]:
+    """Copies of (N, 6) rays that start ``distance`` (N,) further on, and those distances."""
+    onward = rays.copy()
+    onward[:, :3] += distance[:, None] * onward[:, 3:]
+    return onward, distance
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +187,10 @@ class OpticalTable:
     """(G,)"""
     ground_geom: int
     """-1 where the scene has no raster"""
-    ground_origin_xy_m: Array
-    ground_cell_m: float
+    ground_frame: Array
+    """(3,) x and y of the raster's corner, cells per metre"""
     ground_reflectivity: Float32
-    """(rows, cols)"""
-    ground_water: NDArray[np.bool_]
-    """(rows, cols)"""
+    """(rows, cols), negative where there is water: large, and read in one place"""
 
 
 class LidarScene:
@@ -112,7 +202,7 @@ class LidarScene:
         rest = mujoco.MjData(model)
         mujoco.mj_kinematics(model, rest)
         reach = float(np.abs(scene.bounds_xy_m).max()) + _PLANE_MARGIN_M
-        blocks: dict[int, tuple[list[Array], list[Int32], list[int]]] = {}
+        blocks: dict[int, tuple[list[Array], list[Int32], list[int], ShapeTable]] = {}
         for geom_id in _visible_geoms(model):
             mesh = geom_mesh(model, geom_id, reach, bool(self.optics.porosity[geom_id] > 0.0))
             if mesh is None or not len(mesh[1]):
@@ -120,13 +210,53 @@ class LidarScene:
             root = moving_root(model, int(model.geom_bodyid[geom_id]))
             frame = Pose.identity() if root == 0 else _body_pose(rest, root)
             local = frame.inverse() @ _geom_pose(rest, geom_id)
-            vertices, triangles, geoms = blocks.setdefault(root, ([], [], []))
-            vertices.append(local.apply(mesh[0]))
-            triangles.append(mesh[1])
-            geoms.append(geom_id)
-        self.static = RayTarget(*blocks.pop(0)) if 0 in blocks else None
+            block = blocks.setdefault(root, ([], [], [], ShapeTable.empty(model.ngeom)))
+            block[0].append(local.apply(mesh[0]))
+            block[1].append(mesh[1])
+            block[2].append(geom_id)
+            block[3].add(model, geom_id, local)
+        self.static: RayTarget | None = None
+        if 0 in blocks:
+            ground = _ground_grid(model, rest, *blocks[0][:3])
+            self.static = RayTarget(*blocks.pop(0), ground)
         self.moving = {_body_name(model, root): RayTarget(*block) for root, block in blocks.items()}
         self.rest_poses = {_body_name(model, root): _body_pose(rest, root) for root in blocks}
+
+
+def _ground_grid(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    vertices: list[Array],
+    triangles: list[Int32],
+    geoms: list[int],
+) -> GroundGrid | None:
+    """The largest of the fixed height fields that stand upright, or None."""
+    fields = [
+        geom
+        for geom in geoms
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_HFIELD
+        and np.array_equal(data.geom_xmat[geom].reshape(3, 3), np.eye(3))
+    ]
+    if not fields:
+        return None
+    field = max(fields, key=lambda geom: float(np.prod(model.hfield_size[_hfield(model, geom), :2])))
+    index = _hfield(model, field)
+    rows, cols = int(model.hfield_nrow[index]), int(model.hfield_ncol[index])
+    size = model.hfield_size[index]
+    others = [k for k, geom in enumerate(geoms) if geom != field]
+    clutter = [vertices[k][triangles[k]] for k in others]
+    nodes = vertices[geoms.index(field)][: rows * cols]
+    return GroundGrid.of(
+        field,
+        nodes[0, :2],
+        2.0 * size[:2] / [cols - 1, rows - 1],
+        nodes[:, 2].reshape(rows, cols),
+        np.concatenate(clutter) if clutter else np.zeros((0, 3, 3)),
+    )
+
+
+def _hfield(model: mujoco.MjModel, geom_id: int) -> int:
+    return int(model.geom_dataid[geom_id])
 
 
 def moving_root(model: mujoco.MjModel, body_id: int) -> int:
@@ -160,10 +290,10 @@ def optical_table(model: mujoco.MjModel, scene: Scene) -> OpticalTable:
         porosity=np.array([s.porosity for s in surfaces], dtype=np.float32),
         water=np.array([s.water for s in surfaces], dtype=np.bool_),
         ground_geom=names.index(ground.geom_name) if scene.ground is not None else _NO_GEOM,
-        ground_origin_xy_m=np.asarray(ground.origin_xy_m, dtype=np.float64),
-        ground_cell_m=float(ground.cell_m),
-        ground_reflectivity=np.ascontiguousarray(ground.reflectivity, dtype=np.float32),
-        ground_water=np.ascontiguousarray(ground.class_id == LAND_CLASSES.index("water")),
+        ground_frame=np.array([*ground.origin_xy_m, 1.0 / ground.cell_m], dtype=np.float64),
+        ground_reflectivity=np.where(
+            ground.class_id == LAND_CLASSES.index("water"), -1.0, ground.reflectivity
+        ).astype(np.float32),
     )
 
 

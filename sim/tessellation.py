@@ -1,7 +1,8 @@
 """Triangles of MuJoCo geoms, for ray casting outside MuJoCo.
 
-Height fields get the triangulation that MuJoCo itself casts rays against; round shapes are
-approximated to a stated chord error, half of it outside and half inside the true surface.
+Height fields get the triangulation that MuJoCo itself casts rays against. Round shapes are wrapped in
+triangles that lie outside of them everywhere, so that no ray that meets the shape misses its
+wrapping; where exactly it meets the shape is then a matter of `sim.quadrics`.
 """
 
 from __future__ import annotations
@@ -18,11 +19,13 @@ Mesh = tuple[Array, Triangles]
 """Vertices (V, 3) in metres, geom frame; triangles (T, 3), counter-clockwise seen from outside."""
 
 CHORD_M = 1e-3
-"""Largest distance between a round surface up to 1 m across and its triangles."""
+"""About the largest gap between a round surface up to 1 m in radius and its wrapping."""
 CHORD_RELATIVE = 1e-3
 """The same for larger ones, as a share of the radius."""
 POROUS_CHORD_RELATIVE = 1e-2
-"""Crowns and reeds have no sharp surface in the first place."""
+"""The same for crowns and reeds, which are many."""
+_MARGIN = 1.0 + 1e-5
+"""Keeps a wrapping outside after its corners are rounded to single precision."""
 
 _PLANE_CELL_M = 25.0
 _FEWEST_SEGMENTS = 12
@@ -100,14 +103,13 @@ def height_field(model: mujoco.MjModel, field_id: int) -> Mesh:
 def ellipsoid(semi_axes: Array, porous: bool = False) -> Mesh:
     segments = _segments(float(semi_axes.max()), porous)
     angles = np.linspace(-0.5 * math.pi, 0.5 * math.pi, segments // 2 + 1)
-    swell = _swell(segments) ** 2
     vertices, triangles = _revolve(np.cos(angles), np.sin(angles), segments)
-    return vertices * semi_axes * swell, triangles
+    return vertices * semi_axes * _swell(vertices, triangles), triangles
 
 
 def cylinder(radius: float, half_length: float, porous: bool = False) -> Mesh:
     segments = _segments(radius, porous)
-    outer = radius * _swell(segments)
+    outer = radius * _MARGIN / math.cos(math.pi / segments)
     heights = half_length * np.array([-1.0, -1.0, 1.0, 1.0])
     return _revolve(np.array([0.0, outer, outer, 0.0]), heights, segments)
 
@@ -115,12 +117,12 @@ def cylinder(radius: float, half_length: float, porous: bool = False) -> Mesh:
 def capsule(radius: float, half_length: float, porous: bool = False) -> Mesh:
     segments = _segments(radius, porous)
     quarter = np.linspace(0.0, 0.5 * math.pi, segments // 4 + 1)
-    swell = _swell(segments)
-    radii = radius * swell**2 * np.cos(quarter)
-    heights = half_length + radius * swell**2 * np.sin(quarter)
-    radii[0] = radius * swell
+    radii, heights = np.cos(quarter), np.sin(quarter)
+    ball = _revolve(np.concatenate([radii[::-1], radii]), np.append(-heights[::-1], heights), segments)
+    outer = radius * _swell(*ball)
+    caps = half_length + outer * heights
     return _revolve(
-        np.concatenate([radii[::-1], radii]), np.concatenate([-heights[::-1], heights]), segments
+        outer * np.concatenate([radii[::-1], radii]), np.append(-caps[::-1], caps), segments
     )
 
 
@@ -140,9 +142,12 @@ def _segments(radius: float, porous: bool) -> int:
     return 4 * math.ceil(max(needed, _FEWEST_SEGMENTS) / 4.0)
 
 
-def _swell(segments: int) -> float:
-    """Factor on the corners' radius that puts half of the chord error outside the circle."""
-    return 2.0 / (1.0 + math.cos(math.pi / segments))
+def _swell(vertices: Array, triangles: Triangles) -> float:
+    """Factor that puts the faces of a tessellated unit sphere just outside of it."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    distances = np.einsum("ij,ij->i", a, normals) / np.linalg.norm(normals, axis=1)
+    return _MARGIN / float(distances.min())
 
 
 def _revolve(radii: Array, heights: Array, segments: int) -> Mesh:

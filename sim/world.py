@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from scenes.api import Scene
 from sim.api import (
+    GRAVITY_MPS2,
     CameraImage,
     CameraParams,
     Command,
@@ -16,6 +17,7 @@ from sim.api import (
     ImuSample,
     LidarParams,
     LidarScan,
+    NavParams,
     Observation,
     SensorNeeds,
     SensorRig,
@@ -25,7 +27,7 @@ from sim.api import (
 )
 from sim.battery import Battery
 from sim.camera import CameraSensor, Snapshot
-from sim.clock import check_rates, image_period_ticks
+from sim.clock import check_rates, image_period_ticks, readout_ticks
 from sim.contacts import ContactSensor
 from sim.delivery import DeliveryQueue, make_executor
 from sim.frames import Pose, matrix_from_quat_wxyz
@@ -34,6 +36,7 @@ from sim.imu import ImuSensor
 from sim.lidar import LidarSensor
 from sim.livox import pattern
 from sim.moving import MovingBodies
+from sim.navigation import NavSensors
 from sim.physics import prepare_physics, settle_on_ground
 from sim.rotors import Rotors
 from sim.vehicle import rotor_geometry, sensor_poses, vehicle_body_id, vehicle_model
@@ -44,6 +47,7 @@ Array = NDArray[np.float64]
 RIGHT_CAMERA = "vehicle/camera_right"
 
 _NOTHING = SensorNeeds()
+_NAV_DEFAULTS = NavParams()
 
 
 class MujocoWorld:
@@ -69,10 +73,11 @@ class MujocoWorld:
         imu: ImuParams,
         seed: int,
         needs: SensorNeeds = _NOTHING,
+        nav: NavParams = _NAV_DEFAULTS,
     ) -> None:
         check_rates(sim, needs)
         self._scene, self._sim, self._needs, self._seed = scene, sim, needs, seed
-        self._wind_params, self._imu_params = wind, imu
+        self._wind_params, self._imu_params, self._nav_params = wind, imu, nav
         self._model = scene.model
         self._step_s = sim.control_ticks / sim.tick_hz
         self._executor = make_executor(sim.threads)
@@ -90,6 +95,8 @@ class MujocoWorld:
         self._moving.write(self._data, 0.0)
         self._start_state = settle_on_ground(self._scene, self._data)
         self._vehicle = vehicle_model(self._model)
+        weight = self._vehicle.mass_kg * GRAVITY_MPS2
+        self._hover_square = weight / self._vehicle.thrust_coefficient
         body_id = vehicle_body_id(self._model)
         position = int(self._model.jnt_qposadr[self._model.body_jntadr[body_id]])
         velocity = int(self._model.body_dofadr[body_id])
@@ -119,10 +126,15 @@ class MujocoWorld:
     def _add_sensors(self) -> None:
         """Builds what is needed and not there yet."""
         self._image_period = image_period_ticks(self._sim, self._needs)
+        self._readout = readout_ticks(self._camera_params.readout_s, self._sim)
         if self._needs.lidar and self._lidar is None:
             self._lidar = LidarSensor(self._scene, self._lidar_params, self._seed)
         if self._needs.stereo and self._right is None:
             self._right = CameraSensor(self._scene, self._camera_params, self._seed, RIGHT_CAMERA)
+        self._nav = self._make_nav()
+
+    def _make_nav(self) -> NavSensors:
+        return NavSensors(self._scene, self._nav_params, self._sim, self._needs, self._seed)
 
     def _make_rig(self, lidar: LidarParams, imu: ImuParams) -> SensorRig:
         body_from_imu, body_from_lidar, body_from_camera, body_from_camera_right = sensor_poses(
@@ -143,6 +155,7 @@ class MujocoWorld:
             compute_latency_ticks=self._sim.compute_latency_ticks,
             world_from_body_start=self._pose(),
             vehicle=self._vehicle,
+            nav=self._nav_params,
         )
 
     # ------------------------------------------------------------------------ the protocol
@@ -167,20 +180,26 @@ class MujocoWorld:
         self._air[:] = self._wind.step(self._step_s, self._vehicle.leg_height_m, 0.0)
         mujoco.mj_forward(self._model, self._data)
         self._tick = 0
+        self._instants: list[Snapshot] = []
         self._rotors = Rotors(
             self._vehicle, rotor_geometry(self._model), tick_s=1.0 / self._sim.tick_hz
         )
         self._battery = Battery(self._sim.battery_capacity_j)
         self._imu = ImuSensor(self._imu_params, self._sim.tick_hz, self._sim.imu_ticks, self._seed)
+        self._nav = self._make_nav()
         self._ground_z = float(self._position[2]) - self._vehicle.leg_height_m
-        self._imu_rotation = matrix_from_quat_wxyz(self._quat)
-        self._imu_velocity = self._velocity.copy()
-        self._track_positions[0] = self._position
-        self._track_quats[0] = self._quat
+        self._mark_start()
         self._acceleration = np.zeros(3)
         self._peak_acceleration = 0.0
         self._contacts: tuple[Contact, ...] = self._contact_sensor.read(self._data)
         return self._observation(())
+
+    def _mark_start(self) -> None:
+        """Sensors that look back at an earlier state look back at the present one."""
+        self._imu_rotation = matrix_from_quat_wxyz(self._quat)
+        self._imu_velocity = self._velocity.copy()
+        self._track_positions[0] = self._position
+        self._track_quats[0] = self._quat
 
     def step(self, command: Command) -> Observation:
         """Advances ``control_ticks``. RuntimeError: the command or the physics is not finite."""
@@ -200,6 +219,28 @@ class MujocoWorld:
         self._battery.draw(self._rotors.shaft_power(), self._step_s)
         self._check_finite()
         return self._observation(tuple(imu))
+
+    def start_in_air(self, position_world: Array, yaw: float) -> Observation:
+        """As ``reset``, but level and at rest at (3,) ``position_world``, rotors at hover speed."""
+        self.reset()
+        self._position[:] = position_world
+        self._quat[:] = np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)
+        self._velocity[:] = self._angular_velocity[:] = 0.0
+        self._rotors.speeds[:] = np.sqrt(self._hover_square / len(self._rotors.speeds))
+        mujoco.mj_forward(self._model, self._data)
+        self._contacts = ()
+        self._mark_start()
+        return self._observation(())
+
+    def height_over_ground(self) -> float:
+        """Metres from the body origin down to whatever lies below; ``inf`` over nothing."""
+        return self._ground.clearance(self._data, self._position)
+
+    def snapshot(self) -> Snapshot:
+        """The scene as it is now, for a camera other than the vehicle's sensors."""
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        return self._camera.snapshot(self._data)
 
     def truth(self) -> Truth:
         """The true state now. ``acceleration_world`` is dv/dt: 0 in hover and at rest.
@@ -257,18 +298,32 @@ class MujocoWorld:
         """What is measured at this tick."""
         if self._tick % self._sim.imu_ticks == 0:
             imu.append(self._sample_imu())
+        self._nav.sense(
+            self._tick,
+            self._data,
+            self._position,
+            self._quat,
+            self._velocity,
+            self._angular_velocity,
+        )
         if self._lidar is not None:
             self._record_track()
-        if self._image_period and self._tick % self._image_period == 0:
-            # mj_step leaves positions of the tick's beginning behind.
-            mujoco.mj_kinematics(self._model, self._data)
-            mujoco.mj_camlight(self._model, self._data)
-            self._images.submit(
-                self._tick + self._sim.compute_latency_ticks,
-                self._render,
-                self._camera.snapshot(self._data),
-                self._tick,
-            )
+        if self._image_period:
+            self._expose()
+
+    def _expose(self) -> None:
+        """An exposure begins ``_readout`` ticks before its pulse: one instant for every tick."""
+        until_pulse = -self._tick % self._image_period
+        if until_pulse > self._readout:
+            return
+        # mj_step leaves positions of the tick's beginning behind.
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        self._instants.append(self._camera.snapshot(self._data))
+        if until_pulse == 0:
+            due = self._tick + self._sim.compute_latency_ticks
+            self._images.submit(due, self._render, tuple(self._instants), self._tick)
+            self._instants.clear()
 
     def _sample_imu(self) -> ImuSample:
         rotation, velocity = matrix_from_quat_wxyz(self._quat), self._velocity.copy()
@@ -279,6 +334,7 @@ class MujocoWorld:
             rotation @ mount,
             self._imu_velocity,
             velocity,
+            float(self._rotors.speeds @ self._rotors.speeds) / self._hover_square,
         )
         self._imu_rotation, self._imu_velocity = rotation, velocity
         return sample
@@ -316,12 +372,12 @@ class MujocoWorld:
             self._moving.tracks(times_s),
         )
 
-    def _render(self, snapshot: Snapshot, tick: int) -> CameraImage:
+    def _render(self, instants: tuple[Snapshot, ...], tick: int) -> CameraImage:
         return CameraImage(
             tick=tick,
             time_s=tick / self._sim.tick_hz,
-            rgb=self._camera.render(snapshot, tick),
-            right_rgb=self._right.render(snapshot, tick) if self._right else None,
+            rgb=self._camera.render(instants, tick),
+            right_rgb=self._right.render(instants, tick) if self._right else None,
         )
 
     # ------------------------------------------------------------------------ messages
@@ -333,6 +389,10 @@ class MujocoWorld:
             imu=imu,
             scans=self._scans.collect(self._tick),
             images=self._images.collect(self._tick),
+            gps=self._nav.gps.collect(self._tick),
+            barometer=self._nav.barometer.collect(self._tick),
+            magnetometer=self._nav.magnetometer.collect(self._tick),
+            rangefinder=self._nav.rangefinder.collect(self._tick),
             rotor_speed_radps=_frozen(self._rotors.speeds),
             battery_fraction=self._battery.fraction,
         )

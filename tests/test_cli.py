@@ -68,6 +68,10 @@ def test_importing_the_command_line_imports_nothing_heavy() -> None:
         (("view", "gone"), ["flight.rrd", "does not exist"]),
         (("scenes", "render", "crossrod"), ["did you mean 'crossroad'"]),
         (("scenes", "render", "crossroad", "--out", "a.txt"), [".png"]),
+        (("scenes", "render"), ["SCENE", "--all"]),
+        (("scenes", "render", "crossroad", "--all"), ["SCENE", "--all"]),
+        (("scenes", "check", "crossrod"), ["did you mean 'crossroad'"]),
+        (("scenes", "check", "--seeds", "0"), ["--seeds"]),
     ],
 )
 def test_bad_input_is_one_line_and_nothing_is_written(
@@ -188,12 +192,13 @@ def test_exported_scene_opens_in_mujoco_unchanged(
     import mujoco
     import numpy as np
 
-    from experiments.build import scene_spec
+    from experiments.build import build_scene
+    from experiments.config import load_config
 
     code, out, _ = _run(capsys, "scenes", "export", "crossroad", "--out", str(tmp_path / "x"))
     assert code == 0
     there = mujoco.MjModel.from_xml_path(out.strip())
-    here = scene_spec("crossroad", 0).compile()
+    here = build_scene(load_config(scene="crossroad", seed=0)).model
     assert there.ngeom == here.ngeom
     np.testing.assert_allclose(there.geom_size, here.geom_size, atol=1e-4)
     np.testing.assert_array_equal(there.tex_data, here.tex_data)

@@ -116,6 +116,27 @@ def test_turn_on_bias_over_many_devices() -> None:
     assert np.std(biases[:, 3:]) == pytest.approx(params.accel_bias_sigma, rel=0.07)
 
 
+def test_vibration_grows_with_the_square_of_the_rotor_speed() -> None:
+    """White as well, on top of the sensor's own noise; none with the rotors at rest, and the other
+    random numbers stay what they are."""
+    shaken = ImuParams(vibration_gyro_density=5e-3, vibration_accel_density=0.2)
+    still = (np.eye(3), np.eye(3), np.zeros(3), np.zeros(3))
+    for shake in (0.0, 1.0, 2.0):
+        sensor, plain = ImuSensor(shaken, 600, 3, 2), ImuSensor(ImuParams(), 600, 3, 2)
+        rows = []
+        for k in range(4000):
+            a, b = sensor.sample(3 * k, *still, shake), plain.sample(3 * k, *still)
+            rows.append(
+                [
+                    *(a.angular_velocity - b.angular_velocity),
+                    *(a.specific_force - b.specific_force),
+                ]
+            )
+        density = np.std(rows, axis=0) * np.sqrt(PERIOD_S)
+        expected = shake * np.array([5e-3] * 3 + [0.2] * 3)
+        np.testing.assert_allclose(density, expected, rtol=0.05, atol=1e-12)
+
+
 def test_same_seed_same_samples() -> None:
     first, again, other = (at_rest(ImuSensor(ImuParams(), 600, 3, s), 5) for s in (1, 1, 2))
     np.testing.assert_array_equal(first, again)

@@ -19,7 +19,6 @@ from scenes.crossroad.layout import ROAD_DEPTH_M
 from scenes.export import export_scene
 from scenes.raycast import cast_down
 from scenes.registry import scene_names
-from scenes.render import render_views
 from scenes.terrain import Terrain
 from scenes.truth import judge_touchdown, point_slope_deg, truth_maps
 
@@ -303,11 +302,3 @@ def test_export_brings_the_files_of_an_outside_scene(tmp_path: Path) -> None:
     path = export_scene(scene, tmp_path / "out")
     model = mujoco.MjModel.from_xml_path(str(path))
     np.testing.assert_array_equal(model.hfield_data, scene.model.hfield_data)
-
-
-def test_views_are_written(crossroad: Scene, tmp_path: Path) -> None:
-    before = crossroad.model.vis.map.zfar, crossroad.model.vis.global_.offwidth
-    paths = render_views(crossroad, tmp_path)
-    assert [path.name for path in paths] == ["above.png", "oblique.png", "camera.png"]
-    assert all(path.stat().st_size > 100_000 for path in paths)
-    assert before == (crossroad.model.vis.map.zfar, crossroad.model.vis.global_.offwidth)

@@ -159,6 +159,29 @@ def test_stereo_sees_two_pictures_and_sensors_can_be_added_before_a_flight(
         world.require(SensorNeeds(lidar=True))
 
 
+def test_a_rolling_shutter_arrives_like_a_global_one(scene: Scene) -> None:
+    """Same ticks; and the pictures of a vehicle at rest are the same but for the bands' seams."""
+    pictures = {}
+    for readout_s in (0.0, 0.02):
+        world = MujocoWorld(
+            scene,
+            sim=SimParams(threads=1),
+            wind=WindParams(),
+            lidar=LidarParams(),
+            camera=CameraParams(width=64, height=36, readout_s=readout_s),
+            imu=ImuParams(),
+            needs=SensorNeeds(camera_hz=10),
+            seed=3,
+        )
+        rest = Command(rotor_speed_radps=np.zeros(4))
+        observations = [world.reset(), *(world.step(rest) for _ in range(60))]
+        pictures[readout_s] = [(o.tick, i.tick, i.rgb) for o in observations for i in o.images]
+        world.close()
+    (due, tick, still), (due_rolling, tick_rolling, rolled) = (p[0] for p in pictures.values())
+    assert (due, tick) == (due_rolling, tick_rolling) == (96, 60)
+    assert np.abs(still.astype(int) - rolled).mean() < 1.0
+
+
 def test_a_scan_is_cast_from_the_poses_of_its_own_ticks(make_world: MakeWorld) -> None:
     """In a climb at 1 m/s the first pulses of a scan put the floor at height 0 by the true pose of
     its start, the last ones by that of its end, 0.1 m higher."""

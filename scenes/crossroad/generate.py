@@ -12,18 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.api import Surface
-from scenes.bake import bake_light
-from scenes.builder import Builder, fill_texture
+from scenes.builder import Builder
 from scenes.crossroad import roads
 from scenes.crossroad.layout import HALF_M, QUADRANTS, Plan, Plot, draw_plan
 from scenes.crossroad.plots import Common, Farm, Homes, Shop, Theme
 from scenes.crossroad.relief import shape_ground
 from scenes.draft import SceneDraft
-from scenes.ground import TEXELS, Canvas, Ground, shade_ground
+from scenes.ground import Canvas, Ground
+from scenes.light import draw_sun, finish_picture
 from scenes.props.cars import add_car_models, park_car
 from scenes.props.plants import Nursery, add_tree, plant_nursery
 from scenes.props.street import add_lamp, add_sign
-from scenes.terrain import Terrain, write_hfield
+from scenes.terrain import write_hfield
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ def generate(seed: int) -> SceneDraft:
     builder = Builder(spec=spec, rng=rng, terrain=terrain)
     moving = place_things(builder, plan, themes)
     canvas = paint_ground(rng, plan, themes)
-    finish_picture(builder, plan, canvas, terrain, sun)
+    finish_picture(builder, canvas, sun, pattern_angles(rng, plan))
     builder.surfaces["terrain"] = Surface(land_class="lawn", reflectivity=0.45)
     return SceneDraft(
         spec=spec,
@@ -66,19 +66,6 @@ def draw_themes(rng: np.random.Generator, plan: Plan) -> list[Theme]:
     for name, index in zip(("NE", "NW", "SE"), order, strict=True):
         themes.append(kinds[int(index)](Plot(plan=plan, signs=QUADRANTS[name]), rng))
     return themes
-
-
-def draw_sun(rng: np.random.Generator, spec: Any) -> Array:
-    """Turns and tints the light `sun`. Returns the way it travels, (3,) unit."""
-    elevation, azimuth = np.deg2rad(rng.uniform(38.0, 62.0)), rng.uniform(0.0, 2.0 * np.pi)
-    flat = np.cos(elevation)
-    direction = -np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
-    warmth = rng.uniform(0.0, 1.0)
-    strength = rng.uniform(0.62, 0.74) / np.sin(elevation) * 0.92
-    light = spec.light("sun")
-    light.dir = direction
-    light.diffuse = strength * np.array([1.0, 0.985 - 0.04 * warmth, 0.95 - 0.12 * warmth])
-    return direction
 
 
 def place_things(builder: Builder, plan: Plan, themes: list[Theme]) -> tuple[Any, ...]:
@@ -132,20 +119,16 @@ def paint_ground(rng: np.random.Generator, plan: Plan, themes: list[Theme]) -> C
     for theme in themes:
         theme.paint(canvas)
     roads.paint_surfaces(canvas, plan)
-    roads.paint_wear(canvas, plan, rng)
+    roads.wear_down(canvas, plan, rng)
     roads.paint_markings(canvas, plan)
     return canvas
 
 
-def finish_picture(
-    builder: Builder, plan: Plan, canvas: Canvas, terrain: Terrain, sun: Array
-) -> None:
-    """Bakes the light and gives the terrain its picture."""
-    light = bake_light(builder.casters, terrain, sun, TEXELS // 2, ambient=0.50)
+def pattern_angles(rng: np.random.Generator, plan: Plan) -> dict[Ground, float]:
+    """Slabs along the roads, mowing stripes askew, furrows along or across."""
     angle = plan.main.angle
     turned = dict.fromkeys(Ground, angle)
     turned[Ground.SIDE_PAVEMENT] = plan.side.angle
-    turned[Ground.LAWN] = angle + float(builder.rng.uniform(0.3, 1.2))
-    turned[Ground.SOIL] = angle + (0.5 * np.pi if builder.rng.random() < 0.5 else 0.0)
-    picture = shade_ground(builder.rng, canvas, light, turned)
-    fill_texture(builder.spec.texture("ground"), picture)
+    turned[Ground.LAWN] = angle + float(rng.uniform(0.3, 1.2))
+    turned[Ground.SOIL] = angle + (0.5 * np.pi if rng.random() < 0.5 else 0.0)
+    return turned

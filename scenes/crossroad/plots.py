@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scenes.api import Surface
 from scenes.builder import GEOM, Builder
 from scenes.crossroad.layout import Plot
-from scenes.crossroad.relief import Ditch, Pad
 from scenes.ground import Canvas, Ground
 from scenes.props.cars import CarShape, park_car
 from scenes.props.houses import House, add_house
 from scenes.props.plants import Nursery, add_bush, add_hedge, add_rock, add_tree
 from scenes.props.street import add_bench, add_bin, add_fence, add_lamp
+from scenes.relief import Ditch, Pad
 
 Array = NDArray[np.float64]
 Models = list[tuple[str, str, CarShape]]

@@ -8,25 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.api import MovingBody
-from scenes.builder import GEOM, Builder
+from scenes.builder import Builder
 from scenes.crossroad.layout import HALF_M, QUADRANTS, ROAD_DEPTH_M, Plan, Road
 from scenes.ground import Canvas, Ground
 from scenes.props.cars import CAR_SURFACE, CarShape
 from scenes.props.street import add_kerb
+from scenes.traffic import add_mover, path_length
+from scenes.ways import band, paint_wear
 
 Array = NDArray[np.float64]
 
 LINE_M = 0.14
 ZEBRA_FROM_M, ZEBRA_DEPTH_M = 1.2, 3.0
 STOP_LINE_GAP_M, STOP_LINE_M = 1.0, 0.45
-
-
-def band(road: Road, along: tuple[float, float], across: tuple[float, float]) -> Array:
-    """(4, 2) world corners of a rectangle in road coordinates."""
-    return np.array([
-        road.point(along[0], across[0]), road.point(along[1], across[0]),
-        road.point(along[1], across[1]), road.point(along[0], across[1]),
-    ])  # fmt: skip
 
 
 def paint_surfaces(canvas: Canvas, plan: Plan) -> None:
@@ -89,52 +83,10 @@ def _arrow(canvas: Canvas, road: Road, along: float, across: float, way: float) 
     canvas.mark(np.array([road.point(*corner) for corner in tip]))
 
 
-def paint_wear(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
-    """Repair patches, tar seams, cracks, manholes, gullies and oil stains on the roadway."""
+def wear_down(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
+    """Patches, cracks and stains on both roads."""
     for road in (plan.main, plan.side):
-        low, high = road.ends_m()
-        half = 0.5 * road.width_m
-        for _ in range(int(rng.integers(5, 9))):
-            along, across = rng.uniform(low, high), rng.uniform(-half + 1.0, half - 1.0)
-            size = rng.uniform([0.8, 0.4], [4.0, 1.1])
-            lines = (max(across - size[1], -half + 0.1), min(across + size[1], half - 0.1))
-            outline = band(road, (along, along + size[0]), lines)
-            canvas.fill(outline, Ground.NEW_ASPHALT)
-            canvas.trace(np.concatenate([outline, outline[:1]]), 0.05, 190)
-        for _ in range(int(rng.integers(22, 32))):
-            _crack(canvas, road, rng, rng.uniform(low, high), rng.uniform(-half + 0.4, half - 0.4))
-        for _ in range(7):
-            along = rng.uniform(low, high)
-            centre = road.point(along, rng.choice([-0.25, 0.25]) * road.width_m)
-            turn = np.linspace(0.0, 2.0 * np.pi, 20, endpoint=False)
-            ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-            canvas.soil(centre + 0.36 * ring, 200)
-            canvas.soil(centre + 0.30 * ring, 120)
-            for bar in (-0.15, 0.0, 0.15):
-                canvas.trace(centre + np.array([[bar, -0.2], [bar, 0.2]]), 0.04, 220)
-        for along in np.arange(low + 6.0, high, 17.0):
-            for side in (1.0, -1.0):
-                if abs(along) > _junction_reach(plan, road):
-                    edge = side * (half - 0.28)
-                    canvas.soil(band(road, (along, along + 0.5), (edge - 0.2, edge + 0.2)), 215)
-        for _ in range(26):
-            centre = road.point(rng.uniform(low, high), rng.normal(0.0, 0.3 * half))
-            turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
-            radius = rng.uniform(0.08, 0.35) * rng.uniform(0.7, 1.2, 12)
-            blot = np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=-1)
-            canvas.soil(centre + blot, int(rng.integers(40, 110)))
-
-
-def _crack(
-    canvas: Canvas, road: Road, rng: np.random.Generator, along: float, across: float
-) -> None:
-    steps = int(rng.integers(10, 36))
-    heading = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(rng.normal(0.0, 0.35, steps))
-    path = np.cumsum(0.22 * np.stack([np.cos(heading), np.sin(heading)], axis=-1), axis=0)
-    limit = 0.5 * road.width_m - 0.1
-    lateral = np.clip(across + path[:, 1], -limit, limit)
-    line = np.array([road.point(along + a, c) for a, c in zip(path[:, 0], lateral, strict=True)])
-    canvas.trace(line, 0.03 if rng.random() < 0.7 else 0.07, int(rng.integers(130, 230)))
+        paint_wear(canvas, road, rng, _junction_reach(plan, road))
 
 
 def place_kerbs(builder: Builder, plan: Plan, openings: list[tuple[Array, float]]) -> None:
@@ -184,24 +136,15 @@ def add_traffic(
         road = plan.main if index != 1 else plan.side
         path = lane_loop(builder, road)
         mesh, material, _ = models[int(rng.integers(len(models)))]
-        name = f"moving_car_{index}"
-        lengths = np.linalg.norm(np.roll(path, -1, axis=0) - path, axis=1)
-        start = (0.17 + 0.5 * (index // 2) + rng.uniform(0.0, 0.15)) * float(lengths.sum())
-        where, heading = along_path(path, start)
-        half = 0.5 * heading
-        body = builder.spec.worldbody.add_body(
-            name=name, mocap=True, pos=where, quat=[np.cos(half), 0.0, 0.0, np.sin(half)]
+        start = (0.17 + 0.5 * (index // 2) + rng.uniform(0.0, 0.15)) * path_length(path)
+        car = MovingBody(
+            body_name=f"moving_car_{index}",
+            path_world=path,
+            speed_mps=float(rng.uniform(5.0, 9.0)),
+            start_m=start,
         )
-        builder.geom(
-            "car_moving",
-            CAR_SURFACE,
-            body=body,
-            type=GEOM.mjGEOM_MESH,
-            meshname=mesh,
-            material=material,
-        )
-        speed = float(rng.uniform(5.0, 9.0))
-        moving.append(MovingBody(body_name=name, path_world=path, speed_mps=speed, start_m=start))
+        add_mover(builder, car, (mesh, material), "car_moving", CAR_SURFACE)
+        moving.append(car)
     return tuple(moving)
 
 
@@ -215,14 +158,3 @@ def lane_loop(builder: Builder, road: Road) -> Array:
     xy = np.array([road.point(along, across) for along, across in ahead + back])
     z = builder.terrain.at(xy)
     return np.column_stack([xy, np.full(len(xy), float(z.mean()))])
-
-
-def along_path(path: Array, distance_m: float) -> tuple[Array, float]:
-    """Point (3,) and heading (radians) on a closed polyline."""
-    steps = np.roll(path, -1, axis=0) - path
-    lengths = np.linalg.norm(steps, axis=1)
-    rest = distance_m % float(lengths.sum())
-    index = int(np.searchsorted(np.cumsum(lengths), rest, side="right"))
-    into = rest - float(lengths[:index].sum())
-    unit = steps[index] / lengths[index]
-    return path[index] + into * unit, float(np.arctan2(unit[1], unit[0]))

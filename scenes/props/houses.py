@@ -40,21 +40,62 @@ class House:
     angle: float
     size_m: tuple[float, float, float]
     ridge_m: float
+    hipped: bool = False
+    """four slopes in place of two and two gables"""
+
+    @property
+    def gable_m(self) -> float:
+        return 0.0 if self.hipped else self.ridge_m
 
 
-def add_house(builder: Builder, house: House) -> None:
-    """Walls, roof and what stands on it. The ground below is taken as level."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HouseLooks:
+    """Names of materials that several houses share."""
+
+    wall: str
+    roof: str
+
+
+def paint_house_looks(builder: Builder, roofs: list[NDArray[np.uint8]]) -> list[HouseLooks]:
+    """One set of looks per picture of a pitched roof (see `gable_roof_mesh` for its halves), walls
+    in turn."""
+    rng = builder.rng
+    order = rng.permutation(len(WALLS))
+    looks = []
+    for index, picture in enumerate(roofs):
+        colour, brick = WALLS[int(order[index % len(WALLS)])]
+        wall = builder.material(f"building_wall_{index}", facade_bay(rng, colour, brick))
+        roof = builder.material(f"building_roof_{index}", picture)
+        looks.append(HouseLooks(wall=wall, roof=roof))
+    return looks
+
+
+def tiled_roof(rng: np.random.Generator, length: float, slope_m: float) -> NDArray[np.uint8]:
+    """A picture for both slopes of a roof, ``slope_m`` from ridge to eaves each, in a colour of
+    its own."""
+    base = ROOFS[int(rng.integers(len(ROOFS)))]
+    picture = roof_tiles(rng, base, (length, 2.0 * slope_m), 56.0)
+    _finish_roof(rng, picture)
+    return picture
+
+
+def add_house(builder: Builder, house: House, looks: HouseLooks | None = None) -> None:
+    """Walls, roof and what stands on it, in ``looks`` or in colours of its own. The ground below
+    is taken as level."""
     rng = builder.rng
     z = builder.terrain.point(*house.centre_xy_m)
     origin = np.array([*house.centre_xy_m, z])
-    colour, brick = WALLS[int(rng.integers(len(WALLS)))]
     name = builder.unique("house")
-    bay = builder.material(f"{name}_wall", facade_bay(rng, colour, brick))
-    mesh = builder.mesh(f"{name}_walls", wall_mesh(house.size_m, house.ridge_m))
+    if looks is None:
+        colour, brick = WALLS[int(rng.integers(len(WALLS)))]
+        bay = builder.material(f"{name}_wall", facade_bay(rng, colour, brick))
+    else:
+        bay = looks.wall
+    mesh = builder.mesh(f"{name}_walls", wall_mesh(house.size_m, house.gable_m))
     pose = {"pos": origin, "quat": quat_z(house.angle)}
     builder.geom("building_wall", WALL, type=GEOM.mjGEOM_MESH, meshname=mesh, material=bay, **pose)
     if house.ridge_m > 0.0:
-        _add_pitched_roof(builder, house, name, origin)
+        _add_pitched_roof(builder, house, name, origin, looks)
     else:
         _add_flat_roof(builder, house, name, origin)
     _cast_house(builder, house, origin)
@@ -115,21 +156,51 @@ def gable_roof_mesh(length: float, width: float, ridge_m: float, eaves_m: float)
     return MeshData.join(parts)
 
 
-def _add_pitched_roof(builder: Builder, house: House, name: str, origin: Array) -> None:
-    rng = builder.rng
-    length, width, height = house.size_m
-    eaves = 0.45
-    slope_m = float(np.hypot(0.5 * width + eaves, house.ridge_m * (1.0 + 2.0 * eaves / width)))
-    base = ROOFS[int(rng.integers(len(ROOFS)))]
-    picture = roof_tiles(rng, base, (length + 2 * eaves, 2.0 * slope_m), 56.0)
+def hip_roof_mesh(length: float, width: float, ridge_m: float, eaves_m: float) -> MeshData:
+    """Four slopes over a rectangle that is longer than wide, mapped as `gable_roof_mesh` maps its
+    two; the hips' ends use a corner of the picture's upper half."""
+    drop = eaves_m * ridge_m / (0.5 * width)
+    x, y, low = 0.5 * length + eaves_m, 0.5 * width + eaves_m, -drop
+    reach = max(x - y, 0.3)
+    parts = []
+    for sign, first in ((1.0, 0.0), (-1.0, 0.5)):
+        slope = np.array([[sign * x, sign * y, low], [-sign * x, sign * y, low],
+                          [-sign * reach, 0.0, ridge_m], [sign * reach, 0.0, ridge_m]])  # fmt: skip
+        share = 0.5 * (1.0 - reach / x)
+        uv = [[0.0, first + 0.49], [1.0, first + 0.49], [1.0 - share, first], [share, first]]
+        parts.append(polygon(slope, np.array(uv)))
+        hip = np.array([[sign * x, -sign * y, low], [sign * x, sign * y, low],
+                        [sign * reach, 0.0, ridge_m]])  # fmt: skip
+        wide = y / x
+        parts.append(polygon(hip, np.array([[0.0, 0.49], [wide, 0.49], [0.5 * wide, 0.0]])))
+    soffit = np.array([[-x, -y, low], [-x, y, low], [x, y, low], [x, -y, low]])
+    parts.append(polygon(soffit, np.full((4, 2), 0.01)))
+    return MeshData.join(parts)
+
+
+def _finish_roof(rng: np.random.Generator, picture: NDArray[np.uint8]) -> None:
+    """A ridge cap and a gutter line for each slope, roof windows or panels."""
     half_px = picture.shape[0] // 2
-    # A ridge cap and a gutter line of their own.
     for first in (0, half_px):
         picture[first : first + 8] = np.clip(picture[first : first + 8] * 1.15 + 12, 0, 255)
         picture[first + half_px - 14 : first + half_px - 7] = (84, 84, 86)
     _add_skylights(rng, picture, half_px)
-    material = builder.material(f"{name}_roof", picture)
-    mesh = builder.mesh(f"{name}_roof", gable_roof_mesh(length, width, house.ridge_m, eaves))
+
+
+def _add_pitched_roof(
+    builder: Builder, house: House, name: str, origin: Array, looks: HouseLooks | None
+) -> None:
+    rng = builder.rng
+    length, width, height = house.size_m
+    eaves = 0.45
+    if looks is None:
+        slope_m = float(np.hypot(0.5 * width + eaves, house.ridge_m * (1.0 + 2.0 * eaves / width)))
+        picture = tiled_roof(rng, length + 2 * eaves, slope_m)
+        material = builder.material(f"{name}_roof", picture)
+    else:
+        material = looks.roof
+    shape = hip_roof_mesh if house.hipped else gable_roof_mesh
+    mesh = builder.mesh(f"{name}_roof", shape(length, width, house.ridge_m, eaves))
     at = origin + np.array([0.0, 0.0, height])
     builder.geom(
         "building_roof", ROOF, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,

@@ -116,6 +116,14 @@ def blob(
     lumps = np.sin(unit @ waves.T + phases) @ (1.0 / np.linspace(1.5, 4.0, 10))
     lumps[:, -1] = lumps[:, 0]
     vertices = shape * half * (1.0 + roughness * lumps / 1.3)[..., None]
+    return wrapped(rng, vertices, metres_per_uv)
+
+
+def wrapped(rng: np.random.Generator, vertices: Array, metres_per_uv: float) -> MeshData:
+    """A closed surface from a grid of points, (rings + 1, sectors + 1, 3): row 0 and the last are
+    the poles above and below, the last column repeats the first. Smooth normals; texture as in
+    `blob`, shifted at random."""
+    rings, sectors = vertices.shape[0] - 1, vertices.shape[1] - 1
     # Faces that look up are mapped from above, the others by the way around and the height.
     ring = vertices[rings // 2]
     around = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ring, axis=0), axis=1))])

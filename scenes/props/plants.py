@@ -77,6 +77,24 @@ def add_tree(builder: Builder, nursery: Nursery, xy_m: Array, size: float) -> No
     builder.claim(xy_m, 2.2 * size)
 
 
+def add_small_tree(builder: Builder, nursery: Nursery, xy_m: Array, size: float) -> None:
+    """A fruit tree of two lumps; ``size`` 1 is about 3.5 m high."""
+    rng = builder.rng
+    z = builder.terrain.point(*xy_m)
+    builder.geom(
+        "trees_trunk", TRUNK, type=GEOM.mjGEOM_CAPSULE, rgba=[0.36, 0.29, 0.23, 1],
+        fromto=[*xy_m, z - 0.3, *xy_m, z + 1.9 * size], size=[0.09 * size, 0, 0],
+    )  # fmt: skip
+    leaf = nursery.leaves[int(rng.integers(len(nursery.leaves)))]
+    small = [lump for lump in nursery.lumps if lump[1] <= (1.5 if size > 0.9 else 1.0)]
+    top = np.array([*xy_m, z + 2.2 * size])
+    turn = rng.uniform(0.0, 2.0 * np.pi)
+    aside = 0.45 * size * np.array([np.cos(turn), np.sin(turn), 0.5])
+    for offset in (aside, -aside):
+        _add_lump(builder, small[int(rng.integers(len(small)))], leaf, top + offset)
+    builder.claim(xy_m, 1.6 * size)
+
+
 def add_bush(builder: Builder, nursery: Nursery, xy_m: Array) -> None:
     """A round bush of 0.7 to 1.3 m."""
     rng = builder.rng

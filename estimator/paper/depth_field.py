@@ -1,0 +1,131 @@
+"""The geodesic picture of one image: energy, returns projected into it, and what follows."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from estimator.landmark_depth import RecentReturns
+from estimator.paper.edges import EdgeDetector
+from estimator.paper.geodesic import (
+    colour_smoothness,
+    geodesic_depth,
+    geodesic_lengths,
+    geodesic_transform,
+)
+from estimator.paper.projection import inside_image, project
+from sim.api import CameraIntrinsics
+from sim.frames import Pose
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Int32 = NDArray[np.int32]
+
+NEIGHBOURS = 6
+"""k of Eqs. 8 and 12"""
+_SIMILARITY = 0.15
+"""energy along a path that makes depths unlike"""
+
+
+def half_size_energy(rgb: NDArray[np.uint8], detector: EdgeDetector) -> Float32:
+    """Edge energy (H/2, W/2) of an image."""
+    half = cv2.resize(rgb, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    return detector(np.asarray(half, dtype=np.uint8))
+
+
+def _half_pixels(pixels: Array, shape: tuple[int, ...]) -> tuple[Int32, Int32]:
+    """Rows and columns (N,) int32 at half size of (N, 2) full-size pixels."""
+    at = np.rint(0.5 * (pixels - 0.5)).astype(np.int32)
+    rows = np.clip(at[:, 1], 0, shape[0] - 1)
+    cols = np.clip(at[:, 0], 0, shape[1] - 1)
+    return np.ascontiguousarray(rows), np.ascontiguousarray(cols)
+
+
+def scan_colour_smoothness(
+    energy: Float32, points_camera: Array, camera: CameraIntrinsics, sweeps: int = 1
+) -> Array:
+    """f_c (Eq. 8) of (N, 3) returns in the camera's frame; NaN outside the image."""
+    pixels, front = project(points_camera, camera.matrix())
+    inside = np.flatnonzero(inside_image(pixels, front, (camera.width, camera.height)))
+    result = np.full(len(points_camera), np.nan)
+    if len(inside) < 2:
+        return result
+    rows, cols = _half_pixels(pixels[inside], energy.shape)
+    # only the strip that the scan covers can hold paths between its returns
+    top, bottom = max(int(rows.min()) - 2, 0), int(rows.max()) + 3
+    part = np.ascontiguousarray(energy[top:bottom])
+    distance, label = geodesic_transform(part, rows - top, cols, sweeps)
+    neighbours, lengths = geodesic_lengths(part, distance, label, len(rows), NEIGHBOURS)
+    result[inside] = colour_smoothness(label, rows - top, cols, neighbours, lengths)
+    return result
+
+
+@njit(cache=True)
+def _nearest_per_pixel(
+    points: Float32,
+    counts: NDArray[np.int64],
+    per_scan: int,
+    rotation: Array,
+    translation: Array,
+    matrix: Array,
+    shape: tuple[int, int],
+) -> Float32:
+    """Depth of the nearest return at every half-size pixel; 0 where there is none."""
+    depth = np.zeros(shape, dtype=np.float32)
+    for s in range(counts.shape[0]):
+        for i in range(s * per_scan, s * per_scan + counts[s]):
+            px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+            z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
+            if z < 0.1:
+                continue
+            x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
+            y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
+            u = (matrix[0, 0] * x + matrix[0, 1] * y) / z + matrix[0, 2]
+            v = matrix[1, 1] * y / z + matrix[1, 2]
+            col, row = int(np.floor(0.5 * u + 0.25)), int(np.floor(0.5 * v + 0.25))
+            if row < 0 or row >= shape[0] or col < 0 or col >= shape[1]:
+                continue
+            if depth[row, col] == 0.0 or z < depth[row, col]:
+                depth[row, col] = z
+    return depth
+
+
+class DepthField:
+    """Depth anywhere in an image from the registered returns of late, by Eq. 12."""
+
+    def __init__(
+        self,
+        energy: Float32,
+        recent: RecentReturns,
+        camera_from_odom: Pose,
+        camera: CameraIntrinsics,
+    ) -> None:
+        points, counts, per_scan = recent.view()
+        shape = (energy.shape[0], energy.shape[1])
+        nearest = _nearest_per_pixel(
+            points, counts, per_scan, camera_from_odom.rotation, camera_from_odom.translation,
+            camera.matrix(), shape,
+        )  # fmt: skip
+        rows, cols = np.nonzero(nearest)
+        self._depths = nearest[rows, cols].astype(np.float64)
+        self._distance, self._label = geodesic_transform(
+            energy, rows.astype(np.int32), cols.astype(np.int32), 1
+        )
+        self._neighbours, self._lengths = geodesic_lengths(
+            energy, self._distance, self._label, len(rows), NEIGHBOURS
+        )
+
+    @property
+    def returns(self) -> int:
+        return len(self._depths)
+
+    def depth(self, pixels: Array) -> tuple[Array, Array]:
+        """Depth (N,) m along the optical axis of (N, 2) full-size pixels, NaN where unknown, and
+        the spread (N,) of the returns it is made of."""
+        rows, cols = _half_pixels(pixels, self._distance.shape)
+        return geodesic_depth(
+            rows, cols, self._distance, self._label, self._neighbours, self._lengths,
+            self._depths, _SIMILARITY,
+        )  # fmt: skip

@@ -1,0 +1,103 @@
+"""The paper's positioning: LIDAR and camera poses, loosely coupled."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.api import Estimate, PaperParams, PoseTrack
+from estimator.landmark_depth import RecentReturns
+from estimator.livo import _undistortion_maps
+from estimator.paper.camera_pose import CameraPositioning
+from estimator.paper.depth_field import half_size_energy
+from estimator.paper.edges import edge_detector
+from estimator.paper.inertial import InertialFilter
+from estimator.paper.lidar_pose import LidarPositioning
+from estimator.paper.projection import nearest_image
+from sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
+
+Array = NDArray[np.float64]
+
+
+class PaperEstimator:
+    """``update`` once a control step. Deterministic; nothing is drawn at random."""
+
+    def __init__(self, rig: SensorRig, params: PaperParams | None = None) -> None:
+        self._rig = rig
+        self._params = params = params or PaperParams()
+        self.needs = SensorNeeds(camera_hz=params.camera_hz, lidar=True)
+        self._filter = InertialFilter(rig, params.blend_s)
+        self._edges = edge_detector(params.edge_model)
+        self._recent = RecentReturns(scans=15, per_scan=8000)
+        self._lidar = LidarPositioning(rig, params, self._filter, self._recent)
+        self._camera = CameraPositioning(rig, params, self._filter, self._recent)
+        self._undistort = _undistortion_maps(rig)
+        self._images: deque[CameraImage] = deque(maxlen=3)
+        self._energy: tuple[int, NDArray[np.float32]] = (-1, np.zeros((0, 0), np.float32))
+        self._scan_track: PoseTrack | None = None
+        self._skipped = 0
+
+    def update(self, obs: Observation) -> Estimate:
+        """Takes what has arrived and returns the belief about ``obs.tick``."""
+        self._scan_track = None
+        self._filter.take_imu(obs)
+        measured = False
+        for image in obs.images:
+            self._images.append(self._flat(image))
+        arrivals: list[LidarScan | CameraImage] = (
+            [*obs.scans, *list(self._images)[-len(obs.images) :]] if obs.images else list(obs.scans)
+        )
+        for message in sorted(arrivals, key=_order):
+            measured |= self._take(message)
+        lag = self._rig.compute_latency_ticks + self._rig.lidar_scan_ticks
+        if obs.tick - self._filter.tick > lag + self._rig.lidar_scan_ticks:
+            self._filter.carry_to(obs.tick - lag)
+            measured = True
+        if measured:
+            self._filter.catch_up()
+        seconds = self._filter.step_s
+        world_from_odom, drift = self._camera.world_from_odom(seconds)
+        diagnostics = self._lidar.diagnostics | self._camera.diagnostics
+        diagnostics |= {"skipped": float(self._skipped + self._filter.skipped)}
+        return self._filter.estimate(obs, world_from_odom, drift, self._scan_track, diagnostics)
+
+    def _flat(self, image: CameraImage) -> CameraImage:
+        """The image without the lens's distortion."""
+        if self._undistort is None:
+            return image
+        rgb = cv2.remap(image.rgb, self._undistort[0], self._undistort[1], cv2.INTER_LINEAR)
+        return CameraImage(tick=image.tick, time_s=image.time_s, rgb=np.asarray(rgb, np.uint8))
+
+    def _take(self, message: LidarScan | CameraImage) -> bool:
+        tick = _order(message)[0]
+        if tick < self._filter.tick or tick > self._filter.head_tick:
+            self._skipped += 1
+            return False
+        self._filter.carry_to(tick)
+        if isinstance(message, LidarScan):
+            image = nearest_image(list(self._images), tick, self._rig.lidar_scan_ticks)
+            energy = None
+            if image is not None and self._params.use_colour_smoothness:
+                energy = self._energy_of(image)
+            done = self._lidar.take(message, energy)
+            self._skipped += not done
+            self._scan_track = self._filter.track_of(message)
+            return done
+        if not self._camera.due(message.tick):
+            return False
+        return self._camera.take(message, self._energy_of(message))
+
+    def _energy_of(self, image: CameraImage) -> NDArray[np.float32]:
+        if self._energy[0] != image.tick:
+            self._energy = (image.tick, half_size_energy(image.rgb, self._edges))
+        return self._energy[1]
+
+
+def _order(message: LidarScan | CameraImage) -> tuple[int, bool]:
+    """By time of measurement; of a scan and an image of one instant the scan first."""
+    if isinstance(message, LidarScan):
+        return message.end_tick, False
+    return message.tick, True

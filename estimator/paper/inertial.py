@@ -1,0 +1,227 @@
+"""What carries the paper's poses between measurements: an error-state filter on the IMU.
+
+The paper's vehicle had an IMU in its flight controller and does not say how poses of 10 Hz became
+control at 200 Hz. Here they are measurements of a loosely coupled filter, whose state is carried
+over the IMU samples to now.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.api import Estimate, PoseTrack
+from estimator.deskew import deskew
+from estimator.eskf import Eskf
+from estimator.imu_propagation import ImuBuffer, NavState, propagate_nominal
+from estimator.stillness import Stillness
+from sim.api import GRAVITY_MPS2, ImuSample, LidarScan, Observation, SensorRig
+from sim.frames import Pose, quat_wxyz_from_matrix, so3_exp, so3_log
+
+Array = NDArray[np.float64]
+
+_START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)
+"""rad, m, m/s: the take-off pose is known, but the legs settle"""
+_TRAIL_STEPS = 128
+_LIFTING_THRUST = 0.85
+"""of the weight: with less static thrust before the first lift-off the vehicle stands"""
+_IDLE_MARGIN = 1.2
+
+
+@dataclass(slots=True)
+class _Trail:
+    """Filter poses at the last IMU ticks, odom_from_imu."""
+
+    ticks: NDArray[np.int64]
+    rotations: Array
+    positions: Array
+
+    def extend(self, ticks: NDArray[np.int64], rotations: Array, positions: Array) -> None:
+        self.ticks = np.concatenate([self.ticks, ticks])[-_TRAIL_STEPS:]
+        self.rotations = np.concatenate([self.rotations, rotations])[-_TRAIL_STEPS:]
+        self.positions = np.concatenate([self.positions, positions])[-_TRAIL_STEPS:]
+
+    def follow(self, state: NavState) -> None:
+        """Moves the whole trail rigidly so that it ends at the filter's state."""
+        turn = state.rotation @ self.rotations[-1].T
+        self.positions = (self.positions - self.positions[-1]) @ turn.T + state.position
+        self.rotations = turn @ self.rotations
+
+    def start_of(self, scan: LidarScan) -> int | None:
+        """Index of the pose at the scan's start, if the trail spans the scan exactly."""
+        first = int(np.searchsorted(self.ticks, scan.start_tick))
+        spans = first + 1 < len(self.ticks) and self.ticks[first] == scan.start_tick
+        return first if spans and self.ticks[-1] == scan.end_tick else None
+
+
+class InertialFilter:
+    """An error-state filter at measurement time, its trail, and the state carried to now."""
+
+    def __init__(self, rig: SensorRig, blend_s: float) -> None:
+        self.rig = rig
+        self.imu_from_body = rig.body_from_imu.inverse()
+        self.imu_from_lidar = self.imu_from_body @ rig.body_from_lidar
+        self.imu_from_camera = self.imu_from_body @ rig.body_from_camera
+        self.step_s = rig.imu_ticks / rig.tick_hz
+        self._blend_s = blend_s
+        start = rig.world_from_body_start @ rig.body_from_imu
+        zero = np.zeros(3)
+        state = NavState(0, start.rotation, start.translation, zero, zero, zero)
+        biases = np.repeat([rig.imu.gyro_bias_sigma, rig.imu.accel_bias_sigma], 3)
+        self.eskf = Eskf(state, np.concatenate([_START_SIGMAS, biases]) ** 2)
+        self._buffer = ImuBuffer(rig.imu, self.step_s)
+        self._stillness = Stillness(rig.imu.gyro_density, self.step_s)
+        self._head = state
+        self._trail = _Trail(np.zeros(1, np.int64), state.rotation[None], state.position[None])
+        self._newest = ImuSample(tick=0, time_s=0.0, angular_velocity=zero, specific_force=zero)
+        self._jump = np.zeros(9)
+        self._airborne_once = False
+        self.skipped = 0
+        self.still = False
+
+    @property
+    def tick(self) -> int:
+        """Of the filter's state, which is behind the newest IMU sample."""
+        return self.eskf.state.tick
+
+    @property
+    def head_tick(self) -> int:
+        return self._head.tick
+
+    # ------------------------------------------------------------------------ inertial samples
+
+    def take_imu(self, obs: Observation) -> None:
+        """Buffers the samples and carries the head over them; drops those that are not finite."""
+        standing = self._standing(obs.rotor_speed_radps)
+        for sample in obs.imu:
+            rate, force = sample.angular_velocity, sample.specific_force
+            if not np.isfinite(np.concatenate([rate, force])).all():
+                self.skipped += 1
+                continue
+            self._newest = sample
+            self._buffer.push(sample.tick, rate, force, standing)
+            ticks = np.array([sample.tick])
+            self._head = propagate_nominal(self._head, ticks, rate[None], force[None], self.step_s)
+
+    def _standing(self, rotor_speed: Array) -> bool:
+        vehicle = self.rig.vehicle
+        thrust = vehicle.thrust_coefficient * float(np.sum(rotor_speed**2))
+        if thrust > _LIFTING_THRUST * vehicle.mass_kg * GRAVITY_MPS2:
+            self._airborne_once = True
+        idle = float(rotor_speed.max()) <= _IDLE_MARGIN * vehicle.rotor_speed_min
+        return idle or not self._airborne_once
+
+    def carry_to(self, tick: int) -> None:
+        """Propagates the filter over the buffered samples up to ``tick``."""
+        count = self._buffer.until(tick)
+        if count == 0:
+            return
+        _, gyro, force, standing = self._buffer.samples(count)
+        ticks, rotations, positions = self.eskf.propagate(self._buffer, count)
+        self._trail.extend(ticks[1:], rotations[1:], positions[1:])
+        self.still = self._stillness.update(self.eskf, gyro, force, standing)
+        self._buffer.drop(count)
+        if self.still:
+            self._trail.follow(self.eskf.state)
+
+    # ------------------------------------------------------------------------ measurements
+
+    def unroll(self, scan: LidarScan) -> tuple[Array, Array, NDArray[np.int64], PoseTrack] | None:
+        """The scan as seen from its end: points and beams (N, 3) in the IMU frame, the numbers (N,)
+        of their pulses, and the poses it was unrolled with. None if the trail does not span it."""
+        first = self._trail.start_of(scan)
+        if first is None:
+            return None
+        lidar = self.rig.lidar
+        rotations, positions = self._trail.rotations[first:], self._trail.positions[first:]
+        points, beams = deskew(
+            scan.directions, scan.ranges, scan.time_offsets,
+            self.imu_from_lidar.rotation, self.imu_from_lidar.translation,
+            rotations, positions, self.step_s, lidar.min_range_m, lidar.max_range_m,
+        )  # fmt: skip
+        valid = (scan.ranges >= lidar.min_range_m) & (scan.ranges <= lidar.max_range_m)
+        pulses = np.flatnonzero(valid & (scan.time_offsets >= 0.0))
+        return points, beams, pulses, self._track(first)
+
+    def _track(self, first: int) -> PoseTrack:
+        trail, offset = self._trail, self.imu_from_body
+        bodies = trail.rotations[first:] @ offset.rotation
+        return PoseTrack(
+            times_s=trail.ticks[first:] / self.rig.tick_hz,
+            positions_odom=trail.positions[first:] + trail.rotations[first:] @ offset.translation,
+            quats_wxyz=np.array([quat_wxyz_from_matrix(rotation) for rotation in bodies]),
+        )
+
+    def track_of(self, scan: LidarScan) -> PoseTrack | None:
+        """The body's poses over a scan, after the corrections it brought."""
+        first = self._trail.start_of(scan)
+        return None if first is None else self._track(first)
+
+    def pose_information(self) -> Array:
+        """(6, 6) inverse covariance of the present pose, all else marginalised."""
+        covariance = self.eskf.covariance[:6, :6] + 1e-12 * np.eye(6)
+        inverse: Array = np.linalg.inv(covariance)
+        return 0.5 * (inverse + inverse.T)
+
+    def correct(self, pose: Pose, information: Array, vector: Array) -> None:
+        """Takes a measured odom_from_imu with its information (6, 6); ``vector`` (6,): gradient
+        that is left at ``pose`` (zero where a solver has converged)."""
+        prior = self.eskf.state
+        offset = np.concatenate(
+            [so3_log(prior.rotation.T @ pose.rotation), pose.translation - prior.position]
+        )
+        touched = self.eskf.touched([])
+        delta = self.eskf.gain(touched, information, vector + information @ offset)
+        self.eskf.state, self.eskf.clones = self.eskf.boxplus(prior, self.eskf.clones, delta)
+        self.eskf.absorb(touched, information)
+        self._trail.follow(self.eskf.state)
+
+    # ------------------------------------------------------------------------ output
+
+    def catch_up(self) -> None:
+        """Carries the corrected state to now; the jump this makes fades over ``blend_s``."""
+        before = self._head
+        ticks, gyro, force, _ = self._buffer.samples(self._buffer.count)
+        after = propagate_nominal(self.eskf.state, ticks, gyro, force, self.step_s)
+        handed_out = before.rotation @ so3_exp(self._jump[:3])
+        turn = so3_log(after.rotation.T @ handed_out)
+        shift = before.position + self._jump[3:6] - after.position
+        surge = before.velocity + self._jump[6:] - after.velocity
+        self._jump, self._head = np.concatenate([turn, shift, surge]), after
+
+    def estimate(
+        self,
+        obs: Observation,
+        world_from_odom: Pose,
+        extra_covariance: Array,
+        scan_track: PoseTrack | None,
+        diagnostics: dict[str, float],
+    ) -> Estimate:
+        """The belief about now. ``extra_covariance`` (3, 3) m^2 is added to the position's."""
+        self._jump = self._jump * np.exp(-self.step_s / self._blend_s)
+        head, offset = self._head, self.imu_from_body
+        rotation = head.rotation @ so3_exp(self._jump[:3])
+        rate = self._newest.angular_velocity - head.gyro_bias
+        force = rotation @ (self._newest.specific_force - head.accel_bias)
+        to_body = self.rig.body_from_imu.rotation
+        covariance = self.eskf.covariance
+        turn = world_from_odom.rotation
+        position_covariance = turn @ covariance[3:6, 3:6] @ turn.T + extra_covariance
+        return Estimate(
+            tick=obs.tick,
+            time_s=obs.time_s,
+            odom_from_body=Pose(rotation, head.position + self._jump[3:6]) @ offset,
+            world_from_odom=world_from_odom,
+            velocity_odom=head.velocity
+            + self._jump[6:]
+            + rotation @ np.cross(rate, offset.translation),
+            angular_velocity_body=to_body @ rate,
+            acceleration_odom=force - np.array([0.0, 0.0, GRAVITY_MPS2]),
+            position_covariance=position_covariance,
+            rotation_covariance=to_body @ covariance[:3, :3] @ to_body.T,
+            healthy=bool(np.trace(position_covariance) < 1.0),
+            scan_track=scan_track,
+            diagnostics=diagnostics,
+        )

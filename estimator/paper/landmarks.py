@@ -1,0 +1,108 @@
+"""SIFT and BRISK landmarks of an image (paper, section 3.3.2).
+
+The paper names SURF as well. OpenCV's wheels are built without it (its patented build flag is off;
+``cv2.xfeatures2d.SURF_create`` raises), so that SIFT stands alone for descriptors of numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]
+Bytes = NDArray[np.uint8]
+
+SIFT, BRISK = 0, 1
+SIFT_BYTES, BRISK_BYTES = 128, 64
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """Landmark features of one kind in one image."""
+
+    kind: int
+    pixels: Array
+    """(N, 2), full size"""
+    descriptors: Bytes
+    """(N, 128) SIFT, numbers 0..255; (N, 64) BRISK, bits"""
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+
+def spread(
+    pixels: Array, responses: Array, size: tuple[int, int], cell_px: int, most: int
+) -> NDArray[np.int64]:
+    """Indices of up to ``most`` of (N, 2) keypoints, the strongest of every cell first, then every
+    cell's second and so on: even over the picture, and deterministic."""
+    if len(pixels) == 0:
+        return np.zeros(0, dtype=np.int64)
+    columns = -(-size[0] // cell_px)
+    cell = (pixels[:, 1] // cell_px).astype(np.int64) * columns
+    cell += (pixels[:, 0] // cell_px).astype(np.int64)
+    order = np.lexsort((np.arange(len(cell)), -responses, cell))
+    starts = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    rank = np.arange(len(order)) - np.repeat(starts, np.diff(starts, append=len(order)))
+    by_rank = order[np.lexsort((-responses[order], rank))]
+    return np.sort(by_rank[:most])
+
+
+class LandmarkDetector:
+    """Finds SIFT features on the half-size image (a third of the time of the full size) and BRISK
+    features on the full one, whose threshold follows the texture so that its time stays bounded."""
+
+    def __init__(self, sift: int, brisk: int, border_px: float = 10.0) -> None:
+        self._counts = (sift, brisk)
+        self._border = border_px
+        self._sift = cv2.SIFT_create(nfeatures=4 * sift, contrastThreshold=0.02)
+        self._brisk_threshold = 50
+        self._brisk = cv2.xfeatures2d.BRISK_create(self._brisk_threshold, 2)
+
+    def __call__(self, grey: Grey) -> tuple[Features, Features]:
+        """(SIFT, BRISK) features of a (H, W) uint8 image."""
+        half = np.asarray(cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+        sift = self._find(SIFT, self._sift, half, 2.0, 64)
+        brisk = self._find(BRISK, self._brisk, grey, 1.0, 64)
+        return sift, brisk
+
+    def _find(
+        self, kind: int, detector: cv2.Feature2D, image: Grey, scale: float, cell_px: int
+    ) -> Features:
+        most = self._counts[kind]
+        keypoints = detector.detect(image, None) if most > 0 else []
+        if kind == BRISK:
+            self._adapt_threshold(len(keypoints))
+        pixels = np.array([k.pt for k in keypoints], dtype=np.float64).reshape(-1, 2)
+        # the centre of a half-size pixel lies between those of its four
+        pixels = scale * pixels + 0.5 * (scale - 1.0)
+        height, width = round(scale * image.shape[0]), round(scale * image.shape[1])
+        inside = (pixels >= self._border).all(axis=1)
+        inside &= (pixels <= np.array([width, height]) - 1 - self._border).all(axis=1)
+        usable = np.flatnonzero(inside)
+        responses = np.array([keypoints[i].response for i in usable])
+        chosen = usable[spread(pixels[usable], responses, (width, height), cell_px, most)]
+        if len(chosen) == 0:
+            width_bytes = SIFT_BYTES if kind == SIFT else BRISK_BYTES
+            return Features(kind, np.zeros((0, 2)), np.zeros((0, width_bytes), np.uint8))
+        # the size marks which of the asked keypoints come back: BRISK drops those near the border
+        asked = [keypoints[i] for i in chosen]
+        for number, keypoint in enumerate(asked):
+            keypoint.class_id = number
+        described, descriptors = detector.compute(image, asked)
+        kept = np.array([k.class_id for k in described], dtype=np.int64)
+        if len(kept) == 0:
+            return Features(kind, np.zeros((0, 2)), np.zeros((0, BRISK_BYTES), np.uint8))
+        return Features(kind, pixels[chosen[kept]], np.asarray(descriptors).astype(np.uint8))
+
+    def _adapt_threshold(self, found: int) -> None:
+        """Aims at two to five times the features wanted."""
+        wanted = self._counts[BRISK]
+        step = 8 if found > 5 * wanted else -8 if found < 2 * wanted else 0
+        threshold = min(max(self._brisk_threshold + step, 10), 120)
+        if threshold != self._brisk_threshold:
+            self._brisk_threshold = threshold
+            self._brisk.setThreshold(threshold)

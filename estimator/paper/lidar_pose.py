@@ -1,0 +1,122 @@
+"""The LIDAR's part: features of a scan, Algorithm 1, and the maps that grow by it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.api import PaperParams
+from estimator.landmark_depth import RecentReturns
+from estimator.lidar_update import floored, lateral_strength
+from estimator.paper.depth_field import scan_colour_smoothness
+from estimator.paper.feature_map import FeatureMap
+from estimator.paper.inertial import InertialFilter
+from estimator.paper.projection import lidar_to_camera
+from estimator.paper.registration import ScanPose, register_scan
+from estimator.paper.smoothness import (
+    FeaturePoints,
+    fused_smoothness,
+    lidar_smoothness,
+    sort_out_features,
+)
+from sim.api import LidarScan, SensorRig
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+_LASERS = 6
+"""of the Horizon, firing in turn"""
+_LONGEST_GAP = 8
+_FLOOR_SIGMAS = np.array([np.radians(0.5), np.radians(0.5), np.radians(0.5), 0.3, 0.3, 0.01])
+"""rad and m: errors of the map that repeat from scan to scan, because the map was made with this
+filter's own poses; a scan is worth no more than this however many points it has"""
+_LEAST_RETURNS = 200
+
+
+class LidarPositioning:
+    """Edge and planar maps, and the correction of the filter by each scan."""
+
+    def __init__(
+        self,
+        rig: SensorRig,
+        params: PaperParams,
+        inertial: InertialFilter,
+        recent: RecentReturns,
+    ) -> None:
+        self._rig = rig
+        self._params = params
+        self._filter = inertial
+        self._recent = recent
+        self._edges = FeatureMap(params.edge_voxel_m, params.map_voxels)
+        self._planes = FeatureMap(params.planar_voxel_m, params.map_voxels)
+        self._imu_from_lidar = inertial.imu_from_lidar
+        self._camera_from_imu = inertial.imu_from_camera.inverse()
+        self.diagnostics: dict[str, float] = {}
+
+    def take(self, scan: LidarScan, energy: Float32 | None) -> bool:
+        """Registers a scan that ends at the filter's time; ``energy``: of the image nearest in time
+        or None. False if the scan could not be used."""
+        unrolled = self._filter.unroll(scan)
+        if unrolled is None:
+            return False
+        points, beams, pulses, _ = unrolled
+        self.diagnostics = {"scan_returns": float(len(points))}
+        if len(points) >= _LEAST_RETURNS:
+            chosen = self._features(points, beams, pulses, energy)
+            if self._params.use_lidar_pose:
+                self._correct(points[chosen.edges], points[chosen.planes])
+            pose = self._filter.eskf.state.pose
+            self._edges.insert(pose.apply(points[chosen.edges]))
+            self._planes.insert(pose.apply(points[chosen.planes]))
+        self._recent.add(self._filter.eskf.state.pose.apply(points))
+        return True
+
+    def _features(
+        self, points: Array, beams: Array, pulses: NDArray[np.int64], energy: Float32 | None
+    ) -> FeaturePoints:
+        f_l, shadowed = lidar_smoothness(beams, pulses, _LASERS, _LONGEST_GAP)
+        f_c = np.full(len(points), np.nan)
+        if energy is not None:
+            in_camera = lidar_to_camera(points, self._camera_from_imu)
+            f_c = scan_colour_smoothness(energy, in_camera, self._rig.camera)
+        scores = fused_smoothness(f_l, f_c, self._params.colour_weight)
+        in_lidar = beams @ self._imu_from_lidar.rotation
+        return sort_out_features(
+            scores,
+            shadowed,
+            in_lidar[:, :2] / in_lidar[:, 2:],
+            cells=self._params.planar_cells,
+            edges=self._params.edge_points,
+            edge_threshold=self._params.edge_threshold,
+        )
+
+    def _correct(self, edges: Array, planes: Array) -> None:
+        params = self._params
+        state = self._filter.eskf.state
+        result = register_scan(
+            edges,
+            planes,
+            self._edges,
+            self._planes,
+            state.pose,
+            self._filter.pose_information(),
+            edge_sigma_m=params.edge_sigma_m,
+            plane_sigma_m=params.plane_sigma_m,
+        )
+        if result is None:
+            return
+        information, vector = floored(result.information, result.vector, _FLOOR_SIGMAS)
+        self._filter.correct(result.pose, information, vector)
+        self._report(result)
+
+    def _report(self, result: ScanPose) -> None:
+        strength = lateral_strength(result.information)
+        self.diagnostics |= {
+            "lidar_edges": float(result.edges),
+            "lidar_planes": float(result.planes),
+            "lidar_rms_m": result.rms_m,
+            "lidar_converged": float(result.converged),
+            "lidar_lateral_weakest": float(strength[0]),
+            "map_edges": float(self._edges.used),
+            "map_planes": float(self._planes.used),
+        }

@@ -1,0 +1,107 @@
+"""Camera pose from landmarks of known position (paper, Eq. 11)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.visual import reprojection_information
+from sim.api import CameraIntrinsics
+from sim.frames import Pose, so3_exp, so3_log
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_GATES_PX = (24.0, 12.0, 6.0, 4.0, 3.0, 3.0)
+
+
+def camera_to_global(points_camera: Array, global_from_camera: Pose) -> Array:
+    """Eq. 11: ``p_g = R_c p_c + T_c`` of (N, 3) points."""
+    return global_from_camera.apply(points_camera)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CameraPose:
+    """``pose``: global_from_imu; ``information`` (6, 6) around it; ``inliers`` (N,)."""
+
+    pose: Pose
+    information: Array
+    inliers: Mask
+    rms_px: float
+
+
+def reprojection_errors(
+    pixels: Array,
+    landmarks: Array,
+    global_from_imu: Pose,
+    imu_from_camera: Pose,
+    camera: CameraIntrinsics,
+) -> Array:
+    """(N, 2) pixels minus where the landmarks (N, 3) should appear; infinite behind the camera."""
+    points = (global_from_imu @ imu_from_camera).inverse().apply(landmarks)
+    front = points[:, 2] > 0.05
+    depth = np.where(front, points[:, 2], 1.0)
+    u = camera.fx * points[:, 0] / depth + camera.cx
+    v = camera.fy * points[:, 1] / depth + camera.cy
+    errors = pixels - np.column_stack([u, v])
+    errors[~front] = np.inf
+    return errors
+
+
+def solve_pnp(
+    pixels: Array,
+    landmarks: Array,
+    sigmas_px: Array,
+    guess: Pose,
+    guess_information: Array,
+    imu_from_camera: Pose,
+    camera: CameraIntrinsics,
+    min_inliers: int = 15,
+) -> CameraPose | None:
+    """Solves Eq. 11 for the pose: robust Gauss-Newton on the reprojection errors from ``guess``.
+
+    ``pixels`` (N, 2), ``landmarks`` (N, 3) global, ``sigmas_px`` (N,). The predicted pose is good,
+    so that neither a closed form nor random samples are needed: the gates tighten step by step
+    around Cauchy's weights. ``guess_information`` (6, 6) keeps what the pixels leave open (over a
+    plane tilt and sideways motion look alike) at the guess; it is not in the information returned.
+    None with fewer than ``min_inliers`` landmarks within 3 pixels in the end.
+    """
+    camera_from_imu = imu_from_camera.inverse()
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    eye, zero = np.eye(3), np.zeros(3)
+    groups = [(s, np.flatnonzero(sigmas_px == s)) for s in np.unique(sigmas_px)]
+
+    def accumulate(pose: Pose, gate: float) -> tuple[Array, Array, int]:
+        information, vector, used = np.zeros((6, 6)), np.zeros(6), 0
+        for sigma, members in groups:
+            part, part_vector, count, _ = reprojection_information(
+                pixels[members], landmarks[members], pose.rotation, pose.translation, eye, zero,
+                camera_from_imu.rotation, camera_from_imu.translation, intrinsics, sigma, gate,
+            )  # fmt: skip
+            information += part[:6, :6]
+            vector += part_vector[:6]
+            used += count
+        return information, vector, used
+
+    pose = guess
+    for gate in _GATES_PX:
+        information, vector, used = accumulate(pose, gate)
+        if used < min_inliers:
+            return None
+        offset = np.concatenate(
+            [so3_log(guess.rotation.T @ pose.rotation), pose.translation - guess.translation]
+        )
+        delta = np.linalg.solve(
+            information + guess_information, vector - guess_information @ offset
+        )
+        pose = Pose(pose.rotation @ so3_exp(delta[:3]), pose.translation + delta[3:])
+    information, _, used = accumulate(pose, _GATES_PX[-1])
+    errors = reprojection_errors(pixels, landmarks, pose, imu_from_camera, camera)
+    length = np.hypot(errors[:, 0], errors[:, 1])
+    inliers = length < _GATES_PX[-1]
+    if int(inliers.sum()) < min_inliers:
+        return None
+    rms = float(np.sqrt(np.mean(length[inliers] ** 2)))
+    return CameraPose(pose=pose, information=information, inliers=inliers, rms_px=rms)

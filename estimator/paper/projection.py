@@ -1,0 +1,52 @@
+"""From the LIDAR into the image (paper, section 3.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.api import CameraImage
+from sim.frames import Pose
+
+Array = NDArray[np.float64]
+
+_NEAREST_DEPTH_M = 0.05
+
+
+def lidar_to_camera(points_lidar: Array, camera_from_lidar: Pose) -> Array:
+    """Eq. 1: ``p_c = R p_l + t``, (N, 3) m from the LIDAR's (or any rigidly tied) frame to the
+    camera's. The extracted text writes the equation with homogeneous 4-vectors; it is the same."""
+    return camera_from_lidar.apply(points_lidar)
+
+
+def project(points_camera: Array, matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Eq. 2: pixels (N, 2) of camera points (N, 3) by the intrinsic matrix K (3, 3), skew included.
+
+    The paper leaves the division by depth implicit (its ``uv`` has a third component 1). The mask
+    (N,) tells which points lie in front of the camera; the pixels of the others mean nothing.
+    """
+    depth = points_camera[:, 2]
+    front = depth > _NEAREST_DEPTH_M
+    rays = points_camera / np.where(front, depth, 1.0)[:, None]
+    return rays @ matrix[:2].T, front
+
+
+def inside_image(
+    pixels: Array, front: NDArray[np.bool_], size: tuple[int, int], margin: float = 0.0
+) -> NDArray[np.bool_]:
+    """Which (N, 2) pixels fall into an image of ``size`` (width, height)."""
+    u, v = pixels[:, 0], pixels[:, 1]
+    inside = front & (u >= margin) & (v >= margin)
+    inside &= (u <= size[0] - 1 - margin) & (v <= size[1] - 1 - margin)
+    return inside
+
+
+def nearest_image(
+    images: Sequence[CameraImage], tick: int, most_ticks_apart: int
+) -> CameraImage | None:
+    """The image nearest in time to a scan's ``tick`` (section 3.2), or None if none is within
+    ``most_ticks_apart``; of two equally near the earlier."""
+    near = [image for image in images if abs(image.tick - tick) <= most_ticks_apart]
+    return min(near, key=lambda image: (abs(image.tick - tick), image.tick), default=None)

@@ -1,0 +1,262 @@
+"""Algorithm 1 of the paper: the pose of a scan by its edge and planar points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from estimator.paper.feature_map import FeatureMap
+from estimator.plane_map import smallest_eigen
+from sim.frames import Pose, so3_exp, so3_log
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+EIGENVALUE_RATIO = 3.0
+_FIRST_STEPS = 2
+_KEPT_SHARE = 0.8
+_LEAST_SINE = 0.25
+"""of the angle between two sides of the three plane points, below which they are one line"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ScanPose:
+    """Result of Algorithm 1: ``pose`` is odom_from_imu; ``information`` (6, 6) and ``vector`` (6,)
+    are what the scan alone says around it (rotation by right perturbation, position)."""
+
+    pose: Pose
+    information: Array
+    vector: Array
+    edges: int
+    planes: int
+    rms_m: float
+    converged: bool
+
+
+def to_global(points: Array, pose: Pose) -> Array:
+    """Eq. 9: ``p_g = R p_l + T`` of (N, 3) points."""
+    return pose.apply(points)
+
+
+@njit(cache=True)
+def edge_distance(point: Array, first: Array, last: Array) -> float:
+    """Eq. 10, d_eps: distance of ``point`` from the line through p_1 and p_k, each (3,)."""
+    cross = np.cross(point - first, point - last)
+    return np.sqrt(np.sum(cross**2)) / np.sqrt(np.sum((first - last) ** 2))
+
+
+@njit(cache=True)
+def plane_distance(point: Array, first: Array, middle: Array, last: Array) -> float:
+    """Eq. 10, d_H: signed distance of ``point`` from the plane of p_1, p_k/2 and p_k, each (3,)."""
+    normal = np.cross(middle - last, middle - first)
+    return np.sum((point - first) * normal) / np.sqrt(np.sum(normal**2))
+
+
+@njit(cache=True)
+def neighbourhood_shapes(near: Array, found: Mask) -> tuple[Mask, Mask]:
+    """Which of (N, 5, 3) neighbourhoods are lines (largest eigenvalue of the covariance three times
+    the second) and which are planes (smallest three times below the second)."""
+    count = near.shape[0]
+    lines = np.zeros(count, dtype=np.bool_)
+    planes = np.zeros(count, dtype=np.bool_)
+    cov = np.empty((3, 3))
+    for i in range(count):
+        if not found[i]:
+            continue
+        k = near.shape[1]
+        mean = np.zeros(3)
+        for j in range(k):
+            mean += near[i, j] / k
+        cov[:] = 0.0
+        for j in range(k):
+            d = near[i, j] - mean
+            for a in range(3):
+                for b in range(3):
+                    cov[a, b] += d[a] * d[b] / k
+        low, mid, high, _, _, _ = smallest_eigen(cov)
+        lines[i] = high > EIGENVALUE_RATIO * mid
+        planes[i] = mid > EIGENVALUE_RATIO * max(low, 1e-9)
+    return lines, planes
+
+
+@njit(cache=True)
+def _distances(points: Array, near: Array, is_edge: Mask) -> Array:
+    """Eq. 10 for (N, 3) global points and their neighbourhoods."""
+    out = np.empty(points.shape[0])
+    last = near.shape[1] - 1
+    middle = near.shape[1] // 2
+    for i in range(points.shape[0]):
+        if is_edge[i]:
+            out[i] = edge_distance(points[i], near[i, 0], near[i, last])
+        else:
+            out[i] = abs(plane_distance(points[i], near[i, 0], near[i, middle], near[i, last]))
+    return out
+
+
+@njit(cache=True)
+def _normal_equations(
+    local: Array,
+    near: Array,
+    is_edge: Mask,
+    rotation: Array,
+    position: Array,
+    sigmas: Array,
+) -> tuple[Array, Array]:
+    """Information and vector of the residuals of Eq. 10, Cauchy weighted (scale 3 sigma).
+
+    The squared distance from a line is that of the part of ``p - p_1`` across it, which, unlike the
+    distance, has a derivative on the line.
+    """
+    information = np.zeros((6, 6))
+    vector = np.zeros(6)
+    row = np.zeros(6)
+    last = near.shape[1] - 1
+    middle = near.shape[1] // 2
+    for i in range(local.shape[0]):
+        q = local[i]
+        offset = rotation @ q + position - near[i, 0]
+        sigma = sigmas[0] if is_edge[i] else sigmas[1]
+        axis = near[i, last] - near[i, 0]
+        if not is_edge[i]:
+            axis = np.cross(near[i, middle] - near[i, last], near[i, middle] - near[i, 0])
+        axis = axis / np.sqrt(np.sum(axis**2))
+        along = offset[0] * axis[0] + offset[1] * axis[1] + offset[2] * axis[2]
+        square = along * along
+        if is_edge[i]:
+            square = np.sum(offset**2) - square
+        weight = 1.0 / (sigma * sigma * (1.0 + square / (9.0 * sigma * sigma)))
+        for c in range(3 if is_edge[i] else 1):
+            if is_edge[i]:
+                direction = -axis[c] * axis
+                direction[c] += 1.0
+                residual = offset[c] - along * axis[c]
+            else:
+                direction = axis
+                residual = along
+            turned = direction @ rotation
+            row[0] = q[1] * turned[2] - q[2] * turned[1]
+            row[1] = q[2] * turned[0] - q[0] * turned[2]
+            row[2] = q[0] * turned[1] - q[1] * turned[0]
+            row[3:] = direction
+            for a in range(6):
+                vector[a] -= weight * row[a] * residual
+                for b in range(6):
+                    information[a, b] += weight * row[a] * row[b]
+    return information, vector
+
+
+@njit(cache=True)
+def _flat_triangles(near: Array) -> Mask:
+    """Whether p_1, p_k/2 and p_k of (N, 5, 3) neighbourhoods span a plane."""
+    out = np.zeros(near.shape[0], dtype=np.bool_)
+    last, middle = near.shape[1] - 1, near.shape[1] // 2
+    for i in range(near.shape[0]):
+        a = near[i, middle] - near[i, last]
+        b = near[i, middle] - near[i, 0]
+        cross2 = np.sum(np.cross(a, b) ** 2)
+        out[i] = cross2 > _LEAST_SINE**2 * np.sum(a * a) * np.sum(b * b) and cross2 > 1e-12
+    return out
+
+
+def _associate(
+    edges: Array, planes: Array, edge_map: FeatureMap, plane_map: FeatureMap, pose: Pose
+) -> tuple[Array, Array, Mask]:
+    """Steps 3 to 9: points (M, 3) with a line or plane nearby, neighbourhoods, which are edges."""
+    edge_found, edge_near = edge_map.nearest(to_global(edges, pose))
+    lines, _ = neighbourhood_shapes(edge_near, edge_found)
+    plane_found, plane_near = plane_map.nearest(to_global(planes, pose))
+    _, flats = neighbourhood_shapes(plane_near, plane_found)
+    flats &= _flat_triangles(plane_near)
+    local = np.concatenate([edges[lines], planes[flats]])
+    near = np.concatenate([edge_near[lines], plane_near[flats]])
+    is_edge = np.arange(len(local)) < int(lines.sum())
+    return local, near, is_edge
+
+
+def _keep_best(distances: Array, is_edge: Mask) -> Mask:
+    """All but the largest 20 % of the residuals, of edges and of planes apart: edges scatter more,
+    and a common ranking would drop them alone."""
+    keep = np.zeros(len(distances), dtype=np.bool_)
+    for kind in (True, False):
+        members = np.flatnonzero(is_edge == kind)
+        order = members[np.argsort(distances[members], kind="stable")]
+        keep[order[: int(np.ceil(_KEPT_SHARE * len(order)))]] = True
+    return keep
+
+
+def _moved(pose: Pose, delta: Array) -> Pose:
+    return Pose(pose.rotation @ so3_exp(delta[:3]), pose.translation + delta[3:])
+
+
+def _deviation(guess: Pose, pose: Pose) -> Array:
+    return np.concatenate(
+        [so3_log(guess.rotation.T @ pose.rotation), pose.translation - guess.translation]
+    )
+
+
+def register_scan(
+    edges: Array,
+    planes: Array,
+    edge_map: FeatureMap,
+    plane_map: FeatureMap,
+    guess: Pose,
+    guess_information: Array,
+    *,
+    edge_sigma_m: float,
+    plane_sigma_m: float,
+    rounds: int = 3,
+    steps: int = 6,
+    min_matches: int = 30,
+) -> ScanPose | None:
+    """Algorithm 1: odom_from_imu of (E, 3) edge and (P, 3) planar points, IMU frame.
+
+    ``guess``: the transform of the last scan, carried here by the IMU (the paper starts from the
+    last transform itself), and ``guess_information`` (6, 6) how well it is known: over a plane a
+    scan leaves x, y and yaw open, and the solution stays at the guess there. The returned
+    information is the scan's alone. None with fewer than ``min_matches`` matched points.
+    """
+    pose = guess
+    sigmas = np.array([edge_sigma_m, plane_sigma_m])
+    converged = False
+    local, near, is_edge = np.empty((0, 3)), np.empty((0, 5, 3)), np.empty(0, dtype=np.bool_)
+
+    def step(pose: Pose) -> tuple[Pose, float]:
+        information, vector = _normal_equations(
+            local, near, is_edge, pose.rotation, pose.translation, sigmas
+        )
+        vector = vector - guess_information @ _deviation(guess, pose)
+        delta = np.linalg.solve(information + guess_information, vector)
+        return _moved(pose, delta), float(np.abs(delta).max())
+
+    for _ in range(rounds):
+        start = pose
+        local, near, is_edge = _associate(edges, planes, edge_map, plane_map, pose)
+        if len(local) < min_matches:
+            return None
+        for _ in range(_FIRST_STEPS):
+            pose, _ = step(pose)
+        keep = _keep_best(_distances(to_global(local, pose), near, is_edge), is_edge)
+        local, near, is_edge = local[keep], near[keep], is_edge[keep]
+        for _ in range(steps):
+            pose, size = step(pose)
+            if size < 1e-5:
+                break
+        converged = float(np.abs(_deviation(start, pose)).max()) < 5e-4
+        if converged:
+            break
+    information, vector = _normal_equations(
+        local, near, is_edge, pose.rotation, pose.translation, sigmas
+    )
+    distances = _distances(to_global(local, pose), near, is_edge)
+    return ScanPose(
+        pose=pose,
+        information=information,
+        vector=vector,
+        edges=int(is_edge.sum()),
+        planes=int((~is_edge).sum()),
+        rms_m=float(np.sqrt(np.mean(distances**2))),
+        converged=converged,
+    )

@@ -1,0 +1,162 @@
+"""Keyframes with their landmarks: what is remembered of the images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.paper.landmarks import Features
+from estimator.paper.matching import match_near
+from estimator.paper.projection import inside_image, project
+from sim.api import CameraIntrinsics
+from sim.frames import Pose
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+Indices = NDArray[np.int64]
+
+
+@dataclass(slots=True)
+class LandmarkSet:
+    """Landmarks of one kind that a keyframe was the first to see."""
+
+    points: Array
+    """(L, 3) m, IMU frame of the keyframe"""
+    pixels: Array
+    """(L, 2) where the keyframe saw them"""
+    descriptors: Bytes
+    """(L, D)"""
+    words: Indices
+    """(L,) in the dictionary of the kind"""
+
+
+@dataclass(frozen=True, slots=True)
+class Sightings:
+    """Landmarks of the map found in one image: landmark ``indices[n]`` of kind ``kinds[n]`` hosted
+    by keyframe number ``hosts[n]`` at ``pixels[n]``."""
+
+    hosts: Indices
+    kinds: Indices
+    indices: Indices
+    pixels: Array
+
+    def __len__(self) -> int:
+        return len(self.hosts)
+
+    def select(self, keep: NDArray[np.generic]) -> Sightings:
+        """Those that a mask or an index array (N,) picks."""
+        picked = np.asarray(keep)
+        return Sightings(
+            self.hosts[picked], self.kinds[picked], self.indices[picked], self.pixels[picked]
+        )
+
+
+def no_sightings() -> Sightings:
+    empty = np.zeros(0, dtype=np.int64)
+    return Sightings(empty, empty, empty, np.zeros((0, 2)))
+
+
+@dataclass(slots=True)
+class MapKeyframe:
+    """One remembered image; poses are of the IMU."""
+
+    number: int
+    tick: int
+    odom_from_imu: Pose
+    """as the filter had it, refined by the bundle adjustment while it is young"""
+    map_from_imu: Pose
+    """after the closures"""
+    depth_m: float
+    landmarks: tuple[LandmarkSet, LandmarkSet]
+    sightings: Sightings = field(default_factory=no_sightings)
+
+
+class VisualMap:
+    """The keyframes, oldest first, and matching against their landmarks."""
+
+    def __init__(self, camera: CameraIntrinsics, imu_from_camera: Pose) -> None:
+        self._camera = camera
+        self._matrix = camera.matrix()
+        self._camera_from_imu = imu_from_camera.inverse()
+        self._size = (camera.width, camera.height)
+        self.keyframes: list[MapKeyframe] = []
+
+    def by_number(self) -> dict[int, MapKeyframe]:
+        return {keyframe.number: keyframe for keyframe in self.keyframes}
+
+    def positions(
+        self, sightings: Sightings, frames: dict[int, Pose], sets: dict[int, MapKeyframe]
+    ) -> Array:
+        """(N, 3) landmark positions in the frame of ``frames``: poses frame_from_imu by keyframe
+        number."""
+        out = np.zeros((len(sightings), 3))
+        for host in np.unique(sightings.hosts):
+            for kind in (0, 1):
+                mine = (sightings.hosts == host) & (sightings.kinds == kind)
+                points = sets[int(host)].landmarks[kind].points[sightings.indices[mine]]
+                out[mine] = frames[int(host)].apply(points)
+        return out
+
+    def expected_pixels(
+        self, keyframe: MapKeyframe, kind: int, frame_from_host: Pose, frame_from_imu: Pose
+    ) -> tuple[Indices, Array]:
+        """Landmarks of one keyframe that should be in view: indices (M,) and pixels (M, 2)."""
+        camera_from_host = self._camera_from_imu @ frame_from_imu.inverse() @ frame_from_host
+        points = camera_from_host.apply(keyframe.landmarks[kind].points)
+        pixels, front = project(points, self._matrix)
+        visible = np.flatnonzero(inside_image(pixels, front, self._size, margin=-20.0))
+        return visible, pixels[visible]
+
+    def match(
+        self,
+        features: tuple[Features, Features],
+        hosts: list[MapKeyframe],
+        frames: dict[int, Pose],
+        frame_from_imu: Pose,
+        radius_px: float,
+    ) -> tuple[Sightings, tuple[Indices, Indices]]:
+        """Finds the landmarks of ``hosts`` among the features of an image.
+
+        ``frames``: pose of every host; ``frame_from_imu``: predicted pose of the image, same frame.
+        Returns the sightings and, for both kinds, the feature (N,) behind each.
+        """
+        parts: list[Sightings] = []
+        behind: list[Indices] = []
+        for kind, found in enumerate(features):
+            numbers, indices, expected, known = [], [], [], []
+            for host in hosts:
+                where, pixels = self.expected_pixels(
+                    host, kind, frames[host.number], frame_from_imu
+                )
+                numbers.append(np.full(len(where), host.number, dtype=np.int64))
+                indices.append(where)
+                expected.append(pixels)
+                known.append(host.landmarks[kind].descriptors[where])
+            if not hosts or len(found) == 0 or sum(map(len, indices)) == 0:
+                parts.append(no_sightings())
+                behind.append(np.zeros(0, dtype=np.int64))
+                continue
+            matched = match_near(
+                kind, found.pixels, found.descriptors,
+                np.concatenate(expected), np.concatenate(known), radius_px,
+            )  # fmt: skip
+            good = np.flatnonzero(matched >= 0)
+            at = matched[good]
+            parts.append(
+                Sightings(
+                    np.concatenate(numbers)[at],
+                    np.full(len(at), kind, dtype=np.int64),
+                    np.concatenate(indices)[at],
+                    found.pixels[good],
+                )
+            )
+            behind.append(good)
+        joined = Sightings(
+            np.concatenate([p.hosts for p in parts]),
+            np.concatenate([p.kinds for p in parts]),
+            np.concatenate([p.indices for p in parts]),
+            np.concatenate([p.pixels for p in parts]),
+        )
+        return joined, (behind[0], behind[1])

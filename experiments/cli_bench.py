@@ -1,0 +1,101 @@
+"""Commands that measure speed: ``touchdown bench ...``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+from experiments.cli_base import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    CommandGroup,
+    guarded_fly,
+    is_good,
+    usage_errors,
+)
+from experiments.console import end_progress, make_progress, print_overhead, print_stages
+
+
+@click.group(cls=CommandGroup)
+def bench() -> int:
+    """Measure speed.
+
+    Example: touchdown bench loop
+    """
+    return EXIT_DONE
+
+
+@bench.command("loop")
+@click.option("--scene", default="crossroad", show_default=True)
+@click.option("--estimator", default="livo", show_default=True)
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--full", is_flag=True, help="The whole survey instead of a short one.")
+@click.option("--ratio/--no-ratio", default=True, help="Measure ratio.bare too.  [ratio]")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+def bench_loop(
+    scene: str, estimator: str, seed: int, full: bool, ratio: bool, as_json: bool, quiet: bool
+) -> int:
+    """Fly with everything on, recording too: real-time factor and the share of each stage.
+
+    ratio.bare is what the loop costs on one core, estimator and lander left out, over the same
+    physics steps, rays and pixels computed by MuJoCo, Embree and OpenGL alone: a second flight,
+    the survey on true poses, with the bare computation beside it scan by scan.
+
+    Example: touchdown bench loop --json
+    """
+    from experiments.bench import (
+        bench_config,
+        measure_loop,
+        measure_loop_overhead,
+        overhead_config,
+    )
+
+    config = bench_config(scene=scene, estimator=estimator, seed=seed, full=full)
+    result = _usage_errors_until_airborne(measure_loop, config, quiet)
+    figures = result["figures"]
+    if ratio:
+        overhead = measure_loop_overhead(overhead_config(scene=scene, seed=seed, full=full))
+        figures |= {"ratio": {"bare": overhead.pop("ratio")}, "overhead": overhead}
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+    else:
+        print_stages(result["result"])
+        if ratio:
+            print_overhead(figures["ratio"]["bare"], figures["overhead"])
+    return EXIT_DONE if is_good(result["result"]) else EXIT_FAILED
+
+
+@bench.command("lidar")
+@click.option("--scene", default="crossroad", show_default=True)
+@click.option("--preset", default="horizon", show_default=True, help="horizon, avia or mid360.")
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--rounds", type=click.IntRange(min=1), default=7, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def bench_lidar(scene: str, preset: str, seed: int, rounds: int, as_json: bool) -> int:
+    """Rays per second of the LIDAR sensor and of bare ray casters on the same rays, one thread each.
+
+    Example: touchdown bench lidar --json
+    """
+    from experiments.bench_lidar import bench_lidar as measure
+
+    figures = usage_errors(lambda: measure(scene=scene, seed=seed, preset=preset, rounds=rounds))
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+    else:
+        for name, rate in figures["rays_per_s"].items():
+            beside = f"  sensor {figures['ratio'][name]:.2f}x" if name in figures["ratio"] else ""
+            click.echo(f"{name:13} {rate / 1e6:7.2f} million rays/s{beside}")
+    return EXIT_DONE
+
+
+def _usage_errors_until_airborne(
+    measure: Callable[..., dict[str, Any]], config: Any, quiet: bool
+) -> dict[str, Any]:
+    progress = make_progress(quiet)
+    measured = measure(config, lambda cfg, out: guarded_fly(cfg, out, progress))
+    end_progress(quiet)
+    return measured

@@ -1,0 +1,148 @@
+"""Commands about the places to land in: ``touchdown scenes ...``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from experiments.cli_base import EXIT_DONE, EXIT_FAILED, CommandGroup, usage_errors
+from experiments.console import make_notes, print_scene_check
+
+VIEW_NAMES = (
+    "above",
+    "oblique",
+    "camera",
+    "depth",
+    "lidar",
+    "height",
+    "slope",
+    "class",
+    "safe",
+)
+"""The keys of `experiments.scene_views.VIEWS`, here so that help is instant."""
+
+
+@click.group(cls=CommandGroup)
+def scenes() -> int:
+    """The places to land in: names, pictures, MJCF.
+
+    Example: touchdown scenes list
+    """
+    return EXIT_DONE
+
+
+@scenes.command("list")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def scenes_list(as_json: bool) -> int:
+    """Print the names of the scenes.
+
+    Example: touchdown scenes list
+    """
+    from experiments.build import scene_names
+
+    names = scene_names()
+    click.echo(json.dumps({"scenes": names}) if as_json else "\n".join(names))
+    return EXIT_DONE
+
+
+@scenes.command("render")
+@click.argument("scene", required=False)
+@click.option("--all", "every_scene", is_flag=True, help="Every view of every scene.")
+@click.option("--all-views", is_flag=True, help="Every view of SCENE.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="PNG file, or directory for several.  [SCENE-VIEW.png, SCENE-SEED, scenes-SEED]",
+)
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option(
+    "--view",
+    type=click.Choice(VIEW_NAMES),
+    default="above",
+    show_default=True,
+    help="From above or from a corner; what camera, its depth and one second of LIDAR (coloured by "
+    "intensity) show from 30 m above the take-off; the true height, slope, class and safe ground.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+def scenes_render(
+    scene: str | None,
+    every_scene: bool,
+    all_views: bool,
+    out: Path | None,
+    seed: int,
+    view: str,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Write a picture of a scene, or all pictures of one or of every scene.
+
+    --all writes DIR/SCENE/VIEW.png and DIR/contact_sheet.png; --all-views writes DIR/VIEW.png.
+
+    Example: touchdown scenes render crossroad --view oblique --out crossroad.png
+    """
+    if every_scene == (scene is not None):
+        raise click.UsageError("give either SCENE or --all")
+    from experiments import scene_tools
+
+    if every_scene:
+        folder = out or Path(f"scenes-{seed}")
+        notes = make_notes(quiet)
+        sheet = usage_errors(lambda: scene_tools.render_every_scene(seed, folder, notes))
+        done = {"directory": str(folder), "contact_sheet": str(sheet)}
+    elif scene is not None and all_views:
+        folder = out or Path(f"{Path(scene).stem}-{seed}")
+        usage_errors(lambda: scene_tools.render_all_views(scene, seed, folder))
+        done = {"directory": str(folder)}
+    else:
+        target = out or Path(f"{Path(scene or '').stem}-{view}.png")
+        usage_errors(lambda: scene_tools.render_view(scene or "", seed, view, target))
+        done = {"picture": str(target)}
+    click.echo(json.dumps(done) if as_json else "\n".join(done.values()))
+    return EXIT_DONE
+
+
+@scenes.command("check")
+@click.argument("names", nargs=-1, metavar="[SCENE]...")
+@click.option("--seeds", type=click.IntRange(1), default=25, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+def scenes_check(names: tuple[str, ...], seeds: int, as_json: bool, quiet: bool) -> int:
+    """Build many seeds of scenes (all, unless named): do they differ, do they offer safe ground?
+
+    Exit code 1 when a seed does not build or two seeds of a scene are the same place. A seed that
+    offers no safe site where the survey looks is named.
+
+    Example: touchdown scenes check crossroad --seeds 5
+    """
+    from experiments.build import scene_names
+    from experiments.scene_check import check_scenes, passed
+
+    chosen = names or tuple(scene_names())
+    rows = usage_errors(lambda: check_scenes(chosen, seeds, make_notes(quiet)))
+    if as_json:
+        click.echo(json.dumps({"scenes": rows}, indent=2))
+    else:
+        print_scene_check(rows)
+    return EXIT_DONE if passed(rows) else EXIT_FAILED
+
+
+@scenes.command("export")
+@click.argument("scene")
+@click.option("--out", type=click.Path(path_type=Path), help="Directory.  [SCENE-SEED]")
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int:
+    """Write a scene's MJCF with its assets, to open in MuJoCo's own viewer.
+
+    Example: touchdown scenes export crossroad --out crossroad &&
+    python -m mujoco.viewer --mjcf=crossroad/scene.xml
+    """
+    from experiments.scene_tools import export_place
+
+    target = out or Path(f"{Path(scene).stem}-{seed}")
+    model_file = usage_errors(lambda: export_place(scene, seed, target))
+    click.echo(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
+    return EXIT_DONE

@@ -1,0 +1,1 @@
+"""Cottages with courtyards along a village lane on a sloped meadow."""

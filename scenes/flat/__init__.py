@@ -1,0 +1,1 @@
+"""An exactly level patchwork of lawns and fields."""

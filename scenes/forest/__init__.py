@@ -1,0 +1,1 @@
+"""`forest`: wooded hills with clearings, a brook and a track."""

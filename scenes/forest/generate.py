@@ -1,0 +1,50 @@
+"""`forest`: fills forest.xml with a wood drawn from a seed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from zlib import crc32
+
+import mujoco
+import numpy as np
+
+from scenes.api import Surface
+from scenes.builder import Builder
+from scenes.draft import SceneDraft
+from scenes.forest.floor import paint_floor
+from scenes.forest.furniture import furnish
+from scenes.forest.layout import HALF_M, draw_plan
+from scenes.forest.relief import shape_ground
+from scenes.forest.stand import plant
+from scenes.ground import Ground
+from scenes.light import draw_sun, finish_picture
+from scenes.props.woods import grow_wood
+from scenes.terrain import write_hfield
+
+XML = Path(__file__).with_name("forest.xml")
+
+
+def generate(seed: int) -> SceneDraft:
+    """The wood of ``seed``, without the vehicle. Same seed, same bytes."""
+    rng = np.random.default_rng([seed, crc32(b"scenes.forest")])
+    spec = mujoco.MjSpec.from_file(str(XML))
+    plan = draw_plan(rng)
+    terrain = shape_ground(rng, plan)
+    write_hfield(spec, "terrain", "terrain", terrain, base_m=2.0)
+    sun = draw_sun(rng, spec)
+    builder = Builder(spec=spec, rng=rng, terrain=terrain)
+    wood = grow_wood(builder)
+    furnish(builder, wood, plan)
+    plant(builder, wood, plan)
+    canvas = paint_floor(rng, plan)
+    turned = dict.fromkeys(Ground, plan.takeoff_yaw + 0.4)
+    finish_picture(builder, canvas, sun, turned, hilly=True)
+    builder.surfaces["terrain"] = Surface(land_class="trees", reflectivity=0.35)
+    return SceneDraft(
+        spec=spec,
+        takeoff_xy_m=plan.takeoff_xy_m,
+        takeoff_yaw=plan.takeoff_yaw,
+        bounds_xy_m=np.array([[-HALF_M, -HALF_M], [HALF_M, HALF_M]]),
+        surfaces=builder.surfaces,
+        ground=canvas.raster("terrain"),
+    )

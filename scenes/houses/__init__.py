@@ -1,0 +1,1 @@
+"""A settlement: streets, houses with gardens, a green with a playground."""

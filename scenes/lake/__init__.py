@@ -1,0 +1,1 @@
+"""A lake with beach, reeds, jetty and boats between meadows."""

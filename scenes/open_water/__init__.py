@@ -1,0 +1,1 @@
+"""Open water around a raft, a pontoon or an islet: the only place to land."""

@@ -1,0 +1,1 @@
+"""A swimming bath: pools, decks, sunshades, and a sports field beside them."""

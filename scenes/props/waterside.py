@@ -1,0 +1,194 @@
+"""Reeds, decks on piles, and what lies about a shore."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.api import Surface
+from scenes.builder import GEOM, Builder, quat_z, turned
+from scenes.noise import fractal_noise
+from scenes.props.meshes import MeshData, blob, box, polygon
+from scenes.textures import Colour, Picture, to_picture
+
+Array = NDArray[np.float64]
+
+REED = Surface(land_class="trees", reflectivity=0.40, porosity=0.45)
+DECK = Surface(land_class="path", reflectivity=0.38)
+PILE = Surface(land_class="other", reflectivity=0.30)
+NET = Surface(land_class="other", reflectivity=0.35, porosity=0.75)
+EARTH = Surface(land_class="field", reflectivity=0.22)
+SIGN = Surface(land_class="other", reflectivity=0.45)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReedBed:
+    """Shared tufts of reed."""
+
+    material: str
+    tufts: list[tuple[str, float, float]]
+    """(mesh name, radius, height in metres)"""
+
+
+def grow_reeds(builder: Builder) -> ReedBed:
+    """Adds the materials and meshes that all reeds of a scene share."""
+    rng = builder.rng
+    green = rng.uniform(0.0, 1.0)
+    foot = (84.0 + 20.0 * green, 104.0 + 16.0 * green, 56.0)
+    head = (176.0 - 40.0 * green, 160.0 - 12.0 * green, 96.0)
+    material = builder.material("trees_reed", reed_picture(rng, foot, head))
+    tufts = []
+    for index, (radius, height) in enumerate(((0.55, 1.5), (0.75, 1.9), (0.95, 2.2), (0.65, 2.0))):
+        mesh = builder.mesh(f"reed_{index}", tuft_mesh(rng, radius, height))
+        tufts.append((mesh, radius, height))
+    return ReedBed(material=material, tufts=tufts)
+
+
+def reed_picture(rng: np.random.Generator, foot: Colour, head: Colour) -> Picture:
+    """(256, 256, 3): stalks side by side, ``foot`` at the bottom, ``head`` (RGB) at the top, brown
+    panicles above."""
+    rows = np.linspace(0.0, 1.0, 256, dtype=np.float32)[:, None, None]
+    stalk = rng.normal(0.0, 0.18, (1, 256, 1)) + rng.normal(0.0, 0.05, (1, 256, 3))
+    colour = np.array(head) * (1.0 - rows) + np.array(foot) * rows
+    picture = colour * (1.0 + stalk) * (1.12 - 0.5 * rows)
+    panicle = (rows[:, 0] < 0.13) & (rng.random((1, 256)) < 0.4)
+    picture[panicle] = np.array([116.0, 84.0, 62.0]) * rng.uniform(0.8, 1.2, (panicle.sum(), 1))
+    return to_picture(picture.astype(np.float32))
+
+
+def tuft_mesh(rng: np.random.Generator, radius_m: float, height_m: float) -> MeshData:
+    """A dense core with stalks that lean outwards; the foot is at z = 0."""
+    half = np.array([0.50 * radius_m, 0.50 * radius_m, 0.33 * height_m])
+    core = blob(rng, half, 2.2, 0.22, 6, 1.0)
+    points = core.vertices + [0.0, 0.0, 0.30 * height_m]
+    share = np.clip(points[:, 2] / height_m, 0.0, 1.0)
+    uv = np.column_stack([1.9 * points[:, 0] + 2.7 * points[:, 1], 0.97 - 0.75 * share])
+    parts = [MeshData(vertices=points, faces=core.faces, uv=uv)]
+    for _ in range(int(240 * radius_m)):
+        angle, reach = rng.uniform(0.0, 2.0 * np.pi), radius_m * np.sqrt(rng.uniform(0.05, 1.0))
+        way = np.array([np.cos(angle), np.sin(angle), 0.0])
+        foot = 0.75 * reach * way + [0.0, 0.0, 0.1]
+        lean = 1.0 + rng.uniform(0.1, 0.7)
+        top = lean * reach * way + [0.0, 0.0, height_m * rng.uniform(0.72, 1.0)]
+        turn = rng.uniform(0.0, 2.0 * np.pi) + np.array([0.0, 2.1, 4.2])
+        ring = foot + 0.028 * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
+        u = rng.uniform()
+        for k in range(3):
+            blade = np.array([ring[k], ring[(k + 1) % 3], top])
+            parts.append(polygon(blade, np.array([[u, 0.9], [u, 0.9], [u + 0.004, 0.04]])))
+    return MeshData.join(parts)
+
+
+def add_reeds(builder: Builder, bed: ReedBed, xy_m: Array) -> None:
+    """One tuft, its foot on the ground or in the water."""
+    rng = builder.rng
+    mesh, radius, height = bed.tufts[int(rng.integers(len(bed.tufts)))]
+    at = np.array([*xy_m, builder.terrain.point(*xy_m) - 0.12])
+    builder.geom("trees_reed", REED, type=GEOM.mjGEOM_MESH, meshname=mesh, material=bed.material,
+                 pos=at, quat=quat_z(float(rng.uniform(0.0, 2.0 * np.pi))))  # fmt: skip
+    turn = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    low = np.column_stack([0.8 * radius * ring, np.full(8, 0.15)])
+    high = np.column_stack([1.1 * radius * ring, np.full(8, 0.8 * height)])
+    builder.cast(at + np.concatenate([low, high]), 0.55)
+    builder.claim(xy_m, 0.4 * radius)
+
+
+def planks(
+    rng: np.random.Generator, size_m: tuple[float, float], px_per_m: float, base: Colour
+) -> Picture:
+    """Weathered boards across a deck of size_m (length, width), with gaps and nails. The picture's
+    width is the deck's length."""
+    width, height = (max(8, round(s * px_per_m)) for s in size_m)
+    cols = np.arange(width) / px_per_m / 0.145
+    board = np.floor(cols).astype(int)
+    tone = 1.0 + 0.13 * rng.standard_normal(board.max() + 1)[board][None, :, None]
+    tint = 1.0 + 0.012 * rng.standard_normal((board.max() + 1, 3))[board][None]
+    picture = np.array(base) * tone * tint * np.ones((height, 1, 1))
+    grain = fractal_noise(rng, (height, width), 3.0, 2)[..., None]
+    stain = fractal_noise(rng, (height, width), 0.8 * px_per_m, 4, 0.6)[..., None]
+    picture *= 1.0 + 0.05 * grain + 0.08 * stain
+    within = cols - board
+    picture[:, within < 0.10] *= 0.32
+    nail = (np.abs(within - 0.5) < 1.2 / (0.145 * px_per_m))[None, :]
+    for y in (0.12, size_m[1] - 0.12):
+        row = int(y * px_per_m)
+        picture[row : row + 2] *= np.where(nail, 0.45, 1.0)[..., None]
+    return to_picture(picture.astype(np.float32))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Deck:
+    """A level platform. size_m: length along ``angle`` and width; top_m: world height."""
+
+    centre_xy_m: Array
+    angle: float
+    size_m: tuple[float, float]
+    top_m: float
+    thick_m: float = 0.14
+
+    def points(self, local: Array) -> Array:
+        """(N, 2) metres along and across -> (N, 2) world."""
+        at = np.array([*self.centre_xy_m, 0.0])
+        flat = np.column_stack([np.asarray(local), np.zeros(len(local))])
+        return turned(flat, self.angle, at)[:, :2]
+
+
+def add_deck(builder: Builder, deck: Deck, picture: Picture, surface: Surface = DECK) -> None:
+    """The platform with ``picture`` on top."""
+    name = builder.unique("deck")
+    x, y = 0.5 * deck.size_m[0], 0.5 * deck.size_m[1]
+    top = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
+    uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
+    # Under the picture, so that the two tops do not coincide.
+    body = box(np.array([x, y, 0.5 * deck.thick_m]), np.array([0, 0, -0.5 * deck.thick_m - 0.002]))
+    shade = np.column_stack([0.02 + 0.01 * (body.uv[:, 0] % 1.0), np.full(len(body.uv), 0.5)])
+    skirt = MeshData(vertices=body.vertices, faces=body.faces, uv=shade)
+    mesh = builder.mesh(name, MeshData.join([polygon(top, uv), skirt]))
+    material = builder.material(name, picture)
+    origin = np.array([*deck.centre_xy_m, deck.top_m])
+    builder.geom("path_deck", surface, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
+                 pos=origin, quat=quat_z(deck.angle))  # fmt: skip
+    builder.cast(turned(top, deck.angle, origin))
+
+
+def add_pile(builder: Builder, xy_m: Array, top_m: float, radius_m: float = 0.09) -> None:
+    """A pile from the ground to the world height ``top_m``."""
+    z = builder.terrain.point(*xy_m)
+    grey = builder.rng.uniform(0.30, 0.42)
+    builder.geom("pile", PILE, type=GEOM.mjGEOM_CYLINDER, size=[radius_m, 0, 0],
+                 fromto=[*xy_m, z - 0.4, *xy_m, top_m],
+                 rgba=[grey, 0.88 * grey, 0.74 * grey, 1])  # fmt: skip
+    turn = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
+    ring = radius_m * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
+    builder.cast(np.concatenate([[*xy_m, z] + ring, [*xy_m, top_m] + ring]))
+
+
+def add_net(builder: Builder, xy_m: Array, heading: float) -> None:
+    """A volleyball net of 9.5 m between two posts."""
+    across = np.array([-np.sin(heading), np.cos(heading)])
+    ends = [xy_m + side * 4.75 * across for side in (-1.0, 1.0)]
+    z = float(np.mean([builder.terrain.point(*end) for end in ends]))
+    for end in ends:
+        add_pile(builder, end, z + 2.5, 0.05)
+    turn = quat_z(heading)
+    builder.geom("net", NET, type=GEOM.mjGEOM_BOX, size=[0.01, 4.7, 0.45], quat=turn,
+                 pos=[*xy_m, z + 1.98], rgba=[0.16, 0.17, 0.2, 0.45])  # fmt: skip
+    builder.geom("net_tape", SIGN, type=GEOM.mjGEOM_BOX, size=[0.02, 4.7, 0.04], quat=turn,
+                 pos=[*xy_m, z + 2.43], rgba=[0.95, 0.95, 0.92, 1])  # fmt: skip
+    top = np.array([[0.03 * sx, 4.7 * sy, 2.43] for sx in (-1, 1) for sy in (-1, 1)])
+    builder.cast(turned(top, heading, np.array([*xy_m, z])))
+    builder.claim(xy_m, 5.2)
+
+
+def add_molehill(builder: Builder, xy_m: Array) -> None:
+    """A mound of earth too small to be seen from high up and too high to land on."""
+    rng = builder.rng
+    half = rng.uniform([0.22, 0.22, 0.14], [0.36, 0.36, 0.24])
+    at = np.array([*xy_m, builder.terrain.point(*xy_m)])
+    tone = rng.uniform(0.26, 0.36)
+    builder.geom("field_molehill", EARTH, type=GEOM.mjGEOM_ELLIPSOID, size=half, pos=at,
+                 rgba=[tone, 0.78 * tone, 0.58 * tone, 1])  # fmt: skip
+    builder.claim(xy_m, 0.4)

@@ -1,0 +1,41 @@
+"""Bodies that go round a closed path."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.api import MovingBody, Surface
+from scenes.builder import GEOM, Builder, quat_z
+
+Array = NDArray[np.float64]
+
+
+def along_path(path: Array, distance_m: float) -> tuple[Array, float]:
+    """Point (3,) and heading (radians) on a closed polyline."""
+    steps = np.roll(path, -1, axis=0) - path
+    lengths = np.linalg.norm(steps, axis=1)
+    rest = distance_m % float(lengths.sum())
+    index = int(np.searchsorted(np.cumsum(lengths), rest, side="right"))
+    into = rest - float(lengths[:index].sum())
+    unit = steps[index] / lengths[index]
+    return path[index] + into * unit, float(np.arctan2(unit[1], unit[0]))
+
+
+def path_length(path: Array) -> float:
+    """Metres once round a closed polyline, (K, 3)."""
+    return float(np.linalg.norm(np.roll(path, -1, axis=0) - path, axis=1).sum())
+
+
+def add_mover(
+    builder: Builder, moving: MovingBody, looks: tuple[str, str], stem: str, surface: Surface
+) -> None:
+    """The mocap body that ``moving`` describes, at its start. looks: names of mesh and material;
+    stem: of the geom's name."""
+    where, heading = along_path(moving.path_world, moving.start_m)
+    body = builder.spec.worldbody.add_body(
+        name=moving.body_name, mocap=True, pos=where, quat=quat_z(heading)
+    )
+    builder.geom(
+        stem, surface, body=body, type=GEOM.mjGEOM_MESH, meshname=looks[0], material=looks[1]
+    )

@@ -1,0 +1,47 @@
+"""Random processes that several sensors share."""
+
+from __future__ import annotations
+
+import math
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def random_stream(seed: int, component: str) -> np.random.Generator:
+    """The random numbers of one component: independent of what else runs, and in what order."""
+    return np.random.default_rng([seed, crc32(component.encode())])
+
+
+class GaussMarkov:
+    """A stationary first-order Gauss-Markov process of independent components, sampled every
+    ``period_s``: autocorrelation sigma^2 exp(-|lag| / tau).
+
+    The first value is drawn from the stationary distribution, so there is no run-in. The recursion
+    x' = a x + sigma sqrt(1 - a^2) w with a = exp(-T / tau) is exact for every T (Gelb, "Applied
+    Optimal Estimation", 1974, section 3.8). ``tau_s`` may be infinite: a constant, random offset.
+
+    sigma: (K,) standard deviations. ValueError: tau or the period is not positive.
+    """
+
+    def __init__(
+        self, sigma: Array, tau_s: float, period_s: float, rng: np.random.Generator
+    ) -> None:
+        if not tau_s > 0.0 or not period_s > 0.0:
+            raise ValueError(
+                f"correlation time {tau_s:g} s and period {period_s:g} s must be positive"
+            )
+        self._rng = rng
+        self._keep = math.exp(-period_s / tau_s)
+        self._sigma = np.asarray(sigma, dtype=np.float64)
+        self._drive = self._sigma * math.sqrt(-math.expm1(-2.0 * period_s / tau_s))
+        self._value = self._sigma * rng.standard_normal(self._sigma.shape)
+
+    def step(self) -> Array:
+        """(K,) the value of now; the process then moves on by one period."""
+        value = self._value
+        self._value = self._keep * value + self._drive * self._rng.standard_normal(value.shape)
+        return value

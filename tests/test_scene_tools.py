@@ -1,0 +1,225 @@
+"""Pictures of scenes show what is there; seeds are told apart."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import cv2
+import numpy as np
+import pytest
+
+from experiments import cli
+from experiments.cli_scenes import VIEW_NAMES
+from experiments.config import load_config
+from experiments.contact_sheet import SHEET_VIEWS, contact_sheet, thumbnails
+from experiments.scene_check import check_scene, passed
+from experiments.scene_views import CLASS_RGB, VIEWS, SceneViews
+from scenes.api import Scene
+from scenes.compose import load_scene
+from scenes.registry import scene_names
+from scenes.render import scene_picture
+from scenes.survey_facts import Layout, difference, layout, survey_facts
+from sim.hover import HoverView, hover_view
+
+PLACE = """
+<mujoco>
+  <worldbody>
+    <geom name="lawn" type="plane" size="25 25 1" rgba="0 1 0 1"/>
+    <geom name="road_slab" type="box" pos="0 10 0.25" size="4 3 0.25" rgba="1 0 0 1"/>
+    <geom name="water_pool" type="box" pos="10 -10 0.001" size="5 5 0.001" rgba="0 0 1 1"/>
+    <site name="takeoff" pos="0 0 0"/>
+  </worldbody>
+</mujoco>
+"""
+LEGEND_ROWS = 46
+
+
+@pytest.fixture(scope="module")
+def place_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("place") / "place.xml"
+    path.write_text(PLACE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def place(place_file: Path) -> Scene:
+    return load_scene(str(place_file), 0)
+
+
+@pytest.fixture(scope="module")
+def views(place_file: Path, place: Scene) -> SceneViews:
+    return SceneViews(place, load_config(scene=str(place_file)))
+
+
+@pytest.fixture(scope="module")
+def hover(place: Scene) -> HoverView:
+    config = load_config()
+    return hover_view(
+        place,
+        sim=config.sim,
+        camera=config.camera,
+        lidar=config.lidar,
+        seed=0,
+        height_m=30.0,
+        seconds=0.2,
+    )
+
+
+def pixel(picture: np.ndarray, x: float, y: float, half: float = 25.0) -> np.ndarray:
+    """The colour of world point (x, y) in a map with north up that covers +-half."""
+    rows, cols = picture.shape[0], picture.shape[1]
+    row = int((half - y) / (2.0 * half) * rows)
+    return picture[row, int((x + half) / (2.0 * half) * cols)].astype(int)
+
+
+def test_the_command_line_offers_every_view() -> None:
+    assert tuple(VIEWS) == VIEW_NAMES
+    assert set(SHEET_VIEWS) <= set(VIEWS)
+
+
+def test_from_above_north_is_up_and_east_is_right(place: Scene) -> None:
+    before = place.model.vis.map.zfar, place.model.vis.global_.offwidth
+    picture = scene_picture(place, "above", 400)
+    assert picture.shape == (400, 400, 3)
+    assert before == (place.model.vis.map.zfar, place.model.vis.global_.offwidth)
+    assert pixel(picture, 0.0, 10.0).argmax() == 0
+    assert pixel(picture, 0.0, -10.0).argmax() == 1
+    assert pixel(picture, 10.0, -10.0).argmax() == 2
+    with pytest.raises(ValueError, match="above, oblique"):
+        scene_picture(place, "below")
+
+
+def test_hover_sees_true_depth_and_true_points(place: Scene, hover: HoverView) -> None:
+    lens_m = 30.0 + float(place.model.qpos0[2])
+    # The camera hangs below the body's origin by less than 0.3 m.
+    assert lens_m - 0.3 < np.median(hover.depth_m) < lens_m
+    # The heading is east, so the slab in the north is on the left: 0.5 m nearer than the ground.
+    row, col = hover.depth_m.shape[0] // 2, hover.depth_m.shape[1] // 2
+    slab = hover.depth_m[row, col - round(10.0 / lens_m * 617.0)]
+    assert np.median(hover.depth_m) - slab == pytest.approx(0.5, abs=0.02)
+    assert len(hover.points_world) == len(hover.intensity)
+    x, y, z = hover.points_world.T
+    lawn = (np.abs(y) < 5.0) & (np.abs(x) < 4.0)
+    assert abs(z[lawn].mean()) < 0.005 and z[lawn].std() < 0.05
+    on_slab = (np.abs(y - 10.0) < 2.5) & (np.abs(x) < 3.5)
+    assert on_slab.sum() > 100
+    assert z[on_slab].mean() == pytest.approx(0.5, abs=0.01)
+
+
+def test_maps_show_class_height_and_safe_ground(views: SceneViews) -> None:
+    def near(colour: np.ndarray, name: str) -> bool:
+        return bool(np.abs(colour - np.array(CLASS_RGB[name])).max() < 12)
+
+    classes = views.draw("class")[:-LEGEND_ROWS]
+    assert near(pixel(classes, -10.0, -10.0), "lawn")
+    assert near(pixel(classes, 0.0, 10.0), "road")
+    assert near(pixel(classes, 10.0, -10.0), "water")
+    safe = views.draw("safe")[:-LEGEND_ROWS]
+    assert pixel(safe, -10.0, -10.0).argmax() == 1  # lawn: green
+    level = pixel(safe, 0.0, 10.0)  # the slab's middle: level, no safe class: yellow
+    assert level[0] > level[1] > level[2] + 60
+    assert np.ptp(pixel(safe, 0.0, 6.9)) == 0  # its edge: grey
+    assert np.ptp(pixel(safe, 10.0, -10.0)) == 0
+    height = views.draw("height")[:-LEGEND_ROWS]
+    assert np.abs(pixel(height, 0.0, 10.0) - pixel(height, -10.0, -10.0)).max() > 60
+
+
+def test_lidar_picture_is_black_where_nothing_came_back(views: SceneViews) -> None:
+    picture = views.draw("lidar")[:-LEGEND_ROWS]
+    middle = tuple(size // 2 for size in picture.shape[:2])
+    assert picture[middle].any()
+    assert not picture[0, 0].any()
+    depth = views.draw("depth")
+    assert depth.shape[0] == 480 + LEGEND_ROWS
+
+
+def test_contact_sheet_has_a_row_for_each_scene() -> None:
+    rng = np.random.default_rng(0)
+    pictures = {
+        view: rng.integers(0, 255, (300 + 40 * i, 400, 3), dtype=np.uint8)
+        for i, view in enumerate(VIEWS)
+    }
+    small = thumbnails(pictures)
+    one, two = contact_sheet({"a": small}), contact_sheet({"a": small, "b": small})
+    assert one.shape[1] == two.shape[1]
+    row = two.shape[0] - one.shape[0]
+    assert row > 200
+    assert (two[-row + 40 :] == one[-row + 40 :]).all()
+
+
+def test_all_views_of_a_file_are_written_and_told(
+    place_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "views"
+    code = cli.main(
+        ["scenes", "render", str(place_file), "--all-views", "--out", str(out), "--json"]
+    )
+    assert code == 0
+    assert json.loads(capsys.readouterr().out) == {"directory": str(out)}
+    assert {path.stem for path in out.iterdir()} == set(VIEWS)
+    assert cv2.imread(str(out / "camera.png")).shape == (480, 848, 3)
+
+
+# ------------------------------------------------------------------------------------ the seeds
+
+
+def test_survey_facts_of_known_ground(place: Scene) -> None:
+    facts = survey_facts(place, 8.0, 0.0, 2.0, 4.0)
+    assert facts.seen_m2 == pytest.approx(12.0 * 8.0, rel=0.02)
+    assert facts.safe_share == facts.safe_geometry_share == 1.0
+    assert facts.safe_sites == 1
+    assert facts.takeoff_safe
+    # Legs towards the slab in the north, to the left of the heading: 48 m^2 of road are no safe
+    # class; within 1.5 m of its step there is no safe geometry.
+    wide = survey_facts(place, 8.0, 16.0, 2.0, 4.0)
+    assert wide.safe_share < wide.safe_geometry_share < 1.0
+
+
+def test_difference_of_layouts_is_exact() -> None:
+    level = Layout(
+        height_m=np.zeros((4, 5), np.float32),
+        class_id=np.zeros((4, 5), np.uint8),
+        grey=np.zeros((3, 3), np.float32),
+    )
+    height = np.full((4, 5), 0.3, np.float32)
+    height[0, 0] = np.nan
+    classes = level.class_id.copy()
+    classes[:2] = 1
+    other = Layout(height_m=height, class_id=classes, grey=np.full((3, 3), 7.0, np.float32))
+    found = difference(level, other)
+    assert found.height_m == pytest.approx(0.3)
+    assert found.class_share == pytest.approx(0.5)
+    assert found.grey == pytest.approx(7.0)
+    smaller = Layout(
+        height_m=np.zeros((2, 2), np.float32), class_id=classes[:2, :2], grey=other.grey
+    )
+    with pytest.raises(ValueError, match="extent"):
+        difference(level, smaller)
+
+
+def test_layout_reads_heights_and_classes(place: Scene) -> None:
+    plan = layout(place)
+    assert plan.height_m.max() == pytest.approx(0.5, abs=0.01)
+    share = float((plan.height_m > 0.25).mean())
+    assert share == pytest.approx(8.0 * 6.0 / np.prod(np.ptp(place.bounds_xy_m, axis=0)), rel=0.1)
+
+
+def test_a_file_has_no_seeds_and_that_is_told(place_file: Path) -> None:
+    row = check_scene(str(place_file), 2, lambda _note: None)
+    assert row["built"] == 2
+    assert not row["differ"]
+    assert row["closest"]["height_m"] == 0.0
+    assert not passed([row])
+    assert row["without_safe_site"] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", scene_names())
+def test_25_seeds_build_and_differ(name: str) -> None:
+    row = check_scene(name, 25, lambda _note: None)
+    assert row["failed"] == {}
+    assert row["differ"], row["closest"]
