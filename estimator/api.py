@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.api import FORBID_EXTRA, Observation, SensorNeeds
+from sim.api import FORBID_EXTRA, CameraIntrinsics, Observation, SensorNeeds
 from sim.frames import Pose
 
 Array = NDArray[np.float64]
@@ -116,6 +116,62 @@ class Mapper(Protocol):
     def update(self, obs: Observation, estimate: Estimate) -> MapView: ...
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Chessboard:
+    """A chessboard on a plate. Its frame: origin in the middle, x along the columns, y down the
+    rows, z away from who looks at it."""
+
+    columns: int = 11
+    """inner corners along x"""
+    rows: int = 8
+    """inner corners along y; odd and even, so that the board upside down is not the board"""
+    square_m: float = 0.09
+    margin_m: float = 0.08
+    """white rim of the plate around the squares"""
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Width and height of the plate."""
+        return (
+            (self.columns + 1) * self.square_m + 2.0 * self.margin_m,
+            (self.rows + 1) * self.square_m + 2.0 * self.margin_m,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CalibrationView:
+    """One placement of the board as camera and LIDAR saw it."""
+
+    rgb: NDArray[np.uint8]
+    """(H, W, 3)"""
+    points: Array
+    """(N, 3) returns in the LIDAR frame, metres"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CalibrationResult:
+    """What chessboards tell about camera and LIDAR. Covariances follow from the normal equations;
+    that of the extrinsics includes what the camera's planes got wrong."""
+
+    camera: CameraIntrinsics
+    camera_covariance: Array
+    """(9, 9) of fx, fy, cx, cy (pixels), k1, k2, p1, p2, k3"""
+    camera_from_lidar: Pose
+    extrinsic_covariance: Array
+    """(6, 6) of a small rotation (rad) applied on the left, then of the translation (m)"""
+    reprojection_rms_px: float
+    plane_rms_m: float
+    """of the LIDAR's returns about the camera's planes"""
+    used: tuple[int, ...]
+    """indices of the views that were used"""
+    refused: Mapping[int, str]
+    """why the others were not"""
+    corners: Mapping[int, Array]
+    """(rows * columns, 2) pixels of the views whose board the camera found"""
+    board_points: Mapping[int, Array]
+    """(N, 3) returns from the board, LIDAR frame, of the views that were used"""
+
+
 # ------------------------------------------------------------------------------- parameters
 
 
@@ -194,6 +250,8 @@ class PaperParams:
     """whether images correct the pose (PnP)"""
     use_colour_smoothness: bool = True
     """whether f_c takes part in choosing edge and planar points (Eq. 7)"""
+    use_bundle: bool = True
+    """whether the youngest keyframes are adjusted together"""
     use_closures: bool = True
     """whether keyframes seen again move the map"""
     colour_weight: float = 0.004
@@ -217,6 +275,9 @@ class PaperParams:
     sift_sigma_px: float = 1.0
     brisk_sigma_px: float = 0.8
     max_keyframes: int = 160
+    bundle_keyframes: int = 8
+    depth_sigma_m: float = 0.05
+    """of a landmark's depth by Eq. 12"""
     recent_keyframes: int = 12
     """keyframes whose landmarks give the odometry"""
     blend_s: float = 0.15

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.api import Controller
-from estimator.api import Estimator, Mapper
+from estimator.api import CalibrationResult, CalibrationView, Chessboard, Estimator, Mapper
 from experiments.bias import BiasedEstimator
 from experiments.config import Config, UsageError
 from experiments.suggest import nearest
@@ -25,8 +26,12 @@ if TYPE_CHECKING:
     from sim.bare import BareWorld
     from sim.hover import HoverView
     from sim.lidar_peers import LidarPeers
+    from sim.stand import SensorStand
 
 Array = NDArray[np.float64]
+
+STAND_HEIGHT_M = 5.5
+"""of the vehicle over the floor while it is calibrated"""
 
 
 @dataclass(slots=True)
@@ -274,6 +279,32 @@ def hover_view(config: Config, scene: Scene, height_m: float, seconds: float) ->
     )
 
 
+def build_stand(
+    config: Config, picture: NDArray[np.uint8], size_m: tuple[float, float]
+) -> SensorStand:
+    """The configured camera and LIDAR, hung up in a room over a board of ``size_m`` (width, height)
+    that shows ``picture`` (H, W, 3)."""
+    from scenes.calibration_room import BOARD_BODY, calibration_room
+    from sim.stand import SensorStand
+
+    return SensorStand(
+        calibration_room(picture, *size_m, config.seed),
+        sim=config.sim,
+        camera=config.camera,
+        lidar=config.lidar,
+        seed=config.seed,
+        height_m=STAND_HEIGHT_M,
+        board=BOARD_BODY,
+    )
+
+
+def calibrate(views: Sequence[CalibrationView], board: Chessboard, seed: int) -> CalibrationResult:
+    """As `estimator.calibration.calibrate.calibrate`."""
+    from estimator.calibration.calibrate import calibrate as run
+
+    return run(views, board, seed)
+
+
 def build_bare(config: Config, scene: Scene) -> BareWorld:
     """The bare computation beside a flight that was built before, whose world set the physics."""
     from sim.bare import BareWorld
@@ -321,3 +352,14 @@ def control_margins(config: Config, scene: Scene) -> list[Any]:
     from sim.vehicle import vehicle_model
 
     return loop_margins(vehicle_model(scene.model), config.control)
+
+
+def import_dem(tif: Path, out: Path, **options: Any) -> tuple[Path, list[str]]:
+    """A scene of an elevation model, as `scenes.dem.import_dem`: the MJCF file, and what the user
+    should know of it."""
+    from scenes.dem import import_dem as import_model
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        path = import_model(tif, out, **options)
+    return path, [str(warning.message) for warning in caught]

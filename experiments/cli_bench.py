@@ -76,7 +76,7 @@ def bench_loop(
 @click.option("--rounds", type=click.IntRange(min=1), default=7, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def bench_lidar(scene: str, preset: str, seed: int, rounds: int, as_json: bool) -> int:
-    """Rays per second of the LIDAR sensor and of bare ray casters on the same rays, one thread each.
+    """Rays per second of the LIDAR sensor and of bare ray casters, same rays, one thread each.
 
     Example: touchdown bench lidar --json
     """

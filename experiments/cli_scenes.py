@@ -90,15 +90,15 @@ def scenes_render(
     if every_scene:
         folder = out or Path(f"scenes-{seed}")
         notes = make_notes(quiet)
-        sheet = usage_errors(lambda: scene_tools.render_every_scene(seed, folder, notes))
+        sheet = scene_tools.render_every_scene(seed, folder, notes)
         done = {"directory": str(folder), "contact_sheet": str(sheet)}
     elif scene is not None and all_views:
         folder = out or Path(f"{Path(scene).stem}-{seed}")
-        usage_errors(lambda: scene_tools.render_all_views(scene, seed, folder))
+        scene_tools.render_all_views(scene, seed, folder)
         done = {"directory": str(folder)}
     else:
         target = out or Path(f"{Path(scene or '').stem}-{view}.png")
-        usage_errors(lambda: scene_tools.render_view(scene or "", seed, view, target))
+        scene_tools.render_view(scene or "", seed, view, target)
         done = {"picture": str(target)}
     click.echo(json.dumps(done) if as_json else "\n".join(done.values()))
     return EXIT_DONE
@@ -121,7 +121,7 @@ def scenes_check(names: tuple[str, ...], seeds: int, as_json: bool, quiet: bool)
     from experiments.scene_check import check_scenes, passed
 
     chosen = names or tuple(scene_names())
-    rows = usage_errors(lambda: check_scenes(chosen, seeds, make_notes(quiet)))
+    rows = check_scenes(chosen, seeds, make_notes(quiet))
     if as_json:
         click.echo(json.dumps({"scenes": rows}, indent=2))
     else:
@@ -143,6 +143,51 @@ def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int
     from experiments.scene_tools import export_place
 
     target = out or Path(f"{Path(scene).stem}-{seed}")
-    model_file = usage_errors(lambda: export_place(scene, seed, target))
+    model_file = export_place(scene, seed, target)
+    click.echo(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
+    return EXIT_DONE
+
+
+@scenes.command("import-dem")
+@click.argument("dem", type=click.Path(path_type=Path))
+@click.argument("out", type=click.Path(path_type=Path))
+@click.option(
+    "--ortho",
+    type=click.Path(path_type=Path),
+    help="Aerial picture of the same extent, or a GeoTIFF.  [relief in colours]",
+)
+@click.option("--cell", "cell_m", type=float, metavar="M", help="Node spacing.  [the model's]")
+@click.option("--window", "window_m", type=float, default=200.0, show_default=True, metavar="M",
+              help="Side of the square that is cut out.")  # fmt: skip
+@click.option("--centre", nargs=2, type=float, metavar="E N",
+              help="Its centre, metres from the south-west corner.  [the middle]")  # fmt: skip
+@click.option("--class", "land_class", default="field", show_default=True,
+              help="Land class of the ground.")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def scenes_import_dem(
+    dem: Path,
+    out: Path,
+    ortho: Path | None,
+    cell_m: float | None,
+    window_m: float,
+    centre: tuple[float, float] | None,
+    land_class: str,
+    as_json: bool,
+) -> int:
+    """Make a scene of DEM, a GeoTIFF of heights, in the new folder OUT.
+
+    Example: touchdown scenes import-dem hill.tif --ortho hill.png hill &&
+    touchdown land hill/scene.xml
+    """
+    from experiments.build import import_dem
+
+    model_file, notes = usage_errors(
+        lambda: import_dem(
+            dem, out, ortho=ortho, cell_m=cell_m, window_m=window_m, centre_m=centre,
+            land_class=land_class,
+        )
+    )  # fmt: skip
+    for note in notes:
+        click.echo(f"touchdown: {note}", err=True)
     click.echo(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
     return EXIT_DONE

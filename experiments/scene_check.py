@@ -17,6 +17,7 @@ from experiments.build import (
     survey_facts,
 )
 from experiments.config import load_config
+from experiments.scene_tools import load_place
 
 SAME_HEIGHT_M = 0.01
 SAME_CLASS_SHARE = 0.005
@@ -27,11 +28,11 @@ SAME_GREY = 2.0
 def check_scenes(
     names: Sequence[str], seeds: int, progress: Callable[[str], None]
 ) -> list[dict[str, Any]]:
-    """One row a scene, see `check_scene`. Raises ValueError or FileNotFoundError for a name that is
-    no scene, before any other work."""
+    """One row a scene, see `check_scene`. Raises UsageError for a name that is no scene,
+    before any other work."""
     for name in names:
         if name not in scene_names():
-            build_scene(load_config(scene=name))
+            load_place(load_config(scene=name))
     return [check_scene(name, seeds, progress) for name in names]
 
 

@@ -6,21 +6,22 @@ from collections.abc import Callable
 from pathlib import Path
 
 from experiments.build import build_scene, export_scene, scene_names
-from experiments.config import UsageError, load_config
+from experiments.config import Config, UsageError, load_config
 from experiments.contact_sheet import contact_sheet, thumbnails
 from experiments.scene_views import VIEWS, Picture, SceneViews, write_picture
+from scenes.api import Scene
 
 CONTACT_SHEET = "contact_sheet.png"
 PICTURE_SUFFIXES = (".png", ".jpg")
 
 
 def render_view(name: str, seed: int, view: str, out: Path) -> None:
-    """Writes one view (`experiments.scene_views.VIEWS`) of a scene. Raises UsageError, ValueError
-    or FileNotFoundError before anything is written."""
+    """Writes one view (`experiments.scene_views.VIEWS`) of a scene. Raises UsageError before
+    anything is written."""
     if out.suffix.lower() not in PICTURE_SUFFIXES:
         raise UsageError(f"--out {out} must end in {' or '.join(PICTURE_SUFFIXES)}")
     picture = _views(name, seed).draw(view)
-    out.parent.mkdir(parents=True, exist_ok=True)
+    _make_folder(out.parent)
     write_picture(out, picture)
 
 
@@ -28,7 +29,7 @@ def render_all_views(name: str, seed: int, out_dir: Path) -> dict[str, Picture]:
     """Writes every view of a scene to ``out_dir/VIEW.png`` and returns them by name. Raises as
     `render_view`."""
     views = _views(name, seed)
-    out_dir.mkdir(parents=True, exist_ok=True)
+    _make_folder(out_dir)
     pictures: dict[str, Picture] = {}
     for view in VIEWS:
         pictures[view] = views.draw(view)
@@ -50,12 +51,30 @@ def render_every_scene(seed: int, out: Path, progress: Callable[[str], None]) ->
 
 def export_place(name: str, seed: int, out: Path) -> Path:
     """Writes ``scene.xml`` and its assets into a new or empty directory and returns the file.
-    Raises ValueError, FileNotFoundError or UsageError before anything is written."""
+    Raises UsageError before anything is written."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError(f"--out {out} exists; name a new directory")
-    return export_scene(build_scene(load_config(scene=name, seed=seed)), out)
+    scene = load_place(load_config(scene=name, seed=seed))
+    _make_folder(out)
+    return export_scene(scene, out)
+
+
+def load_place(config: Config) -> Scene:
+    """The scene of a configuration; what is wrong with its name or file is a UsageError, and what
+    goes wrong after that is not."""
+    try:
+        return build_scene(config)
+    except (ValueError, OSError) as error:
+        raise UsageError(str(error)) from error
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"--out: folder '{folder}' cannot be made: {error.strerror}") from error
 
 
 def _views(name: str, seed: int) -> SceneViews:
     config = load_config(scene=name, seed=seed)
-    return SceneViews(build_scene(config), config)
+    return SceneViews(load_place(config), config)

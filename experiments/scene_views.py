@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.build import hover_view, scene_picture, scene_truth_maps
-from experiments.config import Config
+from experiments.config import Config, UsageError
 from scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene, TruthMaps
 
 if TYPE_CHECKING:
@@ -181,9 +181,9 @@ VIEWS: Mapping[str, Callable[[SceneViews], Picture]] = {
 
 
 def write_picture(path: Path, picture: Picture) -> None:
-    """Writes RGB to a .png or .jpg file. Raises OSError."""
+    """Writes RGB to a .png or .jpg file. Raises UsageError where that cannot be."""
     if not cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
-        raise OSError(f"{path} cannot be written: is its folder writable?")
+        raise UsageError(f"--out: '{path}' cannot be written: is its folder writable?")
 
 
 def _coloured(share: NDArray[np.floating], colormap: int) -> Picture:

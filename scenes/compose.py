@@ -37,13 +37,19 @@ def load_scene(name_or_path: str, seed: int) -> Scene:
     Raises ValueError (unknown name, negative seed, malformed MJCF) and FileNotFoundError.
     """
     spec, draft = compose_spec(name_or_path, seed)
+    return compile_scene(spec, draft, Path(name_or_path).stem, seed, name_or_path)
+
+
+def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: str) -> Scene:
+    """The scene of a spec with the vehicle in it, which is put on the ground. Raises ValueError:
+    the spec does not compile, or there is no ground."""
     try:
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise ValueError(f"scene '{name_or_path}' does not compile: {_one_line(error)}") from error
+        raise ValueError(f"scene '{source}' does not compile: {_one_line(error)}") from error
     _stand_on_ground(model, draft)
     return Scene(
-        name=Path(name_or_path).stem,
+        name=name,
         seed=seed,
         model=model,
         takeoff_xy_m=draft.takeoff_xy_m,
@@ -52,7 +58,7 @@ def load_scene(name_or_path: str, seed: int) -> Scene:
         surfaces=draft.surfaces,
         ground=draft.ground,
         moving=draft.moving,
-        source=name_or_path,
+        source=source,
     )
 
 
@@ -65,6 +71,12 @@ def compose_spec(name_or_path: str, seed: int) -> tuple[Any, SceneDraft]:
         raise ValueError(f"seed {seed} is negative: give an integer from 0 up")
     is_path = name_or_path.endswith(".xml") or "/" in name_or_path
     draft = read_mjcf(Path(name_or_path)) if is_path else scene_generator(name_or_path)(seed)
+    furnish(draft)
+    return draft.spec, draft
+
+
+def furnish(draft: SceneDraft) -> None:
+    """Sets physics and looks of a place's spec and puts the vehicle over its take-off spot."""
     spec = draft.spec
     _set_physics(spec)
     _set_visual(spec)
@@ -74,7 +86,6 @@ def compose_spec(name_or_path: str, seed: int) -> tuple[Any, SceneDraft]:
         if geom.contype or geom.conaffinity:
             geom.contype, geom.conaffinity = 1, 0
     _attach_vehicle(spec, draft)
-    return spec, draft
 
 
 def _set_physics(spec: Any) -> None:

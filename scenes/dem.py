@@ -35,7 +35,7 @@ MAX_TEXELS = 4096
 RELIEF_TEXEL_M = 0.0625
 _FLAT_RADIUS_M = 2.5
 # Heights from low to high, and what is too steep for soil; RGB.
-_LOW, _MIDDLE, _HIGH, _ROCK = (96, 116, 66), (136, 126, 78), (164, 150, 122), (124, 116, 108)
+_LOW, _MIDDLE, _HIGH, _ROCK = (90, 98, 66), (118, 112, 78), (142, 132, 112), (116, 110, 104)
 
 
 def import_dem(

@@ -86,3 +86,10 @@ def scatter(
             builder.claim(spot, gap_m)
             found.append(spot)
     return found
+
+
+def claim_area(builder: Builder, lot: Lot, u: tuple[float, float], v: tuple[float, float]) -> None:
+    """Keeps later random placements off a rectangle of the lot."""
+    for along in np.linspace(*u, int((u[1] - u[0]) / 3.0) + 2):
+        for across in np.linspace(*v, int((v[1] - v[0]) / 3.0) + 2):
+            builder.claim(lot.at(float(along), float(across)), 2.2)

@@ -39,3 +39,22 @@ def add_mover(
     builder.geom(
         stem, surface, body=body, type=GEOM.mjGEOM_MESH, meshname=looks[0], material=looks[1]
     )
+
+
+def send_round(
+    builder: Builder, path: Array, looks: list[tuple[str, str]], surface: Surface, speed_mps: float
+) -> tuple[MovingBody, ...]:
+    """Cars ``moving_car_0``, ... spread over one closed path, which all drive at one speed, so that
+    none meets the one ahead. looks: names of mesh and material, one a car."""
+    moving = []
+    for index, look in enumerate(looks):
+        share = (index + float(builder.rng.uniform(0.0, 0.6))) / len(looks)
+        car = MovingBody(
+            body_name=f"moving_car_{index}",
+            path_world=path,
+            speed_mps=speed_mps,
+            start_m=share * path_length(path),
+        )
+        add_mover(builder, car, look, "car_moving", surface)
+        moving.append(car)
+    return tuple(moving)

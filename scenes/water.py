@@ -26,6 +26,8 @@ WATER_REFLECTIVITY = 0.03
 _TILE = 1024
 _WET_M = 0.07
 """The bank is darkened up to this height over the water."""
+_OPAQUE = 5.5
+"""Depths of 1/e from which on nothing of the bottom is seen."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -160,9 +162,11 @@ def _lay(
             if tilt > 1.15 * (0.6 + 0.5 * sun_height) and below > 0.1:
                 glint = min(2.4 * (tilt - 1.15 * (0.6 + 0.5 * sun_height)), 0.75)
             for c in range(3):
-                seen = np.exp(-dimming[c] * below)
-                bottom = picture[out, col, c] * 0.80 * (1.0 + focus)
-                value = seen * bottom + (1.0 - seen) * body[c] * facing
+                value = body[c] * facing
+                if dimming[c] * below < _OPAQUE:
+                    seen = np.exp(-dimming[c] * below)
+                    bottom = picture[out, col, c] * 0.80 * (1.0 + focus)
+                    value += seen * (bottom - value)
                 value += mirror * (sky[c] - 0.5 * value)
                 value += glint * (250.0 - value)
                 if below < 0.008:

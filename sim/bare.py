@@ -1,14 +1,14 @@
 """Physics, rays and pixels alone: the least that a simulated flight has to compute.
 
 What a loop costs beyond this is its overhead. Every method does the work that the flight just asked
-for with MuJoCo's, Embree's or OpenGL's own function and nothing around it, and returns the processor
-time that the function took, in seconds.
+for with MuJoCo's, Embree's or OpenGL's own function and nothing around it, and returns the time of
+the thread's processor that the function took, in seconds.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -26,8 +26,6 @@ from sim.vehicle import sensor_poses, vehicle_body_id, vehicle_model
 
 Array = NDArray[np.float64]
 
-Clock = Callable[[], float]
-
 
 class BareWorld:
     """Beside a flight in the same scene: own physics state, rays and OpenGL context.
@@ -43,9 +41,8 @@ class BareWorld:
         camera: CameraParams,
         lidar: LidarParams,
         seed: int,
-        clock: Clock = time.thread_time,
     ) -> None:
-        self._model, self._sim, self._clock = scene.model, sim, clock
+        self._model, self._sim = scene.model, sim
         self._data = mujoco.MjData(scene.model)
         self._moving = MovingBodies(scene)
         self._body = vehicle_body_id(scene.model)
@@ -62,9 +59,9 @@ class BareWorld:
         data.qvel[:3], data.qvel[3:6] = truth.velocity_world, truth.angular_velocity_body
         thrust = self._thrust_coefficient * float(np.sum(truth.rotor_speed_radps**2))
         data.xfrc_applied[self._body, :3] = thrust * pose.rotation[:, 2]
-        started = self._clock()
+        started = time.thread_time()
         mujoco.mj_step(self._model, data, nstep=steps)
-        return self._clock() - started
+        return time.thread_time() - started
 
     def rays(self, scan: LidarScan, poses: Sequence[Pose]) -> float:
         """Embree's cast of the pulses of a scan against the static triangles. ``poses``: world from
@@ -73,23 +70,23 @@ class BareWorld:
         static = self._lidar.scene.static
         if static is None:
             return 0.0
-        started = self._clock()
+        started = time.thread_time()
         static.embree(rays)
-        return self._clock() - started
+        return time.thread_time() - started
 
     def pixels(self, truth: Truth) -> float:
         """``mjr_render`` and ``mjr_readPixels`` of the camera's picture."""
         self._eye.aim(self._snapshot(truth))
-        started = self._clock()
+        started = time.thread_time()
         self._eye.draw()
-        return self._clock() - started
+        return time.thread_time() - started
 
     def lidar_sensor(self, scan: LidarScan, poses: Sequence[Pose]) -> float:
         """The whole LIDAR sensor on the same scan: aiming, casting, returns, noise."""
         times_s = np.linspace(scan.start_time_s, scan.end_time_s, len(poses))
         positions = np.array([pose.translation for pose in poses])
         quats = np.array([quat_wxyz_from_matrix(pose.rotation) for pose in poses])
-        started = self._clock()
+        started = time.thread_time()
         self._lidar.scan(
             scan.start_tick,
             scan.end_tick,
@@ -100,14 +97,14 @@ class BareWorld:
             self._body_from_lidar,
             self._moving.tracks(times_s),
         )
-        return self._clock() - started
+        return time.thread_time() - started
 
     def camera_sensor(self, truth: Truth) -> float:
         """The whole camera on the same picture: scene update, drawing, noise."""
         snapshot = self._snapshot(truth)
-        started = self._clock()
+        started = time.thread_time()
         self._camera.render(snapshot, truth.tick)
-        return self._clock() - started
+        return time.thread_time() - started
 
     def close(self) -> None:
         self._eye.close()

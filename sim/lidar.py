@@ -78,9 +78,7 @@ class _Rays:
     bits: Uint32
 
     def at(self, rows: Indices) -> _Rays:
-        return _Rays(
-            self.rays[rows], self.times[rows], self.range_noise[rows], self.bits[rows]
-        )
+        return _Rays(self.rays[rows], self.times[rows], self.range_noise[rows], self.bits[rows])
 
     @staticmethod
     def joined(*groups: _Rays) -> _Rays:
@@ -240,13 +238,18 @@ class LidarSensor:
 
     # ----------------------------------------------------------------------------- hits
 
-    def _cast(self, rays: Float32, times: Array, movers: _Movers) -> tuple[Hits, Indices]:
+    def _cast(
+        self, rays: Float32, times: Array, movers: _Movers, *, open_ground: bool = False
+    ) -> tuple[Hits, Indices]:
         """Nearest hits over the static scene and every moving body, and the indices (with repeats)
-        of the rays that came near more than open ground."""
-        if self._scene.static is not None:
-            hits, others = self._scene.static.cast_apart(rays)
+        of the rays that came near more than open ground, which is looked for on request."""
+        static, others = self._scene.static, np.arange(len(rays))
+        if static is None:
+            hits = Hits.none(len(rays))
+        elif open_ground:
+            hits, others = static.cast_apart(rays)
         else:
-            hits, others = Hits.none(len(rays)), np.arange(len(rays))
+            hits = static.cast_all(rays)
         for target, track in movers:
             chosen, local = beams.rays_near(
                 rays,
@@ -290,7 +293,7 @@ class LidarSensor:
         self, first: int, nominal: Float32, pulses: _Rays, track: _Track, movers: _Movers
     ) -> tuple[Float32, NDArray[np.uint8]]:
         """Ranges and intensities of all pulses."""
-        hits, others = self._cast(pulses.rays, pulses.times, movers)
+        hits, others = self._cast(pulses.rays, pulses.times, movers, open_ground=True)
         split = np.empty(0, dtype=np.int64)
         if self._params.divergence:
             split, parts, part_hits = self._split(first, nominal, hits, others, track, movers)
@@ -326,25 +329,29 @@ class LidarSensor:
         track: _Track,
         movers: _Movers,
     ) -> tuple[Indices, list[_Rays], list[Hits]]:
-        """The pulses that an edge divides; the rays and first hits of their parts off the axis, part
-        by part. Two probes at the ends of a beam tell whether the rest is worth casting; a beam on
-        open ground is whole."""
+        """The pulses that an edge divides; rays and first hits of their parts off the axis, part by
+        part. Open ground divides none, and neighbours tell where edges may be; there, two probes
+        at the ends of a beam tell whether its rest is worth casting."""
         near = np.zeros(len(nominal), dtype=np.bool_)
         near[others] = True
-        others = np.flatnonzero(near)
+        others = returns.near_edges(nominal, hits.distance, hits.cosine, np.flatnonzero(near))
         angle = float(np.linalg.norm(self._parts[0, :2]))
-        probes, found = [], []
-        for end in self._parts[:2]:
-            probes.append(self._aim(first, nominal, others, end[None], track))
-            found.append(self._cast(probes[-1].rays, probes[-1].times, movers)[0])
+        probes = [self._aim(first, nominal, others, end[None], track) for end in self._parts[:2]]
+        found = [self._cast(probe.rays, probe.times, movers)[0] for probe in probes]
         kept = returns.probed_apart(
-            others, hits.distance, hits.cosine, found[0].distance, found[0].cosine,
-            found[1].distance, found[1].cosine, angle,
-        )  # fmt: skip
+            others,
+            hits.distance,
+            hits.cosine,
+            found[0].distance,
+            found[0].cosine,
+            found[1].distance,
+            found[1].cosine,
+            angle,
+        )
         split = others[kept]
         parts = self._aim(first, nominal, split, self._parts[2:], track)
         rest, _ = self._cast(parts.rays, parts.times, movers)
-        rows = np.arange(len(parts.rays)).reshape(len(split), -1).T.ravel()
+        rows = np.arange(len(parts.rays)).reshape(len(split), len(self._parts) - 2).T.ravel()
         return (
             split,
             [*(probe.at(kept) for probe in probes), parts.at(rows)],
@@ -391,7 +398,7 @@ class LidarSensor:
 
 
 def _parts_of(split: Indices, count: int, values: Float32) -> Float32:
-    """(K, P) values of the parts of split pulses; the axes are in the first ``count``, and after them
+    """(K, P) values of the parts of split pulses; the axes are in the first ``count``, after them
     come the other parts, one after another."""
     off_axis = values[count:].reshape(-1, len(split)).T
     return np.ascontiguousarray(np.concatenate([values[split, None], off_axis], axis=1))

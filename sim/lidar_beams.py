@@ -110,6 +110,11 @@ def rotations_of(quats_wxyz: Array) -> Array:
 
 
 @njit(cache=True, forceinline=True)
+def _dot(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> float:
+    return ax * bx + ay * by + az * bz
+
+
+@njit(cache=True, forceinline=True)
 def _fraction(start: float, end: float, time: float) -> float:
     """Where ``time`` lies between two samples of a track; beyond the last one: there."""
     return min(max((time - start) / (end - start), 0.0), 1.0) if end > start else 0.0
@@ -134,8 +139,8 @@ def aim(
 ) -> None:
     """World rays of the ``pulses`` (K,), ascending indices into ``nominal`` (N, 3), pulse i being
     number ``first_pulse + i``. Each has S rays, turned off its axis by the first two columns of
-    ``offsets`` (S, 3), radians along the LIDAR's x and y, and all of them by the same pointing error
-    of ``angle_sigma`` radians; the third column tells the rays' random bits apart.
+    ``offsets`` (S, 3), radians along the LIDAR's x and y, and all of them by the same pointing
+    error of ``angle_sigma`` radians; the third column tells the rays' random bits apart.
 
     The track: (M,) seconds, (M, 3) and (M, 3, 3) world_from_lidar. Fills ``rays`` (K S, 6) with
     origins and unit directions, ``range_noise`` (K S,) with normal deviates, ``bits`` (K S,).
@@ -143,8 +148,6 @@ def aim(
     k = 0
     row = 0
     last = track_times.shape[0] - 1
-    turn = np.empty((3, 3))
-    draws, deviates = np.empty(3, dtype=np.int64), np.empty(3)
     for i in pulses:
         x, y, z = nominal[i, 0], nominal[i, 1], nominal[i, 2]
         # The nearer of x and y to the beam's plane of view spans it: no pole within any pattern.
@@ -159,35 +162,37 @@ def aim(
             vx, vy, vz = -x * y * inverse, 1.0 / inverse, -y * z * inverse
         word, second = _draw(key, first_pulse + i, 0), _draw(key, first_pulse + i, 1)
         own_bits = np.uint32(second >> np.uint64(32))
-        draws[0], draws[1] = np.int64(word & _LOW_WORD), np.int64(word >> np.uint64(32))
-        draws[2] = np.int64(second & _LOW_WORD)
-        for n in range(3):
-            cell, _ = normal_cell(draws[n])
-            deviates[n] = normal_in(draws[n], quantiles[cell], quantiles[cell + 1])
-        wander_u, wander_v = angle_sigma * deviates[0], angle_sigma * deviates[1]
+        low, high = int(word & _LOW_WORD), int(word >> np.uint64(32))
+        third = int(second & _LOW_WORD)
+        cell, _ = normal_cell(low)
+        wander_u = angle_sigma * normal_in(low, quantiles[cell], quantiles[cell + 1])
+        cell, _ = normal_cell(high)
+        wander_v = angle_sigma * normal_in(high, quantiles[cell], quantiles[cell + 1])
+        cell, _ = normal_cell(third)
+        noise = normal_in(third, quantiles[cell], quantiles[cell + 1])
         time = (first_pulse + i) / rate
         while k < last and track_times[k + 1] < time:
             k += 1
         j = min(k + 1, last)
         f = _fraction(track_times[k], track_times[j], time)
         e = 1.0 - f
-        # Neighbouring poses differ by fractions of a degree: the chord serves for the arc.
-        for r in range(3):
-            for c in range(3):
-                turn[r, c] = e * rotations[k, r, c] + f * rotations[j, r, c]
         px = e * positions[k, 0] + f * positions[j, 0]
         py = e * positions[k, 1] + f * positions[j, 1]
         pz = e * positions[k, 2] + f * positions[j, 2]
         for s in range(offsets.shape[0]):
             u, v = wander_u + offsets[s, 0], wander_v + offsets[s, 1]
             bx, by, bz = x + u * ux + v * vx, y + u * uy + v * vy, z + u * uz + v * vz
-            dx = turn[0, 0] * bx + turn[0, 1] * by + turn[0, 2] * bz
-            dy = turn[1, 0] * bx + turn[1, 1] * by + turn[1, 2] * bz
-            dz = turn[2, 0] * bx + turn[2, 1] * by + turn[2, 2] * bz
+            # Neighbouring poses differ by fractions of a degree: the chord serves for the arc.
+            dx = e * _dot(rotations[k, 0, 0], rotations[k, 0, 1], rotations[k, 0, 2], bx, by, bz)
+            dy = e * _dot(rotations[k, 1, 0], rotations[k, 1, 1], rotations[k, 1, 2], bx, by, bz)
+            dz = e * _dot(rotations[k, 2, 0], rotations[k, 2, 1], rotations[k, 2, 2], bx, by, bz)
+            dx += f * _dot(rotations[j, 0, 0], rotations[j, 0, 1], rotations[j, 0, 2], bx, by, bz)
+            dy += f * _dot(rotations[j, 1, 0], rotations[j, 1, 1], rotations[j, 1, 2], bx, by, bz)
+            dz += f * _dot(rotations[j, 2, 0], rotations[j, 2, 1], rotations[j, 2, 2], bx, by, bz)
             scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
             rays[row, 0], rays[row, 1], rays[row, 2] = px, py, pz
             rays[row, 3], rays[row, 4], rays[row, 5] = dx * scale, dy * scale, dz * scale
-            range_noise[row] = deviates[2]
+            range_noise[row] = noise
             salt = int(offsets[s, 2])
             bits[row] = own_bits if salt == 0 else hashed(own_bits, salt)
             row += 1
@@ -203,8 +208,8 @@ def rays_near(
     center: Array,
     radius: float,
 ) -> tuple[Indices, Float32]:
-    """The rays (N, 6), fired at ``times`` (N,) ascending, that pass through a moving body's bounding
-    sphere (``center`` (3,) in its own frame): their indices (K,), and (K, 6) themselves in the
+    """The rays (N, 6), fired at ``times`` (N,) ascending, that pass through the bounding sphere of
+    a moving body (``center`` (3,) in its own frame): their indices (K,), and (K, 6) themselves in the
     body's frame at their own instants. The track as for `aim`."""
     centers = np.empty_like(positions)
     for m in range(positions.shape[0]):
@@ -214,18 +219,29 @@ def rays_near(
                 + rotations[m, r, 1] * center[1]
                 + rotations[m, r, 2] * center[2]
             )
+    # A sphere around all the places that the body takes sorts out most rays at once.
+    ax, ay, az = centers[0]
+    drift = 0.0
+    for m in range(1, centers.shape[0]):
+        drift = max(drift, (centers[m, 0] - ax) ** 2 + (centers[m, 1] - ay) ** 2
+                    + (centers[m, 2] - az) ** 2)  # fmt: skip
+    wide = (radius + math.sqrt(drift)) ** 2
     last = track_times.shape[0] - 1
     chosen = np.empty(rays.shape[0], dtype=np.int64)
     local = np.empty((rays.shape[0], 6), dtype=np.float32)
     count = 0
     k = 0
     for i in range(rays.shape[0]):
+        dx, dy, dz = rays[i, 3], rays[i, 4], rays[i, 5]
+        cx, cy, cz = ax - rays[i, 0], ay - rays[i, 1], az - rays[i, 2]
+        along = cx * dx + cy * dy + cz * dz
+        if cx * cx + cy * cy + cz * cz - along * along > wide:
+            continue
         while k < last and track_times[k + 1] < times[i]:
             k += 1
         j = min(k + 1, last)
         f = _fraction(track_times[k], track_times[j], times[i])
         e = 1.0 - f
-        dx, dy, dz = rays[i, 3], rays[i, 4], rays[i, 5]
         cx = e * centers[k, 0] + f * centers[j, 0] - rays[i, 0]
         cy = e * centers[k, 1] + f * centers[j, 1] - rays[i, 1]
         cz = e * centers[k, 2] + f * centers[j, 2] - rays[i, 2]

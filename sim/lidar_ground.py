@@ -26,13 +26,13 @@ _BLOCK = 8
 _MOST_PIECES = 64
 _PAST_SIDE = 1e-9
 _OVER, _FROM_BELOW = -1.0, -2.0
-_BEAM_M = 0.25
+_BEAM_M = 0.15
 """Half a beam's width where it reaches the ground, and to spare."""
 
 
 @dataclass(frozen=True, slots=True)
 class GroundGrid:
-    """A height field in world axes: node (row, col) at ``origin + (col, row) * cell``; every cell is
+    """A height field in world axes: node (row, col) at ``origin + (col, row) * cell``; a cell is
     cut from its (row, col) to its (row + 1, col + 1) corner."""
 
     geom: int

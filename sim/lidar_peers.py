@@ -77,9 +77,7 @@ class LidarPeers:
 
         def cast() -> Array:
             moving = self._moving.tracks(times)
-            scan = self._sensor.scan(
-                *ticks, _TICK_HZ, times, positions, quats, self._mount, moving
-            )
+            scan = self._sensor.scan(*ticks, _TICK_HZ, times, positions, quats, self._mount, moving)
             return scan.ranges  # type: ignore[return-value]
 
         return cast
@@ -106,7 +104,7 @@ class LidarPeers:
 
     def _package(self, nominal: NDArray[np.float32]) -> Callable[[], Array] | None:
         try:
-            from mujoco_lidar import MjLidarWrapper
+            from mujoco_lidar import MjLidarWrapper  # type: ignore[import-untyped]
         except ImportError:
             return None
         lidar = MjLidarWrapper(

@@ -49,6 +49,9 @@ _LIMIT_SALT = 0x27D4EB2F
 _PORE_SALT = 1 << 8
 """Plus the geom's id; keeps clear of the salts of a beam's parts."""
 
+_MAP_CELLS = 256.0
+"""Along half a side of the octahedral map of a view: cells of 0.2 to 0.45 degrees."""
+_NEIGHBOUR_RAD = math.radians(0.7)
 _STEP_M = 0.05
 _SLACK = 1.5
 
@@ -63,7 +66,9 @@ class LinkBudget:
     """Strength that is detected at any distance up to (i + 1) * 0.5 m, whatever the noise."""
 
     @staticmethod
-    def of(limits_m: tuple[float, ...], reflectivities: tuple[float, ...], max_m: float) -> LinkBudget:
+    def of(
+        limits_m: tuple[float, ...], reflectivities: tuple[float, ...], max_m: float
+    ) -> LinkBudget:
         """Raises ValueError unless both are ascending and at least two."""
         limits, levels = np.array(limits_m), np.array(reflectivities)
         if len(limits) < 2 or len(limits) != len(levels) or (np.diff([limits, levels]) <= 0).any():
@@ -129,7 +134,7 @@ def _strength(reflectivity: float, wet: bool, cosine: float, bits: np.uint32) ->
 def _detected(
     distance: float, strength: float, bits: np.uint32, anchors: Array, quantiles: Array
 ) -> bool:
-    draw = np.int64(hashed(bits, _LIMIT_SALT))
+    draw = int(hashed(bits, _LIMIT_SALT))
     cell, _ = normal_cell(draw)
     deviate = normal_in(draw, quantiles[cell], quantiles[cell + 1])
     return distance <= _limit(strength, anchors) * (1.0 + _LIMIT_SPREAD * deviate)
@@ -163,8 +168,9 @@ def receive(
     ranges: Float32,
     intensity: Uint8,
 ) -> None:
-    """Undivided pulses: fills ``ranges`` (N,) in metres and ``intensity`` (N,), both 0 where nothing
-    comes back, and ``strengths`` (N,). The ground as in ``sim.lidar_scene.OpticalTable``."""
+    """Undivided pulses: fills ``ranges`` (N,) in metres and ``intensity`` (N,), both 0 where
+    nothing comes back, and ``strengths`` (N,). The ground as in
+    ``sim.lidar_scene.OpticalTable``."""
     rows, cols = ground_reflectivity.shape
     for i in range(rays.shape[0]):
         strengths[i], ranges[i], intensity[i] = 0.0, 0.0, 0
@@ -186,10 +192,68 @@ def receive(
             intensity[i] = _level(strength)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _view_map(nominal: Float32, chosen: Indices) -> tuple[Int32, Int32, int]:
+    """The ``chosen`` (C,) directions on the octahedral map of the sphere, seen from +z: the part of
+    the map that they fill, flat, with one of them in each cell or -1; their cells (C,); its
+    width."""
+    cols, rows = np.empty(chosen.shape[0], np.int32), np.empty(chosen.shape[0], np.int32)
+    for k in range(chosen.shape[0]):
+        x, y, z = nominal[chosen[k], 0], nominal[chosen[k], 1], nominal[chosen[k], 2]
+        scale = 1.0 / (abs(x) + abs(y) + abs(z))
+        u, v = x * scale, y * scale
+        if z < 0.0:
+            u, v = math.copysign(1.0 - abs(v), u), math.copysign(1.0 - abs(u), v)
+        cols[k], rows[k] = int((u + 1.0) * _MAP_CELLS), int((v + 1.0) * _MAP_CELLS)
+    cols -= cols.min() - 1
+    rows -= rows.min() - 1
+    width = cols.max() + 2
+    cells = rows * np.int32(width) + cols
+    grid = np.full(width * (rows.max() + 2), -1, dtype=np.int32)
+    for k in range(chosen.shape[0]):
+        grid[cells[k]] = chosen[k]
+    return grid, cells, width
+
+
+@njit(cache=True, nogil=True)
+def near_edges(
+    nominal: Float32, distance: Float32, cosine: Float32, candidates: Indices
+) -> Indices:
+    """Those of the ``candidates`` (C,) with a neighbour in the view, among the candidates of the
+    same scan, that lies nearer or farther than the slope of either surface explains, or with no
+    neighbour that could tell."""
+    if not candidates.shape[0]:
+        return candidates
+    grid, cells, width = _view_map(nominal, candidates)
+    chosen = np.empty(candidates.shape[0], dtype=np.int64)
+    count = 0
+    for k in range(candidates.shape[0]):
+        i = candidates[k]
+        edge, alone = False, True
+        for place in range(9):
+            j = grid[cells[k] + (place // 3 - 1) * width + place % 3 - 1]
+            if j < 0 or j == i:
+                continue
+            alone = False
+            if abs(distance[i] - distance[j]) <= _STEP_M:
+                continue
+            x = nominal[i, 0] - nominal[j, 0]
+            y = nominal[i, 1] - nominal[j, 1]
+            z = nominal[i, 2] - nominal[j, 2]
+            angle = math.sqrt(x * x + y * y + z * z)
+            if angle < _NEIGHBOUR_RAD and _apart(
+                distance[i], distance[j], cosine[i], cosine[j], angle
+            ):
+                edge = True
+                break
+        if edge or alone:
+            chosen[count] = i
+            count += 1
+    return chosen[:count].copy()
+
+
 @njit(cache=True, forceinline=True)
-def _apart(
-    distance: float, other: float, cosine: float, other_cosine: float, angle: float
-) -> bool:
+def _apart(distance: float, other: float, cosine: float, other_cosine: float, angle: float) -> bool:
     """Whether two hits ``angle`` radians apart lie at ranges that no plane through one of them
     explains."""
     gap = abs(distance - other)
@@ -211,8 +275,9 @@ def probed_apart(
     other_end_cosine: Float32,
     angle: float,
 ) -> Indices:
-    """Those of ``pulses`` (K,) one of whose ends (K,), ``angle`` radians off the axis, finds another
-    surface than the axis (``distance``, ``cosine`` of all pulses): positions in ``pulses``."""
+    """Those of ``pulses`` (K,) one of whose ends (K,), ``angle`` radians off the axis, finds
+    another surface than the axis (``distance``, ``cosine`` of all pulses): positions in
+    ``pulses``."""
     out = np.empty(pulses.shape[0], dtype=np.int64)
     count = 0
     for k in range(pulses.shape[0]):
@@ -241,9 +306,9 @@ def receive_split(
     ranges: Float32,
     intensity: Uint8,
 ) -> None:
-    """Divided pulses: overwrites ``ranges`` and ``intensity`` of ``pulses`` (K,) by the first or the
-    strongest echo of their P equal parts: distances and strengths (K, P), sorted here in place; no
-    strength where a part meets nothing. ``bits`` and ``range_noise`` (N,) of all pulses."""
+    """Divided pulses: overwrites ``ranges`` and ``intensity`` of ``pulses`` (K,) by the first or
+    the strongest echo of their P equal parts: distances and strengths (K, P), sorted here in place;
+    no strength where a part meets nothing. ``bits`` and ``range_noise`` (N,) of all pulses."""
     parts = part_distance.shape[1]
     for k in range(pulses.shape[0]):
         i = pulses[k]

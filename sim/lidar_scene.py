@@ -115,11 +115,11 @@ class RayTarget:
     def cast_apart(self, rays: Float32) -> tuple[Hits, NDArray[np.int64]]:
         """As ``cast``, and the indices of the rays that came near anything but open ground."""
         if self._ground is None:
-            return self._cast_wrapped(rays), np.arange(len(rays))
+            return self.cast_all(rays), np.arange(len(rays))
         hits = Hits.none(len(rays))
         others = self._ground.march(rays, hits.distance, hits.geom, hits.cosine)
         if others.size:
-            hits.put(others, self._cast_wrapped(rays[others]))
+            hits.put(others, self.cast_all(rays[others]))
         return hits, others
 
     def embree(self, rays: Float32) -> dict[str, o3d.core.Tensor]:
@@ -129,7 +129,8 @@ class RayTarget:
         )
         return answer
 
-    def _cast_wrapped(self, rays: Float32) -> Hits:
+    def cast_all(self, rays: Float32) -> Hits:
+        """As ``cast``, without a look for open ground: for rays that start or end near things."""
         hits, again, reached = self._cast_once(rays)
         for _ in range(_MOST_LAYERS):
             if not again.size:
@@ -239,7 +240,9 @@ def _ground_grid(
     ]
     if not fields:
         return None
-    field = max(fields, key=lambda geom: float(np.prod(model.hfield_size[_hfield(model, geom), :2])))
+    field = max(
+        fields, key=lambda geom: float(np.prod(model.hfield_size[_hfield(model, geom), :2]))
+    )
     index = _hfield(model, field)
     rows, cols = int(model.hfield_nrow[index]), int(model.hfield_ncol[index])
     size = model.hfield_size[index]

@@ -100,8 +100,9 @@ MID360 = ScanPattern(
     max_range_m=70.0,
     divergence_deg=(0.28, 0.28),
 )
-"""Mounted like the others it looks down and around: its z axis points down, and below 38 degrees from
-nadir it sees nothing. The manufacturer states no beam width; that of its other sensors is taken."""
+"""Mounted like the others it looks down and around: its z axis points down, and within 38 degrees
+of nadir it sees nothing. The manufacturer states no beam width: that of its others is
+taken."""
 
 PATTERNS: Mapping[str, ScanPattern] = MappingProxyType(
     {"avia": AVIA, "horizon": HORIZON, "mid360": MID360}

@@ -3,9 +3,9 @@
 Recordings show a fan of four beams that turns about itself at 182.4 Hz while it runs round the
 horizon at the same rate; a slower drive carries it up and down between -7 and 52 degrees ten times
 a second, leading and lagging in azimuth as it goes. The two rates have no common period, so the
-lines, about 40 in a tenth of a second, keep moving. The closed form below is the leading terms of a
-Fourier series fitted to such recordings; it stays within 0.2 degrees of them in elevation and 0.6 in
-azimuth (root mean square).
+lines, about 40 in a tenth of a second, keep moving. The closed form below holds the leading
+terms of a Fourier series fitted to such recordings, four seconds of which it follows within 0.9
+degrees (root mean square).
 """
 
 from __future__ import annotations

@@ -81,8 +81,8 @@ def settle(
     cosine: Float32,
 ) -> NDArray[np.int64]:
     """True hits of rays (N, 6) from those on triangles: fills ``distance``, ``geom`` and ``cosine``
-    (N,) (see ``sim.lidar_scene.Hits``; inf, -1 and 0 for none so far). Returns the rays that have to
-    be cast on from ``wrapped_distance``: those that pass between a shape and its wrapping."""
+    (N,) (see ``sim.lidar_scene.Hits``; inf, -1 and 0 for none so far). Returns the rays that have
+    to be cast on from ``wrapped_distance``: those that pass between a shape and its wrapping."""
     again = np.empty(rays.shape[0], dtype=np.int64)
     count = 0
     local = np.empty(6)

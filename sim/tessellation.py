@@ -1,7 +1,7 @@
 """Triangles of MuJoCo geoms, for ray casting outside MuJoCo.
 
-Height fields get the triangulation that MuJoCo itself casts rays against. Round shapes are wrapped in
-triangles that lie outside of them everywhere, so that no ray that meets the shape misses its
+Height fields get the triangulation that MuJoCo itself casts rays against. Round shapes are wrapped
+in triangles that lie outside of them everywhere, so that no ray that meets the shape misses its
 wrapping; where exactly it meets the shape is then a matter of `sim.quadrics`.
 """
 
@@ -118,7 +118,9 @@ def capsule(radius: float, half_length: float, porous: bool = False) -> Mesh:
     segments = _segments(radius, porous)
     quarter = np.linspace(0.0, 0.5 * math.pi, segments // 4 + 1)
     radii, heights = np.cos(quarter), np.sin(quarter)
-    ball = _revolve(np.concatenate([radii[::-1], radii]), np.append(-heights[::-1], heights), segments)
+    ball = _revolve(
+        np.concatenate([radii[::-1], radii]), np.append(-heights[::-1], heights), segments
+    )
     outer = radius * _swell(*ball)
     caps = half_length + outer * heights
     return _revolve(

@@ -164,6 +164,19 @@ def test_all_views_of_a_file_are_written_and_told(
     assert cv2.imread(str(out / "camera.png")).shape == (480, 848, 3)
 
 
+def test_a_folder_that_cannot_be_made_is_one_line(
+    place_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    out = tmp_path / "file" / "views"
+    for arguments in (
+        ["render", "--view", "above", "--out", f"{out}.png"],
+        ["export", "--out", str(out)],
+    ):
+        assert cli.main(["scenes", arguments[0], str(place_file), *arguments[1:]]) == 2
+        assert "cannot be made" in capsys.readouterr().err
+
+
 # ------------------------------------------------------------------------------------ the seeds
 
 

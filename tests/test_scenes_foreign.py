@@ -184,7 +184,7 @@ def test_high_ground_is_moved_to_zero(tmp_path: Path) -> None:
     </frame><geom name="path_post" type="capsule" fromto="9 0 2000 9 0 2003" size=".5"/>
     <body name="hut" pos="0 9 2001"><geom name="building" type="box" size="1 1 1"/></body>"""
     scene = load(tmp_path, body)
-    heights, geoms = cast_down(scene, np.array([-0.05, -0.05]), 0.1, (1, 1))
+    heights, _ = cast_down(scene, np.array([-0.05, -0.05]), 0.1, (1, 1))
     assert heights[0, 0] == pytest.approx(0.0, abs=1e-6)
     heights, _ = cast_down(scene, np.array([8.95, -0.05]), 0.1, (1, 1))
     assert heights[0, 0] == pytest.approx(3.5, abs=2e-3)

@@ -7,14 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.api import PaperParams
-from estimator.keyframes import bearing_rays
+from estimator.keyframes import bearing_rays, most_redundant
 from estimator.landmark_depth import RecentReturns
 from estimator.lidar_update import floored
+from estimator.paper.closures import Closures
 from estimator.paper.depth_field import DepthField
 from estimator.paper.inertial import InertialFilter
 from estimator.paper.landmarks import Features, LandmarkDetector
 from estimator.paper.pnp import CameraPose, solve_pnp
-from estimator.paper.visual_map import LandmarkSet, MapKeyframe, Sightings, VisualMap
+from estimator.paper.visual_map import LandmarkSet, MapKeyframe, Sightings, VisualMap, no_sightings
+from estimator.paper.window import adjust_window
 from sim.api import CameraImage, SensorRig
 from sim.frames import Pose
 
@@ -25,6 +27,12 @@ Indices = NDArray[np.int64]
 _FLOOR_SIGMAS = np.array([np.radians(0.03), np.radians(0.03), np.radians(0.02), 0.01, 0.01, 0.02])
 """rad and m: errors of the landmarks that all of an image's landmarks share"""
 _LEAST_LANDMARKS = 30
+_LEAST_CLOSURE = 25
+_MOST_CANDIDATES = 2
+_CLOSURE_RADIUS_PX = 40.0
+_CLOSURE_GUESS_SIGMAS = np.array([0.003, 0.003, 0.05, 2.0, 2.0, 0.2])
+_CLOSURE_FLOOR_SIGMAS = np.array([1e-3, 1e-3, 5e-4, 0.015, 0.015, 0.03])
+"""rad and m, likewise, of the landmarks of an earlier pass"""
 
 
 class CameraPositioning:
@@ -44,6 +52,8 @@ class CameraPositioning:
         self._imu_from_camera = inertial.imu_from_camera
         self._detector = LandmarkDetector(params.sift_features, params.brisk_features)
         self._map = VisualMap(rig.camera, inertial.imu_from_camera)
+        rate = float(np.radians(params.closure_rate_deg_s))
+        self._closures = Closures(params.closure_speed_mps, rate)
         self._last_tick = -(10**9)
         self._last_position = inertial.eskf.state.position
         self._next_number = 0
@@ -64,13 +74,38 @@ class CameraPositioning:
         features = self._detector(grey)
         sightings, behind, solved = self._localise(features)
         corrected = False
-        if solved is not None and self._params.use_camera_pose:
-            information, vector = floored(solved.information, np.zeros(6), _FLOOR_SIGMAS)
-            self._filter.correct(solved.pose, information, vector)
-            corrected = True
-        self._remember(image.tick, features, behind, sightings, energy)
+        if solved is not None:
+            sightings = sightings.select(solved.inliers)
+            pose = self._adjust(solved.pose, sightings)
+            if self._params.use_camera_pose:
+                information, vector = floored(solved.information, np.zeros(6), _FLOOR_SIGMAS)
+                self._filter.correct(pose, information, vector)
+                corrected = True
+        else:
+            sightings = no_sightings()
         self._last_position = self._filter.eskf.state.position
+        if self._worth_keeping(sightings):
+            self._remember(image.tick, features, behind, sightings, energy)
         return corrected
+
+    def _worth_keeping(self, sightings: Sightings) -> bool:
+        """An image that shows what the newest keyframe shows adds nothing."""
+        if not self._map.keyframes or len(sightings) < _LEAST_LANDMARKS:
+            return True
+        newest = self._map.keyframes[-1]
+        position = self._filter.eskf.state.position
+        moved = float(np.linalg.norm(position - newest.odom_from_imu.translation))
+        return moved > 0.03 * newest.depth_m
+
+    def _adjust(self, pose: Pose, sightings: Sightings) -> Pose:
+        if not self._params.use_bundle:
+            return pose
+        sigmas = self._sigmas(np.arange(2))
+        return adjust_window(
+            self._map.keyframes[-self._params.bundle_keyframes :], pose, sightings,
+            self._map.by_number(), self._rig.camera, self._imu_from_camera,
+            np.sqrt(2.0) * sigmas, self._params.depth_sigma_m,
+        )  # fmt: skip
 
     def _sigmas(self, kinds: Indices) -> Array:
         return np.array([self._params.sift_sigma_px, self._params.brisk_sigma_px])[kinds]
@@ -129,24 +164,102 @@ class CameraPositioning:
             sets.append(
                 LandmarkSet(
                     self._imu_from_camera.apply(rays), found.pixels[fresh],
-                    found.descriptors[fresh], np.full(len(fresh), -1, dtype=np.int64),
+                    found.descriptors[fresh], depth, np.full(len(fresh), -1, dtype=np.int64),
                 )
             )  # fmt: skip
-        depths = np.concatenate([self._camera_depths(s) for s in sets])
-        if len(depths) < _LEAST_LANDMARKS and len(sightings) < _LEAST_LANDMARKS:
+        if sum(len(s.points) for s in sets) + len(sightings) < _LEAST_LANDMARKS:
             return
-        depth_m = float(np.median(depths)) if len(depths) else self._map.keyframes[-1].depth_m
-        self._map.keyframes.append(
-            MapKeyframe(self._next_number, tick, pose, pose, depth_m, (sets[0], sets[1]), sightings)
+        depths = np.concatenate([s.depths for s in sets])
+        newest = self._map.keyframes[-1] if self._map.keyframes else None
+        depth_m = float(np.median(depths)) if len(depths) else self._filter_height()
+        in_map = pose
+        if newest is not None:
+            in_map = newest.map_from_imu @ newest.odom_from_imu.inverse() @ pose
+        keyframe = MapKeyframe(
+            self._next_number, tick, pose, in_map, depth_m, (sets[0], sets[1]), sightings
         )
         self._next_number += 1
+        self._map.keyframes.append(keyframe)
+        if self._params.use_closures:
+            self._close_loops(keyframe, features, newest)
+        self._forget()
         self.diagnostics["keyframes"] = float(len(self._map.keyframes))
         self.diagnostics["landmarks_new"] = float(len(depths))
+        self.diagnostics["closures"] = float(self._closures.closed)
 
-    def _camera_depths(self, landmarks: LandmarkSet) -> Array:
-        return self._imu_from_camera.inverse().apply(landmarks.points)[:, 2]
+    def _filter_height(self) -> float:
+        """Above the take-off ground, for want of any depth."""
+        start = self._rig.world_from_body_start.translation[2]
+        return max(float(self._filter.eskf.state.position[2] - start), 0.3)
+
+    def _forget(self) -> None:
+        """Drops the keyframe that another one replaces best once there are too many."""
+        keyframes = self._map.keyframes
+        if len(keyframes) <= self._params.max_keyframes:
+            return
+        poses = [k.odom_from_imu for k in keyframes]
+        depths = [k.depth_m for k in keyframes]
+        gone = most_redundant(poses, depths, keep_last=self._params.recent_keyframes + 1)
+        if self._params.use_closures:
+            self._closures.remove(keyframes[gone].number)
+        del keyframes[gone]
+
+    # ------------------------------------------------------------------------ closures
+
+    def _close_loops(
+        self,
+        keyframe: MapKeyframe,
+        features: tuple[Features, Features],
+        before: MapKeyframe | None,
+    ) -> None:
+        """Looks the new keyframe up in the dictionary and ties it to old ones that PnP confirms."""
+        words = (
+            self._closures.words(0, features[0].descriptors),
+            self._closures.words(1, features[1].descriptors),
+        )
+        recent = self._map.keyframes[-self._params.recent_keyframes - 1 :]
+        young = {k.number for k in recent}
+        found = self._closures.candidates(words, young, _MOST_CANDIDATES)
+        self._closures.add(keyframe, words, before.number if before else None)
+        self._closures.refresh_odometry({k.number: k for k in recent})
+        closed = False
+        for number in found:
+            closed |= self._verify(number, keyframe, features, young)
+        if closed:
+            self._closures.settle(self._map.keyframes)
+        else:
+            self._closures.aim(keyframe)
+
+    def _verify(
+        self,
+        number: int,
+        keyframe: MapKeyframe,
+        features: tuple[Features, Features],
+        young: set[int],
+    ) -> bool:
+        keyframes = self._map.keyframes
+        at = next(i for i, k in enumerate(keyframes) if k.number == number)
+        hosts = [k for k in keyframes[max(at - 2, 0) : at + 3] if k.number not in young]
+        frames = {k.number: k.map_from_imu for k in hosts}
+        sightings, _ = self._map.match(
+            features, hosts, frames, keyframe.map_from_imu, _CLOSURE_RADIUS_PX
+        )
+        if len(sightings) < _LEAST_CLOSURE:
+            return False
+        landmarks = self._map.positions(sightings, frames, self._map.by_number())
+        loose = np.diag(1.0 / _CLOSURE_GUESS_SIGMAS**2)
+        solved = solve_pnp(
+            sightings.pixels, landmarks, self._sigmas(sightings.kinds), keyframe.map_from_imu,
+            loose, self._imu_from_camera, self._rig.camera, _LEAST_CLOSURE,
+        )  # fmt: skip
+        if solved is None:
+            return False
+        information, _ = floored(solved.information, np.zeros(6), _CLOSURE_FLOOR_SIGMAS)
+        self._closures.close(keyframes[at], keyframe, solved.pose, information)
+        return True
 
     def world_from_odom(self, seconds: float) -> tuple[Pose, Array]:
         """Where closures have put the odometry frame, ``seconds`` after the last call, and the
-        covariance (3, 3) of the drift that they have not seen."""
-        return Pose.identity(), np.zeros((3, 3))
+        covariance (3, 3) of the drift that they leave."""
+        moved = self._closures.advance(self._filter.eskf.state.position, seconds)
+        return moved, self._closures.drift_covariance

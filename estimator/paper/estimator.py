@@ -45,11 +45,9 @@ class PaperEstimator:
         self._scan_track = None
         self._filter.take_imu(obs)
         measured = False
-        for image in obs.images:
-            self._images.append(self._flat(image))
-        arrivals: list[LidarScan | CameraImage] = (
-            [*obs.scans, *list(self._images)[-len(obs.images) :]] if obs.images else list(obs.scans)
-        )
+        flat = [self._flat(image) for image in obs.images]
+        self._images.extend(flat)
+        arrivals: list[LidarScan | CameraImage] = [*obs.scans, *flat]
         for message in sorted(arrivals, key=_order):
             measured |= self._take(message)
         lag = self._rig.compute_latency_ticks + self._rig.lidar_scan_ticks

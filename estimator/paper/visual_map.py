@@ -28,6 +28,8 @@ class LandmarkSet:
     """(L, 2) where the keyframe saw them"""
     descriptors: Bytes
     """(L, D)"""
+    depths: Array
+    """(L,) m along the optical axis by the LIDAR (Eq. 12)"""
     words: Indices
     """(L,) in the dictionary of the kind"""
 

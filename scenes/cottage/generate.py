@@ -46,7 +46,7 @@ def generate(seed: int) -> SceneDraft:
     plan = draw_plan(rng)
     crofts = draw_crofts(rng, plan)
     pads = [pad for croft in crofts for pad in croft.pads()]
-    pads.append(plan.frame.pad(*plan.lawn_uv, (5.2, 3.6), 2.5))
+    pads.append(plan.frame.pad(float(plan.lawn_uv[0]), float(plan.lawn_uv[1]), (5.2, 3.6), 2.5))
     ditch = Ditch(
         start_xy_m=plan.frame.at(-60.0, rng.uniform(-9.5, -8.0)),
         end_xy_m=plan.frame.at(-36.0, rng.uniform(-12.0, -9.0)),
@@ -197,8 +197,13 @@ def paint_ground(rng: np.random.Generator, plan: Plan, crofts: list[Croft], ditc
     """Meadow, orchard, crofts, and the lane with its wheel tracks and grassy edges."""
     canvas = Canvas(half_m=HALF_M)
     frame, lane = plan.frame, plan.lane
-    canvas.fill(frame.rectangle((-100.0, 100.0), (-100.0, -31.0)), Ground.MEADOW)
-    canvas.fill(frame.rectangle((-100.0, 100.0), (33.0, 100.0)), Ground.MEADOW)
+    u = np.arange(-100.0, 101.0, 2.0)
+    for far, edge in ((-100.0, -31.0), (100.0, 34.5)):
+        wavy = edge + 1.6 * np.sin(0.11 * u + rng.uniform(0.0, 6.0)) + 0.5 * np.sin(0.5 * u)
+        near = frame.points(np.column_stack([u, wavy]))
+        canvas.fill(
+            np.concatenate([near, [frame.at(100.0, far), frame.at(-100.0, far)]]), Ground.MEADOW
+        )
     canvas.track(np.array([ditch.start_xy_m, ditch.end_xy_m]), 0.9, Ground.WORN)
     sheep_track = np.array([frame.at(u, -45.0 + 2.5 * np.sin(0.15 * u)) for u in range(-62, 30, 2)])
     canvas.track(sheep_track, 0.5, Ground.WORN)

@@ -15,7 +15,7 @@ from scenes.props.plants import Nursery, add_bush, add_rock, add_tree
 from scenes.props.street import add_bench, add_bin, add_fence, add_lamp
 from scenes.props.waterside import add_molehill, add_reeds, grow_reeds
 from scenes.streets import lane_loop, paint_dashes, paint_street, place_street_kerb, smooth_line
-from scenes.traffic import add_mover, path_length
+from scenes.traffic import send_round
 from scenes.ways import paint_wear
 
 Array = NDArray[np.float64]
@@ -120,18 +120,9 @@ def _furnish_road(builder: Builder, plan: Plan) -> tuple[MovingBody, ...]:
             if np.abs(run).max() < HALF_M - 1.0:
                 add_fence(builder, run[0], run[1], [0.46, 0.44, 0.40, 1])
     models = add_car_models(builder, 5)
-    moving = []
-    for index in range(int(rng.integers(2, 4))):
-        path = lane_loop(builder, course, 10.0, course.length_m - 10.0)
-        mesh, material, _ = models[int(rng.integers(len(models)))]
-        car = MovingBody(
-            body_name=f"moving_car_{index}", path_world=path,
-            speed_mps=float(rng.uniform(6.0, 10.0)),
-            start_m=float(rng.uniform(0.02, 0.25) + 0.33 * index) * path_length(path),
-        )  # fmt: skip
-        add_mover(builder, car, (mesh, material), "car_moving", CAR_SURFACE)
-        moving.append(car)
-    return tuple(moving)
+    path = lane_loop(builder, course, 10.0, course.length_m - 10.0)
+    chosen = [models[int(rng.integers(len(models)))][:2] for _ in range(int(rng.integers(2, 4)))]
+    return send_round(builder, path, chosen, CAR_SURFACE, float(rng.uniform(6.0, 10.0)))
 
 
 def _furnish_stream(builder: Builder, plan: Plan) -> None:

@@ -9,10 +9,12 @@ from scenes.api import Surface
 from scenes.builder import GEOM, Builder, quat_z, turned
 from scenes.forest.layout import HALF_M, Clearing, Plan
 from scenes.forest.relief import WATER_DEPTH_M
+from scenes.noise import tileable_noise
 from scenes.props.meshes import MeshData, box
 from scenes.props.plants import add_rock
 from scenes.props.street import WOOD
-from scenes.props.woods import LOG, Wood, add_log, add_stump, lathe
+from scenes.props.tree_shapes import joined, lathe
+from scenes.props.woods import LOG, Wood, add_log, add_stump
 
 Array = NDArray[np.float64]
 
@@ -24,7 +26,7 @@ _WATER_HALF_M = 0.95
 
 def furnish(builder: Builder, wood: Wood, plan: Plan) -> None:
     """Everything that later plants keep away from."""
-    builder.claim(plan.takeoff_xy_m, 5.0)
+    builder.claim(plan.frame.takeoff_xy_m, 5.0)
     add_water(builder, plan)
     add_bridge(builder, plan)
     for clearing in plan.clearings:
@@ -119,9 +121,7 @@ def add_water(builder: Builder, plan: Plan) -> None:
     along = np.repeat(np.arange(count), 2) / 3.0
     across = np.tile([0.0, 2.0 * _WATER_HALF_M / 3.0], count)
     i = 2 * np.arange(count - 1)
-    faces = np.concatenate(
-        [np.stack([i, i + 1, i + 3], -1), np.stack([i, i + 3, i + 2], -1)]
-    )
+    faces = np.concatenate([np.stack([i, i + 1, i + 3], -1), np.stack([i, i + 3, i + 2], -1)])
     under = faces[:, ::-1] + 2 * count
     mesh = builder.mesh("water_brook", MeshData(
         vertices=np.concatenate([points.reshape(-1, 3), low.reshape(-1, 3)]),
@@ -134,8 +134,7 @@ def add_water(builder: Builder, plan: Plan) -> None:
 
 
 def _ripples(rng: np.random.Generator) -> NDArray[np.uint8]:
-    from scenes.noise import tileable_noise
-
+    """(256, 256, 3), periodic: dark water with riffles."""
     tone = 1.0 + 0.16 * tileable_noise(rng, 256, 1.1, 3.0)
     foam = np.clip(tileable_noise(rng, 256, 0.8, 5.0) - 1.9, 0.0, 1.0)
     picture = tone[..., None] * np.array([70.0, 82.0, 76.0]) + foam[..., None] * 120.0
@@ -228,8 +227,8 @@ def add_hide(builder: Builder, xy_m: Array, toward_xy_m: Array) -> None:
             size=[0.04, 0, 0], rgba=_TIMBER,
         )  # fmt: skip
     builder.cast(turned(roof + [0.0, 0.0, floor], heading, origin))
-    builder.cast(turned(np.array([[sx * 0.72, sy * 0.72, floor + h] for sx in (-1, 1)
-                                  for sy in (-1, 1) for h in (0.0, 1.7)]), heading, origin))  # fmt: skip
+    corners = [[0.72 * x, 0.72 * y, floor + h] for x in (-1, 1) for y in (-1, 1) for h in (0, 1.7)]
+    builder.cast(turned(np.array(corners), heading, origin))
     builder.claim(xy_m, 1.8)
 
 
@@ -259,7 +258,7 @@ def _add_log_pile(builder: Builder, wood: Wood, plan: Plan) -> None:
             y = (number - 0.5 * (count - 1)) * 2.04 * radius
             z = radius + row * 1.74 * radius
             parts.append(_laid(log, np.array([0.0, y, z])))
-    mesh = builder.mesh("log_pile", _join(parts))
+    mesh = builder.mesh("log_pile", joined(parts))
     origin = np.array([*spot, builder.terrain.point(*spot) - 0.08])
     builder.geom(
         "log_pile", LOG, type=GEOM.mjGEOM_MESH, meshname=mesh, material=wood.bark, pos=origin,
@@ -278,9 +277,3 @@ def _laid(log: MeshData, centre: Array) -> MeshData:
     return MeshData(
         vertices=log.vertices @ turn.T + centre, faces=log.faces, uv=log.uv, normals=normals
     )
-
-
-def _join(parts: list[MeshData]) -> MeshData:
-    whole = MeshData.join(parts)
-    normals = np.concatenate([part.normals for part in parts if part.normals is not None])
-    return MeshData(vertices=whole.vertices, faces=whole.faces, uv=whole.uv, normals=normals)

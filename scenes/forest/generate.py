@@ -37,13 +37,13 @@ def generate(seed: int) -> SceneDraft:
     furnish(builder, wood, plan)
     plant(builder, wood, plan)
     canvas = paint_floor(rng, plan)
-    turned = dict.fromkeys(Ground, plan.takeoff_yaw + 0.4)
+    turned = dict.fromkeys(Ground, plan.frame.yaw + 0.4)
     finish_picture(builder, canvas, sun, turned, hilly=True)
     builder.surfaces["terrain"] = Surface(land_class="trees", reflectivity=0.35)
     return SceneDraft(
         spec=spec,
-        takeoff_xy_m=plan.takeoff_xy_m,
-        takeoff_yaw=plan.takeoff_yaw,
+        takeoff_xy_m=plan.frame.takeoff_xy_m,
+        takeoff_yaw=plan.frame.yaw,
         bounds_xy_m=np.array([[-HALF_M, -HALF_M], [HALF_M, HALF_M]]),
         surfaces=builder.surfaces,
         ground=canvas.raster("terrain"),

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from scenes.lot import Lot
+from scenes.survey_frame import Frame, draw_frame
+
 Array = NDArray[np.float64]
 
 HALF_M = 64.0
-SURVEY_MIDDLE_M = np.array([25.0, 20.0])
-"""Middle of the survey in its own coordinates: ahead of the take-off spot, to the left of it."""
 SLOTS_M = ((17.0, 3.0), (47.0, 35.0), (15.0, 37.0), (50.0, 4.0))
 """Places for clearings in survey coordinates, around the crossing of track and brook."""
 KINDS = ("slope", "stumps", "boulders")
@@ -67,16 +68,10 @@ class Course:
 class Plan:
     """The forest of one seed."""
 
-    takeoff_xy_m: Array
-    takeoff_yaw: float
+    frame: Frame
     clearings: tuple[Clearing, ...]
     track: Course
     brook: Course
-
-    def world(self, survey_m: Array) -> Array:
-        """(..., 2) survey coordinates (ahead, left; origin at the take-off spot) -> world."""
-        c, s = np.cos(self.takeoff_yaw), np.sin(self.takeoff_yaw)
-        return self.takeoff_xy_m + np.asarray(survey_m) @ np.array([[c, s], [-s, c]])
 
     def clearing_distance(self, xy_m: Array) -> Array:
         """(..., 2) -> (...) metres to the nearest clearing's edge, negative in it."""
@@ -85,27 +80,24 @@ class Plan:
 
 def draw_plan(rng: np.random.Generator) -> Plan:
     """A plan with its survey in the middle of the scene, turned any way."""
-    yaw = float(rng.uniform(-np.pi, np.pi))
-    c, s = np.cos(yaw), np.sin(yaw)
-    frame = np.array([[c, s], [-s, c]])
-    takeoff = rng.uniform(-2.0, 2.0, 2) - SURVEY_MIDDLE_M @ frame
+    frame = draw_frame(rng)
+    lot = frame.from_takeoff
     along_is_track = bool(rng.random() < 0.5)
     crossing = np.array(CROSSING_M) + rng.uniform(-1.0, 1.0, 2)
     along = _curve(rng, crossing, 0.0)
     across = _curve(rng, crossing, 0.5 * np.pi)
     track, brook = (along, across) if along_is_track else (across, along)
     return Plan(
-        takeoff_xy_m=takeoff,
-        takeoff_yaw=yaw,
-        clearings=_draw_clearings(rng, takeoff, frame),
-        track=Course(line_m=takeoff + track @ frame),
-        brook=Course(line_m=takeoff + brook @ frame),
+        frame=frame,
+        clearings=_draw_clearings(rng, lot),
+        track=Course(line_m=lot.points(track)),
+        brook=Course(line_m=lot.points(brook)),
     )
 
 
-def _draw_clearings(rng: np.random.Generator, takeoff: Array, frame: Array) -> tuple[Clearing, ...]:
-    """The take-off's, one that is safe on one of the first three slots, the bad ones on the rest,
-    and a few glades in the outskirts."""
+def _draw_clearings(rng: np.random.Generator, lot: Lot) -> tuple[Clearing, ...]:
+    """The take-off's, one that is safe on one of the first three slots, the bad ones on the
+    rest."""
     safe_slot = int(rng.integers(3))
     others = [slot for index, slot in enumerate(SLOTS_M) if index != safe_slot]
     kinds = [KINDS[int(k)] for k in rng.permutation(3)]
@@ -115,7 +107,7 @@ def _draw_clearings(rng: np.random.Generator, takeoff: Array, frame: Array) -> t
     clearings = []
     for kind, slot, radius in places:
         jitter = 0.0 if kind == "start" else 1.2
-        centre = takeoff + (np.array(slot) + rng.uniform(-jitter, jitter, 2)) @ frame
+        centre = lot.points(np.array(slot) + rng.uniform(-jitter, jitter, 2))
         clearings.append(
             Clearing(kind=kind, centre_xy_m=centre, radius_m=float(radius),
                      phases=rng.uniform(0.0, 2.0 * np.pi, 3))

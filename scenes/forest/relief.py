@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from scenes.forest.layout import HALF_M, Clearing, Plan, Course
+from scenes.forest.layout import HALF_M, Clearing, Course, Plan
 from scenes.noise import fractal_noise
 from scenes.relief import level_takeoff, smoothstep
 from scenes.terrain import Terrain
@@ -43,7 +43,7 @@ def shape_ground(rng: np.random.Generator, plan: Plan) -> Terrain:
     level = gaussian_filter1d(even, 2.0, mode="nearest")[at_track]
     heights = level + (heights - level) * smoothstep(TRACK_HALF_M, TRACK_HALF_M + 4.5, to_track)
     heights = _lowered_to(heights, bed[at_brook], to_brook)
-    return level_takeoff(heights, HALF_M, plan.takeoff_xy_m)
+    return level_takeoff(heights, HALF_M, plan.frame.takeoff_xy_m)
 
 
 def hills(rng: np.random.Generator) -> Array:
@@ -72,8 +72,10 @@ def brook_profile(brook: Course, terrain: Terrain) -> Array:
     ahead = np.minimum.accumulate(ground + fall) - fall
     back = (np.minimum.accumulate(ground[::-1] + fall) - fall)[::-1]
     bed = ahead if ahead[inside].mean() > back[inside].mean() else back
-    first = float(bed[inside][0])
-    return gaussian_filter1d(np.where(np.isfinite(bed), bed, first), 3.0, mode="nearest")
+    index = np.arange(len(bed))
+    # Beyond the scene the bed goes on level, so that smoothing does not bend its ends.
+    whole = np.interp(index, index[inside], bed[inside])
+    return np.asarray(gaussian_filter1d(whole, 3.0, mode="nearest"))
 
 
 def _lowered_to(heights: Array, bed: Array, to_brook: Array) -> Array:

@@ -185,7 +185,7 @@ def string_wires(builder: Builder, plan: Plan, homes: list[Home]) -> None:
         eaves = home.lot.at(home.house_u, home.front_v + 0.2)
         reach = np.linalg.norm(tops[:, :2] - eaves, axis=1)
         nearest = int(np.argmin(reach))
-        if reach[nearest] < 19.0:
+        if reach[nearest] < 15.0:
             z = builder.terrain.point(*home.house.centre_xy_m) + home.house.size_m[2] - 0.2
             add_sagging_wire(builder, tops[nearest], np.array([*eaves, z]), 0.0, 1)
 
@@ -202,7 +202,7 @@ def light_and_park(builder: Builder, plan: Plan, models: list[tuple[str, str, Ca
         for along in np.arange(13.0, min(street.length_m, 64.0) - 6.0, 8.5):
             side = 1.0 if rng.random() < 0.5 else -1.0
             spot = street.point(along, side * (0.5 * street.width_m - 1.0))
-            if rng.random() < 0.5 and builder.is_free(spot, 0.4):
+            if rng.random() < 0.4 and builder.is_free(spot, 0.4):
                 way = street.heading(along) + (0.0 if side < 0 else np.pi)
                 park_car(builder, models[int(rng.integers(len(models)))], spot, way)
 
@@ -218,7 +218,7 @@ def scatter_edge_trees(builder: Builder, plan: Plan, nursery: Nursery) -> None:
     for u, v in corners:
         for spot in scatter(builder, frame, 1, u, v, 2.8):
             add_tree(builder, nursery, spot, rng.uniform(0.9, 1.25))
-        for spot in scatter(builder, frame, 2, u, v, 2.0):
+        for spot in scatter(builder, frame, 1, u, v, 2.0):
             add_small_tree(builder, nursery, spot, rng.uniform(0.8, 1.1))
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scenes.builder import Builder
 from scenes.ground import Canvas, Ground
 from scenes.houses.layout import Plan
-from scenes.lot import scatter
+from scenes.lot import claim_area, scatter
 from scenes.props.garden import add_toys
 from scenes.props.plants import Nursery, add_bush, add_small_tree, add_tree
 from scenes.props.playground import (
@@ -94,6 +94,7 @@ def build_green(builder: Builder, green: Green, nursery: Nursery) -> None:
     add_play_slide(builder, frame.at(u - 1.0, v - 1.8), frame.angle)
     add_climbing_dome(builder, frame.at(u + 2.0, v + 2.0))
     builder.claim(frame.at(u + 8.0, v), 3.4)
+    claim_area(builder, frame, (u - 8.5, u + 4.5), (v - 4.6, v + 4.6))
     for reach in (-5.0, 4.0):
         add_bench(builder, frame.at(u + reach, v + 6.0), frame.away + np.pi)
     add_toys(builder, frame.at(start[0] + rng.uniform(7.0, 11.0), start[1] + rng.uniform(4.0, 9.0)))
@@ -112,9 +113,9 @@ def build_green(builder: Builder, green: Green, nursery: Nursery) -> None:
     lawn = (green.west + 2.0, green.east - 3.0)
     for spot in scatter(builder, frame, 2, lawn, (green.low + 3.0, -24.0), 3.0):
         add_tree(builder, nursery, spot, rng.uniform(0.9, 1.2))
-    for spot in scatter(builder, frame, 4, (-62.0, green.east - 4.0), (-62.0, -53.0), 2.4):
+    for spot in scatter(builder, frame, 3, (-57.0, green.east - 4.0), (-57.0, -53.0), 2.4):
         add_small_tree(builder, nursery, spot, rng.uniform(0.9, 1.1))
-    for spot in scatter(builder, frame, 4, (-62.0, green.east - 2.0), (-60.0, -36.0), 1.0):
+    for spot in scatter(builder, frame, 3, (-57.0, green.east - 2.0), (-57.0, -36.0), 1.0):
         add_bush(builder, nursery, spot)
     for index in (int(0.35 * len(green.path_m)), int(0.75 * len(green.path_m))):
         spot = green.path_m[index] + 1.6 * np.array([np.cos(frame.away), np.sin(frame.away)])

@@ -73,7 +73,8 @@ class Home:
         if self.pool is not None:
             low, high = self.pool.box_m
             middle, reach = 0.5 * (low + high), 0.5 * (high - low) + 1.3
-            pads.append(self.lot.pad(*middle, (float(reach[0]), float(reach[1])), 2.0))
+            half = float(reach[0]), float(reach[1])
+            pads.append(self.lot.pad(float(middle[0]), float(middle[1]), half, 2.0))
         return pads
 
 
@@ -157,11 +158,11 @@ def build_home(
             park_car(builder, model, lot.at(home.drive_u, 2.9), away)
     else:
         park_car(builder, model, lot.at(home.drive_u, home.front_v - 0.5), away)
-    if rng.random() < 0.6:
+    if rng.random() < 0.45:
         ends = sorted((home.house_u - 1.2, 0.4 if home.drive_u > 5.0 else home.drive_u + 2.0))
         if ends[1] - ends[0] > 2.0:
             add_hedge(builder, nursery, lot.at(ends[0], 0.8), lot.at(ends[1], 0.8), 0.9)
-    if rng.random() < 0.5:
+    if rng.random() < 0.3:
         add_bin(builder, lot.at(home.drive_u + 1.0, home.front_v - 3.2), [0.16, 0.30, 0.20, 1])
     _furnish(builder, home, nursery)
 
@@ -202,11 +203,11 @@ def _furnish(builder: Builder, home: Home, nursery: Nursery) -> None:
         add_toys(builder, lot.at(3.0, back + 5.5))
     elif home.garden == "vegetables":
         low, high = _bed(home)
-        size = 0.5 * (width - 6.8), high - low - 0.4
+        bed = 0.5 * (width - 6.8), high - low - 0.4
         for share in (0.27, 0.75):
             u = 1.4 + share * (width - 6.4)
             middle = lot.at(u, 0.5 * (low + high))
-            add_crop_rows(builder, middle, lot.angle, size, rng.uniform(0.25, 0.6))
+            add_crop_rows(builder, middle, lot.angle, bed, rng.uniform(0.25, 0.6))
         if rng.random() < 0.6:
             add_greenhouse(builder, lot.at(width - 2.8, home.depth_m - 6.2), lot.away)
     elif home.garden == "lawn":
@@ -215,7 +216,7 @@ def _furnish(builder: Builder, home: Home, nursery: Nursery) -> None:
     for spot in scatter(
         builder,
         lot,
-        3 if home.garden == "orchard" else 1,
+        3 if home.garden == "orchard" else int(rng.random() < 0.3),
         inside,
         (back + 5, home.depth_m - 2),
         1.7,

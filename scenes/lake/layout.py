@@ -78,8 +78,12 @@ class Plan:
 
     def shore_point(self, bearing: float, out_m: float) -> Array:
         """(2,) world point ``out_m`` outside the plain outline."""
-        reach = float(self.outline_m(np.array(bearing))) + out_m
-        return self.centre_xy_m + reach * np.array([np.cos(bearing), np.sin(bearing)])
+        return self.shore_points(np.array([bearing]), np.array([out_m]))[0]
+
+    def shore_points(self, bearing: Array, out_m: Array) -> Array:
+        """(N, 2) world points ``out_m`` (N,) outside the plain outline at bearings (N,) or (1,)."""
+        reach = self.outline_m(bearing) + out_m
+        return self.centre_xy_m + reach[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], -1)
 
     def middle_of(self, kind: Shore, rank: int = 0) -> float:
         """Bearing of the middle of the ``rank``-th longest stretch of a kind."""

@@ -43,8 +43,8 @@ def paint_shore(rng: np.random.Generator, canvas: Canvas, plan: Plan, basin: Bas
     for which, bands in limits.items():
         for edge, spread, material in bands:
             layer[(kind == which) & (shore < edge + spread * fray)] = int(material)
-    layer[(plan.outer(xy) < 0.6) & (shore < -1.0)] = int(Ground.MUD)
-    islet = np.linalg.norm(xy - plan.islet_xy_m, axis=-1) < plan.islet_radius_m + 3.0
+    layer[(plan.outer(xy) < 0.55 + 0.3 * fray) & (shore < -1.0)] = int(Ground.MUD)
+    islet = np.linalg.norm(xy - plan.islet_xy_m, axis=-1) < plan.islet_radius_m + 3.0 + 1.2 * fray
     layer[islet & (shore > 1.4 + 0.4 * fray)] = int(Ground.MEADOW)
     layer[islet & (shore <= 1.4 + 0.4 * fray)] = int(Ground.GRAVEL)
     canvas.material[:] = cv2.resize(layer, canvas.material.shape, interpolation=cv2.INTER_NEAREST)
@@ -66,5 +66,5 @@ def paint_strand(rng: np.random.Generator, canvas: Canvas, plan: Plan) -> None:
         for start in np.arange(beach - 0.6, beach + 0.6, 0.05):
             if rng.random() < 0.6:
                 turn = start + np.linspace(0.0, 0.05, 8)
-                line = np.array([plan.shore_point(float(a), out) for a in turn])
+                line = plan.shore_points(turn, np.array([out]))
                 canvas.trace(line + rng.normal(0.0, 0.05, line.shape), 0.08, 60)

@@ -43,7 +43,7 @@ class Surroundings:
         """The point at ``out_m`` from the true waterline along a bearing."""
         # Not as far in as the islet's own shore.
         steps = np.arange(-11.0, 14.0, 0.1)
-        points = np.array([self.plan.shore_point(bearing, float(step)) for step in steps])
+        points = self.plan.shore_points(np.array([bearing]), steps)
         return points[int(np.argmin(np.abs(self._shore.at(points) - out_m)))]
 
     def scatter(
@@ -65,9 +65,7 @@ def footpath(plan: Plan, rng: np.random.Generator) -> Array:
     turn = np.linspace(0.0, 2.0 * np.pi, 240)
     phase, sway = rng.uniform(0.0, 6.0), rng.uniform(0.8, 1.6)
     out = 12.5 + sway * np.sin(7.0 * turn + phase)
-    smooth = np.array(
-        [plan.shore_point(float(a), float(o)) for a, o in zip(turn, out, strict=True)]
-    )
+    smooth = plan.shore_points(turn, out)
     smooth[-1] = smooth[0]
     return smooth
 
@@ -114,8 +112,8 @@ def _place_jetty(builder: Builder, around: Surroundings) -> None:
         add_deck(builder, part, planks(rng, part.size_m, 96.0, TIMBER))
         reach, side = 0.5 * part.size_m[0] - 0.15, 0.5 * part.size_m[1] + 0.08
         count = max(2, round(part.size_m[0] / 3.2))
-        local = [[x, y] for x in np.linspace(-reach, reach, count) for y in (-side, side)]
-        for spot in part.points(np.array(local)):
+        feet = [[x, y] for x in np.linspace(-reach, reach, count) for y in (-side, side)]
+        for spot in part.points(np.array(feet)):
             add_pile(builder, spot, top + float(rng.uniform(0.35, 0.7)))
         for x in np.arange(-reach, reach + 0.1, 1.0):
             builder.claim(part.points(np.array([[x, 0.0]]))[0], side)

@@ -73,7 +73,8 @@ def bed_depth(islet: Islet, size: int, half_m: float) -> Float32:
     out = np.where(shore > -30.0, -shore, reach - 8.0)
     out = np.where(reach > HALF_M - 4.0, np.maximum(out, reach - 8.5), out)
     out = cv2.GaussianBlur(out.astype(np.float32), (0, 0), 1.5)
-    return np.asarray(0.16 * np.minimum(out, 6.0) + 6.0 * smoothstep(3.0, 16.0, out), np.float32)
+    far = smoothstep(3.0, 16.0, np.asarray(out, np.float64))
+    return np.asarray(0.16 * np.minimum(out, 6.0) + 6.0 * far, np.float32)
 
 
 def add_islet(builder: Builder, islet: Islet, sun: Array) -> GroundRaster:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from scenes.builder import Builder
 from scenes.ground import Canvas, Ground
-from scenes.lot import scatter
+from scenes.lot import claim_area, scatter
 from scenes.pools.bath import Shades, outline
 from scenes.pools.layout import HALF_M, Plan
 from scenes.props.cars import add_car_models, park_car
@@ -28,6 +28,9 @@ def build_grounds(builder: Builder, plan: Plan, nursery: Nursery, shades: Shades
     """Everything off the deck."""
     _furnish_pitch(builder, plan)
     u, v = plan.court_uv
+    (u0, u1), (v0, _) = plan.deck
+    claim_area(builder, plan.frame, (u - 9.5, u + 9.5), (v - 5.5, v + 5.5))
+    claim_area(builder, plan.frame, (u0, u1), (v0, 46.0))
     add_net(builder, plan.frame.at(u, v - 4.9), plan.frame.at(u, v + 4.9), (1.4, 2.4))
     _park_cars(builder, plan)
     _fence_in(builder, plan, nursery)
@@ -54,9 +57,7 @@ def _furnish_pitch(builder: Builder, plan: Plan) -> None:
         builder.claim(spot, 0.6)
     for first, second in pairwise(tops):
         add_wire(builder, first, second, 0.015, [0.90, 0.88, 0.82, 1])
-    for u in np.arange(u0, u1 + 3.0, 3.0):
-        for v in np.arange(v0, v1 + 3.0, 3.0):
-            builder.claim(frame.at(min(u, u1), min(v, v1)), 2.2)
+    claim_area(builder, frame, (u0, u1), (v0, v1))
 
 
 def _park_cars(builder: Builder, plan: Plan) -> None:
@@ -100,7 +101,7 @@ def _dress_lawn(builder: Builder, plan: Plan, nursery: Nursery, shades: Shades) 
         scatter(builder, frame, 16, (start[0] - 22.0, start[0] + 18.0), (-34.0, 3.0), 1.4)
     ):
         heading = float(rng.uniform(0.0, 3.14))
-        tint = [*rng.permutation([rng.uniform(0.7, 0.95), rng.uniform(0.2, 0.9), 0.3]), 1.0]
+        tint = [*rng.permutation([rng.uniform(0.6, 0.8), rng.uniform(0.35, 0.7), 0.35]), 1.0]
         add_towel(builder, spot, (1.9, 0.9), heading, tint)
         if index % 5 == 0:
             aside = spot + 1.1 * np.array([np.cos(heading + 1.5), np.sin(heading + 1.5)])

@@ -50,11 +50,16 @@ class Plan:
         (p0, p1), (q0, q1) = self.pitch
         pad = self.frame.pad
         return [
-            pad(0.5 * (u0 + u1), 0.5 * (v0 + v1), (0.5 * (u1 - u0) + 0.8, 0.5 * (v1 - v0) + 0.8)),
+            # The paddling pool lies 5 m before the deck.
+            pad(
+                0.5 * (u0 + u1),
+                0.5 * (v0 + v1) - 2.5,
+                (0.5 * (u1 - u0) + 0.8, 0.5 * (v1 - v0) + 3.3),
+            ),
             pad(0.5 * (p0 + p1), 0.5 * (q0 + q1), (0.5 * (p1 - p0) + 1.0, 0.5 * (q1 - q0) + 1.0)),
             pad(self.house_u, 36.0, (17.0, 7.5)),
             pad(0.0, 54.5, (40.0, 8.0)),
-            pad(*self.court_uv, (9.5, 5.5), 2.0),
+            pad(float(self.court_uv[0]), float(self.court_uv[1]), (9.5, 5.5), 2.0),
         ]
 
     def pool(self, kind: str) -> Pool:

@@ -167,7 +167,7 @@ def add_washing_line(
         add_wire(builder, tops[0] + offset, tops[1] + offset, 0.008, [0.85, 0.85, 0.82, 1])
     if laundry:
         rng = builder.rng
-        for share in np.arange(0.2, 0.85, 0.22):
+        for share in np.arange(0.25, 0.85, 0.3):
             size = rng.uniform([0.3, 0.3], [0.5, 0.55])
             line = tops[0] + share * (tops[1] - tops[0])
             at = line + [*(0.45 * across), -size[1] - 0.02]
@@ -227,7 +227,7 @@ def _tuft(foot: Array, wide: float, high: float) -> MeshData:
 def add_toys(builder: Builder, xy_m: Array) -> None:
     """Things left on the grass, 0.15 to 0.5 m high: a ball, a bucket, a tricycle."""
     rng = builder.rng
-    for _ in range(int(rng.integers(2, 4))):
+    for _ in range(int(rng.integers(1, 3))):
         spot = xy_m + rng.normal(0.0, 0.8, 2)
         z = builder.terrain.point(*spot)
         tint = [*rng.permutation([0.85, rng.uniform(0.1, 0.8), 0.12]), 1.0]

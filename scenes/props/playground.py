@@ -131,7 +131,7 @@ def add_net(
         quat=quat_z(float(np.arctan2(span[1], span[0]))),
     )  # fmt: skip
     tops = [np.array([*end, z + high]) for end in (start_xy_m, end_xy_m)]
-    add_wire(builder, *tops, 0.02, [0.93, 0.93, 0.90, 1])
+    add_wire(builder, tops[0], tops[1], 0.02, [0.93, 0.93, 0.90, 1])
     for share in np.linspace(0.0, 1.0, 6):
         builder.claim(start_xy_m + share * span, 1.0)
 
@@ -142,7 +142,7 @@ def add_slackline(builder: Builder, start_xy_m: Array, end_xy_m: Array, height_m
     for end in (start_xy_m, end_xy_m):
         add_post(builder, end, height_m + 0.15, 0.05, [0.45, 0.36, 0.26, 1])
         tops.append(np.array([*end, builder.terrain.point(*end) + height_m]))
-    add_wire(builder, *tops, 0.02, [0.86, 0.52, 0.20, 1])
+    add_wire(builder, tops[0], tops[1], 0.02, [0.86, 0.52, 0.20, 1])
 
 
 def add_flag(builder: Builder, xy_m: Array, height_m: float, rgba: list[float]) -> None:
@@ -157,8 +157,10 @@ def add_flag(builder: Builder, xy_m: Array, height_m: float, rgba: list[float]) 
 def add_towel(builder: Builder, xy_m: Array, size_m: tuple[float, float], heading: float,
               rgba: list[float]) -> None:  # fmt: skip
     """A thin cloth on the ground (a towel, a blanket)."""
-    z = builder.terrain.point(*xy_m)
     half = [0.5 * size_m[0], 0.5 * size_m[1], 0.015]
+    c, s = np.cos(heading), np.sin(heading)
+    corners = np.array([[sx * half[0], sy * half[1]] for sx in (-1, 1) for sy in (-1, 1)])
+    z = float(builder.terrain.at(xy_m + corners @ np.array([[c, s], [-s, c]])).max())
     builder.geom("towel", CLOTH, type=GEOM.mjGEOM_BOX, size=half,
-                 pos=[*xy_m, z + 0.01], quat=quat_z(heading), rgba=rgba)  # fmt: skip
+                 pos=[*xy_m, z], quat=quat_z(heading), rgba=rgba)  # fmt: skip
     builder.claim(xy_m, 0.7)

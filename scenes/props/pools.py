@@ -71,12 +71,12 @@ def add_pool(builder: Builder, pool: Pool) -> None:
     """Water nearly flush with a stone coping. The ground below is taken as level."""
     middle = pool.outline_m.mean(axis=0)
     where = pool.lot.points(middle)
-    z = builder.terrain.point(*where)
+    z = float(builder.terrain.at(pool.lot.points(pool.outline_m)).max())
     name = builder.unique("cover" if pool.covered else "pool")
     low, high = pool.box_m
     painter = _cover_picture if pool.covered else _basin_picture
     material = builder.material(f"water_{name}", painter(builder.rng, pool), 0.0)
-    outline = _in_world(pool, pool.outline_m)
+    outline = pool.lot.points(pool.outline_m)
     uv = (pool.outline_m - low) / (high - low)
     uv[:, 1] = 1.0 - uv[:, 1]
     if pool.lot.mirrored:
@@ -96,10 +96,6 @@ def add_pool(builder: Builder, pool: Pool) -> None:
     )  # fmt: skip
     for point in pool.lot.points(_inside(pool.outline_m)):
         builder.claim(point, 1.6)
-
-
-def _in_world(pool: Pool, uv_m: Array) -> Array:
-    return pool.lot.points(uv_m)
 
 
 def _inside(outline_m: Array) -> Array:

@@ -115,8 +115,10 @@ def _wall_parts(x: Array, low: Array, top: Array) -> list[MeshData]:
     for i, j in pairwise(range(len(x))):
         u0, u1 = x[i] / UV_M, x[j] / UV_M
         for side in (1.0, -1.0):
-            face = np.array([[x[i], side * foot, low[i]], [x[j], side * foot, low[j]],
-                             [x[j], side * crown, top[j]], [x[i], side * crown, top[i]]])  # fmt: skip
+            face = np.array([
+                [x[i], side * foot, low[i]], [x[j], side * foot, low[j]],
+                [x[j], side * crown, top[j]], [x[i], side * crown, top[i]],
+            ])  # fmt: skip
             uv = np.array([[u0, -low[i]], [u1, -low[j]], [u1, -top[j]], [u0, -top[i]]])
             uv[:, 1] /= UV_M
             parts.append(polygon(face[::-1] if side > 0 else face, uv[::-1] if side > 0 else uv))

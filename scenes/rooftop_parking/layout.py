@@ -58,11 +58,11 @@ class Plan:
 
     @property
     def centre(self) -> Array:
-        return 0.5 * (self.low_xy_m + self.high_xy_m)
+        return np.asarray(0.5 * (self.low_xy_m + self.high_xy_m), np.float64)
 
     @property
     def size_m(self) -> Array:
-        return self.high_xy_m - self.low_xy_m
+        return np.asarray(self.high_xy_m - self.low_xy_m, np.float64)
 
     def inside(self, xy_m: Array, margin_m: float = 0.0) -> NDArray[np.bool_]:
         """(..., 2) -> (...): on the deck, ``margin_m`` from its edge."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +21,7 @@ from scenes.rooftop_parking.layout import HALF_M, STREET_M, Plan
 from scenes.streets import Street, lane_loop, paint_dashes, paint_street, place_street_kerb
 from scenes.terrain import Terrain
 from scenes.textures import Picture, to_picture
-from scenes.traffic import add_mover, path_length
+from scenes.traffic import send_round
 from scenes.ways import band, paint_wear
 
 Array = NDArray[np.float64]
@@ -163,9 +165,14 @@ def build_walls(builder: Builder, plan: Plan) -> None:
     """The building below the deck, with its shadow on the ground."""
     size = (float(plan.size_m[0]) + 0.4, float(plan.size_m[1]) + 0.4, plan.height_m - 0.5)
     material = builder.material("building_car_park", car_park_bay(builder.rng))
-    mesh = builder.mesh("car_park_walls", wall_mesh(size, 0.0))
-    builder.geom("building_car_park", WALL, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
-                 pos=[*plan.centre, -plan.height_m])  # fmt: skip
+    walls = wall_mesh(size, 0.0)
+    # Without their lid, through which the ramp goes; the deck's height field is solid down to the
+    # ground, so that nothing has to collide with them.
+    mesh = builder.mesh("car_park_walls", replace(walls, faces=walls.faces[:-2]))
+    builder.geom(
+        "building_car_park", WALL, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
+        pos=[*plan.centre, -plan.height_m], contype=0, conaffinity=0,
+    )  # fmt: skip
     ground = -plan.height_m
     (x0, y0), (x1, y1) = plan.low_xy_m - 0.2, plan.high_xy_m + 0.2
     corners = np.array([[x, y, z] for x in (x0, x1) for y in (y0, y1) for z in (ground, 1.0)])
@@ -188,15 +195,16 @@ def furnish_town(
                 gate = _gate_x(plan) - float(street.line_m[0][0])
                 openings.append((gate - 3.4, gate + 3.4))
             place_street_kerb(builder, street, side, openings, 0.02)
-            _line_street(builder, street, side, gap, models)
+            # Cars are parked where none drive.
+            _line_street(builder, street, side, gap, models if street is along_x else [])
     _plant(builder, plan, nursery)
-    return _drive(builder, plan, models)
+    return _drive(builder, along_y, models)
 
 
 def _line_street(
     builder: Builder, street: Street, side: float, gap: tuple[float, float], models: Models
 ) -> None:
-    """Lamps on one side, cars at the other kerb."""
+    """Lamps on one side, cars at the other kerb, where there are ``models``."""
     rng = builder.rng
     for along in np.arange(rng.uniform(4.0, 12.0), street.length_m, 22.0 if side > 0 else 13.0):
         heading = street.heading(float(along))
@@ -206,7 +214,7 @@ def _line_street(
             spot = street.point(float(along), 0.5 * street.width_m + 0.6)
             if np.abs(spot).max() < HALF_M - 1.0 and builder.is_free(spot, 0.3):
                 add_lamp(builder, spot, heading - 0.5 * np.pi)
-        elif rng.random() < 0.55:
+        elif models and rng.random() < 0.55:
             spot = street.point(float(along), -0.5 * street.width_m + 1.05)
             if np.abs(spot).max() < HALF_M - 4.0 and builder.is_free(spot, 1.0):
                 park_car(builder, models[int(rng.integers(len(models)))], spot, heading)
@@ -237,19 +245,9 @@ def _plant(builder: Builder, plan: Plan, nursery: Nursery) -> None:
                 add_bench(builder, spot, rng.uniform(0.0, 2.0 * np.pi))
 
 
-def _drive(builder: Builder, plan: Plan, models: Models) -> tuple[MovingBody, ...]:
+def _drive(builder: Builder, street: Street, models: Models) -> tuple[MovingBody, ...]:
     """Two or three cars that go to the end of a street and come back."""
     rng = builder.rng
-    moving = []
-    for index in range(int(rng.integers(2, 4))):
-        street = plan.streets[index % 2]
-        path = lane_loop(builder, street, 14.0, street.length_m - 14.0)
-        mesh, material, _ = models[int(rng.integers(len(models)))]
-        car = MovingBody(
-            body_name=f"moving_car_{index}", path_world=path,
-            speed_mps=float(rng.uniform(5.0, 9.0)),
-            start_m=float(rng.uniform(0.1, 0.4) + 0.5 * (index // 2)) * path_length(path),
-        )  # fmt: skip
-        add_mover(builder, car, (mesh, material), "car_moving", CAR_SURFACE)
-        moving.append(car)
-    return tuple(moving)
+    path = lane_loop(builder, street, 14.0, street.length_m - 14.0)
+    chosen = [models[int(rng.integers(len(models)))][:2] for _ in range(int(rng.integers(2, 4)))]
+    return send_round(builder, path, chosen, CAR_SURFACE, float(rng.uniform(5.0, 9.0)))

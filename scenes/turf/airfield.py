@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,12 +13,13 @@ from scenes.ground import Canvas, Ground
 from scenes.lot import Lot
 from scenes.props.garden import add_table
 from scenes.props.houses import House, add_house
-from scenes.props.meshes import MeshData, box, polygon
+from scenes.props.meshes import MeshData, polygon
 from scenes.props.street import add_fence, add_lamp
 from scenes.props.wires import add_post
 from scenes.props.woods import Wood
-from scenes.relief import Ditch, Pad, dig_ditches, level_pads, smoothstep
-from scenes.turf.layout import HALF_M, Frame, furnish_path, stroke
+from scenes.relief import Ditch, dig_ditches, level_pads, segment_distance, smoothstep
+from scenes.survey_frame import Frame
+from scenes.turf.layout import HALF_M, furnish_path, stroke
 
 Array = NDArray[np.float64]
 
@@ -36,7 +39,7 @@ class Airfield:
     """The take-off spot lies beside the runway, which runs along the survey."""
 
     def __init__(self, rng: np.random.Generator, frame: Frame) -> None:
-        self.lot: Lot = frame.middle
+        self.lot: Lot = frame.from_middle
         self.runway_v = float(rng.uniform(-9.0, -5.0))
         self.half_width = float(rng.uniform(9.0, 11.0))
         self.half_length = 50.0
@@ -58,7 +61,7 @@ class Airfield:
         )  # fmt: skip
         u = np.arange(-90.0, 91.0)
         self.path = self.lot.points(np.column_stack([u, np.full(len(u), self.hangar_v + 10.0)]))
-        heading = int(round(np.rad2deg(0.5 * np.pi - self.lot.angle) / 10.0)) % 36 or 36
+        heading = round(float(np.rad2deg(0.5 * np.pi - self.lot.angle)) / 10.0) % 36 or 36
         self.numbers = (f"{heading:02d}", f"{(heading + 18 - 1) % 36 + 1:02d}")
 
     def shape(self, heights: Array, xy: Array) -> Array:
@@ -66,9 +69,8 @@ class Airfield:
         across = np.abs(uv[..., 1] - self.runway_v)
         strip = 0.35 * heights
         heights = strip + (heights - strip) * smoothstep(self.half_width, 26.0, across)
-        pads = [Pad(centre_xy_m=self.lot.at(self.apron_u + 6.0, self.hangar_v - 4.0),
-                    half_size_m=np.array([21.0, 11.0]), angle=self.lot.angle, blend_m=6.0)]  # fmt: skip
-        return dig_ditches(level_pads(heights, xy, pads), xy, [self.ditch])
+        apron = self.lot.pad(self.apron_u + 6.0, self.hangar_v - 4.0, (21.0, 11.0), 6.0)
+        return dig_ditches(level_pads(heights, xy, [apron]), xy, [self.ditch])
 
     def pools(self, xy: Array) -> Array:
         rel = self.lot.coordinates(xy) - self.puddle
@@ -82,7 +84,8 @@ class Airfield:
         apron = np.maximum(np.abs(uv[..., 0] - self.apron_u - 6.0) - 24.0,
                            np.abs(uv[..., 1] - self.hangar_v) - 13.0)  # fmt: skip
         between = np.maximum(uv[..., 1] - 40.0, -30.0 - uv[..., 1])
-        return np.minimum(np.minimum(strip, apron), np.maximum(between, 0.0))
+        ditch = segment_distance(xy_m, self.ditch.start_xy_m, self.ditch.end_xy_m) - 1.0
+        return np.minimum.reduce([strip, apron, np.maximum(between, 0.0), ditch])
 
     def paint(self, canvas: Canvas, rng: np.random.Generator) -> None:
         lot, v, w, half = self.lot, self.runway_v, self.half_width, self.half_length
@@ -90,15 +93,23 @@ class Airfield:
         canvas.fill(lot.rectangle((-90.0, 90.0), (v - w - 9.0, self.hangar_v - 6.0)), Ground.LAWN)
         canvas.fill(lot.rectangle((-half, half), (v - w, v + w)), Ground.FAIRWAY)
         apron = (self.apron_u - 11.0, self.apron_u + 25.0)
-        canvas.fill(lot.rectangle(apron, (self.hangar_v - 15.5, self.hangar_v + 7.5)), Ground.GRAVEL)
+        canvas.fill(
+            lot.rectangle(apron, (self.hangar_v - 15.5, self.hangar_v + 7.5)), Ground.GRAVEL
+        )
         taxi = self.apron_u + rng.uniform(-5.0, 5.0)
         canvas.fill(lot.rectangle((taxi - 3.5, taxi + 3.5), (v + w, self.hangar_v - 15.0)),
                     Ground.FAIRWAY)  # fmt: skip
         canvas.track(self.path, 3.4, Ground.GRAVEL)
         canvas.track(np.array([self.ditch.start_xy_m, self.ditch.end_xy_m]), 0.9, Ground.MUD)
         for wheel in (-1.1, 1.1):
-            line = lot.points(np.column_stack([np.linspace(-0.8 * half, 0.7 * half, 40),
-                                               v + wheel + 0.3 * np.sin(np.arange(40) / 5.0)]))
+            line = lot.points(
+                np.column_stack(
+                    [
+                        np.linspace(-0.8 * half, 0.7 * half, 40),
+                        v + wheel + 0.3 * np.sin(np.arange(40) / 5.0),
+                    ]
+                )
+            )
             canvas.trace(line, 0.3, 60)
         self._markings(canvas)
 
@@ -226,8 +237,8 @@ def add_aircraft(builder: Builder, xy_m: Array, heading: float, livery: list[flo
             first, last = turned(ends, heading, origin)
             builder.geom("aircraft_strut", AIRCRAFT, type=GEOM.mjGEOM_CAPSULE, size=[0.035, 0, 0],
                          rgba=white, fromto=[*first, *last])  # fmt: skip
-    low = np.column_stack([stations[[0, 0, 3, 3, 5, 5], 0],
-                           np.array([0.2, -0.2, 0.6, -0.6, 0.1, -0.1]), np.full(6, 1.0)])  # fmt: skip
+    wide = np.array([0.2, -0.2, 0.6, -0.6, 0.1, -0.1])
+    low = np.column_stack([stations[[0, 0, 3, 3, 5, 5], 0], wide, np.full(6, 1.0)])
     builder.cast(turned(np.concatenate([low, low + [0.0, 0.0, 0.6]]), heading, origin))
     for along in (-4.0, 0.0, 2.5):
         builder.claim(xy_m + along * np.array([np.cos(heading), np.sin(heading)]), 4.5)
@@ -240,7 +251,7 @@ def fuselage_mesh(stations: Array) -> MeshData:
     rings = [np.column_stack([np.full(9, x), r * np.cos(turn), z + 1.05 * r * np.sin(turn)])
              for x, r, z in stations]  # fmt: skip
     parts = []
-    for front, back in zip(rings[:-1], rings[1:], strict=True):
+    for front, back in pairwise(rings):
         for i in range(8):
             corners = np.array([front[i], front[i + 1], back[i + 1], back[i]])
             parts.append(polygon(corners[::-1], np.zeros((4, 2))))

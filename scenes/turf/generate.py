@@ -17,10 +17,11 @@ from scenes.ground import TEXELS, Canvas, Ground
 from scenes.light import draw_sun, ground_picture
 from scenes.props.woods import grow_wood
 from scenes.relief import level_takeoff, smoothstep
+from scenes.survey_frame import Frame, draw_frame
 from scenes.terrain import Terrain, write_hfield
 from scenes.turf.airfield import Airfield
 from scenes.turf.golf import Golf
-from scenes.turf.layout import HALF_M, Frame, Turf, draw_frame, plant_edge, undulation
+from scenes.turf.layout import HALF_M, Turf, plant_edge, undulation
 from scenes.turf.pitch import Pitch
 from scenes.water import WaterLook, flood_raster, lay_water, upsample
 

@@ -16,7 +16,8 @@ from scenes.props.street import WOOD, add_bench, add_bin
 from scenes.props.wires import add_post
 from scenes.props.woods import Wood
 from scenes.relief import smoothstep
-from scenes.turf.layout import HALF_M, Frame, furnish_path, plant_one
+from scenes.survey_frame import Frame
+from scenes.turf.layout import HALF_M, furnish_path, plant_one
 
 Array = NDArray[np.float64]
 
@@ -27,7 +28,7 @@ class Golf:
     """The take-off spot lies on the fairway; the green and its bunkers lie ahead."""
 
     def __init__(self, rng: np.random.Generator, frame: Frame) -> None:
-        self.lot: Lot = frame.middle
+        self.lot: Lot = frame.from_middle
         u = np.arange(-80.0, 27.0)
         v = -17.0 + 21.0 * smoothstep(rng.uniform(-36.0, -28.0), rng.uniform(22.0, 32.0), u)
         self.fairway = self.lot.points(np.column_stack([u, v]))
@@ -114,7 +115,7 @@ class Golf:
         canvas.fill(self.lot.rectangle((tee[0] - 4.0, tee[0] + 4.0), (tee[1] - 3.0, tee[1] + 3.0)),
                     Ground.GREEN)  # fmt: skip
         canvas.track(self.path, 2.2, Ground.GRAVEL)
-        canvas.soil(self.lot.ring(*self.pin, 0.09, 12), 255)
+        canvas.soil(self.lot.ring(float(self.pin[0]), float(self.pin[1]), 0.09, 12), 255)
 
     def build(self, builder: Builder, wood: Wood) -> None:
         rng, lot = builder.rng, self.lot

@@ -1,8 +1,7 @@
-"""What the three kinds of turf share: the survey in the middle of the scene, lines, edge planting."""
+"""What the three kinds of turf share: lines, edge planting, a footpath."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
 
@@ -20,8 +19,6 @@ from scenes.relief import NODES
 Array = NDArray[np.float64]
 
 HALF_M = 64.0
-SURVEY_MIDDLE_M = np.array([25.0, 20.0])
-"""Ahead of the take-off spot and to the left of it."""
 LINE_M = 0.12
 
 
@@ -39,23 +36,6 @@ class Turf(Protocol):
     def build(self, builder: Builder, wood: Wood) -> None: ...
 
     def free(self, xy_m: Array) -> Array: ...
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Frame:
-    """The survey's place."""
-
-    takeoff_xy_m: Array
-    yaw: float
-    middle: Lot
-    """origin in the middle of the survey, u along the take-off heading"""
-
-
-def draw_frame(rng: np.random.Generator) -> Frame:
-    """The survey lies in the middle of the scene, turned any way."""
-    yaw = float(rng.uniform(-np.pi, np.pi))
-    middle = Lot(origin_xy_m=rng.uniform(-2.0, 2.0, 2), angle=yaw)
-    return Frame(takeoff_xy_m=middle.points(-SURVEY_MIDDLE_M), yaw=yaw, middle=middle)
 
 
 def undulation(rng: np.random.Generator, height_m: float) -> Array:
@@ -100,9 +80,9 @@ def plant_edge(builder: Builder, wood: Wood, turf: Turf, count: int) -> None:
             plant_one(builder, wood, spot, conifers)
             planted += 1
         shrub = group + rng.normal(0.0, 3.5, 2)
-        if (np.abs(shrub) < HALF_M - 2.0).all() and float(turf.free(shrub)) > 2.0:
-            if builder.is_free(shrub, 1.0):
-                add_shrub(builder, wood, shrub)
+        inside = bool((np.abs(shrub) < HALF_M - 2.0).all())
+        if inside and float(turf.free(shrub)) > 2.0 and builder.is_free(shrub, 1.0):
+            add_shrub(builder, wood, shrub)
 
 
 def plant_one(builder: Builder, wood: Wood, xy_m: Array, conifer: bool) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +18,8 @@ from scenes.props.street import STEEL, WOOD
 from scenes.props.wires import add_post
 from scenes.props.woods import Wood
 from scenes.relief import Ditch, dig_ditches, smoothstep
-from scenes.turf.layout import Frame, arc, furnish_path, stroke
+from scenes.survey_frame import Frame
+from scenes.turf.layout import arc, furnish_path, stroke
 
 Array = NDArray[np.float64]
 
@@ -32,7 +35,7 @@ class Pitch:
     """The take-off spot lies near a corner of the field of play."""
 
     def __init__(self, rng: np.random.Generator, frame: Frame) -> None:
-        self.lot: Lot = frame.middle
+        self.lot: Lot = frame.from_middle
         self.half = np.array([rng.uniform(41.0, 44.0), rng.uniform(26.5, 29.0)])
         self.bank = 1.0 if rng.random() < 0.5 else -1.0
         self.bank_m = float(rng.uniform(1.3, 2.0))
@@ -60,7 +63,7 @@ class Pitch:
 
     def shape(self, heights: Array, xy: Array) -> Array:
         uv = self.lot.coordinates(xy)
-        play = -CROWN * np.abs(uv[..., 1]) + 0.012 * heights
+        play = -CROWN * np.abs(uv[..., 1]) + 0.15 * heights
         heights = play + (heights - play) * smoothstep(4.0, 14.0, self._beyond(uv))
         rise = smoothstep(self.half[1] + 4.0, self.half[1] + 9.5, self.bank * uv[..., 1])
         heights = heights + self.bank_m * rise * (1.0 - smoothstep(34.0, 46.0, np.abs(uv[..., 0])))
@@ -191,7 +194,7 @@ class Pitch:
         for end in ends:
             end[2] = builder.terrain.point(end[0], end[1]) + 1.05
             add_post(builder, end[:2], 1.05, 0.03, _WHITE)
-        for first, second in zip(ends[:-1], ends[1:], strict=True):
+        for first, second in pairwise(ends):
             builder.geom("rail", STEEL, type=GEOM.mjGEOM_CAPSULE, size=[0.03, 0, 0], rgba=_WHITE,
                          fromto=[*first, *second])  # fmt: skip
             flat = np.array([[0.03, 0.03, 0.0], [-0.03, -0.03, 0.0], [0.03, -0.03, 0.05]])

@@ -1,0 +1,157 @@
+"""The board in a LIDAR cloud: flat parts by difference of normals, planes by RANSAC, the board by
+its size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from estimator.api import Chessboard
+from estimator.calibration.normals import difference_of_normals, voxel_means
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_VOXEL_M = 0.04
+_SMALL_RADIUS_M, _LARGE_RADIUS_M = 0.11, 0.28
+_MAX_DIFFERENCE = 0.12
+"""Sine of half the angle between the normals at the two radii."""
+_LINK_M = 0.09
+"""Flat points nearer than this belong to one part."""
+_FEWEST_VOXELS = 60
+_TRIALS = 200
+_INLIER_M = 0.02
+"""of a voxel's mean"""
+_GATE_SIGMAS = 4.0
+_SLACK_M = 0.12
+"""by which a part may seem larger than the plate"""
+_SMALLEST_SHARE = 0.4
+"""of the plate that has to be seen"""
+_RIM_M = 0.05
+"""Returns nearer to the outline than this are left out: beams are split there."""
+_FEWEST_RETURNS = 500
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BoardPlane:
+    """normal . p + distance = 0 (Eq. 3, first line) in the LIDAR frame."""
+
+    normal: Array
+    """(3,) unit, towards the LIDAR"""
+    distance: float
+    """m, positive"""
+    points: Array
+    """(N, 3) the board's returns, LIDAR frame, m"""
+
+
+def find_board(points: Array, board: Chessboard, rng: np.random.Generator) -> BoardPlane | None:
+    """The board's plane and returns in a cloud (N, 3) of the LIDAR, seen from the origin; None
+    when no flat part has the plate's size."""
+    voxels = voxel_means(points, _VOXEL_M)
+    if len(voxels) < _FEWEST_VOXELS:
+        return None
+    difference, _ = difference_of_normals(voxels, _SMALL_RADIUS_M, _LARGE_RADIUS_M)
+    flat = voxels[difference < _MAX_DIFFERENCE]
+    best, best_area = None, _SMALLEST_SHARE * float(np.prod(board.size_m))
+    for part in _parts(flat):
+        normal, distance, inside = ransac_plane(part, _INLIER_M, _TRIALS, rng)
+        members = part[inside]
+        if len(members) < _FEWEST_VOXELS or not _fits(members, normal, board):
+            continue
+        area = _area(members, normal)
+        if area > best_area:
+            best, best_area = (normal, distance, members), area
+    return None if best is None else _collect(points, *best)
+
+
+def ransac_plane(
+    points: Array, inlier_m: float, trials: int, rng: np.random.Generator
+) -> tuple[Array, float, NDArray[np.bool_]]:
+    """The plane that most of ``points`` (N, 3) lie on, refined by least squares on them: unit
+    normal (3,) towards the origin, distance from it, and who lies on it (N,)."""
+    picks = rng.integers(0, len(points), (trials, 3))
+    a, b, c = (points[picks[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1)
+    proper = length > 1e-9
+    normals[proper] /= length[proper, None]
+    offsets = -np.einsum("ij,ij->i", normals, a)
+    distances = np.abs(points @ normals.T + offsets)
+    votes = np.where(proper, (distances < inlier_m).sum(axis=0), 0)
+    inside = distances[:, int(np.argmax(votes))] < inlier_m
+    normal, distance = fit_plane(points[inside])
+    return normal, distance, np.abs(points @ normal + distance) < inlier_m
+
+
+def fit_plane(points: Array) -> tuple[Array, float]:
+    """Least squares plane of (N, 3) points: unit normal (3,) towards the origin, and distance."""
+    mean = points.mean(axis=0)
+    centred = points - mean
+    normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
+    distance = -float(normal @ mean)
+    return (normal, distance) if distance > 0.0 else (-normal, -distance)
+
+
+def _parts(flat: Array) -> list[Array]:
+    """Flat points that hang together, largest part first."""
+    pairs = cKDTree(flat).query_pairs(_LINK_M, output_type="ndarray")
+    ones = np.ones(len(pairs), dtype=np.int8)
+    graph = coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(len(flat), len(flat)))
+    _, label = connected_components(graph, directed=False)
+    count = np.bincount(label)
+    order = np.argsort(-count, kind="stable")
+    return [flat[label == k] for k in order if count[k] >= _FEWEST_VOXELS]
+
+
+def _on_plane(points: Array, normal: Array) -> Array:
+    """(N, 2) float32 coordinates in the plane with that normal."""
+    across = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+    across /= np.linalg.norm(across)
+    return np.asarray(points @ np.column_stack([across, np.cross(normal, across)]))
+
+
+def _fits(members: Array, normal: Array, board: Chessboard) -> bool:
+    """Whether the smallest rectangle around a part would go into the plate."""
+    rectangle = cv2.minAreaRect(_on_plane(members, normal).astype(np.float32))
+    sides, plate = sorted(rectangle[1]), sorted(board.size_m)
+    return all(side <= limit + _SLACK_M for side, limit in zip(sides, plate, strict=True))
+
+
+def _area(members: Array, normal: Array) -> float:
+    outline = cv2.convexHull(_on_plane(members, normal).astype(np.float32))
+    return float(cv2.contourArea(outline))
+
+
+def _collect(
+    points: Array, normal: Array, distance: float, members: Array
+) -> BoardPlane | None:
+    """All returns within the part's outline, less its rim, and near the plane. The gate lies
+    symmetrically about the plane, which is fitted twice."""
+    outline = cv2.convexHull(_on_plane(members, normal).astype(np.float32)).reshape(-1, 2)
+    near = points[np.abs(points @ normal + distance) < 10.0 * _INLIER_M]
+    within = near[_inside(_on_plane(near, normal), outline.astype(np.float64), _RIM_M)]
+    kept = within
+    for _ in range(2):
+        offsets = within @ normal + distance
+        sigma = 1.4826 * float(np.median(np.abs(offsets - np.median(offsets))))
+        kept = within[np.abs(offsets - np.median(offsets)) < _GATE_SIGMAS * sigma]
+        if len(kept) < _FEWEST_RETURNS:
+            return None
+        normal, distance = fit_plane(kept)
+    return BoardPlane(normal=normal, distance=distance, points=kept)
+
+
+def _inside(places: Array, outline: Array, rim_m: float) -> NDArray[np.bool_]:
+    """Which places (N, 2) lie inside a convex outline (K, 2) by at least ``rim_m``."""
+    edges = np.roll(outline, -1, axis=0) - outline
+    edges /= np.linalg.norm(edges, axis=1, keepdims=True)
+    offset = places[:, None] - outline
+    side = edges[:, 0] * offset[:, :, 1] - edges[:, 1] * offset[:, :, 0]
+    turn = np.sign(np.median(side.mean(axis=0)))
+    return np.asarray((turn * side > rim_m).all(axis=1))

@@ -1,0 +1,182 @@
+"""Where the LIDAR is in the camera frame, from planes that both saw (Zou, Sun and Kong 2024, Eqs. 4
+and 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.calibration.board_plane import BoardPlane
+from estimator.calibration.chessboard import CameraPlanes
+from sim.frames import Pose, so3_exp
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+FEWEST_VIEWS = 3
+_TRIALS = 300
+_MAX_ANGLE = np.deg2rad(3.0)
+_MAX_OFFSET_M = 0.05
+_LEAST_SPREAD = 0.05
+"""Smallest singular value of the normals, over the root of their number: what tilts of 5 degrees
+give."""
+_MAX_ITERATIONS = 60
+_CONVERGED = 1e-10
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e8
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ExtrinsicFit:
+    camera_from_lidar: Pose
+    covariance: Array
+    """(6, 6) rotation (rad, applied on the left), translation (m)"""
+    rms_m: float
+    """of all residuals"""
+
+
+def plane_residuals(points: Array, normal: Array, distance: float, camera_from_lidar: Pose) -> Array:
+    """Distances (N,) of LIDAR points (N, 3) from a plane of the camera frame: the terms whose
+    squares Eq. 5 sums, theta^T (R p + t) + d."""
+    return camera_from_lidar.apply(points) @ normal + distance
+
+
+def agreeing_views(
+    planes: CameraPlanes, boards: Sequence[BoardPlane], rng: np.random.Generator
+) -> tuple[Pose, Ints]:
+    """A closed-form start and the views that agree with it, by random triples of views.
+
+    ValueError: fewer than three views agree, or they are all tilted alike.
+    """
+    normals = np.array([board.normal for board in boards])
+    distances = np.array([board.distance for board in boards])
+    views = len(boards)
+    if views < FEWEST_VIEWS:
+        raise ValueError(_too_few(views))
+    best = np.arange(0)
+    for _ in range(_TRIALS):
+        triple = rng.permutation(views)[:FEWEST_VIEWS]
+        if _spread(normals[triple]) < _LEAST_SPREAD:
+            continue
+        start = closed_form(planes, normals, distances, triple)
+        agree = np.flatnonzero(_agrees(start, planes, normals, distances))
+        if len(agree) > len(best):
+            best = agree
+    if len(best) >= FEWEST_VIEWS and _spread(normals[best]) >= _LEAST_SPREAD:
+        return closed_form(planes, normals, distances, best), best
+    if _spread(normals) < _LEAST_SPREAD:
+        raise ValueError(
+            "the boards are tilted too much alike to fix the LIDAR's place: tilt them about both "
+            "axes, by 20 degrees and more"
+        )
+    raise ValueError(_too_few(len(best)))
+
+
+def closed_form(
+    planes: CameraPlanes, normals: Array, distances: Array, views: Ints
+) -> Pose:
+    """Rotation from the normals (Wahba's problem, by SVD) and translation from the distances by
+    least squares: with n_c = R n_l, Eq. 3 leaves n_c . t = d_l - d_c for every view."""
+    in_camera = planes.normals[views]
+    left, _, right = np.linalg.svd(in_camera.T @ normals[views])
+    mirror = np.diag([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])
+    shift = distances[views] - planes.distances[views]
+    return Pose(left @ mirror @ right, np.linalg.lstsq(in_camera, shift, rcond=None)[0])
+
+
+def solve_extrinsics(
+    planes: CameraPlanes, boards: Sequence[BoardPlane], views: Ints, start: Pose
+) -> ExtrinsicFit:
+    """Eq. 5 over ``views`` by Levenberg-Marquardt (Marquardt's damping of the diagonal), with an
+    analytic Jacobian: every view weighs the same, however many returns its board gave."""
+    blocks = [
+        (boards[view].points, planes.normals[view], float(planes.distances[view])) for view in views
+    ]
+    pose, damping = start, _FIRST_DAMPING
+    cost, gradient, normal_matrix = _normal_equations(blocks, pose)
+    for _ in range(_MAX_ITERATIONS):
+        damped = normal_matrix + damping * np.diag(np.diag(normal_matrix))
+        step = np.linalg.solve(damped, -gradient)
+        trial = Pose(so3_exp(step[:3]) @ pose.rotation, pose.translation + step[3:])
+        trial_cost, trial_gradient, trial_matrix = _normal_equations(blocks, trial)
+        if trial_cost <= cost:
+            pose, cost = trial, trial_cost
+            gradient, normal_matrix = trial_gradient, trial_matrix
+            damping = max(damping / 10.0, _LEAST_DAMPING)
+            if np.abs(step).max() < _CONVERGED:
+                break
+        else:
+            damping *= 10.0
+            if damping > _MOST_DAMPING:
+                break
+    covariance = _covariance(blocks, pose, normal_matrix, planes, views)
+    squares = [plane_residuals(*block, pose) ** 2 for block in blocks]
+    return ExtrinsicFit(
+        camera_from_lidar=pose,
+        covariance=covariance,
+        rms_m=float(np.sqrt(np.concatenate(squares).mean())),
+    )
+
+
+_Block = tuple[Array, Array, float]
+
+
+def _jacobian(block: _Block, pose: Pose) -> Array:
+    """(N, 6) of a view's residuals: n . (w x R p) = w . (R p x n), and n for the translation."""
+    points, normal, _ = block
+    turned = points @ pose.rotation.T
+    return np.hstack([np.cross(turned, normal), np.broadcast_to(normal, turned.shape)])
+
+
+def _normal_equations(blocks: Sequence[_Block], pose: Pose) -> tuple[float, Array, Array]:
+    """Cost of Eq. 5, half its gradient (6,) and J^T W J (6, 6)."""
+    cost, gradient, matrix = 0.0, np.zeros(6), np.zeros((6, 6))
+    for block in blocks:
+        residuals, jacobian = plane_residuals(*block, pose), _jacobian(block, pose)
+        weight = 1.0 / len(residuals)
+        cost += weight * float(residuals @ residuals)
+        gradient += weight * jacobian.T @ residuals
+        matrix += weight * jacobian.T @ jacobian
+    return cost, gradient, matrix
+
+
+def _covariance(
+    blocks: Sequence[_Block], pose: Pose, matrix: Array, planes: CameraPlanes, views: Ints
+) -> Array:
+    """The minimum moves by -H^-1 (J^T W e) with the errors e of the residuals: those of the LIDAR
+    are independent from return to return, those of a camera's plane shared by all its returns,
+    and the lens's shared by all views."""
+    from_lidar = np.zeros((6, 6))
+    by_plane = np.zeros((6, 4 * len(blocks)))
+    for k, block in enumerate(blocks):
+        residuals, jacobian = plane_residuals(*block, pose), _jacobian(block, pose)
+        count = len(residuals)
+        variance = float(np.var(residuals))
+        from_lidar += variance * jacobian.T @ jacobian / count**2
+        lifted = np.column_stack([pose.apply(block[0]), np.ones(count)])
+        by_plane[:, 4 * k : 4 * k + 4] = jacobian.T @ lifted / count
+    from_camera = by_plane @ planes.of_views(views.tolist()).covariance @ by_plane.T
+    inverse = np.linalg.inv(matrix)
+    return inverse @ (from_lidar + from_camera) @ inverse
+
+
+def _agrees(
+    pose: Pose, planes: CameraPlanes, normals: Array, distances: Array
+) -> NDArray[np.bool_]:
+    cosine = np.einsum("ij,ij->i", planes.normals, normals @ pose.rotation.T)
+    offset = planes.normals @ pose.translation - (distances - planes.distances)
+    return np.asarray((cosine > np.cos(_MAX_ANGLE)) & (np.abs(offset) < _MAX_OFFSET_M))
+
+
+def _spread(normals: Array) -> float:
+    """How well normals (V, 3) span space: their smallest singular value over sqrt(V)."""
+    return float(np.linalg.svd(normals, compute_uv=False)[-1] / np.sqrt(len(normals)))
+
+
+def _too_few(views: int) -> str:
+    return (
+        f"only {views} views show the board to camera and LIDAR alike; calibration needs "
+        f"{FEWEST_VIEWS} or more"
+    )

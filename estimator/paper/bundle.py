@@ -1,0 +1,191 @@
+"""Bundle adjustment over the youngest keyframes (paper, section 3.3.2).
+
+A landmark is a depth along the ray of the keyframe that saw it first, with the LIDAR's depth
+(Eq. 12) as prior: one number, so that the Schur complement over the landmarks needs no matrix
+inversion. Poses of keyframes are odom_from_imu.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sim.api import CameraIntrinsics
+from sim.frames import Pose, so3_exp, so3_log
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(slots=True)
+class BundleProblem:
+    """``poses`` K, of which the first ``fixed`` stay; L landmarks, each seen first by pose
+    ``hosts[l]`` along ``rays[l]`` (camera frame, z = 1) at ``depths[l]``; M observations, sorted by
+    landmark: landmark ``landmarks[m]`` seen by pose ``observers[m]`` at ``pixels[m]``."""
+
+    poses: list[Pose]
+    fixed: int
+    hosts: Indices
+    rays: Array
+    depths: Array
+    prior_depths: Array
+    """(L,) m, by the LIDAR"""
+    landmarks: Indices
+    observers: Indices
+    pixels: Array
+    sigmas_px: Array
+    """(M,)"""
+
+
+@njit(cache=True)
+def _cross_rows(m: Array, p: Array, out: Array) -> None:
+    """``out = -m [p]_x``: derivative of ``m R exp(e) p`` with respect to e for ``m R`` given."""
+    for a in range(2):
+        out[a, 0] = -(m[a, 1] * p[2] - m[a, 2] * p[1])
+        out[a, 1] = -(m[a, 2] * p[0] - m[a, 0] * p[2])
+        out[a, 2] = -(m[a, 0] * p[1] - m[a, 1] * p[0])
+
+
+@njit(cache=True)
+def _reduced_system(
+    rotations: Array,
+    positions: Array,
+    hosts: Indices,
+    rays: Array,
+    depths: Array,
+    prior_depths: Array,
+    depth_sigma: float,
+    landmarks: Indices,
+    observers: Indices,
+    pixels: Array,
+    sigmas: Array,
+    camera_rotation: Array,
+    camera_position: Array,
+    intrinsics: Array,
+    scale: float,
+) -> tuple[Array, Array, Array, Array, Array, float]:
+    """Normal equations of the poses after elimination of the depths.
+
+    ``camera_*``: imu_from_camera. Returns information (6K, 6K), vector (6K,), and for the
+    substitution back: depth couplings (L, 6K), curvatures (L,) and slopes (L,); the robust cost.
+    """
+    size = 6 * rotations.shape[0]
+    count = depths.shape[0]
+    information, vector = np.zeros((size, size)), np.zeros(size)
+    coupling = np.zeros((count, size))
+    curvature, slope = np.empty(count), np.empty(count)
+    for m in range(count):
+        curvature[m] = 1.0 / depth_sigma**2
+        slope[m] = (prior_depths[m] - depths[m]) / depth_sigma**2
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    back = np.ascontiguousarray(camera_rotation.T)
+    projection = np.zeros((2, 3))
+    j_observer, j_host = np.zeros((2, 6)), np.zeros((2, 6))
+    part = np.zeros((2, 3))
+    cost = 0.0
+    for o in range(landmarks.shape[0]):
+        m, k, h = landmarks[o], observers[o], hosts[landmarks[o]]
+        direction = camera_rotation @ rays[m]
+        in_host = direction * depths[m] + camera_position
+        world = rotations[h] @ in_host + positions[h]
+        turned = np.ascontiguousarray(rotations[k].T)
+        in_observer = turned @ (world - positions[k])
+        c = back @ (in_observer - camera_position)
+        if c[2] < 0.05:
+            continue
+        ru = pixels[o, 0] - (fx * c[0] / c[2] + cx)
+        rv = pixels[o, 1] - (fy * c[1] / c[2] + cy)
+        projection[0, 0], projection[0, 2] = fx / c[2], -fx * c[0] / (c[2] * c[2])
+        projection[1, 1], projection[1, 2] = fy / c[2], -fy * c[1] / (c[2] * c[2])
+        error2 = (ru * ru + rv * rv) / sigmas[o] ** 2
+        weight = 1.0 / ((1.0 + error2 / scale**2) * sigmas[o] ** 2)
+        cost += scale**2 * np.log(1.0 + error2 / scale**2)
+        in_imu = projection @ back
+        in_world = in_imu @ turned
+        through_host = in_world @ rotations[h]
+        _cross_rows(in_imu, in_observer, part)
+        j_observer[:, :3], j_observer[:, 3:] = -part, -in_world
+        _cross_rows(through_host, in_host, part)
+        j_host[:, :3], j_host[:, 3:] = part, in_world
+        j_depth = through_host @ direction
+        for a in range(6):
+            ra = j_observer[0, a] * ru + j_observer[1, a] * rv
+            rh = j_host[0, a] * ru + j_host[1, a] * rv
+            vector[6 * k + a] += weight * ra
+            vector[6 * h + a] += weight * rh
+            da = j_observer[0, a] * j_depth[0] + j_observer[1, a] * j_depth[1]
+            dh = j_host[0, a] * j_depth[0] + j_host[1, a] * j_depth[1]
+            coupling[m, 6 * k + a] += weight * da
+            coupling[m, 6 * h + a] += weight * dh
+            for b in range(6):
+                kk = j_observer[0, a] * j_observer[0, b] + j_observer[1, a] * j_observer[1, b]
+                hh = j_host[0, a] * j_host[0, b] + j_host[1, a] * j_host[1, b]
+                kh = j_observer[0, a] * j_host[0, b] + j_observer[1, a] * j_host[1, b]
+                information[6 * k + a, 6 * k + b] += weight * kk
+                information[6 * h + a, 6 * h + b] += weight * hh
+                information[6 * k + a, 6 * h + b] += weight * kh
+                information[6 * h + b, 6 * k + a] += weight * kh
+        curvature[m] += weight * (j_depth[0] ** 2 + j_depth[1] ** 2)
+        slope[m] += weight * (j_depth[0] * ru + j_depth[1] * rv)
+    for m in range(count):
+        row = coupling[m]
+        for a in range(size):
+            if row[a] == 0.0:
+                continue
+            vector[a] -= row[a] * slope[m] / curvature[m]
+            for b in range(size):
+                information[a, b] -= row[a] * row[b] / curvature[m]
+    return information, vector, coupling, curvature, slope, cost
+
+
+def adjust(
+    problem: BundleProblem,
+    imu_from_camera: Pose,
+    camera: CameraIntrinsics,
+    *,
+    depth_sigma_m: float,
+    prior_sigmas: Array,
+    iterations: int = 4,
+) -> tuple[list[Pose], Array]:
+    """Poses and depths (L,) that reproject best: Gauss-Newton with Cauchy weights.
+
+    ``prior_sigmas`` (6,): how far, rad and m, a free pose may stray from where it starts; it keeps
+    height and tilt at what the LIDAR says.
+    """
+    poses, depths = list(problem.poses), problem.depths.copy()
+    free = slice(6 * problem.fixed, 6 * len(poses))
+    prior = 1.0 / prior_sigmas**2
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    for _ in range(iterations):
+        information, vector, coupling, curvature, slope, _ = _reduced_system(
+            np.array([p.rotation for p in poses]), np.array([p.translation for p in poses]),
+            problem.hosts, problem.rays, depths, problem.prior_depths, depth_sigma_m,
+            problem.landmarks, problem.observers, problem.pixels, problem.sigmas_px,
+            imu_from_camera.rotation, imu_from_camera.translation, intrinsics, 3.0,
+        )  # fmt: skip
+        offsets = [_offset(start, pose) for start, pose in zip(problem.poses, poses, strict=True)]
+        stray = np.concatenate(offsets)[free]
+        weights = np.tile(prior, len(poses) - problem.fixed)
+        delta = np.zeros(len(vector))
+        delta[free] = np.linalg.solve(
+            information[free, free] + np.diag(weights), vector[free] - weights * stray
+        )
+        steps = delta.reshape(-1, 6)
+        poses = [
+            Pose(pose.rotation @ so3_exp(step[:3]), pose.translation + step[3:])
+            for pose, step in zip(poses, steps, strict=True)
+        ]
+        depths = depths + (slope - coupling @ delta) / curvature
+        depths = np.clip(depths, 0.5 * problem.prior_depths, 2.0 * problem.prior_depths)
+        if float(np.abs(delta).max()) < 1e-5:
+            break
+    return poses, depths
+
+
+def _offset(start: Pose, pose: Pose) -> Array:
+    return np.concatenate(
+        [so3_log(start.rotation.T @ pose.rotation), pose.translation - start.translation]
+    )

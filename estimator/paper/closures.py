@@ -1,0 +1,132 @@
+"""Loop closures: places seen again move the map, and the odometry frame follows slowly."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.paper.dictionary import InvertedIndex, Vocabulary
+from estimator.paper.landmarks import BRISK, SIFT
+from estimator.paper.pose_graph import Edge, PoseGraph
+from estimator.paper.visual_map import MapKeyframe
+from sim.frames import Pose, rotation_from_yaw, so3_log
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+Indices = NDArray[np.int64]
+
+_WORDS = 3000
+"""capacity of each vocabulary"""
+_LEAST_LIKENESS = 0.02
+_ANCHOR_SIGMAS = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3])
+_LEVEL_SIGMAS = np.array([np.radians(0.05), np.radians(0.05), np.inf, np.inf, np.inf, 0.03])
+_HOP_SIGMAS = np.array([2e-4, 2e-4, 2e-4, 0.006, 0.006, 0.006])
+"""rad and m, from one keyframe to the next"""
+
+
+class Closures:
+    """Dictionary, inverted index, pose graph, and the pose of the odometry frame in the world."""
+
+    def __init__(self, speed_mps: float, rate_radps: float) -> None:
+        self._speed, self._rate = speed_mps, rate_radps
+        self._vocabularies = (Vocabulary(SIFT, _WORDS), Vocabulary(BRISK, _WORDS))
+        self._index = InvertedIndex()
+        self._graph = PoseGraph(_ANCHOR_SIGMAS, _LEVEL_SIGMAS)
+        self._target = Pose.identity()
+        self.world_from_odom = Pose.identity()
+        self.drift_covariance: Array = np.zeros((3, 3))
+        self.closed = 0
+
+    # ------------------------------------------------------------------------ places
+
+    def words(self, kind: int, descriptors: Bytes) -> Indices:
+        """The dictionary's words (N,) of (N, D) descriptors."""
+        return self._vocabularies[kind].assign(descriptors)
+
+    def candidates(self, words: tuple[Indices, Indices], young: set[int], most: int) -> list[int]:
+        """Keyframes, none of them ``young``, that share most with an image of these words."""
+        scores = self._index.scores(_joined(words))
+        old = [(s, -k) for k, s in scores.items() if k not in young and s >= _LEAST_LIKENESS]
+        return [-k for _, k in sorted(old, reverse=True)[:most]]
+
+    # ------------------------------------------------------------------------ graph
+
+    def add(
+        self, keyframe: MapKeyframe, words: tuple[Indices, Indices], before: int | None
+    ) -> None:
+        """Enters a new keyframe, tied by odometry to keyframe ``before``."""
+        self._index.add(keyframe.number, _joined(words))
+        self._graph.add_node(keyframe.number, keyframe.map_from_imu, keyframe.odom_from_imu)
+        if before is not None:
+            self._graph.add_edge(
+                Edge(before, keyframe.number, Pose.identity(), np.diag(_HOP_SIGMAS**-2.0), False)
+            )
+
+    def close(
+        self, source: MapKeyframe, target: MapKeyframe, seen: Pose, information: Array
+    ) -> None:
+        """Ties ``target``, found at ``seen`` (map_from_imu) by landmarks around ``source``;
+        ``information`` (6, 6) of rotation (right perturbation) and position in the map."""
+        measured = source.map_from_imu.inverse() @ seen
+        turn = np.eye(6)
+        turn[3:, 3:] = source.map_from_imu.rotation
+        self._graph.add_edge(
+            Edge(source.number, target.number, measured, turn.T @ information @ turn, True)
+        )
+        self.closed += 1
+
+    def remove(self, number: int) -> None:
+        """Forgets a keyframe."""
+        self._index.remove(number)
+        self._graph.remove_node(number)
+
+    def refresh_odometry(self, keyframes: dict[int, MapKeyframe]) -> None:
+        """Takes over what the bundle adjustment has made of the given keyframes."""
+        for edge in self._graph.edges:
+            if not edge.robust and edge.source in keyframes and edge.target in keyframes:
+                source, target = keyframes[edge.source], keyframes[edge.target]
+                edge.measured = source.odom_from_imu.inverse() @ target.odom_from_imu
+
+    def settle(self, keyframes: list[MapKeyframe]) -> None:
+        """Solves the graph and hands the poses back to the keyframes."""
+        self._graph.optimise()
+        for keyframe in keyframes:
+            keyframe.map_from_imu = self._graph.poses[keyframe.number]
+        newest = keyframes[-1]
+        self.drift_covariance = self._graph.position_covariance(newest.number)
+        self.aim(newest)
+
+    def aim(self, newest: MapKeyframe) -> None:
+        """Where the odometry frame should go: turned about the vertical only, because both frames
+        know gravity, and such that the newest keyframe lies where the graph has it."""
+        self._target = level_transform(newest.odom_from_imu, newest.map_from_imu)
+
+    # ------------------------------------------------------------------------ the odometry frame
+
+    def advance(self, position_odom: Array, seconds: float) -> Pose:
+        """Moves the odometry frame towards its place, no faster at the vehicle than allowed."""
+        now, target = self.world_from_odom, self._target
+        turn = float(so3_log(now.rotation.T @ target.rotation)[2])
+        limit = self._rate * seconds
+        yaw = float(np.arctan2(now.rotation[1, 0], now.rotation[0, 0]))
+        rotation = rotation_from_yaw(yaw + float(np.clip(turn, -limit, limit)))
+        here = now.apply(position_odom)
+        gap = target.apply(position_odom) - here
+        length = float(np.sqrt(gap @ gap))
+        here = here + gap * min(1.0, self._speed * seconds / max(length, 1e-12))
+        self.world_from_odom = Pose(rotation, here - rotation @ position_odom)
+        return self.world_from_odom
+
+
+def _joined(words: tuple[Indices, Indices]) -> Indices:
+    """Words of both kinds under numbers that do not collide."""
+    return np.concatenate([2 * words[0], 2 * words[1] + 1])
+
+
+def level_transform(odom: Pose, world: Pose) -> Pose:
+    """world_from_odom, a turn about the vertical and a shift, that takes the position of ``odom``
+    to that of ``world`` and its heading as near as a level turn can."""
+    turn = world.rotation @ odom.rotation.T
+    yaw = float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
+    rotation = rotation_from_yaw(yaw)
+    return Pose(rotation, world.translation - rotation @ odom.translation)

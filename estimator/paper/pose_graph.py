@@ -1,0 +1,190 @@
+"""Pose graph of the keyframes: odometry and closures, solved by Gauss-Newton on SE(3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix, csc_matrix
+from scipy.sparse.linalg import splu
+
+from sim.frames import Pose, so3_exp, so3_log
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(slots=True)
+class Edge:
+    """Measured pose ``source_from_target``; ``information`` (6, 6) of the errors (rotation of the
+    target, right perturbation; translation in the source frame)."""
+
+    source: int
+    target: int
+    measured: Pose
+    information: Array
+    robust: bool
+    """closures may be false, odometry is not"""
+
+
+def edge_residual(edge: Edge, source: Pose, target: Pose) -> Array:
+    """(6,) ``log(M^T R_s^T R_t)`` and ``R_s^T (p_t - p_s) - m``."""
+    turn = edge.measured.rotation.T @ source.rotation.T @ target.rotation
+    shift = source.rotation.T @ (target.translation - source.translation)
+    return np.concatenate([so3_log(turn), shift - edge.measured.translation])
+
+
+@njit(cache=True)
+def _skew(v: Array) -> Array:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+@njit(cache=True)
+def _linearise(
+    residuals: Array,
+    source_rotations: Array,
+    target_rotations: Array,
+    shifts: Array,
+    informations: Array,
+    weights: Array,
+) -> tuple[Array, Array]:
+    """Blocks (E, 12, 12) and vectors (E, 12), the source's six coordinates first.
+
+    ``shifts`` (E, 3): ``R_s^T (p_t - p_s)``.
+    """
+    count = residuals.shape[0]
+    blocks, vectors = np.zeros((count, 12, 12)), np.zeros((count, 12))
+    for e in range(count):
+        back = np.ascontiguousarray(source_rotations[e].T)
+        # inverse of the right Jacobian, to first order of the (small) rotation residual
+        curl = np.eye(3) + 0.5 * _skew(residuals[e, :3])
+        jacobian = np.zeros((6, 12))
+        jacobian[:3, :3] = -curl @ (
+            np.ascontiguousarray(target_rotations[e].T) @ source_rotations[e]
+        )
+        jacobian[:3, 6:9] = curl
+        jacobian[3:, :3] = _skew(shifts[e])
+        jacobian[3:, 3:6] = -back
+        jacobian[3:, 9:] = back
+        weighted = np.ascontiguousarray(jacobian.T) @ informations[e] * weights[e]
+        blocks[e] = weighted @ jacobian
+        vectors[e] = -weighted @ residuals[e]
+    return blocks, vectors
+
+
+class PoseGraph:
+    """Nodes by number, in the order they were added; the first one holds the map in place."""
+
+    def __init__(
+        self, anchor_sigmas: Array, level_sigmas: Array, robust_scale: float = 3.0
+    ) -> None:
+        """``anchor_sigmas`` (6,): of the first node; ``level_sigmas`` (6,): how well every node's
+        rotation and position are known beforehand (rad, m; infinite where they are not): LIDAR and
+        gravity measure height and tilt of each, whatever the path."""
+        self.poses: dict[int, Pose] = {}
+        self.edges: list[Edge] = []
+        self._priors: dict[int, tuple[Pose, Array]] = {}
+        self._anchor = 1.0 / anchor_sigmas**2
+        self._level = 1.0 / level_sigmas**2
+        self._robust_scale = robust_scale
+
+    def add_node(self, number: int, guess: Pose, measured: Pose) -> None:
+        """``measured``: pose whose height and tilt count (all six coordinates at the first)."""
+        self._priors[number] = (measured, self._level if self.poses else self._anchor)
+        self.poses[number] = guess
+
+    def add_edge(self, edge: Edge) -> None:
+        """Raises KeyError if one of its ends is not a node."""
+        for number in (edge.source, edge.target):
+            if number not in self.poses:
+                raise KeyError(f"the pose graph has no node {number}")
+        self.edges.append(edge)
+
+    def remove_node(self, number: int) -> None:
+        """Takes a node out; its odometry is bridged by the product of its two edges."""
+        before = [e for e in self.edges if e.target == number and not e.robust]
+        after = [e for e in self.edges if e.source == number and not e.robust]
+        self.edges = [e for e in self.edges if number not in (e.source, e.target)]
+        pose, prior = self._priors.pop(number)
+        first = next(iter(self.poses)) == number
+        del self.poses[number]
+        if before and after:
+            covariance = np.linalg.inv(before[0].information) + np.linalg.inv(after[0].information)
+            self.edges.append(
+                Edge(
+                    before[0].source, after[0].target, before[0].measured @ after[0].measured,
+                    np.linalg.inv(covariance), False,
+                )
+            )  # fmt: skip
+        if first and self.poses:
+            successor = next(iter(self.poses))
+            self._priors[successor] = (self.poses[successor], self._anchor)
+
+    def optimise(self, iterations: int = 2) -> None:
+        """Moves the nodes to the least weighted sum of squares."""
+        for _ in range(iterations):
+            matrix, vector = self._system()
+            steps = splu(matrix).solve(vector).reshape(-1, 6)
+            for number, step in zip(list(self.poses), steps, strict=True):
+                pose = self.poses[number]
+                self.poses[number] = Pose(
+                    pose.rotation @ so3_exp(step[:3]), pose.translation + step[3:]
+                )
+
+    def position_covariance(self, number: int) -> Array:
+        """(3, 3) m^2 of a node's position given everything in the graph."""
+        matrix, _ = self._system()
+        row = 6 * list(self.poses).index(number)
+        units = np.zeros((matrix.shape[0], 3))
+        units[row + 3 + np.arange(3), np.arange(3)] = 1.0
+        block: Array = splu(matrix).solve(units)[row + 3 : row + 6]
+        return 0.5 * (block + block.T)
+
+    def _system(self) -> tuple[csc_matrix, Array]:
+        order = {number: i for i, number in enumerate(self.poses)}
+        size = 6 * len(order)
+        vector = np.zeros(size)
+        diagonal = np.zeros(size)
+        for number, (pose, weights) in self._priors.items():
+            now, at = self.poses[number], 6 * order[number]
+            turn = so3_log(pose.rotation.T @ now.rotation)
+            stray = np.concatenate([turn, now.translation - pose.translation])
+            diagonal[at : at + 6] = weights
+            vector[at : at + 6] = -weights * stray
+        if not self.edges:
+            everywhere = np.arange(size)
+            return coo_matrix((diagonal, (everywhere, everywhere))).tocsc(), vector
+        blocks, vectors = self._edge_blocks()
+        sources = np.array([order[e.source] for e in self.edges])
+        targets = np.array([order[e.target] for e in self.edges])
+        where = np.concatenate(
+            [6 * sources[:, None] + np.arange(6), 6 * targets[:, None] + np.arange(6)], axis=1
+        )
+        np.add.at(vector, where, vectors)
+        rows = np.repeat(where, 12, axis=1).ravel()
+        cols = np.tile(where, (1, 12)).ravel()
+        everywhere = np.arange(size)
+        matrix = coo_matrix(
+            (
+                np.concatenate([blocks.ravel(), diagonal]),
+                (np.concatenate([rows, everywhere]), np.concatenate([cols, everywhere])),
+            ),
+            shape=(size, size),
+        )
+        return matrix.tocsc(), vector
+
+    def _edge_blocks(self) -> tuple[Array, Array]:
+        poses = self.poses
+        residuals = np.array(
+            [edge_residual(e, poses[e.source], poses[e.target]) for e in self.edges]
+        )
+        source = np.array([poses[e.source].rotation for e in self.edges])
+        target = np.array([poses[e.target].rotation for e in self.edges])
+        shifts = residuals[:, 3:] + np.array([e.measured.translation for e in self.edges])
+        informations = np.array([e.information for e in self.edges])
+        square = np.einsum("ei,eij,ej->e", residuals, informations, residuals)
+        robust = np.array([e.robust for e in self.edges])
+        weights = np.where(robust, 1.0 / (1.0 + square / self._robust_scale**2), 1.0)
+        return _linearise(residuals, source, target, shifts, informations, weights)
