@@ -335,7 +335,7 @@ class LidarSensor:
         near = np.zeros(len(nominal), dtype=np.bool_)
         near[others] = True
         others = returns.near_edges(nominal, hits.distance, hits.cosine, np.flatnonzero(near))
-        angle = float(np.linalg.norm(self._parts[0, :2]))
+        angle_squared = float(np.sum(self._parts[0, :2] ** 2))
         probes = [self._aim(first, nominal, others, end[None], track) for end in self._parts[:2]]
         found = [self._cast(probe.rays, probe.times, movers)[0] for probe in probes]
         kept = returns.probed_apart(
@@ -346,7 +346,7 @@ class LidarSensor:
             found[0].cosine,
             found[1].distance,
             found[1].cosine,
-            angle,
+            angle_squared,
         )
         split = others[kept]
         parts = self._aim(first, nominal, split, self._parts[2:], track)

@@ -148,6 +148,8 @@ def aim(
     k = 0
     row = 0
     last = track_times.shape[0] - 1
+    tick = 1.0 / rate
+    slope = 1.0 / (track_times[1] - track_times[0]) if last > 0 else 0.0
     for i in pulses:
         x, y, z = nominal[i, 0], nominal[i, 1], nominal[i, 2]
         # The nearer of x and y to the beam's plane of view spans it: no pole within any pattern.
@@ -170,11 +172,12 @@ def aim(
         wander_v = angle_sigma * normal_in(high, quantiles[cell], quantiles[cell + 1])
         cell, _ = normal_cell(third)
         noise = normal_in(third, quantiles[cell], quantiles[cell + 1])
-        time = (first_pulse + i) / rate
+        time = (first_pulse + i) * tick
         while k < last and track_times[k + 1] < time:
             k += 1
+            slope = 1.0 / (track_times[k + 1] - track_times[k]) if k < last else 0.0
         j = min(k + 1, last)
-        f = _fraction(track_times[k], track_times[j], time)
+        f = min(max((time - track_times[k]) * slope, 0.0), 1.0)
         e = 1.0 - f
         px = e * positions[k, 0] + f * positions[j, 0]
         py = e * positions[k, 1] + f * positions[j, 1]
@@ -189,7 +192,11 @@ def aim(
             dx += f * _dot(rotations[j, 0, 0], rotations[j, 0, 1], rotations[j, 0, 2], bx, by, bz)
             dy += f * _dot(rotations[j, 1, 0], rotations[j, 1, 1], rotations[j, 1, 2], bx, by, bz)
             dz += f * _dot(rotations[j, 2, 0], rotations[j, 2, 1], rotations[j, 2, 2], bx, by, bz)
-            scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+            excess = dx * dx + dy * dy + dz * dz - 1.0
+            # Lengths are 1 but for what pointing errors and chords add: two terms do.
+            scale = 1.0 - 0.5 * excess
+            if abs(excess) > 1e-4:
+                scale = 1.0 / np.sqrt(1.0 + excess)
             rays[row, 0], rays[row, 1], rays[row, 2] = px, py, pz
             rays[row, 3], rays[row, 4], rays[row, 5] = dx * scale, dy * scale, dz * scale
             range_noise[row] = noise
@@ -209,8 +216,8 @@ def rays_near(
     radius: float,
 ) -> tuple[Indices, Float32]:
     """The rays (N, 6), fired at ``times`` (N,) ascending, that pass through the bounding sphere of
-    a moving body (``center`` (3,) in its own frame): their indices (K,), and (K, 6) themselves in the
-    body's frame at their own instants. The track as for `aim`."""
+    a moving body (``center`` (3,) in its own frame): their indices (K,), and (K, 6) themselves in
+    the body's frame at their own instants. The track as for `aim`."""
     centers = np.empty_like(positions)
     for m in range(positions.shape[0]):
         for r in range(3):

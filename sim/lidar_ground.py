@@ -21,7 +21,8 @@ Int32 = NDArray[np.int32]
 _STEEPEST = -0.05
 """Rays flatter than this would cross too many cells: the general ray caster is faster."""
 _BELOW_M = 1e-6
-_BLOCK = 8
+_BLOCK_BITS = 3
+_BLOCK = 1 << _BLOCK_BITS
 """Cells along a side of the blocks that far-off rays skip at once."""
 _MOST_PIECES = 64
 _PAST_SIDE = 1e-9
@@ -173,7 +174,7 @@ def _march(
             x, y = u + t * du, v + t * dv
             if not (0.0 <= x < cols and 0.0 <= y < rows):
                 break
-            block_x, block_y = int(x) // _BLOCK, int(y) // _BLOCK
+            block_x, block_y = int(x) >> _BLOCK_BITS, int(y) >> _BLOCK_BITS
             leave = t + min(
                 _to_side(x, block_x * _BLOCK, _BLOCK, du, wide_x),
                 _to_side(y, block_y * _BLOCK, _BLOCK, dv, wide_y),

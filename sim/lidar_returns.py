@@ -240,9 +240,9 @@ def near_edges(
             x = nominal[i, 0] - nominal[j, 0]
             y = nominal[i, 1] - nominal[j, 1]
             z = nominal[i, 2] - nominal[j, 2]
-            angle = math.sqrt(x * x + y * y + z * z)
-            if angle < _NEIGHBOUR_RAD and _apart(
-                distance[i], distance[j], cosine[i], cosine[j], angle
+            angle_squared = x * x + y * y + z * z
+            if angle_squared < _NEIGHBOUR_RAD * _NEIGHBOUR_RAD and _apart(
+                distance[i], distance[j], cosine[i], cosine[j], angle_squared
             ):
                 edge = True
                 break
@@ -253,15 +253,17 @@ def near_edges(
 
 
 @njit(cache=True, forceinline=True)
-def _apart(distance: float, other: float, cosine: float, other_cosine: float, angle: float) -> bool:
-    """Whether two hits ``angle`` radians apart lie at ranges that no plane through one of them
-    explains."""
-    gap = abs(distance - other)
-    if not gap > _STEP_M:  # also where neither hits anything
+def _apart(
+    distance: float, other: float, cosine: float, other_cosine: float, angle_squared: float
+) -> bool:
+    """Whether two hits lie at ranges that no plane through one of them explains. The angle between
+    their rays comes squared; so does the whole comparison, which spares two roots."""
+    gap = abs(distance - other) - _STEP_M
+    if not gap > 0.0:  # also where neither hits anything
         return False
     c = max(min(abs(cosine), abs(other_cosine)), 0.05)
-    steepest = math.sqrt(1.0 / (c * c) - 1.0)
-    return gap > _STEP_M + _SLACK * min(distance, other) * angle * steepest
+    reach = _SLACK * min(distance, other)
+    return gap * gap * c * c > reach * reach * angle_squared * (1.0 - c * c)
 
 
 @njit(cache=True, nogil=True)
@@ -273,17 +275,17 @@ def probed_apart(
     end_cosine: Float32,
     other_end_distance: Float32,
     other_end_cosine: Float32,
-    angle: float,
+    angle_squared: float,
 ) -> Indices:
-    """Those of ``pulses`` (K,) one of whose ends (K,), ``angle`` radians off the axis, finds
-    another surface than the axis (``distance``, ``cosine`` of all pulses): positions in
+    """Those of ``pulses`` (K,) one of whose ends (K,), an angle off the axis, finds another surface
+    than the axis (``distance``, ``cosine`` of all pulses): positions in
     ``pulses``."""
     out = np.empty(pulses.shape[0], dtype=np.int64)
     count = 0
     for k in range(pulses.shape[0]):
         d, c = distance[pulses[k]], cosine[pulses[k]]
-        if _apart(d, end_distance[k], c, end_cosine[k], angle) or _apart(
-            d, other_end_distance[k], c, other_end_cosine[k], angle
+        if _apart(d, end_distance[k], c, end_cosine[k], angle_squared) or _apart(
+            d, other_end_distance[k], c, other_end_cosine[k], angle_squared
         ):
             out[count] = k
             count += 1

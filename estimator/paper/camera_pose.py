@@ -28,10 +28,13 @@ _FLOOR_SIGMAS = np.array([np.radians(0.03), np.radians(0.03), np.radians(0.02), 
 """rad and m: errors of the landmarks that all of an image's landmarks share"""
 _LEAST_LANDMARKS = 30
 _LEAST_CLOSURE = 25
+_LEAST_AGREEMENT = 0.5
+"""of the landmarks found, for a closure"""
 _MOST_CANDIDATES = 2
 _CLOSURE_RADIUS_PX = 40.0
+_LEAST_SCALE = 0.7
 _CLOSURE_GUESS_SIGMAS = np.array([0.003, 0.003, 0.05, 2.0, 2.0, 0.2])
-_CLOSURE_FLOOR_SIGMAS = np.array([1e-3, 1e-3, 5e-4, 0.015, 0.015, 0.03])
+_CLOSURE_FLOOR_SIGMAS = np.array([1e-3, 1e-3, 5e-4, 0.015, 0.015, 0.1])
 """rad and m, likewise, of the landmarks of an earlier pass"""
 
 
@@ -219,7 +222,13 @@ class CameraPositioning:
         )
         recent = self._map.keyframes[-self._params.recent_keyframes - 1 :]
         young = {k.number for k in recent}
-        found = self._closures.candidates(words, young, _MOST_CANDIDATES)
+        # landmarks seen from much nearer or farther carry their depth errors over, enlarged
+        alike = {
+            k.number
+            for k in self._map.keyframes
+            if _LEAST_SCALE < k.depth_m / keyframe.depth_m < 1.0 / _LEAST_SCALE
+        }
+        found = self._closures.candidates(words, alike - young, _MOST_CANDIDATES)
         self._closures.add(keyframe, words, before.number if before else None)
         self._closures.refresh_odometry({k.number: k for k in recent})
         closed = False
@@ -252,7 +261,7 @@ class CameraPositioning:
             sightings.pixels, landmarks, self._sigmas(sightings.kinds), keyframe.map_from_imu,
             loose, self._imu_from_camera, self._rig.camera, _LEAST_CLOSURE,
         )  # fmt: skip
-        if solved is None:
+        if solved is None or solved.inliers.sum() < _LEAST_AGREEMENT * len(sightings):
             return False
         information, _ = floored(solved.information, np.zeros(6), _CLOSURE_FLOOR_SIGMAS)
         self._closures.close(keyframes[at], keyframe, solved.pose, information)

@@ -43,10 +43,10 @@ class Closures:
         """The dictionary's words (N,) of (N, D) descriptors."""
         return self._vocabularies[kind].assign(descriptors)
 
-    def candidates(self, words: tuple[Indices, Indices], young: set[int], most: int) -> list[int]:
-        """Keyframes, none of them ``young``, that share most with an image of these words."""
+    def candidates(self, words: tuple[Indices, Indices], among: set[int], most: int) -> list[int]:
+        """The keyframes ``among`` those given that share most with an image of these words."""
         scores = self._index.scores(_joined(words))
-        old = [(s, -k) for k, s in scores.items() if k not in young and s >= _LEAST_LIKENESS]
+        old = [(s, -k) for k, s in scores.items() if k in among and s >= _LEAST_LIKENESS]
         return [-k for _, k in sorted(old, reverse=True)[:most]]
 
     # ------------------------------------------------------------------------ graph
