@@ -24,7 +24,7 @@ land: $(READY)
 	$(BIN)/touchdown land crossroad
 
 test: $(READY)
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
 
 check: $(READY)
 	$(BIN)/ruff check .
@@ -47,7 +47,7 @@ $(READY): pyproject.toml constraints.txt .ci/system-libraries
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade pip
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
-	    --constraint constraints.txt --editable ".[dev]"
+	    --constraint constraints.txt --editable ".[dev,rl]"
 	@touch $@
 
 clean:

@@ -126,7 +126,7 @@ class Chessboard:
     rows: int = 8
     """inner corners along y; odd and even, so that the board upside down is not the board"""
     square_m: float = 0.09
-    margin_m: float = 0.08
+    margin_m: float = 0.06
     """white rim of the plate around the squares"""
 
     @property

@@ -41,3 +41,20 @@ class BiasParams:
 
     xy_m: tuple[float, float] = (0.0, 0.0)
     ramp_s: float = 5.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RigErrorParams:
+    """What is wrong with the calibration that estimators are told, drawn from the seed; not used
+    where a flight names a calibration file."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    rotation_sigma_deg: float = 0.0
+    """of camera_from_lidar, about each axis"""
+    translation_sigma_m: float = 0.0
+    """of camera_from_lidar, along each axis"""
+    focal_sigma: float = 0.0
+    """relative, of each focal length"""
+    center_sigma_px: float = 0.0
+    """of either coordinate of the principal point"""

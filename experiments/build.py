@@ -16,6 +16,7 @@ from controller.api import Controller
 from estimator.api import CalibrationResult, CalibrationView, Chessboard, Estimator, Mapper
 from experiments.bias import BiasedEstimator
 from experiments.config import Config, UsageError
+from experiments.rig import told_rig
 from experiments.suggest import nearest
 from landing.api import Lander
 from scenes.api import Scene, TruthMaps
@@ -61,11 +62,16 @@ def build_flight(config: Config, scene: Scene) -> Flight:
 
     make_estimator = _estimator_factory(config)
     world = _world(config, scene)
-    estimator = make_estimator(world.rig, world.truth)
+    try:
+        rig = told_rig(world.rig, config)
+    except ValueError:
+        world.close()
+        raise
+    estimator = make_estimator(rig, world.truth)
     if any(config.bias.xy_m):
         estimator = BiasedEstimator(estimator, config.bias)
-    mapper = GridMapper(world.rig, config.mapper)
-    lander = SiteLander(world.rig, config.landing, config.survey)
+    mapper = GridMapper(rig, config.mapper)
+    lander = SiteLander(rig, config.landing, config.survey)
     world.require(estimator.needs | mapper.needs | lander.needs)
     controller = CascadeController(world.rig.vehicle, config.control)
     return Flight(

@@ -28,6 +28,7 @@ _NEAR_M, _FAR_M = 1.8, 3.4
 _TILT_RAD = np.deg2rad([18.0, 45.0])
 _TURN_RAD = np.deg2rad(25.0)
 _EDGE_PX = 12.0
+_MOST_OBLIQUE = np.cos(np.deg2rad(52.0))
 _LIDAR_HALF_VIEW = np.tan(0.5 * np.deg2rad([81.7, 25.1]))
 _LEAST_SEEN = 0.6
 """share of the board within the LIDAR's view"""
@@ -113,14 +114,16 @@ def _outline(board: Chessboard, steps: int) -> Array:
 
 
 def _in_picture(stand: SensorStand, board: Chessboard, pose: Pose) -> bool:
-    """Whether the squares and half the rim, which the corner finder wants, are in the picture."""
+    """Whether the squares and half the rim, which the corner finder wants, are in the picture and
+    not seen too obliquely."""
     k = stand.intrinsics
     shrink = 1.0 - board.margin_m / np.array([*board.size_m, np.inf])
     points = pose.apply(_outline(board, 5) * shrink)
     pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), k.matrix(), k.distortion)[0]
     pixels = pixels.reshape(-1, 2)
     limit = np.array([k.width - 1, k.height - 1]) - _EDGE_PX
-    return bool((points[:, 2] > 0.5).all() and ((pixels > _EDGE_PX) & (pixels < limit)).all())
+    ray = pose.translation / np.linalg.norm(pose.translation)
+    return bool(ray @ pose.rotation[:, 2] > _MOST_OBLIQUE and ((pixels > _EDGE_PX) & (pixels < limit)).all())
 
 
 def _in_lidar(board: Chessboard, camera_from_lidar: Pose, pose: Pose) -> bool:

@@ -24,6 +24,7 @@ from experiments.cli_base import (
     usage_errors,
 )
 from experiments.cli_bench import bench
+from experiments.cli_calibrate import calibrate
 from experiments.cli_scenes import scenes
 from experiments.console import (
     end_progress,
@@ -61,6 +62,11 @@ _FLIGHT_OPTIONS = (
     click.option("--seed", type=int, help="Varies the place, the wind and all noise.  [0]"),
     click.option("--wind-kmh", type=float, help="Mean wind speed at 6 m.  [12]"),
     click.option(
+        "--calibration",
+        metavar="FILE",
+        help="Of `touchdown calibrate`: what the estimator is told of camera and LIDAR.",
+    ),
+    click.option(
         "--config",
         "config_file",
         type=click.Path(path_type=Path),
@@ -82,6 +88,9 @@ _FLIGHT_OPTIONS = (
     click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object."),
     click.option("--quiet", is_flag=True, help="No progress on stderr."),
 )
+
+_CONFIG_OPTIONS = ("scene", "estimator", "seed", "wind_kmh", "record", "calibration")
+"""Those of them that `experiments.config.load_config` takes."""
 
 
 def _flight_options(command: _Command) -> _Command:
@@ -134,7 +143,7 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
     config = load_config(
         options["config_file"],
         options["overrides"],
-        **{key: options[key] for key in ("scene", "estimator", "seed", "wind_kmh", "record")},
+        **{key: options[key] for key in _CONFIG_OPTIONS},
         **more,
     )
     if out is None:
@@ -196,6 +205,7 @@ def report(directory: Path, as_json: bool) -> int:
 
 cli.add_command(scenes)
 cli.add_command(bench)
+cli.add_command(calibrate)
 
 
 @cli.group(cls=CommandGroup)

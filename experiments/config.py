@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from controller.api import ControlParams
 from estimator.api import LivoParams, MapperParams, PaperParams
-from experiments.api import BiasParams, RefereeParams
+from experiments.api import BiasParams, RefereeParams, RigErrorParams
 from experiments.suggest import nearest
 from landing.api import LandingParams, SurveyParams
 from sim.api import (
@@ -73,6 +73,9 @@ class Config(BaseModel):
     scene: str = "crossroad"
     seed: int = 0
     estimator: str = "livo"
+    calibration: str | None = None
+    """path of a file of `touchdown calibrate` that estimators are told instead of the rig's own
+    calibration with the errors of ``rig_error``"""
     record: bool = True
     """write the Rerun recording (trajectories, map and costmap are always written)"""
     sim: SimParams = Field(default_factory=SimParams)
@@ -92,6 +95,7 @@ class Config(BaseModel):
     landing: LandingParams = Field(default_factory=LandingParams)
     referee: RefereeParams = Field(default_factory=RefereeParams)
     bias: BiasParams = Field(default_factory=BiasParams)
+    rig_error: RigErrorParams = Field(default_factory=RigErrorParams)
     log: LogParams = Field(default_factory=LogParams)
 
     @property
@@ -109,6 +113,7 @@ OPTION_KEYS: Mapping[str, str] = {
     "scene": "scene",
     "seed": "seed",
     "estimator": "estimator",
+    "calibration": "calibration",
     "record": "record",
     "wind_kmh": "wind.mean_kmh",
     "site": "landing.site_xy_m",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -138,8 +139,8 @@ def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
 
     table = Table(title="seeds of each scene", title_justify="left")
     table.add_column("scene", no_wrap=True)
-    for title in ("built", "closest pair", "height", "class", "grey", "safe ground", "s a seed"):
-        table.add_column(title, justify="right")
+    for title in ("built", "closest", "height", "class", "grey", "safe ground", "s a seed"):
+        table.add_column(title, justify="right", no_wrap=True)
     notes = []
     for row in rows:
         pair = row["closest"] or {"seeds": [], "height_m": 0.0, "class_share": 0.0, "grey": 0.0}
@@ -147,11 +148,11 @@ def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
         table.add_row(
             row["scene"],
             f"{row['built']} of {row['built'] + len(row['failed'])}",
-            " and ".join(str(seed) for seed in pair["seeds"]) + ("" if row["differ"] else " SAME"),
+            ", ".join(str(seed) for seed in pair["seeds"]) + ("" if row["differ"] else " SAME"),
             f"{pair['height_m']:.2f} m",
             f"{pair['class_share']:.1%}",
             f"{pair['grey']:.1f}",
-            f"{low:.1%} to {middle:.1%}",
+            f"{low:.1%}, {middle:.1%}",
             f"{row['seconds_per_seed']:.1f}",
         )
         if row["without_safe_site"]:
@@ -161,8 +162,9 @@ def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
     console = Console(highlight=False)
     console.print(table)
     console.print(
-        "height: mean absolute difference; class: share of cells; grey: mean absolute difference "
-        "of the pictures from above, of 255; safe ground: least and median share of the area seen",
+        "closest: the two most alike seeds, their mean absolute difference in height, share of "
+        "cells of another class, mean absolute difference of the pictures from above (of 255); "
+        "safe ground: least and median share of the area seen",
         style="dim",
     )
     for note in notes:
@@ -202,3 +204,38 @@ def end_progress(quiet: bool) -> None:
     """Leaves the cursor at the start of an empty line."""
     if not quiet and sys.stderr.isatty():
         print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+
+def print_calibration(report: Mapping[str, Any]) -> None:
+    """Errors of a calibration beside what it says of them itself."""
+    from rich.console import Console
+    from rich.table import Table
+
+    error, sigma = report["error"], report["stated_sigma"]
+    views, agreed = report["views"], report["consistency"]["consistent"]
+    table = Table(
+        title=f"{views['used']} of {views['given']} views used", title_justify="left", min_width=52
+    )
+    table.add_column("", style="dim")
+    table.add_column("error", justify="right")
+    table.add_column("stated sigma", justify="right")
+    table.add_row(
+        "rotation of the LIDAR",
+        f"{error['rotation_deg']:.4f} deg",
+        f"{math.hypot(*sigma['rotation_deg']):.4f} deg",
+    )
+    table.add_row(
+        "its place",
+        f"{1e3 * error['translation_m']:.2f} mm",
+        f"{1e3 * math.hypot(*sigma['translation_m']):.2f} mm",
+    )
+    for (name, percent), spread in zip(
+        error["camera_percent"].items(), sigma["camera_px"], strict=True
+    ):
+        table.add_row(name, f"{percent:+.3f} %", f"{spread:.2f} px")
+    console = Console(highlight=False)
+    console.print(table)
+    for number, why in views["refused"].items():
+        console.print(f"view {int(number) + 1} not used: {why}", soft_wrap=True)
+    console.print(f"error and covariance agree: {'yes' if agreed else 'no'}")
+    console.print(f"written: {report['file']}", soft_wrap=True)

@@ -79,10 +79,7 @@ class SceneViews:
         """Near is red, far is blue, between the extremes of this picture."""
         depth = self._hover.depth_m
         seen = depth[np.isfinite(depth)]
-        low, high = (
-            (float(v) for v in np.percentile(seen, [0.1, 99.9])) if seen.size else (0.0, 0.0)
-        )
-        high = max(high, low + 0.5)
+        low, high = _span(seen, 0.1, 99.9)
         picture = _coloured((high - depth) / (high - low), cv2.COLORMAP_TURBO)
         picture[~np.isfinite(depth)] = 0
         return _with_scale(picture, cv2.COLORMAP_TURBO, f"{high:.1f} m deep", f"{low:.1f} m")
@@ -110,8 +107,7 @@ class SceneViews:
     def height(self) -> Picture:
         """Heights in colour, shaded by a low sun in the north-west."""
         heights = self.truth.height_m
-        low, high = (float(v) for v in np.nanpercentile(heights, [0.5, 99.0]))
-        high = max(high, low + 0.5)
+        low, high = _span(heights[np.isfinite(heights)], 0.5, 99.0)
         tint = _coloured((heights - low) / (high - low), cv2.COLORMAP_PARULA).astype(float)
         picture = (tint * self._shade[:, :, None]).clip(0, 255).astype(np.uint8)
         picture[~np.isfinite(heights)] = 0
@@ -184,6 +180,15 @@ def write_picture(path: Path, picture: Picture) -> None:
     """Writes RGB to a .png or .jpg file. Raises UsageError where that cannot be."""
     if not cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
         raise UsageError(f"--out: '{path}' cannot be written: is its folder writable?")
+
+
+def _span(values: NDArray[np.floating], low: float, high: float) -> tuple[float, float]:
+    """Two percentiles, at least half a metre apart: level ground is of the middle colour."""
+    if not values.size:
+        return -0.25, 0.25
+    ends = np.percentile(values, [low, high])
+    half = max(0.5 * float(ends[1] - ends[0]), 0.25)
+    return float(ends.mean()) - half, float(ends.mean()) + half
 
 
 def _coloured(share: NDArray[np.floating], colormap: int) -> Picture:

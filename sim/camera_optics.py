@@ -193,25 +193,35 @@ def exposure_table(params: CameraParams, picture: Bytes) -> Bytes | None:
 
 
 def noise_tile(params: CameraParams, key: list[int]) -> NDArray[np.int8]:
-    """Rounded Gaussian grey noise, a margin larger than the picture. Rounding adds its own
-    variance, which is taken off beforehand."""
+    """Rounded Gaussian grey noise, a margin larger than the picture, (rows, 3 * columns): every
+    value thrice, once a channel. Rounding adds its own variance, which is taken off beforehand."""
     sigma = math.sqrt(max(params.noise_sigma**2 - _ROUNDING_VARIANCE, 0.0))
     shape = (params.height + NOISE_MARGIN, params.width + NOISE_MARGIN)
     noise = sigma * np.random.default_rng(key).standard_normal(shape, dtype=np.float32)
-    return np.clip(np.rint(noise), -127, 127).astype(np.int8)
+    return np.repeat(np.clip(np.rint(noise), -127, 127).astype(np.int8), 3, axis=1)
 
 
-@njit(cache=True, nogil=True)
 def develop(
     raw: Bytes, noise: NDArray[np.int8], row: int, col: int, sign: int, flip: bool, picture: Bytes
 ) -> None:
-    """Turns the picture the right way up where ``flip`` says so, and adds the noise tile from
-    (row, col) on."""
-    height, width, channels = raw.shape
+    """Turns the picture (H, W, 3) the right way up where ``flip`` says so, and adds the noise tile
+    from (row, col) on. Both pictures are contiguous."""
+    lines = (raw.shape[0], raw.shape[1] * raw.shape[2])
+    _add_noise(
+        raw.reshape(lines), noise, row, 3 * col, np.int16(sign), flip, picture.reshape(lines)
+    )
+
+
+@njit(cache=True, nogil=True)
+def _add_noise(
+    raw: Bytes, noise: NDArray[np.int8], row: int, first: int, sign: int, flip: bool, out: Bytes
+) -> None:
+    height, width = raw.shape
     for i in range(height):
-        source = height - 1 - i if flip else i
+        source = raw[height - 1 - i if flip else i]
+        grain = noise[row + i, first : first + width]
+        target = out[i]
         for j in range(width):
-            grain = sign * noise[row + i, col + j]
-            for c in range(channels):
-                value = raw[source, j, c] + grain
-                picture[i, j, c] = min(max(value, 0), 255)
+            # 16 bits, so that the loop becomes vector instructions
+            value = np.int16(source[j]) + np.int16(sign * np.int16(grain[j]))
+            target[j] = np.uint8(min(max(value, np.int16(0)), np.int16(255)))

@@ -8,6 +8,7 @@ coordinates to world coordinates.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,25 +64,28 @@ def skew(vector: Array) -> Array:
 
 def so3_exp(rotation_vector: Array) -> Array:
     """Rotation matrix of a rotation vector (3,) in radians (Rodrigues)."""
-    angle = float(np.sqrt(rotation_vector @ rotation_vector))
-    generator = skew(rotation_vector)
+    # Scalars throughout: numpy on arrays of three costs several times as much.
+    x, y, z = rotation_vector.tolist()
+    squared = x * x + y * y + z * z
+    angle = math.sqrt(squared)
     if angle < _SMALL_ANGLE:
-        return np.eye(3) + generator
-    return (
-        np.eye(3)
-        + (np.sin(angle) / angle) * generator
-        + ((1.0 - np.cos(angle)) / angle**2) * generator @ generator
+        return np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])
+    a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / squared
+    return np.array(
+        [
+            [1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
+            [b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x],
+            [b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)],
+        ]
     )
 
 
 def so3_log(rotation: Array) -> Array:
     """Rotation vector (3,) in radians, angle in [0, pi], of a rotation matrix."""
-    w, x, y, z = quat_wxyz_from_matrix(rotation)
-    vector = np.array([x, y, z])
-    sine = float(np.sqrt(vector @ vector))
-    if sine < _SMALL_ANGLE:
-        return 2.0 * vector
-    return (2.0 * np.arctan2(sine, w) / sine) * vector
+    w, x, y, z = _quat_scalars(rotation)
+    sine = math.sqrt(x * x + y * y + z * z)
+    scale = 2.0 if sine < _SMALL_ANGLE else 2.0 * math.atan2(sine, w) / sine
+    return np.array([scale * x, scale * y, scale * z])
 
 
 def so3_right_jacobian(rotation_vector: Array) -> Array:
@@ -99,34 +103,35 @@ def so3_right_jacobian(rotation_vector: Array) -> Array:
 
 def quat_wxyz_from_matrix(rotation: Array) -> Array:
     """Unit quaternion (4,) wxyz with w >= 0 of a rotation matrix (Shepperd's method)."""
-    trace = rotation[0, 0] + rotation[1, 1] + rotation[2, 2]
-    candidates = np.array([trace, rotation[0, 0], rotation[1, 1], rotation[2, 2]])
-    largest = int(np.argmax(candidates))
-    quat = np.empty(4)
-    if largest == 0:
-        quat[0] = 1.0 + trace
-        quat[1] = rotation[2, 1] - rotation[1, 2]
-        quat[2] = rotation[0, 2] - rotation[2, 0]
-        quat[3] = rotation[1, 0] - rotation[0, 1]
+    return np.array(_quat_scalars(rotation))
+
+
+def _quat_scalars(rotation: Array) -> tuple[float, float, float, float]:
+    """w, x, y, z from the largest of the four squared components, so that nothing cancels."""
+    (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = rotation.tolist()
+    trace = m00 + m11 + m22
+    largest = max(trace, m00, m11, m22)
+    if largest == trace:
+        w, x, y, z = 1.0 + trace, m21 - m12, m02 - m20, m10 - m01
+    elif largest == m00:
+        w, x, y, z = m21 - m12, 1.0 + m00 - m11 - m22, m10 + m01, m20 + m02
+    elif largest == m11:
+        w, x, y, z = m02 - m20, m10 + m01, 1.0 + m11 - m22 - m00, m21 + m12
     else:
-        i = largest - 1
-        j, k = (i + 1) % 3, (i + 2) % 3
-        quat[0] = rotation[k, j] - rotation[j, k]
-        quat[1 + i] = 1.0 + rotation[i, i] - rotation[j, j] - rotation[k, k]
-        quat[1 + j] = rotation[j, i] + rotation[i, j]
-        quat[1 + k] = rotation[k, i] + rotation[i, k]
-    quat /= np.sqrt(quat @ quat)
-    return quat if quat[0] >= 0.0 else -quat
+        w, x, y, z = m10 - m01, m20 + m02, m21 + m12, 1.0 + m22 - m00 - m11
+    norm = math.copysign(math.sqrt(w * w + x * x + y * y + z * z), w)
+    return w / norm, x / norm, y / norm, z / norm
 
 
 def matrix_from_quat_wxyz(quat_wxyz: Array) -> Array:
     """Rotation matrix (3, 3) of a quaternion (4,) wxyz of any non-zero norm."""
-    w, x, y, z = np.asarray(quat_wxyz, dtype=np.float64) / np.linalg.norm(quat_wxyz)
+    w, x, y, z = np.asarray(quat_wxyz, dtype=np.float64).tolist()
+    s = 2.0 / (w * w + x * x + y * y + z * z)
     return np.array(
         [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            [1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
+            [s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)],
+            [s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)],
         ]
     )
 

@@ -180,6 +180,7 @@ class MujocoWorld:
         self._air[:] = self._wind.step(self._step_s, self._vehicle.leg_height_m, 0.0)
         mujoco.mj_forward(self._model, self._data)
         self._tick = 0
+        self._truth: Truth | None = None
         self._instants: list[Snapshot] = []
         self._rotors = Rotors(
             self._vehicle, rotor_geometry(self._model), tick_s=1.0 / self._sim.tick_hz
@@ -215,6 +216,7 @@ class MujocoWorld:
         for _ in range(self._sim.control_ticks):
             self._advance_tick(clearance)
             self._sense(imu)
+        self._moving.write(self._data, self._tick / self._sim.tick_hz)
         self._acceleration = (self._velocity - velocity_before) / self._step_s
         self._battery.draw(self._rotors.shaft_power(), self._step_s)
         self._check_finite()
@@ -229,6 +231,7 @@ class MujocoWorld:
         self._rotors.speeds[:] = np.sqrt(self._hover_square / len(self._rotors.speeds))
         mujoco.mj_forward(self._model, self._data)
         self._contacts = ()
+        self._truth = None
         self._mark_start()
         return self._observation(())
 
@@ -245,6 +248,11 @@ class MujocoWorld:
     def truth(self) -> Truth:
         """The true state now. ``acceleration_world`` is dv/dt: 0 in hover and at rest.
         ``contacts`` are those of the last tick of the control step that had any."""
+        if self._truth is None or self._truth.tick != self._tick:
+            self._truth = self._read_truth()
+        return self._truth
+
+    def _read_truth(self) -> Truth:
         return Truth(
             tick=self._tick,
             time_s=self._tick / self._sim.tick_hz,
@@ -287,7 +295,6 @@ class MujocoWorld:
         )
         mujoco.mj_step(self._model, self._data)
         self._tick += 1
-        self._moving.write(self._data, self._tick / self._sim.tick_hz)
         if self._data.ncon:
             self._contacts = self._contact_sensor.read(self._data)
         x, y, z = self._velocity.tolist()
@@ -316,6 +323,7 @@ class MujocoWorld:
         until_pulse = -self._tick % self._image_period
         if until_pulse > self._readout:
             return
+        self._moving.write(self._data, self._tick / self._sim.tick_hz)
         # mj_step leaves positions of the tick's beginning behind.
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)

@@ -143,7 +143,15 @@ def test_presets_scan_at_their_rate(preset: str, pulses: int) -> None:
 
 @pytest.mark.parametrize(
     ("preset", "reflectivity", "limit"),
-    [("avia", 0.1, 190.0), ("avia", 0.2, 230.0), ("mid360", 0.1, 40.0), ("mid360", 0.8, 70.0)],
+    [
+        ("horizon", 0.1, 90.0),
+        ("horizon", 0.2, 130.0),
+        ("horizon", 0.8, 260.0),
+        ("avia", 0.1, 190.0),
+        ("avia", 0.2, 230.0),
+        ("mid360", 0.1, 40.0),
+        ("mid360", 0.8, 70.0),
+    ],
 )
 def test_presets_end_where_the_data_sheet_says(
     preset: str, reflectivity: float, limit: float

@@ -18,14 +18,16 @@ from estimator.paper.pnp import CameraPose, solve_pnp
 from estimator.paper.visual_map import LandmarkSet, MapKeyframe, Sightings, VisualMap, no_sightings
 from estimator.paper.window import adjust_window
 from sim.api import CameraImage, SensorRig
-from sim.frames import Pose
+from sim.frames import Pose, skew
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-_FLOOR_SIGMAS = np.array([np.radians(0.03), np.radians(0.03), np.radians(0.02), 0.01, 0.01, 0.02])
-"""rad and m: errors of the landmarks that all of an image's landmarks share"""
+_FLOOR_SIGMAS = np.array([1e-4, 1e-4, np.radians(0.02), 0.008, 0.008, 0.02])
+"""rad and m: errors that all of an image's landmarks share"""
+_GROUND_TILT_SIGMA = np.radians(0.5)
+"""of all landmarks together: the map grew outward from the take-off spot and may lean"""
 _LEAST_LANDMARKS = 30
 _LEAST_CLOSURE = 25
 _LEAST_AGREEMENT = 0.5
@@ -36,6 +38,20 @@ _LEAST_SCALE = 0.7
 _CLOSURE_GUESS_SIGMAS = np.array([0.003, 0.003, 0.05, 2.0, 2.0, 0.2])
 _CLOSURE_FLOOR_SIGMAS = np.array([1e-3, 1e-3, 5e-4, 0.015, 0.015, 0.1])
 """rad and m, likewise, of the landmarks of an earlier pass"""
+
+
+def with_common_errors(information: Array, pose: Pose, centre: Array) -> Array:
+    """Information (6, 6) of a pose by landmarks around ``centre`` (3,) whose map may be shifted and
+    tilted as a whole: ``(A^-1 + F)^-1``. A leaning map tilts the pose and swings it about the
+    centre at once, so that the position *for a given tilt* stays as sure as it was; gravity knows
+    the tilt better."""
+    swing = np.zeros((6, 2))
+    swing[:3] = pose.rotation.T[:, :2]
+    swing[3:] = -skew(pose.translation - centre)[:, :2]
+    common = np.diag(_FLOOR_SIGMAS**2) + _GROUND_TILT_SIGMA**2 * swing @ swing.T
+    widened = np.linalg.solve(np.eye(6) + information @ common, information)
+    symmetric: Array = 0.5 * (widened + widened.T)
+    return symmetric
 
 
 class CameraPositioning:
@@ -60,6 +76,8 @@ class CameraPositioning:
         self._last_tick = -(10**9)
         self._last_position = inertial.eskf.state.position
         self._next_number = 0
+        self.failed = 0
+        """images that did not fit the map"""
         self.diagnostics: dict[str, float] = {}
 
     def due(self, tick: int) -> bool:
@@ -81,10 +99,14 @@ class CameraPositioning:
             sightings = sightings.select(solved.inliers)
             pose = self._adjust(solved.pose, sightings)
             if self._params.use_camera_pose:
-                information, vector = floored(solved.information, np.zeros(6), _FLOOR_SIGMAS)
-                self._filter.correct(pose, information, vector)
+                seen = self._map.positions(
+                    sightings, self._odom_frames(sightings), self._map.by_number()
+                )
+                information = with_common_errors(solved.information, pose, seen.mean(axis=0))
+                self._filter.correct(pose, information, np.zeros(6))
                 corrected = True
         else:
+            self.failed += bool(self._map.keyframes)
             sightings = no_sightings()
         self._last_position = self._filter.eskf.state.position
         if self._worth_keeping(sightings):
@@ -109,6 +131,10 @@ class CameraPositioning:
             self._map.by_number(), self._rig.camera, self._imu_from_camera,
             np.sqrt(2.0) * sigmas, self._params.depth_sigma_m,
         )  # fmt: skip
+
+    def _odom_frames(self, sightings: Sightings) -> dict[int, Pose]:
+        known = self._map.by_number()
+        return {int(h): known[int(h)].odom_from_imu for h in np.unique(sightings.hosts)}
 
     def _sigmas(self, kinds: Indices) -> Array:
         return np.array([self._params.sift_sigma_px, self._params.brisk_sigma_px])[kinds]

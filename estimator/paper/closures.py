@@ -89,6 +89,8 @@ class Closures:
 
     def settle(self, keyframes: list[MapKeyframe]) -> None:
         """Solves the graph and hands the poses back to the keyframes."""
+        for keyframe in keyframes:
+            self._graph.poses[keyframe.number] = keyframe.map_from_imu
         self._graph.optimise()
         for keyframe in keyframes:
             keyframe.map_from_imu = self._graph.poses[keyframe.number]

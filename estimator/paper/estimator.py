@@ -59,7 +59,9 @@ class PaperEstimator:
         seconds = self._filter.step_s
         world_from_odom, drift = self._camera.world_from_odom(seconds)
         diagnostics = self._lidar.diagnostics | self._camera.diagnostics
-        diagnostics |= {"skipped": float(self._skipped + self._filter.skipped)}
+        diagnostics |= {
+            "skipped": float(self._skipped + self._filter.skipped + self._camera.failed)
+        }
         return self._filter.estimate(obs, world_from_odom, drift, self._scan_track, diagnostics)
 
     def _flat(self, image: CameraImage) -> CameraImage:

@@ -87,14 +87,16 @@ class FeatureMap:
 
     ``voxel_m``: side; ``capacity``: slots of the hash table, a power of two, which bounds the
     memory (when it is 70 % full, new voxels are refused); ``max_points``: a voxel stops learning
-    after so many points, because the oldest carry the least drift.
+    after so many points, because the oldest carry the least drift. ``reach``: of the search, in voxels;
+    five centroids on one line need two.
     """
 
-    def __init__(self, voxel_m: float, capacity: int, max_points: int = 20) -> None:
+    def __init__(self, voxel_m: float, capacity: int, max_points: int = 20, reach: int = 1) -> None:
         if capacity & (capacity - 1):
             raise ValueError(f"FeatureMap: capacity {capacity} must be a power of two")
         self.voxel_m = voxel_m
         self.max_points = max_points
+        self.reach = reach
         self.used = 0
         self._keys = np.full(capacity, _EMPTY, dtype=np.int64)
         self._sums = np.zeros((capacity, 4))
@@ -107,5 +109,5 @@ class FeatureMap:
 
     def nearest(self, points_odom: Array) -> tuple[NDArray[np.bool_], Array]:
         """Five nearest centroids of (N, 3) points, nearest first: found (N,) and (N, 5, 3). The
-        search covers the voxel of the point and those around it."""
-        return _nearest(self._keys, self._sums, points_odom, self.voxel_m, 1)
+        search covers the voxel of the point and ``reach`` more on every side."""
+        return _nearest(self._keys, self._sums, points_odom, self.voxel_m, self.reach)

@@ -21,7 +21,7 @@ STEP_ENERGY = np.float32(0.02)
 """energy of a pixel without any edge: keeps paths short where the energy is zero, so that the
 nearest seed is also the nearest in the picture"""
 _FAR = np.float32(1e9)
-_DIAGONAL = np.float32(1.4142135)
+_DIAGONAL = 1.4142135623730951
 _LEAST_WEIGHT = 0.4
 """of the nearest return in Eq. 12, below which a pixel has no depth"""
 
@@ -29,7 +29,7 @@ _LEAST_WEIGHT = 0.4
 @njit(cache=True)
 def path_energy(energy_a: float, energy_b: float, step: float) -> float:
     """The integral of Eq. 8 along one step between neighbouring pixels (trapezium rule)."""
-    return step * (0.5 * (energy_a + energy_b) + STEP_ENERGY)
+    return float(step * (0.5 * (energy_a + energy_b) + STEP_ENERGY))
 
 
 @njit(cache=True)
@@ -67,7 +67,7 @@ def geodesic_transform(
                         continue
                     if distance[nr, nc] >= best:
                         continue
-                    step = _DIAGONAL if (k == 0 or k == 2) else np.float32(1.0)
+                    step = _DIAGONAL if (k == 0 or k == 2) else 1.0
                     through = distance[nr, nc] + path_energy(here, energy[nr, nc], step)
                     if through < best:
                         best, mark = np.float32(through), label[nr, nc]

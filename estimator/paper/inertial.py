@@ -38,8 +38,9 @@ class _Trail:
     rotations: Array
     positions: Array
 
-    def extend(self, ticks: NDArray[np.int64], rotations: Array, positions: Array) -> None:
-        self.ticks = np.concatenate([self.ticks, ticks])[-_TRAIL_STEPS:]
+    def extend(self, ticks: Array, rotations: Array, positions: Array) -> None:
+        whole = ticks.astype(np.int64)
+        self.ticks = np.concatenate([self.ticks, whole])[-_TRAIL_STEPS:]
         self.rotations = np.concatenate([self.rotations, rotations])[-_TRAIL_STEPS:]
         self.positions = np.concatenate([self.positions, positions])[-_TRAIL_STEPS:]
 
@@ -162,8 +163,9 @@ class InertialFilter:
     def pose_information(self) -> Array:
         """(6, 6) inverse covariance of the present pose, all else marginalised."""
         covariance = self.eskf.covariance[:6, :6] + 1e-12 * np.eye(6)
-        inverse: Array = np.linalg.inv(covariance)
-        return 0.5 * (inverse + inverse.T)
+        inverse = np.linalg.inv(covariance)
+        symmetric: Array = 0.5 * (inverse + inverse.T)
+        return symmetric
 
     def correct(self, pose: Pose, information: Array, vector: Array) -> None:
         """Takes a measured odom_from_imu with its information (6, 6); ``vector`` (6,): gradient

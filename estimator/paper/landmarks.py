@@ -58,13 +58,14 @@ class LandmarkDetector:
     def __init__(self, sift: int, brisk: int, border_px: float = 10.0) -> None:
         self._counts = (sift, brisk)
         self._border = border_px
-        self._sift = cv2.SIFT_create(nfeatures=4 * sift, contrastThreshold=0.02)
+        self._sift: cv2.Feature2D = cv2.SIFT.create(nfeatures=4 * sift, contrastThreshold=0.02)
         self._brisk_threshold = 50
-        self._brisk = cv2.xfeatures2d.BRISK_create(self._brisk_threshold, 2)
+        self._brisk = cv2.xfeatures2d.BRISK.create(self._brisk_threshold, 2)
 
     def __call__(self, grey: Grey) -> tuple[Features, Features]:
         """(SIFT, BRISK) features of a (H, W) uint8 image."""
-        half = np.asarray(cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+        smaller = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        half = np.asarray(smaller, dtype=np.uint8)
         sift = self._find(SIFT, self._sift, half, 2.0, 64)
         brisk = self._find(BRISK, self._brisk, grey, 1.0, 64)
         return sift, brisk
@@ -83,13 +84,13 @@ class LandmarkDetector:
         inside = (pixels >= self._border).all(axis=1)
         inside &= (pixels <= np.array([width, height]) - 1 - self._border).all(axis=1)
         usable = np.flatnonzero(inside)
-        responses = np.array([keypoints[i].response for i in usable])
+        responses = np.array([keypoints[int(i)].response for i in usable])
         chosen = usable[spread(pixels[usable], responses, (width, height), cell_px, most)]
         if len(chosen) == 0:
             width_bytes = SIFT_BYTES if kind == SIFT else BRISK_BYTES
             return Features(kind, np.zeros((0, 2)), np.zeros((0, width_bytes), np.uint8))
         # the size marks which of the asked keypoints come back: BRISK drops those near the border
-        asked = [keypoints[i] for i in chosen]
+        asked = [keypoints[int(i)] for i in chosen]
         for number, keypoint in enumerate(asked):
             keypoint.class_id = number
         described, descriptors = detector.compute(image, asked)

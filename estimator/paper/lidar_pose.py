@@ -47,7 +47,7 @@ class LidarPositioning:
         self._params = params
         self._filter = inertial
         self._recent = recent
-        self._edges = FeatureMap(params.edge_voxel_m, params.map_voxels)
+        self._edges = FeatureMap(params.edge_voxel_m, params.map_voxels, reach=2)
         self._planes = FeatureMap(params.planar_voxel_m, params.map_voxels)
         self._imu_from_lidar = inertial.imu_from_lidar
         self._camera_from_imu = inertial.imu_from_camera.inverse()

@@ -25,9 +25,9 @@ def descriptor_distance(a: Bytes, b: Bytes, bits: Bytes, binary: bool, limit: fl
     total = 0
     for i in range(a.shape[0]):
         if binary:
-            total += bits[a[i] ^ b[i]]
+            total += int(bits[a[i] ^ b[i]])
         else:
-            d = np.int64(a[i]) - np.int64(b[i])
+            d = int(a[i]) - int(b[i])
             total += d * d
         if total > limit and i % 16 == 15:
             break

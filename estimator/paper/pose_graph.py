@@ -107,7 +107,7 @@ class PoseGraph:
         before = [e for e in self.edges if e.target == number and not e.robust]
         after = [e for e in self.edges if e.source == number and not e.robust]
         self.edges = [e for e in self.edges if number not in (e.source, e.target)]
-        pose, prior = self._priors.pop(number)
+        del self._priors[number]
         first = next(iter(self.poses)) == number
         del self.poses[number]
         if before and after:

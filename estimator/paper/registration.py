@@ -229,7 +229,7 @@ def register_scan(
         )
         vector = vector - guess_information @ _deviation(guess, pose)
         delta = np.linalg.solve(information + guess_information, vector)
-        return _moved(pose, delta), float(np.abs(delta).max())
+        return _moved(pose, np.asarray(delta, dtype=np.float64)), float(np.abs(delta).max())
 
     for _ in range(rounds):
         start = pose

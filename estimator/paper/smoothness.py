@@ -89,10 +89,10 @@ def sort_out_features(
 
     ``scores`` (N,) f_s, NaN to leave out; ``directions`` (N, 2) x / z and y / z in the sensor.
     The view is cut into ``cells`` (columns, rows); every cell gives its smallest score as planar
-    and its largest as edge candidate; of the candidates above ``edge_threshold`` that stand in no
-    shadow the ``edges`` largest stay. Deterministic: equal scores go to the earlier return.
+    and its largest as edge candidate; planar scores must lie below ``edge_threshold``, those of
+    edges above it, and of these the ``edges`` largest stay. Returns in shadow are neither.
     """
-    usable = np.flatnonzero(np.isfinite(scores))
+    usable = np.flatnonzero(np.isfinite(scores) & ~shadowed)
     if len(usable) == 0:
         return FeaturePoints(usable, usable)
     where = directions[usable]
@@ -105,12 +105,8 @@ def sort_out_features(
     ends = np.flatnonzero(np.diff(sector[order], append=-1))
     starts = np.concatenate([[0], ends[:-1] + 1])
     planes = usable[order[starts]]
-    candidate_scores = np.where(shadowed[usable], -np.inf, scores[usable])
-    order = np.lexsort((-np.arange(len(usable)), candidate_scores, sector))
-    candidates = usable[order[ends]]
-    keep = (scores[candidates] > edge_threshold) & ~shadowed[candidates]
-    candidates = candidates[keep]
-    strongest = np.argsort(-scores[candidates], kind="stable")[:edges]
-    chosen = np.sort(candidates[strongest])
     planes = planes[scores[planes] <= edge_threshold]
-    return FeaturePoints(chosen, np.sort(planes))
+    candidates = usable[order[ends]]
+    candidates = candidates[scores[candidates] > edge_threshold]
+    strongest = np.argsort(-scores[candidates], kind="stable")[:edges]
+    return FeaturePoints(np.sort(candidates[strongest]), np.sort(planes))

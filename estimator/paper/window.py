@@ -105,6 +105,8 @@ def adjust_window(
         prior_sigmas=_PRIOR_SIGMAS,
     )
     for keyframe, pose in zip(window[first_free:], poses[problem.fixed : -1], strict=True):
+        moved = keyframe.odom_from_imu.inverse() @ pose
+        keyframe.map_from_imu = keyframe.map_from_imu @ moved
         keyframe.odom_from_imu = pose
     for (host, kind, index), ray, depth in zip(keys, problem.rays, depths, strict=True):
         known[host].landmarks[kind].points[index] = imu_from_camera.apply(ray * depth)

@@ -95,7 +95,7 @@ class Plan:
         room = float(self.size_m[0]) - 2.0 * (EDGE_M + AISLE_M)
         count = int(room / BAY_WIDTH_M)
         start = float(self.centre[0]) - 0.5 * count * BAY_WIDTH_M
-        return start + BAY_WIDTH_M * np.arange(count + 1)
+        return np.asarray(start + BAY_WIDTH_M * np.arange(count + 1), np.float64)
 
     def lot(self) -> Lot:
         return Lot(origin_xy_m=np.zeros(2), angle=0.0)
