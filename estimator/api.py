@@ -161,7 +161,7 @@ class CalibrationResult:
     """(6, 6) of a small rotation (rad) applied on the left, then of the translation (m)"""
     reprojection_rms_px: float
     plane_rms_m: float
-    """of the LIDAR's returns about the camera's planes"""
+    """of the board's points in the LIDAR about the camera's planes"""
     used: tuple[int, ...]
     """indices of the views that were used"""
     refused: Mapping[int, str]
@@ -169,7 +169,8 @@ class CalibrationResult:
     corners: Mapping[int, Array]
     """(rows * columns, 2) pixels of the views whose board the camera found"""
     board_points: Mapping[int, Array]
-    """(N, 3) returns from the board, LIDAR frame, of the views that were used"""
+    """(N, 3) means of the returns from the board in cells of 5 cm, LIDAR frame, of the views that
+    were used"""
 
 
 # ------------------------------------------------------------------------------- parameters

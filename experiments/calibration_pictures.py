@@ -45,8 +45,8 @@ def boards_picture(
     for number, view in enumerate(views):
         tile = view.rgb[:, :, ::-1].copy()
         if number in result.board_points:
-            pixels = _pixels(result.board_points[number][::12], result)
-            _dot(tile, pixels, np.broadcast_to(_DOT[::-1], (len(pixels), 3)), 1)
+            pixels = _pixels(result.board_points[number], result)
+            _dot(tile, pixels, np.broadcast_to(_DOT[::-1], (len(pixels), 3)), 2)
         if number in result.corners:
             corners = result.corners[number].astype(np.float32).reshape(-1, 1, 2)
             cv2.drawChessboardCorners(tile, (board.columns, board.rows), corners, True)

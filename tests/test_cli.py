@@ -150,8 +150,7 @@ def test_exit_code_tells_the_outcome(
         progress(0.0, "TAKEOFF", "climbing")
         return result
 
-    flight = pytest.importorskip("experiments.flight")
-    monkeypatch.setattr(flight, "fly", fly)
+    monkeypatch.setattr("experiments.flight.fly", fly)
     got, out, err = _run(capsys, "land", "crossroad", "--json")
     assert got == code
     assert json.loads(out)["outcome"] == result["outcome"]
@@ -167,8 +166,7 @@ def test_a_fault_in_the_air_is_not_told_as_bad_input(monkeypatch: pytest.MonkeyP
         progress(0.0, "TAKEOFF", "")
         raise ValueError("shapes (3,) and (4,) do not match")
 
-    flight = pytest.importorskip("experiments.flight")
-    monkeypatch.setattr(flight, "fly", fly)
+    monkeypatch.setattr("experiments.flight.fly", fly)
     with pytest.raises(ValueError, match="shapes"):
         cli.main(["land", "crossroad"])
 
@@ -179,8 +177,7 @@ def test_interruption_is_130(
     def fly(_config: Any, _out: Path, _progress: Any) -> dict[str, Any]:
         raise KeyboardInterrupt
 
-    flight = pytest.importorskip("experiments.flight")
-    monkeypatch.setattr(flight, "fly", fly)
+    monkeypatch.setattr("experiments.flight.fly", fly)
     code, _, err = _run(capsys, "land", "crossroad")
     assert code == 130
     assert err.strip() == "touchdown: interrupted"

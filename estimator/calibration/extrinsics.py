@@ -90,7 +90,7 @@ def solve_extrinsics(
     planes: CameraPlanes, boards: Sequence[BoardPlane], views: Ints, start: Pose
 ) -> ExtrinsicFit:
     """Eq. 5 over ``views`` by Levenberg-Marquardt (Marquardt's damping of the diagonal), with an
-    analytic Jacobian: every view weighs the same, however many returns its board gave."""
+    analytic Jacobian: every view weighs the same, however many points its board gave."""
     blocks = [
         (boards[view].points, planes.normals[view], float(planes.distances[view])) for view in views
     ]
@@ -153,8 +153,8 @@ def _covariance(
     for k, block in enumerate(blocks):
         residuals, jacobian = plane_residuals(*block, pose), _jacobian(block, pose)
         count = len(residuals)
-        variance = float(np.var(residuals))
-        from_lidar += variance * jacobian.T @ jacobian / count**2
+        scored = (residuals - residuals.mean())[:, None] * jacobian
+        from_lidar += scored.T @ scored / count**2
         lifted = np.column_stack([pose.apply(block[0]), np.ones(count)])
         by_plane[:, 4 * k : 4 * k + 4] = jacobian.T @ lifted / count
     from_camera = by_plane @ planes.of_views(views.tolist()).covariance @ by_plane.T
