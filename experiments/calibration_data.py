@@ -123,7 +123,8 @@ def _in_picture(stand: SensorStand, board: Chessboard, pose: Pose) -> bool:
     pixels = pixels.reshape(-1, 2)
     limit = np.array([k.width - 1, k.height - 1]) - _EDGE_PX
     ray = pose.translation / np.linalg.norm(pose.translation)
-    return bool(ray @ pose.rotation[:, 2] > _MOST_OBLIQUE and ((pixels > _EDGE_PX) & (pixels < limit)).all())
+    inside = ((pixels > _EDGE_PX) & (pixels < limit)).all()
+    return bool(inside and ray @ pose.rotation[:, 2] > _MOST_OBLIQUE)
 
 
 def _in_lidar(board: Chessboard, camera_from_lidar: Pose, pose: Pose) -> bool:

@@ -168,7 +168,7 @@ def _first_mistake(error: ValidationError) -> str:
 
 
 def _known_keys() -> list[str]:
-    groups = {
+    groups: dict[str, type[BaseModel]] = {
         "camera": CameraPart,
         "camera_from_lidar": ExtrinsicPart,
         "covariance": CovariancePart,

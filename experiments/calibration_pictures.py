@@ -18,12 +18,13 @@ Array = NDArray[np.float64]
 
 _COLUMNS, _GAP = 4, 6
 _SMALL = (424, 240)
-_DOT = (255, 210, 40)
+_OVERLAY_STEP = 5
+"""Of so many returns one is drawn; no divisor of the LIDAR's six lasers, which take turns."""
 _CLOUD_SIZE = (1200, 800)
 _CLOUD_FOCAL = 1150.0
 _UNSEEN = (70, 70, 74)
 _BACKGROUND = 18
-_BEHIND_M = 1.2
+_BEHIND_M = 0.8
 
 
 def write_pictures(
@@ -32,7 +33,7 @@ def write_pictures(
     """Writes boards.png, overlay.png and cloud.png. Raises UsageError where that cannot be."""
     folder.mkdir(parents=True, exist_ok=True)
     write_picture(folder / "boards.png", boards_picture(views, result, board))
-    shown = max(result.used, key=lambda number: len(result.board_points[number]))
+    shown = max(result.used, key=lambda number: _showing(result.board_points[number]))
     write_picture(folder / "overlay.png", overlay_picture(views[shown], result))
     write_picture(folder / "cloud.png", cloud_picture(views[shown], result, result.corners[shown]))
 
@@ -40,26 +41,23 @@ def write_pictures(
 def boards_picture(
     views: Sequence[CalibrationView], result: CalibrationResult, board: Chessboard
 ) -> Picture:
-    """All views with the corners that were found and, yellow, where the LIDAR found the board."""
+    """All views with the corners that were found."""
     tiles = []
     for number, view in enumerate(views):
         tile = view.rgb[:, :, ::-1].copy()
-        if number in result.board_points:
-            pixels = _pixels(result.board_points[number], result)
-            _dot(tile, pixels, np.broadcast_to(_DOT[::-1], (len(pixels), 3)), 2)
         if number in result.corners:
             corners = result.corners[number].astype(np.float32).reshape(-1, 1, 2)
             cv2.drawChessboardCorners(tile, (board.columns, board.rows), corners, True)
-        tile = cv2.resize(tile, _SMALL, interpolation=cv2.INTER_AREA)
+        small = cv2.resize(tile, _SMALL, interpolation=cv2.INTER_AREA)
         text = str(number + 1) if number in result.used else f"{number + 1}: not used"
-        cv2.putText(tile, text, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 2)
-        tiles.append(tile)
+        cv2.putText(small, text, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 2)
+        tiles.append(small)
     rows = -(-len(tiles) // _COLUMNS)
     width, height = _SMALL[0] + _GAP, _SMALL[1] + _GAP
     sheet = np.full((rows * height + _GAP, _COLUMNS * width + _GAP, 3), 255, np.uint8)
-    for place, tile in enumerate(tiles):
+    for place, shown in enumerate(tiles):
         top, left = _GAP + place // _COLUMNS * height, _GAP + place % _COLUMNS * width
-        sheet[top : top + _SMALL[1], left : left + _SMALL[0]] = tile
+        sheet[top : top + _SMALL[1], left : left + _SMALL[0]] = shown
     return np.ascontiguousarray(sheet[:, :, ::-1])
 
 
@@ -67,11 +65,12 @@ def overlay_picture(view: CalibrationView, result: CalibrationResult) -> Picture
     """The camera's picture with the returns of the LIDAR, near red and far blue: a board's edge in
     the returns must lie on its edge in the picture."""
     picture = view.rgb.copy()
-    in_camera = result.camera_from_lidar.apply(view.points[::4])
+    points = view.points[::_OVERLAY_STEP]
+    in_camera = result.camera_from_lidar.apply(points)
     low, high = np.percentile(in_camera[:, 2], [1.0, 99.0])
-    share = np.clip((high - in_camera[:, 2]) / (high - low), 0.0, 1.0)
-    tint = cv2.applyColorMap((255.0 * share).astype(np.uint8), cv2.COLORMAP_TURBO).reshape(-1, 3)[:, ::-1]
-    _dot(picture, _pixels(view.points[::4], result), tint, 1)
+    share = np.clip((high - in_camera[:, 2]) / (high - low), 0.12, 0.95)
+    tint = cv2.applyColorMap((255.0 * share).astype(np.uint8), cv2.COLORMAP_TURBO)
+    _dot(picture, _pixels(points, result), tint.reshape(-1, 3)[:, ::-1], 1)
     return picture
 
 
@@ -89,19 +88,26 @@ def cloud_picture(view: CalibrationView, result: CalibrationResult, corners: Arr
     placed = eye.apply(in_camera)
     width, height = _CLOUD_SIZE
     ahead = placed[:, 2] > 0.3
-    spots = _CLOUD_FOCAL * placed[ahead, :2] / placed[ahead, 2:] + [0.5 * width, 0.5 * height]
+    spots = _CLOUD_FOCAL * placed[ahead, :2] / placed[ahead, 2:] + [0.5 * width, 0.4 * height]
     order = np.argsort(-placed[ahead, 2], kind="stable")  # what is nearer hides what is further
     picture = np.full((height, width, 3), _BACKGROUND, np.uint8)
     _dot(picture, spots[order], colour[ahead][order], 2)
     return picture
 
 
+def _showing(points: Array) -> float:
+    """How much of a board the LIDAR saw, foreshortened as it was."""
+    middle = points.mean(axis=0)
+    normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
+    return len(points) * float(abs(normal @ middle) / np.linalg.norm(middle))
+
+
 def _beside(in_camera: Array, pixels: NDArray[np.int64], corners: Array) -> Pose:
-    """eye_from_camera of an eye turned about the board's middle by 30 degrees and stepped back."""
+    """eye_from_camera of an eye turned about the board's middle by 25 degrees and stepped back."""
     low, high = corners.min(axis=0), corners.max(axis=0)
     on_board = ((pixels >= low) & (pixels <= high)).all(axis=1)
     middle = np.median(in_camera[on_board], axis=0)
-    rotation = so3_exp(np.deg2rad([-22.0, 24.0, 0.0]))
+    rotation = so3_exp(np.deg2rad([-15.0, 20.0, 0.0]))
     distance = float(np.linalg.norm(middle)) + _BEHIND_M
     return Pose(rotation, np.array([0.0, 0.0, distance]) - rotation @ middle)
 

@@ -15,6 +15,7 @@ from experiments.calibration_data import calibration_views
 from experiments.calibration_file import write_calibration
 from experiments.calibration_pictures import write_pictures
 from experiments.config import Config
+from experiments.flight import limit_threads
 from sim.api import CameraIntrinsics
 from sim.frames import Pose, so3_log
 
@@ -34,6 +35,7 @@ def run_calibration(
     """Takes ``count`` views, calibrates, writes the file and, into the folder ``pictures``,
     drawings; returns the report. Raises ValueError when too few views are of use, UsageError for
     files that cannot be written."""
+    limit_threads()
     board = Chessboard()
     views, stand = calibration_views(
         config, board, count, lambda done: note(f"view {done} of {count}")

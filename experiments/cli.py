@@ -7,6 +7,7 @@ import math
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from experiments.cli_base import (
     CommandGroup,
     guarded_fly,
     is_good,
+    rendering_backend,
     usage_errors,
 )
 from experiments.cli_bench import bench
@@ -58,7 +60,7 @@ _Command = Callable[..., int]
 
 _FLIGHT_OPTIONS = (
     click.argument("scene"),
-    click.option("--estimator", metavar="NAME", help="livo, oracle, or MODULE:FUNCTION of yours."),
+    click.option("--estimator", metavar="NAME", help="livo, paper, oracle, or MODULE:FUNCTION."),
     click.option("--seed", type=int, help="Varies the place, the wind and all noise.  [0]"),
     click.option("--wind-kmh", type=float, help="Mean wind speed at 6 m.  [12]"),
     click.option(
@@ -247,7 +249,8 @@ def control_margins(config_file: Path | None, overrides: tuple[str, ...], as_jso
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command and returns its exit code; bad input is one line on stderr."""
-    os.environ.setdefault("MUJOCO_GL", "egl")
+    os.environ.setdefault("MUJOCO_GL", rendering_backend())
+    warnings.formatwarning = _one_line_warning
     signal.signal(signal.SIGTERM, _interrupt)
     try:
         code = cli.main(
@@ -272,6 +275,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         return _fail(str(error))
     return int(code or 0)
+
+
+def _one_line_warning(message: Warning | str, *_where: Any, **_more: Any) -> str:
+    return f"touchdown: warning: {message}\n"
 
 
 def _interrupt(_signal: int, _frame: Any) -> None:

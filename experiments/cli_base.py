@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,17 @@ def guarded_fly(config: Any, out: Path | None, progress: Callable[..., None]) ->
         if airborne:
             raise
         raise UsageError(str(error)) from error
+
+
+def rendering_backend() -> str:
+    """The first of EGL and OSMesa whose library loads here, else GLFW, which needs a display."""
+    for backend, library in (("egl", "libEGL.so.1"), ("osmesa", "libOSMesa.so.8")):
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            continue
+        return backend
+    return "glfw"
 
 
 def usage_errors(action: Callable[[], Any]) -> Any:

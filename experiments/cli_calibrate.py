@@ -53,9 +53,7 @@ def calibrate(
     from experiments.config import load_config
 
     config = load_config(config_file, overrides, seed=seed)
-    report = usage_errors(
-        lambda: run_calibration(config, poses, out, pictures, make_notes(quiet))
-    )
+    report = usage_errors(lambda: run_calibration(config, poses, out, pictures, make_notes(quiet)))
     if as_json:
         click.echo(json.dumps(report, indent=2))
     else:

@@ -23,6 +23,7 @@ from experiments.loop import run_flight
 from experiments.metrics import levelness_error_deg
 from experiments.recorder import NullRecorder, Recorder, RunRecorder
 from experiments.referee import FlightResult, Referee
+from experiments.rig import check_calibration
 from experiments.timing import StageClock, Timed
 from scenes.api import Scene
 
@@ -56,6 +57,7 @@ def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) 
     written.
     """
     check_estimator(config.estimator)
+    check_calibration(config)
     if out_dir is not None:
         _check_out_dir(out_dir)
     limit_threads()

@@ -9,7 +9,7 @@ from zlib import crc32
 import numpy as np
 
 from experiments.api import RigErrorParams
-from experiments.calibration_file import read_calibration
+from experiments.calibration_file import CalibrationFile, read_calibration
 from experiments.config import Config, UsageError
 from sim.api import CameraIntrinsics, SensorRig
 from sim.frames import Pose, so3_exp
@@ -22,17 +22,21 @@ def told_rig(rig: SensorRig, config: Config) -> SensorRig:
     The camera's mount on the body is taken as known; the LIDAR's follows from it. Raises UsageError
     for a file that cannot be used.
     """
-    if config.calibration is not None:
-        path = Path(config.calibration)
-        content = read_calibration(path)
+    content = check_calibration(config)
+    if content is not None:
         told = content.intrinsics()
         if (told.width, told.height) != (rig.camera.width, rig.camera.height):
             raise UsageError(
-                f"'{path}' is of a camera of {told.width} x {told.height} pixels, the flight's has "
-                f"{rig.camera.width} x {rig.camera.height}"
+                f"'{config.calibration}' is of a camera of {told.width} x {told.height} pixels, "
+                f"the flight's has {rig.camera.width} x {rig.camera.height}"
             )
         return _with(rig, told, content.lidar_pose())
     return erring_rig(rig, config.rig_error, config.seed)
+
+
+def check_calibration(config: Config) -> CalibrationFile | None:
+    """The file that a flight names, or None where it names none. Raises UsageError."""
+    return None if config.calibration is None else read_calibration(Path(config.calibration))
 
 
 def erring_rig(rig: SensorRig, params: RigErrorParams, seed: int) -> SensorRig:

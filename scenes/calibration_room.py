@@ -62,9 +62,7 @@ def _add_material(spec: mujoco.MjSpec, name: str, picture: Picture) -> None:
     material.textures = textures
 
 
-def _add_floor(
-    spec: mujoco.MjSpec, rng: np.random.Generator, surfaces: dict[str, Surface]
-) -> None:
+def _add_floor(spec: mujoco.MjSpec, rng: np.random.Generator, surfaces: dict[str, Surface]) -> None:
     coarse = np.kron(rng.normal(0.0, 7.0, (64, 64)), np.ones((8, 8)))
     grey = np.clip(118.0 + coarse + rng.normal(0.0, 9.0, coarse.shape), 0, 255).astype(np.uint8)
     _add_material(spec, "concrete", np.repeat(grey[:, :, None], 3, axis=2))

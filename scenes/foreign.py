@@ -94,7 +94,9 @@ def read_mjcf(path: Path) -> SceneDraft:
 def stand_still(spec: Any, path: Path) -> None:
     """Deletes what moves or refers to what moves, and undoes settings that would change the
     vehicle or hide geoms."""
-    moving = len(spec.joints) + len(spec.flexes)
+    # An exported scene brings our vehicle, which is about to be replaced: not worth a word.
+    joints = [joint for joint in spec.joints if not joint.parent.name.startswith(_OURS)]
+    moving = len(joints) + len(spec.flexes)
     for kind in _MOVING_KINDS:
         for element in list(getattr(spec, kind)):
             spec.delete(element)

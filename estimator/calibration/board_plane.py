@@ -129,9 +129,7 @@ def _area(members: Array, normal: Array) -> float:
     return float(cv2.contourArea(outline))
 
 
-def _collect(
-    points: Array, normal: Array, distance: float, members: Array
-) -> BoardPlane | None:
+def _collect(points: Array, normal: Array, distance: float, members: Array) -> BoardPlane | None:
     """Means of the returns whose beams meet the plane within the part's outline, less its rim, and
     that lie near the plane."""
     outline = cv2.convexHull(_on_plane(members, normal).astype(np.float32)).reshape(-1, 2)

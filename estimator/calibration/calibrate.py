@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from zlib import crc32
 
 import numpy as np
-
 from numpy.typing import NDArray
 
 from estimator.api import CalibrationResult, CalibrationView, Chessboard

@@ -58,8 +58,7 @@ class CameraPlanes:
 
     def of_views(self, views: Sequence[int]) -> CameraPlanes:
         """Some of the planes."""
-        rows = np.concatenate([np.arange(4 * view, 4 * view + 4) for view in views] or [[]])
-        chosen = rows.astype(np.int64)
+        chosen = (4 * np.array(views, np.int64)[:, None] + np.arange(4)).ravel()
         return CameraPlanes(
             normals=self.normals[list(views)],
             distances=self.distances[list(views)],
@@ -101,7 +100,7 @@ def fit_camera(
     """Camera matrix (Eq. 2, skew 0), distortion and board poses from the corners of three or more
     views; ``image_size`` is (width, height)."""
     object_points = board_corners(board).astype(np.float32)
-    _, matrix, distortion, rotations, translations = cv2.calibrateCamera(
+    _, matrix, distortion, rotations, places = cv2.calibrateCamera(
         [object_points] * len(corners),
         [view.astype(np.float32) for view in corners],
         image_size,
@@ -112,7 +111,7 @@ def fit_camera(
         [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.ravel(distortion)[:5]]
     )
     rotation_vectors = np.reshape(rotations, (-1, 3)).astype(np.float64)
-    translations = np.reshape(translations, (-1, 3)).astype(np.float64)
+    translations = np.reshape(places, (-1, 3)).astype(np.float64)
     residuals, jacobian = _linearised(lens, rotation_vectors, translations, corners, board)
     freedom = residuals.size - jacobian.shape[1]
     variance = float(residuals @ residuals) / freedom
@@ -143,9 +142,7 @@ def camera_planes(fit: CameraFit) -> CameraPlanes:
     views = len(fit.translations)
     normals, distances = np.empty((views, 3)), np.empty(views)
     spread = np.zeros((4 * views, len(fit.covariance)))
-    for k, (vector, origin) in enumerate(
-        zip(fit.rotation_vectors, fit.translations, strict=True)
-    ):
+    for k, (vector, origin) in enumerate(zip(fit.rotation_vectors, fit.translations, strict=True)):
         rotation = so3_exp(vector)
         normals[k] = -rotation[:, 2]
         distances[k] = -normals[k] @ origin

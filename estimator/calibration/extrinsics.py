@@ -37,7 +37,9 @@ class ExtrinsicFit:
     """of all residuals"""
 
 
-def plane_residuals(points: Array, normal: Array, distance: float, camera_from_lidar: Pose) -> Array:
+def plane_residuals(
+    points: Array, normal: Array, distance: float, camera_from_lidar: Pose
+) -> Array:
     """Distances (N,) of LIDAR points (N, 3) from a plane of the camera frame: the terms whose
     squares Eq. 5 sums, theta^T (R p + t) + d."""
     return camera_from_lidar.apply(points) @ normal + distance
@@ -74,16 +76,15 @@ def agreeing_views(
     raise ValueError(_too_few(len(best)))
 
 
-def closed_form(
-    planes: CameraPlanes, normals: Array, distances: Array, views: Ints
-) -> Pose:
+def closed_form(planes: CameraPlanes, normals: Array, distances: Array, views: Ints) -> Pose:
     """Rotation from the normals (Wahba's problem, by SVD) and translation from the distances by
     least squares: with n_c = R n_l, Eq. 3 leaves n_c . t = d_l - d_c for every view."""
     in_camera = planes.normals[views]
     left, _, right = np.linalg.svd(in_camera.T @ normals[views])
     mirror = np.diag([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])
     shift = distances[views] - planes.distances[views]
-    return Pose(left @ mirror @ right, np.linalg.lstsq(in_camera, shift, rcond=None)[0])
+    translation: Array = np.linalg.lstsq(in_camera, shift, rcond=None)[0].astype(np.float64)
+    return Pose(left @ mirror @ right, translation)
 
 
 def solve_extrinsics(
@@ -98,7 +99,7 @@ def solve_extrinsics(
     cost, gradient, normal_matrix = _normal_equations(blocks, pose)
     for _ in range(_MAX_ITERATIONS):
         damped = normal_matrix + damping * np.diag(np.diag(normal_matrix))
-        step = np.linalg.solve(damped, -gradient)
+        step: Array = np.linalg.solve(damped, -gradient).astype(np.float64)
         trial = Pose(so3_exp(step[:3]) @ pose.rotation, pose.translation + step[3:])
         trial_cost, trial_gradient, trial_matrix = _normal_equations(blocks, trial)
         if trial_cost <= cost:

@@ -18,6 +18,8 @@ _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 def voxel_means(points: Array, voxel_m: float) -> Array:
     """(M, 3) mean of the points (N, 3) in every occupied voxel: evens out density and noise."""
+    if not len(points):
+        return points.copy()
     cells = np.floor(points / voxel_m).astype(np.int64)
     cells -= cells.min(axis=0)
     extent = cells.max(axis=0) + 1
@@ -52,8 +54,8 @@ def _normals(points: Array, pairs: NDArray[np.int64]) -> tuple[Array, NDArray[np
     other = np.concatenate([pairs[:, 1], pairs[:, 0]])
     offset = points[other] - points[one]
     count = np.bincount(one, minlength=size) + 1.0
-    mean = np.stack([np.bincount(one, offset[:, a], size) for a in range(3)], axis=1)
-    mean /= count[:, None]
+    sums = np.stack([np.bincount(one, offset[:, a], size) for a in range(3)], axis=1)
+    mean = sums / count[:, None]
     scatter = np.empty((size, 3, 3))
     for a, b in _UPPER:
         moment = np.bincount(one, offset[:, a] * offset[:, b], size) / count

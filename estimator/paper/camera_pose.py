@@ -111,6 +111,8 @@ class CameraPositioning:
         self._last_position = self._filter.eskf.state.position
         if self._worth_keeping(sightings):
             self._remember(image.tick, features, behind, sightings, energy)
+        self.diagnostics["keyframes"] = float(len(self._map.keyframes))
+        self.diagnostics["closures"] = float(self._closures.closed)
         return corrected
 
     def _worth_keeping(self, sightings: Sightings) -> bool:
@@ -212,9 +214,6 @@ class CameraPositioning:
         if self._params.use_closures:
             self._close_loops(keyframe, features, newest)
         self._forget()
-        self.diagnostics["keyframes"] = float(len(self._map.keyframes))
-        self.diagnostics["landmarks_new"] = float(len(depths))
-        self.diagnostics["closures"] = float(self._closures.closed)
 
     def _filter_height(self) -> float:
         """Above the take-off ground, for want of any depth."""

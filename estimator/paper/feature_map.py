@@ -87,8 +87,8 @@ class FeatureMap:
 
     ``voxel_m``: side; ``capacity``: slots of the hash table, a power of two, which bounds the
     memory (when it is 70 % full, new voxels are refused); ``max_points``: a voxel stops learning
-    after so many points, because the oldest carry the least drift. ``reach``: of the search, in voxels;
-    five centroids on one line need two.
+    after so many points, because the oldest carry the least drift. ``reach``: of the search, in
+    voxels; five centroids on one line need two.
     """
 
     def __init__(self, voxel_m: float, capacity: int, max_points: int = 20, reach: int = 1) -> None:

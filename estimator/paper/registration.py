@@ -97,9 +97,24 @@ def _distances(points: Array, near: Array, is_edge: Mask) -> Array:
 
 
 @njit(cache=True)
+def _axes(near: Array, is_edge: Mask) -> Array:
+    """(N, 3) unit directions of the lines and normals of the planes."""
+    out = np.empty((near.shape[0], 3))
+    last = near.shape[1] - 1
+    middle = near.shape[1] // 2
+    for i in range(near.shape[0]):
+        axis = near[i, last] - near[i, 0]
+        if not is_edge[i]:
+            axis = np.cross(near[i, middle] - near[i, last], near[i, middle] - near[i, 0])
+        out[i] = axis / np.sqrt(np.sum(axis**2))
+    return out
+
+
+@njit(cache=True)
 def _normal_equations(
     local: Array,
-    near: Array,
+    anchors: Array,
+    axes: Array,
     is_edge: Mask,
     rotation: Array,
     position: Array,
@@ -107,40 +122,40 @@ def _normal_equations(
 ) -> tuple[Array, Array]:
     """Information and vector of the residuals of Eq. 10, Cauchy weighted (scale 3 sigma).
 
-    The squared distance from a line is that of the part of ``p - p_1`` across it, which, unlike the
-    distance, has a derivative on the line.
+    ``anchors`` (N, 3): p_1. The squared distance from a line is that of the part of ``p - p_1``
+    across it, which, unlike the distance, has a derivative on the line.
     """
-    information = np.zeros((6, 6))
-    vector = np.zeros(6)
-    row = np.zeros(6)
-    last = near.shape[1] - 1
-    middle = near.shape[1] // 2
+    information, vector = np.zeros((6, 6)), np.zeros(6)
+    row, offset, direction = np.zeros(6), np.zeros(3), np.zeros(3)
     for i in range(local.shape[0]):
-        q = local[i]
-        offset = rotation @ q + position - near[i, 0]
-        sigma = sigmas[0] if is_edge[i] else sigmas[1]
-        axis = near[i, last] - near[i, 0]
-        if not is_edge[i]:
-            axis = np.cross(near[i, middle] - near[i, last], near[i, middle] - near[i, 0])
-        axis = axis / np.sqrt(np.sum(axis**2))
-        along = offset[0] * axis[0] + offset[1] * axis[1] + offset[2] * axis[2]
-        square = along * along
-        if is_edge[i]:
-            square = np.sum(offset**2) - square
-        weight = 1.0 / (sigma * sigma * (1.0 + square / (9.0 * sigma * sigma)))
+        q, axis = local[i], axes[i]
+        along, square = 0.0, 0.0
+        for c in range(3):
+            offset[c] = position[c] - anchors[i, c]
+            for k in range(3):
+                offset[c] += rotation[c, k] * q[k]
+            along += offset[c] * axis[c]
+            square += offset[c] * offset[c]
+        square = square - along * along if is_edge[i] else along * along
+        sigma2 = (sigmas[0] if is_edge[i] else sigmas[1]) ** 2
+        weight = 1.0 / (sigma2 + square / 9.0)
         for c in range(3 if is_edge[i] else 1):
+            for k in range(3):
+                direction[k] = -axis[c] * axis[k] if is_edge[i] else axis[k]
+            residual = along
             if is_edge[i]:
-                direction = -axis[c] * axis
                 direction[c] += 1.0
                 residual = offset[c] - along * axis[c]
-            else:
-                direction = axis
-                residual = along
-            turned = direction @ rotation
-            row[0] = q[1] * turned[2] - q[2] * turned[1]
-            row[1] = q[2] * turned[0] - q[0] * turned[2]
-            row[2] = q[0] * turned[1] - q[1] * turned[0]
-            row[3:] = direction
+            for k in range(3):
+                row[3 + k] = direction[k]
+            x = y = z = 0.0
+            for k in range(3):
+                x += direction[k] * rotation[k, 0]
+                y += direction[k] * rotation[k, 1]
+                z += direction[k] * rotation[k, 2]
+            row[0] = q[1] * z - q[2] * y
+            row[1] = q[2] * x - q[0] * z
+            row[2] = q[0] * y - q[1] * x
             for a in range(6):
                 vector[a] -= weight * row[a] * residual
                 for b in range(6):
@@ -222,10 +237,11 @@ def register_scan(
     sigmas = np.array([edge_sigma_m, plane_sigma_m])
     converged = False
     local, near, is_edge = np.empty((0, 3)), np.empty((0, 5, 3)), np.empty(0, dtype=np.bool_)
+    axes = np.empty((0, 3))
 
     def step(pose: Pose) -> tuple[Pose, float]:
         information, vector = _normal_equations(
-            local, near, is_edge, pose.rotation, pose.translation, sigmas
+            local, near[:, 0], axes, is_edge, pose.rotation, pose.translation, sigmas
         )
         vector = vector - guess_information @ _deviation(guess, pose)
         delta = np.linalg.solve(information + guess_information, vector)
@@ -236,10 +252,12 @@ def register_scan(
         local, near, is_edge = _associate(edges, planes, edge_map, plane_map, pose)
         if len(local) < min_matches:
             return None
+        axes = _axes(near, is_edge)
         for _ in range(_FIRST_STEPS):
             pose, _ = step(pose)
         keep = _keep_best(_distances(to_global(local, pose), near, is_edge), is_edge)
-        local, near, is_edge = local[keep], near[keep], is_edge[keep]
+        local, near = local[keep], near[keep]
+        is_edge, axes = is_edge[keep], axes[keep]
         for _ in range(steps):
             pose, size = step(pose)
             if size < 1e-5:
@@ -248,7 +266,7 @@ def register_scan(
         if converged:
             break
     information, vector = _normal_equations(
-        local, near, is_edge, pose.rotation, pose.translation, sigmas
+        local, near[:, 0], axes, is_edge, pose.rotation, pose.translation, sigmas
     )
     distances = _distances(to_global(local, pose), near, is_edge)
     return ScanPose(
