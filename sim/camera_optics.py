@@ -207,9 +207,7 @@ def develop(
     """Turns the picture (H, W, 3) the right way up where ``flip`` says so, and adds the noise tile
     from (row, col) on. Both pictures are contiguous."""
     lines = (raw.shape[0], raw.shape[1] * raw.shape[2])
-    _add_noise(
-        raw.reshape(lines), noise, row, 3 * col, np.int16(sign), flip, picture.reshape(lines)
-    )
+    _add_noise(raw.reshape(lines), noise, row, 3 * col, sign, flip, picture.reshape(lines))
 
 
 @njit(cache=True, nogil=True)
@@ -217,11 +215,12 @@ def _add_noise(
     raw: Bytes, noise: NDArray[np.int8], row: int, first: int, sign: int, flip: bool, out: Bytes
 ) -> None:
     height, width = raw.shape
+    polarity = np.int16(sign)
     for i in range(height):
         source = raw[height - 1 - i if flip else i]
         grain = noise[row + i, first : first + width]
         target = out[i]
         for j in range(width):
             # 16 bits, so that the loop becomes vector instructions
-            value = np.int16(source[j]) + np.int16(sign * np.int16(grain[j]))
+            value = np.int16(source[j]) + np.int16(polarity * np.int16(grain[j]))
             target[j] = np.uint8(min(max(value, np.int16(0)), np.int16(255)))
