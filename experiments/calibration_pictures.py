@@ -25,6 +25,9 @@ _CLOUD_FOCAL = 1150.0
 _UNSEEN = (70, 70, 74)
 _BACKGROUND = 18
 _BEHIND_M = 0.8
+_NEAR_SHARE = 0.85
+"""of the median depth: what is nearer, the board, is drawn with larger dots, so that the floor does
+not shine through"""
 
 
 def write_pictures(
@@ -89,9 +92,12 @@ def cloud_picture(view: CalibrationView, result: CalibrationResult, corners: Arr
     width, height = _CLOUD_SIZE
     ahead = placed[:, 2] > 0.3
     spots = _CLOUD_FOCAL * placed[ahead, :2] / placed[ahead, 2:] + [0.5 * width, 0.4 * height]
-    order = np.argsort(-placed[ahead, 2], kind="stable")  # what is nearer hides what is further
+    depth = placed[ahead, 2]
+    order = np.argsort(-depth, kind="stable")  # what is nearer hides what is further
     picture = np.full((height, width, 3), _BACKGROUND, np.uint8)
-    _dot(picture, spots[order], colour[ahead][order], 2)
+    near = depth[order] < _NEAR_SHARE * np.median(depth)
+    for rows_of, side in ((order[~near], 2), (order[near], 4)):
+        _dot(picture, spots[rows_of], colour[ahead][rows_of], side)
     return picture
 
 
