@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -62,7 +63,8 @@ def print_result(result: Mapping[str, Any], out_dir: Path | None, good: bool) ->
         console.print(f"run directory: {out_dir}", soft_wrap=True)
         if (out_dir / "flight.rrd").exists():
             console.print(f"recording:     {out_dir / 'flight.rrd'}", soft_wrap=True)
-            console.print(f"look at it:    touchdown view {out_dir}", soft_wrap=True)
+            program = "touchdown" if shutil.which("touchdown") else sys.argv[0]
+            console.print(f"look at it:    {program} view {out_dir}", soft_wrap=True)
 
 
 def print_stages(result: Mapping[str, Any]) -> None:

@@ -5,6 +5,7 @@ Running statistics only: nothing here grows with the duration of a flight.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import Estimate, GridMap
+from estimator.api import GridMap
 from sim.api import Truth
-from sim.frames import tilt_from_rotation, wrap_angle, yaw_from_rotation
+from sim.frames import Pose, tilt_from_rotation, wrap_angle, yaw_from_rotation
 
 Array = NDArray[np.float64]
 
@@ -30,26 +31,29 @@ class PositioningError:
     total: float = 0.0
     total_squared: float = 0.0
     largest: float = 0.0
-    axes: Array = field(default_factory=lambda: np.zeros(3))
+    axes: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     yaw: float = 0.0
 
-    def add(self, estimate: Estimate, truth: Truth) -> None:
-        pose = estimate.world_from_body
-        error = pose.translation - truth.world_from_body.translation
-        distance = float(np.sqrt(error @ error))
+    def add(self, believed: Pose, true: Pose) -> None:
+        """Both ``world_from_body`` at the same instant."""
+        # Scalars: this runs at every control step, and arrays of three are slow.
+        x, y, z = (believed.translation - true.translation).tolist()
+        squared = x * x + y * y + z * z
+        distance = math.sqrt(squared)
         self.count += 1
         self.total += distance
-        self.total_squared += distance * distance
+        self.total_squared += squared
         self.largest = max(self.largest, distance)
-        self.axes += np.abs(error)
-        true_yaw = yaw_from_rotation(truth.world_from_body.rotation)
-        self.yaw += abs(wrap_angle(yaw_from_rotation(pose.rotation) - true_yaw))
+        for axis, error in enumerate((x, y, z)):
+            self.axes[axis] += abs(error)
+        yaw = yaw_from_rotation(believed.rotation) - yaw_from_rotation(true.rotation)
+        self.yaw += abs(wrap_angle(yaw))
 
     def summary(self) -> dict[str, float | None]:
         """Means over the span in metres and degrees; x, y, z and yaw are mean absolute errors."""
         if self.count == 0:
             return dict.fromkeys(("mean", "rmse", "max", "x", "y", "z", "yaw_deg"))
-        x, y, z = (self.axes / self.count).tolist()
+        x, y, z = (total / self.count for total in self.axes)
         return {
             "mean": self.total / self.count,
             "rmse": float(np.sqrt(self.total_squared / self.count)),
@@ -71,7 +75,7 @@ class TrajectoryDeviation:
     largest: float = 0.0
 
     def add(self, truth: Truth, reference_world: Array) -> None:
-        distance = float(np.linalg.norm(truth.world_from_body.translation - reference_world))
+        distance = math.dist(truth.world_from_body.translation.tolist(), reference_world.tolist())
         self.count += 1
         delta = distance - self.mean
         self.mean += delta / self.count
@@ -100,9 +104,9 @@ class TouchdownWindow:
         self.contact_with: str | None = None
 
     def add_before(self, truth: Truth) -> None:
-        velocity = truth.velocity_world
-        self._vertical_speed.append(abs(float(velocity[2])))
-        self._horizontal_speed.append(float(np.hypot(velocity[0], velocity[1])))
+        x, y, z = truth.velocity_world.tolist()
+        self._vertical_speed.append(abs(z))
+        self._horizontal_speed.append(math.hypot(x, y))
         self._vertical_accel.append(abs(float(truth.acceleration_world[2])))
 
     def first_contact(self, truth: Truth) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +16,7 @@ from experiments.metrics import PositioningError, TouchdownWindow, TrajectoryDev
 from landing.api import LanderView, Phase
 from scenes.api import SAFE_CLASSES
 from sim.api import Truth
-from sim.frames import tilt_from_rotation
+from sim.frames import Pose, tilt_from_rotation
 
 Array = NDArray[np.float64]
 
@@ -52,6 +53,7 @@ class Referee:
         on_survey_end: Callable[[], None] = lambda: None,
     ) -> None:
         self._params = params
+        self._upright_cosine = math.cos(math.radians(params.tip_tilt_deg))
         self._survey_only = survey_only
         self._judge_ground = judge_ground
         self._moving_geoms = moving_geoms
@@ -70,13 +72,14 @@ class Referee:
     def judge(self, truth: Truth, estimate: Estimate, view: LanderView) -> Outcome | None:
         """Called every control step; an outcome ends the flight."""
         self._last = (truth, view)
+        believed = estimate.world_from_body
         self._follow_phases(truth, view)
         if self._lift_off_s is not None and self._survey_to_s is None:
-            self._position_error.add(estimate, truth)
+            self._position_error.add(believed, truth.world_from_body)
             self._deviation.add(truth, view.reference_world)
         self._follow_touchdown(truth, view)
         return (
-            self._judge_estimate(truth, estimate)
+            self._judge_estimate(truth, believed)
             or self._judge_attitude(truth)
             or self._judge_contacts(truth, view)
             or self._judge_end(truth, view)
@@ -126,18 +129,19 @@ class Referee:
         else:
             touchdown.add_before(truth)
 
-    def _judge_estimate(self, truth: Truth, estimate: Estimate) -> Outcome | None:
-        error = estimate.world_from_body.translation - truth.world_from_body.translation
-        distance = float(np.linalg.norm(error))
-        if np.isfinite(distance) and distance <= self._params.divergence_m:
+    def _judge_estimate(self, truth: Truth, believed: Pose) -> Outcome | None:
+        true = truth.world_from_body
+        distance = math.dist(believed.translation.tolist(), true.translation.tolist())
+        if distance <= self._params.divergence_m:
             return None
-        self._reason = f"the estimate is {distance:.1f} m off"
+        self._reason = f"the estimate is {distance:.1f} m off"  # or not a number
         return Outcome.DIVERGED
 
     def _judge_attitude(self, truth: Truth) -> Outcome | None:
-        tilt_deg = float(np.degrees(tilt_from_rotation(truth.world_from_body.rotation)))
-        if tilt_deg <= self._params.tip_tilt_deg:
+        rotation = truth.world_from_body.rotation
+        if rotation[2, 2] >= self._upright_cosine:
             return None
+        tilt_deg = math.degrees(tilt_from_rotation(rotation))
         self._reason = f"tilted by {tilt_deg:.0f} degrees"
         return Outcome.TIPPED
 

@@ -104,7 +104,7 @@ class LidarPeers:
 
     def _package(self, nominal: NDArray[np.float32]) -> Callable[[], Array] | None:
         try:
-            from mujoco_lidar import MjLidarWrapper  # type: ignore[import-untyped]
+            from mujoco_lidar import MjLidarWrapper
         except ImportError:
             return None
         lidar = MjLidarWrapper(

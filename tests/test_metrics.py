@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from flight_fakes import LEG_ON_LAWN, make_estimate, make_truth
+from flight_fakes import LEG_ON_LAWN, make_truth
 
 from estimator.api import GridMap
 from experiments.metrics import (
@@ -12,12 +12,13 @@ from experiments.metrics import (
     fit_plane,
     levelness_error_deg,
 )
+from sim.frames import Pose, rotation_from_yaw
 
 
 def test_positioning_error_of_two_samples() -> None:
     error = PositioningError()
-    error.add(make_estimate(0.0, [3.0, 0.0, 4.0]), make_truth(0.0, [0.0, 0.0, 0.0]))
-    error.add(make_estimate(0.1, [0.0, 1.0, 0.0], yaw=0.2), make_truth(0.1, [0.0, 0.0, 0.0]))
+    error.add(Pose(np.eye(3), np.array([3.0, 0.0, 4.0])), Pose.identity())
+    error.add(Pose(rotation_from_yaw(0.2), np.array([0.0, 1.0, 0.0])), Pose.identity())
     summary = error.summary()
     assert summary["mean"] == pytest.approx(3.0)
     assert summary["rmse"] == pytest.approx(np.sqrt((25 + 1) / 2))
