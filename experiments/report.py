@@ -42,6 +42,7 @@ LANDING_COLUMNS: tuple[Column, ...] = (
     Column("E_tra (m)", "trajectory_error_m", "{:.3f}"),
     Column("d_L (m)", "landing.target_offset_m", "{:.3f}"),
     Column("v_z (m/s)", "landing.vertical_speed_mps", "{:.3f}"),
+    Column("a_z (m/s²)", "landing.vertical_accel_mps2", "{:.3f}"),
     Column("slope (deg)", "landing.slope_deg", "{:.2f}"),
     Column("tilt (deg)", "landing.tilt_deg", "{:.2f}"),
     Column("safe geometry", "landing.safe_geometry"),

@@ -140,7 +140,7 @@ def scene_rays(scene: Scene, count: int) -> Float32:
 )
 def test_scenes_as_in_mujoco(name: str) -> None:
     scene = load_scene(name, 0)
-    count = 100_000 if name == "crossroad" else 30_000
+    count = 100_000
     assert share_within_1_mm(scene, scene_rays(scene, count)) > 0.999
 
 
