@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -39,7 +40,7 @@ class Theme(Protocol):
 
 
 @dataclass(kw_only=True, slots=True)
-class _Base:
+class _Base(ABC):
     plot: Plot
     rng: np.random.Generator
     pads: list[Pad] = field(default_factory=list)
@@ -73,11 +74,11 @@ class _Base:
                 found.append(spot)
         return found
 
-    def paint(self, canvas: Canvas) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def paint(self, canvas: Canvas) -> None: ...
 
-    def build(self, builder: Builder, nursery: Nursery, models: Models) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def build(self, builder: Builder, nursery: Nursery, models: Models) -> None: ...
 
 
 class Homes(_Base):
