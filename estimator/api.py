@@ -59,6 +59,9 @@ class Estimate:
     offers them; otherwise the mapper interpolates the causal estimates."""
     diagnostics: Mapping[str, float] = field(default_factory=dict)
     """Named scalars for the recording (features tracked, residuals, degenerate directions...)."""
+    events: tuple[str, ...] = ()
+    """What happened since the last update that a person should know, in words: a message refused
+    and why, a sensor silent, a direction that nothing measures."""
 
     @property
     def world_from_body(self) -> Pose:
@@ -224,6 +227,13 @@ class LivoParams:
     blind_lateral_sigma_m: float = 0.05
     """the same while no image is tracked and the planes alone must hold x, y and yaw"""
     blind_yaw_sigma_deg: float = 0.1
+    use_degeneracy: bool = True
+    """whether a scan is kept from correcting what it does not measure, as sideways motion over
+    level ground"""
+    weak_sigma_m: float = 0.1
+    """a direction that a scan knows less well than this it does not measure"""
+    weak_sigma_deg: float = 0.3
+    """the same of rotation"""
     keyframes: int = 40
     """remembered images; the most redundant one goes"""
     look_back: int = 3
@@ -286,3 +296,104 @@ class PaperParams:
     closure_speed_mps: float = 0.1
     """fastest motion of the odometry frame when closures correct the past"""
     closure_rate_deg_s: float = 0.5
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GpsEstimatorParams:
+    """GPS, IMU, magnetometer and barometer (``estimator/baselines/gps.py``)."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    follow_period_s: float = 0.3
+    """time constant with which the position follows the fixes"""
+    heading_sigma_deg: float = 5.0
+    """of one reading of the magnetometer, ten a second"""
+    baro_sigma_m: float = 0.5
+    """of one reading of the barometer, its drift included"""
+    blend_s: float = 0.15
+    """a correction of the filter reaches control over this time"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class OpticalFlowParams:
+    """Optical flow, rangefinder, IMU, magnetometer and barometer
+    (``estimator/baselines/optical_flow.py``)."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    camera_hz: int = 10
+    features: int = 150
+    """corners of an image"""
+    window_pixels: int = 480
+    """side of the middle of the image that they are taken from"""
+    pixel_sigma: float = 0.3
+    """of the flow of one corner"""
+    floor_sigma_m: float = 0.01
+    """error of a displacement that many corners do not average out"""
+    scale_sigma: float = 0.05
+    """the same as a share of the displacement: the ground is not level"""
+    ground_memory_s: float = 0.5
+    """time constant of the ground's height below the rangefinder"""
+    heading_sigma_deg: float = 2.0
+    """of one reading of the magnetometer, ten a second"""
+    baro_sigma_m: float = 0.5
+    """of one reading of the barometer, its drift included"""
+    drift_share: float = 0.03
+    """of the distance flown: what the position is trusted to, besides the filter's own covariance"""
+    blend_s: float = 0.15
+    """a correction of the filter reaches control over this time"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HybridFlowParams:
+    """Dense optical flow and phase correlation with GPS
+    (``estimator/baselines/hybrid_flow.py``)."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    camera_hz: int = 10
+    side_pixels: int = 256
+    """of the levelled image, a power of two"""
+    pixel_sigma: float = 0.3
+    """of one flow vector of the levelled image"""
+    floor_sigma_m: float = 0.01
+    """error of a displacement that many vectors do not average out"""
+    scale_sigma: float = 0.05
+    """the same as a share of the displacement: the ground is not level"""
+    ground_memory_s: float = 0.5
+    """time constant of the ground's height below the rangefinder"""
+    heading_sigma_deg: float = 5.0
+    """of one reading of the magnetometer, ten a second"""
+    baro_sigma_m: float = 0.5
+    """of one reading of the barometer, its drift included"""
+    wander_period_s: float = 60.0
+    """correlation time of the receiver's error"""
+    drift_density: float = 0.03
+    """m/sqrt(s): random walk of the odometry that the receiver's error is told apart from"""
+    blend_s: float = 0.15
+    """a correction of the filter reaches control over this time"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StereoParams:
+    """Visual odometry on the stereo pair and the IMU (``estimator/baselines/stereo.py``)."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    camera_hz: int = 10
+    features: int = 220
+    """corners of a keyframe"""
+    pixel_sigma: float = 0.4
+    """of a corner tracked from the keyframe, the relief of its landmark included"""
+    disparity_sigma: float = 0.15
+    """pixels, of one corner"""
+    disparity_floor_sigma: float = 0.02
+    """pixels, error of all disparities of a pair together"""
+    relief_sigma_m: float = 2.0
+    """heights of what stands on the ground"""
+    ground_density: float = 0.3
+    """m/sqrt(s): random walk of the mean height of the ground in view"""
+    drift_share: float = 0.03
+    """of the distance flown: what the position is trusted to, besides the filter's own covariance"""
+    blend_s: float = 0.15
+    """a correction of the filter reaches control over this time"""

@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from estimator.api import Estimate, LivoParams, PoseTrack
 from estimator.deskew import deskew, thin_out
 from estimator.eskf import Eskf
+from estimator.guard import InputGuard
 from estimator.imu_propagation import ImuBuffer, NavState, propagate_nominal
 from estimator.landmark_depth import RecentReturns
-from estimator.lidar_update import LidarReport, update_with_scan
+from estimator.lidar_update import DegeneracyWatch, LidarReport, update_with_scan
 from estimator.patch_tracker import grey_levels
 from estimator.plane_map import PlaneMap
 from estimator.stillness import Stillness
@@ -57,6 +58,8 @@ class Livo:
         self._rig = rig
         self._params = params = params or LivoParams()
         self.needs = SensorNeeds(camera_hz=params.camera_hz, lidar=True)
+        self._guard = InputGuard(rig, params.camera_hz)
+        self._events: list[str] = []
         step_s = rig.imu_ticks / rig.tick_hz
         self._buffer = ImuBuffer(rig.imu, step_s)
         self._imu_from_body = rig.body_from_imu.inverse()
@@ -79,6 +82,10 @@ class Livo:
             sigma_px=params.pixel_sigma,
             open_ticks=2 * rig.tick_hz,
         )
+        self._weak_sigmas: tuple[float, float] | None = None
+        if params.use_degeneracy:
+            self._weak_sigmas = float(np.radians(params.weak_sigma_deg)), params.weak_sigma_m
+        self._degeneracy = DegeneracyWatch()
         self._undistort = _undistortion_maps(rig)
         self._history_ticks = np.zeros(1, dtype=np.int64)
         self._history_rotations = state.rotation[None]
@@ -96,11 +103,11 @@ class Livo:
     def update(self, obs: Observation) -> Estimate:
         """Takes what has arrived and returns the belief about ``obs.tick``."""
         self._scan_track = None
+        obs = self._guard.screen(obs)
+        self._events = list(self._guard.events)
+        self._diagnostics["skipped"] += self._guard.refused
         resting = self._resting(obs.rotor_speed_radps)
         for sample in obs.imu:
-            if not np.all(np.isfinite(sample.angular_velocity + sample.specific_force)):
-                self._diagnostics["skipped"] += 1.0
-                continue
             self._gyro, self._force = sample.angular_velocity, sample.specific_force
             self._buffer.push(sample.tick, self._gyro, self._force, resting)
             self._head = propagate_nominal(
@@ -137,6 +144,7 @@ class Livo:
         tick = _tick_of(message)
         if tick < self._eskf.state.tick or tick > self._head.tick:
             self._diagnostics["skipped"] += 1.0
+            self._events.append(f"{_name_of(message)} {tick} refused: it came too late")
             return False
         self._advance(tick)
         if isinstance(message, LidarScan):
@@ -191,6 +199,7 @@ class Livo:
         report = LidarReport(matched=0, rms_m=0.0, lateral_strength=np.zeros(3))
         if len(points) >= 50:
             report = self._update_with_points(points, beams, scan.end_tick)
+            self._events += self._degeneracy.events(report)
         self._correct_history()
         state = self._eskf.state
         odom_points = points @ state.rotation.T + state.position
@@ -204,6 +213,8 @@ class Livo:
             "lidar_rms_m": report.rms_m,
             "lidar_lateral_weakest": float(report.lateral_strength[0]),
             "lidar_lateral_middle": float(report.lateral_strength[1]),
+            "lidar_weak_translation": float(report.weak_translation),
+            "lidar_weak_rotation": float(report.weak_rotation),
             "map_voxels": float(self._map.used),
         }
 
@@ -228,6 +239,7 @@ class Livo:
             floor_sigmas=np.array(
                 [tilt, tilt, np.radians(yaw_deg), lateral, lateral, params.map_height_sigma_m]
             ),
+            weak_sigmas=self._weak_sigmas,
         )
 
     def _take_image(self, image: CameraImage) -> None:
@@ -299,11 +311,16 @@ class Livo:
             healthy=bool(np.trace(cov[3:6, 3:6]) < 1.0),
             scan_track=self._scan_track,
             diagnostics=dict(self._diagnostics),
+            events=tuple(self._events),
         )
 
 
 def _tick_of(message: LidarScan | CameraImage) -> int:
     return message.end_tick if isinstance(message, LidarScan) else message.tick
+
+
+def _name_of(message: LidarScan | CameraImage) -> str:
+    return "scan" if isinstance(message, LidarScan) else "image"
 
 
 def _visual_diagnostics(report: VisualReport, keyframes: int) -> dict[str, float]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from estimator import mapper_kernels as kernels
 from estimator.api import Estimate, GridMap, MapperParams, MapView, PoseTrack
+from estimator.guard import InputGuard
 from sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 from sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
@@ -120,10 +121,12 @@ class GridMapper:
         self._intrinsics = np.concatenate(
             [[camera.fx, camera.fy, camera.cx, camera.cy], np.asarray(camera.distortion, float)]
         )
+        self._guard = InputGuard(rig)
         self._view = MapView(version=0, coarse=self._coarse.view(), fine=None)
 
     def update(self, obs: Observation, estimate: Estimate) -> MapView:
         """Integrates the scans of ``obs``; costs nothing where there are none."""
+        obs = self._guard.screen(obs)
         self._remember(estimate)
         for image in obs.images:
             odom_from_body = self._pose_at(image.time_s, estimate)

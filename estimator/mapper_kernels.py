@@ -289,7 +289,7 @@ def locate_missing(
     distances within (min_reach, max_reach) count, since beyond them silence means nothing."""
     found = 0
     for i in range(ranges.shape[0]):
-        if ranges[i] > 0.0 or not beams[i, 2] < -0.05:
+        if not ranges[i] <= 0.0 or not beams[i, 2] < -0.05:
             continue
         x, y, distance = origins[i, 0], origins[i, 1], 0.0
         for _ in range(3):

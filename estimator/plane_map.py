@@ -187,8 +187,9 @@ def match_planes(
 ) -> tuple[NDArray[np.bool_], Array, Array, Array]:
     """The plane of the voxel of each of (N, 3) points.
 
-    Returns found (N,), unit normals (N, 3), plane points (N, 3), and the variance of the plane's
-    height at the point (N, 2): its thickness (what single returns scatter) and its own uncertainty.
+    Returns found (N,), unit normals (N, 3), plane points (N, 3), and variances (N, 3): of the
+    plane's height at the point, m^2, its thickness (what single returns scatter) and its own
+    uncertainty; and of the normal about either axis, rad^2.
     A voxel is planar if its smallest standard deviation is below ``max_thickness`` and three times
     below the next one.
     """
@@ -196,7 +197,7 @@ def match_planes(
     found = np.zeros(count, dtype=np.bool_)
     normals = np.zeros((count, 3))
     anchors = np.zeros((count, 3))
-    variances = np.zeros((count, 2))
+    variances = np.zeros((count, 3))
     total = np.zeros(_MOMENTS)
     cov = np.zeros((3, 3))
     for i in range(count):
@@ -227,6 +228,7 @@ def match_planes(
         anchors[i, 0], anchors[i, 1], anchors[i, 2] = cx + mx, cy + my, cz + mz
         variances[i, 0] = low
         variances[i, 1] = low / n * (1.0 + reach2 / mid)
+        variances[i, 2] = low / (n * mid)
     return found, normals, anchors, variances
 
 

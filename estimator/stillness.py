@@ -36,7 +36,9 @@ vehicle in the wind creeps on its feet, and that repeats from update to update."
 class Stillness:
     """Zero-velocity, zero-rate and unmoved-pose updates (Foxlin 2005), for as long as it stands."""
 
-    def __init__(self, gyro_density: float, step_s: float) -> None:
+    def __init__(self, gyro_density: float, step_s: float, attitude_known: bool = True) -> None:
+        """``attitude_known``: whether the attitude at the first moment of rest is worth holding."""
+        self._attitude_known = attitude_known
         self._gyro_density = gyro_density
         self._step_s = step_s
         self._anchor: NavState | None = None
@@ -81,6 +83,8 @@ class Stillness:
             [_ROTATION_SIGMA**2, _POSITION_SIGMA**2, _VELOCITY_SIGMA**2, gyro_variance], 3
         )
         touched = np.r_[ROTATION, POSITION, VELOCITY, GYRO_BIAS]
+        if not self._attitude_known:
+            variances[ROTATION] = np.inf
         information = np.diag(1.0 / variances)
         delta = eskf.gain(touched, information, residual / variances)
         eskf.state, eskf.clones = eskf.boxplus(state, eskf.clones, delta)

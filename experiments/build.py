@@ -6,6 +6,7 @@ import importlib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,21 +14,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.api import Controller
-from estimator.api import CalibrationResult, CalibrationView, Chessboard, Estimator, Mapper
+from estimator.api import (
+    CalibrationResult,
+    CalibrationView,
+    Chessboard,
+    Estimate,
+    Estimator,
+    GridMap,
+    Mapper,
+    MapView,
+)
 from experiments.bias import BiasedEstimator
 from experiments.config import Config, UsageError
 from experiments.rig import told_rig
 from experiments.suggest import nearest
-from landing.api import Lander
+from landing.api import Lander, Selection
 from scenes.api import Scene, TruthMaps
 from sim.api import SensorNeeds, SensorRig, Truth, World
 
 if TYPE_CHECKING:
     from scenes.survey_facts import Difference, Layout, SurveyFacts
+    from sim.aerial import AerialCamera
     from sim.bare import BareWorld
     from sim.hover import HoverView
     from sim.lidar_peers import LidarPeers
     from sim.stand import SensorStand
+    from sim.tow import SensorTow
 
 Array = NDArray[np.float64]
 
@@ -45,6 +57,8 @@ class Flight:
     mapper: Mapper
     lander: Lander
     controller: Controller
+    faults: Callable[[], list[dict[str, Any]]]
+    """what the scheduled sensor faults have done so far"""
 
 
 def build_scene(config: Config) -> Scene:
@@ -81,6 +95,7 @@ def build_flight(config: Config, scene: Scene) -> Flight:
         mapper=mapper,
         lander=lander,
         controller=controller,
+        faults=lambda: world.faults.summary(),
     )
 
 
@@ -95,6 +110,7 @@ def _world(config: Config, scene: Scene) -> Any:
         camera=config.camera,
         imu=config.imu,
         nav=config.nav,
+        faults=config.faults,
         seed=config.seed,
     )
 
@@ -283,6 +299,89 @@ def hover_view(config: Config, scene: Scene, height_m: float, seconds: float) ->
         height_m=height_m,
         seconds=seconds,
     )
+
+
+@dataclass(slots=True)
+class TowedSurvey:
+    """The configured sensors on the planned survey, at its true poses, and what serves them."""
+
+    rig: SensorRig
+    tow: SensorTow
+    mapper: Mapper
+    path: Any
+    """``landing.trajectory.PiecewiseTrajectory`` of the survey, world frame, yaw ``yaw``"""
+    yaw: float
+    select: Callable[[MapView, Estimate], Selection]
+    """as the lander chooses at the end of its survey"""
+
+
+def build_towed_survey(config: Config, scene: Scene) -> TowedSurvey:
+    """A survey without a flight. Raises ValueError as `build_flight`."""
+    from estimator.mapper import GridMapper
+    from landing.selector import select_sites
+    from landing.trajectory import survey_trajectory
+    from sim.frames import yaw_from_rotation
+    from sim.tow import SensorTow
+
+    world = _world(config, scene)
+    rig = world.rig
+    world.close()
+    start = rig.world_from_body_start
+    yaw = yaw_from_rotation(start.rotation)
+    above = start.translation + np.array([0.0, 0.0, config.survey.height_m])
+    above[2] -= rig.vehicle.leg_height_m
+    return TowedSurvey(
+        rig=rig,
+        tow=SensorTow(
+            scene, sim=config.sim, camera=config.camera, lidar=config.lidar, seed=config.seed
+        ),
+        mapper=GridMapper(rig, config.mapper),
+        path=survey_trajectory(above, yaw, config.survey),
+        yaw=yaw,
+        select=partial(
+            select_sites,
+            params=config.landing,
+            footprint_radius_m=rig.vehicle.footprint_radius_m,
+        ),
+    )
+
+
+def aerial_camera(config: Config, scene: Scene) -> AerialCamera:
+    """The configured camera, to be carried anywhere over a scene."""
+    from sim.aerial import AerialCamera
+
+    return AerialCamera(scene, config.camera, config.seed)
+
+
+@dataclass(slots=True)
+class SelectionStages:
+    """The steps of selection, timed one by one: a map and the vehicle's position (3,) in the odom
+    frame to ``landing.stages.Staged``."""
+
+    ours: Callable[[GridMap, Array], Any]
+    reference: Callable[[GridMap, Array], Any]
+    """by Open3D, SciPy and scikit-image"""
+
+
+def selection_stages(config: Config, rig: SensorRig) -> SelectionStages:
+    """As `landing.stages.staged_selection` and `landing.reference.reference_selection`."""
+    from landing.stages import staged_selection
+
+    given = {
+        "params": config.landing,
+        "footprint_radius_m": rig.vehicle.footprint_radius_m,
+    }
+
+    def reference(grid: GridMap, position: Array) -> Any:
+        try:
+            from landing.reference import reference_selection
+        except ImportError as error:
+            raise UsageError(
+                f"the comparison needs scikit-image ({error}): install it, or give --no-reference"
+            ) from error
+        return reference_selection(grid, position, **given)
+
+    return SelectionStages(ours=partial(staged_selection, **given), reference=reference)
 
 
 def build_stand(

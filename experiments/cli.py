@@ -27,6 +27,7 @@ from experiments.cli_base import (
 )
 from experiments.cli_bench import bench
 from experiments.cli_calibrate import calibrate
+from experiments.cli_report import report
 from experiments.cli_scenes import scenes
 from experiments.console import (
     end_progress,
@@ -80,6 +81,12 @@ _FLIGHT_OPTIONS = (
         multiple=True,
         metavar="KEY=VALUE",
         help="Any key of the configuration, such as survey.height_m=20. May be repeated.",
+    ),
+    click.option(
+        "--fault",
+        multiple=True,
+        metavar="KIND@START[+DURATION]",
+        help="A sensor fault at START seconds, such as lidar_dropout@20+1. May be repeated.",
     ),
     click.option(
         "--out",
@@ -146,6 +153,7 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
         options["config_file"],
         options["overrides"],
         **{key: options[key] for key in _CONFIG_OPTIONS},
+        fault=options["fault"] or None,
         **more,
     )
     if out is None:
@@ -185,26 +193,7 @@ def view(run: Path, web: bool) -> int:
     return EXIT_DONE if subprocess.run(command, check=False).returncode == 0 else EXIT_FAILED
 
 
-@cli.command()
-@click.argument("directory", type=click.Path(path_type=Path))
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def report(directory: Path, as_json: bool) -> int:
-    """Print a Markdown table of all runs at or below DIRECTORY, and their summary.
-
-    Example: touchdown report runs
-    """
-    from experiments.report import LANDING_COLUMNS, load_runs, markdown_table, summary
-
-    rows = load_runs(directory)
-    totals = summary(rows)
-    if as_json:
-        click.echo(json.dumps({"summary": totals, "runs": rows}, indent=2))
-    else:
-        click.echo(markdown_table(rows, LANDING_COLUMNS))
-        click.echo(f"\n{json.dumps(totals, indent=2)}")
-    return EXIT_DONE
-
-
+cli.add_command(report)
 cli.add_command(scenes)
 cli.add_command(bench)
 cli.add_command(calibrate)

@@ -92,6 +92,37 @@ def bench_lidar(scene: str, preset: str, seed: int, rounds: int, as_json: bool) 
     return EXIT_DONE
 
 
+@bench.command("landing")
+@click.option("--scene", default="crossroad", show_default=True)
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--rounds", type=click.IntRange(min=1), default=9, show_default=True)
+@click.option("--reference/--no-reference", default=True, help="Time the other version too.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def bench_landing(scene: str, seed: int, rounds: int, reference: bool, as_json: bool) -> int:
+    """Choosing a landing site on the map of a whole survey: milliseconds of each step (Table 7 of
+    the paper) beside the same steps by Open3D, SciPy and scikit-image, one thread each.
+
+    ``selection`` is all that the lander does for one decision, the check of the ground included.
+
+    Example: touchdown bench landing --json
+    """
+    from experiments.bench_landing import bench_landing as measure
+
+    figures = usage_errors(
+        lambda: measure(scene=scene, seed=seed, rounds=rounds, reference=reference)
+    )
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+        return EXIT_DONE
+    beside = figures.get("reference_ms", {})
+    for name, milliseconds in figures["stage_ms"].items():
+        other = f"{beside[name]:9.1f}" if name in beside else ""
+        click.echo(f"{name:14}{milliseconds:8.2f} ms{other}")
+    if reference:
+        click.echo(f"ratio.reference {figures['ratio']['reference']:.1f}")
+    return EXIT_DONE
+
+
 def _usage_errors_until_airborne(
     measure: Callable[..., dict[str, Any]], config: Any, quiet: bool
 ) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import functools
 import json
 import math
 import re
@@ -29,6 +30,7 @@ from sim.api import (
     FORBID_EXTRA,
     BarometerParams,
     CameraParams,
+    FaultParams,
     GpsParams,
     ImuParams,
     LidarParams,
@@ -63,6 +65,8 @@ class LogParams:
     """between two updates of the recorded map"""
     texture_pixels: int = 1600
     """longer side of the ground texture in the recording"""
+    sensors: bool = False
+    """write ``sensors.mcap``: every message that reached the estimator, for replay"""
 
 
 class Config(BaseModel):
@@ -87,6 +91,7 @@ class Config(BaseModel):
     barometer: BarometerParams = Field(default_factory=BarometerParams)
     magnetometer: MagnetometerParams = Field(default_factory=MagnetometerParams)
     rangefinder: RangefinderParams = Field(default_factory=RangefinderParams)
+    faults: FaultParams = Field(default_factory=FaultParams)
     mapper: MapperParams = Field(default_factory=MapperParams)
     livo: LivoParams = Field(default_factory=LivoParams)
     paper: PaperParams = Field(default_factory=PaperParams)
@@ -115,9 +120,11 @@ OPTION_KEYS: Mapping[str, str] = {
     "estimator": "estimator",
     "calibration": "calibration",
     "record": "record",
+    "log_sensors": "log.sensors",
     "wind_kmh": "wind.mean_kmh",
     "site": "landing.site_xy_m",
     "survey_only": "landing.survey_only",
+    "fault": "faults.events",
 }
 """Explicit options of ``load_config`` and the keys that they set."""
 
@@ -136,7 +143,7 @@ def load_config(
     values: dict[str, Any] = {}
     sources: dict[str, str] = {}
     if file is not None:
-        for key, value in _flatten(_read_file(file)):
+        for key, value in flatten(read_tree(file)):
             values[key], sources[key] = value, str(file)
     for text in overrides:
         key, value = _parse_override(text)
@@ -146,12 +153,19 @@ def load_config(
             key = OPTION_KEYS[name]
             values[key] = list(value) if isinstance(value, tuple) else value
             sources[key] = f"--{name.replace('_', '-')}"
+    return config_of(values, sources)
+
+
+def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
+    """The configuration that sets ``values``, by dotted key; ``sources`` says where each comes
+    from. Raises ``UsageError``."""
     for key, value in values.items():
         _check_key(key, sources[key])
         _check_finite(key, value, sources[key])
     config = _validate(values, sources)
     _check_ranges(config, sources)
     _check_rates(config)
+    _check_faults(config, sources)
     return config
 
 
@@ -160,15 +174,17 @@ def dump_config(config: Config) -> str:
     return config.model_dump_json(indent=2) + "\n"
 
 
+@functools.cache
 def known_keys() -> tuple[str, ...]:
     """Every dotted key of the schema, in its order."""
-    return tuple(key for key, _ in _flatten(json.loads(Config().model_dump_json())))
+    return tuple(key for key, _ in flatten(json.loads(Config().model_dump_json())))
 
 
 # ------------------------------------------------------------------------------------- reading
 
 
-def _read_file(file: Path) -> dict[str, Any]:
+def read_tree(file: Path) -> dict[str, Any]:
+    """The tables of a TOML or JSON file. Raises ``UsageError``."""
     if not file.is_file():
         raise UsageError(f"configuration file '{file}' does not exist")
     try:
@@ -199,10 +215,11 @@ def _parse_override(text: str) -> tuple[str, Any]:
         return key, raw.strip()
 
 
-def _flatten(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def flatten(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """(dotted key, value) of every leaf of nested tables."""
     for name, value in tree.items():
         if isinstance(value, dict):
-            yield from _flatten(value, f"{prefix}{name}.")
+            yield from flatten(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
 
@@ -282,7 +299,7 @@ POSITIVE_EXCEPT = re.compile(r"[_.]latency_ticks$")
 
 def _check_ranges(config: Config, sources: Mapping[str, str]) -> None:
     """Signs follow the names: a rate, a size or a duration is positive, a spread not negative."""
-    for key, value in _flatten(json.loads(config.model_dump_json())):
+    for key, value in flatten(json.loads(config.model_dump_json())):
         if isinstance(value, bool) or not isinstance(value, int | float):
             continue
         where = f" in {sources[key]}" if key in sources else ""
@@ -331,3 +348,11 @@ def _check_rates(config: Config) -> None:
             f"livo.camera_hz = {config.livo.camera_hz} must divide the camera's clock of "
             f"{camera_clock_hz} Hz"
         )
+
+
+def _check_faults(config: Config, sources: Mapping[str, str]) -> None:
+    try:
+        config.faults.schedule()
+    except ValueError as error:
+        where = sources.get("faults.events", "the configuration")
+        raise UsageError(f"faults.events in {where}: {error}") from None

@@ -30,6 +30,9 @@ from scenes.api import Scene
 Progress = Callable[[float, str, str], None]
 """Called with simulated seconds, phase and note."""
 
+_MOST_EVENTS = 200
+"""of the estimator that a result keeps"""
+
 _STAGES = (
     ("world", "step", "world"),
     ("estimator", "update", "estimator"),
@@ -102,7 +105,8 @@ def _fly_and_judge(
     finally:
         flight.world.close()
         recorder.close()
-    return _clean(_result(config, flight, outcome, clock, surveyed or latest))
+    result = _result(config, flight, outcome, clock, surveyed or latest)
+    return _clean({**result, **watched.events.summary(), "faults": flight.faults()})
 
 
 def make_referee(config: Config, scene: Scene, on_survey_end: Callable[[], None]) -> Referee:
@@ -123,6 +127,23 @@ def timed_parts(flight: Flight, clock: StageClock) -> dict[str, Any]:
     return {name: Timed(getattr(flight, name), call, stage, clock) for name, call, stage in _STAGES}
 
 
+class EventLog:
+    """What the estimator had to tell; the first ``_MOST_EVENTS`` in full, all of them counted."""
+
+    def __init__(self) -> None:
+        self.kept: list[dict[str, Any]] = []
+        self.count = 0
+
+    def add(self, time_s: float, texts: tuple[str, ...]) -> None:
+        for text in texts:
+            self.count += 1
+            if len(self.kept) < _MOST_EVENTS:
+                self.kept.append({"time_s": time_s, "text": text})
+
+    def summary(self) -> dict[str, Any]:
+        return {"events": self.kept, "event_count": self.count}
+
+
 class _Watcher:
     """Passes every tick on to the recorder, keeps the newest map at hand, reports progress."""
 
@@ -133,9 +154,11 @@ class _Watcher:
         self._latest = latest
         self._progress = progress
         self._next_s = 0.0
+        self.events = EventLog()
 
     def tick(self, *event: Any) -> None:
-        truth, _obs, _estimate, map_view, view = event[:5]
+        truth, _obs, estimate, map_view, view = event[:5]
+        self.events.add(estimate.time_s, estimate.events)
         self._latest[:] = [map_view.coarse]
         if self._progress is not None and truth.time_s >= self._next_s:
             self._next_s = truth.time_s + 0.5
@@ -158,6 +181,7 @@ def _result(
         "trajectory_error_m": outcome.deviation.mean,
         "trajectory_error_max_m": outcome.deviation.largest,
         "trajectory_variance_m2": outcome.deviation.variance,
+        "nees": outcome.consistency.summary(),
         "landing": outcome.landing,
         "map": _map_figures(flight, outcome, maps, config.seed),
         "timing": {
@@ -167,7 +191,7 @@ def _result(
             "stage_ms": clock.stage_ms(outcome.sim_s),
         },
         "versions": _versions(),
-        "git_revision": _git_revision(),
+        "git_revision": git_revision(),
     }
 
 
@@ -225,7 +249,7 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _git_revision() -> str | None:
+def git_revision() -> str | None:
     """The revision of the source tree, None for an installed package."""
     root = Path(__file__).resolve().parent.parent
     if not (root / ".git").exists():

@@ -87,6 +87,55 @@ class TrajectoryDeviation:
         return self._m2 / self.count if self.count else 0.0
 
 
+NEES_LIMIT = 14.2
+"""A consistent estimator is below it in 99.7 % of samples (chi-square, 3 degrees of freedom)."""
+_NEES_LOWEST, _NEES_PER_DECADE, _NEES_BINS = 1e-4, 50, 500
+
+
+@dataclass(slots=True)
+class Consistency:
+    """Normalised estimation error squared ``e^T P^-1 e`` of the position: whether an estimate's
+    covariance means something (Bar-Shalom et al. 2001, section 5.4). 3 on average if it does.
+
+    A histogram over the logarithm, ten decades from 1e-4, gives the median to 5 %.
+    """
+
+    count: int = 0
+    total: float = 0.0
+    below_limit: int = 0
+    histogram: NDArray[np.int64] = field(
+        default_factory=lambda: np.zeros(_NEES_BINS, dtype=np.int64)
+    )
+
+    def add(self, believed: Array, true: Array, covariance: Array) -> None:
+        """Positions (3,) m and covariance (3, 3) m^2, world frame. A covariance that is singular or
+        not a number counts as boundless confidence."""
+        error = believed - true
+        try:
+            value = float(error @ np.linalg.solve(covariance, error))
+        except np.linalg.LinAlgError:
+            value = math.inf
+        if not 0.0 <= value < math.inf:
+            value = _NEES_LOWEST * 10.0 ** (_NEES_BINS / _NEES_PER_DECADE)
+        self.count += 1
+        self.total += value
+        self.below_limit += value < NEES_LIMIT
+        slot = _NEES_PER_DECADE * math.log10(max(value, _NEES_LOWEST) / _NEES_LOWEST)
+        self.histogram[min(int(slot), _NEES_BINS - 1)] += 1
+
+    def summary(self) -> dict[str, float | int | None]:
+        """``below_14_2`` is a share."""
+        if self.count == 0:
+            return {"median": None, "mean": None, "below_14_2": None, "samples": 0}
+        slot = int(np.searchsorted(np.cumsum(self.histogram), 0.5 * self.count))
+        return {
+            "median": _NEES_LOWEST * 10.0 ** ((slot + 0.5) / _NEES_PER_DECADE),
+            "mean": self.total / self.count,
+            "below_14_2": self.below_limit / self.count,
+            "samples": self.count,
+        }
+
+
 class TouchdownWindow:
     """The last half second of truth before the first contact, and what follows it."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from landing.api import LanderView
 from scenes.api import Scene
 from sim.api import Command, Observation, SensorRig, Truth
 from sim.frames import Pose, rotation_from_yaw
+
+if TYPE_CHECKING:
+    from experiments.sensor_log import SensorLog
 
 
 class Recorder(Protocol):
@@ -55,14 +58,23 @@ class NullRecorder:
 
 class RunRecorder:
     """Fills a run directory: ``truth.tum``, ``estimate.tum``, ``reference.tum``, ``map.ply``,
-    ``costmap.png`` and, with ``config.record``, ``flight.rrd``.
+    ``costmap.png`` and, with ``config.record``, ``flight.rrd``; what sensors said goes to
+    ``sensors`` where one is given.
 
     ``out_dir`` must exist. Files are complete after ``close``; memory does not grow with the
     flight.
     """
 
-    def __init__(self, out_dir: Path, scene: Scene, rig: SensorRig, config: Config) -> None:
+    def __init__(
+        self,
+        out_dir: Path,
+        scene: Scene,
+        rig: SensorRig,
+        config: Config,
+        sensors: SensorLog | None = None,
+    ) -> None:
         self._out_dir = out_dir
+        self._sensors = sensors
         self._truth = TumWriter(out_dir / "truth.tum")
         self._estimate = TumWriter(out_dir / "estimate.tum")
         self._reference = TumWriter(out_dir / "reference.tum")
@@ -91,6 +103,8 @@ class RunRecorder:
             self._next_row_tick = truth.tick + self._row_ticks
             self._write_rows(truth, estimate, lander_view, setpoint)
         self._last = (estimate, map_view)
+        if self._sensors is not None:
+            self._sensors.add(obs)
         if lander_view.costmap is not None and lander_view.site_world is not None:
             self._keep_selection(lander_view, estimate)
         elif lander_view.costmap is not None and self._selection is None:
@@ -100,6 +114,8 @@ class RunRecorder:
     def close(self) -> None:
         for writer in (self._truth, self._estimate, self._reference):
             writer.close()
+        if self._sensors is not None:
+            self._sensors.close()
         self._recording.close()
         self._write_map()
         self._write_costmap()

@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 
 from estimator.api import Estimate
 from experiments.api import Outcome, RefereeParams
-from experiments.metrics import PositioningError, TouchdownWindow, TrajectoryDeviation
+from experiments.metrics import (
+    Consistency,
+    PositioningError,
+    TouchdownWindow,
+    TrajectoryDeviation,
+)
 from landing.api import LanderView, Phase
 from scenes.api import SAFE_CLASSES
 from sim.api import Truth
@@ -22,6 +27,7 @@ Array = NDArray[np.float64]
 
 _DESCENDING = frozenset({Phase.DESCEND, Phase.TOUCHDOWN, Phase.RETURN, Phase.DONE})
 _LIFT_OFF_HEIGHT_M = 0.1
+_NEES_HZ = 10.0
 _REST_S = 0.5
 _REST_SPEED_MPS = 0.05
 
@@ -36,6 +42,7 @@ class FlightResult:
     survey_s: float
     position_error: PositioningError
     deviation: TrajectoryDeviation
+    consistency: Consistency
     landing: dict[str, Any] | None
 
 
@@ -60,6 +67,8 @@ class Referee:
         self._on_survey_end = on_survey_end
         self._position_error = PositioningError()
         self._deviation = TrajectoryDeviation()
+        self._consistency = Consistency()
+        self._steps_per_sample = max(1, round(steps_per_s / _NEES_HZ))
         self._touchdown = TouchdownWindow(steps_per_s)
         self._start_height: float | None = None
         self._lift_off_s: float | None = None
@@ -77,6 +86,12 @@ class Referee:
         if self._lift_off_s is not None and self._survey_to_s is None:
             self._position_error.add(believed, truth.world_from_body)
             self._deviation.add(truth, view.reference_world)
+            if self._position_error.count % self._steps_per_sample == 0:
+                self._consistency.add(
+                    believed.translation,
+                    truth.world_from_body.translation,
+                    estimate.position_covariance,
+                )
         self._follow_touchdown(truth, view)
         return (
             self._judge_estimate(truth, believed)
@@ -99,6 +114,7 @@ class Referee:
             survey_s=survey_s,
             position_error=self._position_error,
             deviation=self._deviation,
+            consistency=self._consistency,
             landing=self._landing(view),
         )
 

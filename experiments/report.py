@@ -69,13 +69,14 @@ def load_runs(directory: Path) -> list[dict[str, Any]]:
     """
     if not directory.is_dir():
         raise UsageError(f"'{directory}' is no directory of runs")
-    rows = [_load(path) for path in sorted(directory.rglob("result.json"))]
+    rows = [load_run(path) for path in sorted(directory.rglob("result.json"))]
     if not rows:
         raise UsageError(f"'{directory}' holds no finished run (no result.json)")
     return sorted(rows, key=lambda row: (row["scene"], row["estimator"], row["seed"]))
 
 
-def _load(path: Path) -> dict[str, Any]:
+def load_run(path: Path) -> dict[str, Any]:
+    """One ``result.json``. Raises UsageError when it is none."""
     try:
         row: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:

@@ -7,6 +7,7 @@ changed.
 
 from __future__ import annotations
 
+from collections import deque
 from pathlib import Path
 
 import cv2
@@ -75,6 +76,7 @@ class RerunLog:
         self._scan_due = Every(self._params.scan_hz)
         self._camera_due = Every(self._params.camera_hz)
         self._map_due = Every(1.0 / self._params.map_period_s)
+        self._faults = deque(sorted(_fault_times(config)))
         self._seen_text = ("", "")
         self._seen_site: Array = np.full(3, np.nan)
         self._seen_costmap: object = None
@@ -110,6 +112,7 @@ class RerunLog:
         if self._map_due.due(time_s):
             self._log_map(time_s, estimate, map_view)
         self._log_decisions(time_s, estimate, lander_view)
+        self._log_events(time_s, estimate)
         if self._flush_due.due(time_s):
             self._flush()
 
@@ -250,6 +253,16 @@ class RerunLog:
             self._stream.set_time(TIMELINE, duration=time_s)
             self._stream.log("world/map/candidates", _candidate_points(view.candidates))
 
+    def _log_events(self, time_s: float, estimate: Estimate) -> None:
+        """The estimator's own words, and the faults that were put in its way."""
+        for text in estimate.events:
+            self._stream.set_time(TIMELINE, duration=time_s)
+            self._stream.log("log/estimator", rr.TextLog(text, level="WARN"))
+        while self._faults and time_s >= self._faults[0][0]:
+            start_s, text = self._faults.popleft()
+            self._stream.set_time(TIMELINE, duration=start_s)
+            self._stream.log("log/faults", rr.TextLog(text, level="ERROR"))
+
     def _log_costmap(self, time_s: float, estimate: Estimate, view: LanderView) -> None:
         if view.costmap is None:
             return
@@ -267,6 +280,16 @@ class RerunLog:
     def _flush(self) -> None:
         for batch in (self._poses, self._paths, self._scalars):
             batch.send(self._stream)
+
+
+def _fault_times(config: Config) -> list[tuple[float, str]]:
+    """When each fault of the schedule begins and ends."""
+    found = []
+    for fault in config.faults.schedule():
+        found.append((fault.start_s, f"fault {fault.text} begins"))
+        if fault.duration_s is not None:
+            found.append((fault.start_s + fault.duration_s, f"fault {fault.text} ends"))
+    return found
 
 
 def _survey_middle(scene: Scene, config: Config) -> Array:

@@ -66,6 +66,20 @@ class CostmapView:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Selection:
+    """One decision with all that led to it; rasters (rows, cols) on the grid of ``costmap``."""
+
+    candidates: tuple[Candidate, ...]
+    """accepted ones first, best first"""
+    costmap: CostmapView | None
+    """None where nothing was mapped; then the rasters are empty"""
+    allowed: NDArray[np.bool_]
+    """cells that the selector would land on"""
+    probability: NDArray[np.float32]
+    """of a touchdown that is safe by geometry, as `landing.risk` believes"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class LanderView:
     """What the recorder and the referee may see of the lander."""
 

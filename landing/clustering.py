@@ -13,6 +13,12 @@ Float32 = NDArray[np.float32]
 Int32 = NDArray[np.int32]
 
 
+_BANDWIDTHS = 1.5
+"""kernel bandwidth of the density, in footprint radii: about what a landing covers"""
+_SEARCH_RADII = 4.0
+"""Quick Shift looks for a higher density within this many bandwidths"""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Clusters:
     """``label``: (rows, cols) int32, index of the cell's mode, -1 outside; ``modes``: (K, 2)
@@ -21,6 +27,13 @@ class Clusters:
     label: Int32
     modes: Int32
     density: Float32
+
+
+def bandwidths(footprint_cells: float) -> tuple[float, float]:
+    """Bandwidth of the density and radius of the search, in cells, for a vehicle whose footprint
+    has the radius ``footprint_cells``."""
+    bandwidth = _BANDWIDTHS * footprint_cells
+    return bandwidth, _SEARCH_RADII * bandwidth
 
 
 def kernel_density(values: Float32, bandwidth_cells: float) -> Float32:

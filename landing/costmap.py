@@ -115,6 +115,27 @@ def weighted_sum(smooth: Float32, flat: Float32, near: Float32, params: LandingP
     return (total + params.weight_distance * near).astype(np.float32)
 
 
+def smoothness_term(terrain: Terrain, params: LandingParams) -> tuple[Float32, Mask]:
+    """Eq. 14 on a terrain, and which of its cells are coloured."""
+    edges, coloured = colour_edges(
+        terrain.rgb,
+        blur_cells=params.edge_blur_m / terrain.cell_m,
+        low=params.edge_low,
+        high=params.edge_high,
+    )
+    return smoothness(edges, coloured, terrain.cell_m, params.smoothness_full_m), coloured
+
+
+def flatness_term(terrain: Terrain, planes: PlaneField, params: LandingParams) -> Float32:
+    """Eqs. 15 to 17 on a terrain with the planes through its cells."""
+    angles = np.where(terrain.known, normal_angles(planes), np.float32(np.nan))
+    form = params.flatness_form
+    kernel = flatness_kernel(angles, form=form, sigma_rad=np.deg2rad(params.flatness_sigma_deg))
+    return flatness(
+        kernel, terrain.count, form=form, radius_m=params.clear_radius_m, cell_m=terrain.cell_m
+    )
+
+
 def compute_costmap(
     terrain: Terrain,
     planes: PlaneField,
@@ -124,19 +145,8 @@ def compute_costmap(
 ) -> CostmapView:
     """All terms on the raster of ``terrain``, with the planes through its cells, for a vehicle at
     ``position_odom`` (3,)."""
-    edges, coloured = colour_edges(
-        terrain.rgb,
-        blur_cells=params.edge_blur_m / terrain.cell_m,
-        low=params.edge_low,
-        high=params.edge_high,
-    )
-    smooth = smoothness(edges, coloured, terrain.cell_m, params.smoothness_full_m)
-    angles = np.where(terrain.known, normal_angles(planes), np.float32(np.nan))
-    form = params.flatness_form
-    kernel = flatness_kernel(angles, form=form, sigma_rad=np.deg2rad(params.flatness_sigma_deg))
-    flat = flatness(
-        kernel, terrain.count, form=form, radius_m=params.clear_radius_m, cell_m=terrain.cell_m
-    )
+    smooth, coloured = smoothness_term(terrain, params)
+    flat = flatness_term(terrain, planes, params)
     near = distance(terrain, position_odom, reach_m)
     return CostmapView(
         origin_xy_m=terrain.origin_xy_m,

@@ -129,7 +129,7 @@ def _decide(flight: Flight) -> Candidate | None:
         flight.aborted = not candidate.accepted
         flight.note = f"commanded site {params.site_xy_m}: {candidate.reason}"
     else:
-        candidates, flight.costmap = select_sites(
+        selection = select_sites(
             flight.map_view,
             flight.estimate,
             params,
@@ -137,11 +137,11 @@ def _decide(flight: Flight) -> Candidate | None:
             reach_m=flight.reach_m(),
             avoid_odom=flight.refused_odom,
         )
-        flight.candidates = tuple(candidates)
-        if not candidates:
+        flight.candidates, flight.costmap = selection.candidates, selection.costmap
+        if not flight.candidates:
             flight.note = "nothing mapped to choose from"
             return None
-        candidate = candidates[0]
+        candidate = flight.candidates[0]
         where = flight.world(candidate.position_odom)
         flight.note = f"site at ({where[0]:.1f}, {where[1]:.1f}): {candidate.reason}"
     if not candidate.accepted:

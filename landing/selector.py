@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.api import Estimate, MapView
-from landing.api import Candidate, CostmapView, LandingParams
-from landing.clustering import Clusters, quick_shift
+from landing.api import Candidate, CostmapView, LandingParams, Selection
+from landing.clustering import Clusters, bandwidths, quick_shift
 from landing.costmap import compute_costmap
 from landing.landable import LandableMap, assess, explain, fit_footprint, ground_planes
 from landing.terrain import Terrain, observed_terrain
@@ -19,16 +19,20 @@ from landing.traffic import traffic_penalty
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
-_BANDWIDTHS = 1.5
-"""kernel bandwidth of the density, in footprint radii: about what a landing covers"""
-_SEARCH_RADII = 4.0
-"""Quick Shift looks for a higher density within this many bandwidths"""
 _AVOID_M = 3.0
 """a site refused on a closer look is not offered again within this distance"""
 _ENOUGH_CLEARANCE_M = 1.0
 _ROOM_WEIGHT = 0.1
 _APART_M = 3.0
 """alternatives closer than this are no alternatives"""
+
+
+NOTHING_MAPPED = Selection(
+    candidates=(),
+    costmap=None,
+    allowed=np.zeros((0, 0), np.bool_),
+    probability=np.zeros((0, 0), np.float32),
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -49,22 +53,19 @@ def select_sites(
     footprint_radius_m: float,
     reach_m: float = np.inf,
     avoid_odom: Sequence[Array] = (),
-) -> tuple[list[Candidate], CostmapView | None]:
+) -> Selection:
     """Alternative sites in the observed map: accepted ones first, then by C_sum less the
     penalty of ``landing.traffic``.
 
     ``reach_m``: how far the energy left allows to fly; ``avoid_odom``: sites already refused.
-    The costmap is None where nothing was mapped.
     """
     terrain = observed_terrain(map_view.coarse)
     if terrain is None:
-        return [], None
+        return NOTHING_MAPPED
     judged = _judge(terrain, estimate, reach_m, params, params.map_margin_m)
     costmap, landable = judged.costmap, judged.landable
-    bandwidth = _BANDWIDTHS * footprint_radius_m / terrain.cell_m
-    clusters = quick_shift(
-        costmap.total, bandwidth_cells=bandwidth, radius_cells=_SEARCH_RADII * bandwidth
-    )
+    bandwidth, radius = bandwidths(footprint_radius_m / terrain.cell_m)
+    clusters = quick_shift(costmap.total, bandwidth_cells=bandwidth, radius_cells=radius)
     value = costmap.total - traffic_penalty(terrain, landable, params)
     allowed = landable.mask & np.isfinite(costmap.total)
     for avoid in avoid_odom:
@@ -78,7 +79,12 @@ def select_sites(
         )
     ]
     candidates.sort(key=lambda site: not site.accepted)  # stable: best first within both
-    return candidates, costmap
+    return Selection(
+        candidates=tuple(candidates),
+        costmap=costmap,
+        allowed=allowed,
+        probability=np.where(allowed, np.float32(1.0), np.float32(0.0)),
+    )
 
 
 def check_site(

@@ -34,6 +34,8 @@ class Terrain:
     """(rows, cols, 3), 0..255, NaN where uncoloured"""
     intensity: Float32
     missing: Float32
+    last_seen: Float32
+    """time of the newest return, s"""
 
     @property
     def known(self) -> Mask:
@@ -81,6 +83,7 @@ class Terrain:
             rgb=self.rgb[rows, cols],
             intensity=self.intensity[rows, cols],
             missing=self.missing[rows, cols],
+            last_seen=self.last_seen[rows, cols],
         )
 
 
@@ -103,6 +106,7 @@ def observed_terrain(grid: GridMap) -> Terrain | None:
         rgb=grid.rgb[box],
         intensity=grid.intensity[box],
         missing=grid.missing[box],
+        last_seen=grid.last_seen_s[box],
     )
 
 
@@ -142,6 +146,7 @@ def pooled(terrain: Terrain, factor: int) -> Terrain:
         rgb=rgb.astype(np.float32),
         intensity=intensity.astype(np.float32),
         missing=blocks(terrain.missing).sum(axis=(1, 3)).astype(np.float32),
+        last_seen=blocks(terrain.last_seen).max(axis=(1, 3)),
     )
 
 
@@ -262,16 +267,29 @@ def distance_to(mask: Mask, cell_m: float) -> Float32:
 def disc_maximum(layer: Float32, radius_cells: float) -> Float32:
     """Maximum over the disc of ``radius_cells`` around each cell, row by row of the disc; unknown
     (NaN) cells do not take part, -inf where nothing is known."""
-    filled = np.where(np.isfinite(layer), layer, -np.inf).astype(np.float32)
     rows = layer.shape[0]
-    best = np.full(layer.shape, -np.inf, np.float32)
-    for dy in range(-int(radius_cells), int(radius_cells) + 1):
-        if abs(dy) >= rows:
-            continue
-        half = int(np.sqrt(radius_cells**2 - dy * dy))
+    best = np.where(np.isfinite(layer), layer, np.float32(-np.inf))
+    filled = best.copy()
+    by_width: dict[int, list[int]] = {}
+    for dy in range(int(radius_cells) + 1):
+        by_width.setdefault(int(np.sqrt(radius_cells**2 - dy * dy)), []).append(dy)
+    for half, shifts in by_width.items():
         kernel = np.ones((1, 2 * half + 1), np.uint8)
         wide = cv2.dilate(filled, kernel, borderType=cv2.BORDER_REPLICATE)
-        source = wide[max(dy, 0) : rows + min(dy, 0)]
-        target = best[max(-dy, 0) : rows + min(-dy, 0)]
-        np.maximum(target, source, out=target)
+        for dy in sorted({sign * shift for shift in shifts for sign in (-1, 1)}):
+            if abs(dy) >= rows:
+                continue
+            source = wide[max(dy, 0) : rows + min(dy, 0)]
+            target = best[max(-dy, 0) : rows + min(-dy, 0)]
+            np.maximum(target, source, out=target)
     return best
+
+
+def near(mask: Mask, radius_cells: float) -> Mask:
+    """Cells whose centre lies within ``radius_cells`` of that of a True cell."""
+    if not mask.any():
+        return np.zeros(mask.shape, np.bool_)
+    reach = int(radius_cells)
+    offset = np.arange(-reach, reach + 1)
+    disc = (offset[:, None] ** 2 + offset[None, :] ** 2 <= radius_cells**2).astype(np.uint8)
+    return cv2.dilate(mask.astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0

@@ -12,6 +12,9 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.fault_types import FAULT_KINDS as FAULT_KINDS
+from sim.fault_types import Fault as Fault
+from sim.fault_types import FaultParams as FaultParams
 from sim.frames import Pose
 from sim.nav_types import FORBID_EXTRA as FORBID_EXTRA
 from sim.nav_types import BarometerParams as BarometerParams

@@ -13,6 +13,7 @@ from sim.api import (
     CameraParams,
     Command,
     Contact,
+    FaultParams,
     ImuParams,
     ImuSample,
     LidarParams,
@@ -30,6 +31,7 @@ from sim.camera import CameraSensor, Snapshot
 from sim.clock import check_rates, image_period_ticks, readout_ticks
 from sim.contacts import ContactSensor
 from sim.delivery import DeliveryQueue, make_executor
+from sim.faults import FaultInjector
 from sim.frames import Pose, matrix_from_quat_wxyz
 from sim.ground import GroundProbe
 from sim.imu import ImuSensor
@@ -48,6 +50,7 @@ RIGHT_CAMERA = "vehicle/camera_right"
 
 _NOTHING = SensorNeeds()
 _NAV_DEFAULTS = NavParams()
+_NO_FAULTS = FaultParams()
 
 
 class MujocoWorld:
@@ -74,10 +77,12 @@ class MujocoWorld:
         seed: int,
         needs: SensorNeeds = _NOTHING,
         nav: NavParams = _NAV_DEFAULTS,
+        faults: FaultParams = _NO_FAULTS,
     ) -> None:
         check_rates(sim, needs)
         self._scene, self._sim, self._needs, self._seed = scene, sim, needs, seed
         self._wind_params, self._imu_params, self._nav_params = wind, imu, nav
+        self._fault_params = faults
         self._model = scene.model
         self._step_s = sim.control_ticks / sim.tick_hz
         self._executor = make_executor(sim.threads)
@@ -188,6 +193,7 @@ class MujocoWorld:
         self._battery = Battery(self._sim.battery_capacity_j)
         self._imu = ImuSensor(self._imu_params, self._sim.tick_hz, self._sim.imu_ticks, self._seed)
         self._nav = self._make_nav()
+        self.faults = FaultInjector(self._fault_params, self._sim.tick_hz)
         self._ground_z = float(self._position[2]) - self._vehicle.leg_height_m
         self._mark_start()
         self._acceleration = np.zeros(3)
@@ -391,7 +397,7 @@ class MujocoWorld:
     # ------------------------------------------------------------------------ messages
 
     def _observation(self, imu: tuple[ImuSample, ...]) -> Observation:
-        return Observation(
+        obs = Observation(
             tick=self._tick,
             time_s=self._tick / self._sim.tick_hz,
             imu=imu,
@@ -404,6 +410,7 @@ class MujocoWorld:
             rotor_speed_radps=_frozen(self._rotors.speeds),
             battery_fraction=self._battery.fraction,
         )
+        return self.faults.apply(obs)
 
     def _pose(self) -> Pose:
         rotation = matrix_from_quat_wxyz(self._quat)

@@ -147,8 +147,9 @@ def test_selection_takes_the_good_half_and_says_why() -> None:
     rng = np.random.default_rng(2)
     half = ground()
     half[:, :40] += rng.uniform(0.0, 0.6, (80, 40))
-    sites, view = select_sites(view_of(make_grid(half)), ABOVE, PARAMS, footprint_radius_m=0.5)
-    assert view is not None
+    chosen = select_sites(view_of(make_grid(half)), ABOVE, PARAMS, footprint_radius_m=0.5)
+    sites = chosen.candidates
+    assert chosen.costmap is not None
     assert sites[0].accepted
     assert sites[0].position_odom[0] > 9.0
     assert sites[0].reason.startswith("landable")
@@ -156,10 +157,10 @@ def test_selection_takes_the_good_half_and_says_why() -> None:
     scores = [site.score for site in sites if site.accepted]
     assert scores == sorted(scores, reverse=True)
     avoid = [site.position_odom for site in sites if site.accepted]
-    others, _ = select_sites(
+    others = select_sites(
         view_of(make_grid(half)), ABOVE, PARAMS, footprint_radius_m=0.5, avoid_odom=avoid
     )
-    for site in others:
+    for site in others.candidates:
         if site.accepted:
             gaps = [np.linalg.norm(site.position_odom[:2] - old[:2]) for old in avoid]
             assert min(gaps) > 3.0
@@ -178,14 +179,16 @@ def test_the_surface_that_traffic_uses_is_avoided_as_far_as_it_goes() -> None:
     penalty = traffic_penalty(terrain, result, PARAMS)
     assert penalty[70, 30] == pytest.approx(0.3)  # the same surface, far from where it moved
     assert penalty[70, 60] == 0.0
-    sites, _ = select_sites(view_of(grid), ABOVE, PARAMS, footprint_radius_m=0.5)
+    sites = select_sites(view_of(grid), ABOVE, PARAMS, footprint_radius_m=0.5).candidates
     assert sites[0].accepted
     assert sites[0].position_odom[0] > 9.5  # 2 m less half the averaging window
 
 
 def test_empty_map_gives_no_candidate() -> None:
     empty = make_grid(np.full((20, 20), np.nan))
-    assert select_sites(view_of(empty), ABOVE, PARAMS, footprint_radius_m=0.5) == ([], None)
+    nothing = select_sites(view_of(empty), ABOVE, PARAMS, footprint_radius_m=0.5)
+    assert nothing.candidates == ()
+    assert nothing.costmap is None
 
 
 def test_commanded_site_outside_the_map_is_refused() -> None:
@@ -257,6 +260,7 @@ def test_touchdown_is_felt_by_weight_on_the_legs_not_by_gusts_or_a_bump() -> Non
 
 def test_literal_form_is_available_end_to_end() -> None:
     params = dataclasses.replace(PARAMS, flatness_form="literal")
-    sites, _ = select_sites(view_of(make_grid(ground())), ABOVE, params, footprint_radius_m=0.5)
+    view = view_of(make_grid(ground()))
+    sites = select_sites(view, ABOVE, params, footprint_radius_m=0.5).candidates
     assert sites
     assert sites[0].accepted

@@ -163,7 +163,7 @@ def test_fine_grid_opens_low_follows_and_keeps_the_overlap() -> None:
     assert low.fine is not None
     assert low.fine.cell_m == 0.05
     before, old_count = low.fine.origin_xy_m, low.fine.count.copy()
-    moved = hover(7.0, 10.0, 1200)
+    moved = hover(7.0, 10.01, 1200)  # the very same ranges again would be a frozen sensor
     assert moved.fine is not None
     assert moved.fine.origin_xy_m == pytest.approx(before + np.array([7.0, 0.0]))
     shift = round(7.0 / 0.05)

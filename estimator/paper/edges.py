@@ -9,8 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.paper.structured_model import SHIPPED_MODEL, check_model
+
 Rgb = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
+
+RIM = 16
+"""pixels, even, that the structured detector sees beyond the picture's border"""
 
 
 class EdgeDetector(Protocol):
@@ -53,19 +58,15 @@ def _gradient(rgb: NDArray[np.generic]) -> Float32:
 
 
 class StructuredEdges:
-    """The structured edge detector (Dollar and Zitnick 2013) by OpenCV's ``ximgproc``.
+    """The structured edge detector (Dollar and Zitnick 2015) by OpenCV's ``ximgproc``.
 
-    ``model_path``: a model in OpenCV's gzipped YAML form; OpenCV ships none. Raises
-    FileNotFoundError if there is no such file and ValueError if OpenCV cannot read it.
+    ``model_path``: a model in OpenCV's gzipped YAML form, such as ``touchdown edges train`` writes.
+    Raises FileNotFoundError if there is no such file and ValueError if it is damaged or no model.
     """
 
-    def __init__(self, model_path: Path | str) -> None:
+    def __init__(self, model_path: Path | str = SHIPPED_MODEL) -> None:
         path = Path(model_path)
-        if not path.is_file():
-            raise FileNotFoundError(
-                f"structured edge model '{path}' does not exist; give the path of a trained model "
-                "or leave paper.edge_model empty for gradient edges"
-            )
+        check_model(path)
         try:
             self._detector = cv2.ximgproc.createStructuredEdgeDetection(str(path))
         except cv2.error as error:
@@ -75,11 +76,18 @@ class StructuredEdges:
             ) from None
 
     def __call__(self, rgb: Rgb) -> Float32:
-        scaled = rgb.astype(np.float32) / 255.0
-        energy = np.asarray(self._detector.detectEdges(scaled), dtype=np.float32)
-        return np.clip(energy, 0.0, 1.0)
+        # the outermost patches overlap less and would give weaker edges: mirror the rim
+        height, width = rgb.shape[:2]
+        below, right = RIM + height % 2, RIM + width % 2
+        framed = cv2.copyMakeBorder(rgb, RIM, below, RIM, right, cv2.BORDER_REFLECT)
+        energy = self._detector.detectEdges(framed.astype(np.float32) / np.float32(255.0))
+        inner = np.asarray(energy, np.float32)[RIM : RIM + height, RIM : RIM + width]
+        return np.clip(inner, 0.0, 1.0)
 
 
-def edge_detector(model_path: str) -> EdgeDetector:
-    """``StructuredEdges`` of a model, or ``GradientEdges`` where the path is empty."""
-    return StructuredEdges(model_path) if model_path else GradientEdges()
+def edge_detector(model: str) -> EdgeDetector:
+    """The detector by name: ``shipped`` for the model that comes with the project, ``gradient`` for
+    edges without a model, otherwise the path of a model."""
+    if model in ("", "gradient"):
+        return GradientEdges()
+    return StructuredEdges(SHIPPED_MODEL if model == "shipped" else model)

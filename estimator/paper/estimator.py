@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.api import Estimate, PaperParams, PoseTrack
+from estimator.guard import InputGuard
 from estimator.landmark_depth import RecentReturns
 from estimator.livo import _undistortion_maps
 from estimator.paper.camera_pose import CameraPositioning
@@ -39,10 +40,15 @@ class PaperEstimator:
         self._energy: tuple[int, NDArray[np.float32]] = (-1, np.zeros((0, 0), np.float32))
         self._scan_track: PoseTrack | None = None
         self._skipped = 0
+        self._guard = InputGuard(rig, params.camera_hz)
+        self._events: list[str] = []
 
     def update(self, obs: Observation) -> Estimate:
         """Takes what has arrived and returns the belief about ``obs.tick``."""
         self._scan_track = None
+        obs = self._guard.screen(obs)
+        self._events = list(self._guard.events)
+        self._skipped += self._guard.refused
         self._filter.take_imu(obs)
         measured = False
         flat = [self._flat(image) for image in obs.images]
@@ -59,10 +65,10 @@ class PaperEstimator:
         seconds = self._filter.step_s
         world_from_odom, drift = self._camera.world_from_odom(seconds)
         diagnostics = self._lidar.diagnostics | self._camera.diagnostics
-        diagnostics |= {
-            "skipped": float(self._skipped + self._filter.skipped + self._camera.failed)
-        }
-        return self._filter.estimate(obs, world_from_odom, drift, self._scan_track, diagnostics)
+        diagnostics |= {"skipped": float(self._skipped + self._camera.failed)}
+        return self._filter.estimate(
+            obs, world_from_odom, drift, self._scan_track, diagnostics, tuple(self._events)
+        )
 
     def _flat(self, image: CameraImage) -> CameraImage:
         """The image without the lens's distortion."""
@@ -75,6 +81,8 @@ class PaperEstimator:
         tick = _order(message)[0]
         if tick < self._filter.tick or tick > self._filter.head_tick:
             self._skipped += 1
+            name = "scan" if isinstance(message, LidarScan) else "image"
+            self._events.append(f"{name} {tick} refused: it came too late")
             return False
         self._filter.carry_to(tick)
         if isinstance(message, LidarScan):

@@ -60,7 +60,7 @@ class _Trail:
 class InertialFilter:
     """An error-state filter at measurement time, its trail, and the state carried to now."""
 
-    def __init__(self, rig: SensorRig, blend_s: float) -> None:
+    def __init__(self, rig: SensorRig, blend_s: float, attitude_known: bool = True) -> None:
         self.rig = rig
         self.imu_from_body = rig.body_from_imu.inverse()
         self.imu_from_lidar = self.imu_from_body @ rig.body_from_lidar
@@ -73,13 +73,12 @@ class InertialFilter:
         biases = np.repeat([rig.imu.gyro_bias_sigma, rig.imu.accel_bias_sigma], 3)
         self.eskf = Eskf(state, np.concatenate([_START_SIGMAS, biases]) ** 2)
         self._buffer = ImuBuffer(rig.imu, self.step_s)
-        self._stillness = Stillness(rig.imu.gyro_density, self.step_s)
+        self._stillness = Stillness(rig.imu.gyro_density, self.step_s, attitude_known)
         self._head = state
         self._trail = _Trail(np.zeros(1, np.int64), state.rotation[None], state.position[None])
         self._newest = ImuSample(tick=0, time_s=0.0, angular_velocity=zero, specific_force=zero)
         self._jump = np.zeros(9)
         self._airborne_once = False
-        self.skipped = 0
         self.still = False
 
     @property
@@ -94,13 +93,10 @@ class InertialFilter:
     # ------------------------------------------------------------------------ inertial samples
 
     def take_imu(self, obs: Observation) -> None:
-        """Buffers the samples and carries the head over them; drops those that are not finite."""
+        """Buffers the samples and carries the head over them."""
         standing = self._standing(obs.rotor_speed_radps)
         for sample in obs.imu:
             rate, force = sample.angular_velocity, sample.specific_force
-            if not np.isfinite(np.concatenate([rate, force])).all():
-                self.skipped += 1
-                continue
             self._newest = sample
             self._buffer.push(sample.tick, rate, force, standing)
             ticks = np.array([sample.tick])
@@ -200,6 +196,7 @@ class InertialFilter:
         extra_covariance: Array,
         scan_track: PoseTrack | None,
         diagnostics: dict[str, float],
+        events: tuple[str, ...] = (),
     ) -> Estimate:
         """The belief about now. ``extra_covariance`` (3, 3) m^2 is added to the position's."""
         self._jump = self._jump * np.exp(-self.step_s / self._blend_s)
@@ -226,4 +223,5 @@ class InertialFilter:
             healthy=bool(np.trace(position_covariance) < 1.0),
             scan_track=scan_track,
             diagnostics=diagnostics,
+            events=events,
         )

@@ -19,7 +19,7 @@ from estimator.paper.smoothness import (
     lidar_smoothness,
     sort_out_features,
 )
-from sim.api import LidarScan, SensorRig
+from sim.api import CameraIntrinsics, LidarScan, SensorRig
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -31,6 +31,37 @@ _FLOOR_SIGMAS = np.array([np.radians(0.5), np.radians(0.5), np.radians(0.5), 0.3
 """rad and m: errors of the map that repeat from scan to scan, because the map was made with this
 filter's own poses; a scan is worth no more than this however many points it has"""
 _LEAST_RETURNS = 200
+
+
+def scan_features(
+    beams: Array,
+    beams_lidar: Array,
+    points_camera: Array,
+    pulses: NDArray[np.int64],
+    energy: Float32 | None,
+    camera: CameraIntrinsics,
+    params: PaperParams,
+) -> tuple[FeaturePoints, Array]:
+    """Edge and planar points of a scan by Eqs. 6 to 8, and f_c (N,) of every return, NaN where no
+    image covers it.
+
+    ``beams`` (N, 3): from the sensor to each return; ``beams_lidar``: the same along the axes of
+    the LIDAR; ``points_camera``: the returns in the camera's frame; ``pulses`` (N,): as
+    ``lidar_smoothness`` takes them.
+    """
+    f_l, shadowed = lidar_smoothness(beams, pulses, _LASERS, _LONGEST_GAP)
+    f_c = np.full(len(beams), np.nan)
+    if energy is not None:
+        f_c = scan_colour_smoothness(energy, points_camera, camera)
+    features = sort_out_features(
+        fused_smoothness(f_l, f_c, params.colour_weight),
+        shadowed,
+        beams_lidar[:, :2] / beams_lidar[:, 2:],
+        cells=params.planar_cells,
+        edges=params.edge_points,
+        edge_threshold=params.edge_threshold,
+    )
+    return features, f_c
 
 
 class LidarPositioning:
@@ -74,21 +105,11 @@ class LidarPositioning:
     def _features(
         self, points: Array, beams: Array, pulses: NDArray[np.int64], energy: Float32 | None
     ) -> FeaturePoints:
-        f_l, shadowed = lidar_smoothness(beams, pulses, _LASERS, _LONGEST_GAP)
-        f_c = np.full(len(points), np.nan)
-        if energy is not None:
-            in_camera = lidar_to_camera(points, self._camera_from_imu)
-            f_c = scan_colour_smoothness(energy, in_camera, self._rig.camera)
-        scores = fused_smoothness(f_l, f_c, self._params.colour_weight)
+        in_camera = lidar_to_camera(points, self._camera_from_imu)
         in_lidar = beams @ self._imu_from_lidar.rotation
-        return sort_out_features(
-            scores,
-            shadowed,
-            in_lidar[:, :2] / in_lidar[:, 2:],
-            cells=self._params.planar_cells,
-            edges=self._params.edge_points,
-            edge_threshold=self._params.edge_threshold,
-        )
+        return scan_features(
+            beams, in_lidar, in_camera, pulses, energy, self._rig.camera, self._params
+        )[0]
 
     def _correct(self, edges: Array, planes: Array) -> None:
         params = self._params

@@ -1,0 +1,109 @@
+"""Measurements of the small sensors as updates of the error-state filter.
+
+Error coordinates as in ``estimator.imu_propagation``: rotation (right perturbation), position,
+velocity, biases. The odometry frame has the axes of the world.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.eskf import Eskf
+from estimator.imu_propagation import POSITION, ROTATION, VELOCITY
+from sim.api import BarometerSample, GpsFix
+from sim.frames import skew, wrap_angle
+
+Array = NDArray[np.float64]
+
+
+def update(
+    eskf: Eskf,
+    touched: NDArray[np.int64],
+    jacobian: Array,
+    residual: Array,
+    covariance: Array,
+    gate: float = math.inf,
+) -> float:
+    """Takes a measurement of residual (M,), Jacobian (M, N) over the ``touched`` error coordinates
+    and covariance (M, M). One that is more than ``gate`` standard deviations away counts with a
+    covariance so much wider that it is ``gate`` away. Returns its distance in standard deviations.
+    """
+    local = eskf.covariance[np.ix_(touched, touched)]
+    spread = jacobian @ local @ jacobian.T + covariance
+    squared = float(residual @ np.linalg.solve(spread, residual)) / len(residual)
+    if squared > gate * gate:
+        covariance = covariance * (squared / (gate * gate))
+    weight = np.linalg.inv(covariance)
+    information = jacobian.T @ weight @ jacobian
+    delta = eskf.gain(touched, information, jacobian.T @ (weight @ residual))
+    eskf.state, eskf.clones = eskf.boxplus(eskf.state, eskf.clones, delta)
+    eskf.absorb(touched, information)
+    return math.sqrt(squared)
+
+
+def heading_of(rotation: Array, field_imu: Array) -> float:
+    """Azimuth (rad from east) of the horizontal part of a field (3,) felt under ``rotation``."""
+    east, north, _ = (rotation @ field_imu).tolist()
+    return math.atan2(north, east)
+
+
+def update_heading(eskf: Eskf, field_imu: Array, azimuth: float, sigma: float) -> None:
+    """The field (3,), IMU frame, should point to ``azimuth``. Only the heading is corrected: the
+    offsets of a magnetometer would tilt the vehicle."""
+    rotation = eskf.state.rotation
+    residual = wrap_angle(azimuth - heading_of(rotation, field_imu))
+    update(
+        eskf,
+        np.arange(3)[ROTATION],
+        rotation[2:3],
+        np.array([residual]),
+        np.array([[sigma * sigma]]),
+        gate=3.0,
+    )
+
+
+def update_velocity(eskf: Eskf, fix: GpsFix, lever_imu: Array, rate_imu: Array) -> float:
+    """The velocity of an antenna at ``lever_imu`` (3,) under the rate (3,) rad/s."""
+    state = eskf.state
+    swing = np.cross(rate_imu, lever_imu)
+    jacobian = np.hstack([-state.rotation @ skew(swing), np.eye(3)])
+    residual = fix.velocity_world - state.velocity - state.rotation @ swing
+    variance = max(fix.sigma_velocity_mps, 1e-3) ** 2
+    touched = np.r_[ROTATION, VELOCITY]
+    return update(eskf, touched, jacobian, residual, variance * np.eye(3), gate=5.0)
+
+
+class BaroHeight:
+    """Height by the barometer above where it was switched on."""
+
+    def __init__(self, tick_hz: int, sigma_m: float) -> None:
+        self._tick_hz, self._sigma_m = tick_hz, sigma_m
+        self._sum, self._count = 0.0, 0
+
+    def take(self, eskf: Eskf, samples: Sequence[BarometerSample], standing: bool) -> None:
+        """Averages while the vehicle stands; measures its height afterwards. ``samples`` are those
+        since the last call, up to the filter's state."""
+        heights = [s.altitude_m for s in samples if math.isfinite(s.altitude_m)]
+        if not heights:
+            return
+        state = eskf.state
+        if standing:
+            self._sum += sum(heights) - len(heights) * float(state.position[2])
+            self._count += len(heights)
+        elif self._count:
+            age_s = state.tick / self._tick_hz - float(np.mean([s.time_s for s in samples]))
+            then = float(state.position[2] - age_s * state.velocity[2])
+            residual = float(np.mean(heights)) - self._sum / self._count - then
+            variance = self._sigma_m**2 / len(heights)
+            update(
+                eskf,
+                np.arange(6)[POSITION][2:],
+                np.ones((1, 1)),
+                np.array([residual]),
+                np.array([[variance]]),
+                gate=4.0,
+            )

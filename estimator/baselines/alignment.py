@@ -1,0 +1,68 @@
+"""Attitude at rest from gravity and the earth's field, for estimators that are not told it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.api import GRAVITY_MPS2, MagnetometerParams, Observation, SensorRig
+from sim.frames import Pose
+
+Array = NDArray[np.float64]
+
+_DURATION_S = 0.25
+
+
+def field_azimuth(params: MagnetometerParams) -> float:
+    """Direction of the horizontal part of the earth's field, rad counter-clockwise from east."""
+    return 0.5 * math.pi - math.radians(params.declination_deg)
+
+
+def level_attitude(force_body: Array, field_body: Array, azimuth: float) -> Array:
+    """world_from_body (3, 3) of a body at rest that feels ``force_body`` (3,), upward, and the
+    field ``field_body`` (3,) whose horizontal part points to ``azimuth`` (rad from east). The field
+    decides the heading alone (Black 1964, "TRIAD")."""
+    up = force_body / np.linalg.norm(force_body)
+    level = field_body - (field_body @ up) * up
+    along = level / np.linalg.norm(level)
+    body = np.column_stack([along, np.cross(up, along), up])
+    cos, sin = math.cos(azimuth), math.sin(azimuth)
+    world = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    attitude: Array = world @ body.T
+    return attitude
+
+
+class Alignment:
+    """Averages the first samples of a vehicle that stands still."""
+
+    def __init__(self, rig: SensorRig) -> None:
+        self._rig = rig
+        self._force, self._field = np.zeros(3), np.zeros(3)
+        self._fields = 0
+
+    def take(self, obs: Observation) -> Pose | None:
+        """world_from_body: the attitude found, at the origin of the odometry frame, which is the
+        take-off spot by definition. None until there is enough to go by."""
+        for sample in obs.imu:
+            force = self._rig.body_from_imu.rotation @ sample.specific_force
+            if np.isfinite(force).all():
+                self._force = self._force + force
+        for reading in obs.magnetometer:
+            if np.isfinite(reading.field_body_ut).all():
+                self._field = self._field + reading.field_body_ut
+                self._fields += 1
+        if obs.time_s < _DURATION_S or self._fields == 0:
+            return None
+        azimuth = field_azimuth(self._rig.nav.magnetometer)
+        attitude = level_attitude(self._force, self._field, azimuth)
+        return Pose(attitude, self._rig.world_from_body_start.translation)
+
+    def sigmas(self) -> Array:
+        """(3,) rad, body axes: what the turn-on bias of the accelerometer does to roll and pitch,
+        and what the calibration of the magnetometer left over to the heading."""
+        magnetometer, imu = self._rig.nav.magnetometer, self._rig.imu
+        level_ut = magnetometer.strength_ut * math.cos(math.radians(magnetometer.inclination_deg))
+        tilt = imu.accel_bias_sigma / GRAVITY_MPS2 + 1e-3
+        return np.array([tilt, tilt, magnetometer.hard_iron_sigma_ut / level_ut + 2e-3])

@@ -1,0 +1,38 @@
+"""Corners followed from one picture to another by pyramidal Lucas-Kanade (Bouguet 2001)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]
+
+_WINDOW = (15, 15)
+_LEVELS = 2
+_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.01)
+
+
+def follow(
+    before: Grey, now: Grey, pixels: Array, guess: Array
+) -> tuple[NDArray[np.int64], Array]:
+    """Where corners ``pixels`` (N, 2) of ``before`` are in ``now``, looked for from ``guess``
+    (N, 2) on: the numbers (M,) of those found, and their places (M, 2)."""
+    if len(pixels) == 0:
+        return np.zeros(0, np.int64), np.zeros((0, 2))
+    found, good, _ = cv2.calcOpticalFlowPyrLK(
+        before,
+        now,
+        pixels.astype(np.float32)[:, None],
+        guess.astype(np.float32)[:, None].copy(),
+        winSize=_WINDOW,
+        maxLevel=_LEVELS,
+        criteria=_STOP,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    reached = found[:, 0].astype(np.float64)
+    height, width = now.shape
+    inside = (reached >= 0.0).all(axis=1) & (reached <= [width - 1, height - 1]).all(axis=1)
+    kept = np.flatnonzero((good[:, 0] > 0) & inside)
+    return kept, reached[kept]

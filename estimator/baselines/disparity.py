@@ -1,0 +1,115 @@
+"""Depth from a stereo pair whose baseline is short for its height.
+
+Disparity is inverse depth times ``scale`` = focal length times baseline, pixels times metres.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.api import StereoParams
+from estimator.baselines.corner_flow import follow
+from sim.frames import Pose
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]
+
+_MIN_DEPTH_M = 0.03
+_ROWS_PX = 1.0
+"""most by which the rows of a corner in the two pictures may differ"""
+
+
+def triangulate(disparity: Array, scale: float) -> Array:
+    """(N,) depths along the optical axis, metres, of disparities (N,) in pixels; NaN where they
+    are not positive."""
+    positive = np.where(disparity > 0.0, disparity, np.nan)
+    depths: Array = scale / positive
+    return depths
+
+
+def disparities(
+    left: Grey, right: Grey, pixels: Array, expected_m: Array, scale: float
+) -> tuple[NDArray[np.int64], Array]:
+    """Sub-pixel disparities (M,) of corners (N, 2) of the left picture, and which they belong to
+    (M,). ``expected_m`` (N,): depths to start from."""
+    guess = pixels.copy()
+    guess[:, 0] -= scale / np.maximum(expected_m, _MIN_DEPTH_M)
+    found, reached = follow(left, right, pixels, guess)
+    level = np.abs(reached[:, 1] - pixels[found, 1]) < _ROWS_PX
+    found, reached = found[level], reached[level]
+    return found, pixels[found, 0] - reached[:, 0]
+
+
+class GroundHeight:
+    """Mean height of the ground in view, odometry frame: a random walk with the distance of time,
+    measured by every pair through all its corners."""
+
+    def __init__(self, start_m: float, params: StereoParams) -> None:
+        self._params = params
+        self.height_m = start_m
+        self._variance = 1e-4
+        self._time_s = 0.0
+
+    @property
+    def sigma_m(self) -> float:
+        return math.sqrt(self._variance)
+
+    def depths(self, rays: Array, odom_from_camera: Pose) -> Array:
+        """(N,) depths at which rays (N, 3), z = 1, meet the ground; NaN where they do not."""
+        down = -(rays @ odom_from_camera.rotation[2])
+        height = max(float(odom_from_camera.translation[2]) - self.height_m, _MIN_DEPTH_M)
+        depths: Array = height / np.where(down > 0.2, down, np.nan)
+        return depths
+
+    def take(
+        self, rays: Array, shifts: Array, odom_from_camera: Pose, scale: float, time_s: float
+    ) -> None:
+        """Disparities (N,) along rays (N, 3): level ground at height h below the camera has the
+        disparity ``scale * down / h``, so that one number, 1 / h, is fitted robustly."""
+        self._variance += self._params.ground_density**2 * max(time_s - self._time_s, 0.0)
+        self._time_s = time_s
+        if len(shifts) < 10:
+            return
+        design = -scale * (rays @ odom_from_camera.rotation[2])
+        camera_z = float(odom_from_camera.translation[2])
+        inverse = 1.0 / max(camera_z - self.height_m, _MIN_DEPTH_M)
+        sigma = self._params.disparity_sigma
+        weights = np.ones(len(shifts))
+        for _ in range(5):
+            inverse = float((weights * design) @ shifts / ((weights * design) @ design))
+            residuals = np.abs(shifts - design * inverse)
+            spread = max(2.0 * float(np.median(residuals)), sigma)
+            weights = 1.0 / (1.0 + (residuals / spread) ** 2)
+        if inverse <= 0.0:
+            return
+        noise = sigma**2 / float((weights * design) @ design)
+        noise += (self._params.disparity_floor_sigma / float(np.mean(design))) ** 2
+        measured = camera_z - 1.0 / inverse
+        variance = noise / inverse**4
+        gain = self._variance / (self._variance + variance)
+        self.height_m += gain * (measured - self.height_m)
+        self._variance *= 1.0 - gain
+
+
+def corner_depths(
+    rays: Array,
+    found: NDArray[np.int64],
+    shifts: Array,
+    ground_m: Array,
+    scale: float,
+    params: StereoParams,
+) -> Array:
+    """(N,) depths of the corners along ``rays`` (N, 3): the ground's (N,), improved by the
+    disparities ``shifts`` (M,) of those ``found`` (M,) as far as these can tell relief. Inverse
+    depths, in which the noise of disparities is alike at all ranges, are averaged by variance."""
+    prior = 1.0 / ground_m
+    prior_sigma = params.relief_sigma_m * prior**2
+    inverse = prior.copy()
+    own_sigma = params.disparity_sigma / scale
+    gain = prior_sigma[found] ** 2 / (prior_sigma[found] ** 2 + own_sigma**2)
+    inverse[found] += gain * (shifts / scale - prior[found])
+    depths: Array = 1.0 / np.where(inverse > 1e-4, inverse, np.nan)
+    return depths

@@ -1,0 +1,162 @@
+"""From the flow of the ground in two pictures to the displacement of the camera between them.
+
+Directions are in the axes of the world and scaled to one metre of descent, ``(x, y, -1)``: turned
+by the attitude, so that only the displacement and the height above level ground are left in the
+flow. (De-rotation by the gyroscope, as in every optical flow sensor.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.baselines.aiding import update
+from estimator.eskf import Eskf
+from estimator.imu_propagation import STATE_DIM
+from sim.api import CameraIntrinsics
+from sim.frames import skew
+
+Array = NDArray[np.float64]
+
+_MIN_DESCENT = 0.2
+"""Directions flatter than this are not of the ground below."""
+
+
+def level_directions(pixels: Array, camera: CameraIntrinsics, world_from_camera: Array) -> Array:
+    """(N, 2) x and y of the directions of undistorted ``pixels`` (N, 2) one metre down; NaN where
+    a direction does not point down."""
+    rays = np.empty((len(pixels), 3))
+    rays[:, 0] = (pixels[:, 0] - camera.cx) / camera.fx
+    rays[:, 1] = (pixels[:, 1] - camera.cy) / camera.fy
+    rays[:, 2] = 1.0
+    world = rays @ world_from_camera.T
+    down = np.where(world[:, 2] < -_MIN_DESCENT, -world[:, 2], np.nan)
+    directions: Array = world[:, :2] / down[:, None]
+    return directions
+
+
+def pixels_of(directions: Array, camera: CameraIntrinsics, world_from_camera: Array) -> Array:
+    """The inverse of ``level_directions``: (N, 2) pixels."""
+    world = np.column_stack([directions, np.full(len(directions), -1.0)])
+    rays = world @ world_from_camera
+    pixels: Array = rays[:, :2] / rays[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    return pixels
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Displacement:
+    """The camera's motion since the picture before, and how errors of attitude enter it."""
+
+    shift: Array
+    """(3,) m, world axes: position before minus position now"""
+    covariance: Array
+    """(3, 3) m^2 of what the flow alone leaves uncertain"""
+    by_rotation_before: Array
+    """(3, 3) change of the true shift per rad of error of the attitude before, world axes"""
+    by_rotation_now: Array
+    used: int
+    rms: float
+    """of the residuals, metres on the ground"""
+
+
+def _turn_jacobian(directions: Array) -> Array:
+    """(N, 2, 3): how level directions move when their frame turns by a small world rotation."""
+    x, y = directions[:, 0], directions[:, 1]
+    one = np.ones_like(x)
+    # d(ray) = theta x ray for ray (x, y, -1), back onto one metre of descent
+    along_x = np.stack([x * y, -one - x * x, -y], axis=1)
+    along_y = np.stack([one + y * y, -x * y, x], axis=1)
+    return np.stack([along_x, along_y], axis=1)
+
+
+def solve_displacement(
+    before: Array,
+    now: Array,
+    height_m: float,
+    sigma: float,
+    *,
+    vertical_sigma_m: float = np.inf,
+    expected_vertical_m: float = 0.0,
+    min_used: int = 8,
+) -> Displacement | None:
+    """The displacement that carries ground points seen along ``before`` (N, 2) to ``now`` (N, 2),
+    level directions. ``height_m``: of the camera above the ground when the first was taken;
+    ``sigma``: of a direction's error; ``vertical_sigma_m``: how well the vertical part
+    ``expected_vertical_m`` is known beforehand.
+
+    Points X = h (x, y, -1) reappear at X + t, so that every direction gives two equations linear in
+    t: ``X_x + t_x + x' (X_z + t_z) = 0`` and the same of y. Least squares with Cauchy weights,
+    whose scale is the median residual. None if fewer than ``min_used`` directions agree.
+    """
+    fine = np.isfinite(before).all(axis=1) & np.isfinite(now).all(axis=1)
+    if int(fine.sum()) < min_used or not height_m > 0.0:
+        return None
+    before, now = before[fine], now[fine]
+    rows = np.zeros((len(now), 2, 3))
+    rows[:, 0, 0] = rows[:, 1, 1] = 1.0
+    rows[:, :, 2] = now
+    target = -height_m * (before - now)
+    prior = np.diag([0.0, 0.0, 1.0 / vertical_sigma_m**2])
+    wanted = prior @ np.array([0.0, 0.0, expected_vertical_m])
+    noise = sigma * height_m
+    shift = np.array([*np.median(target, axis=0), expected_vertical_m])
+    weights = np.ones(len(now))
+    normal = np.eye(3)
+    for _ in range(5):
+        residuals = np.hypot(*(target - rows @ shift).T)
+        scale = max(2.0 * float(np.median(residuals)), 2.0 * noise)
+        weights = 1.0 / (1.0 + (residuals / scale) ** 2)
+        weighted = weights[:, None, None] * rows / noise**2
+        normal = np.einsum("nij,nik->jk", weighted, rows) + prior
+        shift = np.linalg.solve(normal, np.einsum("nij,ni->j", weighted, target) + wanted)
+    residuals = np.hypot(*(target - rows @ shift).T)
+    scale = max(2.0 * float(np.median(residuals)), 2.0 * noise)
+    agree = residuals < 2.0 * scale
+    if int(agree.sum()) < min_used:
+        return None
+    weighted = weights[:, None, None] * rows / noise**2
+    inverse = np.linalg.inv(normal)
+    lower = height_m - shift[2]
+    turn_before = np.einsum("nij,nik->jk", weighted, _turn_jacobian(before)) * height_m
+    turn_now = np.einsum("nij,nik->jk", weighted, _turn_jacobian(now)) * lower
+    return Displacement(
+        shift=shift,
+        covariance=inverse,
+        by_rotation_before=-inverse @ turn_before,
+        by_rotation_now=inverse @ turn_now,
+        used=int(agree.sum()),
+        rms=float(np.sqrt(np.mean(residuals[agree] ** 2))),
+    )
+
+
+def update_with_displacement(
+    eskf: Eskf,
+    measured: Displacement,
+    lever_imu: Array,
+    *,
+    floor_m: float,
+    scale_sigma: float,
+    gate: float,
+) -> float:
+    """Corrects the filter by a displacement since its only clone, the pose of the picture before.
+
+    ``lever_imu`` (3,): the camera in the IMU frame. ``floor_m`` and ``scale_sigma``: errors that
+    many directions do not average out, in metres and as a share of the displacement (the ground is
+    not level, the height is that of one spot). Returns the distance in standard deviations.
+    """
+    state, clone = eskf.state, eskf.clones[0]
+    arm, arm_before = state.rotation @ lever_imu, clone.rotation @ lever_imu
+    expected = clone.translation + arm_before - state.position - arm
+    jacobian = np.zeros((3, 12))
+    lever = skew(lever_imu)
+    jacobian[:, :3] = state.rotation @ lever - measured.by_rotation_now @ state.rotation
+    jacobian[:, 3:6] = -np.eye(3)
+    jacobian[:, 6:9] = -clone.rotation @ lever - measured.by_rotation_before @ clone.rotation
+    jacobian[:, 9:12] = np.eye(3)
+    shift = measured.shift
+    covariance = measured.covariance + floor_m**2 * np.eye(3)
+    covariance = covariance + scale_sigma**2 * np.outer(shift, shift)
+    touched = np.r_[0:6, STATE_DIM : STATE_DIM + 6]
+    return update(eskf, touched, jacobian, shift - expected, covariance, gate)

@@ -1,0 +1,216 @@
+"""Hybrid optical flow: dense flow and phase correlation, fused with GPS.
+
+Each picture is turned level, and to one heading, by the attitude, so that over level ground all of it moves
+alike. Phase correlation finds that shift, Farneback's dense flow (Farneback 2003) refines it
+everywhere, and a robust fit makes it a displacement in metres by the rangefinder's height. In the
+filter it stands beside the receiver's velocity; fixes place the result in the world.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.api import Estimate, HybridFlowParams
+from estimator.baselines.gps import SatelliteAiding
+from estimator.baselines.ground_below import GroundBelow
+from estimator.baselines.ground_flow import (
+    Displacement,
+    pixels_of,
+    solve_displacement,
+    update_with_displacement,
+)
+from estimator.baselines.navigator import Grey, Navigator
+from estimator.baselines.phase_correlation import Shift, phase_shift
+from estimator.baselines.world_anchor import WanderingAnchor
+from sim.api import CameraImage, CameraIntrinsics, Observation, SensorNeeds, SensorRig
+from sim.frames import BODY_FROM_DOWNWARD_OPTICAL
+
+Array = NDArray[np.float64]
+
+_GATE = 4.0
+_MIN_HEIGHT_M = 0.1
+_FIELD = 0.36
+"""half the side of the levelled picture, in metres per metre of height"""
+_GRID = 10
+"""pixels between the flow vectors that are fitted"""
+_MAX_EXPANSION = 0.3
+_PHASE_SIGMA_PX = 1.0
+"""of the shift by phase correlation, taken alone where the dense flow fails"""
+_LOOKING_DOWN = BODY_FROM_DOWNWARD_OPTICAL
+"""world_from_camera of the levelled picture"""
+
+
+class LevelView:
+    """A virtual camera that always looks straight down and keeps its heading."""
+
+    def __init__(self, camera: CameraIntrinsics, side: int) -> None:
+        self._camera = camera
+        centre = 0.5 * (side - 1)
+        focal = 0.5 * side / _FIELD
+        self.focal = focal
+        self._pinhole = CameraIntrinsics(
+            width=side, height=side, fx=focal, fy=focal, cx=centre, cy=centre
+        )
+        self._size = (side, side)
+        axis = np.arange(_GRID // 2, side, _GRID)
+        rows, cols = np.meshgrid(axis, axis, indexing="ij")
+        self.rows, self.cols = rows.ravel(), cols.ravel()
+        ys, xs = np.mgrid[:side, :side]
+        self.offsets = np.stack([xs - centre, ys - centre], axis=-1).astype(np.float32)
+
+    def draw(self, grey: Grey, world_from_camera: Array) -> Grey:
+        """The picture (side, side) that the virtual camera would see of distant ground."""
+        turn = world_from_camera.T @ _LOOKING_DOWN
+        homography = self._camera.matrix() @ turn @ np.linalg.inv(self._pinhole.matrix())
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        level = cv2.warpPerspective(grey, homography, self._size, flags=flags)
+        return np.asarray(level, np.uint8)
+
+    def directions(self, pixels: Array) -> Array:
+        """(N, 2) level directions of pixels (N, 2) of the virtual camera."""
+        rays = (pixels - 0.5 * (self._size[0] - 1)) / self.focal
+        return rays @ _LOOKING_DOWN[:2, :2].T
+
+    def seen(self, pixels: Array, world_from_camera: Array) -> NDArray[np.bool_]:
+        """(N,) whether the real camera has seen these pixels (N, 2) of the virtual one."""
+        real = pixels_of(self.directions(pixels), self._camera, world_from_camera)
+        far = [self._camera.width - 4.0, self._camera.height - 4.0]
+        inside: NDArray[np.bool_] = (real > 3.0).all(axis=1) & (real < far).all(axis=1)
+        return inside
+
+
+class HybridFlowEstimator:
+    """``update`` once a control step. Deterministic; nothing is drawn at random."""
+
+    def __init__(self, rig: SensorRig, params: HybridFlowParams | None = None) -> None:
+        self._params = params = params or HybridFlowParams()
+        self.needs = SensorNeeds(
+            camera_hz=params.camera_hz,
+            gps=True,
+            rangefinder=True,
+            magnetometer=True,
+            barometer=True,
+        )
+        self._nav = Navigator(
+            rig,
+            self.needs,
+            told_start=False,
+            blend_s=params.blend_s,
+            heading_sigma_deg=params.heading_sigma_deg,
+            baro_sigma_m=params.baro_sigma_m,
+        )
+        anchor = WanderingAnchor(
+            params.wander_period_s, params.drift_density, white_m=0.02, blend_s=1.0
+        )
+        self._satellites = SatelliteAiding(self._nav, anchor)
+        self._imu_from_camera = rig.body_from_imu.inverse() @ rig.body_from_camera
+        self._ground = GroundBelow(rig, params.ground_memory_s)
+        self._view = LevelView(rig.camera, params.side_pixels)
+        self._before: Grey | None = None
+        self._attitude_before = np.eye(3)
+        self._height_before = 0.0
+        self._diagnostics = {"flow_used": 0.0, "flow_rms_m": 0.0, "phase_response": 0.0}
+
+    def update(self, obs: Observation) -> Estimate:
+        """Takes what has arrived and returns the belief about ``obs.tick``."""
+        for epoch in self._nav.epochs(obs):
+            self._ground.take(epoch.rangefinder, self._nav.eskf.state)
+            if epoch.fix is not None:
+                self._satellites.take(epoch.fix)
+            if epoch.image is not None:
+                self._take_image(epoch.image)
+        return self._satellites.estimate(obs, self._diagnostics)
+
+    def _take_image(self, image: CameraImage) -> None:
+        eskf = self._nav.eskf
+        attitude = (eskf.state.pose @ self._imu_from_camera).rotation
+        level = self._view.draw(self._nav.grey(image.rgb), attitude)
+        if self._before is not None and not self._nav.standing:
+            self._measure(self._before, level, attitude)
+        if eskf.clones:
+            eskf.remove_clone(0)
+        eskf.add_clone()
+        self._before, self._attitude_before = level, attitude
+        camera = eskf.state.pose @ self._imu_from_camera
+        self._height_before = float(camera.translation[2]) - self._ground.height_m
+
+    def _measure(self, before: Grey, now: Grey, attitude: Array) -> None:
+        params, eskf = self._params, self._nav.eskf
+        if self._height_before <= _MIN_HEIGHT_M:
+            return
+        clone = eskf.clones[0] @ self._imu_from_camera
+        expected = clone.translation - (eskf.state.pose @ self._imu_from_camera).translation
+        # the filter has changed its mind about the attitude since the picture was turned
+        turn = clone.rotation @ self._attitude_before.T
+        shift = phase_shift(before, now)
+        measured = self._dense(before, now, attitude, turn, shift, expected)
+        if measured is None:
+            measured = self._coarse(turn, shift, expected)
+        if measured is None:
+            return
+        update_with_displacement(
+            eskf,
+            measured,
+            self._imu_from_camera.translation,
+            floor_m=params.floor_sigma_m,
+            scale_sigma=params.scale_sigma,
+            gate=_GATE,
+        )
+        self._diagnostics = {
+            "flow_used": float(measured.used),
+            "flow_rms_m": measured.rms,
+            "phase_response": shift.response,
+        }
+
+    def _dense(
+        self, before: Grey, now: Grey, attitude: Array, turn: Array, shift: Shift, expected: Array
+    ) -> Displacement | None:
+        """The displacement by Farneback's flow, looked for around that of the phase correlation
+        (or of the filter) and the expansion that the filter's climb makes."""
+        view, height = self._view, self._height_before
+        start = shift.pixels
+        if shift.response == 0.0:
+            start = expected[:2] @ _LOOKING_DOWN[:2, :2] * view.focal / height
+        expansion = expected[2] / max(height - expected[2], 0.1)
+        expansion = float(np.clip(expansion, -_MAX_EXPANSION, _MAX_EXPANSION))
+        guess = (expansion * view.offsets + start).astype(np.float32)
+        flow = cv2.calcOpticalFlowFarneback(
+            before, now, guess, 0.5, 2, 15, 2, 5, 1.1, cv2.OPTFLOW_USE_INITIAL_FLOW
+        )
+        pixels = np.column_stack([view.cols, view.rows]).astype(np.float64)
+        reached = pixels + flow[view.rows, view.cols]
+        seen = view.seen(pixels, self._attitude_before) & view.seen(reached, attitude)
+        return solve_displacement(
+            _turned(view.directions(pixels[seen]), turn),
+            view.directions(reached[seen]),
+            height,
+            self._params.pixel_sigma / view.focal,
+            min_used=20,
+        )
+
+    def _coarse(self, turn: Array, shift: Shift, expected: Array) -> Displacement | None:
+        """The displacement by phase correlation alone; its vertical part is the filter's."""
+        if shift.response == 0.0:
+            return None
+        view, height = self._view, self._height_before
+        middle = np.full((1, 2), 0.5 * (view.offsets.shape[0] - 1))
+        moved = view.directions(middle + shift.pixels) - _turned(view.directions(middle), turn)
+        sigma = _PHASE_SIGMA_PX * height / view.focal
+        lever = height * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+        return Displacement(
+            shift=np.array([*(height * moved[0]), expected[2]]),
+            covariance=np.diag([sigma, sigma, 10.0]) ** 2,
+            by_rotation_before=-lever,
+            by_rotation_now=lever,
+            used=1,
+            rms=0.0,
+        )
+
+
+def _turned(directions: Array, turn: Array) -> Array:
+    """Level directions (N, 2) after a small rotation (3, 3) of the world's axes."""
+    rays = np.column_stack([directions, np.full(len(directions), -1.0)]) @ turn.T
+    turned: Array = rays[:, :2] / -rays[:, 2:]
+    return turned

@@ -1,0 +1,183 @@
+"""The inertial filter of the baselines, and what they do alike around it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.api import Estimate
+from estimator.baselines.aiding import BaroHeight, heading_of, update_heading
+from estimator.baselines.alignment import Alignment, field_azimuth
+from estimator.baselines.epochs import Epoch, EpochQueue
+from estimator.eskf import Eskf
+from estimator.guard import InputGuard
+from estimator.imu_propagation import ROTATION
+from estimator.livo import _undistortion_maps
+from estimator.paper.inertial import InertialFilter
+from sim.api import MagnetometerSample, Observation, SensorNeeds, SensorRig
+from sim.frames import Pose
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]
+
+_UNKNOWN_M2 = 1e4
+"""position variance before anything was measured"""
+
+
+class Navigator:
+    """``epochs`` takes an observation and yields the epochs at which to correct ``eskf``; heading
+    and height by the small sensors are corrected already. ``estimate`` then gives the belief.
+
+    ``told_start``: whether the take-off attitude is known beforehand. If it is, the magnetometer
+    is compared with its own reading at the start, which frees the heading of its offsets. If not,
+    attitude comes from gravity and the earth's field.
+    """
+
+    def __init__(
+        self,
+        rig: SensorRig,
+        needs: SensorNeeds,
+        *,
+        told_start: bool,
+        blend_s: float,
+        heading_sigma_deg: float = math.inf,
+        baro_sigma_m: float = math.inf,
+    ) -> None:
+        self.rig, self.needs = rig, needs
+        self._told_start, self._blend_s = told_start, blend_s
+        self._heading_sigma = math.radians(heading_sigma_deg)
+        self._guard = InputGuard(rig, needs.camera_hz)
+        self._queue = EpochQueue(rig, needs)
+        self._image_period = rig.tick_hz // needs.camera_hz if needs.camera_hz else 0
+        self._baro = BaroHeight(rig.tick_hz, baro_sigma_m)
+        self._alignment = Alignment(rig)
+        self._filter: InertialFilter | None = InertialFilter(rig, blend_s) if told_start else None
+        self._imu_from_body = rig.body_from_imu.inverse()
+        self._azimuth: float | None = None if told_start else field_azimuth(rig.nav.magnetometer)
+        self._readings = np.zeros(2)
+        self._undistort = _undistortion_maps(rig) if needs.camera_hz else None
+        self.skipped = 0
+        self.rate_imu: Array = np.zeros(3)
+        """(3,) rad/s at the newest sample, bias removed"""
+
+    @property
+    def filter(self) -> InertialFilter:
+        """RuntimeError before the first epoch."""
+        if self._filter is None:
+            raise RuntimeError("the attitude is not known before the first epoch")
+        return self._filter
+
+    @property
+    def eskf(self) -> Eskf:
+        return self.filter.eskf
+
+    @property
+    def standing(self) -> bool:
+        return self._filter is None or self._filter.still
+
+    def epochs(self, obs: Observation) -> Iterator[Epoch]:
+        """Call once an observation and exhaust it: afterwards corrections reach the present."""
+        obs = self._guard.screen(self._wanted(obs))
+        self.skipped += self._guard.refused
+        epochs = self._queue.take(obs)
+        if self._filter is None:
+            start = self._alignment.take(obs)
+            if start is None:
+                return
+            self._filter = self._aligned(start)
+        self._filter.take_imu(obs)
+        for epoch in epochs:
+            if epoch.tick < self._filter.tick or epoch.tick > self._filter.head_tick:
+                self.skipped += 1
+                continue
+            self._filter.carry_to(epoch.tick)
+            if obs.imu:
+                rate = obs.imu[-1].angular_velocity
+                self.rate_imu = rate - self._filter.eskf.state.gyro_bias
+            self._take_heading(epoch.magnetometer)
+            self._baro.take(self._filter.eskf, epoch.barometer, self._filter.still)
+            yield epoch
+        if epochs:
+            self._filter.catch_up()
+
+    def _wanted(self, obs: Observation) -> Observation:
+        """Without what others on board have asked for: a flight must not depend on them."""
+        period = self._image_period
+        images = tuple(i for i in obs.images if period and i.tick % period == 0)
+        if not obs.scans and len(images) == len(obs.images):
+            return obs
+        return dataclasses.replace(obs, scans=(), images=images)
+
+    def _aligned(self, world_from_body: Pose) -> InertialFilter:
+        rig = dataclasses.replace(self.rig, world_from_body_start=world_from_body)
+        inertial = InertialFilter(rig, self._blend_s, attitude_known=False)
+        to_imu = self._imu_from_body.rotation
+        spread = np.diag(self._alignment.sigmas() ** 2)
+        inertial.eskf.covariance[ROTATION, ROTATION] = to_imu @ spread @ to_imu.T
+        return inertial
+
+    def _take_heading(self, samples: tuple[MagnetometerSample, ...]) -> None:
+        if not samples or not np.isfinite(samples[-1].field_body_ut).all():
+            return
+        field_imu = self._imu_from_body.rotation @ samples[-1].field_body_ut
+        if self._told_start and self.standing:
+            azimuth = heading_of(self.eskf.state.rotation, field_imu)
+            self._readings = self._readings + [math.cos(azimuth), math.sin(azimuth)]
+            self._azimuth = math.atan2(self._readings[1], self._readings[0])
+        elif self._azimuth is not None:
+            update_heading(self.eskf, field_imu, self._azimuth, self._heading_sigma)
+
+    def grey(self, rgb: NDArray[np.uint8]) -> Grey:
+        """(H, W) uint8 without the lens's distortion."""
+        grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+        if self._undistort is not None:
+            grey = cv2.remap(grey, self._undistort[0], self._undistort[1], cv2.INTER_LINEAR)
+        return np.asarray(grey, np.uint8)
+
+    def estimate(
+        self,
+        obs: Observation,
+        *,
+        healthy: bool,
+        diagnostics: Mapping[str, float],
+        world_from_odom: Pose | None = None,
+        covariance: Array | None = None,
+        extra_covariance: Array | None = None,
+    ) -> Estimate:
+        """The belief about ``obs.time_s``. ``covariance`` (3, 3) m^2, world frame, takes the place
+        of the filter's; ``extra_covariance`` is added."""
+        found = dict(diagnostics) | {"skipped": float(self.skipped + self._queue.late)}
+        world_from_odom = world_from_odom or Pose.identity()
+        if self._filter is None:
+            return self._standing(obs, world_from_odom, found)
+        extra = np.zeros((3, 3)) if extra_covariance is None else extra_covariance
+        estimate = self._filter.estimate(
+            obs, world_from_odom, extra, None, found, self._guard.events
+        )
+        if covariance is None:
+            covariance = estimate.position_covariance
+        return dataclasses.replace(estimate, position_covariance=covariance, healthy=healthy)
+
+    def _standing(
+        self, obs: Observation, world_from_odom: Pose, diagnostics: dict[str, float]
+    ) -> Estimate:
+        """On the ground, before the attitude is known."""
+        return Estimate(
+            tick=obs.tick,
+            time_s=obs.time_s,
+            odom_from_body=self.rig.world_from_body_start,
+            world_from_odom=world_from_odom,
+            velocity_odom=np.zeros(3),
+            angular_velocity_body=np.zeros(3),
+            acceleration_odom=np.zeros(3),
+            position_covariance=_UNKNOWN_M2 * np.eye(3),
+            rotation_covariance=np.eye(3),
+            healthy=False,
+            diagnostics=diagnostics,
+            events=self._guard.events,
+        )

@@ -1,0 +1,135 @@
+"""Optical flow: the velocity over ground from corners that a downward camera follows.
+
+Pyramidal Lucas-Kanade (Bouguet 2001) from picture to picture; the gyroscope takes out what
+rotation does to the flow, the rangefinder says how large a pixel is on the ground. Integrated from
+the take-off spot. The heading is the gyroscope's, held by the magnetometer.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.api import Estimate, OpticalFlowParams
+from estimator.baselines.corner_flow import follow
+from estimator.baselines.ground_below import GroundBelow
+from estimator.baselines.ground_flow import (
+    level_directions,
+    pixels_of,
+    solve_displacement,
+    update_with_displacement,
+)
+from estimator.baselines.navigator import Grey, Navigator
+from estimator.keyframes import detect_features
+from sim.api import CameraImage, Observation, SensorNeeds, SensorRig
+from sim.frames import Pose
+
+Array = NDArray[np.float64]
+
+_GATE = 4.0
+_PATIENCE_S = 1.5
+
+
+class OpticalFlowEstimator:
+    """``update`` once a control step. Deterministic; nothing is drawn at random."""
+
+    def __init__(self, rig: SensorRig, params: OpticalFlowParams | None = None) -> None:
+        self._rig = rig
+        self._params = params = params or OpticalFlowParams()
+        self.needs = SensorNeeds(
+            camera_hz=params.camera_hz, rangefinder=True, magnetometer=True, barometer=True
+        )
+        self._nav = Navigator(
+            rig,
+            self.needs,
+            told_start=True,
+            blend_s=params.blend_s,
+            heading_sigma_deg=params.heading_sigma_deg,
+            baro_sigma_m=params.baro_sigma_m,
+        )
+        self._imu_from_camera = rig.body_from_imu.inverse() @ rig.body_from_camera
+        self._ground = GroundBelow(rig, params.ground_memory_s)
+        self._before: Grey | None = None
+        self._height_before = 0.0
+        self._distance = 0.0
+        self._seen_s = 0.0
+        self._diagnostics = {"flow_used": 0.0, "flow_rms_m": 0.0, "flow_surprise": 0.0}
+
+    def update(self, obs: Observation) -> Estimate:
+        """Takes what has arrived and returns the belief about ``obs.tick``."""
+        for epoch in self._nav.epochs(obs):
+            self._ground.take(epoch.rangefinder, self._nav.eskf.state)
+            if epoch.image is not None:
+                self._take_image(epoch.image)
+        drift = (self._params.drift_share * self._distance) ** 2 * np.eye(3)
+        silent_s = obs.time_s - self._seen_s
+        return self._nav.estimate(
+            obs,
+            healthy=silent_s < _PATIENCE_S,
+            diagnostics=self._diagnostics | {"ground_height_m": self._ground.height_m},
+            extra_covariance=drift,
+        )
+
+    def _take_image(self, image: CameraImage) -> None:
+        grey, eskf = self._nav.grey(image.rgb), self._nav.eskf
+        if self._nav.standing:
+            self._seen_s = image.time_s
+        elif self._before is not None:
+            self._measure(self._before, grey, image.time_s)
+        if eskf.clones:
+            eskf.remove_clone(0)
+        eskf.add_clone()
+        camera = eskf.state.pose @ self._imu_from_camera
+        self._before = grey
+        self._height_before = float(camera.translation[2]) - self._ground.height_m
+
+    def _measure(self, before: Grey, now: Grey, time_s: float) -> None:
+        params, eskf, camera = self._params, self._nav.eskf, self._rig.camera
+        pose = eskf.state.pose @ self._imu_from_camera
+        pose_before = eskf.clones[0] @ self._imu_from_camera
+        pixels = self._corners(before)
+        if len(pixels) < 8:
+            return
+        guess = self._expected(pixels, pose_before, pose)
+        found, reached = follow(before, now, pixels, guess)
+        measured = solve_displacement(
+            level_directions(pixels[found], camera, pose_before.rotation),
+            level_directions(reached, camera, pose.rotation),
+            self._height_before,
+            params.pixel_sigma / camera.fx,
+        )
+        if measured is None:
+            return
+        surprise = update_with_displacement(
+            eskf,
+            measured,
+            self._imu_from_camera.translation,
+            floor_m=params.floor_sigma_m,
+            scale_sigma=params.scale_sigma,
+            gate=_GATE,
+        )
+        self._distance += float(np.linalg.norm(measured.shift))
+        self._seen_s = time_s
+        self._diagnostics = {
+            "flow_used": float(measured.used),
+            "flow_rms_m": measured.rms,
+            "flow_surprise": surprise,
+        }
+
+    def _corners(self, grey: Grey) -> Array:
+        """(N, 2) corners of the middle of the image, where the rangefinder points."""
+        height, width = grey.shape
+        side = self._params.window_pixels
+        left, top = max((width - side) // 2, 0), max((height - side) // 2, 0)
+        middle = np.ascontiguousarray(grey[top : height - top, left : width - left])
+        return detect_features(middle, self._params.features) + [left, top]
+
+    def _expected(self, pixels: Array, pose_before: Pose, pose: Pose) -> Array:
+        """Where level ground would take them by the filter's own motion."""
+        directions = level_directions(pixels, self._rig.camera, pose_before.rotation)
+        shift = pose_before.translation - pose.translation
+        height = max(self._height_before, 0.02)
+        lower = max(height - float(shift[2]), 0.02)
+        moved = (height * directions + shift[:2]) / lower
+        expected = pixels_of(moved, self._rig.camera, pose.rotation)
+        return np.where(np.isfinite(expected), expected, pixels)

@@ -1,0 +1,75 @@
+"""Phase correlation from coarse to fine: by how much one picture is shifted against another.
+
+The normalised cross-power spectrum of two shifted pictures is that of a single bright point at the
+shift (Kuglin and Hines 1975). A coarse picture finds shifts of up to half its side and is sure of
+them; finer ones, cut out along the shift found so far, sharpen it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]
+
+_SURE = 0.05
+"""of all the energy in the peak's neighbourhood: below it a scale is not believed"""
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """``pixels`` (2,): x and y by which the content moved from the first picture to the second;
+    ``response``: share of the energy in the peak of the finest scale believed, 0 for none."""
+
+    pixels: Array
+    response: float
+
+
+def phase_shift(before: Grey, now: Grey, levels: int = 3) -> Shift:
+    """The shift between two pictures of equal, even shape (H, W), to a fraction of a pixel.
+
+    ``levels``: how often the side is halved for the coarsest, plus one. A scale is refused where
+    its response is low, or where it moves the result by more than two of the coarser pixels.
+    """
+    scales = [(before, now)]
+    for _ in range(levels - 1):
+        scales.append((_half(scales[-1][0]), _half(scales[-1][1])))
+    shift, response = np.zeros(2), 0.0
+    for level in range(levels - 1, -1, -1):
+        factor = float(1 << level)
+        whole = np.rint(shift / factor).astype(int)
+        pair = _common(*scales[level], whole)
+        if pair is None:
+            continue
+        (dx, dy), peak = cv2.phaseCorrelate(*pair, _window(pair[0].shape))
+        found = factor * (whole + np.array([dx, dy]))
+        coarsest = level == levels - 1
+        if peak > _SURE and (coarsest or np.abs(found - shift).max() < 4.0 * factor):
+            shift, response = found, float(peak)
+    return Shift(shift, response)
+
+
+def _half(picture: Grey) -> Grey:
+    return np.asarray(cv2.pyrDown(picture), np.uint8)
+
+
+def _common(
+    before: Grey, now: Grey, shift: NDArray[np.int64]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
+    """What both pictures show once ``now`` is moved back by ``shift``; None if that is too little."""
+    height, width = before.shape
+    dx, dy = int(shift[0]), int(shift[1])
+    if width - abs(dx) < 24 or height - abs(dy) < 24:
+        return None
+    first = before[max(-dy, 0) : height - max(dy, 0), max(-dx, 0) : width - max(dx, 0)]
+    second = now[max(dy, 0) : height - max(-dy, 0), max(dx, 0) : width - max(-dx, 0)]
+    return first.astype(np.float32), second.astype(np.float32)
+
+
+def _window(shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Hann's window, which keeps the picture's border out of the spectrum."""
+    return np.asarray(cv2.createHanningWindow((shape[1], shape[0]), cv2.CV_32F), np.float32)

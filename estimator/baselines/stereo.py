@@ -1,0 +1,154 @@
+"""Stereo visual odometry: corners of a keyframe with depth from the pair, followed by the left eye.
+
+The eyes are 50 mm apart: from 30 m all disparities are about one pixel, and a tenth of a pixel is a
+tenth of the depth. So the height of the ground, which all corners share, is filtered over many
+pairs, and each corner keeps what its own disparity adds to that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.api import Estimate, StereoParams
+from estimator.baselines.corner_flow import follow
+from estimator.baselines.disparity import GroundHeight, corner_depths, disparities
+from estimator.baselines.navigator import Grey, Navigator
+from estimator.imu_propagation import STATE_DIM
+from estimator.keyframes import bearing_rays, detect_features
+from estimator.visual import reprojection_information
+from sim.api import CameraImage, Observation, SensorNeeds, SensorRig
+
+Array = NDArray[np.float64]
+
+_PATIENCE_S = 1.5
+_LEAST_USED = 15
+_KEEP_SHARE = 0.55
+"""of a keyframe's corners: with fewer in sight a new one is made"""
+_GATES_PX = (12.0, 6.0, 3.0, 3.0)
+
+
+@dataclass(slots=True)
+class _Keyframe:
+    grey: Grey
+    pixels: Array
+    """(N, 2) corners"""
+    landmarks: Array
+    """(N, 3) in the keyframe's IMU frame"""
+
+
+class StereoEstimator:
+    """``update`` once a control step. Deterministic; nothing is drawn at random."""
+
+    def __init__(self, rig: SensorRig, params: StereoParams | None = None) -> None:
+        self._rig = rig
+        self._params = params = params or StereoParams()
+        self.needs = SensorNeeds(camera_hz=params.camera_hz, stereo=True)
+        self._nav = Navigator(rig, self.needs, told_start=True, blend_s=params.blend_s)
+        self._imu_from_camera = rig.body_from_imu.inverse() @ rig.body_from_camera
+        self._camera_from_imu = self._imu_from_camera.inverse()
+        right_from_left = rig.body_from_camera_right.inverse() @ rig.body_from_camera
+        self._baseline = -float(right_from_left.translation[0])
+        start = rig.world_from_body_start.translation
+        self._ground = GroundHeight(float(start[2]) - rig.vehicle.leg_height_m, params)
+        self._keyframe: _Keyframe | None = None
+        self._distance, self._position = 0.0, start
+        self._seen_s = 0.0
+        self._diagnostics = {"features_tracked": 0.0, "visual_rms_px": 0.0}
+
+    def update(self, obs: Observation) -> Estimate:
+        """Takes what has arrived and returns the belief about ``obs.tick``."""
+        for epoch in self._nav.epochs(obs):
+            if epoch.image is not None and epoch.image.right_rgb is not None:
+                self._take_pair(epoch.image, epoch.image.right_rgb)
+        drift = (self._params.drift_share * self._distance) ** 2 * np.eye(3)
+        return self._nav.estimate(
+            obs,
+            healthy=obs.time_s - self._seen_s < _PATIENCE_S,
+            diagnostics=self._diagnostics
+            | {"ground_height_m": self._ground.height_m, "ground_sigma_m": self._ground.sigma_m},
+            extra_covariance=drift,
+        )
+
+    def _take_pair(self, image: CameraImage, right_rgb: NDArray[np.uint8]) -> None:
+        eskf = self._nav.eskf
+        left, right = self._nav.grey(image.rgb), self._nav.grey(right_rgb)
+        share = 0.0
+        if self._nav.standing:
+            self._seen_s = image.time_s
+        elif self._keyframe is not None:
+            share = self._track(self._keyframe, left, image.time_s)
+        position = eskf.state.position
+        self._distance += float(np.linalg.norm(position - self._position))
+        self._position = position
+        self._look(left, right, image.time_s, new_keyframe=share < _KEEP_SHARE)
+
+    def _track(self, keyframe: _Keyframe, left: Grey, time_s: float) -> float:
+        """Corrects the filter; returns the share of the keyframe's corners that were used."""
+        expected = self._project(keyframe.landmarks)
+        guess = np.where(np.isfinite(expected), expected, keyframe.pixels)
+        found, reached = follow(keyframe.grey, left, keyframe.pixels, guess)
+        used, rms = self._iterate(reached, keyframe.landmarks[found])
+        self._diagnostics = {"features_tracked": float(used), "visual_rms_px": rms}
+        if used:
+            self._seen_s = time_s
+        return used / len(keyframe.pixels)
+
+    def _project(self, landmarks: Array) -> Array:
+        """(N, 2) pixels of landmarks (N, 3) of the clone's IMU frame, NaN where behind."""
+        eskf, camera = self._nav.eskf, self._rig.camera
+        now_from_key = self._camera_from_imu @ (eskf.state.pose.inverse() @ eskf.clones[0])
+        points = now_from_key.apply(landmarks)
+        depth = np.where(points[:, 2] > 0.02, points[:, 2], np.nan)
+        focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+        pixels: Array = points[:, :2] / depth[:, None] * focal + centre
+        return pixels
+
+    def _iterate(self, pixels: Array, landmarks: Array) -> tuple[int, float]:
+        """Iterated update by reprojections (frame to keyframe); nothing changes if fewer than
+        ``_LEAST_USED`` agree. Returns how many did and their rms in pixels."""
+        eskf, camera = self._nav.eskf, self._rig.camera
+        prior, clones = eskf.state, eskf.clones
+        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        touched = np.r_[0:6, STATE_DIM : STATE_DIM + 6]
+        information, used, rms = np.zeros((12, 12)), 0, 0.0
+        for gate in _GATES_PX:
+            information, vector, used, rms = reprojection_information(
+                pixels, landmarks, eskf.state.rotation, eskf.state.position,
+                eskf.clones[0].rotation, eskf.clones[0].translation,
+                self._camera_from_imu.rotation, self._camera_from_imu.translation,
+                intrinsics, self._params.pixel_sigma, gate,
+            )  # fmt: skip
+            if used < _LEAST_USED:
+                eskf.state, eskf.clones = prior, clones
+                return 0, 0.0
+            offset = eskf.deviation(prior, clones, [0])
+            delta = eskf.gain(touched, information, vector + information @ offset)
+            eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)
+        eskf.absorb(touched, information)
+        return used, rms
+
+    def _look(self, left: Grey, right: Grey, time_s: float, *, new_keyframe: bool) -> None:
+        """Measures the ground's height by the pair; makes it a keyframe where one is wanted."""
+        eskf, camera = self._nav.eskf, self._rig.camera
+        pixels = detect_features(left, self._params.features)
+        pose = eskf.state.pose @ self._imu_from_camera
+        rays = bearing_rays(pixels, camera)
+        scale = camera.fx * self._baseline
+        found, shifts = disparities(left, right, pixels, self._ground.depths(rays, pose), scale)
+        self._ground.take(rays[found], shifts, pose, scale, time_s)
+        if not new_keyframe:
+            return
+        depths = corner_depths(
+            rays, found, shifts, self._ground.depths(rays, pose), scale, self._params
+        )
+        good = np.isfinite(depths)
+        if int(good.sum()) < _LEAST_USED:
+            return
+        if eskf.clones:
+            eskf.remove_clone(0)
+        eskf.add_clone()
+        landmarks = self._imu_from_camera.apply(rays[good] * depths[good, None])
+        self._keyframe = _Keyframe(left, pixels[good], landmarks)

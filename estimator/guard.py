@@ -1,0 +1,233 @@
+"""What estimators and the mapper check before they believe a message.
+
+A sensor fails in few ways that its messages alone can tell: values that are no numbers, nothing
+seen, a stamp that cannot be, the same content again. Such a message is refused, which costs no more
+than its loss, and the refusal is told in words. What only a comparison with everything else can
+tell (a wrong but plausible measurement) is the filters' business.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.api import CameraImage, ImuSample, LidarScan, Observation, SensorRig
+
+_LEAST_CONTRAST = 2.5
+"""standard deviation of each channel's levels below which an image shows nothing but noise"""
+_STRIDE = 8
+"""between the pixels that are looked at"""
+_SILENCE_PERIODS = 3.5
+"""a sensor that has been heard once is missed after so many of its periods"""
+
+Message = TypeVar("Message", LidarScan, CameraImage)
+
+
+class InputGuard:
+    """Screens observations, in order. ``events`` are those of the last call of ``screen``.
+
+    ``camera_hz``: images a second to be expected; 0: as they come.
+    """
+
+    def __init__(self, rig: SensorRig, camera_hz: int = 0) -> None:
+        self._shape = (rig.camera.height, rig.camera.width, 3)
+        self._scans = _Stream("scan", rig.lidar_scan_ticks, rig.tick_hz)
+        period = round(rig.tick_hz / camera_hz) if camera_hz else 0
+        self._images = _Stream("image", period, rig.tick_hz)
+        self._ranges: NDArray[np.float32] = np.zeros(0, np.float32)
+        self._pixels: NDArray[np.uint8] = np.zeros(0, np.uint8)
+        self._seeing = False
+        """whether any scan had a return yet"""
+        self._imu: ImuSample | None = None
+        self._repaired = 0
+        self.events: tuple[str, ...] = ()
+        self.refused = 0
+        """messages refused or repaired in the last call"""
+
+    def screen(self, obs: Observation) -> Observation:
+        """``obs`` without what must be refused; pulses that are no numbers keep their place, with
+        range NaN. A bad IMU sample is replaced by the one before it, because filters count on one
+        for every step."""
+        events: list[str] = []
+        imu = self._steady(obs.imu, events)
+        scans = self._scans.screen(obs.scans, obs.tick, self._judge_scan, events)
+        images = self._images.screen(obs.images, obs.tick, self._judge_image, events)
+        self.events = tuple(events)
+        arrived = len(obs.scans) + len(obs.images)
+        self.refused = arrived - len(scans) - len(images) + self._repaired
+        if imu is obs.imu and scans is obs.scans and images is obs.images:
+            return obs
+        return dataclasses.replace(obs, imu=imu, scans=scans, images=images)
+
+    # ------------------------------------------------------------------------ inertial samples
+
+    def _steady(self, samples: tuple[ImuSample, ...], events: list[str]) -> tuple[ImuSample, ...]:
+        """The samples themselves, if all of them are numbers."""
+        out: list[ImuSample] = []
+        self._repaired = 0
+        for sample in samples:
+            # of six numbers one that is infinite or no number makes the sum so
+            total = sample.angular_velocity.sum() + sample.specific_force.sum()
+            if np.isfinite(total):
+                self._imu = sample
+                out.append(sample)
+                continue
+            self._repaired += 1
+            if self._imu is None:
+                events.append(f"IMU sample {sample.tick} refused: not a number")
+                continue
+            events.append(f"IMU sample {sample.tick} replaced by {self._imu.tick}: not a number")
+            out.append(dataclasses.replace(self._imu, tick=sample.tick, time_s=sample.time_s))
+        return tuple(out) if self._repaired else samples
+
+    # ------------------------------------------------------------------------ scans
+
+    def _judge_scan(self, scan: LidarScan) -> tuple[LidarScan | None, str]:
+        """The scan to be used, or None, and a word on it ("" if there is none to say)."""
+        count = len(scan.ranges)
+        if scan.directions.shape != (count, 3) or not (
+            len(scan.time_offsets) == len(scan.intensity) == count
+        ):
+            return None, "its arrays differ in length"
+        if count == 0:
+            return None, "no pulses"
+        ranges = scan.ranges
+        total = float(ranges.sum() + scan.directions.sum() + scan.time_offsets.sum())
+        bad: NDArray[np.bool_] | None = None
+        if not np.isfinite(total):
+            bad = ~(
+                np.isfinite(ranges)
+                & np.isfinite(scan.directions).all(axis=1)
+                & np.isfinite(scan.time_offsets)
+            )
+            if bad.all():
+                return None, "not a number"
+        if not (ranges > 0.0).any():
+            # standing on the ground it looks at nothing in its reach
+            return None, "no returns" if self._seeing else ""
+        self._seeing = True
+        if np.array_equal(ranges, self._ranges, equal_nan=True):
+            return None, "the same as the one before"
+        self._ranges = ranges
+        if bad is None:
+            return scan, ""
+        return _without_pulses(scan, bad), f"{int(bad.sum())} of {count} pulses not a number"
+
+    # ------------------------------------------------------------------------ images
+
+    def _judge_image(self, image: CameraImage) -> tuple[CameraImage | None, str]:
+        rgb = image.rgb
+        if rgb.shape != self._shape or rgb.dtype != np.uint8:
+            return None, f"{rgb.dtype} of shape {rgb.shape} instead of uint8 {self._shape}"
+        pixels = np.ascontiguousarray(rgb[::_STRIDE, ::_STRIDE])
+        if float(pixels.reshape(-1, 3).std(axis=0).max()) < _LEAST_CONTRAST:
+            return None, "no contrast"
+        if np.array_equal(pixels, self._pixels):
+            return None, "the same as the one before"
+        self._pixels = pixels
+        return image, ""
+
+
+class _Stream:
+    """Stamps and silences of one sensor. ``period_ticks`` 0: it may be silent."""
+
+    def __init__(self, name: str, period_ticks: int, tick_hz: int) -> None:
+        self._name = name
+        self._tick_hz = tick_hz
+        self._patience = round(_SILENCE_PERIODS * period_ticks)
+        self._newest = -1
+        """stamp of the newest message that was taken"""
+        self._heard = -1
+        """tick of the last delivery"""
+        self._missed = False
+        self._trouble = ""
+        """what was wrong with the message before, without its numbers"""
+        self._refused = 0
+        """messages in a row"""
+
+    def screen(
+        self,
+        messages: tuple[Message, ...],
+        now: int,
+        judge: Callable[[Message], tuple[Message | None, str]],
+        events: list[str],
+    ) -> tuple[Message, ...]:
+        if not messages:
+            self._listen(now, events)
+            return messages
+        if self._missed:
+            silent_s = (now - self._heard) / self._tick_hz
+            events.append(f"{self._name}s again after {silent_s:.2f} s")
+        self._heard, self._missed = now, False
+        disorder = _disordered([_ticks(message)[1] for message in messages])
+        kept: list[Message] = []
+        for message, confused in zip(messages, disorder, strict=True):
+            taken: Message | None = None
+            word = "out of order" if confused else self._stamp_fault(message, now)
+            if not word:
+                taken, word = judge(message)
+            self._tell(_ticks(message)[1], taken is None, word, events)
+            if taken is not None:
+                self._newest = _ticks(message)[1]
+                kept.append(taken)
+        same = len(kept) == len(messages) and all(
+            a is b for a, b in zip(kept, messages, strict=True)
+        )
+        return messages if same else tuple(kept)
+
+    def _tell(self, tick: int, refused: bool, word: str, events: list[str]) -> None:
+        """An event where trouble begins, changes or ends, not for every message that has it."""
+        trouble = re.sub(r"\d+", "", word)
+        if word and trouble != self._trouble:
+            events.append(f"{self._name} {tick} {'refused' if refused else 'cleaned'}: {word}")
+        if not refused and self._refused > 1:
+            events.append(f"{self._name}s usable again after {self._refused} refused")
+        self._trouble = trouble
+        self._refused = self._refused + 1 if refused and word else 0
+
+    def _listen(self, now: int, events: list[str]) -> None:
+        silent = now - self._heard
+        if self._patience and self._heard >= 0 and not self._missed and silent > self._patience:
+            self._missed = True
+            events.append(f"no {self._name} for {silent / self._tick_hz:.2f} s")
+
+    def _stamp_fault(self, message: LidarScan | CameraImage, now: int) -> str:
+        start, end = _ticks(message)
+        if end > now:
+            return "from the future"
+        if start > end or (start == end and isinstance(message, LidarScan)):
+            return "ends before it starts"
+        if end == self._newest:
+            return "repeats its time stamp"
+        if end < self._newest or (isinstance(message, LidarScan) and start < self._newest):
+            return "older than one that came before it"
+        return ""
+
+
+def _ticks(message: LidarScan | CameraImage) -> tuple[int, int]:
+    if isinstance(message, LidarScan):
+        return message.start_tick, message.end_tick
+    return message.tick, message.tick
+
+
+def _disordered(stamps: list[int]) -> list[bool]:
+    """Which of messages that arrived together are not in the order of their stamps: of two that
+    are swapped neither tells which is right."""
+    return [
+        max(stamps[:i], default=stamp) > stamp or min(stamps[i:]) < stamp
+        for i, stamp in enumerate(stamps)
+    ]
+
+
+def _without_pulses(scan: LidarScan, bad: NDArray[np.bool_]) -> LidarScan:
+    """The scan with ``bad`` (N,) pulses of range NaN along the boresight. They keep their places,
+    because neighbours in a scan are found by number."""
+    directions, ranges = scan.directions.copy(), scan.ranges.copy()
+    directions[bad], ranges[bad] = (0.0, 0.0, 1.0), np.nan
+    offsets = np.maximum.accumulate(np.nan_to_num(scan.time_offsets, nan=0.0))
+    return dataclasses.replace(scan, directions=directions, ranges=ranges, time_offsets=offsets)

@@ -1,0 +1,84 @@
+"""Speed of choosing a site on the map of a whole survey, beside Open3D and scikit-image."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.build import selection_stages
+from experiments.config import load_config
+from experiments.selector_check import SCAN_PERIOD_S, tow_survey
+
+Float32 = NDArray[np.float32]
+
+
+def bench_landing(
+    *, scene: str = "crossroad", seed: int = 0, rounds: int = 9, reference: bool = True
+) -> dict[str, Any]:
+    """Maps a scene with every scan of the survey and times the selection on it, one thread.
+
+    ``stage_ms``: the steps of the paper's Table 7 and their ``sum``; ``selection``, all that the
+    lander does for a decision, the check of the ground included; ``reference_ms``: the same steps
+    by Open3D, SciPy and scikit-image; ``ratio.reference``: its sum over ours; ``agreement``: how
+    far the two results differ. Medians over ``rounds``, after one to warm up; the reference runs
+    once warm. Raises UsageError and ValueError as `load_config` and `build_scene`.
+    """
+    overrides = ["sim.threads=1"]
+    config = load_config(None, overrides, scene=scene, seed=seed, estimator="oracle", record=False)
+    surveyed = tow_survey(config, period_s=SCAN_PERIOD_S)
+    stages = selection_stages(config, surveyed.survey.rig)
+    view, estimate = surveyed.map_view, surveyed.estimate
+    laps: dict[str, list[float]] = {}
+    for number in range(rounds + 1):
+        ours = stages.ours(view.coarse, estimate.odom_from_body.translation)
+        started = time.perf_counter()
+        selection = surveyed.survey.select(view, estimate)
+        spent = ours.seconds | {
+            "sum": sum(ours.seconds.values()),
+            "selection": time.perf_counter() - started,
+        }
+        if number > 0:
+            for name, seconds in spent.items():
+                laps.setdefault(name, []).append(seconds)
+    stage_ms = {name: 1e3 * float(np.median(walls)) for name, walls in laps.items()}
+    figures: dict[str, Any] = {
+        "scene": scene,
+        "seed": seed,
+        "cells": list(ours.total.shape),
+        "clusters": len(ours.modes),
+        "candidates": len(selection.candidates),
+        "stage_ms": stage_ms,
+    }
+    if reference:
+        for _ in range(2):
+            theirs = stages.reference(view.coarse, estimate.odom_from_body.translation)
+        sums = theirs.seconds | {"sum": sum(theirs.seconds.values())}
+        figures["reference_ms"] = {name: 1e3 * seconds for name, seconds in sums.items()}
+        figures["ratio"] = {"reference": figures["reference_ms"]["sum"] / stage_ms["sum"]}
+        figures["agreement"] = agreement(ours, theirs)
+    return figures
+
+
+def agreement(ours: Any, theirs: Any) -> dict[str, float]:
+    """How far two results on the same cells differ: correlation and mean absolute difference of
+    C_sum, metres between the best modes, and what C_sum ours loses at its best mode beside theirs.
+    """
+    both = np.isfinite(ours.total) & np.isfinite(theirs.total)
+    a, b = ours.total[both].astype(np.float64), theirs.total[both].astype(np.float64)
+    best = [_best(staged) for staged in (ours, theirs)]
+    cell_m = float(ours.cell_m)
+    return {
+        "correlation": float(np.corrcoef(a, b)[0, 1]),
+        "mean_difference": float(np.abs(a - b).mean()),
+        "best_apart_m": cell_m * float(np.hypot(*(best[0] - best[1]))),
+        "best_loss": float(theirs.total[tuple(best[1])] - theirs.total[tuple(best[0])]),
+    }
+
+
+def _best(staged: Any) -> NDArray[np.int32]:
+    values: Float32 = staged.total[tuple(staged.modes.T)]
+    mode: NDArray[np.int32] = staged.modes[int(np.nanargmax(values))]
+    return mode

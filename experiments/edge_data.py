@@ -1,0 +1,195 @@
+"""Pictures of scenes from survey heights with their true boundaries.
+
+A boundary separates what a person would call different things: the classes painted into the ground,
+objects by their geom, crowns and bushes as one kind, and places where depth jumps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+from zlib import crc32
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from experiments.build import aerial_camera, build_scene
+from experiments.config import Config, load_config
+from scenes.api import LAND_CLASSES, Scene
+from sim.frames import Pose, rotation_from_yaw, so3_exp
+
+if TYPE_CHECKING:
+    from experiments.build import AerialCamera
+    from sim.aerial import AerialView
+
+Array = NDArray[np.float64]
+Int32 = NDArray[np.int32]
+
+LOW_M, HIGH_M = 8.0, 40.0
+_MARGIN_M = 14.0
+"""of the place's rim that no picture is taken over"""
+_TILT_SIGMA = np.deg2rad(4.0)
+_NEAREST_M = 3.0
+"""views with something nearer than this are not taken: the camera might be inside it"""
+_MOST_TRIES = 40
+_LONGEST_TIME_S = 60.0
+_STEP_M = 0.4
+"""a jump of depth between neighbouring pixels that parts two things of one kind"""
+_STEEPEST = 8.0
+"""depth per pixel's width that a surface seen obliquely may change by, walls included"""
+_CROWN_STEP_M = 2.0
+_SMALLEST_PX = 12
+"""segments below this many half-size pixels go to what surrounds them"""
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeView:
+    """One picture at half size, which is the size at which the estimator looks for edges."""
+
+    rgb: NDArray[np.uint8]
+    """(H, W, 3)"""
+    segments: Int32
+    """(H, W) number of the segment of each pixel"""
+    scene: str
+    seed: int
+    height_m: float
+
+
+def edge_views(
+    scenes: Sequence[str],
+    seeds: Sequence[int],
+    views: int,
+    progress: Callable[[str], None] = lambda note: None,
+) -> Iterator[EdgeView]:
+    """``views`` pictures of every scene and seed, all noise on; a pure function of its arguments.
+
+    Camera poses: anywhere over the place, 8 to 40 m above the ground (low heights as often as great
+    ones, by their logarithm), any heading, tilted as by wind. Raises UsageError for bad names.
+    """
+    for name in scenes:
+        for seed in seeds:
+            config = load_config(None, (), scene=name, seed=seed)
+            scene = build_scene(config)
+            progress(f"{name}, seed {seed}")
+            yield from _scene_views(config, scene, views)
+
+
+def _scene_views(config: Config, scene: Scene, views: int) -> Iterator[EdgeView]:
+    rng = np.random.default_rng([config.seed, crc32(b"edge views"), crc32(scene.name.encode())])
+    camera = aerial_camera(config, scene)
+    kinds = surface_kinds(scene)
+    try:
+        for number in range(views):
+            view, height = _look(camera, scene, rng, number)
+            segments = segments_of(view, scene, kinds, camera.intrinsics.matrix())
+            half = cv2.resize(view.rgb, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+            yield EdgeView(np.asarray(half, np.uint8), segments, scene.name, scene.seed, height)
+    finally:
+        camera.close()
+
+
+def _look(
+    camera: AerialCamera, scene: Scene, rng: np.random.Generator, number: int
+) -> tuple[AerialView, float]:
+    """A view from a random pose, clear of everything; its height over the ground below."""
+    low, high = scene.bounds_xy_m[0] + _MARGIN_M, scene.bounds_xy_m[1] - _MARGIN_M
+    for _ in range(_MOST_TRIES):
+        height = float(np.exp(rng.uniform(np.log(LOW_M), np.log(HIGH_M))))
+        where = np.array([*rng.uniform(low, high), float(scene.model.qpos0[2]) + height])
+        tilt = so3_exp(np.array([*rng.normal(0.0, _TILT_SIGMA, 2), 0.0]))
+        pose = Pose(rotation_from_yaw(rng.uniform(-np.pi, np.pi)) @ tilt, where)
+        view = camera.look(pose, rng.uniform(0.0, _LONGEST_TIME_S), number)
+        if float(view.depth_m.min()) > _NEAREST_M:
+            return view, height
+    return view, height
+
+
+def surface_kinds(scene: Scene) -> Int32:
+    """(G,) a number for every geom: vegetation is one kind, every other geom one of its own."""
+    model = scene.model
+    kinds = np.arange(model.ngeom, dtype=np.int32) + len(LAND_CLASSES)
+    for geom in range(model.ngeom):
+        surface = scene.surfaces.get(model.geom(geom).name)
+        if surface is not None and surface.land_class == "trees":
+            kinds[geom] = LAND_CLASSES.index("trees")
+    return kinds
+
+
+def segments_of(view: AerialView, scene: Scene, kinds: Int32, matrix: Array) -> Int32:
+    """(H/2, W/2) int32 segments of a view: connected pixels, every other one in both directions, of
+    one kind without a jump of depth."""
+    geom_id, depth = view.geom_id[::2, ::2], view.depth_m[::2, ::2]
+    kind = np.where(geom_id >= 0, kinds[geom_id], -1).astype(np.int32)
+    if scene.ground is not None:
+        _paint_ground(kind, view, scene, matrix)
+    segments = connected(kind, *_depth_jumps(depth, kind, 0.5 * float(matrix[0, 0])))
+    return without_specks(segments, _SMALLEST_PX)
+
+
+def _paint_ground(kind: Int32, view: AerialView, scene: Scene, matrix: Array) -> None:
+    """Writes the class of the ground's raster into the pixels that show the terrain, in place."""
+    ground = scene.ground
+    assert ground is not None
+    shown = view.geom_id[::2, ::2] == scene.model.geom(ground.geom_name).id
+    rows, cols = np.nonzero(shown)
+    depth = view.depth_m[::2, ::2][rows, cols].astype(np.float64)
+    rays = np.column_stack([2 * cols, 2 * rows, np.ones(len(rows))]) @ np.linalg.inv(matrix).T
+    world = view.world_from_camera.apply(rays * depth[:, None])
+    cell = np.floor((world[:, :2] - ground.origin_xy_m) / ground.cell_m).astype(int)
+    limits = np.array(ground.class_id.shape)[::-1] - 1
+    cell = np.clip(cell, 0, limits)
+    kind[rows, cols] = ground.class_id[cell[:, 1], cell[:, 0]]
+
+
+def _depth_jumps(
+    depth: NDArray[np.float32], kind: Int32, focal_px: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Whether depth jumps towards the right (H, W - 1) and towards the lower (H - 1, W) pixel."""
+    finite = np.minimum(depth, np.float32(1e4))
+    step = np.maximum(_STEP_M, _STEEPEST * finite / focal_px)
+    crown = kind == LAND_CLASSES.index("trees")
+    jumps = []
+    for axis in (1, 0):
+        least = np.where(crown, np.maximum(step, _CROWN_STEP_M), step)
+        nearer = np.minimum(*(np.take(least, _but(depth.shape[axis], end), axis) for end in (0, 1)))
+        jumps.append(np.abs(np.diff(finite, axis=axis)) > nearer)
+    return jumps[0], jumps[1]
+
+
+def _but(count: int, last: int) -> NDArray[np.int64]:
+    """All indices but the first (0) or the last (1)."""
+    return np.arange(count - 1) + (1 - last)
+
+
+def connected(kind: Int32, jump_right: NDArray[np.bool_], jump_down: NDArray[np.bool_]) -> Int32:
+    """(H, W) numbers, from 0, of the sets of 4-connected pixels of one kind between which there is
+    no jump."""
+    height, width = kind.shape
+    # a grid twice as fine, in which the link between two pixels is a pixel that may be missing
+    fine = np.zeros((2 * height - 1, 2 * width - 1), np.uint8)
+    fine[::2, ::2] = 1
+    fine[::2, 1::2] = (kind[:, 1:] == kind[:, :-1]) & ~jump_right
+    fine[1::2, ::2] = (kind[1:] == kind[:-1]) & ~jump_down
+    labels = cv2.connectedComponents(fine, connectivity=4, ltype=cv2.CV_32S)[1]
+    return np.ascontiguousarray(labels[::2, ::2] - 1, dtype=np.int32)
+
+
+def without_specks(segments: Int32, smallest: int) -> Int32:
+    """Pixels of segments smaller than ``smallest`` pixels take the nearest larger segment."""
+    large = np.bincount(segments.ravel()) >= smallest
+    if not large.any():
+        return segments
+    keep = large[segments]
+    nearest = ndimage.distance_transform_edt(~keep, return_distances=False, return_indices=True)
+    return np.ascontiguousarray(segments[nearest[0], nearest[1]], dtype=np.int32)
+
+
+def boundaries(segments: Int32) -> NDArray[np.bool_]:
+    """(H, W): pixels whose right or lower neighbour belongs to another segment."""
+    edge = np.zeros(segments.shape, bool)
+    edge[:, :-1] |= segments[:, :-1] != segments[:, 1:]
+    edge[:-1] |= segments[:-1] != segments[1:]
+    return edge

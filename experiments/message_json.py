@@ -1,0 +1,76 @@
+"""Dataclasses of numbers as plain JSON and back, to the bit."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import types
+import typing
+from typing import Any
+
+import numpy as np
+
+
+def to_plain(value: Any) -> Any:
+    """Dicts, lists, numbers and text of a dataclass of such. JSON text of them keeps every float64
+    as it is; a vector of float64 becomes a list, any other array a dict that also tells dtype and
+    shape."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {name: to_plain(getattr(value, name)) for name in _names(type(value))}
+    if isinstance(value, np.ndarray):
+        if value.dtype == np.float64 and value.ndim == 1:
+            return value.tolist()
+        return {
+            "dtype": value.dtype.str,
+            "shape": list(value.shape),
+            "data": value.ravel().tolist(),
+        }
+    if isinstance(value, tuple | list):
+        return [to_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return value
+
+
+def from_plain(kind: Any, plain: Any) -> Any:
+    """The value of type ``kind`` that ``to_plain`` turned into ``plain``. A field that ``plain``
+    lacks takes its default. Raises TypeError or KeyError where the two do not fit."""
+    if plain is None:
+        return None
+    if dataclasses.is_dataclass(kind):
+        hints = _hints(kind)
+        known = {name: from_plain(hints[name], plain[name]) for name in hints if name in plain}
+        return typing.cast(Any, kind)(**known)
+    origin = typing.get_origin(kind)
+    if origin in (typing.Union, types.UnionType):
+        (inner,) = [part for part in typing.get_args(kind) if part is not type(None)]
+        return from_plain(inner, plain)
+    if origin is np.ndarray or kind is np.ndarray:
+        return _array(plain)
+    if origin is tuple:
+        parts = typing.get_args(kind)
+        if len(parts) == 2 and parts[1] is Ellipsis:
+            return tuple(from_plain(parts[0], item) for item in plain)
+        return tuple(from_plain(part, item) for part, item in zip(parts, plain, strict=True))
+    return plain
+
+
+def _array(plain: Any) -> np.ndarray:
+    if isinstance(plain, list):
+        array = np.array(plain, dtype=np.float64)
+    else:
+        array = np.array(plain["data"], dtype=np.dtype(plain["dtype"])).reshape(plain["shape"])
+    array.setflags(write=False)
+    return array
+
+
+@functools.cache
+def _names(kind: type) -> tuple[str, ...]:
+    return tuple(field.name for field in dataclasses.fields(kind))
+
+
+@functools.cache
+def _hints(kind: type) -> dict[str, Any]:
+    """Resolved types of a dataclass' fields."""
+    hints = typing.get_type_hints(kind)
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind)}

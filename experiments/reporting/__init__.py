@@ -1,0 +1,1 @@
+"""Reports over many flights: statistics, tables, figures, words, HTML."""

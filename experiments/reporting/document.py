@@ -1,0 +1,237 @@
+"""A report put together: words, tables and figures; as Markdown, HTML and JSON."""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+import re
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from experiments.reporting import published
+from experiments.reporting.figures import Picture, all_pictures
+from experiments.reporting.flights import (
+    Row,
+    add_path_deviations,
+    is_bad,
+    methods_of,
+    outcome_counts,
+    scenes_of,
+)
+from experiments.reporting.statistics import INTERVAL
+from experiments.reporting.tables import (
+    Cell,
+    Table,
+    axis_tables,
+    landing_tables,
+    map_tables,
+    nees_table,
+    outcome_table,
+    time_table,
+    trajectory_tables,
+)
+from experiments.reporting.words import leading_words, published_words, summary_words
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    key: str
+    title: str
+    words: list[str]
+    tables: list[Table]
+    pictures: list[Picture]
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    title: str
+    tiles: list[tuple[str, str]]
+    sections: list[Section]
+    configuration: str
+    """text of the campaign's file, empty where there is none"""
+
+
+def make_report(rows: list[dict[str, Any]], *, title: str, configuration: str = "") -> Report:
+    """Everything that the flights of ``rows`` (see `flights.load_flights`) give."""
+    add_path_deviations(rows)
+    pictures = {picture.name: picture for picture in all_pictures(rows)}
+
+    def named(*names: str) -> list[Picture]:
+        return [pictures[name] for name in names if name in pictures]
+
+    consistency, time = nees_table(rows), time_table(rows)
+    sections = [
+        Section("summary", "In words", summary_words(rows) + leading_words(rows), [], []),
+        Section("published", "Beside the paper", published_words(rows), [], []),
+        Section("accuracy", "Accuracy", [], trajectory_tables(rows), []),
+        Section(
+            "axes",
+            "Errors by axis",
+            ["The paper shows its Fig. 10 as a picture without numbers: there are none to print."],
+            axis_tables(rows),
+            named("fig10a", "fig10b", "fig10_estimate"),
+        ),
+        Section("map", "Maps", [], map_tables(rows), []),
+        Section("paths", "Trajectories", _path_words(rows), [], named("fig9a", "fig9b")),
+        Section("landings", "Landings", [], landing_tables(rows), []),
+        Section("outcomes", "Outcomes", [], [outcome_table(rows)], []),
+        Section("consistency", "Consistency", [], [consistency] if consistency else [], []),
+        Section("time", "Time", [], [time] if time else [], []),
+        Section("conditions", "Conditions", condition_words(rows), [], []),
+    ]
+    kept = [s for s in sections if s.tables or s.pictures or s.key in _ALWAYS]
+    return Report(title, tiles(rows), kept, configuration)
+
+
+_ALWAYS = ("summary", "published", "conditions")
+
+
+def _path_words(rows: Sequence[Row]) -> list[str]:
+    if any(row["mode"] == "land" for row in rows):
+        return []
+    return ["No flight was to land: Fig. 9 b, the landing trajectories, is left out."]
+
+
+def condition_words(rows: Sequence[Row]) -> list[str]:
+    """What was flown, by which revision, and how the intervals were made."""
+    seeds = sorted({row["seed"] for row in rows})
+    winds = sorted({row["wind_kmh"] for row in rows if row.get("wind_kmh") is not None})
+    revisions = sorted({str(row.get("git_revision") or "unknown") for row in rows})
+    versions = {k: row[k] for row in rows for k in row if k.startswith("versions.") and row[k]}
+    lines = [
+        f"Scenes: {', '.join(scenes_of(rows))}. "
+        f"Methods: {', '.join(f'`{m}`' for m in methods_of(rows))}. Seeds: {_ranges(seeds)}. "
+        f"Mean wind: {', '.join(f'{wind:g}' for wind in winds) or 'unknown'} km/h.",
+        f"Git revision{'s' * (len(revisions) > 1)}: {', '.join(f'`{r}`' for r in revisions)}.",
+        f"Intervals: {INTERVAL}, 10 000 seeded resamples; shares: Wilson's score interval. "
+        "A single flight has no interval.",
+        f"Published figures: {published.SOURCE}.",
+    ]
+    if len(revisions) > 1:
+        lines.insert(2, "The flights are of more than one revision: compare with care.")
+    if versions:
+        named = (f"{key.partition('.')[2]} {value}" for key, value in versions.items())
+        lines.insert(2, f"Versions: {', '.join(named)}.")
+    return lines
+
+
+def _ranges(seeds: Sequence[int]) -> str:
+    """0, 1, 2, 5 becomes "0–2, 5"."""
+    parts: list[list[int]] = []
+    for seed in seeds:
+        if parts and seed == parts[-1][-1] + 1:
+            parts[-1].append(seed)
+        else:
+            parts.append([seed])
+    return ", ".join(f"{p[0]}–{p[-1]}" if len(p) > 2 else ", ".join(map(str, p)) for p in parts)
+
+
+def tiles(rows: Sequence[Row]) -> list[tuple[str, str]]:
+    """The figures at the head of the page."""
+    good = sum(not is_bad(row) for row in rows)
+    return [
+        ("flights", str(len(rows))),
+        ("ended as they should", f"{good} of {len(rows)}"),
+        ("scenes", str(len(scenes_of(rows)))),
+        ("methods", str(len(methods_of(rows)))),
+        ("seeds", str(len({row["seed"] for row in rows}))),
+    ]
+
+
+# ---------------------------------------------------------------------------------------- Markdown
+
+
+def markdown(report: Report, pictures_at: str = "figures") -> str:
+    """The report as text; pictures are linked as ``pictures_at/NAME.svg``."""
+    lines = [f"# {report.title}", ""]
+    for section in report.sections:
+        lines += [f"## {section.title}", "", *(f"- {line}" for line in section.words)]
+        lines += [""] if section.words else []
+        for picture in section.pictures:
+            lines += [f"![{picture.title}]({pictures_at}/{picture.name}.svg)", ""]
+            lines += [f"*{picture.title}.* {picture.caption}", ""]
+        for table in section.tables:
+            lines += [*_markdown_table(table), ""]
+    if report.configuration:
+        lines += ["## Configuration", "", "```", report.configuration.strip(), "```", ""]
+    return "\n".join(lines)
+
+
+def _markdown_table(table: Table) -> list[str]:
+    lines = [f"**{table.title}**", "", "| " + " | ".join(table.header) + " |"]
+    lines.append("|" + "---|" * len(table.header))
+    lines += ["| " + " | ".join(_markdown_cell(c) for c in row) + " |" for row in table.rows]
+    lines += [""] if table.notes else []
+    return lines + [f"- {note}" for note in table.notes]
+
+
+def _markdown_cell(cell: Cell) -> str:
+    text = f"**{cell.text}** {cell.interval}".rstrip() if cell.kind == "best" else cell.plain
+    return text.replace("|", "\\|")
+
+
+# -------------------------------------------------------------------------------------------- HTML
+
+
+def page(report: Report) -> str:
+    """One self-contained HTML file: nothing is loaded from anywhere."""
+    import jinja2
+
+    source = resources.files("experiments.reporting").joinpath("report.html.j2")
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    environment.filters["code"] = _code
+    template = environment.from_string(source.read_text(encoding="utf-8"))
+    return template.render(report=report)
+
+
+def _code(text: str) -> Any:
+    """Escaped text with `names` as code elements."""
+    import markupsafe
+
+    escaped = html.escape(text, quote=False)
+    return markupsafe.Markup(re.sub(r"`([^`]*)`", r"<code>\1</code>", escaped))
+
+
+def as_json(report: Report, rows: Sequence[Row]) -> dict[str, Any]:
+    """The words and the figures behind the tables."""
+    return {
+        "title": report.title,
+        "flights": len(rows),
+        "outcomes": outcome_counts(rows),
+        "words": {s.key: s.words for s in report.sections if s.words},
+        "tables": {t.key: t.numbers for s in report.sections for t in s.tables if t.numbers},
+    }
+
+
+def write_report(report: Report, rows: Sequence[Row], out: Path) -> dict[str, Path]:
+    """Writes ``report.md``, ``report.html``, ``report.json`` and ``figures/`` into ``out``."""
+    (out / "figures").mkdir(parents=True, exist_ok=True)
+    for section in report.sections:
+        for picture in section.pictures:
+            write_text(out / "figures" / f"{picture.name}.svg", picture.svg)
+    texts = {
+        "markdown": ("report.md", markdown(report)),
+        "html": ("report.html", page(report)),
+        "json": ("report.json", json.dumps(as_json(report, rows), indent=2) + "\n"),
+    }
+    for name, text in texts.values():
+        write_text(out / name, text)
+    return {kind: out / name for kind, (name, _) in texts.items()}
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a file at once: readers see the old text or the new one, never half of it."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise

@@ -1,0 +1,191 @@
+"""The rows that a report is made of: one flat dictionary a flight, with dotted keys."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.config import UsageError, flatten
+from experiments.report import load_run
+from experiments.tum import read_tum
+from sim.frames import matrices_from_quats_wxyz
+
+Array = NDArray[np.float64]
+Row = Mapping[str, Any]
+
+SCENE_ORDER = ("crossroad", "lake", "houses", "forest")
+METHOD_ORDER = ("livo", "paper", "stereo", "hybrid_flow", "gps", "optical_flow", "oracle")
+GOOD_OUTCOMES = frozenset({"COMPLETED", "LANDED"})
+LIFT_OFF_M = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Times (N,) s, positions (N, 3) m in the world frame, headings (N,) rad."""
+
+    time_s: Array
+    position: Array
+    yaw: Array
+
+
+def load_flights(directory: Path) -> list[dict[str, Any]]:
+    """Every flight of a campaign, or every ``result.json`` below a plain directory.
+
+    Each row has at least run_id, run_dir, scene, estimator, seed, wind_kmh, outcome and mode
+    (``fly`` or ``land``). Raises UsageError when there is none or one cannot be read.
+    """
+    if not directory.is_dir():
+        raise UsageError(f"'{directory}' is no directory of runs")
+    rows: list[dict[str, Any]] = []
+    for file in sorted(directory.rglob("result.json")):
+        row: dict[str, Any] = dict(flatten(load_run(file)))
+        row["run_id"] = str(file.parent.relative_to(directory))
+        row["run_dir"] = str(file.parent)
+        row.setdefault("wind_kmh", None)
+        row.setdefault("mode", _mode(row, file.parent))
+        rows.append(row)
+    if not rows:
+        raise UsageError(f"'{directory}' holds no finished flight (no result.json)")
+    return sorted(rows, key=lambda row: (row["scene"], row["estimator"], row["seed"]))
+
+
+def _mode(row: Row, run_dir: Path) -> str:
+    """``fly`` when only the survey was asked for."""
+    try:
+        config = json.loads((run_dir / "config.json").read_text(encoding="utf-8"))
+        return "fly" if config["landing"]["survey_only"] else "land"
+    except (OSError, ValueError, LookupError, TypeError):
+        return "fly" if row["outcome"] == "COMPLETED" else "land"
+
+
+def number(row: Row, key: str) -> float | None:
+    """A finite number of a row, None where there is none."""
+    value = row.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return float(value) if np.isfinite(value) else None
+
+
+def values(rows: Iterable[Row], key: str) -> list[float]:
+    """The numbers of the rows that have one."""
+    found = (number(row, key) for row in rows)
+    return [value for value in found if value is not None]
+
+
+def scenes_of(rows: Iterable[Row]) -> list[str]:
+    """The paper's four scenes first, others by name."""
+    return _ordered({row["scene"] for row in rows}, SCENE_ORDER)
+
+
+def methods_of(rows: Iterable[Row]) -> list[str]:
+    """Estimators of the project in a fixed order, others by name."""
+    return _ordered({row["estimator"] for row in rows}, METHOD_ORDER)
+
+
+def _ordered(names: set[str], known: Sequence[str]) -> list[str]:
+    return sorted(names, key=lambda n: (known.index(n) if n in known else len(known), n))
+
+
+def cell(rows: Iterable[Row], scene: str | None = None, method: str | None = None) -> list[Row]:
+    """The rows of one scene and one method; None means all."""
+    return [
+        row
+        for row in rows
+        if (scene is None or row["scene"] == scene)
+        and (method is None or row["estimator"] == method)
+    ]
+
+
+def is_bad(row: Row) -> bool:
+    """Not flown to the end, or landed on ground that is unsafe."""
+    if row["outcome"] == "LANDED" and row.get("landing.safe_geometry") is False:
+        return True
+    return row["outcome"] not in GOOD_OUTCOMES
+
+
+def outcome_counts(rows: Iterable[Row]) -> dict[str, int]:
+    """Flights by outcome, the most frequent first."""
+    counts = Counter(row["outcome"] for row in rows)
+    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
+
+
+# ----------------------------------------------------------------------------------- trajectories
+
+
+def read_trajectory(file: Path) -> Trajectory | None:
+    """A ``.tum`` file of a run directory; None where it is missing or empty."""
+    if not file.is_file():
+        return None
+    try:
+        time_s, position, quaternion = read_tum(file)
+    except (ValueError, IndexError):
+        return None
+    rotation = matrices_from_quats_wxyz(quaternion)
+    return Trajectory(time_s, position, np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]))
+
+
+def airborne(truth: Trajectory) -> int:
+    """Index of the first sample after lift-off."""
+    above = truth.position[:, 2] > truth.position[0, 2] + LIFT_OFF_M
+    return int(np.argmax(above)) if above.any() else 0
+
+
+def path_deviation(run_dir: Path) -> dict[str, float] | None:
+    """Mean absolute deviation of the flown path from the reference, from lift-off to the end.
+
+    Metres along world x, y and z, degrees for ``yaw_deg``, ``mean`` the distance in 3-D: what the
+    paper's Fig. 10b-e shows. For flights that end with the survey; None without trajectories.
+    """
+    truth = read_trajectory(run_dir / "truth.tum")
+    reference = read_trajectory(run_dir / "reference.tum")
+    if truth is None or reference is None:
+        return None
+    count = min(len(truth.time_s), len(reference.time_s))
+    start = airborne(truth)
+    if count <= start or not np.allclose(truth.time_s[:count], reference.time_s[:count]):
+        return None
+    offset = truth.position[start:count] - reference.position[start:count]
+    turn = truth.yaw[start:count] - reference.yaw[start:count]
+    turn = np.arctan2(np.sin(turn), np.cos(turn))
+    x, y, z = np.abs(offset).mean(axis=0).tolist()
+    return {
+        "mean": float(np.linalg.norm(offset, axis=1).mean()),
+        "x": x,
+        "y": y,
+        "z": z,
+        "yaw_deg": float(np.degrees(np.abs(turn)).mean()),
+    }
+
+
+def add_path_deviations(rows: list[dict[str, Any]]) -> None:
+    """Gives survey flights the keys ``path_deviation.x`` and so on, from their files."""
+    for row in rows:
+        if row["mode"] != "fly":
+            continue
+        for key, value in (path_deviation(Path(row["run_dir"])) or {}).items():
+            row[f"path_deviation.{key}"] = value
+
+
+# --------------------------------------------------------------------------------------- campaigns
+
+_CAMPAIGN_FILES = ("campaign.toml", "campaign.json")
+
+
+def is_campaign(directory: Path) -> bool:
+    """Whether `touchdown campaign` wrote the directory."""
+    return any((directory / name).is_file() for name in _CAMPAIGN_FILES)
+
+
+def campaign_text(directory: Path) -> str:
+    """The text of the campaign's file, empty where there is none."""
+    for name in _CAMPAIGN_FILES:
+        if (directory / name).is_file():
+            return (directory / name).read_text(encoding="utf-8", errors="replace")
+    return ""
