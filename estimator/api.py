@@ -185,6 +185,8 @@ class MapperParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
+    enabled: bool = True
+    """false: no map, and no LIDAR unless the estimator wants it; for surveys only"""
     cell_m: float = 0.2
     extent_m: float = 160.0
     """side of the square coarse grid, centred on the take-off spot"""

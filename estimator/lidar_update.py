@@ -169,18 +169,12 @@ def normal_noise_information(
     return information
 
 
-def less_noise(information: Array, noise: Array) -> Array:
-    """``information - noise`` (6, 6) without negative parts: judged by correlation, so that metres
-    are not weighed against radians."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
-    values, vectors = np.linalg.eigh((information - noise) / np.outer(scale, scale))
-    positive = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return np.asarray(positive * np.outer(scale, scale), dtype=np.float64)
-
-
-def weak_directions(information: Array, sigma_rad: float, sigma_m: float) -> tuple[Array, Array]:
+def weak_directions(
+    information: Array, noise: Array, sigma_rad: float, sigma_m: float
+) -> tuple[Array, Array]:
     """Axes of rotation (3, r) and directions of translation (3, t), unit columns, of which a
-    measurement with ``information`` (6, 6) knows less than the given standard deviations.
+    measurement with ``information`` (6, 6) knows less than the given standard deviations once twice
+    its share of ``noise`` (6, 6) is taken off.
 
     Rotation and translation are judged apart, each once the other is allowed to follow (Schur
     complement), so that metres are never weighed against radians. The idea of leaving out such
@@ -193,11 +187,14 @@ def weak_directions(information: Array, sigma_rad: float, sigma_m: float) -> tup
         (slice(3, 6), slice(0, 3), sigma_m),
     ):
         # a direction of the rest that is not measured itself explains nothing away
-        rest = np.linalg.pinv(information[other, other], rcond=1e-6, hermitian=True)
-        cross = information[own, other]
-        schur = information[own, own] - cross @ rest @ cross.T
+        rest = np.linalg.pinv(information[other, other], rcond=1e-9, hermitian=True)
+        following = np.zeros((6, 3))
+        following[own] = np.eye(3)
+        following[other] = -rest @ information[other, own]
+        schur = following.T @ information @ following
         values, vectors = np.linalg.eigh(0.5 * (schur + schur.T))
-        weak.append(vectors[:, values < 1.0 / sigma**2])
+        feigned = np.einsum("ij,ik,kj->j", vectors, following.T @ noise @ following, vectors)
+        weak.append(vectors[:, values - 2.0 * feigned < 1.0 / sigma**2])
     return weak[0], weak[1]
 
 
@@ -275,8 +272,8 @@ def update_with_scan(
             eskf.state, eskf.clones = prior, clones
             return LidarReport(matched=used, rms_m=rms, lateral_strength=np.zeros(3))
         if weak_sigmas is not None and fresh:
-            real = less_noise(raw, normal_noise_information(*arguments))
-            weak = weak_directions(real, *weak_sigmas)
+            noise = normal_noise_information(*arguments)
+            weak = weak_directions(raw, noise, *weak_sigmas)
         information, vector = without_directions(raw, vector, _blocks(*weak))
         information, vector = floored(information, vector, floor_sigmas)
         offset = eskf.deviation(prior, clones, [])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.build import selection_stages
+from experiments.build_tools import selection_stages
 from experiments.config import load_config
 from experiments.selector_check import SCAN_PERIOD_S, tow_survey
 

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.build import build_scene, lidar_peers
+from experiments.build import build_scene
+from experiments.build_tools import lidar_peers
 from experiments.config import load_config
 
 HOVERS = 6

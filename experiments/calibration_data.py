@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.api import CalibrationView, Chessboard
-from experiments.build import build_stand
+from experiments.build_tools import build_stand
 from experiments.config import Config
 from sim.frames import Pose, so3_exp
 
 if TYPE_CHECKING:
-    from experiments.build import SensorStand
+    from experiments.build_tools import SensorStand
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

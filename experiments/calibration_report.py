@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.api import CalibrationResult, Chessboard
-from experiments.build import calibrate
+from experiments.build_tools import calibrate
 from experiments.calibration_data import calibration_views
 from experiments.calibration_file import write_calibration
 from experiments.calibration_pictures import write_pictures

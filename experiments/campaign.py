@@ -248,7 +248,8 @@ def _check_settable(values: Iterable[str], axes: Iterable[str], source: str) -> 
 
 def _check_names(axes: Mapping[str, list[Any]], source: str) -> None:
     """Scenes and estimators exist, as far as can be told without building them."""
-    from experiments.build import check_estimator, scene_names
+    from experiments.build import check_estimator
+    from experiments.build_tools import scene_names
 
     for axis in ("scene", "estimator"):
         for name in axes[axis]:

@@ -27,7 +27,7 @@ from experiments.cli_base import (
 )
 from experiments.cli_bench import bench
 from experiments.cli_calibrate import calibrate
-from experiments.cli_report import report
+from experiments.cli_report import regress, report
 from experiments.cli_scenes import scenes
 from experiments.console import (
     end_progress,
@@ -61,7 +61,11 @@ _Command = Callable[..., int]
 
 _FLIGHT_OPTIONS = (
     click.argument("scene"),
-    click.option("--estimator", metavar="NAME", help="livo, paper, oracle, or MODULE:FUNCTION."),
+    click.option(
+        "--estimator",
+        metavar="NAME",
+        help="livo, paper, gps, optical_flow, hybrid_flow, stereo, oracle, or MODULE:FUNCTION.",
+    ),
     click.option("--seed", type=int, help="Varies the place, the wind and all noise.  [0]"),
     click.option("--wind-kmh", type=float, help="Mean wind speed at 6 m.  [12]"),
     click.option(
@@ -194,6 +198,7 @@ def view(run: Path, web: bool) -> int:
 
 
 cli.add_command(report)
+cli.add_command(regress)
 cli.add_command(scenes)
 cli.add_command(bench)
 cli.add_command(calibrate)
@@ -220,7 +225,7 @@ def control_margins(config_file: Path | None, overrides: tuple[str, ...], as_jso
     import dataclasses
 
     from experiments.build import build_scene
-    from experiments.build import control_margins as margins_of
+    from experiments.build_tools import control_margins as margins_of
     from experiments.config import load_config
 
     config = load_config(config_file, overrides)

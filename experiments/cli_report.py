@@ -27,7 +27,7 @@ def report(directory: Path, out: Path | None, as_json: bool) -> int:
 
     Example: touchdown report campaigns/positioning
     """
-    from experiments.reporting.flights import is_campaign
+    from experiments.campaign_rows import is_campaign
 
     if out is None and not is_campaign(directory):
         return _print_table(directory, as_json)
@@ -75,4 +75,48 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
     return EXIT_DONE
 
 
-__all__ = ["EXIT_FAILED", "report"]
+@click.command()
+@click.argument("directory", type=click.Path(path_type=Path))
+@click.option(
+    "--baseline",
+    required=True,
+    metavar="F.json",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Flights to compare with, written by --update.",
+)
+@click.option("--update", is_flag=True, help="Make the flights of DIRECTORY the baseline.")
+@click.option(
+    "--margin",
+    type=click.FloatRange(min=0.0),
+    default=0.0,
+    show_default=True,
+    help="Share by which errors may grow: 0.1 asks for more than 10 % worse.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def regress(directory: Path, baseline: Path, update: bool, margin: float, as_json: bool) -> int:
+    """Exit 1 when the position error of DIRECTORY's flights is worse than the baseline's.
+
+    Compares each scene and method: a paired test on equal seeds, a bootstrap where seeds differ,
+    corrected over all of them, so that chance alone fails at most 5 comparisons of 100.
+
+    Example: touchdown regress campaigns/positioning --baseline baseline.json
+    """
+    from experiments.regress import compare
+    from experiments.reporting.baseline import read_baseline, write_baseline
+    from experiments.reporting.flights import load_flights
+    from experiments.reporting.verdict import table_lines, verdict_words
+
+    rows = load_flights(directory)
+    if update:
+        write_baseline(rows, baseline)
+        if as_json:
+            click.echo(json.dumps({"baseline": str(baseline), "flights": len(rows)}))
+        else:
+            click.echo(f"written: {baseline}, {len(rows)} flights")
+        return EXIT_DONE
+    found = compare(rows, read_baseline(baseline), margin)
+    if as_json:
+        click.echo(json.dumps({**found.as_json(), "words": verdict_words(found)}, indent=2))
+    else:
+        click.echo("\n".join([*table_lines(found), "", *verdict_words(found)]))
+    return EXIT_FAILED if found.regressed else EXIT_DONE

@@ -40,7 +40,7 @@ def scenes_list(as_json: bool) -> int:
 
     Example: touchdown scenes list
     """
-    from experiments.build import scene_names
+    from experiments.build_tools import scene_names
 
     names = scene_names()
     click.echo(json.dumps({"scenes": names}) if as_json else "\n".join(names))
@@ -117,7 +117,7 @@ def scenes_check(names: tuple[str, ...], seeds: int, as_json: bool, quiet: bool)
 
     Example: touchdown scenes check crossroad --seeds 5
     """
-    from experiments.build import scene_names
+    from experiments.build_tools import scene_names
     from experiments.scene_check import check_scenes, passed
 
     chosen = names or tuple(scene_names())
@@ -179,7 +179,7 @@ def scenes_import_dem(
     Example: touchdown scenes import-dem hill.tif --ortho hill.png hill &&
     touchdown land hill/scene.xml
     """
-    from experiments.build import import_dem
+    from experiments.build_tools import import_dem
 
     model_file, notes = usage_errors(
         lambda: import_dem(

@@ -22,7 +22,15 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from controller.api import ControlParams
-from estimator.api import LivoParams, MapperParams, PaperParams
+from estimator.api import (
+    GpsEstimatorParams,
+    HybridFlowParams,
+    LivoParams,
+    MapperParams,
+    OpticalFlowParams,
+    PaperParams,
+    StereoParams,
+)
 from experiments.api import BiasParams, RefereeParams, RigErrorParams
 from experiments.suggest import nearest
 from landing.api import LandingParams, SurveyParams
@@ -95,6 +103,10 @@ class Config(BaseModel):
     mapper: MapperParams = Field(default_factory=MapperParams)
     livo: LivoParams = Field(default_factory=LivoParams)
     paper: PaperParams = Field(default_factory=PaperParams)
+    gps_estimator: GpsEstimatorParams = Field(default_factory=GpsEstimatorParams)
+    optical_flow: OpticalFlowParams = Field(default_factory=OpticalFlowParams)
+    hybrid_flow: HybridFlowParams = Field(default_factory=HybridFlowParams)
+    stereo_vo: StereoParams = Field(default_factory=StereoParams)
     control: ControlParams = Field(default_factory=ControlParams)
     survey: SurveyParams = Field(default_factory=SurveyParams)
     landing: LandingParams = Field(default_factory=LandingParams)
@@ -165,6 +177,7 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
     config = _validate(values, sources)
     _check_ranges(config, sources)
     _check_rates(config)
+    _check_map(config)
     _check_faults(config, sources)
     return config
 
@@ -343,10 +356,20 @@ def _check_rates(config: Config) -> None:
             f"sim.control_ticks = {control_hz}"
         )
     camera_clock_hz = sim.tick_hz // sim.camera_ticks
-    if camera_clock_hz % config.livo.camera_hz:
+    for group in ("livo", "paper", "optical_flow", "hybrid_flow", "stereo_vo"):
+        camera_hz = getattr(config, group).camera_hz
+        if camera_clock_hz % camera_hz:
+            raise UsageError(
+                f"{group}.camera_hz = {camera_hz} must divide the camera's clock of "
+                f"{camera_clock_hz} Hz"
+            )
+
+
+def _check_map(config: Config) -> None:
+    if not config.mapper.enabled and not config.landing.survey_only:
         raise UsageError(
-            f"livo.camera_hz = {config.livo.camera_hz} must divide the camera's clock of "
-            f"{camera_clock_hz} Hz"
+            "mapper.enabled = false leaves nothing to choose a landing site from: it is for "
+            "`touchdown fly`, or with landing.survey_only = true"
         )
 
 

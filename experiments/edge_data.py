@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from experiments.build import aerial_camera, build_scene
+from experiments.build import build_scene
+from experiments.build_tools import aerial_camera
 from experiments.config import Config, load_config
 from scenes.api import LAND_CLASSES, Scene
 from sim.frames import Pose, rotation_from_yaw, so3_exp
 
 if TYPE_CHECKING:
-    from experiments.build import AerialCamera
+    from experiments.build_tools import AerialCamera
     from sim.aerial import AerialView
 
 Array = NDArray[np.float64]

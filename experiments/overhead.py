@@ -18,7 +18,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from experiments.build import build_bare, build_flight, build_scene
+from experiments.build import build_flight, build_scene
+from experiments.build_tools import build_bare
 from experiments.config import Config
 from experiments.flight import limit_threads, make_referee, timed_parts
 from experiments.loop import run_flight

@@ -40,6 +40,8 @@ class FlightResult:
     reason: str
     sim_s: float
     survey_s: float
+    span_s: tuple[float | None, float | None]
+    """lift-off and end of the survey, between which positions are judged"""
     position_error: PositioningError
     deviation: TrajectoryDeviation
     consistency: Consistency
@@ -112,6 +114,7 @@ class Referee:
             reason=self._reason or view.note,
             sim_s=truth.time_s,
             survey_s=survey_s,
+            span_s=(self._lift_off_s, self._survey_to_s),
             position_error=self._position_error,
             deviation=self._deviation,
             consistency=self._consistency,

@@ -9,13 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.build import (
-    build_scene,
-    layout_difference,
-    scene_layout,
-    scene_names,
-    survey_facts,
-)
+from experiments.build import build_scene
+from experiments.build_tools import layout_difference, scene_layout, scene_names, survey_facts
 from experiments.config import load_config
 from experiments.scene_tools import load_place
 

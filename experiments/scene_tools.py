@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from experiments.build import build_scene, export_scene, scene_names
+from experiments.build import build_scene
+from experiments.build_tools import export_scene, scene_names
 from experiments.config import Config, UsageError, load_config
 from experiments.contact_sheet import contact_sheet, thumbnails
 from experiments.scene_views import VIEWS, Picture, SceneViews, write_picture

@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.build import hover_view, scene_picture, scene_truth_maps
+from experiments.build_tools import hover_view, scene_picture, scene_truth_maps
 from experiments.config import Config, UsageError
 from scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene, TruthMaps
 
 if TYPE_CHECKING:
-    from experiments.build import HoverView
+    from experiments.build_tools import HoverView
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

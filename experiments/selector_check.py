@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.api import Estimate, MapView, PoseTrack
-from experiments.build import TowedSurvey, build_scene, build_towed_survey, scene_truth_maps
-from experiments.config import Config, load_config
+from experiments.build import build_scene
+from experiments.build_tools import TowedSurvey, build_towed_survey
+from experiments.config import Config
 from landing.api import Selection
-from scenes.api import Scene, TruthMaps
+from scenes.api import Scene
 from sim.api import Observation
 from sim.frames import Pose
 

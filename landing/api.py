@@ -49,6 +49,8 @@ class Candidate:
     accepted: bool
     reason: str
     """why it was chosen or refused, in words"""
+    safe_probability: float = float("nan")
+    """of a touchdown that is safe by geometry; NaN where the scorer does not say"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

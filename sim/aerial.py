@@ -1,4 +1,5 @@
-"""A camera anywhere over a scene, with depth and geom of every pixel: pictures without a flight."""
+"""A camera anywhere over a scene, with depth and geom of every pixel, and a LIDAR beside it: what
+they see without a flight."""
 
 from __future__ import annotations
 
@@ -9,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.api import Scene
-from sim.api import CameraIntrinsics, CameraParams
+from sim.api import CameraIntrinsics, CameraParams, LidarParams, LidarScan
 from sim.camera import CameraSensor
 from sim.frames import Pose, quat_wxyz_from_matrix
+from sim.lidar import LidarSensor
 from sim.moving import MovingBodies
 from sim.vehicle import sensor_poses
 
@@ -61,3 +63,26 @@ class AerialCamera:
 
     def close(self) -> None:
         self._sensor.close()
+
+
+def still_scan(
+    scene: Scene,
+    lidar: LidarParams,
+    seed: int,
+    world_from_body: Pose,
+    ticks: NDArray[np.int64],
+    tick_hz: int,
+) -> LidarScan:
+    """The scan between two ``ticks`` (2,) of a vehicle that stands still in the air."""
+    times_s = ticks / tick_hz
+    quat = quat_wxyz_from_matrix(world_from_body.rotation)
+    return LidarSensor(scene, lidar, seed).scan(
+        int(ticks[0]),
+        int(ticks[1]),
+        tick_hz,
+        times_s,
+        np.tile(world_from_body.translation, (2, 1)),
+        np.tile(quat, (2, 1)),
+        sensor_poses(scene.model)[1],
+        MovingBodies(scene).tracks(times_s),
+    )

@@ -28,7 +28,7 @@ Float32 = NDArray[np.float32]
 Int32 = NDArray[np.int32]
 Bytes = NDArray[np.uint8]
 
-PATCH, INNER, SHRINK, STRIDE = 32, 16, 2, 2
+PATCH, INNER, SHRINK = 32, 16, 2
 ORIENTATIONS, CHANNELS = 4, 13
 GRID = 5
 NORMALISATION_RADIUS, GRADIENT_SMOOTHING = 4, 0
@@ -51,9 +51,11 @@ class ForestParams:
     trees: int = 8
     trees_evaluated: int = 4
     """per patch; patches take turns among the trees"""
-    patches_per_tree: int = 160_000
+    stride: int = 4
+    """pixels between patches"""
+    patches_per_tree: int = 500_000
     """half of them with a boundary near the middle"""
-    images_share: float = 0.5
+    images_share: float = 0.6
     """of the pictures that each tree sees"""
     feature_share: float = 0.25
     """of the features that each tree may use"""
@@ -244,17 +246,16 @@ def sample_patches(edges: NDArray[np.bool_], count: int, rng: np.random.Generato
     """(N, 3) int32 of image, row and column in cells of patches: half with a boundary within half
     their inner width of the middle, half without, as far as there are so many."""
     height, width = edges.shape[1:]
-    rows = np.arange((height - INNER) // STRIDE + 1)
-    cols = np.arange((width - INNER) // STRIDE + 1)
+    rows = np.arange((height - INNER) // SHRINK + 1)
+    cols = np.arange((width - INNER) // SHRINK + 1)
     per_image = count // (2 * len(edges))
     chosen = []
     for image, edge in enumerate(edges):
         distance = ndimage.distance_transform_edt(~edge) if edge.any() else np.full(edge.shape, 1e9)
-        middle = distance[STRIDE * rows[:, None] + INNER // 2, STRIDE * cols + INNER // 2]
+        middle = distance[SHRINK * rows[:, None] + INNER // 2, SHRINK * cols + INNER // 2]
         for of_kind in (middle < INNER // 2, middle >= INNER // 2):
             at = np.argwhere(of_kind)
-            picked = rng.permutation(len(at))[:per_image]
-            places = at[picked] * (STRIDE // SHRINK)
+            places = at[rng.permutation(len(at))[:per_image]]
             chosen.append(np.column_stack([np.full(len(places), image), places]))
     return np.ascontiguousarray(np.concatenate(chosen), dtype=np.int32)
 

@@ -27,6 +27,14 @@ _LINE = 24
 """numbers on a line; OpenCV's reader wants lines of moderate length"""
 
 
+def check_target(path: Path) -> None:
+    """Raises ValueError for a folder that does not exist, or a name that OpenCV would not read."""
+    if not path.parent.is_dir():
+        raise ValueError(f"folder '{path.parent}' does not exist: create it, or name another file")
+    if not path.name.endswith(".yml.gz"):
+        raise ValueError(f"model '{path}' must be named *.yml.gz: OpenCV goes by the ending")
+
+
 def write_model(
     path: Path,
     trees: Sequence[forest.Tree],
@@ -35,10 +43,9 @@ def write_model(
 ) -> None:
     """Writes a forest. The same forest gives the same bytes. ``notes`` become comments at the top.
 
-    Raises ValueError for a folder that does not exist.
+    Raises ValueError as `check_target`.
     """
-    if not path.parent.is_dir():
-        raise ValueError(f"folder '{path.parent}' does not exist: create it, or name another file")
+    check_target(path)
     text = "\n".join(_document(trees, params, notes or {})) + "\n"
     draft = path.with_name(path.name + ".part")
     draft.write_bytes(gzip.compress(text.encode("ascii"), 9, mtime=0))
@@ -48,7 +55,7 @@ def write_model(
 def _document(
     trees: Sequence[forest.Tree], params: forest.ForestParams, notes: Mapping[str, str]
 ) -> list[str]:
-    values = (forest.STRIDE, forest.PATCH, forest.INNER, forest.SHRINK, len(trees),
+    values = (params.stride, forest.PATCH, forest.INNER, forest.SHRINK, len(trees),
               params.trees_evaluated, forest.GRID, forest.ORIENTATIONS,
               forest.NORMALISATION_RADIUS, forest.GRADIENT_SMOOTHING, forest.REGULAR_SMOOTHING,
               forest.PAIR_SMOOTHING)  # fmt: skip

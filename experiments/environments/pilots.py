@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.api import Setpoint
-from experiments.build import Practice
+from experiments.build_tools import Practice
 from sim.api import Command, Observation
 from sim.frames import rotation_from_yaw, yaw_from_rotation
 

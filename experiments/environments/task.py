@@ -47,7 +47,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from experiments.api import Outcome
-from experiments.build import Practice, TruthLookup, build_practice, build_scene, scene_truth_maps
+from experiments.build import TruthLookup, build_scene
+from experiments.build_tools import Practice, build_practice, scene_truth_maps
 from experiments.config import Config, load_config
 from experiments.environments.pilots import PILOTS, Pilot
 from experiments.environments.senses import SENSORS, Senses, sensor_needs

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import html
 import json
-import os
 import re
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -15,6 +13,7 @@ from typing import Any
 
 from experiments.reporting import published
 from experiments.reporting.figures import Picture, all_pictures
+from experiments.reporting.files import write_text
 from experiments.reporting.flights import (
     Row,
     add_path_deviations,
@@ -222,16 +221,3 @@ def write_report(report: Report, rows: Sequence[Row], out: Path) -> dict[str, Pa
     for name, text in texts.values():
         write_text(out / name, text)
     return {kind: out / name for kind, (name, _) in texts.items()}
-
-
-def write_text(path: Path, text: str) -> None:
-    """Writes a file at once: readers see the old text or the new one, never half of it."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise

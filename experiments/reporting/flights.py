@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.config import UsageError, flatten
-from experiments.report import load_run
+from experiments.campaign_rows import RUNS, is_campaign, load_rows
 from experiments.tum import read_tum
 from sim.frames import matrices_from_quats_wxyz
 
@@ -36,33 +35,24 @@ class Trajectory:
 
 
 def load_flights(directory: Path) -> list[dict[str, Any]]:
-    """Every flight of a campaign, or every ``result.json`` below a plain directory.
-
-    Each row has at least run_id, run_dir, scene, estimator, seed, wind_kmh, outcome and mode
-    (``fly`` or ``land``). Raises UsageError when there is none or one cannot be read.
-    """
-    if not directory.is_dir():
-        raise UsageError(f"'{directory}' is no directory of runs")
-    rows: list[dict[str, Any]] = []
-    for file in sorted(directory.rglob("result.json")):
-        row: dict[str, Any] = dict(flatten(load_run(file)))
-        row["run_id"] = str(file.parent.relative_to(directory))
-        row["run_dir"] = str(file.parent)
-        row.setdefault("wind_kmh", None)
-        row.setdefault("mode", _mode(row, file.parent))
-        rows.append(row)
-    if not rows:
-        raise UsageError(f"'{directory}' holds no finished flight (no result.json)")
-    return sorted(rows, key=lambda row: (row["scene"], row["estimator"], row["seed"]))
+    """Every flight of a campaign, or below a plain directory, as `campaign_rows.load_rows` gives
+    them, and the key ``run_dir``. Raises UsageError when there is none or one cannot be read."""
+    rows = load_rows(directory)
+    folder = directory / RUNS if is_campaign(directory) else directory
+    for row in rows:
+        run_dir = folder / row["run_id"]
+        row["run_dir"] = str(run_dir if run_dir.is_dir() else folder)
+    return rows
 
 
-def _mode(row: Row, run_dir: Path) -> str:
-    """``fly`` when only the survey was asked for."""
+def campaign_text(directory: Path) -> str:
+    """The campaign's file as it was given, empty where there is none."""
     try:
-        config = json.loads((run_dir / "config.json").read_text(encoding="utf-8"))
-        return "fly" if config["landing"]["survey_only"] else "land"
-    except (OSError, ValueError, LookupError, TypeError):
-        return "fly" if row["outcome"] == "COMPLETED" else "land"
+        text = (directory / "campaign.json").read_text(encoding="utf-8")
+        found = json.loads(text).get("text")
+    except (OSError, ValueError, AttributeError):
+        return ""
+    return found if isinstance(found, str) else text
 
 
 def number(row: Row, key: str) -> float | None:
@@ -171,21 +161,3 @@ def add_path_deviations(rows: list[dict[str, Any]]) -> None:
             continue
         for key, value in (path_deviation(Path(row["run_dir"])) or {}).items():
             row[f"path_deviation.{key}"] = value
-
-
-# --------------------------------------------------------------------------------------- campaigns
-
-_CAMPAIGN_FILES = ("campaign.toml", "campaign.json")
-
-
-def is_campaign(directory: Path) -> bool:
-    """Whether `touchdown campaign` wrote the directory."""
-    return any((directory / name).is_file() for name in _CAMPAIGN_FILES)
-
-
-def campaign_text(directory: Path) -> str:
-    """The text of the campaign's file, empty where there is none."""
-    for name in _CAMPAIGN_FILES:
-        if (directory / name).is_file():
-            return (directory / name).read_text(encoding="utf-8", errors="replace")
-    return ""

@@ -74,12 +74,18 @@ class Estimate:
         return {"value": self.value, "low": self.low, "high": self.high, "flights": self.flights}
 
 
-def mean_interval(values: Sequence[float]) -> Estimate | None:
+def mean_interval(values: Sequence[float] | Array) -> Estimate | None:
     """Mean over flights with its interval; None without a value."""
     sample = np.asarray(values, dtype=np.float64)
     if sample.size == 0:
         return None
     return _interval(float(sample.mean()), bootstrap_weights(sample.size) @ sample, sample.size)
+
+
+def difference_interval(new: Array, old: Array) -> Estimate:
+    """Difference of the means of two independent samples, each resampled on its own."""
+    drawn = bootstrap_weights(len(new), "new") @ new - bootstrap_weights(len(old), "old") @ old
+    return _interval(float(new.mean() - old.mean()), drawn, min(len(new), len(old)))
 
 
 def variance_interval(means: Sequence[float], variances: Sequence[float]) -> Estimate | None:

@@ -1,0 +1,59 @@
+"""What the method makes of one scan and one image taken at a standstill, for pictures of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.api import PaperParams
+from estimator.paper.depth_field import half_size_energy
+from estimator.paper.edges import edge_detector
+from estimator.paper.lidar_pose import scan_features
+from estimator.paper.projection import inside_image, lidar_to_camera, project
+from sim.api import LidarScan, SensorRig
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StillFeatures:
+    """Of the (N,) returns that the image shows."""
+
+    energy: NDArray[np.float32]
+    """(H/2, W/2) edge energy of the image"""
+    pixels: Array
+    """(N, 2) in the image"""
+    f_c: Array
+    """(N,) colour smoothness, Eq. 8"""
+    edge: NDArray[np.bool_]
+    """(N,) chosen as edge points"""
+    planar: NDArray[np.bool_]
+    """(N,) chosen as planar points"""
+
+
+def features_of_still_scan(
+    scan: LidarScan, rgb: NDArray[np.uint8], rig: SensorRig, params: PaperParams
+) -> StillFeatures:
+    """``scan`` and ``rgb`` (H, W, 3) of a camera without distortion, from one and the same pose."""
+    lidar = rig.lidar
+    valid = (scan.ranges >= lidar.min_range_m) & (scan.ranges <= lidar.max_range_m)
+    points = (scan.directions[valid] * scan.ranges[valid, None]).astype(np.float64)
+    in_camera = lidar_to_camera(points, rig.body_from_camera.inverse() @ rig.body_from_lidar)
+    energy = half_size_energy(rgb, edge_detector(params.edge_model))
+    chosen, f_c = scan_features(
+        points, points, in_camera, np.flatnonzero(valid), energy, rig.camera, params
+    )
+    pixels, front = project(in_camera, rig.camera.matrix())
+    seen = inside_image(pixels, front, (rig.camera.width, rig.camera.height))
+    picked = np.zeros((2, len(points)), bool)
+    picked[0, chosen.edges] = True
+    picked[1, chosen.planes] = True
+    return StillFeatures(
+        energy=energy,
+        pixels=pixels[seen],
+        f_c=f_c[seen],
+        edge=picked[0, seen],
+        planar=picked[1, seen],
+    )

@@ -1,0 +1,307 @@
+"""Wires a configuration into what is no flight: pictures, stands, practice, benchmarks.
+
+Beside ``experiments.build`` the only module that knows all folders.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.api import Controller
+from estimator.api import (
+    CalibrationResult,
+    CalibrationView,
+    Chessboard,
+    Estimate,
+    Estimator,
+    GridMap,
+    Mapper,
+    MapView,
+)
+from experiments.build import make_world
+from experiments.config import Config, UsageError
+from landing.api import Selection
+from scenes.api import Scene, TruthMaps
+from sim.api import SensorNeeds, SensorRig
+
+if TYPE_CHECKING:
+    from scenes.survey_facts import Difference, Layout, SurveyFacts
+    from sim.aerial import AerialCamera
+    from sim.bare import BareWorld
+    from sim.hover import HoverView
+    from sim.lidar_peers import LidarPeers
+    from sim.stand import SensorStand
+    from sim.tow import SensorTow
+
+Array = NDArray[np.float64]
+
+
+STAND_HEIGHT_M = 5.5
+"""of the vehicle over the floor while it is calibrated"""
+
+
+@dataclass(slots=True)
+class Practice:
+    """A vehicle in the air over a scene, for a pilot from elsewhere: ``controller``, told the truth
+    by ``estimator``, holds it until the pilot takes over. ``draw()`` is what a camera of
+    ``view_pixels`` (width, height) on the vehicle sees now, (H, W, 3) uint8."""
+
+    scene: Scene
+    world: Any
+    """``sim.world.MujocoWorld``, whose ``start_in_air`` begins an episode"""
+    estimator: Estimator
+    controller: Controller
+    step_s: float
+    """of one control step"""
+    draw: Callable[[], NDArray[np.uint8]]
+    close: Callable[[], None]
+
+
+def build_practice(
+    config: Config, scene: Scene, needs: SensorNeeds, view_pixels: tuple[int, int]
+) -> Practice:
+    """World and autopilot of ``config``, sensing what ``needs`` asks for."""
+    from controller.cascade import CascadeController
+    from estimator.oracle import Oracle
+    from sim.api import CameraParams
+    from sim.camera import CameraSensor
+
+    world = make_world(config, scene)
+    world.require(needs)
+    width, height = view_pixels
+    lens = CameraParams(noise_sigma=0.0, samples=4, width=width, height=height)
+    view = CameraSensor(scene, lens, config.seed)
+
+    def close() -> None:
+        view.close()
+        world.close()
+
+    return Practice(
+        scene=scene,
+        world=world,
+        estimator=Oracle(world.truth, world.rig),
+        controller=CascadeController(world.rig.vehicle, config.control),
+        step_s=config.sim.control_ticks / config.sim.tick_hz,
+        draw=lambda: view.render(world.snapshot(), 0),
+        close=close,
+    )
+
+
+def scene_names() -> list[str]:
+    """Names that a configuration's ``scene`` may have besides the path of an MJCF file."""
+    from scenes.registry import scene_names as names
+
+    return names()
+
+
+def scene_picture(scene: Scene, view: str, pixels: int | None = None) -> NDArray[np.uint8]:
+    """(H, W, 3) RGB, as `scenes.render.scene_picture`."""
+    from scenes.render import scene_picture as picture
+
+    return picture(scene, view, pixels)
+
+
+def scene_truth_maps(scene: Scene, cell_m: float, region: Array | None = None) -> TruthMaps:
+    """As `scenes.truth.truth_maps`."""
+    from scenes.truth import truth_maps
+
+    return truth_maps(scene, cell_m, region)
+
+
+def export_scene(scene: Scene, out_dir: Path) -> Path:
+    """Writes MJCF and assets, as `scenes.export.export_scene`; returns the file."""
+    from scenes.export import export_scene as export
+
+    return export(scene, out_dir)
+
+
+def hover_view(config: Config, scene: Scene, height_m: float, seconds: float) -> HoverView:
+    """What the configured camera and LIDAR see from a hover above the take-off spot."""
+    from sim.hover import hover_view as look
+
+    return look(
+        scene,
+        sim=config.sim,
+        camera=config.camera,
+        lidar=config.lidar,
+        seed=config.seed,
+        height_m=height_m,
+        seconds=seconds,
+    )
+
+
+@dataclass(slots=True)
+class TowedSurvey:
+    """The configured sensors on the planned survey, at its true poses, and what serves them."""
+
+    rig: SensorRig
+    tow: SensorTow
+    mapper: Mapper
+    path: Any
+    """``landing.trajectory.PiecewiseTrajectory`` of the survey, world frame, yaw ``yaw``"""
+    yaw: float
+    select: Callable[[MapView, Estimate], Selection]
+    """as the lander chooses at the end of its survey"""
+
+
+def build_towed_survey(config: Config, scene: Scene) -> TowedSurvey:
+    """A survey without a flight. Raises ValueError as `build_flight`."""
+    from estimator.mapper import GridMapper
+    from landing.selector import select_sites
+    from landing.trajectory import survey_trajectory
+    from sim.frames import yaw_from_rotation
+    from sim.tow import SensorTow
+
+    world = make_world(config, scene)
+    rig = world.rig
+    world.close()
+    start = rig.world_from_body_start
+    yaw = yaw_from_rotation(start.rotation)
+    above = start.translation + np.array([0.0, 0.0, config.survey.height_m])
+    above[2] -= rig.vehicle.leg_height_m
+    return TowedSurvey(
+        rig=rig,
+        tow=SensorTow(
+            scene, sim=config.sim, camera=config.camera, lidar=config.lidar, seed=config.seed
+        ),
+        mapper=GridMapper(rig, config.mapper),
+        path=survey_trajectory(above, yaw, config.survey),
+        yaw=yaw,
+        select=partial(
+            select_sites,
+            params=config.landing,
+            footprint_radius_m=rig.vehicle.footprint_radius_m,
+        ),
+    )
+
+
+def aerial_camera(config: Config, scene: Scene) -> AerialCamera:
+    """The configured camera, to be carried anywhere over a scene."""
+    from sim.aerial import AerialCamera
+
+    return AerialCamera(scene, config.camera, config.seed)
+
+
+@dataclass(slots=True)
+class SelectionStages:
+    """The steps of selection, timed one by one: a map and the vehicle's position (3,) in the odom
+    frame to ``landing.stages.Staged``."""
+
+    ours: Callable[[GridMap, Array], Any]
+    reference: Callable[[GridMap, Array], Any]
+    """by Open3D, SciPy and scikit-image"""
+
+
+def selection_stages(config: Config, rig: SensorRig) -> SelectionStages:
+    """As `landing.stages.staged_selection` and `landing.reference.reference_selection`."""
+    from landing.stages import staged_selection
+
+    given = {
+        "params": config.landing,
+        "footprint_radius_m": rig.vehicle.footprint_radius_m,
+    }
+
+    def reference(grid: GridMap, position: Array) -> Any:
+        try:
+            from landing.reference import reference_selection
+        except ImportError as error:
+            raise UsageError(
+                f"the comparison needs scikit-image ({error}): install it, or give --no-reference"
+            ) from error
+        return reference_selection(grid, position, **given)
+
+    return SelectionStages(ours=partial(staged_selection, **given), reference=reference)
+
+
+def build_stand(
+    config: Config, picture: NDArray[np.uint8], size_m: tuple[float, float]
+) -> SensorStand:
+    """The configured camera and LIDAR, hung up in a room over a board of ``size_m`` (width, height)
+    that shows ``picture`` (H, W, 3)."""
+    from scenes.calibration_room import BOARD_BODY, calibration_room
+    from sim.stand import SensorStand
+
+    return SensorStand(
+        calibration_room(picture, *size_m, config.seed),
+        sim=config.sim,
+        camera=config.camera,
+        lidar=config.lidar,
+        seed=config.seed,
+        height_m=STAND_HEIGHT_M,
+        board=BOARD_BODY,
+    )
+
+
+def calibrate(views: Sequence[CalibrationView], board: Chessboard, seed: int) -> CalibrationResult:
+    """As `estimator.calibration.calibrate.calibrate`."""
+    from estimator.calibration.calibrate import calibrate as run
+
+    return run(views, board, seed)
+
+
+def build_bare(config: Config, scene: Scene) -> BareWorld:
+    """The bare computation beside a flight that was built before, whose world set the physics."""
+    from sim.bare import BareWorld
+
+    return BareWorld(
+        scene, sim=config.sim, camera=config.camera, lidar=config.lidar, seed=config.seed
+    )
+
+
+def lidar_peers(config: Config, scene: Scene) -> LidarPeers:
+    """Ray casters beside the configured LIDAR in a scene."""
+    from sim.lidar_peers import LidarPeers
+
+    return LidarPeers(scene, config.lidar, config.seed)
+
+
+def survey_facts(config: Config, scene: Scene) -> SurveyFacts:
+    """What the configured survey finds. A Livox Horizon sees 81.7 x 25.1 degrees: from 30 m, 26 m
+    aside and 6.7 m ahead."""
+    from scenes.survey_facts import survey_facts as facts
+
+    survey = config.survey
+    ahead, aside = survey.height_m * np.tan(0.5 * np.deg2rad([25.1, 81.7]))
+    width = (survey.legs - 1) * survey.leg_spacing_m
+    return facts(scene, survey.leg_length_m, width, float(ahead), float(aside))
+
+
+def scene_layout(scene: Scene) -> Layout:
+    """As `scenes.survey_facts.layout`."""
+    from scenes.survey_facts import layout
+
+    return layout(scene)
+
+
+def layout_difference(a: Layout, b: Layout) -> Difference:
+    """As `scenes.survey_facts.difference`."""
+    from scenes.survey_facts import difference
+
+    return difference(a, b)
+
+
+def control_margins(config: Config, scene: Scene) -> list[Any]:
+    """``controller.design.LoopMargin`` of every loop for the vehicle of a scene."""
+    from controller.design import loop_margins
+    from sim.vehicle import vehicle_model
+
+    return loop_margins(vehicle_model(scene.model), config.control)
+
+
+def import_dem(tif: Path, out: Path, **options: Any) -> tuple[Path, list[str]]:
+    """A scene of an elevation model, as `scenes.dem.import_dem`: the MJCF file, and what the user
+    should know of it."""
+    from scenes.dem import import_dem as import_model
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        path = import_model(tif, out, **options)
+    return path, [str(warning.message) for warning in caught]
