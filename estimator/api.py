@@ -389,6 +389,10 @@ class StereoParams:
     """of a corner tracked from the keyframe, the relief of its landmark included"""
     disparity_sigma: float = 0.15
     """pixels, of one corner"""
+    track_sigma: float = 0.5
+    """pixels, of a corner tracked from the keyframe, when its depth is learned from the motion"""
+    keyframe_share: float = 0.55
+    """of a keyframe's corners: with fewer in sight a new one is made"""
     disparity_floor_sigma: float = 0.02
     """pixels, error of all disparities of a pair together"""
     relief_sigma_m: float = 2.0

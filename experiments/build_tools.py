@@ -31,10 +31,12 @@ from experiments.config import Config, UsageError
 from landing.api import Selection
 from scenes.api import Scene, TruthMaps
 from sim.api import SensorNeeds, SensorRig
+from sim.frames import Pose
 
 if TYPE_CHECKING:
     from scenes.survey_facts import Difference, Layout, SurveyFacts
-    from sim.aerial import AerialCamera
+    from estimator.paper.still_scan import StillFeatures
+    from sim.aerial import AerialCamera, AerialView
     from sim.bare import BareWorld
     from sim.hover import HoverView
     from sim.lidar_peers import LidarPeers
@@ -190,6 +192,13 @@ def aerial_camera(config: Config, scene: Scene) -> AerialCamera:
     return AerialCamera(scene, config.camera, config.seed)
 
 
+def risk_model() -> Any:
+    """The module `landing.risk`."""
+    from landing import risk
+
+    return risk
+
+
 @dataclass(slots=True)
 class SelectionStages:
     """The steps of selection, timed one by one: a map and the vehicle's position (3,) in the odom
@@ -219,6 +228,59 @@ def selection_stages(config: Config, rig: SensorRig) -> SelectionStages:
         return reference_selection(grid, position, **given)
 
     return SelectionStages(ours=partial(staged_selection, **given), reference=reference)
+
+
+def edge_detector(model: str) -> Callable[[NDArray[np.uint8]], NDArray[np.float32]]:
+    """As `estimator.paper.edges.edge_detector`."""
+    from estimator.paper.edges import edge_detector as detector
+
+    return detector(model)
+
+
+def train_edges(
+    images: Sequence[tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.bool_]]],
+    out: Path,
+    seed: int,
+    notes: dict[str, str],
+    progress: Callable[[int, int], None],
+) -> dict[str, Any]:
+    """Grows a structured forest from (picture, segments, boundaries) and writes it; its size."""
+    from estimator.paper.structured_forest import ForestParams, TrainingImages, grow_forest
+    from estimator.paper.structured_model import write_model
+
+    params = ForestParams()
+    trees = grow_forest(TrainingImages.of(*zip(*images, strict=True)), params, seed, progress)
+    write_model(out, trees, params, notes)
+    leaves = sum(int((tree.child == 0).sum()) for tree in trees)
+    return {"trees": len(trees), "leaves": leaves, "bytes": out.stat().st_size}
+
+
+def check_edge_target(out: Path) -> None:
+    """As `estimator.paper.structured_model.check_target`."""
+    from estimator.paper.structured_model import check_target
+
+    check_target(out)
+
+
+def still_features(
+    config: Config, scene: Scene, world_from_body: Pose, time_s: float
+) -> tuple[AerialView, StillFeatures]:
+    """What camera and LIDAR see from a pose, and what `paper` makes of one scan of it."""
+    from estimator.paper.still_scan import features_of_still_scan
+    from sim.aerial import AerialCamera, still_scan
+
+    world = make_world(config, scene)
+    rig = world.rig
+    world.close()
+    camera = AerialCamera(scene, config.camera, config.seed)
+    try:
+        view = camera.look(world_from_body, time_s, 0)
+    finally:
+        camera.close()
+    start = round(time_s * config.sim.tick_hz)
+    ticks = start + config.sim.lidar_scan_ticks * np.arange(2)
+    scan = still_scan(scene, config.lidar, config.seed, world_from_body, ticks, config.sim.tick_hz)
+    return view, features_of_still_scan(scan, view.rgb, rig, config.paper)
 
 
 def build_stand(

@@ -202,6 +202,19 @@ def connect(directory: Path) -> Any:
     return connection
 
 
+def run_sql(directory: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+    """Titles and rows that ``sql`` gives over the view ``runs``. Raises UsageError for bad SQL."""
+    import duckdb
+
+    connection = connect(directory)
+    try:
+        found = connection.execute(sql)
+        return [column[0] for column in found.description or []], found.fetchall()
+    except duckdb.Error as error:
+        text = " ".join(str(error).split("LINE 1")[0].split())
+        raise UsageError(f"query of '{directory}': {text}") from error
+
+
 def refresh(directory: Path) -> list[dict[str, Any]]:
     """All rows of a campaign; ``results.parquet`` is rewritten when it is not up to date."""
     results = directory / RESULTS_FILE

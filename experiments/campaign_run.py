@@ -163,6 +163,7 @@ def serve() -> None:
         answers.write(json.dumps(message) + "\n")
         answers.flush()
 
+    tell({"event": "ready"})
     for line in sys.stdin:
         _forget_random_state()
         try:

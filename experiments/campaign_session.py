@@ -7,7 +7,7 @@ import shutil
 import socket
 import time
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ from experiments.campaign_rows import (
 )
 from experiments.campaign_run import PARTIAL, Task, wants_recording
 from experiments.config import UsageError
-from experiments.engines import Engine, EngineStopped, Event
+from experiments.engines import Engine, EngineStoppedError, Event, LocalEngine
 from experiments.report import load_run
 
 _SECONDS_PER_SCAN = 0.1
@@ -85,7 +85,7 @@ def fly_campaign(
         try:
             if todo:
                 engine.run(todo, plan.limits, watcher.see)
-        except EngineStopped as error:
+        except EngineStoppedError as error:
             raise UsageError(
                 f"--out {directory}: {error}; make room, then give the same command again"
             ) from error
@@ -99,9 +99,7 @@ def fly_campaign(
         return summary(directory)
 
 
-def _left(
-    plan: Plan, directory: Path, shard: Shard | None, runner: str
-) -> tuple[list[Task], int]:
+def _left(plan: Plan, directory: Path, shard: Shard | None, runner: str) -> tuple[list[Task], int]:
     """Tasks that remain of this shard, and the number of those that do not."""
     finished = finished_ids(directory)
     mine = [run for run in plan.runs if shard is None or in_shard(run.run_id, shard)]
@@ -209,4 +207,13 @@ def default_jobs() -> int:
     return len(os.sched_getaffinity(0))
 
 
-Notify = Callable[[str], None]
+def make_engine(name: str, jobs: int | None, address: str | None = None) -> Engine:
+    """The engine of that name: ``local`` or ``ray``, whose cluster is at ``address``. Raises
+    UsageError when it cannot be had."""
+    if name == "ray":
+        from experiments.engine_ray import RayEngine
+
+        return RayEngine(jobs, address)
+    if address is not None:
+        raise UsageError("--ray-address goes with --engine ray")
+    return LocalEngine(jobs or default_jobs())

@@ -27,6 +27,9 @@ from experiments.cli_base import (
 )
 from experiments.cli_bench import bench
 from experiments.cli_calibrate import calibrate
+from experiments.cli_campaign import campaign, query
+from experiments.cli_edges import edges
+from experiments.cli_replay import run_replay
 from experiments.cli_report import regress, report
 from experiments.cli_scenes import scenes
 from experiments.console import (
@@ -60,7 +63,6 @@ class SiteType(click.ParamType):
 _Command = Callable[..., int]
 
 _FLIGHT_OPTIONS = (
-    click.argument("scene"),
     click.option(
         "--estimator",
         metavar="NAME",
@@ -98,11 +100,17 @@ _FLIGHT_OPTIONS = (
         help="Run directory.  [runs/SCENE-ESTIMATOR-SEED]",
     ),
     click.option("--record/--no-record", default=None, help="Write flight.rrd.  [record]"),
+    click.option(
+        "--log-sensors",
+        is_flag=True,
+        default=None,
+        help="Write sensors.mcap, all that sensors said, for --replay and other tools.",
+    ),
     click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object."),
     click.option("--quiet", is_flag=True, help="No progress on stderr."),
 )
 
-_CONFIG_OPTIONS = ("scene", "estimator", "seed", "wind_kmh", "record", "calibration")
+_CONFIG_OPTIONS = ("scene", "estimator", "seed", "wind_kmh", "record", "calibration", "log_sensors")
 """Those of them that `experiments.config.load_config` takes."""
 
 
@@ -126,6 +134,7 @@ def cli(context: click.Context) -> int:
 
 
 @cli.command()
+@click.argument("scene")
 @_flight_options
 @click.option("--site", type=SiteType(), help="Land here (metres, world frame), do not choose.")
 def land(site: tuple[float, float] | None, **options: Any) -> int:
@@ -140,12 +149,28 @@ def land(site: tuple[float, float] | None, **options: Any) -> int:
 
 
 @cli.command()
+@click.argument("scene", required=False)
 @_flight_options
-def fly(**options: Any) -> int:
+@click.option(
+    "--replay",
+    "replayed",
+    metavar="RUN",
+    type=click.Path(path_type=Path),
+    help="A run directory with sensors.mcap: those sensors instead of a flight.",
+)
+@click.pass_context
+def fly(context: click.Context, replayed: Path | None, **options: Any) -> int:
     """Fly the survey alone and report the positioning error.
+
+    With --replay, logged sensors go through an estimator without the simulator; RUN tells the
+    scene, and the result lands in runs/SCENE-ESTIMATOR-SEED-replay unless --out says otherwise.
 
     Example: touchdown fly crossroad --estimator oracle --set survey.height_m=20
     """
+    if replayed is not None:
+        return run_replay(replayed, options)
+    if options["scene"] is None:
+        raise click.MissingParameter(ctx=context, param_hint="'SCENE'", param_type="argument")
     return _run_flight(options, survey_only=True)
 
 
@@ -202,6 +227,9 @@ cli.add_command(regress)
 cli.add_command(scenes)
 cli.add_command(bench)
 cli.add_command(calibrate)
+cli.add_command(campaign)
+cli.add_command(query)
+cli.add_command(edges)
 
 
 @cli.group(cls=CommandGroup)

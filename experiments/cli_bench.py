@@ -123,6 +123,49 @@ def bench_landing(scene: str, seed: int, rounds: int, reference: bool, as_json: 
     return EXIT_DONE
 
 
+@bench.command("selector")
+@click.argument("scenes", nargs=-1)
+@click.option("--seeds", default="0-24", show_default=True, help="Such as 0-24 or 100,101.")
+@click.option("--scorer", type=click.Choice(["risk", "paper"]), default=None, help="  [risk]")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--fit", "fit_model", is_flag=True, help="Fit landing.risk_weights to these places.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def bench_selector(
+    scenes: tuple[str, ...],
+    seeds: str,
+    scorer: str | None,
+    jobs: int,
+    fit_model: bool,
+    overrides: tuple[str, ...],
+    as_json: bool,
+) -> int:
+    """Choose sites without flying and compare them with the true maps: precision, recall, regret
+    and calibration. The sensors are towed along the survey at its planned poses. SCENES: all that
+    have something to choose, unless given.
+
+    Example: touchdown bench selector crossroad lake --seeds 0-4
+    """
+    from experiments import selector_check
+
+    figures = usage_errors(
+        lambda: selector_check.run(
+            scenes or selector_check.SCENES,
+            seeds=seeds,
+            scorer=scorer,
+            jobs=jobs,
+            fit_model=fit_model,
+            overrides=overrides,
+            report=lambda place: click.echo(selector_check.row(place), err=as_json),
+        )
+    )
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+    else:
+        click.echo(selector_check.text(figures))
+    return EXIT_DONE
+
+
 def _usage_errors_until_airborne(
     measure: Callable[..., dict[str, Any]], config: Any, quiet: bool
 ) -> dict[str, Any]:

@@ -110,9 +110,7 @@ def matched_pairs(detected: Mask, true: Mask) -> int:
         sources.append(inside[there >= 0])
         targets.append(there[there >= 0])
     links = (np.concatenate(sources), np.concatenate(targets))
-    graph = csr_array(
-        (np.ones(len(links[0]), np.int8), links), shape=(len(rows), int(true.sum()))
-    )
+    graph = csr_array((np.ones(len(links[0]), np.int8), links), shape=(len(rows), int(true.sum())))
     return int((maximum_bipartite_matching(graph, perm_type="column") >= 0).sum())
 
 
@@ -178,5 +176,7 @@ def _f_of_counts(each: Sequence[tuple[int, int, int]]) -> float:
 def _average_precision(precision: Array, recall: Array) -> float:
     """Area below precision over recall, no precision beyond the greatest recall."""
     order = np.argsort(recall, kind="stable")
-    along = np.interp(_RECALLS, recall[order], precision[order], left=precision[order][0], right=0.0)
+    along = np.interp(
+        _RECALLS, recall[order], precision[order], left=precision[order][0], right=0.0
+    )
     return float(along.mean())

@@ -58,6 +58,8 @@ MAX_KILLED = 5
 """Times that a run is started over since somebody else killed its worker."""
 
 _POLL_S = 0.25
+_START_UP_S = 300.0
+"""for a worker to load what it needs, on a machine that is busy"""
 
 
 class Engine(Protocol):
@@ -68,11 +70,11 @@ class Engine(Protocol):
 
     def run(self, tasks: Sequence[Task], limits: Limits, tell: Callable[[Event], None]) -> None:
         """Returns when every task has ended. ``tell`` is called in the calling thread. Raises
-        ``EngineStopped`` when going on makes no sense; workers are gone when it leaves, however it
-        leaves."""
+        EngineStoppedError when going on makes no sense. Workers are gone when it leaves, however
+        it does."""
 
 
-class EngineStopped(RuntimeError):
+class EngineStoppedError(RuntimeError):
     """Going on with the campaign makes no sense: its disk is full or read-only."""
 
 
@@ -130,7 +132,7 @@ class Supervisor:
                 tell({"event": "unrecorded", "run_id": task.run_id, "error": failure.error})
                 return
             if failure.kind == "disk":
-                raise EngineStopped(failure.error)
+                raise EngineStoppedError(failure.error)
             kills += failure.kind == "killed"
             crashes += failure.kind in ("error", "died")
             may_repeat = failure.kind in ("error", "died", "killed")
@@ -155,51 +157,56 @@ class Supervisor:
     # ------------------------------------------------------------------------------- one attempt
 
     def _attempt(self, task: Task, note: Callable[[Event], None]) -> Failure | None:
+        """None when the task is done, or when all is to stop."""
         if self._runs >= RUNS_PER_WORKER:
             self.close()
-        worker = self._worker or self._start()
-        self._runs += 1
-        assert worker.stdin and worker.stdout and self._log
-        os.ftruncate(self._log.fileno(), 0)
-        failure: Failure | None
+        failure = None
         try:
-            worker.stdin.write(task.dump().encode() + b"\n")
-            worker.stdin.flush()
-            failure = self._watch(worker, note)
+            if self._worker is None:
+                self._start()
+                failure = self._watch(note, _START_UP_S)
+            if failure is None and not self._stop.is_set():
+                self._give(task)
+                failure = self._watch(note, self._limits.run_timeout_s)
         except BrokenPipeError:
-            failure = self._death(worker)
+            failure = self._death()
         if failure is not None or self._stop.is_set():
             self.close()
             clear_partial(Path(task.directory), task.run_id)
         return failure
 
-    def _watch(self, worker: subprocess.Popen[bytes], note: Callable[[Event], None]) -> Any:
-        """Follows the worker until it is idle, dead or over a limit."""
-        assert worker.stdout
-        limits, started = self._limits, time.monotonic()
-        rest = b""
+    def _give(self, task: Task) -> None:
+        assert self._worker and self._worker.stdin and self._log
+        os.ftruncate(self._log.fileno(), 0)
+        self._worker.stdin.write(task.dump().encode() + b"\n")
+        self._worker.stdin.flush()
+        self._runs += 1
+
+    def _watch(self, note: Callable[[Event], None], limit_s: float) -> Failure | None:
+        """Follows the worker until it can take a task, is dead, or is over a limit."""
+        assert self._worker and self._worker.stdout
+        pipe, since, rest = self._worker.stdout, time.monotonic(), b""
         while not self._stop.is_set():
-            if select.select([worker.stdout], [], [], _POLL_S)[0]:
-                chunk = os.read(worker.stdout.fileno(), 65536)
+            if select.select([pipe], [], [], _POLL_S)[0]:
+                chunk = os.read(pipe.fileno(), 65536)
                 if not chunk:
-                    return self._death(worker)
+                    return self._death()
                 *lines, rest = (rest + chunk).split(b"\n")
-                for line in lines:
-                    message = json.loads(line)
-                    if message["event"] == "idle":
+                for message in map(json.loads, lines):
+                    if message["event"] in ("ready", "idle"):
                         return None
                     if message["event"] == "error":
                         return Failure(message["kind"], message["error"], message["traceback"])
                     note(message)
-                    started = time.monotonic()  # what follows is the recording
-            if time.monotonic() - started > limits.run_timeout_s:
-                return Failure("time", f"took longer than {limits.run_timeout_s:g} s")
-            if _resident_bytes(worker.pid) > limits.memory_gb * 1e9:
-                return Failure("memory", f"took more than {limits.memory_gb:g} GB of memory")
+                    since = time.monotonic()  # what follows is the recording
+            if time.monotonic() - since > limit_s:
+                return Failure("time", f"took longer than {limit_s:g} s")
+            if _resident_bytes(self._worker.pid) > self._limits.memory_gb * 1e9:
+                return Failure("memory", f"took more than {self._limits.memory_gb:g} GB of memory")
         return None
 
-    def _start(self) -> subprocess.Popen[bytes]:
-        self._log = tempfile.TemporaryFile()
+    def _start(self) -> None:
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115  closed with the worker
         fcntl.fcntl(self._log, fcntl.F_SETFL, os.O_APPEND)
         self._runs = 0
         self._worker = subprocess.Popen(
@@ -211,11 +218,10 @@ class Supervisor:
             cwd=self._directory,
             start_new_session=True,  # Ctrl-C is for the parent
         )
-        return self._worker
 
-    def _death(self, worker: subprocess.Popen[bytes]) -> Failure:
-        code = worker.wait()
-        assert self._log
+    def _death(self) -> Failure:
+        assert self._worker and self._log
+        code = self._worker.wait()
         self._log.seek(0)
         tail = self._log.read()[-8000:].decode(errors="replace")
         if code >= 0:

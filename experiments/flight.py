@@ -6,26 +6,28 @@ import copy
 import importlib.metadata
 import json
 import math
-import os
-import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.api import GridMap
 from experiments.build import Flight, TruthLookup, build_flight, build_scene, check_estimator
-from experiments.config import Config, UsageError, dump_config
+from experiments.config import Config, dump_config
 from experiments.loop import run_flight
 from experiments.metrics import levelness_error_deg
 from experiments.recorder import NullRecorder, Recorder, RunRecorder
 from experiments.referee import FlightResult, Referee
 from experiments.rig import check_calibration
+from experiments.run_directory import check_out_dir, run_directory
 from experiments.timing import StageClock, Timed
 from scenes.api import Scene
+
+if TYPE_CHECKING:
+    from experiments.sensor_log import SensorLog
 
 Progress = Callable[[float, str, str], None]
 """Called with simulated seconds, phase and note."""
@@ -62,25 +64,26 @@ def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) 
     check_estimator(config.estimator)
     check_calibration(config)
     if out_dir is not None:
-        _check_out_dir(out_dir)
+        check_out_dir(out_dir)
     limit_threads()
     scene = build_scene(config)
     flight = build_flight(config, scene)
     if out_dir is None:
         return _fly_and_judge(config, flight, NullRecorder(), progress)
-    partial = out_dir.with_name(f".{out_dir.name}.partial-{os.getpid()}")
-    partial.mkdir(parents=True)
-    try:
-        recorder = RunRecorder(partial, scene, flight.world.rig, config)
+    with run_directory(out_dir) as partial:
+        sensors = _sensor_log(partial, flight) if config.log.sensors else None
+        recorder = RunRecorder(partial, scene, flight.world.rig, config, sensors)
         result = _fly_and_judge(config, flight, recorder, progress)
         (partial / "config.json").write_text(dump_config(config))
         (partial / "result.json").write_text(json.dumps(result, indent=2) + "\n")
-        if out_dir.exists():
-            shutil.rmtree(out_dir)
-        os.replace(partial, out_dir)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
     return result
+
+
+def _sensor_log(folder: Path, flight: Flight) -> SensorLog:
+    from experiments.sensor_log import FILE_NAME, SensorLog
+
+    shared = flight.mapper.needs | flight.lander.needs
+    return SensorLog(folder / FILE_NAME, flight.told, flight.estimator.needs | shared, shared)
 
 
 def _fly_and_judge(
@@ -106,7 +109,7 @@ def _fly_and_judge(
         flight.world.close()
         recorder.close()
     result = _result(config, flight, outcome, clock, surveyed or latest)
-    return _clean({**result, **watched.events.summary(), "faults": flight.faults()})
+    return plain_json({**result, **watched.events.summary(), "faults": flight.faults()})
 
 
 def make_referee(config: Config, scene: Scene, on_survey_end: Callable[[], None]) -> Referee:
@@ -178,6 +181,7 @@ def _result(
         "estimator": config.estimator,
         "wind_kmh": config.wind.mean_kmh,
         "position_error_m": outcome.position_error.summary(),
+        "span_s": outcome.span_s,
         "trajectory_error_m": outcome.deviation.mean,
         "trajectory_error_max_m": outcome.deviation.largest,
         "trajectory_variance_m2": outcome.deviation.variance,
@@ -190,7 +194,7 @@ def _result(
             "real_time_factor": outcome.sim_s / wall_s,
             "stage_ms": clock.stage_ms(outcome.sim_s),
         },
-        "versions": _versions(),
+        "versions": versions(),
         "git_revision": git_revision(),
     }
 
@@ -216,21 +220,12 @@ def _map_figures(
     }
 
 
-def _check_out_dir(out_dir: Path) -> None:
-    if not out_dir.exists():
-        return
-    if not out_dir.is_dir():
-        raise UsageError(f"--out {out_dir}: is a file; name a new directory")
-    if any(out_dir.iterdir()) and not (out_dir / "result.json").exists():
-        raise UsageError(f"--out {out_dir}: holds something that is no run; name another directory")
-
-
-def _clean(value: Any) -> Any:
+def plain_json(value: Any) -> Any:
     """Plain JSON: numpy scalars to Python's, NaN and infinities to null."""
     if isinstance(value, dict):
-        return {key: _clean(item) for key, item in value.items()}
+        return {key: plain_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_clean(item) for item in value]
+        return [plain_json(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):
@@ -238,7 +233,7 @@ def _clean(value: Any) -> Any:
     return value
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
     names = ("touchdown", "mujoco", "numpy", "numba", "open3d-cpu", "open3d", "rerun-sdk")
     found: dict[str, str] = {}
     for name in (*names, "opencv-contrib-python-headless"):

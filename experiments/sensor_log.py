@@ -22,6 +22,8 @@ from experiments import ros_messages as ros
 from experiments.message_json import to_plain
 from sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 
+FILE_NAME = "sensors.mcap"
+"""of the log in a run directory"""
 FORMAT = "1"
 METADATA = "touchdown"
 """name of the record that tells the rig, the rates and what was sensed"""
@@ -174,9 +176,7 @@ def plain_observation(obs: Observation) -> dict[str, Any]:
         for name in type(obs).__dataclass_fields__
         if name not in ("scans", "images")
     }
-    plain["scans"] = [
-        [s.start_tick, s.end_tick, s.start_time_s, s.end_time_s] for s in obs.scans
-    ]
+    plain["scans"] = [[s.start_tick, s.end_tick, s.start_time_s, s.end_time_s] for s in obs.scans]
     plain["images"] = [[i.tick, i.time_s, i.right_rgb is not None] for i in obs.images]
     return {name: value for name, value in plain.items() if value != []}
 

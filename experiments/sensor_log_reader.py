@@ -28,8 +28,6 @@ from experiments.sensor_log import (
 )
 from sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 
-FILE_NAME = "sensors.mcap"
-"""of the log in a run directory"""
 _WANTED = frozenset({OBSERVATION_TOPIC, SCAN_TOPIC, *IMAGE_TOPICS})
 
 

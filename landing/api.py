@@ -134,6 +134,27 @@ class LandingParams:
     weight_flatness: float = 0.5
     weight_smoothness: float = 0.3
     weight_distance: float = 0.2
+    scorer: str = "risk"
+    """``risk``: by the probability of a safe touchdown; ``paper``: by C_sum (Eq. 13) among sites
+    that pass the check of the ground"""
+    min_safe_probability: float = 0.95
+    """a site that is less likely to be safe is refused (``risk``)"""
+    energy_weight: float = 0.05
+    """what the farthest site within reach loses beside the nearest one (``risk``)"""
+    level_weight: float = 0.2
+    """what ground at ``max_slope_deg`` loses beside level ground (``risk``)"""
+    gust_drift_s: float = 0.02
+    """metres that each m/s of wind takes off the room around a site (``risk``)"""
+    risk_weights: tuple[float, ...] = (
+        11.87, -1.83, -1.21, -0.2, -0.2, -0.2, -5.49, -0.2, -0.2, -1.06, -1.30,
+    )  # fmt: skip
+    """log-odds of a safe touchdown: constant; slope, step, object, spread, neighbour, confinement,
+    sparsity and age (``landing.risk_features``); the worst of slope, step and neighbour, and what
+    that has beyond 0.8. Fitted by ``touchdown bench selector --fit``"""
+    emergency: str = ""
+    """``battery``: land within ``emergency_s`` on the least bad site; empty: no emergency"""
+    emergency_s: float = 45.0
+    """from the end of the survey to the ground in an emergency"""
     site_xy_m: tuple[float, float] | None = None
     """a commanded site (world frame) instead of a chosen one"""
     survey_only: bool = False

@@ -112,9 +112,10 @@ def quick_shift(values: Float32, *, bandwidth_cells: float, radius_cells: float)
     density = kernel_density(values, bandwidth_cells)
     root = _follow(_nearest_higher(density, _search_offsets(radius_cells)))
     inside = root >= 0
-    mode_index = np.unique(root[inside])
-    label = np.full(root.shape, -1, np.int32)
-    label[inside] = np.searchsorted(mode_index, root[inside]).astype(np.int32)
+    mode_index = np.flatnonzero(root == np.arange(root.size))
+    number = np.full(root.size, -1, np.int32)
+    number[mode_index] = np.arange(mode_index.size)
+    label = np.where(inside, number[root], np.int32(-1))
     cols = values.shape[1]
     modes = np.column_stack([mode_index // cols, mode_index % cols]).astype(np.int32)
     return Clusters(label=label.reshape(values.shape), modes=modes, density=density)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from landing.api import LandingParams
-from landing.terrain import PlaneField, Terrain, disc_maximum, distance_to, fit_planes
+from landing.terrain import PlaneField, Terrain, disc_maximum, fit_planes, near
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -72,8 +72,6 @@ class LandableMap:
     """a touchdown at this cell's centre is safe by geometry"""
     defect: NDArray[np.uint8]
     """``Defect`` of the cell itself"""
-    clearance_m: Float32
-    """distance to the nearest cell that is not landable (0 on those)"""
     slope_deg: Float32
     step_m: Float32
     peak_m: Float32
@@ -123,7 +121,7 @@ def moving_cells(terrain: Terrain) -> Mask:
         borderType=cv2.BORDER_CONSTANT,
         borderValue=0,
     )
-    return distance_to(blobs > 0, terrain.cell_m) <= _MOVING_MARGIN_M
+    return near(blobs > 0, _MOVING_MARGIN_M / terrain.cell_m)
 
 
 def ground_planes(terrain: Terrain, params: LandingParams) -> PlaneField:
@@ -168,13 +166,11 @@ def assess(
             defect[where] = kind
         clear_cells = (params.clear_radius_m + margin_m) / cell
         tall = disc_maximum(terrain.high, clear_cells) - terrain.height
-        footprint_free = distance_to(defect > 0, cell) > FOOTPRINT_M + margin_m
-        mask = footprint_free & (tall <= _TALL_M)
+        mask = ~near(defect > 0, (FOOTPRINT_M + margin_m) / cell) & (tall <= _TALL_M)
     mask &= _inside(terrain.shape, (FOOTPRINT_M + margin_m) / cell)
     return LandableMap(
         mask=mask,
         defect=defect,
-        clearance_m=distance_to(~mask, cell),
         slope_deg=slope,
         step_m=step,
         peak_m=peak,

@@ -7,22 +7,25 @@ that speaks against a place can make it better.
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from estimator.api import Estimate, MapView
 from landing.api import LandingParams
-from landing.landable import LandableMap
+from landing.landable import LandableMap, assess, ground_planes
 from landing.risk_features import NAMES, RiskFeatures, risk_features
-from landing.terrain import Terrain
+from landing.terrain import Terrain, observed_terrain
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 TERMS = ("constant", *NAMES, "worst", "near the limit")
 """of the logistic model, in the order of ``LandingParams.risk_weights``"""
-_RULED = (NAMES.index("slope"), NAMES.index("step"), NAMES.index("neighbour"))
-_KNEE = np.float32(0.8)
+_SLOPE, _STEP, _NEIGHBOUR = (NAMES.index(name) for name in ("slope", "step", "neighbour"))
+_KNEE = 0.8
 """share of a limit beyond which the map's own error decides"""
 _LEAST = -0.2
 """a coefficient is at most this, also where the fitted data has no say: true maps stand still, so
@@ -33,22 +36,46 @@ _RIDGE = 1e-4
 def terms(values: Float32) -> Float32:
     """(..., 10) the model's terms without the constant, from (..., 8) features: the features, the
     worst of those that the geometric rule limits, and what that has beyond 0.8 of the limit."""
-    worst = values[..., _RULED[0]]
-    for index in _RULED[1:]:
-        worst = np.maximum(worst, values[..., index])
-    knee = np.maximum(worst - _KNEE, np.float32(0.0))
+    worst = values[..., [_SLOPE, _STEP, _NEIGHBOUR]].max(axis=-1)
+    knee = np.maximum(worst - np.float32(_KNEE), np.float32(0.0))
     return np.concatenate([values, worst[..., None], knee[..., None]], axis=-1)
 
 
 def probability(features: RiskFeatures, weights: tuple[float, ...]) -> Float32:
     """(rows, cols) float32 of a touchdown that is safe by geometry; 0 where ``open`` is not.
     ``weights``: (11,) as ``TERMS``. ValueError: another number of them."""
+    result = np.zeros(features.open.shape, np.float32)
+    flat = features.values.reshape(-1, len(NAMES))
+    _believe(flat, features.open.ravel(), _checked(weights), result.ravel())
+    return result
+
+
+@numba.njit(cache=True)
+def _believe(values: Float32, chosen: Mask, weights: Array, result: Float32) -> None:
+    """The logistic model of ``terms`` on the chosen rows of (N, 8) features, into ``result``."""
+    count = values.shape[1]
+    for i in range(values.shape[0]):
+        if not chosen[i]:
+            continue
+        odds = weights[0]
+        for k in range(count):
+            odds += weights[1 + k] * values[i, k]
+        worst = max(values[i, _SLOPE], values[i, _STEP], values[i, _NEIGHBOUR])
+        odds += weights[1 + count] * worst + weights[2 + count] * max(worst - _KNEE, 0.0)
+        result[i] = 1.0 / (1.0 + np.exp(-odds))
+
+
+def _checked(weights: tuple[float, ...]) -> Array:
     if len(weights) != len(TERMS):
         raise ValueError(f"landing.risk_weights needs {len(TERMS)} numbers, not {len(weights)}")
-    result = np.zeros(features.open.shape, np.float32)
-    chosen = terms(features.values[features.open])
-    odds = chosen @ np.asarray(weights[1:], np.float32) + np.float32(weights[0])
-    result[features.open] = 1.0 / (1.0 + np.exp(-odds))
+    return np.asarray(weights, np.float64)
+
+
+def believed(values: Float32, weights: tuple[float, ...]) -> Float32:
+    """(N,) float32 probabilities from features (N, 8). ValueError: wrong number of weights."""
+    result = np.zeros(len(values), np.float32)
+    every = np.ones(len(values), np.bool_)
+    _believe(np.ascontiguousarray(values), every, _checked(weights), result)
     return result
 
 
@@ -58,6 +85,18 @@ def safe_probability(
     """(rows, cols) of every cell as a touchdown point; see ``risk_features``."""
     features = risk_features(terrain, landable, params, now_s=now_s, drift_m=drift_m)
     return probability(features, params.risk_weights)
+
+
+def features_of(map_view: MapView, estimate: Estimate, params: LandingParams) -> RiskFeatures:
+    """Features on the raster of ``landing.selector.select_sites``. ValueError: an empty map."""
+    terrain = observed_terrain(map_view.coarse)
+    if terrain is None:
+        raise ValueError("the map is empty: it has no features")
+    planes = ground_planes(terrain, params)
+    landable = assess(
+        terrain, planes, params, margin_m=params.map_margin_m, min_returns=params.min_returns
+    )
+    return risk_features(terrain, landable, params, now_s=estimate.time_s)
 
 
 def fit_weights(values: Float32, safe: NDArray[np.bool_]) -> tuple[float, ...]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import cv2
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,8 +28,8 @@ _ROOM_M = 2.0
 _MOST = 2.0
 """twice a limit is as bad as any more"""
 _AGE_S = 60.0
-_HARD = (Defect.UNKNOWN, Defect.MOVING, Defect.WATER)
-"""no coefficient outweighs these"""
+_IS_HARD = np.isin(np.arange(len(Defect)), (Defect.UNKNOWN, Defect.MOVING, Defect.WATER))
+"""by defect: no coefficient outweighs these"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,27 +56,32 @@ def risk_features(
     """
     cell = terrain.cell_m
     pad = FOOTPRINT_M / cell
-    hard = np.isin(landable.defect, _HARD)
+    hard = _IS_HARD[landable.defect]
     border = int(np.ceil(pad))
     inside = np.zeros(terrain.shape, np.bool_)
     inside[border:-border, border:-border] = True
     flawed = hard | (landable.defect >= Defect.ROUGH)
-    room = distance_to(flawed, cell) - np.float32(FOOTPRINT_M + drift_m)
-    slope = disc_maximum(landable.slope_deg, _SLOPE_DISC_M / cell)
+    room = distance_to(flawed, cell)
     side = 2 * border + 1
     thin = cv2.blur(1.0 / (1.0 + terrain.count), (side, side), borderType=cv2.BORDER_REPLICATE)
-    seen = np.where(np.isfinite(terrain.last_seen), terrain.last_seen, np.float32(now_s))
-    rasters = (
-        slope / np.float32(params.max_slope_deg),
-        disc_maximum(landable.step_m, pad) / np.float32(params.max_step_m),
-        disc_maximum(landable.peak_m, pad) / np.float32(params.max_step_m),
-        disc_maximum(terrain.std, pad) / np.float32(_SPREAD_LIMIT_M),
-        landable.tall_m / np.float32(_NEIGHBOUR_LIMIT_M),
-        1.0 - room / np.float32(_ROOM_M),
-        thin,
-        (np.float32(now_s) - seen) / np.float32(_AGE_S),
-    )
-    values = np.stack(rasters, axis=-1)
-    np.nan_to_num(values, copy=False, nan=_MOST, posinf=_MOST, neginf=0.0)
-    np.clip(values, 0.0, _MOST, out=values)
+    values = np.empty((*terrain.shape, len(NAMES)), np.float32)
+    _scaled(disc_maximum(landable.slope_deg, _SLOPE_DISC_M / cell), 0.0,
+            1.0 / params.max_slope_deg, values[..., 0])  # fmt: skip
+    for index, layer in ((1, landable.step_m), (2, landable.peak_m)):
+        _scaled(disc_maximum(layer, pad), 0.0, 1.0 / params.max_step_m, values[..., index])
+    _scaled(disc_maximum(terrain.std, pad), 0.0, 1.0 / _SPREAD_LIMIT_M, values[..., 3])
+    _scaled(landable.tall_m, 0.0, 1.0 / _NEIGHBOUR_LIMIT_M, values[..., 4])
+    _scaled(room, _ROOM_M + FOOTPRINT_M + drift_m, -1.0 / _ROOM_M, values[..., 5])
+    _scaled(thin, 0.0, 1.0, values[..., 6])
+    _scaled(terrain.last_seen, now_s, -1.0 / _AGE_S, values[..., 7])
     return RiskFeatures(values=values, open=inside & ~near(hard, pad))
+
+
+@numba.njit(cache=True)
+def _scaled(layer: Float32, zero: float, gain: float, out: Float32) -> None:
+    """(layer - zero) * gain within [0, 2]; 2 where the layer is not a number."""
+    rows, cols = layer.shape
+    for row in range(rows):
+        for col in range(cols):
+            value = (layer[row, col] - zero) * gain
+            out[row, col] = min(max(value, 0.0), _MOST) if value == value else _MOST

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from estimator.api import MapView
 from landing.api import LandingParams
 from landing.landable import FOOTPRINT_M, assess, explain, fit_footprint, ground_planes
-from landing.terrain import Terrain, observed_terrain, pooled
+from landing.terrain import Terrain, distance_to, observed_terrain, pooled
 
 Array = NDArray[np.float64]
 
 _POOL = 2
 """fine cells merged along each axis: enough returns in each for its mean to be trusted"""
 _MIN_RETURNS = 3.0
+_ENOUGH_ROOM_M = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,9 +47,8 @@ def look_again(
     why = explain(terrain, landable, row, col, params, margin)
     x, y = terrain.offsets_from(site_odom)
     away = np.hypot(x[None, :], y[:, None])
-    merit = np.where(
-        landable.mask & (away <= max_shift_m), np.minimum(landable.clearance_m, 1.0) - away, -np.inf
-    )
+    room = np.minimum(distance_to(~landable.mask, terrain.cell_m), _ENOUGH_ROOM_M)
+    merit = np.where(landable.mask & (away <= max_shift_m), room - away, -np.inf)
     best = int(np.argmax(merit))
     if not np.isfinite(merit.flat[best]):
         return Look(position_odom=None, reason=f"not landable from closer: {why}")

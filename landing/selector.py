@@ -13,16 +13,20 @@ from landing.api import Candidate, CostmapView, LandingParams, Selection
 from landing.clustering import Clusters, bandwidths, quick_shift
 from landing.costmap import compute_costmap
 from landing.landable import LandableMap, assess, explain, fit_footprint, ground_planes
-from landing.terrain import Terrain, observed_terrain
+from landing.risk import safe_probability
+from landing.terrain import Terrain, distance_to, observed_terrain
 from landing.traffic import traffic_penalty
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 _AVOID_M = 3.0
 """a site refused on a closer look is not offered again within this distance"""
-_ENOUGH_CLEARANCE_M = 1.0
+_ENOUGH_ROOM_M = 1.0
 _ROOM_WEIGHT = 0.1
+_PLENTY_M = 3.0
+"""room that counts where sites are ranked by risk"""
 _APART_M = 3.0
 """alternatives closer than this are no alternatives"""
 
@@ -37,11 +41,15 @@ NOTHING_MAPPED = Selection(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Judged:
-    """One map with everything that was computed of it."""
+    """One map with everything that was computed of it; rasters (rows, cols)."""
 
     terrain: Terrain
     costmap: CostmapView
     landable: LandableMap
+    allowed: Mask
+    probability: Float32
+    room_m: Float32
+    """distance to the nearest cell that is not allowed"""
     margin_m: float
 
 
@@ -53,38 +61,62 @@ def select_sites(
     footprint_radius_m: float,
     reach_m: float = np.inf,
     avoid_odom: Sequence[Array] = (),
+    wind_mps: float = 0.0,
+    least_bad: bool = False,
 ) -> Selection:
-    """Alternative sites in the observed map: accepted ones first, then by C_sum less the
-    penalty of ``landing.traffic``.
+    """Alternative sites in the observed map: accepted ones first, then by the value that
+    ``params.scorer`` gives them less the penalty of ``landing.traffic``.
 
-    ``reach_m``: how far the energy left allows to fly; ``avoid_odom``: sites already refused.
+    ``reach_m``: how far the energy left allows to fly; ``avoid_odom``: sites already refused;
+    ``wind_mps``: speed of the wind as far as it is known; ``least_bad``: accept the most probable
+    site where none is good enough. ValueError: an unknown scorer.
     """
     terrain = observed_terrain(map_view.coarse)
     if terrain is None:
         return NOTHING_MAPPED
-    judged = _judge(terrain, estimate, reach_m, params, params.map_margin_m)
-    costmap, landable = judged.costmap, judged.landable
-    bandwidth, radius = bandwidths(footprint_radius_m / terrain.cell_m)
-    clusters = quick_shift(costmap.total, bandwidth_cells=bandwidth, radius_cells=radius)
-    value = costmap.total - traffic_penalty(terrain, landable, params)
-    allowed = landable.mask & np.isfinite(costmap.total)
+    drift_m = params.gust_drift_s * wind_mps
+    judged = _judge(terrain, estimate, reach_m, params, params.map_margin_m, drift_m)
     for avoid in avoid_odom:
         x, y = terrain.offsets_from(avoid)
-        allowed &= np.hypot(x[None, :], y[:, None]) > _AVOID_M
-    spots = _best_spots(clusters, value, allowed, landable)
-    candidates = [
-        _candidate(judged, spot, terrain.centre_of(*spot), bool(allowed[spot]), params)
-        for spot in _shortlist(
-            spots, value, allowed, params.max_candidates, _APART_M / terrain.cell_m
+        np.logical_and(
+            judged.allowed, np.hypot(x[None, :], y[:, None]) > _AVOID_M, out=judged.allowed
         )
+    value = _value_map(judged, params) - traffic_penalty(terrain, judged.landable, params)
+    if least_bad and not judged.allowed.any() and np.isfinite(value).any():
+        judged.allowed.flat[int(np.nanargmax(value))] = True
+    bandwidth, radius = bandwidths(footprint_radius_m / terrain.cell_m)
+    clusters = quick_shift(
+        _cluster_map(judged, params), bandwidth_cells=bandwidth, radius_cells=radius
+    )
+    spots = _best_spots(clusters, value, judged)
+    apart = _APART_M / terrain.cell_m
+    candidates = [
+        _candidate(judged, spot, terrain.centre_of(*spot), params, certain=not least_bad)
+        for spot in _shortlist(spots, value, judged.allowed, params.max_candidates, apart)
     ]
     candidates.sort(key=lambda site: not site.accepted)  # stable: best first within both
     return Selection(
         candidates=tuple(candidates),
-        costmap=costmap,
-        allowed=allowed,
-        probability=np.where(allowed, np.float32(1.0), np.float32(0.0)),
+        costmap=judged.costmap,
+        allowed=judged.allowed,
+        probability=judged.probability,
     )
+
+
+def _cluster_map(judged: _Judged, params: LandingParams) -> Float32:
+    """What Quick Shift climbs: C_sum, or where it is the risk that counts, the probability."""
+    return judged.costmap.total if params.scorer == "paper" else judged.probability
+
+
+def _value_map(judged: _Judged, params: LandingParams) -> Float32:
+    """Rank of a cell as a site; NaN where energy or the map do not reach."""
+    if params.scorer == "paper":
+        return judged.costmap.total
+    energy = np.float32(params.energy_weight) * (1.0 - judged.costmap.distance)
+    room = np.minimum(judged.room_m, _PLENTY_M) * np.float32(_ROOM_WEIGHT / _PLENTY_M)
+    tilt = np.minimum(judged.landable.slope_deg / np.float32(params.max_slope_deg), 1.0)
+    value = judged.probability - energy + room - np.float32(params.level_weight) * tilt
+    return value.astype(np.float32)
 
 
 def check_site(
@@ -97,12 +129,12 @@ def check_site(
     terrain = observed_terrain(map_view.coarse)
     if terrain is None:
         return _unseen(xy_odom), None
-    judged = _judge(terrain, estimate, np.inf, params, params.low_margin_m)
+    judged = _judge(terrain, estimate, np.inf, params, params.low_margin_m, 0.0)
     spot = terrain.cell_of(xy_odom)
     if not terrain.contains(*spot):
         return _unseen(xy_odom), judged.costmap
-    allowed = bool(judged.landable.mask[spot])
-    return _candidate(judged, spot, xy_odom, allowed, params), judged.costmap
+    judged.allowed[spot] = judged.landable.mask[spot]
+    return _candidate(judged, spot, xy_odom, params), judged.costmap
 
 
 def _unseen(xy: Array) -> Candidate:
@@ -122,23 +154,43 @@ def _unseen(xy: Array) -> Candidate:
 
 
 def _judge(
-    terrain: Terrain, estimate: Estimate, reach_m: float, params: LandingParams, margin_m: float
+    terrain: Terrain,
+    estimate: Estimate,
+    reach_m: float,
+    params: LandingParams,
+    margin_m: float,
+    drift_m: float,
 ) -> _Judged:
     planes = ground_planes(terrain, params)
     position = estimate.odom_from_body.translation
     costmap = compute_costmap(terrain, planes, position, reach_m, params)
     landable = assess(terrain, planes, params, margin_m=margin_m, min_returns=params.min_returns)
-    return _Judged(terrain=terrain, costmap=costmap, landable=landable, margin_m=margin_m)
+    if params.scorer == "paper":
+        allowed = landable.mask & np.isfinite(costmap.total)
+        believed = allowed.astype(np.float32)
+    elif params.scorer == "risk":
+        now_s = estimate.time_s
+        believed = safe_probability(terrain, landable, params, now_s=now_s, drift_m=drift_m)
+        allowed = (believed >= params.min_safe_probability) & np.isfinite(costmap.distance)
+    else:
+        raise ValueError(f"landing.scorer is {params.scorer!r}: use 'risk' or 'paper'")
+    return _Judged(
+        terrain=terrain,
+        costmap=costmap,
+        landable=landable,
+        allowed=allowed,
+        probability=believed,
+        room_m=distance_to(~allowed, terrain.cell_m),
+        margin_m=margin_m,
+    )
 
 
-def _best_spots(
-    clusters: Clusters, value: Float32, allowed: NDArray[np.bool_], landable: LandableMap
-) -> list[tuple[int, int]]:
-    """One cell per cluster: the allowed one of highest cost value, room to err counting up to
-    1 m of clearance; the mode itself where nothing in the cluster is allowed."""
+def _best_spots(clusters: Clusters, value: Float32, judged: _Judged) -> list[tuple[int, int]]:
+    """One cell per cluster: the allowed one of highest value, room to err counting up to 1 m; the
+    mode itself where nothing in the cluster is allowed."""
     spots = clusters.modes.copy()
-    room = np.minimum(landable.clearance_m, _ENOUGH_CLEARANCE_M) / _ENOUGH_CLEARANCE_M
-    cells = np.flatnonzero(allowed & (clusters.label >= 0))
+    room = np.minimum(judged.room_m, _ENOUGH_ROOM_M) / _ENOUGH_ROOM_M
+    cells = np.flatnonzero(judged.allowed & (clusters.label >= 0))
     merit = value.ravel()[cells] + _ROOM_WEIGHT * room.ravel()[cells]
     label = clusters.label.ravel()[cells]
     best = np.full(spots.shape[0], -np.inf, np.float32)
@@ -158,7 +210,8 @@ def _shortlist(
 ) -> list[tuple[int, int]]:
     """The best ``limit`` spots that keep apart; two thirds of the places are for allowed ones, if
     there are as many, so that refused ones of high value stay visible."""
-    by_value = sorted(spots, key=lambda spot: (-float(value[spot]), spot))
+    filled = np.nan_to_num(value, nan=-np.inf)
+    by_value = sorted(spots, key=lambda spot: (-float(filled[spot]), spot))
     chosen: list[tuple[int, int]] = []
     for wanted, places in ((True, (2 * limit + 2) // 3), (False, limit)):
         for spot in by_value:
@@ -172,36 +225,36 @@ def _shortlist(
 
 
 def _candidate(
-    judged: _Judged, spot: tuple[int, int], xy: Array, allowed: bool, params: LandingParams
+    judged: _Judged,
+    spot: tuple[int, int],
+    xy: Array,
+    params: LandingParams,
+    *,
+    certain: bool = True,
 ) -> Candidate:
-    """The site at ``xy`` (2,) in the cell ``spot``; ``allowed`` by the geometric check and by
-    earlier looks. The plane through the whole footprint has the last word."""
-    terrain, costmap, landable = judged.terrain, judged.costmap, judged.landable
-    row, col = spot
+    """The site at ``xy`` (2,) in the cell ``spot``. Where it must be ``certain``, the plane through
+    the whole footprint has the last word."""
+    costmap = judged.costmap
     xy = np.asarray(xy, dtype=np.float64)
-    plane = fit_footprint(terrain, xy)
-    clearance = float(landable.clearance_m[row, col])
+    plane = fit_footprint(judged.terrain, xy)
     if plane is None:
         return _unseen(xy)
-    accepted, reason = allowed, ""
-    slope_limit = params.max_slope_deg - params.slope_margin_deg
-    rough_limit = params.max_step_m - params.step_margin_m
+    believed = float(judged.probability[spot])
+    refusal = None
+    if not judged.allowed[spot]:
+        refusal = _why_not(judged, spot, params)
+    elif certain and plane.slope_deg > params.max_slope_deg - params.slope_margin_deg:
+        refusal = f"slope {plane.slope_deg:.1f} deg over the footprint"
+    elif certain and plane.roughness_m > params.max_step_m - params.step_margin_m:
+        refusal = f"{plane.roughness_m:.2f} m off its plane"
+    room = float(judged.room_m[spot])
     figures = (
         f"slope {plane.slope_deg:.1f} deg, roughness {plane.roughness_m:.2f} m, "
-        f"clearance {clearance:.1f} m, C_sum {_value(costmap.total, spot):.2f}"
+        f"clearance {room:.1f} m, C_sum {_value(costmap.total, spot):.2f}"
     )
-    if not allowed:
-        if landable.mask[row, col]:
-            reason = "refused: seen from closer it was not landable, or out of reach"
-        else:
-            why = explain(terrain, landable, row, col, params, judged.margin_m)
-            reason = f"refused: {why}"
-    elif plane.slope_deg > slope_limit:
-        accepted, reason = False, f"refused: slope {plane.slope_deg:.1f} deg over the footprint"
-    elif plane.roughness_m > rough_limit:
-        accepted, reason = False, f"refused: {plane.roughness_m:.2f} m off its plane"
-    else:
-        reason = f"landable: {figures}"
+    if params.scorer == "risk":
+        figures += f", safe with probability {believed:.3f}"
+    verdict = "landable" if certain or believed >= params.min_safe_probability else "the least bad"
     return Candidate(
         position_odom=plane.position,
         normal_odom=plane.normal,
@@ -211,10 +264,21 @@ def _candidate(
         distance=_value(costmap.distance, spot),
         slope_deg=plane.slope_deg,
         roughness_m=plane.roughness_m,
-        clearance_m=clearance,
-        accepted=accepted,
-        reason=reason,
+        clearance_m=room,
+        accepted=refusal is None,
+        reason=f"{verdict}: {figures}" if refusal is None else f"refused: {refusal}",
+        safe_probability=believed if params.scorer == "risk" else float("nan"),
     )
+
+
+def _why_not(judged: _Judged, spot: tuple[int, int], params: LandingParams) -> str:
+    landable = judged.landable
+    if not landable.mask[spot]:
+        return explain(judged.terrain, landable, *spot, params, judged.margin_m)
+    believed = float(judged.probability[spot])
+    if believed < params.min_safe_probability and params.scorer == "risk":
+        return f"safe with probability {believed:.2f} (at least {params.min_safe_probability:.2f})"
+    return "seen from closer it was not landable, or out of reach"
 
 
 def _value(layer: Float32, spot: tuple[int, int]) -> float:

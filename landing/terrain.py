@@ -292,4 +292,6 @@ def near(mask: Mask, radius_cells: float) -> Mask:
     reach = int(radius_cells)
     offset = np.arange(-reach, reach + 1)
     disc = (offset[:, None] ** 2 + offset[None, :] ** 2 <= radius_cells**2).astype(np.uint8)
-    return cv2.dilate(mask.astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    return (
+        cv2.dilate(mask.astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from landing.api import LandingParams
 from landing.landable import Defect, LandableMap
-from landing.terrain import Terrain, distance_to
+from landing.terrain import Terrain, near
 
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -51,5 +51,5 @@ def _smooth_echo(terrain: Terrain) -> Float32:
 def traffic_penalty(terrain: Terrain, landable: LandableMap, params: LandingParams) -> Float32:
     """What is taken off C_sum when sites are ranked, (rows, cols): ``traffic_penalty`` within 2 m
     of a surface that traffic uses, else 0."""
-    near = distance_to(driven_surface(terrain, landable), terrain.cell_m) <= _NEAR_M
-    return np.where(near, np.float32(params.traffic_penalty), np.float32(0.0))
+    close = near(driven_surface(terrain, landable), _NEAR_M / terrain.cell_m)
+    return np.where(close, np.float32(params.traffic_penalty), np.float32(0.0))

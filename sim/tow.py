@@ -124,4 +124,3 @@ def _attitude(acceleration: Array, yaw: float) -> Array:
     left = np.cross(up, ahead)
     left /= np.linalg.norm(left)
     return quat_wxyz_from_matrix(np.column_stack([np.cross(left, up), left, up]))
-

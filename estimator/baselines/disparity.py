@@ -94,22 +94,20 @@ class GroundHeight:
         self._variance *= 1.0 - gain
 
 
-def corner_depths(
-    rays: Array,
+def inverse_depths(
     found: NDArray[np.int64],
     shifts: Array,
     ground_m: Array,
     scale: float,
     params: StereoParams,
-) -> Array:
-    """(N,) depths of the corners along ``rays`` (N, 3): the ground's (N,), improved by the
-    disparities ``shifts`` (M,) of those ``found`` (M,) as far as these can tell relief. Inverse
-    depths, in which the noise of disparities is alike at all ranges, are averaged by variance."""
-    prior = 1.0 / ground_m
-    prior_sigma = params.relief_sigma_m * prior**2
-    inverse = prior.copy()
-    own_sigma = params.disparity_sigma / scale
-    gain = prior_sigma[found] ** 2 / (prior_sigma[found] ** 2 + own_sigma**2)
-    inverse[found] += gain * (shifts / scale - prior[found])
-    depths: Array = 1.0 / np.where(inverse > 1e-4, inverse, np.nan)
-    return depths
+) -> tuple[Array, Array]:
+    """(N,) inverse depths of corners and their variances: the ground's ``ground_m`` (N,), improved
+    by the disparities ``shifts`` (M,) of those ``found`` (M,) as far as these can tell relief. In
+    inverse depth the noise of disparities is alike at all ranges. NaN where there is no ground."""
+    inverse = 1.0 / ground_m
+    variance = (params.relief_sigma_m * inverse**2) ** 2
+    own = (params.disparity_sigma / scale) ** 2
+    gain = variance[found] / (variance[found] + own)
+    inverse[found] += gain * (shifts / scale - inverse[found])
+    variance[found] *= 1.0 - gain
+    return inverse, variance

@@ -107,11 +107,16 @@ class Navigator:
 
     def _wanted(self, obs: Observation) -> Observation:
         """Without what others on board have asked for: a flight must not depend on them."""
-        period = self._image_period
-        images = tuple(i for i in obs.images if period and i.tick % period == 0)
-        if not obs.scans and len(images) == len(obs.images):
-            return obs
-        return dataclasses.replace(obs, scans=(), images=images)
+        period, needs = self._image_period, self.needs
+        return dataclasses.replace(
+            obs,
+            scans=(),
+            images=tuple(i for i in obs.images if period and i.tick % period == 0),
+            gps=obs.gps if needs.gps else (),
+            barometer=obs.barometer if needs.barometer else (),
+            magnetometer=obs.magnetometer if needs.magnetometer else (),
+            rangefinder=obs.rangefinder if needs.rangefinder else (),
+        )
 
     def _aligned(self, world_from_body: Pose) -> InertialFilter:
         rig = dataclasses.replace(self.rig, world_from_body_start=world_from_body)

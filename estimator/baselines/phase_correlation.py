@@ -19,6 +19,9 @@ Grey = NDArray[np.uint8]
 _SURE = 0.05
 """of all the energy in the peak's neighbourhood: below it a scale is not believed"""
 
+_LEAST_CONTRAST = 0.5
+"""grey levels, standard deviation"""
+
 
 @dataclass(frozen=True, slots=True)
 class Shift:
@@ -60,14 +63,18 @@ def _half(picture: Grey) -> Grey:
 def _common(
     before: Grey, now: Grey, shift: NDArray[np.int64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
-    """What both pictures show once ``now`` is moved back by ``shift``; None if that is too little."""
+    """What both pictures show once ``now`` is moved back by ``shift``, about the mean; None if that
+    is too little, or nothing but one level."""
     height, width = before.shape
     dx, dy = int(shift[0]), int(shift[1])
     if width - abs(dx) < 24 or height - abs(dy) < 24:
         return None
     first = before[max(-dy, 0) : height - max(dy, 0), max(-dx, 0) : width - max(dx, 0)]
     second = now[max(dy, 0) : height - max(-dy, 0), max(dx, 0) : width - max(-dx, 0)]
-    return first.astype(np.float32), second.astype(np.float32)
+    pair = first.astype(np.float32), second.astype(np.float32)
+    if min(float(picture.std()) for picture in pair) < _LEAST_CONTRAST:
+        return None
+    return pair[0] - pair[0].mean(), pair[1] - pair[1].mean()
 
 
 def _window(shape: tuple[int, ...]) -> NDArray[np.float32]:

@@ -14,19 +14,18 @@ from numpy.typing import NDArray
 
 from estimator.api import Estimate, StereoParams
 from estimator.baselines.corner_flow import follow
-from estimator.baselines.disparity import GroundHeight, corner_depths, disparities
+from estimator.baselines.disparity import GroundHeight, inverse_depths, disparities
 from estimator.baselines.navigator import Grey, Navigator
 from estimator.imu_propagation import STATE_DIM
 from estimator.keyframes import bearing_rays, detect_features
 from estimator.visual import reprojection_information
 from sim.api import CameraImage, Observation, SensorNeeds, SensorRig
+from sim.frames import Pose
 
 Array = NDArray[np.float64]
 
 _PATIENCE_S = 1.5
 _LEAST_USED = 15
-_KEEP_SHARE = 0.55
-"""of a keyframe's corners: with fewer in sight a new one is made"""
 _GATES_PX = (12.0, 6.0, 3.0, 3.0)
 
 
@@ -35,8 +34,16 @@ class _Keyframe:
     grey: Grey
     pixels: Array
     """(N, 2) corners"""
-    landmarks: Array
-    """(N, 3) in the keyframe's IMU frame"""
+    rays: Array
+    """(N, 3) theirs, camera frame, z = 1"""
+    inverse: Array
+    """(N,) inverse depths along the optical axis, 1/m"""
+    variance: Array
+    """(N,) of these"""
+
+    def landmarks(self, imu_from_camera: Pose) -> Array:
+        """(N, 3) in the keyframe's IMU frame."""
+        return imu_from_camera.apply(self.rays / self.inverse[:, None])
 
 
 class StereoEstimator:
@@ -83,18 +90,41 @@ class StereoEstimator:
         position = eskf.state.position
         self._distance += float(np.linalg.norm(position - self._position))
         self._position = position
-        self._look(left, right, image.time_s, new_keyframe=share < _KEEP_SHARE)
+        self._look(left, right, image.time_s, new_keyframe=share < self._params.keyframe_share)
 
     def _track(self, keyframe: _Keyframe, left: Grey, time_s: float) -> float:
         """Corrects the filter; returns the share of the keyframe's corners that were used."""
-        expected = self._project(keyframe.landmarks)
+        landmarks = keyframe.landmarks(self._imu_from_camera)
+        expected = self._project(landmarks)
         guess = np.where(np.isfinite(expected), expected, keyframe.pixels)
         found, reached = follow(keyframe.grey, left, keyframe.pixels, guess)
-        used, rms = self._iterate(reached, keyframe.landmarks[found])
+        used, rms = self._iterate(reached, landmarks[found])
         self._diagnostics = {"features_tracked": float(used), "visual_rms_px": rms}
         if used:
             self._seen_s = time_s
+            self._learn(keyframe, found, reached)
         return used / len(keyframe.pixels)
+
+    def _learn(self, keyframe: _Keyframe, found: NDArray[np.int64], reached: Array) -> None:
+        """What the motion since the keyframe tells about the corners' depths (Eq. of a scalar
+        Kalman filter each): relief shows as parallax, while the scale stays that of the pair."""
+        eskf, camera = self._nav.eskf, self._rig.camera
+        key = eskf.clones[0] @ self._imu_from_camera
+        now_from_key = (eskf.state.pose @ self._imu_from_camera).inverse() @ key
+        inverse, variance = keyframe.inverse[found], keyframe.variance[found]
+        shift = now_from_key.translation
+        points = keyframe.rays[found] @ now_from_key.rotation.T + inverse[:, None] * shift
+        focal = np.array([camera.fx, camera.fy])
+        places = points[:, :2] / points[:, 2:]
+        slopes = focal * (shift[:2] - places * shift[2]) / points[:, 2:]
+        residuals = reached - (focal * places + [camera.cx, camera.cy])
+        noise = self._params.track_sigma**2
+        near = np.hypot(*residuals.T) < _GATES_PX[0]
+        power = variance * (slopes**2).sum(axis=1)
+        gain = np.where(near, variance / (power + noise), 0.0)
+        inverse = inverse + gain * (slopes * residuals).sum(axis=1)
+        keyframe.inverse[found] = np.maximum(inverse, 1e-4)
+        keyframe.variance[found] = np.where(near, variance * noise / (power + noise), variance)
 
     def _project(self, landmarks: Array) -> Array:
         """(N, 2) pixels of landmarks (N, 3) of the clone's IMU frame, NaN where behind."""
@@ -141,14 +171,13 @@ class StereoEstimator:
         self._ground.take(rays[found], shifts, pose, scale, time_s)
         if not new_keyframe:
             return
-        depths = corner_depths(
-            rays, found, shifts, self._ground.depths(rays, pose), scale, self._params
+        inverse, variance = inverse_depths(
+            found, shifts, self._ground.depths(rays, pose), scale, self._params
         )
-        good = np.isfinite(depths)
+        good = inverse > 0.0
         if int(good.sum()) < _LEAST_USED:
             return
         if eskf.clones:
             eskf.remove_clone(0)
         eskf.add_clone()
-        landmarks = self._imu_from_camera.apply(rays[good] * depths[good, None])
-        self._keyframe = _Keyframe(left, pixels[good], landmarks)
+        self._keyframe = _Keyframe(left, pixels[good], rays[good], inverse[good], variance[good])

@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from experiments.campaign_dir import write_text
 from experiments.config import UsageError
-from experiments.reporting.files import write_text
 from experiments.reporting.flights import Row, is_bad, number
 
 FORMAT = "touchdown-baseline-1"

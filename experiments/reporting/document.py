@@ -11,9 +11,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from experiments.campaign_dir import write_text
 from experiments.reporting import published
 from experiments.reporting.figures import Picture, all_pictures
-from experiments.reporting.files import write_text
 from experiments.reporting.flights import (
     Row,
     add_path_deviations,

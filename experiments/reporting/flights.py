@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -47,12 +46,10 @@ def load_flights(directory: Path) -> list[dict[str, Any]]:
 
 def campaign_text(directory: Path) -> str:
     """The campaign's file as it was given, empty where there is none."""
-    try:
-        text = (directory / "campaign.json").read_text(encoding="utf-8")
-        found = json.loads(text).get("text")
-    except (OSError, ValueError, AttributeError):
+    file = directory / "campaign.toml"
+    if not file.is_file():
         return ""
-    return found if isinstance(found, str) else text
+    return file.read_text(encoding="utf-8", errors="replace")
 
 
 def number(row: Row, key: str) -> float | None:

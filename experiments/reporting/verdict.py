@@ -24,7 +24,7 @@ def verdict_words(found: Comparison) -> list[str]:
         )
     if not lines:
         limit = f" by more than {100 * found.margin:g} %" if found.margin else ""
-        lines.append(f"Nothing got worse{limit} beyond chance in {_cells(len(found.cells))}.")
+        lines.append(f"Nothing got worse{limit} beyond chance in {_comparisons(len(found.cells))}.")
     lines += _power_words(found)
     lines += [f"newly lost: {line}" for line in found.newly_bad]
     lines += [f"missing: {line}" for line in found.missing]
@@ -38,8 +38,8 @@ def _interval(cell: CellResult) -> str:
     return f" [{cell.ratio_low:.3g}, {cell.ratio_high:.3g}]"
 
 
-def _cells(count: int) -> str:
-    return f"{count} cell{'s' * (count != 1)}"
+def _comparisons(count: int) -> str:
+    return f"{count} comparison{'s' * (count != 1)}"
 
 
 def _power_words(found: Comparison) -> list[str]:
@@ -57,9 +57,9 @@ def _power_words(found: Comparison) -> list[str]:
     if blind:
         needed = fewest_pairs(ERROR_ALPHA / len(found.cells))
         lines.append(
-            f"No change could have been found in {_cells(len(blind))} with too few flights "
+            f"No change could have been found in {_comparisons(len(blind))} with too few flights "
             f"({', '.join(cell.name for cell in blind[:4])}"
-            f"{', ...' if len(blind) > 4 else ''}): {_cells(len(found.cells))} together need "
+            f"{', ...' if len(blind) > 4 else ''}): {_comparisons(len(found.cells))} together need "
             f"{needed} equal seeds each."
         )
     return lines

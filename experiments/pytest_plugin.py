@@ -1,0 +1,172 @@
+"""pytest: fly an estimator over scenes and seeds inside a test, and hold its error to a bound.
+
+Installed with the project; ``-p no:touchdown`` turns it off. Only pytest is imported here, since
+pytest loads the module whatever it tests.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Rows = list[dict[str, Any]]
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("touchdown", "flights of Touchdown")
+    group.addoption(
+        "--touchdown-jobs",
+        type=int,
+        default=1,
+        metavar="N",
+        help="processes that fly at a time (default: 1, in the process of the tests)",
+    )
+    group.addoption(
+        "--touchdown-out",
+        type=Path,
+        default=None,
+        metavar="DIR",
+        help="keep the run directories there, for `touchdown report` and `touchdown regress`",
+    )
+
+
+@pytest.fixture(scope="session")
+def touchdown_flights(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[..., Rows]:
+    """A function that flies and returns one row a flight; see `fly_all` for its arguments."""
+    out = request.config.getoption("--touchdown-out") or tmp_path_factory.mktemp("touchdown")
+    jobs = request.config.getoption("--touchdown-jobs")
+
+    def flights(
+        estimator: str,
+        *,
+        scenes: Iterable[str] = ("crossroad",),
+        seeds: Iterable[int] = (0,),
+        mode: str = "fly",
+        overrides: Sequence[str] = (),
+    ) -> Rows:
+        return fly_all(
+            estimator,
+            scenes=list(scenes),
+            seeds=list(seeds),
+            out=out,
+            mode=mode,
+            overrides=overrides,
+            jobs=jobs,
+        )
+
+    return flights
+
+
+def fly_all(
+    estimator: str,
+    *,
+    scenes: Sequence[str],
+    seeds: Sequence[int],
+    out: Path,
+    mode: str = "fly",
+    overrides: Sequence[str] = (),
+    jobs: int = 1,
+) -> Rows:
+    """Flies an estimator over every scene with every seed.
+
+    ``estimator`` is a name or ``module:function``; ``mode`` ``"fly"`` (the survey alone) or
+    ``"land"``; ``overrides`` are ``key=value`` strings as after ``--set``. Run directories appear
+    below ``out``. The rows are in the order of scenes and seeds, whatever ``jobs``; their keys are
+    those of ``result.json`` with dots between them, such as ``position_error_m.mean``. A flight
+    that raises becomes a row with the outcome ``CRASHED`` and its error as the reason.
+
+    Raises UsageError for a mistake in the arguments, before the first flight.
+    """
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    from experiments.config import UsageError, load_config
+
+    if mode not in ("fly", "land"):
+        raise UsageError(f"mode = '{mode}' must be 'fly' or 'land'")
+    if jobs < 1:
+        raise UsageError(f"--touchdown-jobs {jobs} must be 1 or more")
+    tasks = []
+    for scene in scenes:
+        for seed in seeds:
+            config = load_config(
+                None,
+                ["sim.threads=1", "record=false", *overrides],
+                scene=scene,
+                seed=seed,
+                estimator=estimator,
+                survey_only=mode == "fly",
+            )
+            name = f"{Path(scene).stem}-{estimator.replace(':', '.')}-s{seed}"
+            tasks.append((config.model_dump_json(), str(out / name), mode))
+    if jobs == 1 or len(tasks) == 1:
+        return [_fly_one(task) for task in tasks]
+    # Spawned: a fork would inherit OpenGL contexts and threads of the test process.
+    with ProcessPoolExecutor(
+        min(jobs, len(tasks)), mp_context=get_context("spawn"), initializer=_one_thread
+    ) as pool:
+        return list(pool.map(_fly_one, tasks))
+
+
+def _one_thread() -> None:
+    """Keeps numerical libraries of a worker on one core; before they are imported."""
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+
+
+def _fly_one(task: tuple[str, str, str]) -> dict[str, Any]:
+    from experiments.campaign import config_sha
+    from experiments.campaign_rows import CRASHED, make_row
+    from experiments.cli_base import guarded_fly, rendering_backend
+    from experiments.config import Config, UsageError
+
+    os.environ.setdefault("MUJOCO_GL", rendering_backend())
+    text, out, mode = task
+    config = Config.model_validate_json(text)
+    try:
+        result = guarded_fly(config, Path(out), lambda *_: None)
+    except UsageError:
+        raise
+    except Exception as error:
+        result = {
+            "scene": config.scene,
+            "estimator": config.estimator,
+            "seed": config.seed,
+            "wind_kmh": config.wind.mean_kmh,
+            "outcome": CRASHED,
+            "reason": f"{type(error).__name__}: {error}",
+        }
+    return make_row(result, Path(out).name, mode, config_sha(config))
+
+
+def assert_position_error(
+    rows: Iterable[Mapping[str, Any]], *, below: float, key: str = "position_error_m.mean"
+) -> None:
+    """Fails unless every flight ended as it should with less than ``below`` at ``key``.
+
+    The message names each flight that does not. Raises ValueError without any flight.
+    """
+    from experiments.reporting.flights import is_bad, number
+
+    flights = list(rows)
+    if not flights:
+        raise ValueError("assert_position_error was given no flight")
+    failed = []
+    for row in flights:
+        error = number(row, key)
+        who = f"{row['scene']}, {row['estimator']}, seed {row['seed']}"
+        if is_bad(row):
+            failed.append(f"{who}: {row['outcome']} ({row.get('reason') or 'no reason given'})")
+        elif error is None or not error < below:
+            failed.append(f"{who}: {key} = {error if error is None else f'{error:.4g}'}")
+    if failed:
+        raise AssertionError(
+            f"{len(failed)} of {len(flights)} flights are not below {below:g}:\n  "
+            + "\n  ".join(failed)
+        )
