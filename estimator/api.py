@@ -326,7 +326,7 @@ class OpticalFlowParams:
     camera_hz: int = 10
     features: int = 150
     """corners of an image"""
-    window_pixels: int = 480
+    window_pixels: int = 240
     """side of the middle of the image that they are taken from"""
     pixel_sigma: float = 0.3
     """of the flow of one corner"""
@@ -340,7 +340,7 @@ class OpticalFlowParams:
     """of one reading of the magnetometer, ten a second"""
     baro_sigma_m: float = 0.5
     """of one reading of the barometer, its drift included"""
-    drift_share: float = 0.03
+    drift_share: float = 0.005
     """of the distance flown: what the position is trusted to, besides the filter's own covariance"""
     blend_s: float = 0.15
     """a correction of the filter reaches control over this time"""
@@ -385,11 +385,11 @@ class StereoParams:
     camera_hz: int = 10
     features: int = 220
     """corners of a keyframe"""
-    pixel_sigma: float = 0.4
-    """of a corner tracked from the keyframe, the relief of its landmark included"""
+    pixel_sigma: float = 1.5
+    """of a corner tracked from the keyframe, what is wrong with its depth included"""
     disparity_sigma: float = 0.15
     """pixels, of one corner"""
-    track_sigma: float = 0.5
+    track_sigma: float = 1.0
     """pixels, of a corner tracked from the keyframe, when its depth is learned from the motion"""
     keyframe_share: float = 0.55
     """of a keyframe's corners: with fewer in sight a new one is made"""
@@ -399,7 +399,7 @@ class StereoParams:
     """heights of what stands on the ground"""
     ground_density: float = 0.3
     """m/sqrt(s): random walk of the mean height of the ground in view"""
-    drift_share: float = 0.03
+    drift_share: float = 0.003
     """of the distance flown: what the position is trusted to, besides the filter's own covariance"""
     blend_s: float = 0.15
     """a correction of the filter reaches control over this time"""

@@ -19,10 +19,15 @@ from estimator.keyframes import (
 )
 from estimator.landmark_depth import RecentReturns
 from estimator.patch_tracker import Grey, track
+from estimator.plane_extension import extend_plane
 from sim.api import CameraIntrinsics
 from sim.frames import Pose
 
 Array = NDArray[np.float64]
+
+_FEW_PLANES = 60
+"""features of a keyframe with returns of their own below which the others are given the plane of
+the returns around, if there is one"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -151,6 +156,8 @@ class VisualFrontEnd:
         )
         camera_from_odom = (eskf.state.pose @ self._imu_from_camera).inverse()
         measure_planes(keyframe, recent, camera_from_odom, self._camera)
+        if int(keyframe.valid.sum()) < _FEW_PLANES:
+            extend_plane(keyframe, recent, camera_from_odom, self._camera)
         if int(keyframe.valid.sum()) < 25:
             return False
         if len(self.keyframes) == self._max_keyframes:

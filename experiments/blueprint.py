@@ -41,7 +41,7 @@ def flight_blueprint(centre_xy_m: NDArray[np.float64], span_m: float) -> rrb.Blu
         ),
         rrb.TextLogView(
             origin="log",
-            name="Phases",
+            name="Phases, estimator, faults",
             columns=rrb.TextLogColumns(
                 timeline_columns=[TIMELINE],
                 text_log_columns=[rrb.encodings.TextLogColumn("Body")],

@@ -67,10 +67,10 @@ def locked(directory: Path, shard: Shard | None) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _flock(path: Path, *, shared: bool) -> Iterator[None]:
-    with path.open("a+", encoding="utf-8") as file:
+def _flock(path: Path, *, shared: bool, sign: bool = True) -> Iterator[None]:
+    with path.open("a+" if sign else "r", encoding="utf-8") as file:
         fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-        if not shared:
+        if sign and not shared:
             file.truncate(0)
             file.write(f"process {os.getpid()} on {socket.gethostname()}")
             file.flush()
@@ -205,9 +205,19 @@ def clear_partial(directory: Path, run_id: str) -> None:
 def flying_now(directory: Path) -> list[str]:
     """Names of the runs in the air, as far as the directory tells."""
     folder = directory / PARTIAL
-    if not folder.is_dir():
+    if not folder.is_dir() or not _is_in_use(directory):
         return []
     return sorted({path.name.rpartition(".")[0] for path in folder.iterdir()})
+
+
+def _is_in_use(directory: Path) -> bool:
+    try:
+        with _flock(directory / LOCK_FILE, shared=False, sign=False):
+            return False
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
 
 
 def _escaped(name: str) -> str:

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from statistics import fmean
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
@@ -148,7 +147,7 @@ def _cost_table(estimators: Mapping[str, Any]) -> Table:
     """The stages that matter; the others together. `--json` has them all."""
     shown = ("set_up", "world", "estimator", "mapper")
     title = "a run on average, and where its time went"
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=title, title_justify="left", box=None)
     table.add_column("estimator", no_wrap=True)
     for title in ("runs", "wall s", "cpu s", "set-up", "sensors", "estimator", "mapper", "rest"):
         table.add_column(title, justify="right", no_wrap=True)

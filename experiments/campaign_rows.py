@@ -159,7 +159,8 @@ def write_table(rows: Sequence[Mapping[str, Any]], path: Path, stamp: str = "") 
     table = table_of(rows).replace_schema_metadata({"touchdown.stamp": stamp})
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        pq.write_table(table, partial)
+        # A row alone would be mostly dictionaries and statistics of one value.
+        pq.write_table(table, partial, use_dictionary=len(rows) > 1, write_statistics=False)
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
@@ -240,15 +241,16 @@ def finished_ids(directory: Path) -> set[str]:
 def is_whole(run: Path) -> bool:
     """Whether a run directory of a campaign can be read. It appears whole or not at all, but the
     machine may have failed before its files were on the disk."""
-    import pyarrow.lib
-    import pyarrow.parquet as pq
+    return _ends_in(run / ROW_FILE, b"PAR1") and _ends_in(run / "result.json", b"}")
 
+
+def _ends_in(path: Path, mark: bytes) -> bool:
     try:
-        pq.read_metadata(run / ROW_FILE)
-        json.loads((run / "result.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError, pyarrow.lib.ArrowException):
+        with path.open("rb") as file:
+            file.seek(-min(8, os.fstat(file.fileno()).st_size), os.SEEK_END)
+            return file.read().rstrip().endswith(mark)
+    except OSError:
         return False
-    return True
 
 
 def _order(row: Mapping[str, Any]) -> tuple[Any, ...]:

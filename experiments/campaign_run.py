@@ -25,7 +25,7 @@ from typing import Any
 
 from experiments.campaign import config_for, config_sha
 from experiments.campaign_rows import FAILED, ROW_FILE, RUNS, is_whole, make_row, write_table
-from experiments.cli_base import is_good
+from experiments.cli_base import guarded_fly, is_good
 from experiments.config import Config, UsageError
 
 PARTIAL = ".partial"
@@ -49,7 +49,7 @@ class Task:
     """absolute, of the campaign"""
     record_failures: bool = False
     """fly a run with a bad outcome once more, for its recording"""
-    runner: str = "experiments.flight:fly"
+    runner: str = "experiments.campaign_run:fly"
     """MODULE:FUNCTION that takes a configuration and an output directory, fills it and returns the
     result"""
 
@@ -148,6 +148,11 @@ def _runner(task: Task) -> Callable[[Config, Path], dict[str, Any]]:
     return runner
 
 
+def fly(config: Config, out: Path) -> dict[str, Any]:
+    """The runner of every real campaign."""
+    return guarded_fly(config, out, lambda _time_s, _phase, _note: None)
+
+
 # ----------------------------------------------------------------------------------------- worker
 
 
@@ -176,15 +181,16 @@ def serve() -> None:
 
 def _told(error: Exception) -> dict[str, Any]:
     kind = "error"
-    if isinstance(error, UsageError | FileNotFoundError):
-        kind = "input"
-    elif isinstance(error, OSError) and error.errno in _NO_SPACE:
+    cause = error.__cause__ or error
+    if isinstance(cause, OSError) and cause.errno in _NO_SPACE:
         kind = "disk"
+    elif isinstance(error, UsageError):
+        kind = "input"
     text = " ".join(str(error).split())
     return {
         "event": "error",
         "kind": kind,
-        "error": f"{type(error).__name__}: {text}" if text else type(error).__name__,
+        "error": text if kind == "input" else f"{type(error).__name__}: {text}",
         "traceback": "".join(traceback.format_exception(error)),
     }
 

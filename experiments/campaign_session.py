@@ -58,7 +58,7 @@ def fly_campaign(
     *,
     shard: Shard | None = None,
     watcher: Watcher | None = None,
-    runner: str = "experiments.flight:fly",
+    runner: str = "experiments.campaign_run:fly",
 ) -> dict[str, Any]:
     """Flies what ``directory`` lacks of a plan, and returns `summary`.
 

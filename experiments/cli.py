@@ -137,7 +137,12 @@ def cli(context: click.Context) -> int:
 @click.argument("scene")
 @_flight_options
 @click.option("--site", type=SiteType(), help="Land here (metres, world frame), do not choose.")
-def land(site: tuple[float, float] | None, **options: Any) -> int:
+@click.option(
+    "--emergency",
+    type=click.Choice(["battery"]),
+    help="Down within landing.emergency_s of the survey's end, on the least bad site in reach.",
+)
+def land(site: tuple[float, float] | None, emergency: str | None, **options: Any) -> int:
     """Take off, survey, map, choose a landing site and land on it.
 
     SCENE is a name (see `touchdown scenes list`) or the path of an MJCF file. Exit code 0 means
@@ -145,7 +150,7 @@ def land(site: tuple[float, float] | None, **options: Any) -> int:
 
     Example: touchdown land crossroad --seed 3 --wind-kmh 20 --set landing.second_look=false
     """
-    return _run_flight(options, site=site)
+    return _run_flight(options, site=site, emergency=emergency)
 
 
 @cli.command()

@@ -178,4 +178,5 @@ def _print_rows(columns: list[str], rows: list[tuple[Any, ...]]) -> None:
     for row in rows:
         cells = (f"{v:.6g}" if isinstance(v, float) else "" if v is None else str(v) for v in row)
         table.add_row(*map(escape, cells))
-    Console(highlight=False).print(table)
+    # Only people need it to fit.
+    Console(highlight=False, width=None if sys.stdout.isatty() else 4000).print(table)

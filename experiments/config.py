@@ -135,6 +135,7 @@ OPTION_KEYS: Mapping[str, str] = {
     "log_sensors": "log.sensors",
     "wind_kmh": "wind.mean_kmh",
     "site": "landing.site_xy_m",
+    "emergency": "landing.emergency",
     "survey_only": "landing.survey_only",
     "fault": "faults.events",
 }

@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 Notes = Callable[[str], None]
 
 TRAIN_SCENES = (
-    "cottage", "crossroad", "flat", "footbridge", "forest", "lake", "open_water",
-    "rooftop_parking", "turf",
+    "cottage", "crossroad", "flat", "footbridge", "forest", "lake", "rooftop_parking", "turf",
+    "open_water",
 )  # fmt: skip
 TEST_SCENES = ("houses", "pools")
 """which no picture of the training shows"""

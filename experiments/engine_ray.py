@@ -22,8 +22,8 @@ _POLL_S = 0.5
 class SupervisedWorker:
     """The actor: flies one task at a time in a process of its own on the node where it lives."""
 
-    def __init__(self, limits: Limits, environment: dict[str, str], directory: str) -> None:
-        self._supervisor = Supervisor(limits, environment, directory)
+    def __init__(self, limits: Limits, directory: str) -> None:
+        self._supervisor = Supervisor(limits, local_environment(), directory)
 
     def complete(self, task: Task) -> list[Event]:
         events: list[Event] = []
@@ -71,7 +71,9 @@ class RayEngine:
                             if event["event"] != "started":
                                 tell(event)
                     except ray.exceptions.RayTaskError as error:
-                        raise EngineStoppedError(str(error.cause)) from error
+                        if isinstance(error.cause, EngineStoppedError):
+                            raise EngineStoppedError(str(error.cause)) from error
+                        raise
                     except ray.exceptions.RayError:
                         actors.remove(actor)
                         actor = self._actor(limits)
@@ -84,11 +86,10 @@ class RayEngine:
                 ray.kill(actor)
 
     def _actor(self, limits: Limits) -> Any:
-        environment = local_environment()
         remote = self._ray.remote(num_cpus=1, max_restarts=0, max_concurrency=1)(SupervisedWorker)
         return remote.options(
             runtime_env={"env_vars": {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}}
-        ).remote(limits, environment, os.getcwd())
+        ).remote(limits, os.getcwd())
 
     def _lost(
         self, task: Task, kills: int, waiting: deque[Task], tell: Callable[[Event], None]

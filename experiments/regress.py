@@ -204,16 +204,26 @@ def _over_scenes(samples: Sequence[_Sample]) -> list[_Sample]:
 
 def _test(samples: Sequence[_Sample], margin: float) -> list[CellResult]:
     """Tests every sample and corrects over all of them."""
-    shift = math.log1p(margin)
-    raw = [
-        float(sign_flip_p(s.new - s.old - shift) if s.paired else unpaired_p(s.new - shift, s.old))
-        for s in samples
-    ]
+    raw = _p_values(samples, math.log1p(margin))
     alpha = ERROR_ALPHA / max(1, len(samples))
     return [
         _result(sample, p, adjusted, alpha, margin)
         for sample, p, adjusted in zip(samples, raw, holm(raw), strict=True)
     ]
+
+
+def _p_values(samples: Sequence[_Sample], shift: float) -> list[float]:
+    """One p a sample; samples of equal shape are tested by one product of matrices."""
+    groups: dict[tuple[bool, int, int], list[int]] = {}
+    for index, sample in enumerate(samples):
+        shape = (sample.paired, len(sample.new), len(sample.old))
+        groups.setdefault(shape, []).append(index)
+    found = np.ones(len(samples))
+    for (paired, _, _), members in groups.items():
+        new = np.column_stack([samples[index].new for index in members]) - shift
+        old = np.column_stack([samples[index].old for index in members])
+        found[members] = sign_flip_p(new - old) if paired else unpaired_p(new, old)
+    return [float(p) for p in found]
 
 
 def _result(sample: _Sample, p: float, adjusted: float, alpha: float, margin: float) -> CellResult:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -69,18 +69,30 @@ def tow_survey(config: Config, period_s: float = LOOK_PERIOD_S) -> Surveyed:
     """
     scene = build_scene(config)
     survey = build_towed_survey(config, scene)
-    sim = config.sim
-    period = max(round(period_s * sim.tick_hz), sim.lidar_scan_ticks)
-    view, estimate = None, None
+    *_, (estimate, view) = observe(survey, survey.path, start_s=0.0, period_s=period_s)
+    selection = survey.select(view, estimate)
+    return Surveyed(
+        scene=scene, survey=survey, map_view=view, estimate=estimate, selection=selection
+    )
+
+
+def observe(
+    survey: TowedSurvey, path: Any, *, start_s: float, period_s: float
+) -> Iterator[tuple[Estimate, MapView]]:
+    """Tows the sensors along ``path`` from ``start_s`` on and yields after every scan. The camera
+    is free again at the end."""
+    rig = survey.rig
+    period = max(round(period_s * rig.tick_hz), rig.lidar_scan_ticks)
+    first = round(start_s * rig.tick_hz)
     try:
-        starts = range(0, round(survey.path.duration_s * sim.tick_hz), period)
+        starts = range(first, first + round(path.duration_s * rig.tick_hz), period)
         for number, start in enumerate(starts):
             picture = number % _PICTURE_EVERY == 0
-            look = survey.tow.look(start, survey.path, 0.0, survey.yaw, picture=picture)
-            end = start + sim.lidar_scan_ticks
+            look = survey.tow.look(start, path, start_s, survey.yaw, picture=picture)
+            end = start + rig.lidar_scan_ticks
             obs = Observation(
                 tick=end,
-                time_s=end / sim.tick_hz,
+                time_s=end / rig.tick_hz,
                 scans=(look.scan,),
                 images=() if look.image is None else (look.image,),
                 rotor_speed_radps=np.zeros(4),
@@ -92,15 +104,9 @@ def tow_survey(config: Config, period_s: float = LOOK_PERIOD_S) -> Surveyed:
                 quats_wxyz=look.quats_wxyz,
             )
             estimate = _true_estimate(obs, look.world_from_body, track)
-            view = survey.mapper.update(obs, estimate)
+            yield estimate, survey.mapper.update(obs, estimate)
     finally:
         survey.tow.close()
-    assert view is not None
-    assert estimate is not None
-    selection = survey.select(view, estimate)
-    return Surveyed(
-        scene=scene, survey=survey, map_view=view, estimate=estimate, selection=selection
-    )
 
 
 def check_place(config: Config) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,7 +134,7 @@ class LandingParams:
     weight_flatness: float = 0.5
     weight_smoothness: float = 0.3
     weight_distance: float = 0.2
-    scorer: str = "risk"
+    scorer: Literal["risk", "paper"] = "risk"
     """``risk``: by the probability of a safe touchdown; ``paper``: by C_sum (Eq. 13) among sites
     that pass the check of the ground"""
     min_safe_probability: float = 0.95
@@ -145,13 +145,15 @@ class LandingParams:
     """what ground at ``max_slope_deg`` loses beside level ground (``risk``)"""
     gust_drift_s: float = 0.02
     """metres that each m/s of wind takes off the room around a site (``risk``)"""
-    risk_weights: tuple[float, ...] = (
+    risk_weights: tuple[
+        float, float, float, float, float, float, float, float, float, float, float
+    ] = (
         11.87, -1.83, -1.21, -0.2, -0.2, -0.2, -5.49, -0.2, -0.2, -1.06, -1.30,
     )  # fmt: skip
     """log-odds of a safe touchdown: constant; slope, step, object, spread, neighbour, confinement,
     sparsity and age (``landing.risk_features``); the worst of slope, step and neighbour, and what
     that has beyond 0.8. Fitted by ``touchdown bench selector --fit``"""
-    emergency: str = ""
+    emergency: Literal["", "battery"] = ""
     """``battery``: land within ``emergency_s`` on the least bad site; empty: no emergency"""
     emergency_s: float = 45.0
     """from the end of the survey to the ground in an emergency"""
@@ -192,6 +194,10 @@ class LandingParams:
     search_legs: int = 1
     """further survey legs when no site was found"""
     go_arounds: int = 2
+    unhealthy_hold_s: float = 1.0
+    """an estimate that says it is unhealthy for this long stops the vehicle where it is"""
+    unhealthy_abort_s: float = 8.0
+    """and for this long ends the flight: straight down"""
     climb_speed_mps: float = 3.0
     cruise_speed_mps: float = 7.0
     descent_speed_mps: float = 2.5

@@ -35,16 +35,17 @@ _MOTORS_OFF_S = 1.0
 
 
 def descend_to(flight: Flight) -> Generator[Setpoint, None, str | None]:
-    """Down to the commitment height with both looks. None: committed; else why not, in words."""
+    """Down to the commitment height with both looks. None: committed; else why not, in words. In an
+    emergency one look, which may move the site but refuses nothing."""
     flight.phase = Phase.DESCEND
     params = flight.params
     yield from _sink_to(flight, params.look_height_m)
     if params.second_look:
         refusal = yield from _look(flight, _MAX_SHIFT_M, "10 m")
-        if refusal is not None:
+        if refusal is not None and flight.deadline_s is None:
             return refusal
     yield from _sink_to(flight, params.commit_height_m)
-    if params.second_look:
+    if params.second_look and flight.deadline_s is None:
         yield from _sweep(flight)
         refusal = yield from _look(flight, _MAX_LOW_SHIFT_M, "4 m")
         if refusal is not None:
@@ -78,7 +79,8 @@ def _look(flight: Flight, max_shift_m: float, name: str) -> Generator[Setpoint, 
     shift = 0.0 if flight.params.site_xy_m is not None else max_shift_m
     look = look_again(flight.map_view, flight.site_odom, shift, flight.params)
     waited = 0.0
-    while look.position_odom is None and waited < _LOOK_PATIENCE_S:
+    patience = _LOOK_PATIENCE_S if flight.deadline_s is None else 0.0
+    while look.position_odom is None and waited < patience:
         yield from flight.hover(1.0)
         waited += 1.0
         look = look_again(flight.map_view, flight.site_odom, shift, flight.params)
@@ -119,6 +121,7 @@ def _commit(flight: Flight) -> None:
 def final_descent(flight: Flight) -> Steps:
     """The last metres, until the ground is felt; then motors off."""
     flight.phase = Phase.DESCEND
+    flight.final = True
     assert flight.site_odom is not None
     params = flight.params
     ground = float(flight.site_odom[2])

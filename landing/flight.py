@@ -10,16 +10,22 @@ from numpy.typing import NDArray
 from controller.api import Setpoint
 from estimator.api import Estimate, MapView
 from landing.api import Candidate, CostmapView, LandingParams, Phase, SurveyParams
+from landing.energy import (
+    RAMP_S,
+    emergency_reach_m,
+    go_around_time_s,
+    return_time_s,
+    search_leg_time_s,
+)
 from landing.trajectory import PiecewiseTrajectory, State, through
+from landing.wind import WindGuess
 from sim.api import Observation, SensorRig
 from sim.frames import wrap_angle, yaw_from_rotation
 
 Array = NDArray[np.float64]
 Steps = Generator[Setpoint, None, None]
 
-_RAMP_S = 3.0
-_RESERVE_S = 60.0
-"""battery time kept for the descent, the looks and a go-around"""
+_RAMP_S = RAMP_S
 
 
 class Flight:
@@ -50,15 +56,30 @@ class Flight:
         self.aborted = False
         self.reference_world: Array = self.start_world.copy()
         self.takeoff_s: float | None = None
+        self.wind = WindGuess(rig.vehicle)
+        self.final = False
+        """in the last metres: nothing but down"""
+        self.deadline_s: float | None = None
+        """of an emergency, by ``now``"""
+        self._paused_s = 0.0
+        self._last_s = 0.0
 
     # ------------------------------------------------------------------------------- inputs
 
     def take_in(self, obs: Observation, estimate: Estimate, map_view: MapView) -> None:
+        self._last_s = obs.time_s if self.takeoff_s is None else self.obs.time_s
         self.obs, self.estimate, self.map_view = obs, estimate, map_view
+        if self.takeoff_s is not None and self.phase is not Phase.TOUCHDOWN:
+            self.wind.update(obs, estimate)
 
     @property
     def now(self) -> float:
-        return self.obs.time_s
+        """Time that has been flown, pauses left out."""
+        return self.obs.time_s - self._paused_s
+
+    def pause(self) -> None:
+        """Takes this control step out of ``now``: call before its setpoint."""
+        self._paused_s += self.obs.time_s - self._last_s
 
     @property
     def position_odom(self) -> Array:
@@ -86,10 +107,39 @@ class Flight:
             return np.inf
         return self.obs.battery_fraction * (self.now - self.takeoff_s) / used
 
+    @property
+    def away_m(self) -> float:
+        """Horizontal distance to the take-off spot."""
+        return float(np.linalg.norm((self.position_odom - self.odom(self.start_world))[:2]))
+
+    @property
+    def in_emergency(self) -> bool:
+        """Whether the least bad site must do: asked for, or what the battery still gives is just
+        enough for it."""
+        return self.params.emergency == "battery" or self.time_left_s() < self.params.emergency_s
+
+    def affords(self, seconds: float) -> bool:
+        """Whether the battery gives ``seconds`` and then the way home and a landing there."""
+        home = return_time_s(self.away_m, self.survey.height_m, self.params)
+        return self.time_left_s() >= seconds + home
+
+    def affords_search_leg(self) -> bool:
+        return self.affords(search_leg_time_s(self.survey, self.params))
+
+    def affords_go_around(self) -> bool:
+        return self.affords(go_around_time_s(self.survey.height_m, self.params))
+
     def reach_m(self) -> float:
-        """How far a site may be, so that the reserve remains on arrival (the energy threshold)."""
-        spare = self.time_left_s() - _RESERVE_S
-        return max(spare, 0.0) * 0.5 * self.params.cruise_speed_mps
+        """How far a site may be (the energy threshold of Eq. 18): near enough to land there and,
+        should it not be what it seemed, to go around; in an emergency to be down in time."""
+        params, height = self.params, self.survey.height_m
+        if self.in_emergency:
+            left = self.time_left_s()
+            if self.deadline_s is not None:
+                left = min(left, self.deadline_s - self.now)
+            return emergency_reach_m(height, left, params)
+        spare = self.time_left_s() - 2.0 * go_around_time_s(height, params)
+        return max(spare, 0.0) * params.cruise_speed_mps / 1.875
 
     # ------------------------------------------------------------------------------ outputs
 

@@ -6,6 +6,7 @@ from controller.api import Setpoint
 from estimator.api import Estimate, MapView
 from landing.api import LanderView, LandingParams, Phase, SurveyParams
 from landing.flight import Flight, Steps
+from landing.health import HealthWatch, give_up
 from landing.phases import fly
 from sim.api import Observation, SensorNeeds, SensorRig
 
@@ -22,6 +23,7 @@ class SiteLander:
     def __init__(self, rig: SensorRig, params: LandingParams, survey: SurveyParams) -> None:
         self._flight = Flight(rig, params, survey)
         self._steps: Steps = fly(self._flight)
+        self._health = HealthWatch()
 
     @property
     def phase(self) -> Phase:
@@ -29,7 +31,13 @@ class SiteLander:
 
     def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> Setpoint:
         """The setpoint of this control step; call once a step."""
-        self._flight.take_in(obs, estimate, map_view)
+        flight = self._flight
+        flight.take_in(obs, estimate, map_view)
+        held = self._health.hold(flight)
+        if held is not None:
+            return held
+        if self._health.lost(flight):
+            self._steps = give_up(flight)
         return next(self._steps)
 
     def view(self) -> LanderView:

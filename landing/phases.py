@@ -11,6 +11,7 @@ from controller.api import Setpoint
 from landing.api import Candidate, Phase
 from landing.descent import descend_to, final_descent
 from landing.flight import Flight, Steps, vertical_move
+from landing.second_look import ground_under
 from landing.selector import check_site, select_sites
 from landing.trajectory import straight_trajectory, survey_trajectory
 
@@ -33,7 +34,9 @@ def fly(flight: Flight) -> Steps:
     yield from survey(flight)
     if not flight.params.survey_only:
         landed = yield from land_somewhere(flight)
-        if not landed:
+        if not landed and flight.deadline_s is not None:
+            yield from come_down_here(flight)
+        elif not landed:
             yield from return_home(flight)
     yield from rest(flight)
 
@@ -88,7 +91,7 @@ def land_somewhere(flight: Flight) -> Generator[Setpoint, None, bool]:
             flight.note = f"the commanded site is refused: {look}"
             return False
         flight.note = f"going around ({attempt + 1} of {flight.params.go_arounds}): {look}"
-        if flight.time_left_s() < _climb_time_s(flight):
+        if not flight.affords_go_around():
             flight.note = f"no energy to go around: {look}"
             break
         yield from climb_back(flight)
@@ -96,16 +99,12 @@ def land_somewhere(flight: Flight) -> Generator[Setpoint, None, bool]:
     return False
 
 
-def _climb_time_s(flight: Flight) -> float:
-    """Time that a go-around and a landing at the start would take."""
-    away = float(np.linalg.norm(flight.position_odom - flight.odom(flight.start_world)))
-    return 60.0 + away / (0.5 * flight.params.cruise_speed_mps)
-
-
 def select(flight: Flight) -> Generator[Setpoint, None, Candidate | None]:
     """Decide where to land; more legs where the map offers nothing."""
     for extra in range(flight.params.search_legs + 1):
         flight.phase = Phase.SELECT
+        if flight.in_emergency and flight.deadline_s is None:
+            flight.deadline_s = flight.now + flight.params.emergency_s
         yield from flight.hover(_SETTLE_S)
         site = _decide(flight)
         yield from flight.hover(flight.params.decision_latency_s)
@@ -113,10 +112,13 @@ def select(flight: Flight) -> Generator[Setpoint, None, Candidate | None]:
             return site
         if flight.params.site_xy_m is not None:
             return None
-        if extra < flight.params.search_legs and flight.time_left_s() > 120.0:
+        if flight.in_emergency:
+            break  # nothing in reach: down here, whatever is below
+        if extra < flight.params.search_legs and flight.affords_search_leg():
             yield from search_leg(flight, extra)
     flight.no_site = True
-    flight.note = "no safe site found: returning to the take-off spot"
+    going = "coming down here" if flight.in_emergency else "returning to the take-off spot"
+    flight.note = f"no safe site found: {going}"
     return None
 
 
@@ -136,6 +138,8 @@ def _decide(flight: Flight) -> Candidate | None:
             footprint_radius_m=flight.rig.vehicle.footprint_radius_m,
             reach_m=flight.reach_m(),
             avoid_odom=flight.refused_odom,
+            wind_mps=flight.wind.speed_mps,
+            least_bad=flight.in_emergency,
         )
         flight.candidates, flight.costmap = selection.candidates, selection.costmap
         if not flight.candidates:
@@ -224,6 +228,21 @@ def return_home(flight: Flight) -> Steps:
     here = flight.odom(flight.reference_world)
     yield from flight.follow(vertical_move(here, low[2], flight.params.descent_speed_mps))
     flight.committed_site_world = home
+    yield from final_descent(flight)
+
+
+def come_down_here(flight: Flight) -> Steps:
+    """Straight down from the reference, without looks."""
+    flight.phase, flight.final = Phase.DESCEND, True
+    here = flight.odom(flight.reference_world)
+    ground = ground_under(flight.map_view, here[:2])
+    if not np.isfinite(ground):
+        ground = float(flight.odom(flight.start_world)[2]) - flight.leg_height
+    flight.site_odom = np.array([here[0], here[1], ground])
+    low = ground + flight.params.commit_height_m + flight.leg_height
+    if low < here[2]:
+        yield from flight.follow(vertical_move(here, low, flight.params.descent_speed_mps))
+    flight.committed_site_world = flight.world(flight.site_odom)
     yield from final_descent(flight)
 
 

@@ -137,7 +137,7 @@ def check_site(
     return _candidate(judged, spot, xy_odom, params), judged.costmap
 
 
-def _unseen(xy: Array) -> Candidate:
+def _unseen(xy: Array, why: str = "outside what was mapped") -> Candidate:
     return Candidate(
         position_odom=np.array([xy[0], xy[1], np.nan]),
         normal_odom=np.array([0.0, 0.0, 1.0]),
@@ -149,7 +149,7 @@ def _unseen(xy: Array) -> Candidate:
         roughness_m=float("nan"),
         clearance_m=0.0,
         accepted=False,
-        reason="refused: outside what was mapped",
+        reason=f"refused: {why}",
     )
 
 
@@ -238,7 +238,7 @@ def _candidate(
     xy = np.asarray(xy, dtype=np.float64)
     plane = fit_footprint(judged.terrain, xy)
     if plane is None:
-        return _unseen(xy)
+        return _unseen(xy, _why_not(judged, spot, params))
     believed = float(judged.probability[spot])
     refusal = None
     if not judged.allowed[spot]:

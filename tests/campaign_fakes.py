@@ -31,12 +31,12 @@ def fly(config: Config, out: Path) -> dict[str, Any]:
         raise RuntimeError("a wing\ncame off")
     elif behaviour == "segfaults":
         os.kill(os.getpid(), signal.SIGSEGV)
-    elif (behaviour == "is_killed_once" and first) or behaviour == "is_killed":
+    elif behaviour == "is_killed_once" and first:
         os.kill(os.getpid(), signal.SIGKILL)
     elif behaviour == "grows":
         hoard = bytearray(400_000_000)
         hoard[::4096] = b"x" * len(hoard[::4096])
-        time.sleep(5.0)
+        time.sleep(600.0)
     elif behaviour == "fills_the_disk":
         raise OSError(28, "No space left on device")
     elif behaviour == "prints":

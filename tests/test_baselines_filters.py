@@ -25,56 +25,17 @@ from estimator.imu_propagation import NavState
 from sim.api import (
     BarometerSample,
     CameraImage,
-    CameraIntrinsics,
     GpsFix,
-    ImuParams,
-    LidarParams,
     MagnetometerParams,
     MagnetometerSample,
     Observation,
     RangefinderSample,
     SensorNeeds,
-    SensorRig,
-    VehicleModel,
 )
 from sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, rotation_from_yaw, so3_exp
 from sim.magnetometer import earth_field_world
 from sim.noise import GaussMarkov
-
-HZ = 600
-
-
-def make_rig() -> SensorRig:
-    here = Pose.identity()
-    return SensorRig(
-        tick_hz=HZ,
-        body_from_imu=here,
-        body_from_lidar=here,
-        body_from_camera=Pose(BODY_FROM_DOWNWARD_OPTICAL, np.zeros(3)),
-        body_from_camera_right=Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.0, -0.05, 0.0])),
-        camera=CameraIntrinsics(width=64, height=48, fx=60.0, fy=60.0, cx=31.5, cy=23.5),
-        lidar=LidarParams(),
-        imu=ImuParams(),
-        imu_ticks=3,
-        camera_ticks=20,
-        lidar_scan_ticks=60,
-        compute_latency_ticks=36,
-        world_from_body_start=Pose(np.eye(3), np.array([0.0, 0.0, 0.3])),
-        vehicle=VehicleModel(
-            mass_kg=4.0,
-            inertia_kgm2=np.ones(3),
-            rotor_xy_m=np.zeros((4, 2)),
-            rotor_spin=np.ones(4),
-            thrust_coefficient=1e-5,
-            torque_coefficient=1e-7,
-            rotor_speed_min=100.0,
-            rotor_speed_max=1000.0,
-            motor_time_constant_s=0.02,
-            linear_drag=0.1,
-            leg_height_m=0.3,
-            footprint_radius_m=0.4,
-        ),
-    )
+from tests.baselines_support import HZ, make_rig, texture
 
 
 def observation(tick: int, **messages: object) -> Observation:
@@ -180,9 +141,7 @@ def test_barometer_measures_from_where_it_stood() -> None:
 def test_ground_below_keeps_the_last_echo_over_water() -> None:
     rig = make_rig()
     ground = GroundBelow(rig, memory_s=0.0)
-    state = NavState(
-        60, np.eye(3), np.array([0, 0, 20.0]), np.zeros(3), np.zeros(3), np.zeros(3)
-    )
+    state = NavState(60, np.eye(3), np.array([0, 0, 20.0]), np.zeros(3), np.zeros(3), np.zeros(3))
 
     def echo(range_m: float) -> RangefinderSample:
         return RangefinderSample(tick=60, time_s=0.1, range_m=range_m)
@@ -257,8 +216,6 @@ def test_triangulation_by_hand() -> None:
 
 
 def test_disparities_of_a_shifted_picture() -> None:
-    from tests.test_baselines_flow import texture
-
     big = texture(400)
     left = np.ascontiguousarray(big[50:290, 50:370])
     right = np.ascontiguousarray(big[50:290, 53:373])

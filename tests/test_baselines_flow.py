@@ -16,23 +16,16 @@ from estimator.baselines.phase_correlation import phase_shift
 from estimator.keyframes import detect_features
 from sim.api import CameraIntrinsics
 from sim.frames import BODY_FROM_DOWNWARD_OPTICAL, so3_exp
+from tests.baselines_support import texture
 
 CAMERA = CameraIntrinsics(width=320, height=240, fx=250.0, fy=250.0, cx=159.5, cy=119.5)
 
 
-def texture(side: int, seed: int = 3) -> np.ndarray:
-    """Blobs of several sizes, (side, side) uint8."""
-    rng = np.random.default_rng(seed)
-    total = np.zeros((side, side), np.float32)
-    for blur in (1.5, 3.0, 8.0):
-        layer = cv2.GaussianBlur(rng.standard_normal((side, side)).astype(np.float32), (0, 0), blur)
-        total += layer / layer.std()
-    return np.clip(128.0 + 30.0 * total, 0, 255).astype(np.uint8)
-
-
-def view(ground: np.ndarray, metres_per_pixel: float, position: np.ndarray, attitude: np.ndarray):
-    """What CAMERA sees of a ground picture at z = 0, whose pixel (col, row) lies at x = col, y = row
-    times ``metres_per_pixel``; ``attitude`` is world_from_camera."""
+def view(
+    ground: np.ndarray, metres_per_pixel: float, position: np.ndarray, attitude: np.ndarray
+) -> np.ndarray:
+    """What CAMERA sees of a picture of the ground z = 0, whose pixel (col, row) lies at (x, y) =
+    (col, row) times ``metres_per_pixel``; ``attitude`` is world_from_camera."""
     cols, rows = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
     pixels = np.column_stack([cols.ravel(), rows.ravel()]).astype(float)
     points = position[:2] + position[2] * level_directions(pixels, CAMERA, attitude)

@@ -9,6 +9,7 @@ import pytest
 
 from experiments.cli import main
 from experiments.config import UsageError, load_config
+from experiments.flight import fly
 from sim.api import (
     FAULT_KINDS,
     CameraImage,
@@ -240,3 +241,32 @@ def test_schedules_come_from_files_too(tmp_path: Any) -> None:
     config = load_config(file)
     assert [fault.kind for fault in config.faults.schedule()] == ["lidar_nan", "camera_dropout"]
     assert load_config(file, fault=("gps_jump@3",)).faults.events == ("gps_jump@3",)
+
+
+ALL_AT_DIFFERENT_TIMES = (
+    "lidar_nan@18", "lidar_empty@19", "lidar_blind@20", "camera_black@21", "timestamp_repeat@22",
+    "timestamp_swap@23", "lidar_dropout@25+1", "camera_dropout@28+1", "lidar_frozen@31",
+    "camera_frozen@32", "lidar_late@33", "camera_late@35",
+)  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("estimator", ["livo", "paper"])
+def test_a_survey_with_all_of_them(estimator: str) -> None:
+    """`pytest -m slow -s tests/test_faults.py` prints the figures of docs/faults.md."""
+    config = load_config(
+        None, ["sim.threads=1"], scene="crossroad", seed=0, estimator=estimator,
+        survey_only=True, record=False, fault=ALL_AT_DIFFERENT_TIMES,
+    )  # fmt: skip
+    result = fly(config, None)
+    print(f"\n{estimator}: {result['position_error_m']}")
+    for event in result["events"]:
+        print(f"{event['time_s']:8.2f} {event['text']}")
+    assert result["outcome"] == "COMPLETED"
+    assert result["position_error_m"]["max"] < 0.25
+    said = " / ".join(event["text"] for event in result["events"])
+    for words in ("not a number", "no pulses", "no returns", "no contrast", "repeats its time",
+                  "out of order", "no scan for", "no image for", "the same as"):  # fmt: skip
+        assert words in said
+    assert len(result["faults"]) == len(ALL_AT_DIFFERENT_TIMES)
+    assert all(sum(entry["messages"].values()) > 0 for entry in result["faults"])

@@ -48,10 +48,13 @@ class Figures:
     outcome: str
     out_of_sight_s: float
     growth_m: float
-    """largest change of the error within five seconds out of sight"""
+    """by how much the error grew in the worst five seconds out of sight"""
+    change_m: float
+    """length of the largest change of the error vector in five seconds"""
     sigma_before_m: float
     sigma_after_m: float
     """standard deviation of the position at both ends of them"""
+    sigma_largest_m: float
     largest_out_m: float
     back_m: float
     """error at the end, over the shore"""
@@ -85,15 +88,18 @@ def figures(outcome: str, rows: Any) -> Figures:
     assert (np.diff(out) == 1).all(), "the shore came into view in between"
     steps = round(SPAN_S / (times[1] - times[0]))
     starts = out[:-steps]
-    growth = np.linalg.norm(errors[starts + steps] - errors[starts], axis=1)
-    worst = starts[np.argmax(growth)]
     size = np.linalg.norm(errors, axis=1)
+    growth = size[starts + steps] - size[starts]
+    worst = starts[np.argmax(growth)]
+    change = np.linalg.norm(errors[starts + steps] - errors[starts], axis=1)
     return Figures(
         outcome=outcome,
         out_of_sight_s=float(times[out[-1]] - times[out[0]]),
         growth_m=float(growth.max()),
+        change_m=float(change.max()),
         sigma_before_m=float(sigmas[worst]),
         sigma_after_m=float(sigmas[worst + steps]),
+        sigma_largest_m=float(sigmas[out].max()),
         largest_out_m=float(size[out].max()),
         back_m=float(size[-1]),
         sigma_back_m=float(sigmas[-1]),
@@ -101,7 +107,26 @@ def figures(outcome: str, rows: Any) -> Figures:
     )
 
 
-if __name__ == "__main__":
-    import sys
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_five_seconds_without_shore_cost_little(seed: int) -> None:
+    """The ripples of the scene stand still, so that the camera can follow them."""
+    found, _ = fly(seed, "livo")
+    print(f"\nopen_water {seed}: {found}")
+    assert found.outcome == "COMPLETED" and found.out_of_sight_s >= SPAN_S
+    assert found.growth_m <= 0.3
+    assert found.sigma_back_m < found.sigma_largest_m
+    assert found.back_m < 0.1
 
-    print(fly(int(sys.argv[1]), sys.argv[2], tuple(sys.argv[3:])))
+
+@pytest.mark.slow
+def test_blind_as_well() -> None:
+    """Nothing but IMU and the height over the water: the covariance must say so."""
+    found, watch = fly(0, "livo", ("camera_black@24+5",))
+    print(f"\nopen_water 0, camera_black@24+5: {found}")
+    assert found.outcome == "COMPLETED"
+    assert found.growth_m <= 0.3
+    assert found.sigma_after_m > 2.0 * found.sigma_before_m
+    assert found.worst_sigmas < 4.0
+    assert found.back_m < 0.1 and found.sigma_back_m < 0.5 * found.sigma_after_m
+    assert any("no contrast" in text for text in watch.events)

@@ -14,9 +14,7 @@ _LEVELS = 2
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.01)
 
 
-def follow(
-    before: Grey, now: Grey, pixels: Array, guess: Array
-) -> tuple[NDArray[np.int64], Array]:
+def follow(before: Grey, now: Grey, pixels: Array, guess: Array) -> tuple[NDArray[np.int64], Array]:
     """Where corners ``pixels`` (N, 2) of ``before`` are in ``now``, looked for from ``guess``
     (N, 2) on: the numbers (M,) of those found, and their places (M, 2)."""
     if len(pixels) == 0:

@@ -1,7 +1,7 @@
 """Hybrid optical flow: dense flow and phase correlation, fused with GPS.
 
-Each picture is turned level, and to one heading, by the attitude, so that over level ground all of it moves
-alike. Phase correlation finds that shift, Farneback's dense flow (Farneback 2003) refines it
+Each picture is turned level, and to one heading, by the attitude, so that over level ground all of
+it moves alike. Phase correlation finds that shift, Farneback's dense flow (Farneback 2003) refines it
 everywhere, and a robust fit makes it a displacement in metres by the rangefinder's height. In the
 filter it stands beside the receiver's velocity; fixes place the result in the world.
 """

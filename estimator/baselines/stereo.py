@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from estimator.api import Estimate, StereoParams
 from estimator.baselines.corner_flow import follow
-from estimator.baselines.disparity import GroundHeight, inverse_depths, disparities
+from estimator.baselines.disparity import GroundHeight, disparities, inverse_depths
 from estimator.baselines.navigator import Grey, Navigator
 from estimator.imu_propagation import STATE_DIM
 from estimator.keyframes import bearing_rays, detect_features

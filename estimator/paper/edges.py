@@ -14,7 +14,7 @@ from estimator.paper.structured_model import SHIPPED_MODEL, check_model
 Rgb = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
 
-RIM = 16
+RIM = 8
 """pixels, even, that the structured detector sees beyond the picture's border"""
 
 

@@ -48,8 +48,8 @@ _LEAST_GAIN = 1e-6
 class ForestParams:
     """How a forest is grown."""
 
-    trees: int = 8
-    trees_evaluated: int = 4
+    trees: int = 4
+    trees_evaluated: int = 2
     """per patch; patches take turns among the trees"""
     stride: int = 4
     """pixels between patches"""

@@ -147,17 +147,14 @@ def _fault(text: str) -> str:
         if not found:
             return f"it has no option {name}"
         options[name] = int(found.group(1))
+    starts = [text.find(f"\n{section}:") for section in _SECTIONS]
+    missing = [name for name, start in zip(_SECTIONS, starts, strict=True) if start < 0]
+    if missing or starts != sorted(starts):
+        return f"it has no section {missing[0]}" if missing else "its sections are out of order"
     lengths = {}
-    for number, section in enumerate(_SECTIONS):
-        begin = text.find(f"\n{section}:")
-        end = len(text)
-        if number + 1 < len(_SECTIONS):
-            end = text.find(f"\n{_SECTIONS[number + 1]}:")
-        if begin < 0 or end < begin:
-            return f"it has no section {section}"
-        body = text[begin:end]
+    for section, begin, end in zip(_SECTIONS, starts, [*starts[1:], len(text)], strict=True):
         # a sequence of n numbers has n - 1 commas
-        lengths[section] = body.count(",") + body.count("[")
+        lengths[section] = text.count(",", begin, end) + text.count("[", begin, end)
     nodes = lengths["childs"]
     trees = options["numberOfTrees"]
     if trees < 1 or nodes % trees or lengths["featureIds"] != nodes:

@@ -147,12 +147,13 @@ def first_flight(rows: Sequence[Row], scene: str, method: str, mode: str) -> _Pa
 def survey_and_landing(rows: Sequence[Row]) -> list[Picture]:
     """Fig. 9: where the vehicle flew while it surveyed, and how it came down."""
     pictures = []
-    method = _shown_method(rows)
     for mode, name, title in (
         ("fly", "fig9a", "Fig. 9 a: survey trajectories"),
         ("land", "fig9b", "Fig. 9 b: landing trajectories"),
     ):
-        flown = [(s, p) for s in scenes_of(rows) if (p := first_flight(rows, s, method, mode))]
+        own = [row for row in rows if row["mode"] == mode]
+        method = _shown_method(own)
+        flown = [(s, p) for s in scenes_of(own) if (p := first_flight(own, s, method, mode))]
         if not flown:
             continue
         caption = (
@@ -175,8 +176,9 @@ def survey_and_landing(rows: Sequence[Row]) -> list[Picture]:
 
 
 def _shown_method(rows: Sequence[Row]) -> str:
+    """The paper's method, which its Fig. 9 shows, or the first there is."""
     methods = methods_of(rows)
-    return "paper" if "paper" in methods else methods[0]
+    return "paper" if "paper" in methods else (methods or [""])[0]
 
 
 def _paint_path(axes: Any, paths: _Paths) -> None:

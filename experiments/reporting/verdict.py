@@ -58,9 +58,8 @@ def _power_words(found: Comparison) -> list[str]:
         needed = fewest_pairs(ERROR_ALPHA / len(found.cells))
         lines.append(
             f"No change could have been found in {_comparisons(len(blind))} with too few flights "
-            f"({', '.join(cell.name for cell in blind[:4])}"
-            f"{', ...' if len(blind) > 4 else ''}): {_comparisons(len(found.cells))} together need "
-            f"{needed} equal seeds each."
+            f"({', '.join(cell.name for cell in blind[:4])}{', ...' if len(blind) > 4 else ''}): "
+            f"among {_comparisons(len(found.cells))} one needs {needed} equal seeds."
         )
     return lines
 

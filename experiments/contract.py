@@ -1,0 +1,381 @@
+"""The contract of an estimator, checked from outside: what a flight will count on.
+
+`check_estimator` runs an estimator over a few seconds of sensor messages, made up or logged, and
+tells every rule that it breaks and why. No flight and no simulator are needed.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.api import Estimate, Estimator
+from experiments.synthetic_stream import SyntheticStream, synthetic_rig
+from sim.api import Observation, SensorNeeds, SensorRig
+from sim.frames import Pose, so3_log
+
+Array = NDArray[np.float64]
+Build = Callable[[dict[str, Any], SensorRig], Estimator]
+
+RULES = {
+    "builds": "build(params, rig) returns an object with needs and update",
+    "answers": "update returns an Estimate and does not raise",
+    "shapes": "every field has its shape and meaning: rotations are rotations, covariances are",
+    "finite": "every number is finite",
+    "time": "an estimate is for the time of its observation, so that time never goes back",
+    "inputs": "observations and rig are left as they were",
+    "deterministic": "the same messages give the same estimates to the bit",
+    "frames": "the first estimate is near the take-off pose: world ENU, body FLU",
+    "continuity": "odom_from_body does not jump",
+    "missing data": "a second without scans, or without images, is survived",
+}
+"""What is checked, by name."""
+
+START_DISTANCE_M, START_ANGLE_DEG = 5.0, 20.0
+"""from the take-off pose: what a receiver's first fix may be off, not what a mistaken frame is"""
+JUMP_M, JUMP_DEG = 0.5, 10.0
+"""of ``odom_from_body`` between two control steps, beyond what its own velocity explains"""
+_GAP = (0.4, 0.75)
+"""share of the stream between which data is missing"""
+
+_SHAPES = {
+    "velocity_odom": (3,),
+    "angular_velocity_body": (3,),
+    "acceleration_odom": (3,),
+    "position_covariance": (3, 3),
+    "rotation_covariance": (3, 3),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """A broken rule, a key of `RULES`, and how it was seen."""
+
+    rule: str
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.rule}: {self.reason}"
+
+
+def check_estimator(
+    build: Build,
+    *,
+    rig: SensorRig | None = None,
+    observations: Sequence[Observation] | None = None,
+    params: dict[str, Any] | None = None,
+    seconds: float = 3.0,
+) -> list[Violation]:
+    """The first violation of every rule that ``build``'s estimator breaks; an empty list is a pass.
+
+    Without ``observations``, ``seconds`` of made-up messages are used, with all that the estimator
+    says it needs; with them, ``rig`` must be what they were taken with. The estimator is built and
+    run up to four times.
+    """
+    if observations is not None and rig is None:
+        raise ValueError("observations need the rig that they were taken with")
+    rig = rig or synthetic_rig()
+    check = _Check(build, rig, params or {})
+    estimator = check.built()
+    if estimator is None:
+        return check.violations
+    needs = estimator.needs
+    stream = observations or tuple(SyntheticStream(rig, needs, seconds))
+    first = check.run(estimator, stream)
+    if not check.broke("answers"):
+        check.repeat(stream, first)
+        if needs.lidar:
+            check.without("scans", stream)
+        if needs.camera_hz:
+            check.without("images", stream)
+    return check.violations
+
+
+class _Check:
+    """One estimator under examination."""
+
+    def __init__(self, build: Build, rig: SensorRig, params: dict[str, Any]) -> None:
+        self._build, self._rig, self._params = build, rig, params
+        self.violations: list[Violation] = []
+
+    def broke(self, rule: str) -> bool:
+        return any(violation.rule == rule for violation in self.violations)
+
+    def _note(self, rule: str, reason: str) -> None:
+        if not self.broke(rule):
+            self.violations.append(Violation(rule, reason))
+
+    def built(self) -> Estimator | None:
+        """A new estimator, or None with the reason noted."""
+        before = _digest(self._rig)
+        try:
+            estimator = self._build(copy.deepcopy(self._params), self._rig)
+        except Exception as error:  # whatever it is, the author wants to read it
+            self._note("builds", f"build raised {_told(error)}")
+            return None
+        if not isinstance(getattr(estimator, "needs", None), SensorNeeds):
+            self._note("builds", "the estimator's attribute 'needs' is no SensorNeeds")
+            return None
+        if not callable(getattr(estimator, "update", None)):
+            self._note("builds", "the estimator has no method update(obs)")
+            return None
+        if _digest(self._rig) != before:
+            self._note("inputs", "build modified the rig")
+        return estimator
+
+    def run(self, estimator: Estimator, stream: Sequence[Observation]) -> list[bytes]:
+        """One pass with every rule of a single pass; digests of the estimates."""
+        digests: list[bytes] = []
+        previous: tuple[Observation, Estimate] | None = None
+        rig_before = _digest(self._rig)
+        kept: list[tuple[Observation, list[tuple[str, bytes]]]] = []
+        for original in stream:
+            obs = copy.deepcopy(original)
+            kept.append((obs, _digests(obs)))
+            estimate = self._answer(estimator, obs)
+            if estimate is None:
+                break
+            self._judge(obs, estimate, previous)
+            previous = (obs, estimate)
+            digests.append(_digest(estimate))
+            if len(kept) > 200:  # a second: whoever writes later than that is not caught
+                self._compare(kept.pop(0), obs.time_s)
+        for pair in kept:
+            self._compare(pair, pair[0].time_s)
+        if _digest(self._rig) != rig_before:
+            self._note("inputs", "update modified the rig")
+        return digests
+
+    def _answer(self, estimator: Estimator, obs: Observation) -> Estimate | None:
+        try:
+            estimate = estimator.update(obs)
+        except Exception as error:
+            self._note("answers", f"at {obs.time_s:.3f} s update raised {_told(error)}")
+            return None
+        if not isinstance(estimate, Estimate):
+            kind = type(estimate).__name__
+            self._note("answers", f"at {obs.time_s:.3f} s update returned {kind}, not Estimate")
+            return None
+        return estimate
+
+    def _compare(self, pair: tuple[Observation, list[tuple[str, bytes]]], now_s: float) -> None:
+        obs, before = pair
+        for (name, old), (_, new) in zip(before, _digests(obs), strict=True):
+            if old != new:
+                self._note("inputs", f"the observation of {obs.time_s:.3f} s had '{name}' modified")
+
+    # ------------------------------------------------------------------------ one estimate
+
+    def _judge(
+        self, obs: Observation, estimate: Estimate, previous: tuple[Observation, Estimate] | None
+    ) -> None:
+        self._judge_time(obs, estimate, None if previous is None else previous[1])
+        reason = _wrong_shape(estimate)
+        if reason:
+            self._note("shapes", f"at {obs.time_s:.3f} s {reason}")
+            return
+        name = _not_finite(estimate)
+        if name:
+            self._note("finite", f"at {obs.time_s:.3f} s {name} is not finite")
+            return
+        reason = _meaningless(estimate)
+        if reason:
+            self._note("shapes", f"at {obs.time_s:.3f} s {reason}")
+            return
+        if previous is None:
+            self._judge_start(estimate)
+        elif not self.broke("finite") and not self.broke("shapes"):
+            self._judge_step(obs, estimate, previous)
+
+    def _judge_time(self, obs: Observation, estimate: Estimate, last: Estimate | None) -> None:
+        if last is not None and estimate.time_s < last.time_s:
+            self._note(
+                "time",
+                f"after an estimate for {last.time_s:.3f} s came one for {estimate.time_s:.3f} s",
+            )
+        elif (estimate.tick, estimate.time_s) != (obs.tick, obs.time_s):
+            self._note(
+                "time",
+                f"the estimate for the observation of tick {obs.tick} ({obs.time_s:.3f} s) says "
+                f"tick {estimate.tick} ({estimate.time_s:.3f} s)",
+            )
+
+    def _judge_start(self, estimate: Estimate) -> None:
+        start = self._rig.world_from_body_start
+        distance, angle_deg = _between(start, estimate.world_from_body)
+        if distance > START_DISTANCE_M:
+            self._note("frames", f"the first estimate is {distance:.1f} m from the take-off place")
+        elif angle_deg > START_ANGLE_DEG:
+            self._note(
+                "frames",
+                f"the first estimate is turned by {angle_deg:.0f} degrees from the take-off "
+                "attitude; odom_from_body maps the body (x forward, y left, z up)",
+            )
+
+    def _judge_step(
+        self, obs: Observation, estimate: Estimate, previous: tuple[Observation, Estimate]
+    ) -> None:
+        before, last = previous
+        distance, angle_deg = _between(last.odom_from_body, estimate.odom_from_body)
+        step_s = obs.time_s - before.time_s
+        distance -= step_s * float(np.linalg.norm(estimate.velocity_odom))
+        angle_deg -= step_s * float(np.degrees(np.linalg.norm(estimate.angular_velocity_body)))
+        if distance > JUMP_M or angle_deg > JUMP_DEG:
+            self._note(
+                "continuity",
+                f"at {obs.time_s:.3f} s odom_from_body jumped by {max(distance, 0.0):.2f} m and "
+                f"{max(angle_deg, 0.0):.0f} degrees; let corrections in over time",
+            )
+
+    # ------------------------------------------------------------------------ more passes
+
+    def repeat(self, stream: Sequence[Observation], first: list[bytes]) -> None:
+        """A second estimator over the same messages, while others draw random numbers too."""
+        estimator = self.built()
+        if estimator is None:
+            return
+        state = np.random.get_state()
+        np.random.seed(20240229)
+        try:
+            for obs, digest in zip(stream, first, strict=False):
+                estimate = self._answer(estimator, copy.deepcopy(obs))
+                if estimate is None:
+                    return
+                if _digest(estimate) != digest:
+                    self._note("deterministic", f"two runs differ from {obs.time_s:.3f} s on")
+                    return
+        finally:
+            np.random.set_state(state)
+
+    def without(self, field: str, stream: Sequence[Observation]) -> None:
+        """A pass in the middle of which ``field`` of the observations is empty."""
+        estimator = self.built()
+        if estimator is None:
+            return
+        for obs in _with_gap(field, stream):
+            try:
+                estimate = estimator.update(obs)
+            except Exception as error:
+                self._note(
+                    "missing data",
+                    f"without {field}, at {obs.time_s:.3f} s, update raised {_told(error)}",
+                )
+                return
+            if _wrong_shape(estimate) or _not_finite(estimate):
+                self._note(
+                    "missing data",
+                    f"without {field}, at {obs.time_s:.3f} s, the estimate is not finite",
+                )
+                return
+
+
+def _with_gap(field: str, stream: Sequence[Observation]) -> Iterator[Observation]:
+    first, last = (int(share * len(stream)) for share in _GAP)
+    for number, obs in enumerate(stream):
+        obs = copy.deepcopy(obs)
+        yield dataclasses.replace(obs, **{field: ()}) if first <= number < last else obs
+
+
+def _between(first: Pose, second: Pose) -> tuple[float, float]:
+    """Metres and degrees."""
+    distance = float(np.linalg.norm(second.translation - first.translation))
+    angle = float(np.linalg.norm(so3_log(first.rotation.T @ second.rotation)))
+    return distance, float(np.degrees(angle))
+
+
+def _told(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def _poses(estimate: Estimate) -> Iterator[tuple[str, Any]]:
+    for name in ("odom_from_body", "world_from_odom"):
+        yield name, getattr(estimate, name)
+
+
+def _wrong_shape(estimate: Estimate) -> str:
+    """What is wrong with the form of an estimate, or nothing."""
+    for name, pose in _poses(estimate):
+        if not isinstance(pose, Pose):
+            return f"{name} is no Pose"
+        if np.shape(pose.rotation) != (3, 3) or np.shape(pose.translation) != (3,):
+            return f"{name} has a rotation of {np.shape(pose.rotation)}, not (3, 3), or a " + (
+                f"translation of {np.shape(pose.translation)}, not (3,)"
+            )
+    for name, shape in _SHAPES.items():
+        if np.shape(getattr(estimate, name)) != shape:
+            return f"{name} has shape {np.shape(getattr(estimate, name))}, not {shape}"
+    track = estimate.scan_track
+    if track is not None:
+        count = len(track.times_s)
+        wrong = np.shape(track.positions_odom) != (count, 3)
+        if wrong or np.shape(track.quats_wxyz) != (count, 4):
+            return f"scan_track has {count} times, but not as many positions and quaternions"
+    return ""
+
+
+def _meaningless(estimate: Estimate) -> str:
+    """What is no rotation or no covariance, of the right shape; or nothing."""
+    for name, pose in _poses(estimate):
+        off = float(np.abs(pose.rotation @ pose.rotation.T - np.eye(3)).max())
+        if off > 1e-6 or np.linalg.det(pose.rotation) < 0.0:
+            return f"{name}.rotation is no rotation matrix"
+    for name in ("position_covariance", "rotation_covariance"):
+        matrix = getattr(estimate, name)
+        scale = float(np.abs(matrix).max())
+        if np.abs(matrix - matrix.T).max() > 1e-6 * scale:
+            return f"{name} is not symmetric"
+        if np.linalg.eigvalsh(matrix)[0] < -1e-9 * scale:
+            return f"{name} has a negative eigenvalue"
+    track = estimate.scan_track
+    if track is not None and np.any(np.diff(track.times_s) <= 0.0):
+        return "scan_track.times_s does not ascend"
+    return ""
+
+
+def _not_finite(estimate: Estimate) -> str:
+    """The name of the first part that is not finite, or nothing."""
+    parts: list[tuple[str, Any]] = [(name, getattr(estimate, name)) for name in _SHAPES]
+    for name, pose in _poses(estimate):
+        parts += [(f"{name}.rotation", pose.rotation), (f"{name}.translation", pose.translation)]
+    parts += [("time_s", estimate.time_s)]
+    parts += [(f"diagnostics['{name}']", value) for name, value in estimate.diagnostics.items()]
+    return next((name for name, value in parts if not np.all(np.isfinite(value))), "")
+
+
+# ------------------------------------------------------------------------------------ digests
+
+
+def _digests(obs: Observation) -> list[tuple[str, bytes]]:
+    names = [field.name for field in dataclasses.fields(obs)]
+    return [(name, _digest(getattr(obs, name))) for name in names]
+
+
+def _digest(value: Any) -> bytes:
+    """Equal for values that are equal to the bit."""
+    return b"".join(_pieces(value))
+
+
+def _pieces(value: Any) -> Iterable[bytes]:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        for field in dataclasses.fields(value):
+            yield from _pieces(getattr(value, field.name))
+    elif isinstance(value, np.ndarray):
+        data = np.ascontiguousarray(value)
+        yield f"{data.dtype}{data.shape}{crc32(data.view(np.uint8).data)}".encode()
+    elif isinstance(value, tuple | list):
+        yield str(len(value)).encode()
+        for item in value:
+            yield from _pieces(item)
+    elif hasattr(value, "items"):
+        for name, item in value.items():
+            yield str(name).encode()
+            yield from _pieces(item)
+    else:
+        yield repr(value).encode()

@@ -1,0 +1,67 @@
+"""The baselines in the air: closed loop over a small place."""
+
+from __future__ import annotations
+
+import pytest
+
+from experiments.config import Config, UsageError, load_config
+from experiments.flight import fly
+
+TINY = (
+    "sim.threads=1",
+    "mapper.enabled=false",
+    "survey.height_m=5",
+    "survey.legs=1",
+    "survey.leg_length_m=8",
+    "survey.duration_s=4",
+    "camera.width=424",
+    "camera.height=240",
+)
+"""About 10 s in the air."""
+
+
+def tiny(estimator: str, *more: str) -> Config:
+    return load_config(
+        None, (*TINY, *more), scene="flat", estimator=estimator, seed=103, survey_only=True
+    )
+
+
+# ---------------------------------------------------------------------------------- closed loop
+
+
+@pytest.mark.parametrize(
+    ("estimator", "most_m"),
+    [("gps", 3.0), ("optical_flow", 0.3), ("hybrid_flow", 3.0), ("stereo", 0.3)],
+)
+def test_short_survey_in_the_loop(estimator: str, most_m: float) -> None:
+    result = fly(tiny(estimator), None)
+    assert result["outcome"] == "COMPLETED"
+    assert result["position_error_m"]["mean"] < most_m
+    # it flies what it believes: the flown path is off by what the estimate was off, and no more
+    off = abs(result["trajectory_error_m"] - result["position_error_m"]["mean"])
+    assert off < 0.25
+    assert result["position_error_m"]["yaw_deg"] < 5.0
+
+
+def test_positions_do_not_depend_on_whether_a_map_is_made() -> None:
+    """LIDAR and mapper beside it leave every random stream and every message alone."""
+    results = [
+        fly(tiny("optical_flow", f"mapper.enabled={enabled}"), None)
+        for enabled in ("false", "true")
+    ]
+    bare, mapped = results
+    assert bare["position_error_m"] == mapped["position_error_m"]
+    assert bare["trajectory_error_m"] == mapped["trajectory_error_m"]
+    assert bare["map"]["density_per_m2"] == 0.0
+    assert mapped["map"]["density_per_m2"] > 0.0
+
+
+def test_landing_without_a_map_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"mapper\.enabled"):
+        load_config(None, ("mapper.enabled=false",), scene="flat")
+
+
+@pytest.mark.parametrize("group", ["optical_flow", "hybrid_flow", "stereo_vo"])
+def test_image_rates_divide_the_cameras_clock(group: str) -> None:
+    with pytest.raises(UsageError, match=rf"{group}\.camera_hz = 7"):
+        load_config(None, (f"{group}.camera_hz=7",), scene="flat")
