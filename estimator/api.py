@@ -324,9 +324,9 @@ class OpticalFlowParams:
     __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: int = 10
-    features: int = 150
+    features: int = 120
     """corners of an image"""
-    window_pixels: int = 240
+    window_pixels: int = 100
     """side of the middle of the image that they are taken from"""
     pixel_sigma: float = 0.3
     """of the flow of one corner"""
@@ -341,7 +341,7 @@ class OpticalFlowParams:
     baro_sigma_m: float = 0.5
     """of one reading of the barometer, its drift included"""
     drift_share: float = 0.005
-    """of the distance flown: what the position is trusted to, besides the filter's own covariance"""
+    """standard deviation that each metre flown adds to the filter's own"""
     blend_s: float = 0.15
     """a correction of the filter reaches control over this time"""
 
@@ -400,6 +400,6 @@ class StereoParams:
     ground_density: float = 0.3
     """m/sqrt(s): random walk of the mean height of the ground in view"""
     drift_share: float = 0.003
-    """of the distance flown: what the position is trusted to, besides the filter's own covariance"""
+    """standard deviation that each metre flown adds to the filter's own"""
     blend_s: float = 0.15
     """a correction of the filter reaches control over this time"""

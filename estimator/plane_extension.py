@@ -24,6 +24,8 @@ _VIEW_MARGIN = 1.5
 """returns are gathered within so many half widths of the picture"""
 _THICKNESS_M = 0.08
 """four standard deviations of a range"""
+_LEAST_DISTANCE_M = 20.0
+"""nearer, unevenness of that size would move features by more than a tracked corner errs"""
 _LEAST_SHARE = 0.97
 """of the returns that must lie within it"""
 _LEAST_SPREAD = 0.05
@@ -44,7 +46,7 @@ def common_plane(points: Array) -> Array | None:
         distance = float(normal @ centre)
         off = np.abs(points @ normal - distance)
         inside = points[off < _THICKNESS_M]
-        if len(inside) < _LEAST_SHARE * len(points) or abs(distance) < 0.1:
+        if len(inside) < _LEAST_SHARE * len(points) or abs(distance) < _LEAST_DISTANCE_M:
             return None
         chosen = inside[:: max(1, len(inside) // _USED_RETURNS)]
     if np.sqrt(max(values[1], 0.0)) < _LEAST_SPREAD * abs(distance):

@@ -25,8 +25,8 @@ from sim.frames import Pose
 
 Array = NDArray[np.float64]
 
-_FEW_PLANES = 60
-"""features of a keyframe with returns of their own below which the others are given the plane of
+_LEAST_PLANES = 25
+"""features of a keyframe; if too few have returns of their own, the others are given the plane of
 the returns around, if there is one"""
 
 
@@ -156,9 +156,9 @@ class VisualFrontEnd:
         )
         camera_from_odom = (eskf.state.pose @ self._imu_from_camera).inverse()
         measure_planes(keyframe, recent, camera_from_odom, self._camera)
-        if int(keyframe.valid.sum()) < _FEW_PLANES:
+        if int(keyframe.valid.sum()) < _LEAST_PLANES:
             extend_plane(keyframe, recent, camera_from_odom, self._camera)
-        if int(keyframe.valid.sum()) < 25:
+        if int(keyframe.valid.sum()) < _LEAST_PLANES:
             return False
         if len(self.keyframes) == self._max_keyframes:
             gone = most_redundant(eskf.clones, [k.depth_m for k in self.keyframes])

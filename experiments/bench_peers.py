@@ -8,6 +8,7 @@ belongs to the scan's end, else to its middle, the instant that a rigid scan fit
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -28,19 +29,24 @@ GRIDS: dict[str, dict[str, tuple[Any, ...]]] = {
         "voxel_m": (0.5, 1.0, 2.0),
         "initial_threshold_m": (0.5, 2.0),
         "deskew": (True, False),
-        "start_height_m": (0.0, 25.0),
+        "start": ("lift-off", "survey"),
     },
     "small_gicp": {
-        "downsampling_m": (0.25, 0.5),
+        "downsampling_m": (0.25, 0.5, 1.0),
         "voxel_m": (1.0, 2.0),
-        "map_scans": (100, 1000),
         "deskew": (True, False),
-        "start_height_m": (0.0, 25.0),
+        "start": ("lift-off", "survey"),
     },
 }
-"""The settings that are tried, all combinations. ``start_height_m``: height over the take-off place
-at which the odometry begins, 0 being the lift-off; an error counts from there on, so that a method
-that cannot follow the climb is not judged by it. What is not named is the packages' default."""
+"""The settings that are tried, all combinations. ``start``: where the odometry begins; from there on
+its errors count, so that a method that cannot follow the climb is not judged by it. What is not
+named is the packages' default."""
+
+MAP_SCANS = 1000
+"""small_gicp's map forgets voxels that so many scans did not touch: longer than a survey, so that
+ground seen again is still known"""
+_LEAST_RETURNS, _LEAST_POINTS = 100, 20
+"""of a scan, and of it after downsampling, to be of use at all: near the ground there are few"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,15 +123,15 @@ class KissIcp:
 
 class SmallGicp:
     """Scan-to-map VGICP of small_gicp (Koide 2024), one thread: each scan against a map of
-    Gaussian voxels that forgets what ``map_scans`` scans did not touch."""
+    Gaussian voxels."""
 
-    def __init__(self, downsampling_m: float, voxel_m: float, map_scans: int, deskew: bool) -> None:
+    def __init__(self, downsampling_m: float, voxel_m: float, deskew: bool) -> None:
         import small_gicp
 
         self._lib = small_gicp
         self._downsampling, self._deskew = downsampling_m, deskew
         self._map = small_gicp.GaussianVoxelMap(voxel_m)
-        self._map.set_lru(horizon=map_scans, clear_cycle=10)
+        self._map.set_lru(horizon=MAP_SCANS, clear_cycle=10)
         self._pose, self._step = np.eye(4), np.eye(4)
 
     def register(self, points: Array, shares: Array) -> Array:
@@ -134,6 +140,9 @@ class SmallGicp:
         cloud, _ = self._lib.preprocess_points(
             points, downsampling_resolution=self._downsampling, num_threads=1
         )
+        if cloud.size() < _LEAST_POINTS:
+            self._pose = self._pose @ self._step
+            return self._pose
         if self._map.size():
             guess = self._pose @ self._step
             found = self._lib.align(self._map, cloud, guess, num_threads=1)
@@ -161,14 +170,12 @@ def run_peer(
     scans: Sequence[ScanPoints],
     true_pose: Callable[[float], Pose],
     body_from_lidar: Pose,
-    start_z: float,
+    survey_s: float,
 ) -> PeerTrack:
     """One setting over scans from the lift-off on. ``true_pose(time_s)`` is ``world_from_body``: it
-    gives the start, and says when to break off. ``start_z``: world height of the take-off."""
-    import time
-
+    gives the start, and says when to break off. ``survey_s``: when the survey begins."""
     track = PeerTrack(peer, setting)
-    own = {name: value for name, value in setting.items() if name != "start_height_m"}
+    own = {name: value for name, value in setting.items() if name != "start"}
     odometry = ODOMETRY[peer](**own)
     lidar_from_body = body_from_lidar.inverse()
     world_from_first: Pose | None = None
@@ -176,8 +183,8 @@ def run_peer(
         time_s = scan.end_s if setting["deskew"] else 0.5 * (scan.start_s + scan.end_s)
         true = true_pose(time_s)
         if world_from_first is None:
-            high = true.translation[2] - start_z >= setting["start_height_m"]
-            if not high or len(scan.points) < 100:
+            early = setting["start"] == "survey" and scan.start_s < survey_s
+            if early or len(scan.points) < _LEAST_RETURNS:
                 continue
             world_from_first = true @ body_from_lidar
         points, shares = scan.points.astype(np.float64), scan.shares.astype(np.float64)

@@ -213,10 +213,7 @@ def selection_stages(config: Config, rig: SensorRig) -> SelectionStages:
     """As `landing.stages.staged_selection` and `landing.reference.reference_selection`."""
     from landing.stages import staged_selection
 
-    given = {
-        "params": config.landing,
-        "footprint_radius_m": rig.vehicle.footprint_radius_m,
-    }
+    params, radius_m = config.landing, rig.vehicle.footprint_radius_m
 
     def reference(grid: GridMap, position: Array) -> Any:
         try:
@@ -225,9 +222,12 @@ def selection_stages(config: Config, rig: SensorRig) -> SelectionStages:
             raise UsageError(
                 f"the comparison needs scikit-image ({error}): install it, or give --no-reference"
             ) from error
-        return reference_selection(grid, position, **given)
+        return reference_selection(grid, position, params, radius_m)
 
-    return SelectionStages(ours=partial(staged_selection, **given), reference=reference)
+    def ours(grid: GridMap, position: Array) -> Any:
+        return staged_selection(grid, position, params, radius_m)
+
+    return SelectionStages(ours=ours, reference=reference)
 
 
 def edge_detector(model: str) -> Callable[[NDArray[np.uint8]], NDArray[np.float32]]:

@@ -30,6 +30,9 @@ class SupervisedWorker:
         self._supervisor.complete(task, events.append)
         return events
 
+    def close(self) -> None:
+        self._supervisor.close()
+
 
 class RayEngine:
     """``address`` is that of a cluster, such as ``auto``; None starts one on this machine."""

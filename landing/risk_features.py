@@ -63,7 +63,8 @@ def risk_features(
     flawed = hard | (landable.defect >= Defect.ROUGH)
     room = distance_to(flawed, cell)
     side = 2 * border + 1
-    thin = cv2.blur(1.0 / (1.0 + terrain.count), (side, side), borderType=cv2.BORDER_REPLICATE)
+    few = np.reciprocal(1.0 + terrain.count).astype(np.float32)
+    thin = np.asarray(cv2.blur(few, (side, side), borderType=cv2.BORDER_REPLICATE), np.float32)
     values = np.empty((*terrain.shape, len(NAMES)), np.float32)
     _scaled(disc_maximum(landable.slope_deg, _SLOPE_DISC_M / cell), 0.0,
             1.0 / params.max_slope_deg, values[..., 0])  # fmt: skip

@@ -25,6 +25,7 @@ from experiments.campaign_run import Task
 from experiments.campaign_session import fly_campaign, make_engine, summary
 from experiments.config import UsageError
 from experiments.engines import LocalEngine
+from tests.ray_fake import FakeRay
 
 ROOT = Path(__file__).parent.parent
 RUNNER = "tests.campaign_fakes:fly"
@@ -103,9 +104,17 @@ set = { survey.height_m = 12.0, "log.scan_hz" = 1.0 }
 
 
 def test_shipped_campaign_compares_six_methods_on_equal_terms() -> None:
-    text = (ROOT / "configs" / "positioning.toml").read_text(encoding="utf-8")
-    for word in ("gps", "optical_flow", "hybrid_flow", "stereo", "paper", "livo"):
-        assert f'"{word}"' in text
+    plan = load_plan(ROOT / "configs" / "positioning.toml")
+    assert len(plan.runs) == 4 * 6 * 10
+    methods: dict[str, dict[str, Any]] = {}
+    for run in plan.runs:
+        values = dict(run.values)
+        name = values.pop("estimator")
+        # Methods without a LIDAR go without a map; nothing else tells them apart.
+        assert values.pop("mapper.enabled", True) == (name in ("paper", "livo"))
+        methods.setdefault(name, {})[f"{values.pop('scene')} {values.pop('seed')}"] = values
+    assert list(methods) == ["gps", "optical_flow", "hybrid_flow", "stereo", "paper", "livo"]
+    assert all(runs == methods["livo"] for runs in methods.values())
 
 
 @pytest.mark.parametrize(
@@ -186,9 +195,7 @@ BEHAVIOURS = (
 def faulty(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     folder = tmp_path_factory.mktemp("faulty")
     text = axes(scene=["flat"], estimator=[f"fake:{name}" for name in BEHAVIOURS])
-    plan = make_plan(
-        folder, text + "[limits]\nrun_timeout_s = 100\nmemory_gb = 0.45\nretries = 1\n"
-    )
+    plan = make_plan(folder, text + "[limits]\nrun_timeout_s = 100\nmemory_gb = 0.3\n")
     return folder / "out", fly(plan, folder / "out", jobs=2)
 
 
@@ -206,7 +213,7 @@ def row_of(directory: Path, behaviour: str) -> dict[str, Any]:
         ("raises_once", "COMPLETED", 2, ""),
         ("segfaults", "CRASHED", 2, "SIGSEGV"),
         ("is_killed_once", "COMPLETED", 2, ""),
-        ("grows", "CRASHED", 1, "0.45 GB"),
+        ("grows", "CRASHED", 1, "0.3 GB"),
     ],
 )
 def test_every_run_has_its_row_whatever_befell_it(
@@ -528,6 +535,43 @@ def test_ray_is_asked_for_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
         make_engine("local", None, "auto")
 
 
+def test_ray_gives_the_same_rows_and_outlives_its_workers(
+    tmp_path: Path, undisturbed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ray = FakeRay()
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    plan = make_plan(tmp_path, MANY)
+    engine = make_engine("ray", None)
+    assert engine.jobs == 2
+    totals = fly_campaign(plan, tmp_path / "out", engine, runner=RUNNER)
+    assert totals["remaining"] == totals["crashed"] == 0
+    assert figures(tmp_path / "out") == figures(undisturbed)
+    assert len(ray.actors) == 3 and len(ray.killed) == 2
+    full = make_plan(tmp_path / "full", axes(scene=["flat"], estimator=["fake:fills_the_disk"]))
+    with pytest.raises(UsageError, match="No space left"):
+        fly_campaign(full, tmp_path / "full" / "out", engine, runner=RUNNER)
+
+
 def test_limits_have_sane_defaults() -> None:
     limits = Limits()
     assert limits.retries == 1 and limits.run_timeout_s > 600 and limits.memory_gb > 2
+
+
+@pytest.mark.slow
+def test_real_flights_are_the_same_in_any_number_of_workers(tmp_path: Path) -> None:
+    """One worker flies both methods one after the other, two fly them side by side."""
+    text = axes(scene=["crossroad"], estimator=["livo", "gps"], seeds="11")
+    text += "[base.survey]\nheight_m = 12.0\nlegs = 1\nleg_length_m = 8.0\nduration_s = 5.0\n"
+    plan = make_plan(tmp_path, text)
+    for jobs in (1, 2):
+        totals = fly_campaign(plan, tmp_path / f"out{jobs}", LocalEngine(jobs))
+        assert totals["outcomes"] == {"COMPLETED": 2}
+    assert figures(tmp_path / "out1") == figures(tmp_path / "out2")
+    for run in plan.runs:
+        one, two = (tmp_path / f"out{jobs}" / "runs" / run.run_id for jobs in (1, 2))
+        for name in ("truth.tum", "estimate.tum", "reference.tum", "map.ply"):
+            assert (one / name).read_bytes() == (two / name).read_bytes(), name
+        results = [json.loads((path / "result.json").read_text()) for path in (one, two)]
+        for result in results:
+            del result["timing"]
+        assert results[0] == results[1]

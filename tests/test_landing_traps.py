@@ -86,7 +86,7 @@ def test_rubble_everywhere_offers_no_site(tmp_path: Path) -> None:
         box(f"stone_{i}_{j}", (x, y, 0), (x + 0.5, y + 0.5, 0.2 + 0.4 * float(rng.uniform())))
         for i, x in enumerate(np.arange(-20.0, 54.0, 1.8))
         for j, y in enumerate(np.arange(-33.0, 33.0, 1.8))
-        if np.hypot(x, y) > 2.0  # the vehicle stands in the middle
+        if np.hypot(x + 0.25, y + 0.25) > 1.0  # the vehicle stands in the middle
     ]
     place = survey(write(tmp_path, "rubble", LAWN + "".join(stones)))
     assert not place.selection.allowed.any()

@@ -97,7 +97,7 @@ def test_the_example_of_the_page_passes_in_a_pytest_of_its_own(pytester: pytest.
     pytester.makepyfile(test_positioning=example)
     loaded = () if INSTALLED else ("-p", "experiments.pytest_plugin")
     result = pytester.runpytest_subprocess(
-        *loaded, "--touchdown-jobs=2", "--touchdown-out=flown", timeout=120
+        *loaded, "--touchdown-jobs=2", "--touchdown-out=flown", timeout=600
     )
     result.assert_outcomes(passed=2)
     flown = sorted(path.name for path in (pytester.path / "flown").iterdir())

@@ -81,7 +81,7 @@ class EpochQueue:
         inbox.barometer += obs.barometer
         inbox.rangefinder += obs.rangefinder
         horizon = obs.tick - self._lag
-        ticks = {message.tick for message in (*inbox.images, *inbox.fixes)}
+        ticks = {image.tick for image in inbox.images} | {fix.tick for fix in inbox.fixes}
         ticks |= set(range((self._last // self._beat + 1) * self._beat, horizon + 1, self._beat))
         return [self._epoch(tick) for tick in sorted(ticks) if tick <= horizon]
 

@@ -117,7 +117,7 @@ def solve_displacement(
     if int(agree.sum()) < min_used:
         return None
     weighted = weights[:, None, None] * rows / noise**2
-    inverse = np.linalg.inv(normal)
+    inverse: Array = np.asarray(np.linalg.inv(normal), np.float64)
     lower = height_m - shift[2]
     turn_before = np.einsum("nij,nik->jk", weighted, _turn_jacobian(before)) * height_m
     turn_now = np.einsum("nij,nik->jk", weighted, _turn_jacobian(now)) * lower

@@ -1,7 +1,7 @@
 """Hybrid optical flow: dense flow and phase correlation, fused with GPS.
 
 Each picture is turned level, and to one heading, by the attitude, so that over level ground all of
-it moves alike. Phase correlation finds that shift, Farneback's dense flow (Farneback 2003) refines it
+it moves alike. Phase correlation finds that shift, dense flow (Farneback 2003) refines it
 everywhere, and a robust fit makes it a displacement in metres by the rangefinder's height. In the
 filter it stands beside the receiver's velocity; fixes place the result in the world.
 """
@@ -77,8 +77,8 @@ class LevelView:
         """(N,) whether the real camera has seen these pixels (N, 2) of the virtual one."""
         real = pixels_of(self.directions(pixels), self._camera, world_from_camera)
         far = [self._camera.width - 4.0, self._camera.height - 4.0]
-        inside: NDArray[np.bool_] = (real > 3.0).all(axis=1) & (real < far).all(axis=1)
-        return inside
+        inside = np.asarray((real > 3.0) & (real < far))
+        return np.asarray(inside.all(axis=1), np.bool_)
 
 
 class HybridFlowEstimator:

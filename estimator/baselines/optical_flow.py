@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 _GATE = 4.0
 _PATIENCE_S = 1.5
+_SPACING_PX = 12
+_BORDER_PX = 6
 
 
 class OpticalFlowEstimator:
@@ -122,7 +124,8 @@ class OpticalFlowEstimator:
         side = self._params.window_pixels
         left, top = max((width - side) // 2, 0), max((height - side) // 2, 0)
         middle = np.ascontiguousarray(grey[top : height - top, left : width - left])
-        return detect_features(middle, self._params.features) + [left, top]
+        found = detect_features(middle, self._params.features, _SPACING_PX, _BORDER_PX)
+        return found + [left, top]
 
     def _expected(self, pixels: Array, pose_before: Pose, pose: Pose) -> Array:
         """Where level ground would take them by the filter's own motion."""

@@ -86,8 +86,12 @@ class Picture:
         text = re.sub(
             r"font: ([^;\"]*?)'DejaVu Sans', sans-serif", r"font: \1system-ui, sans-serif", text
         )
-        size = re.compile(r'(<svg[^>]*?) width="[^"]*"|(<svg[^>]*?) height="[^"]*"')
-        return size.sub(r"\1\2", size.sub(r"\1\2", text, count=1), count=1)
+        head, rest = text.split(">", 1)
+        width = re.search(r'width="([\d.]+)pt"', head)
+        head = re.sub(r' (width|height)="[^"]*"', "", head)
+        # Small figures keep their size, wide ones shrink to the page.
+        widest = f"{4.0 / 3.0 * float(width[1]):.0f}px" if width else "100%"
+        return f'{head} style="max-width: {widest}">{rest}'
 
 
 def colour_of(method: str, methods: Sequence[str]) -> str:
@@ -157,8 +161,8 @@ def survey_and_landing(rows: Sequence[Row]) -> list[Picture]:
         if not flown:
             continue
         caption = (
-            f"Flown path (colour: height above the start) and reference (dashed) with `{method}`, "
-            "lowest seed of each scene; the shadow is the plan view. World frame, metres."
+            f"Flown path (blue, from green to red) and reference (dashed) with `{method}`, lowest "
+            "seed of each scene; the shadow is the plan view. World frame, metres."
         )
         width = 3.3 * min(len(flown), 4)
         rows_needed = -(-len(flown) // 4)
