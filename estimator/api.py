@@ -324,9 +324,9 @@ class OpticalFlowParams:
     __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: int = 10
-    features: int = 120
+    features: int = 60
     """corners of an image"""
-    window_pixels: int = 100
+    window_pixels: int = 64
     """side of the middle of the image that they are taken from"""
     pixel_sigma: float = 0.3
     """of the flow of one corner"""
@@ -334,7 +334,7 @@ class OpticalFlowParams:
     """error of a displacement that many corners do not average out"""
     scale_sigma: float = 0.05
     """the same as a share of the displacement: the ground is not level"""
-    ground_memory_s: float = 0.5
+    ground_memory_s: float = 0.2
     """time constant of the ground's height below the rangefinder"""
     heading_sigma_deg: float = 2.0
     """of one reading of the magnetometer, ten a second"""

@@ -226,11 +226,11 @@ def _estimator_factory(config: Config) -> _EstimatorFactory:
     check_estimator(config.estimator)
     if config.estimator in ESTIMATORS:
         return ESTIMATORS[config.estimator](config)
-    build = _outside_builder(config.estimator)
+    build = outside_builder(config.estimator)
     return lambda rig, _truth: build({}, rig)
 
 
-def _outside_builder(name: str) -> Callable[[dict[str, Any], SensorRig], Estimator]:
+def outside_builder(name: str) -> Callable[[dict[str, Any], SensorRig], Estimator]:
     """``my_lab.vio:build`` -> the function ``build`` of the module ``my_lab.vio``."""
     module_name, _, function_name = name.partition(":")
     try:

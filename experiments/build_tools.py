@@ -187,7 +187,7 @@ def build_towed_survey(config: Config, scene: Scene) -> TowedSurvey:
 
 def aerial_camera(config: Config, scene: Scene) -> AerialCamera:
     """The configured camera, to be carried anywhere over a scene."""
-    from sim.aerial import AerialCamera
+    from sim.aerial import AerialCamera, AerialView
 
     return AerialCamera(scene, config.camera, config.seed)
 

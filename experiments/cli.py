@@ -26,10 +26,11 @@ from experiments.cli_base import (
     usage_errors,
 )
 from experiments.cli_bench import bench
+from experiments.cli_bench_estimator import bench_estimator
 from experiments.cli_calibrate import calibrate
 from experiments.cli_campaign import campaign, query
 from experiments.cli_edges import edges
-from experiments.cli_replay import run_replay
+from experiments.cli_replay import check_estimator, run_replay
 from experiments.cli_report import regress, report
 from experiments.cli_scenes import scenes
 from experiments.console import (
@@ -231,6 +232,8 @@ cli.add_command(report)
 cli.add_command(regress)
 cli.add_command(scenes)
 cli.add_command(bench)
+bench.add_command(bench_estimator)
+cli.add_command(check_estimator)
 cli.add_command(calibrate)
 cli.add_command(campaign)
 cli.add_command(query)

@@ -49,3 +49,79 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
         print_result(result, out, good)
         click.echo(f"replayed open loop, judged {result['judged_hz']:g} times a second")
     return EXIT_DONE if good else EXIT_FAILED
+
+
+@click.command("check-estimator")
+@click.argument("name")
+@click.option(
+    "--replay",
+    "run",
+    metavar="RUN",
+    type=click.Path(path_type=Path),
+    help="Messages of a run with sensors.mcap instead of made-up ones.",
+)
+@click.option("--seconds", type=float, default=3.0, show_default=True, help="Of messages.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="May be repeated.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def check_estimator(
+    name: str, run: Path | None, seconds: float, overrides: tuple[str, ...], as_json: bool
+) -> int:
+    """Check that an estimator keeps the contract of a flight, without flying.
+
+    NAME is MODULE:FUNCTION of your own, or one of ours. Exit code 0: nothing is wrong; 1: a rule is
+    broken, each with its reason.
+
+    Example: touchdown check-estimator my_lab.vio:build
+    """
+    from experiments.config import UsageError
+    from experiments.contract import RULES
+
+    if not seconds > 0.0:
+        raise UsageError(f"--seconds {seconds:g} must be positive")
+    violations = _checked(name, run, seconds, overrides)
+    if as_json:
+        rows = [{"rule": v.rule, "reason": v.reason} for v in violations]
+        click.echo(json.dumps({"estimator": name, "violations": rows}, indent=2))
+    else:
+        for violation in violations:
+            click.echo(str(violation))
+        broken = len(violations)
+        click.echo(f"{name}: {broken} of {len(RULES)} rules broken" if broken else f"{name}: good")
+    return EXIT_FAILED if violations else EXIT_DONE
+
+
+def _checked(name: str, run: Path | None, seconds: float, overrides: tuple[str, ...]) -> list[Any]:
+    from experiments import contract
+    from experiments.build import build_estimator
+    from experiments.config import load_config
+    from experiments.flight import limit_threads
+    from experiments.replay import check_needs, open_run, replay_config, seen_by
+
+    limit_threads()
+    if run is None:
+        config = load_config(None, overrides, estimator=name)
+        resolved = _build_function(config)
+        return contract.check_estimator(resolved, seconds=seconds)
+    logged = open_run(run)
+    config = replay_config(run, name, overrides)
+    needs = build_estimator(config, logged.sensors.rig).needs
+    check_needs(name, needs, logged.sensors)
+    observations = []
+    for obs in seen_by(needs, logged.sensors):
+        observations.append(obs)
+        if obs.time_s >= seconds:
+            break
+    return contract.check_estimator(
+        _build_function(config), rig=logged.sensors.rig, observations=observations
+    )
+
+
+def _build_function(config: Any) -> Any:
+    """``build(params, rig)`` of the configured estimator. Raises UsageError where there is none."""
+    from experiments.build import build_estimator, outside_builder
+    from experiments.build import check_estimator as check_name
+
+    check_name(config.estimator)
+    if ":" in config.estimator:
+        return outside_builder(config.estimator)
+    return lambda _params, rig: build_estimator(config, rig)

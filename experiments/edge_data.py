@@ -23,8 +23,7 @@ from scenes.api import LAND_CLASSES, Scene
 from sim.frames import Pose, rotation_from_yaw, so3_exp
 
 if TYPE_CHECKING:
-    from experiments.build_tools import AerialCamera
-    from sim.aerial import AerialView
+    from experiments.build_tools import AerialCamera, AerialView
 
 Array = NDArray[np.float64]
 Int32 = NDArray[np.int32]

@@ -37,7 +37,7 @@ def from_plain(kind: Any, plain: Any) -> Any:
     lacks takes its default. Raises TypeError or KeyError where the two do not fit."""
     if plain is None:
         return None
-    if dataclasses.is_dataclass(kind):
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         hints = _hints(kind)
         known = {name: from_plain(hints[name], plain[name]) for name in hints if name in plain}
         return typing.cast(Any, kind)(**known)

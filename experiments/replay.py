@@ -125,7 +125,7 @@ def seen_by(needs: SensorNeeds, reader: SensorLogReader) -> Iterator[Observation
     clock_hz = reader.rig.tick_hz // reader.rig.camera_ticks
     thinned = bool(wanted.camera_hz) and reader.sensed.camera_hz % wanted.camera_hz == 0
     period = reader.rig.camera_ticks * (clock_hz // wanted.camera_hz) if thinned else 1
-    dropped = {
+    dropped: dict[str, Any] = {
         ("scans" if field.name == "lidar" else field.name): ()
         for field in dataclasses.fields(wanted)
         if field.name not in ("camera_hz", "stereo") and not getattr(wanted, field.name)

@@ -190,10 +190,10 @@ def pack_scan(scan: LidarScan) -> bytes:
     return b"".join([count, planes.tobytes(), scan.intensity.tobytes()])
 
 
-def pack_image(rgb: NDArray[np.uint8]) -> memoryview:
+def pack_image(rgb: NDArray[np.uint8]) -> bytes:
     """A PNG file of (H, W, 3)."""
     options = [number for pair in _PNG for number in pair]
     done, data = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), options)
     if not done:
         raise RuntimeError(f"an image of shape {rgb.shape} cannot be packed")
-    return memoryview(np.ascontiguousarray(data).reshape(-1)).cast("B")
+    return data.tobytes()

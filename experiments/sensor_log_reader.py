@@ -136,6 +136,8 @@ def _image(head: list[Any], arrived: defaultdict[str, deque[bytes]]) -> CameraIm
 def _picture(message: bytes) -> NDArray[np.uint8]:
     file = np.frombuffer(ros.image_data(message), dtype=np.uint8)
     bgr = cv2.imdecode(file, cv2.IMREAD_COLOR)
+    if bgr is None:
+        raise UsageError("a picture in the sensor log is damaged; fly again with --log-sensors")
     return _frozen(np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8))
 
 

@@ -191,8 +191,8 @@ class SyntheticStream:
         rig = self._rig
         start = tick - rig.lidar_scan_ticks
         span_s = rig.lidar_scan_ticks / rig.tick_hz
-        offsets = (np.arange(_PULSES) + 1.0) * (span_s / _PULSES)
-        phase = start / rig.tick_hz + offsets
+        offsets: Array = np.arange(1.0, _PULSES + 1.0) * (span_s / _PULSES)
+        phase: Array = start / rig.tick_hz + offsets
         across = np.radians(38.0) * np.sin(2.0 * np.pi * 97.3 * phase)
         along = np.radians(12.0) * np.sin(2.0 * np.pi * 71.9 * phase)
         rays = np.column_stack([np.tan(across), np.tan(along), np.ones(_PULSES)])

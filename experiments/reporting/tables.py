@@ -54,14 +54,14 @@ class Table:
 
 
 def digits(value: float) -> str:
-    """Three figures, at most four decimals; powers of ten below that."""
+    """Three figures, at most four decimals; powers of ten below that, 0 below a millionth."""
     size = abs(value)
     for limit, decimals in ((100.0, 0), (10.0, 1), (1.0, 2), (0.01, 3)):
         if size >= limit:
             return f"{value:.{decimals}f}"
     if size >= 5e-5:
         return f"{value:.4f}"
-    return f"{value:.0e}" if size > 0 else "0"
+    return f"{value:.0e}" if size >= 1e-6 else "0"
 
 
 def interval_text(estimate: Estimate) -> str:
