@@ -220,15 +220,33 @@ class LivoParams:
     """a voxel stops learning after so many returns: the oldest carry the least drift"""
     scan_points: int = 2000
     """returns of a scan that are matched, spread evenly"""
-    map_tilt_sigma_deg: float = 1.0
-    """error of the plane map that repeats from scan to scan, as if each scan had it afresh; the
-    accelerometer knows level better than a map that grew outward from the take-off spot"""
-    map_height_sigma_m: float = 0.01
-    map_lateral_sigma_m: float = 0.3
-    map_yaw_sigma_deg: float = 0.5
-    blind_lateral_sigma_m: float = 0.05
-    """the same while no image is tracked and the planes alone must hold x, y and yaw"""
-    blind_yaw_sigma_deg: float = 0.1
+    scan_tilt_sigma_deg: float = 1.0
+    """errors of a scan as a whole, beside those of its points and of the keyframes that the map
+    hangs on"""
+    scan_height_sigma_m: float = 0.01
+    scan_lateral_sigma_m: float = 0.3
+    scan_yaw_sigma_deg: float = 0.5
+    anchor_height_m: float = 0.002
+    """error that all planes and landmarks of a keyframe have in common"""
+    depth_sigma_m: float = 0.02
+    """of a landmark along its ray"""
+    use_lidar: bool = True
+    """whether scans correct the pose; without, they still give depth to features"""
+    use_vision: bool = True
+    """whether images are used"""
+    loose: bool = False
+    """each sensor gives a pose against a map taken for certain, instead of measuring pose and map
+    together"""
+    use_calibration: bool = True
+    """whether the mount of the LIDAR and the lens are estimated along"""
+    calibrate_above_m: float = 15.0
+    """height above ground from which on; lower, the returns' noise is no small share of a depth and
+    what it does to a keyframe would be taken for the rig's"""
+    mount_turn_sigma_deg: float = 0.03
+    """how far off the told rig may be: LIDAR against camera and IMU"""
+    mount_shift_sigma_m: float = 0.003
+    focal_sigma: float = 5e-4
+    center_sigma_px: float = 0.1
     use_degeneracy: bool = True
     """whether a scan is kept from correcting what it does not measure, as sideways motion over
     level ground"""

@@ -33,13 +33,27 @@ CLONE_DIM = 6
 
 
 class Eskf:
-    """``state`` and ``clones`` are the mean; ``covariance`` (15 + 6K, 15 + 6K) their errors.
+    """``state`` and ``clones`` are the mean; ``covariance`` (B + 6K, B + 6K) their errors.
 
-    The error of clone k is (rotation right perturbation, position) at rows 15 + 6k.
+    The first B = 15 + C error coordinates are those of the navigation state and of its C numbers of
+    calibration, which do not change by themselves; the error of clone k is (rotation right
+    perturbation, position) at rows B + 6k. ``variances`` (B,) are those at the start.
     """
 
     def __init__(self, state: NavState, variances: Array) -> None:
         self.state = state
+        self.base = len(variances)
+        self.learns = True
+        """whether measurements correct the calibration; if not, its doubt still counts in what they
+        say of the rest (Schmidt's "consider" filter)"""
+        if len(state.calibration) != self.base - STATE_DIM:
+            raise ValueError(
+                f"Eskf: {self.base} variances do not fit {len(state.calibration)} numbers of "
+                f"calibration; give {STATE_DIM + len(state.calibration)}"
+            )
+        self.loose = False
+        """whether measurements speak of the present pose alone: clones and calibration are taken
+        for certain"""
         self.covariance: Array = np.diag(np.asarray(variances, dtype=np.float64))
         self.clones: list[Pose] = []
 
@@ -69,6 +83,7 @@ class Eskf:
             velocities[-1],
             state.gyro_bias,
             state.accel_bias,
+            state.calibration,
         )
         return all_ticks, rotations, positions
 
@@ -76,17 +91,24 @@ class Eskf:
 
     def clone_indices(self, k: int) -> NDArray[np.int64]:
         """The six error coordinates of clone ``k``."""
-        start = STATE_DIM + CLONE_DIM * k
+        start = self.base + CLONE_DIM * k
         return np.arange(start, start + CLONE_DIM)
 
-    def add_clone(self) -> None:
-        """Remembers the present pose as another clone, fully correlated with the state."""
+    def add_clone(self, own_variances: Array | None = None) -> None:
+        """Remembers the present pose as another clone, fully correlated with the state.
+
+        ``own_variances`` (6,), rad^2 and m^2: errors that whatever is remembered with this pose has
+        in common, which are none of the state's.
+        """
         size = len(self.covariance)
         grown = np.empty((size + CLONE_DIM, size + CLONE_DIM))
         grown[:size, :size] = self.covariance
         grown[size:, :size] = self.covariance[:CLONE_DIM]
         grown[:size, size:] = self.covariance[:, :CLONE_DIM]
         grown[size:, size:] = self.covariance[:CLONE_DIM, :CLONE_DIM]
+        if own_variances is not None:
+            own = np.arange(size, size + CLONE_DIM)
+            grown[own, own] += own_variances
         self.covariance = grown
         self.clones.append(self.state.pose)
 
@@ -98,11 +120,22 @@ class Eskf:
 
     # ------------------------------------------------------------------------ update
 
+    def admitted(self, information: Array, vector: Array) -> tuple[Array, Array]:
+        """A measurement of ``touched`` coordinates as the filter is to take it."""
+        if not self.loose:
+            return information, vector
+        information, vector = information.copy(), vector.copy()
+        information[CLONE_DIM:], information[:, CLONE_DIM:], vector[CLONE_DIM:] = 0.0, 0.0, 0.0
+        return information, vector
+
     def gain(self, touched: NDArray[np.int64], information: Array, vector: Array) -> Array:
-        """Error-state correction (15 + 6K,) of the prior mean by ``A``, ``b`` on ``touched``."""
+        """Error-state correction (B + 6K,) of the prior mean by ``A``, ``b`` on ``touched``."""
         local = self.covariance[np.ix_(touched, touched)]
         solved = np.linalg.solve(np.eye(len(touched)) + information @ local, vector)
-        return self.covariance[:, touched] @ solved
+        delta: Array = self.covariance[:, touched] @ solved
+        if not self.learns:
+            delta[STATE_DIM : self.base] = 0.0
+        return delta
 
     def absorb(self, touched: NDArray[np.int64], information: Array) -> None:
         """Covariance after the update; ``P - P_t (I + A P_tt)^-1 A P_t^T``."""
@@ -111,8 +144,12 @@ class Eskf:
         middle = np.linalg.solve(np.eye(len(touched)) + information @ local, information)
         middle = 0.5 * (middle + middle.T)
         # the same product from both sides keeps the matrix symmetric to rounding
+        shared = slice(STATE_DIM, self.base)
+        kept = self.covariance[shared, shared].copy()
         self.covariance = self.covariance - (columns @ middle) @ columns.T
         self.covariance = 0.5 * (self.covariance + self.covariance.T)
+        if not self.learns:
+            self.covariance[shared, shared] = kept
 
     def boxplus(
         self, state: NavState, clones: list[Pose], delta: Array
@@ -125,8 +162,9 @@ class Eskf:
             state.velocity + delta[VELOCITY],
             state.gyro_bias + delta[GYRO_BIAS],
             state.accel_bias + delta[ACCEL_BIAS],
+            state.calibration + delta[STATE_DIM : self.base],
         )
-        parts = delta[STATE_DIM:].reshape(-1, CLONE_DIM)
+        parts = delta[self.base :].reshape(-1, CLONE_DIM)
         turns = exp_so3_each(np.ascontiguousarray(parts[:, :3]))
         new_clones = [
             Pose(clone.rotation @ turns[k], clone.translation + parts[k, 3:])
@@ -135,11 +173,12 @@ class Eskf:
         return moved, new_clones
 
     def deviation(self, state: NavState, clones: list[Pose], touched_clones: list[int]) -> Array:
-        """Error coordinates (6 + 6m,) of the present mean relative to a prior mean: pose first,
-        then the given clones."""
+        """Error coordinates (6 + C + 6m,) of the present mean relative to a prior mean: pose first,
+        then the calibration and the given clones."""
         parts = [
             so3_log(state.rotation.T @ self.state.rotation),
             self.state.position - state.position,
+            self.state.calibration - state.calibration,
         ]
         for k in touched_clones:
             parts.append(so3_log(clones[k].rotation.T @ self.clones[k].rotation))
@@ -147,5 +186,8 @@ class Eskf:
         return np.concatenate(parts)
 
     def touched(self, clones: list[int]) -> NDArray[np.int64]:
-        """Error coordinates of the pose and of the given clones, (6 + 6m,)."""
-        return np.concatenate([np.arange(CLONE_DIM), *(self.clone_indices(k) for k in clones)])
+        """Error coordinates of pose, calibration and the given clones, (6 + C + 6m,)."""
+        shared = np.arange(STATE_DIM, self.base)
+        return np.concatenate(
+            [np.arange(CLONE_DIM), shared, *(self.clone_indices(k) for k in clones)]
+        )

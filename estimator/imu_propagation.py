@@ -11,7 +11,7 @@ error-state Kalman filter", section 5, with Hamilton and local angular error).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
@@ -45,6 +45,8 @@ class NavState:
     """(3,) rad/s"""
     accel_bias: Array
     """(3,) m/s^2"""
+    calibration: Array = field(default_factory=lambda: np.zeros(0))
+    """errors of the told rig that are estimated too, if any (``estimator/self_calibration.py``)"""
 
     @property
     def pose(self) -> Pose:
@@ -58,6 +60,7 @@ class NavState:
             self.velocity.copy(),
             self.gyro_bias.copy(),
             self.accel_bias.copy(),
+            self.calibration.copy(),
         )
 
 
@@ -236,4 +239,5 @@ def propagate_nominal(
         velocities[-1],
         state.gyro_bias,
         state.accel_bias,
+        state.calibration,
     )

@@ -28,8 +28,12 @@ class Keyframe:
     """(N,) whether the plane is known"""
     planes: Array
     """(N, 3) ``n . P = 1`` in this keyframe's camera frame"""
+    sensors: Array
+    """(N, 3) where the LIDAR was when it saw the planes, this keyframe's camera frame"""
     depth_m: float
     """median depth of the landmarks"""
+    calibration: Array
+    """(C,) of the filter when the planes were measured"""
 
     def landmarks_camera(self, camera: CameraIntrinsics) -> Array:
         """(N, 3) in the camera frame; zeros where the plane is unknown."""
@@ -78,11 +82,12 @@ def measure_planes(
         return
     rays = bearing_rays(keyframe.pixels[missing], camera)[:, :2]
     half_view = (0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy)
-    valid, planes = feature_planes(
+    valid, planes, sensors = feature_planes(
         rays, recent, camera_from_odom, half_view, radius=16.0 / camera.fx
     )
     keyframe.valid[missing] = valid
     keyframe.planes[missing[valid]] = planes[valid]
+    keyframe.sensors[missing[valid]] = sensors[valid]
     if keyframe.valid.any():
         keyframe.depth_m = float(np.median(keyframe.landmarks_camera(camera)[keyframe.valid, 2]))
 

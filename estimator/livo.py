@@ -17,15 +17,25 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.anchored_update import update_with_scan
+from estimator.anchors import Anchors
 from estimator.api import Estimate, LivoParams, PoseTrack
 from estimator.deskew import deskew, thin_out
 from estimator.eskf import Eskf
 from estimator.guard import InputGuard
-from estimator.imu_propagation import ImuBuffer, NavState, propagate_nominal
+from estimator.imu_propagation import (
+    STATE_DIM,
+    ImuBuffer,
+    NavState,
+    integrate,
+    propagate_nominal,
+    transition,
+)
 from estimator.landmark_depth import RecentReturns
-from estimator.lidar_update import DegeneracyWatch, LidarReport, update_with_scan
+from estimator.lidar_update import DegeneracyWatch, LidarReport
 from estimator.patch_tracker import grey_levels
 from estimator.plane_map import PlaneMap
+from estimator.self_calibration import CALIBRATION_DIM, corrected_mount
 from estimator.stillness import Stillness
 from estimator.visual import VisualFrontEnd, VisualReport
 from sim.api import (
@@ -42,6 +52,10 @@ Array = NDArray[np.float64]
 
 _START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)
 """rad, m, m/s: the take-off pose is known, but the legs settle"""
+_FEWEST_RETURNS = 50
+"""in a scan worth using"""
+_ANCHOR_REACH = 0.5
+"""of the height: so far from the newest keyframe the map needs another pose to hang on"""
 _HISTORY = 128
 """IMU steps of past poses kept for deskewing"""
 _LIFTING_THRUST = 0.85
@@ -57,8 +71,9 @@ class Livo:
     def __init__(self, rig: SensorRig, params: LivoParams | None = None, seed: int = 0) -> None:
         self._rig = rig
         self._params = params = params or LivoParams()
-        self.needs = SensorNeeds(camera_hz=params.camera_hz, lidar=True)
-        self._guard = InputGuard(rig, params.camera_hz)
+        camera_hz = params.camera_hz if params.use_vision else 0
+        self.needs = SensorNeeds(camera_hz=camera_hz, lidar=True)
+        self._guard = InputGuard(rig, camera_hz)
         self._events: list[str] = []
         step_s = rig.imu_ticks / rig.tick_hz
         self._buffer = ImuBuffer(rig.imu, step_s)
@@ -66,10 +81,16 @@ class Livo:
         self._imu_from_lidar = self._imu_from_body @ rig.body_from_lidar
         start = rig.world_from_body_start @ rig.body_from_imu
         zero = np.zeros(3)
-        state = NavState(0, start.rotation, start.translation, zero, zero, zero)
+        rig_sigmas = _calibration_sigmas(params)
+        state = NavState(
+            0, start.rotation, start.translation, zero, zero, zero, np.zeros(len(rig_sigmas))
+        )
         bias_sigmas = np.repeat([rig.imu.gyro_bias_sigma, rig.imu.accel_bias_sigma], 3)
-        self._eskf = Eskf(state, np.concatenate([_START_SIGMAS, bias_sigmas]) ** 2)
+        self._eskf = Eskf(state, np.concatenate([_START_SIGMAS, bias_sigmas, rig_sigmas]) ** 2)
+        self._eskf.learns, self._eskf.loose = False, params.loose
+        self._anchors = Anchors()
         self._head = state
+        self._head_covariance = self._eskf.covariance[:STATE_DIM, :STATE_DIM].copy()
         self._stillness = Stillness(rig.imu.gyro_density, step_s)
         self._map = PlaneMap(params.voxel_m, params.map_voxels, params.voxel_points)
         self._recent = RecentReturns()
@@ -81,6 +102,9 @@ class Livo:
             features=params.features,
             sigma_px=params.pixel_sigma,
             open_ticks=2 * rig.tick_hz,
+            depth_sigma_m=params.depth_sigma_m,
+            height_sigma_m=params.anchor_height_m,
+            on_change=self._follow_clones,
         )
         self._weak_sigmas: tuple[float, float] | None = None
         if params.use_degeneracy:
@@ -118,7 +142,8 @@ class Livo:
                 self._buffer.step_s,
             )
         measured = False
-        arrivals: list[LidarScan | CameraImage] = [*obs.scans, *obs.images]
+        images = obs.images if self._params.use_vision else ()
+        arrivals: list[LidarScan | CameraImage] = [*obs.scans, *images]
         arrivals.sort(key=lambda m: (_tick_of(m), isinstance(m, CameraImage)))
         for message in arrivals:
             measured |= self._take(message)
@@ -190,22 +215,20 @@ class Livo:
         ):
             self._diagnostics["skipped"] += 1.0
             return
+        mount = self._imu_from_lidar
+        if len(self._eskf.state.calibration):
+            mount = corrected_mount(mount, self._eskf.state.calibration)
         points, beams = deskew(
-            scan.directions, scan.ranges, scan.time_offsets,
-            self._imu_from_lidar.rotation, self._imu_from_lidar.translation,
+            scan.directions, scan.ranges, scan.time_offsets, mount.rotation, mount.translation,
             self._history_rotations[first:], self._history_positions[first:],
             self._buffer.step_s, self._rig.lidar.min_range_m, self._rig.lidar.max_range_m,
         )  # fmt: skip
         report = LidarReport(matched=0, rms_m=0.0, lateral_strength=np.zeros(3))
-        if len(points) >= 50:
-            report = self._update_with_points(points, beams, scan.end_tick)
+        if len(points) >= _FEWEST_RETURNS:
+            report = self._update_with_points(points, beams)
             self._events += self._degeneracy.events(report)
         self._correct_history()
-        state = self._eskf.state
-        odom_points = points @ state.rotation.T + state.position
-        # close to the ground a scan would fill a voxel from one corner of it: spread what it learns
-        self._map.insert(odom_points[thin_out(points, 0.12 * self._params.voxel_m, 16)])
-        self._recent.add(odom_points)
+        self._learn(points, mount.translation, scan.end_tick)
         self._scan_track = self._track_over(first)
         self._diagnostics |= {
             "scan_returns": float(len(points)),
@@ -218,29 +241,65 @@ class Livo:
             "map_voxels": float(self._map.used),
         }
 
-    def _update_with_points(self, points: Array, beams: Array, tick: int) -> LidarReport:
+    def _update_with_points(self, points: Array, beams: Array) -> LidarReport:
         params = self._params
         reach = float(np.median(np.linalg.norm(beams, axis=1)))
         self._last_height = reach
+        self._eskf.learns = reach >= params.calibrate_above_m
+        if not params.use_lidar:
+            return LidarReport(matched=0, rms_m=0.0, lateral_strength=np.zeros(3))
         # the footprint is about 1.75 x 0.5 of the height: so many even cells cover it
         cell = np.sqrt(1.75 * 0.5 / params.scan_points) * reach
         chosen = thin_out(points, float(cell), 15)[: 2 * params.scan_points]
-        blind = tick - self._vision_tick > self._rig.tick_hz // 2
-        lateral = params.blind_lateral_sigma_m if blind else params.map_lateral_sigma_m
-        yaw_deg = params.blind_yaw_sigma_deg if blind else params.map_yaw_sigma_deg
-        tilt = np.radians(params.map_tilt_sigma_deg)
+        tilt, yaw = np.radians([params.scan_tilt_sigma_deg, params.scan_yaw_sigma_deg])
+        aside, height = params.scan_lateral_sigma_m, params.scan_height_sigma_m
         return update_with_scan(
             self._eskf,
             self._map,
+            self._anchors,
             points[chosen],
             beams[chosen],
             range_sigma_m=self._rig.lidar.range_sigma_m,
             angle_sigma_rad=float(np.radians(self._rig.lidar.angle_sigma_deg)),
-            floor_sigmas=np.array(
-                [tilt, tilt, np.radians(yaw_deg), lateral, lateral, params.map_height_sigma_m]
-            ),
+            floor_sigmas=np.array([tilt, tilt, yaw, aside, aside, height]),
             weak_sigmas=self._weak_sigmas,
         )
+
+    def _learn(self, points: Array, lidar_position: Array, tick: int) -> None:
+        """Adds (N, 3) points of the scan just used, IMU frame, to the map."""
+        state = self._eskf.state
+        if len(points) >= _FEWEST_RETURNS and self._lacks_anchor(tick):
+            self._vision.add_anchor(self._eskf, self._last_height, tick)
+        odom_points = points @ state.rotation.T + state.position
+        sensor = state.rotation @ lidar_position + state.position
+        terms = None
+        if len(self._anchors):
+            terms = self._anchors.kept_from_now(
+                self._eskf.clones, state.calibration, state.rotation
+            )
+        # close to the ground a scan would fill a voxel from one corner of it: spread what it learns
+        spread = thin_out(points, 0.12 * self._params.voxel_m, 16)
+        self._map.insert(odom_points[spread], sensor, len(self._anchors) - 1, terms)
+        self._recent.add(odom_points, sensor)
+
+    def _lacks_anchor(self, tick: int) -> bool:
+        """Whether the map would grow far from the newest clone, as it does where images fail."""
+        if not self._eskf.clones:
+            return True
+        if tick - self._vision_tick <= self._rig.tick_hz // 2:
+            return False
+        gap = self._eskf.state.position - self._eskf.clones[-1].translation
+        return float(np.linalg.norm(gap)) > _ANCHOR_REACH * max(self._last_height, 2.0)
+
+    def _follow_clones(self, gone: int | None) -> None:
+        """Keeps the map's anchors in step with the filter's clones."""
+        eskf = self._eskf
+        if gone is None:
+            self._anchors.add(eskf.clones[-1], eskf.state.calibration)
+            return
+        heir, move = self._anchors.bequest(gone, eskf.clones)
+        self._map.bequeath(gone, heir, move)
+        self._anchors.remove(gone)
 
     def _take_image(self, image: CameraImage) -> None:
         rgb = image.rgb
@@ -258,6 +317,15 @@ class Livo:
         if self._vision.wants_keyframe(report, image.tick):
             self._vision.add_keyframe(self._eskf, levels, self._recent, image.tick)
         self._diagnostics |= _visual_diagnostics(report, len(self._vision.keyframes))
+        calibration = self._eskf.state.calibration
+        if len(calibration):
+            turn = np.degrees(calibration[:3])
+            self._diagnostics |= {
+                "calibration_roll_deg": float(turn[0]),
+                "calibration_pitch_deg": float(turn[1]),
+                "calibration_yaw_deg": float(turn[2]),
+                "calibration_focal": float(calibration[6:8].mean()),
+            }
 
     def _track_over(self, first: int) -> PoseTrack:
         imu_from_body = self._imu_from_body
@@ -278,6 +346,7 @@ class Livo:
         old = self._head
         ticks, gyro, force, _ = self._buffer.samples(self._buffer.count)
         self._head = propagate_nominal(self._eskf.state, ticks, gyro, force, self._buffer.step_s)
+        self._head_covariance = self._covariance_of_now(gyro, force)
         shown = old.rotation @ so3_exp(self._offset[:3])
         self._offset = np.concatenate(
             [
@@ -286,6 +355,19 @@ class Livo:
                 old.velocity + self._offset[6:9] - self._head.velocity,
             ]
         )
+
+    def _covariance_of_now(self, gyro: Array, force: Array) -> Array:
+        """(15, 15) of the head: the filter's, carried over the buffered samples."""
+        state, step_s = self._eskf.state, self._buffer.step_s
+        covariance = self._eskf.covariance[:STATE_DIM, :STATE_DIM]
+        if len(gyro) == 0:
+            return covariance.copy()
+        gyro, force = gyro - state.gyro_bias, force - state.accel_bias
+        rotations, _, _ = integrate(
+            state.rotation, state.position, state.velocity, gyro, force, step_s, GRAVITY_MPS2
+        )
+        total, noise = transition(rotations, gyro, force, step_s, self._buffer.densities)
+        return np.asarray(total @ covariance @ total.T + noise)
 
     def _estimate(self, obs: Observation) -> Estimate:
         head = self._head
@@ -296,7 +378,9 @@ class Livo:
         lever = np.cross(rate_imu, self._imu_from_body.translation)
         acceleration = rotation @ (self._force - head.accel_bias)
         acceleration = acceleration - np.array([0.0, 0.0, GRAVITY_MPS2])
-        cov = self._eskf.covariance
+        cov = self._head_covariance
+        # what is shown is off the best belief by the offset that fades
+        shown = cov[3:6, 3:6] + np.outer(self._offset[3:6], self._offset[3:6])
         body_from_imu = self._rig.body_from_imu.rotation
         return Estimate(
             tick=obs.tick,
@@ -306,13 +390,22 @@ class Livo:
             velocity_odom=head.velocity + self._offset[6:9] + rotation @ lever,
             angular_velocity_body=body_from_imu @ rate_imu,
             acceleration_odom=acceleration,
-            position_covariance=cov[3:6, 3:6].copy(),
+            position_covariance=shown,
             rotation_covariance=body_from_imu @ cov[:3, :3] @ body_from_imu.T,
-            healthy=bool(np.trace(cov[3:6, 3:6]) < 1.0),
+            healthy=bool(np.trace(shown) < 1.0),
             scan_track=self._scan_track,
             diagnostics=dict(self._diagnostics),
             events=tuple(self._events),
         )
+
+
+def _calibration_sigmas(params: LivoParams) -> Array:
+    """(10,), or (0,) where the rig is taken as told; rad, m, 1, pixels."""
+    if not params.use_calibration:
+        return np.zeros(0)
+    turn = np.radians(params.mount_turn_sigma_deg)
+    sigmas = [turn, params.mount_shift_sigma_m, params.focal_sigma, params.center_sigma_px]
+    return np.repeat(sigmas, [3, 3, 2, CALIBRATION_DIM - 8])
 
 
 def _tick_of(message: LidarScan | CameraImage) -> int:

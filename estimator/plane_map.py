@@ -2,7 +2,8 @@
 
 Voxel planes with a covariance follow the idea of VoxelMap (Yuan et al. 2022); here the moments are
 kept (ten numbers a voxel), so that voxels can be merged exactly where a surface lies close to a
-voxel's face and each side would hold only one half of its noise.
+voxel's face and each side would hold only one half of its noise. A voxel also remembers from where
+it was seen, and which anchor it hangs on (``estimator/anchors.py``).
 """
 
 from __future__ import annotations
@@ -11,12 +12,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from sim.frames import Pose
+
 Array = NDArray[np.float64]
 
 _EMPTY = np.int64(-1)
 _OFFSET = 1 << 20
-_MOMENTS = 10
-"""count, sum of (x, y, z), sums of xx, xy, xz, yy, yz, zz about the voxel's centre"""
+_MOMENTS = 13
+"""count, sum of (x, y, z), sums of xx, xy, xz, yy, yz, zz about the voxel's centre, sum of the
+sensor's x, y, z"""
+_NO_ANCHOR = -1
 
 
 @njit(cache=True)
@@ -43,18 +48,29 @@ def _slot(keys: NDArray[np.int64], key: np.int64) -> int:
 def insert_points(
     keys: NDArray[np.int64],
     moments: Array,
+    owners: NDArray[np.int16],
     used: int,
     points: Array,
+    sensor: Array,
+    owner: int,
+    rotations: Array,
+    translations: Array,
+    changes: Array,
     voxel: float,
     max_count: int,
 ) -> int:
-    """Adds (N, 3) points; returns the number of used slots.
+    """Adds (N, 3) points seen from ``sensor`` (3,); returns the number of used slots.
+
+    New voxels belong to anchor ``owner``. Where a voxel has an anchor k, points are first brought
+    to its terms: beams turned by ``changes`` (K, 6), then ``rotations`` (K, 3, 3) and
+    ``translations`` (K, 3); see ``Anchors.kept_from_now``.
 
     A voxel that has seen ``max_count`` points is left as it is: its oldest points carry the least
     drift, and the cost of a scan stays constant. When the table is 70 % full, new voxels are
     refused.
     """
     limit = int(0.7 * keys.shape[0])
+    p = np.empty(3)
     for i in range(points.shape[0]):
         ix = int(np.floor(points[i, 0] / voxel))
         iy = int(np.floor(points[i, 1] / voxel))
@@ -65,13 +81,25 @@ def insert_points(
             if used >= limit:
                 continue
             keys[slot] = key
+            owners[slot] = owner
             used += 1
         m = moments[slot]
         if m[0] >= max_count:
             continue
-        x = points[i, 0] - (ix + 0.5) * voxel
-        y = points[i, 1] - (iy + 0.5) * voxel
-        z = points[i, 2] - (iz + 0.5) * voxel
+        p[:] = points[i]
+        k = owners[slot]
+        if k >= 0:
+            w = changes[k]
+            bx, by, bz = p[0] - sensor[0], p[1] - sensor[1], p[2] - sensor[2]
+            qx = p[0] + w[1] * bz - w[2] * by + w[3]
+            qy = p[1] + w[2] * bx - w[0] * bz + w[4]
+            qz = p[2] + w[0] * by - w[1] * bx + w[5]
+            turn = rotations[k]
+            for a in range(3):
+                p[a] = turn[a, 0] * qx + turn[a, 1] * qy + turn[a, 2] * qz + translations[k, a]
+        x = p[0] - (ix + 0.5) * voxel
+        y = p[1] - (iy + 0.5) * voxel
+        z = p[2] - (iz + 0.5) * voxel
         m[0] += 1.0
         m[1] += x
         m[2] += y
@@ -82,7 +110,53 @@ def insert_points(
         m[7] += y * y
         m[8] += y * z
         m[9] += z * z
+        m[10] += sensor[0]
+        m[11] += sensor[1]
+        m[12] += sensor[2]
     return used
+
+
+@njit(cache=True)
+def hand_over(
+    keys: NDArray[np.int64],
+    moments: Array,
+    owners: NDArray[np.int16],
+    gone: int,
+    heir: int,
+    rotation: Array,
+    translation: Array,
+    voxel: float,
+) -> None:
+    """Voxels of anchor ``gone`` go to ``heir``, moved by (rotation, translation), millimetres: by
+    what that does to their middle. Anchors behind ``gone`` move up by one."""
+    mask = (np.int64(1) << np.int64(21)) - 1
+    d = np.empty(3)
+    for slot in range(keys.shape[0]):
+        k = owners[slot]
+        if keys[slot] == _EMPTY or k < gone:
+            continue
+        if k == gone:
+            m = moments[slot]
+            n = m[0]
+            key = keys[slot]
+            index = ((key >> 42) & mask, (key >> 21) & mask, key & mask)
+            at = np.empty(3)
+            for a in range(3):
+                at[a] = (index[a] - _OFFSET + 0.5) * voxel + (m[1 + a] / n if n > 0 else 0.0)
+            for a in range(3):
+                d[a] = translation[a] - at[a]
+                for b in range(3):
+                    d[a] += rotation[a, b] * at[b]
+            m[4] += 2.0 * d[0] * m[1] + n * d[0] * d[0]
+            m[5] += d[0] * m[2] + d[1] * m[1] + n * d[0] * d[1]
+            m[6] += d[0] * m[3] + d[2] * m[1] + n * d[0] * d[2]
+            m[7] += 2.0 * d[1] * m[2] + n * d[1] * d[1]
+            m[8] += d[1] * m[3] + d[2] * m[2] + n * d[1] * d[2]
+            m[9] += 2.0 * d[2] * m[3] + n * d[2] * d[2]
+            for a in range(3):
+                m[1 + a] += n * d[a]
+            k = heir
+        owners[slot] = k - 1 if k > gone else k
 
 
 @njit(cache=True)
@@ -136,7 +210,8 @@ def _gather(
     total: Array,
 ) -> tuple[float, float, float]:
     """Moments about the centre of the voxel of (x, y, z), merged with the neighbours whose face is
-    within ``margin``, into ``total`` (10,). Returns that centre."""
+    within ``margin``, into ``total`` (14,), and last the slot that gave most. Returns that
+    centre."""
     cell = (np.floor(x / voxel), np.floor(y / voxel), np.floor(z / voxel))
     centre = ((cell[0] + 0.5) * voxel, (cell[1] + 0.5) * voxel, (cell[2] + 0.5) * voxel)
     side = np.zeros(3, dtype=np.int64)
@@ -147,6 +222,7 @@ def _gather(
         elif at[k] < margin - 0.5 * voxel:
             side[k] = -1
     total[:] = 0.0
+    most = 0.0
     for corner in range(8):
         step = np.zeros(3, dtype=np.int64)
         wanted = True
@@ -161,6 +237,9 @@ def _gather(
         if keys[slot] == _EMPTY:
             continue
         m = moments[slot]
+        if m[0] > most:
+            most = m[0]
+            total[_MOMENTS] = slot
         n, sx, sy, sz = m[0], step[0] * voxel, step[1] * voxel, step[2] * voxel
         total[0] += n
         total[1] += m[1] + n * sx
@@ -172,6 +251,8 @@ def _gather(
         total[7] += m[7] + 2.0 * sy * m[2] + n * sy * sy
         total[8] += m[8] + sy * m[3] + sz * m[2] + n * sy * sz
         total[9] += m[9] + 2.0 * sz * m[3] + n * sz * sz
+        for k in range(10, _MOMENTS):
+            total[k] += m[k]
     return centre
 
 
@@ -179,17 +260,19 @@ def _gather(
 def match_planes(
     keys: NDArray[np.int64],
     moments: Array,
+    owners: NDArray[np.int16],
     points: Array,
     voxel: float,
     margin: float,
     min_count: int,
     max_thickness: float,
-) -> tuple[NDArray[np.bool_], Array, Array, Array]:
+) -> tuple[NDArray[np.bool_], Array, Array, Array, Array, NDArray[np.int16]]:
     """The plane of the voxel of each of (N, 3) points.
 
     Returns found (N,), unit normals (N, 3), plane points (N, 3), and variances (N, 3): of the
     plane's height at the point, m^2, its thickness (what single returns scatter) and its own
-    uncertainty; and of the normal about either axis, rad^2.
+    uncertainty; and of the normal about either axis, rad^2. Then where the sensor was on average
+    (N, 3) and the anchors (N,).
     A voxel is planar if its smallest standard deviation is below ``max_thickness`` and three times
     below the next one.
     """
@@ -198,7 +281,9 @@ def match_planes(
     normals = np.zeros((count, 3))
     anchors = np.zeros((count, 3))
     variances = np.zeros((count, 3))
-    total = np.zeros(_MOMENTS)
+    sensors = np.zeros((count, 3))
+    anchor_of = np.full(count, _NO_ANCHOR, dtype=np.int16)
+    total = np.zeros(_MOMENTS + 1)
     cov = np.zeros((3, 3))
     for i in range(count):
         cx, cy, cz = _gather(
@@ -229,7 +314,11 @@ def match_planes(
         variances[i, 0] = low
         variances[i, 1] = low / n * (1.0 + reach2 / mid)
         variances[i, 2] = low / (n * mid)
-    return found, normals, anchors, variances
+        for k in range(3):
+            sensors[i, k] = total[10 + k] / n
+        # the voxel's own, or the one that a neighbour merged with it has
+        anchor_of[i] = owners[int(total[_MOMENTS])]
+    return found, normals, anchors, variances, sensors, anchor_of
 
 
 class PlaneMap:
@@ -246,18 +335,38 @@ class PlaneMap:
         self.used = 0
         self._keys = np.full(capacity, _EMPTY, dtype=np.int64)
         self._moments = np.zeros((capacity, _MOMENTS))
+        self._owners = np.full(capacity, _NO_ANCHOR, dtype=np.int16)
 
-    def insert(self, points_odom: Array) -> None:
-        """Adds (N, 3) points."""
+    def insert(
+        self,
+        points_odom: Array,
+        sensor_odom: Array | None = None,
+        owner: int = _NO_ANCHOR,
+        terms: tuple[Array, Array, Array] | None = None,
+    ) -> None:
+        """Adds (N, 3) points seen from ``sensor_odom`` (3,). ``owner`` and ``terms``: see
+        ``insert_points``; without them the voxels hang on nothing."""
+        if terms is None:
+            terms = np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 6))
+        sensor = np.zeros(3) if sensor_odom is None else sensor_odom
         self.used = insert_points(
-            self._keys, self._moments, self.used, points_odom, self.voxel_m, self.max_points
-        )
+            self._keys, self._moments, self._owners, self.used, points_odom, sensor, owner, *terms,
+            self.voxel_m, self.max_points,
+        )  # fmt: skip
+
+    def bequeath(self, gone: int, heir: int, move: Pose) -> None:
+        """Anchor ``gone`` ends: see ``hand_over``."""
+        hand_over(
+            self._keys, self._moments, self._owners, gone, heir, move.rotation, move.translation,
+            self.voxel_m,
+        )  # fmt: skip
 
     def match(
         self, points_odom: Array, min_count: int = 8, max_thickness_m: float = 0.12
-    ) -> tuple[NDArray[np.bool_], Array, Array, Array]:
+    ) -> tuple[NDArray[np.bool_], Array, Array, Array, Array, NDArray[np.int16]]:
         """See ``match_planes``."""
         margin = 0.12 * self.voxel_m
         return match_planes(
-            self._keys, self._moments, points_odom, self.voxel_m, margin, min_count, max_thickness_m
-        )
+            self._keys, self._moments, self._owners, points_odom, self.voxel_m, margin, min_count,
+            max_thickness_m,
+        )  # fmt: skip

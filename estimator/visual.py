@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from estimator.eskf import CLONE_DIM, Eskf
 from estimator.keyframes import (
     Keyframe,
+    bearing_rays,
     choose,
     detect_features,
     measure_planes,
@@ -20,6 +22,7 @@ from estimator.keyframes import (
 from estimator.landmark_depth import RecentReturns
 from estimator.patch_tracker import Grey, track
 from estimator.plane_extension import extend_plane
+from estimator.self_calibration import MOUNT_DIM, corrected_intrinsics, landmark_jacobians
 from sim.api import CameraIntrinsics
 from sim.frames import Pose
 
@@ -40,7 +43,6 @@ class VisualReport:
     best_share: float = 0.0
 
 
-@njit(cache=True)
 def reprojection_information(
     pixels: Array,
     landmarks: Array,
@@ -54,18 +56,47 @@ def reprojection_information(
     sigma_px: float,
     gate_px: float,
 ) -> tuple[Array, Array, int, float]:
-    """Information (12, 12) and vector (12,) of the reprojection residuals of one keyframe.
+    """``calibrated_information`` of a rig taken for certain: (12, 12) and (12,)."""
+    fixed, exact = np.zeros((len(pixels), 3, 0)), np.zeros((len(pixels), 3))
+    return calibrated_information(
+        pixels, landmarks, fixed, exact, rotation, position, key_rotation, key_position,
+        camera_rotation, camera_position, intrinsics, sigma_px, gate_px,
+    )  # fmt: skip
 
-    ``pixels`` (N, 2) measured now; ``landmarks`` (N, 3) in the keyframe's IMU frame; ``rotation``,
+
+@njit(cache=True)
+def calibrated_information(
+    pixels: Array,
+    landmarks: Array,
+    jacobians: Array,
+    spreads: Array,
+    rotation: Array,
+    position: Array,
+    key_rotation: Array,
+    key_position: Array,
+    camera_rotation: Array,
+    camera_position: Array,
+    intrinsics: Array,
+    sigma_px: float,
+    gate_px: float,
+) -> tuple[Array, Array, int, float]:
+    """Information (12 + C, 12 + C) and vector (12 + C,) of the reprojection residuals of one
+    keyframe.
+
+    ``pixels`` (N, 2) measured now; ``landmarks`` (N, 3) in the keyframe's IMU frame and their
+    ``jacobians`` (N, 3, C) by the calibration, C = 0 or 10, and ``spreads`` (N, 3), one standard
+    deviation along their rays; ``rotation``,
     ``position``: odom_from_imu now; ``key_*``: odom_from_imu of the keyframe; ``camera_*``:
     camera_from_imu; ``intrinsics``: fx, fy, cx, cy. Error order: present rotation (right
-    perturbation) and position, then the keyframe's. Cauchy weights of scale ``gate_px`` / 2, zero
-    beyond ``gate_px``. Returns also the number used and their rms in pixels.
+    perturbation) and position, then the keyframe's, then the calibration. Cauchy weights of scale
+    ``gate_px`` / 2, zero beyond ``gate_px``. Returns also the number used and their rms in pixels.
     """
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
-    information = np.zeros((12, 12))
-    vector = np.zeros(12)
-    jacobian = np.zeros((2, 12))
+    shared = jacobians.shape[2]
+    size = 12 + shared
+    information = np.zeros((size, size))
+    vector = np.zeros(size)
+    jacobian = np.zeros((2, size))
     projection = np.zeros((2, 3))
     key_now = np.ascontiguousarray(rotation.T) @ key_rotation
     back = np.ascontiguousarray(rotation.T)
@@ -97,21 +128,64 @@ def reprojection_information(
             for b in range(3):
                 jacobian[a, 3 + b] = -to_world[a, b]
                 jacobian[a, 9 + b] = to_world[a, b]
+            for b in range(shared):
+                jacobian[a, 12 + b] = 0.0
+                for k in range(3):
+                    jacobian[a, 12 + b] += to_key[a, k] * jacobians[i, k, b]
+        if shared > 0:
+            jacobian[0, 18] += fx * c[0] / c[2]
+            jacobian[1, 19] += fy * c[1] / c[2]
+            jacobian[0, 20] += 1.0
+            jacobian[1, 21] += 1.0
         weight = 1.0 / ((1.0 + 4.0 * error2 / (gate_px * gate_px)) * sigma_px * sigma_px)
-        for a in range(12):
-            vector[a] += weight * (jacobian[0, a] * ru + jacobian[1, a] * rv)
-            for b in range(12):
-                information[a, b] += weight * (
-                    jacobian[0, a] * jacobian[0, b] + jacobian[1, a] * jacobian[1, b]
-                )
+        # the landmark's depth moves its pixel along one line, on which less is known
+        du, dv = 0.0, 0.0
+        for k in range(3):
+            du += to_key[0, k] * spreads[i, k]
+            dv += to_key[1, k] * spreads[i, k]
+        rest = 1.0 / (sigma_px * sigma_px + du * du + dv * dv)
+        wuu = weight * (1.0 - rest * du * du)
+        wuv = -weight * rest * du * dv
+        wvv = weight * (1.0 - rest * dv * dv)
+        for a in range(size):
+            left_u = wuu * jacobian[0, a] + wuv * jacobian[1, a]
+            left_v = wuv * jacobian[0, a] + wvv * jacobian[1, a]
+            vector[a] += left_u * ru + left_v * rv
+            for b in range(size):
+                information[a, b] += left_u * jacobian[0, b] + left_v * jacobian[1, b]
         used += 1
         total += error2
     rms = np.sqrt(total / used) if used > 0 else 0.0
     return information, vector, used, rms
 
 
+@dataclass(frozen=True, slots=True)
+class _Track:
+    """Landmarks of one keyframe that were found in the present image."""
+
+    keyframe: int
+    pixels: Array
+    """(N, 2) where"""
+    landmarks: Array
+    """(N, 3) IMU frame of the keyframe"""
+    jacobians: Array
+    """(N, 3, C) by the calibration"""
+    spreads: Array
+    """(N, 3) one standard deviation along the ray"""
+    made_with: Array
+    """(C,) the calibration that ``landmarks`` hold for"""
+
+
+_NO_IMAGE = np.zeros((0, 0), dtype=np.uint8)
+
+
 class VisualFrontEnd:
-    """Keyframes and the update by an image. Keyframe k is clone k of the filter."""
+    """Keyframes and the update by an image. Keyframe k is clone k of the filter.
+
+    ``depth_sigma_m``: of a landmark along its ray; ``height_sigma_m``: what all landmarks and
+    planes of a keyframe have in common; ``on_change(k)`` is called before clone k goes, with None
+    after one came.
+    """
 
     def __init__(
         self,
@@ -123,6 +197,9 @@ class VisualFrontEnd:
         features: int,
         sigma_px: float,
         open_ticks: int,
+        depth_sigma_m: float = 0.0,
+        height_sigma_m: float = 0.0,
+        on_change: Callable[[int | None], None] = lambda k: None,
     ) -> None:
         self._camera = camera
         self._imu_from_camera = imu_from_camera
@@ -133,6 +210,9 @@ class VisualFrontEnd:
         self._features = features
         self._sigma_px = sigma_px
         self._open_ticks = open_ticks
+        self._depth_sigma_m = depth_sigma_m
+        self._own_variances = np.array([0.0, 0.0, 0.0, 0.0, 0.0, height_sigma_m**2])
+        self._on_change = on_change
         self.keyframes: list[Keyframe] = []
 
     # ------------------------------------------------------------------------ keyframes
@@ -141,7 +221,11 @@ class VisualFrontEnd:
         """Completes planes of young keyframes: the LIDAR sweeps over their rims a little later."""
         for k, keyframe in enumerate(self.keyframes):
             age = tick - keyframe.tick
-            if age <= self._open_ticks and age % (self._open_ticks // 4) == 0:
+            if (
+                keyframe.pixels.size
+                and age <= self._open_ticks
+                and age % (self._open_ticks // 4) == 0
+            ):
                 camera_from_odom = (eskf.clones[k] @ self._imu_from_camera).inverse()
                 measure_planes(keyframe, recent, camera_from_odom, self._camera)
 
@@ -150,28 +234,53 @@ class VisualFrontEnd:
     ) -> bool:
         """Makes the present image a keyframe, if enough of its features have a plane."""
         pixels = detect_features(levels[0], self._features)
-        count = len(pixels)
-        keyframe = Keyframe(
-            tick, levels, pixels, np.zeros(count, dtype=np.bool_), np.zeros((count, 3)), 0.0
-        )
+        keyframe = self._keyframe(eskf, levels, pixels, tick)
         camera_from_odom = (eskf.state.pose @ self._imu_from_camera).inverse()
         measure_planes(keyframe, recent, camera_from_odom, self._camera)
         if int(keyframe.valid.sum()) < _LEAST_PLANES:
             extend_plane(keyframe, recent, camera_from_odom, self._camera)
         if int(keyframe.valid.sum()) < _LEAST_PLANES:
             return False
+        self._append(eskf, keyframe)
+        return True
+
+    def add_anchor(self, eskf: Eskf, depth_m: float, tick: int) -> None:
+        """Remembers the present pose without an image, for the map to hang on, ``depth_m`` above
+        the ground."""
+        keyframe = self._keyframe(eskf, (_NO_IMAGE, _NO_IMAGE, _NO_IMAGE), np.zeros((0, 2)), tick)
+        keyframe.depth_m = depth_m
+        self._append(eskf, keyframe)
+
+    def _keyframe(
+        self, eskf: Eskf, levels: tuple[Grey, Grey, Grey], pixels: Array, tick: int
+    ) -> Keyframe:
+        count = len(pixels)
+        return Keyframe(
+            tick=tick,
+            levels=levels,
+            pixels=pixels,
+            valid=np.zeros(count, dtype=np.bool_),
+            planes=np.zeros((count, 3)),
+            sensors=np.zeros((count, 3)),
+            depth_m=0.0,
+            calibration=eskf.state.calibration,
+        )
+
+    def _append(self, eskf: Eskf, keyframe: Keyframe) -> None:
         if len(self.keyframes) == self._max_keyframes:
             gone = most_redundant(eskf.clones, [k.depth_m for k in self.keyframes])
+            self._on_change(gone)
             eskf.remove_clone(gone)
             del self.keyframes[gone]
-        eskf.add_clone()
+        eskf.add_clone(self._own_variances)
         self.keyframes.append(keyframe)
-        return True
+        self._on_change(None)
 
     def wants_keyframe(self, report: VisualReport, tick: int) -> bool:
         """Whether the view has moved so far that the next hop needs a new foothold. While nothing
         is tracked, new ones come at a slow pace, so that they do not push out all the others."""
-        newest = self.keyframes[-1].tick if self.keyframes else -self._open_ticks
+        ticks = [keyframe.tick for keyframe in self.keyframes if keyframe.pixels.size]
+        newest = ticks[-1] if ticks else -self._open_ticks
         if report.used == 0:
             return tick - newest >= self._open_ticks // 4
         return report.used < 80 or report.best_share < 0.6
@@ -189,7 +298,7 @@ class VisualFrontEnd:
              for i in map(eskf.clone_indices, range(len(poses)))]
         )  # fmt: skip
         chosen = choose(candidates, variances, self._look_back, 0.35)
-        tracks = []
+        tracks: list[_Track] = []
         for k in chosen:
             keyframe = self.keyframes[k]
             usable = np.flatnonzero(keyframe.valid)
@@ -198,20 +307,34 @@ class VisualFrontEnd:
                 now.inverse() @ poses[k], self._camera,
             )  # fmt: skip
             if int(found.sum()) >= 10:
-                in_camera = keyframe.landmarks_camera(self._camera)[usable][found]
-                tracks.append((k, pixels[found], self._imu_from_camera.apply(in_camera)))
-        if sum(len(t[1]) for t in tracks) < 15:
+                tracks.append(self._track(eskf, k, usable[found], pixels[found]))
+        if sum(len(t.pixels) for t in tracks) < 15:
             return VisualReport(best_share=share)
         used, rms = self._iterate(eskf, tracks)
         return VisualReport(used=used, looked_back=len(tracks), rms_px=rms, best_share=share)
 
-    def _iterate(
-        self, eskf: Eskf, tracks: list[tuple[int, Array, Array]], iterations: int = 4
-    ) -> tuple[int, float]:
+    def _track(self, eskf: Eskf, k: int, which: NDArray[np.int64], pixels: Array) -> _Track:
+        """Landmarks of keyframe ``k`` as made, and how they depend on the calibration."""
+        keyframe = self.keyframes[k]
+        landmarks = self._imu_from_camera.apply(keyframe.landmarks_camera(self._camera)[which])
+        arms = landmarks - self._imu_from_camera.translation
+        spreads = arms * (self._depth_sigma_m / np.linalg.norm(arms, axis=1))[:, None]
+        if len(eskf.state.calibration) == 0:
+            none = np.zeros((len(which), 3, 0))
+            return _Track(k, pixels, landmarks, none, spreads, np.zeros(0))
+        made_with = keyframe.calibration.copy()
+        made_with[MOUNT_DIM:] = 0.0  # rays are those of the told lens
+        jacobians = landmark_jacobians(
+            bearing_rays(keyframe.pixels[which], self._camera), keyframe.planes[which],
+            keyframe.sensors[which], self._imu_from_camera.rotation, self._camera,
+        )  # fmt: skip
+        return _Track(k, pixels, landmarks, jacobians, spreads, made_with)
+
+    def _iterate(self, eskf: Eskf, tracks: list[_Track], iterations: int = 4) -> tuple[int, float]:
         prior, clones = eskf.state, eskf.clones
-        keys = [k for k, _, _ in tracks]
+        keys = [track.keyframe for track in tracks]
         touched = eskf.touched(keys)
-        size = CLONE_DIM * (1 + len(keys))
+        size = len(touched)
         information, used, rms = np.zeros((size, size)), 0, 0.0
         for iteration in range(iterations):
             gate = (12.0, 6.0, 3.0, 3.0)[min(iteration, 3)]
@@ -219,6 +342,7 @@ class VisualFrontEnd:
             if used < 15:
                 eskf.state, eskf.clones = prior, clones
                 return 0, 0.0
+            information, vector = eskf.admitted(information, vector)
             offset = eskf.deviation(prior, clones, keys)
             delta = eskf.gain(touched, information, vector + information @ offset)
             eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)
@@ -226,20 +350,33 @@ class VisualFrontEnd:
         return used, rms
 
     def _accumulate(
-        self, eskf: Eskf, tracks: list[tuple[int, Array, Array]], gate_px: float
+        self, eskf: Eskf, tracks: list[_Track], gate_px: float
     ) -> tuple[Array, Array, int, float]:
-        size = CLONE_DIM * (1 + len(tracks))
+        state = eskf.state
+        shared = len(state.calibration)
+        size = CLONE_DIM * (1 + len(tracks)) + shared
         information, vector = np.zeros((size, size)), np.zeros(size)
+        intrinsics = self._intrinsics
+        if shared:
+            intrinsics = corrected_intrinsics(self._camera, state.calibration)
         used, total = 0, 0.0
-        for slot, (k, pixels, landmarks) in enumerate(tracks):
-            part, part_vector, count, rms = reprojection_information(
-                pixels, landmarks, eskf.state.rotation, eskf.state.position,
-                eskf.clones[k].rotation, eskf.clones[k].translation,
+        for slot, track_ in enumerate(tracks):
+            clone = eskf.clones[track_.keyframe]
+            landmarks = track_.landmarks + track_.jacobians @ (state.calibration - track_.made_with)
+            part, part_vector, count, rms = calibrated_information(
+                track_.pixels, landmarks, track_.jacobians, track_.spreads,
+                state.rotation, state.position, clone.rotation, clone.translation,
                 self._camera_from_imu.rotation, self._camera_from_imu.translation,
-                self._intrinsics, self._sigma_px, gate_px,
+                intrinsics, self._sigma_px, gate_px,
             )  # fmt: skip
-            start = CLONE_DIM * (1 + slot)
-            where = np.concatenate([np.arange(CLONE_DIM), np.arange(start, start + CLONE_DIM)])
+            start = CLONE_DIM * (1 + slot) + shared
+            where = np.concatenate(
+                [
+                    np.arange(CLONE_DIM),
+                    np.arange(start, start + CLONE_DIM),
+                    np.arange(CLONE_DIM, CLONE_DIM + shared),
+                ]
+            )
             information[np.ix_(where, where)] += part
             vector[where] += part_vector
             used += count

@@ -50,11 +50,11 @@ class RigErrorParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    rotation_sigma_deg: float = 0.0
+    rotation_sigma_deg: float = 0.03
     """of camera_from_lidar, about each axis"""
-    translation_sigma_m: float = 0.0
+    translation_sigma_m: float = 0.003
     """of camera_from_lidar, along each axis"""
-    focal_sigma: float = 0.0
+    focal_sigma: float = 5e-4
     """relative, of each focal length"""
     center_sigma_px: float = 0.0
     """of either coordinate of the principal point"""

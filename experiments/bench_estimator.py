@@ -96,7 +96,7 @@ def bench_scene(logged: LoggedRun, seconds: float | None, tell: Tell) -> dict[st
                 peer, setting, scans, truth.at, logged.sensors.rig.body_from_lidar, truth.survey_s()
             )
             rows.append(_peer_row(track, truth))
-        best = min(rows, key=lambda row: (row["lost_s"] is not None, row["error_m"]))
+        best = min(rows, key=_badness)
         found["error_m"][peer] = best["error_m"]
         found["cpu_ms"][peer] = best["cpu_ms"]
         found["lost_s"][peer] = best["lost_s"]
@@ -229,6 +229,12 @@ def logged_scans(logged: LoggedRun, end_s: float) -> list[ScanPoints]:
     return scans
 
 
+def _badness(row: dict[str, Any]) -> tuple[float, float]:
+    """Whoever is lost is worse than whoever is not, the sooner the worse."""
+    lost_s = row["lost_s"]
+    return (-math.inf if lost_s is None else -lost_s, row["error_m"])
+
+
 def _peer_row(track: PeerTrack, truth: TruePath) -> dict[str, Any]:
     true = [truth.at(time_s).translation for time_s in track.times_s]
     return {
@@ -278,8 +284,9 @@ def summary(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """The figures over scenes from those of each, as `bench_scene` gives them."""
     ratios = {}
     for scene, figures in found.items():
-        errors = figures["error_m"]
-        ratios[scene] = min(errors[peer] for peer in GRIDS) / errors["livo"]
+        errors, lost = figures["error_m"], figures["lost_s"]
+        rivals = [peer for peer in GRIDS if lost[peer] is None] or list(GRIDS)
+        ratios[scene] = min(errors[peer] for peer in rivals) / errors["livo"]
     mean = math.exp(float(np.mean([math.log(ratio) for ratio in ratios.values()])))
     methods = (*ESTIMATORS, *GRIDS)
     return {

@@ -26,14 +26,14 @@ LOST_M = 10.0
 
 GRIDS: dict[str, dict[str, tuple[Any, ...]]] = {
     "kiss_icp": {
-        "voxel_m": (1.0, 2.0),
+        "voxel_m": (0.5, 1.0, 2.0),
         "initial_threshold_m": (0.5, 2.0),
         "deskew": (True, False),
         "start": ("lift-off", "survey"),
     },
     "small_gicp": {
         "downsampling_m": (0.25, 0.5, 1.0),
-        "voxel_m": (1.0, 2.0),
+        "voxel_m": (0.5, 1.0, 2.0),
         "deskew": (True, False),
         "start": ("lift-off", "survey"),
     },
@@ -46,7 +46,7 @@ MAP_SCANS = 1000
 """small_gicp's map forgets voxels that so many scans did not touch: longer than a survey, so that
 ground seen again is still known"""
 _MOST_ITERATIONS = 100
-"""of KISS-ICP on a scan; its default of 500 changes nothing but the time it takes to get lost"""
+"""of KISS-ICP on a scan; its default is 500, to which only scans go that do not converge"""
 _LEAST_RETURNS, _LEAST_POINTS = 100, 20
 """of a scan, and of it after downsampling, to be of use at all: near the ground there are few"""
 
@@ -140,12 +140,11 @@ class SmallGicp:
     def register(self, points: Array, shares: Array) -> Array:
         if self._deskew:
             points = unbend(points, shares, self._step)
-        cloud, _ = self._lib.preprocess_points(
-            points, downsampling_resolution=self._downsampling, num_threads=1
-        )
+        cloud = self._lib.voxelgrid_sampling(points, self._downsampling, num_threads=1)
         if cloud.size() < _LEAST_POINTS:
             self._pose = self._pose @ self._step
             return self._pose
+        self._lib.estimate_covariances(cloud, num_neighbors=10, num_threads=1)
         if self._map.size():
             guess = self._pose @ self._step
             found = self._lib.align(self._map, cloud, guess, num_threads=1)

@@ -34,8 +34,8 @@ from sim.api import SensorNeeds, SensorRig
 from sim.frames import Pose
 
 if TYPE_CHECKING:
-    from scenes.survey_facts import Difference, Layout, SurveyFacts
     from estimator.paper.still_scan import StillFeatures
+    from scenes.survey_facts import Difference, Layout, SurveyFacts
     from sim.aerial import AerialCamera, AerialView
     from sim.bare import BareWorld
     from sim.hover import HoverView
@@ -187,7 +187,7 @@ def build_towed_survey(config: Config, scene: Scene) -> TowedSurvey:
 
 def aerial_camera(config: Config, scene: Scene) -> AerialCamera:
     """The configured camera, to be carried anywhere over a scene."""
-    from sim.aerial import AerialCamera, AerialView
+    from sim.aerial import AerialCamera
 
     return AerialCamera(scene, config.camera, config.seed)
 

@@ -269,7 +269,8 @@ class _Check:
                     f"without {field}, at {obs.time_s:.3f} s, update raised {_told(error)}",
                 )
                 return
-            if _wrong_shape(estimate) or _not_finite(estimate):
+            known = self.broke("shapes") or self.broke("finite")
+            if not known and (_wrong_shape(estimate) or _not_finite(estimate)):
                 self._note(
                     "missing data",
                     f"without {field}, at {obs.time_s:.3f} s, the estimate is not finite",

@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 CONTROL_TICKS = 3
 REST_S = 0.6
 """on the ground before the take-off"""
-_CLIMB_M, _ASIDE_M = 2.5, 1.0
+_CLIMB_M, _ASIDE_M, _CLIMB_S = 2.5, 1.0, 2.4
 _PULSES = 6000
 _TILE_M = 0.05
 _SEA_LEVEL_PA, _LAPSE_PER_M, _EXPONENT = 101325.0, 2.25577e-5, 5.25588
@@ -143,10 +143,12 @@ class SyntheticStream:
 
     def _positions(self, times_s: Array) -> Array:
         """(N, 3) of the body origin: at rest, then a climb of minimum jerk."""
-        share = np.clip((times_s - REST_S) / max(self._seconds - REST_S, 1e-9), 0.0, 1.0)
+        span_s = max(self._seconds - REST_S, 0.1)
+        share = np.clip((times_s - REST_S) / span_s, 0.0, 1.0)
         smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
         aside = self._start.rotation @ np.array([0.6, 0.8, 0.0])
         way = _ASIDE_M * aside + np.array([0.0, 0.0, _CLIMB_M])
+        way *= min(1.0, span_s / _CLIMB_S) ** 2  # no faster than it can accelerate
         return np.asarray(self._start.translation + smooth[:, None] * way)
 
     def _mean_acceleration(self, tick: int, over_ticks: int) -> Array:

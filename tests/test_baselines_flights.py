@@ -70,7 +70,7 @@ def test_image_rates_divide_the_cameras_clock(group: str) -> None:
 
 @pytest.mark.slow
 def test_gps_over_twenty_seeds_is_what_its_receiver_predicts() -> None:
-    """Predicted by the preset ``paper``: a mean 3-D error of 1.01 m, 0.37 m from flight to flight."""
+    """The preset ``paper`` predicts a mean 3-D error of 1.01 m, and 0.37 m between flights."""
     means = []
     for seed in range(20):
         config = load_config(

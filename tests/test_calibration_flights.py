@@ -81,7 +81,8 @@ def test_a_file_of_another_camera_is_refused(
 
 
 def test_stated_errors_are_drawn_from_the_seed(rig: SensorRig) -> None:
-    assert erring_rig(rig, RigErrorParams(), 3) is rig
+    none = RigErrorParams(rotation_sigma_deg=0.0, translation_sigma_m=0.0, focal_sigma=0.0)
+    assert erring_rig(rig, none, 3) is rig
     params = RigErrorParams(
         rotation_sigma_deg=0.03, translation_sigma_m=0.003, focal_sigma=5e-4, center_sigma_px=0.2
     )

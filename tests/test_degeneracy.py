@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_livo_lidar import room_points, state_at
+from test_livo_lidar import plane_information, room_points, state_at
 
+from estimator.anchored_update import update_with_scan
+from estimator.anchors import Anchors
 from estimator.eskf import Eskf
 from estimator.imu_propagation import STATE_DIM
 from estimator.lidar_update import (
     DegeneracyWatch,
     LidarReport,
     normal_noise_information,
-    plane_information,
-    update_with_scan,
     weak_directions,
     without_directions,
 )
+from estimator.plane_extension import common_plane
 from estimator.plane_map import PlaneMap
 from sim.frames import so3_exp
 
@@ -118,7 +119,7 @@ def test_level_ground_leaves_the_lateral_pose_alone(walls: bool) -> None:
     start = position + np.array([0.05, -0.04, 0.03])
     eskf = Eskf(state_at(np.eye(3), start), np.full(STATE_DIM, 1e-4))
     report = update_with_scan(
-        eskf, plane_map, points, points, range_sigma_m=0.02, angle_sigma_rad=1e-3,
+        eskf, plane_map, Anchors(), points, points, range_sigma_m=0.02, angle_sigma_rad=1e-3,
         floor_sigmas=np.full(6, 1e-4), weak_sigmas=(0.005, 0.1),
     )  # fmt: skip
     sigma = np.sqrt(np.diag(eskf.covariance))
@@ -145,3 +146,33 @@ def test_the_watch_tells_beginnings_and_ends_that_last() -> None:
     assert [i for i, text in enumerate(said) if text] == [6, 10]
     assert "2 directions of translation" in said[6][0]
     assert said[10] == ["the LIDAR measures the whole pose again"]
+
+
+def water_and_raft(rng: np.random.Generator, raft_m: float) -> np.ndarray:
+    """Camera frame, 25 m over level water: returns from right below, and from a raft of 4 x 6 m
+    whose deck is ``raft_m`` nearer and gives four of five returns."""
+    water = np.column_stack([rng.uniform(-7, 7, (1500, 2)), np.full(1500, 25.0)])
+    water = water[(np.abs(water[:, 0]) > 2.0) | (np.abs(water[:, 1]) > 3.0)]
+    deck = np.column_stack(
+        [rng.uniform(-2, 2, 500), rng.uniform(-3, 3, 500), np.full(500, 25.0 - raft_m)]
+    )
+    both = np.vstack([water, deck])
+    return both + rng.normal(0.0, 0.02, both.shape)
+
+
+def test_the_plane_around_is_the_water_not_the_raft() -> None:
+    plane = common_plane(water_and_raft(np.random.default_rng(3), 0.4))
+    assert plane is not None
+    np.testing.assert_allclose(plane, [0.0, 0.0, 1 / 25.0], atol=2e-5)
+
+
+def test_no_plane_is_extended_where_something_lies_below_or_near_or_too_narrow() -> None:
+    rng = np.random.default_rng(4)
+    pit = water_and_raft(rng, -0.4)
+    assert common_plane(pit) is None, "a hole"
+    assert common_plane(0.5 * water_and_raft(rng, 0.4)) is None, "12.5 m high"
+    strip = water_and_raft(rng, 0.0) * np.array([1.0, 0.1, 1.0])
+    assert common_plane(strip) is None, "0.4 m wide"
+    assert common_plane(water_and_raft(rng, 0.4)[:100]) is None, "too few"
+    hills = np.column_stack([rng.uniform(-7, 7, (2000, 2)), rng.uniform(23.0, 27.0, 2000)])
+    assert common_plane(hills) is None

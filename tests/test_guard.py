@@ -47,7 +47,8 @@ def obs(tick: int, **changes: Any) -> Observation:
 
 def screen(*observations: Observation) -> tuple[Observation, list[str], InputGuard]:
     """The last observation as it comes out, and all that was said."""
-    guard, said = InputGuard(RIG, 10), []
+    guard = InputGuard(RIG, 10)
+    said: list[str] = []
     for observation in observations:
         out = guard.screen(observation)
         said += guard.events

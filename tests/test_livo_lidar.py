@@ -5,15 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from estimator.anchored_update import anchored_information, update_with_scan
+from estimator.anchors import Anchors
 from estimator.deskew import deskew, thin_out
 from estimator.eskf import Eskf
 from estimator.imu_propagation import STATE_DIM, NavState
-from estimator.lidar_update import (
-    floored,
-    lateral_strength,
-    plane_information,
-    update_with_scan,
-)
+from estimator.lidar_update import floored, lateral_strength
 from estimator.plane_map import PlaneMap, smallest_eigen
 from sim.frames import so3_exp
 
@@ -22,6 +19,18 @@ STEP_S = 0.005
 
 def state_at(rotation: np.ndarray, position: np.ndarray) -> NavState:
     return NavState(0, rotation, position, np.zeros(3), np.zeros(3), np.zeros(3))
+
+
+def plane_information(
+    points: np.ndarray, beams: np.ndarray, rotation: np.ndarray, position: np.ndarray,
+    found: np.ndarray, normals: np.ndarray, anchors: np.ndarray, variances: np.ndarray,
+    *noise: float,
+) -> tuple[np.ndarray, np.ndarray, int, float]:  # fmt: skip
+    """That of planes that hang on nothing, of a rig taken for certain."""
+    slots = np.full(len(points), -1, dtype=np.int64)
+    planes = (found, normals, anchors, variances, np.zeros_like(anchors), slots)
+    none = np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 6))
+    return anchored_information(points, beams, rotation, position, planes, *none, 0, *noise)
 
 
 def test_deskew_brings_a_fixed_point_to_one_place() -> None:
@@ -92,7 +101,7 @@ def test_map_recovers_a_tilted_plane_also_across_voxel_faces() -> None:
     plane_map.insert(tilted_plane(rng, 40_000, 0.02))
     probes = tilted_plane(rng, 500, 0.02)
     probes = probes[np.abs(probes[:, :2]).max(axis=1) < 7.0]
-    found, normals, anchors, variances = plane_map.match(probes)
+    found, normals, anchors, variances, *_ = plane_map.match(probes)
     assert found.mean() > 0.99
     truth = np.array([-0.1, 0.05, 1.0]) / np.sqrt(1.0125)
     alignment = np.abs(normals[found] @ truth)
@@ -176,7 +185,7 @@ def test_scan_update_recovers_a_known_offset(walls: bool) -> None:
     eskf = Eskf(state, variances)
     floor = 0.01 if walls else 0.5
     report = update_with_scan(
-        eskf, plane_map, points, points, range_sigma_m=0.02, angle_sigma_rad=1e-3,
+        eskf, plane_map, Anchors(), points, points, range_sigma_m=0.02, angle_sigma_rad=1e-3,
         floor_sigmas=np.array([1e-4, 1e-4, 1e-3, floor, floor, 1e-3]),
     )  # fmt: skip
     error = np.abs(eskf.state.position - true_position)
@@ -200,7 +209,7 @@ def test_too_few_matches_change_nothing() -> None:
     before = eskf.covariance.copy()
     points = np.random.default_rng(8).uniform(-5, 5, (100, 3))
     report = update_with_scan(
-        eskf, PlaneMap(1.0, capacity=1 << 8), points, points, range_sigma_m=0.02,
+        eskf, PlaneMap(1.0, capacity=1 << 8), Anchors(), points, points, range_sigma_m=0.02,
         angle_sigma_rad=1e-3, floor_sigmas=np.ones(6),
     )  # fmt: skip
     assert report.matched == 0

@@ -6,6 +6,8 @@ from flight_fakes import LEG_ON_LAWN, make_truth
 
 from estimator.api import GridMap
 from experiments.metrics import (
+    NEES_LIMIT,
+    Consistency,
     PositioningError,
     TouchdownWindow,
     TrajectoryDeviation,
@@ -97,3 +99,36 @@ def test_levelness_error_of_a_map_tilted_by_two_degrees() -> None:
         return points
 
     assert levelness_error_deg(grid, rough_ground, seed=3).size == 0
+
+
+def test_nees_of_known_errors() -> None:
+    """An error of (1, 2, 2) standard deviations has NEES 9."""
+    nees = Consistency()
+    assert nees.summary() == {"median": None, "mean": None, "below_14_2": None, "samples": 0}
+    covariance = np.diag([0.01, 0.04, 0.25])
+    nees.add(np.array([0.1, 0.4, 1.0]), np.zeros(3), covariance)
+    nees.add(np.array([0.0, 0.0, 5.0]), np.zeros(3), covariance)  # 100
+    nees.add(np.array([0.1, 0.0, 0.0]), np.zeros(3), covariance)  # 1
+    summary = nees.summary()
+    assert summary["mean"] == pytest.approx(110.0 / 3.0)
+    assert summary["median"] == pytest.approx(9.0, rel=0.05)
+    assert summary["below_14_2"] == pytest.approx(2.0 / 3.0)
+    assert summary["samples"] == 3
+
+
+def test_nees_of_a_consistent_estimator_is_chi_square() -> None:
+    rng = np.random.default_rng(5)
+    root = rng.normal(size=(3, 3))
+    nees = Consistency()
+    for error in rng.normal(size=(4000, 3)):
+        nees.add(root @ error, np.zeros(3), root @ root.T)
+    summary = nees.summary()
+    assert summary["median"] == pytest.approx(2.366, rel=0.08)
+    assert summary["mean"] == pytest.approx(3.0, rel=0.06)
+    assert NEES_LIMIT == 14.2 and summary["below_14_2"] == pytest.approx(0.9973, abs=0.003)
+
+
+def test_a_singular_covariance_is_overconfidence() -> None:
+    nees = Consistency()
+    nees.add(np.ones(3), np.zeros(3), np.zeros((3, 3)))
+    assert nees.summary()["below_14_2"] == 0.0
