@@ -64,7 +64,7 @@ def anchored_information(
     vector = np.zeros(size)
     row = np.zeros(18)
     columns = np.zeros(18, dtype=np.int64)
-    own, from_map = np.zeros((3, 3)), np.zeros(6)
+    own, from_map, x = np.zeros((3, 3)), np.zeros(6), np.zeros(3)
     count = 6
     for a in range(6):
         columns[a] = a
@@ -82,19 +82,22 @@ def anchored_information(
         by = rotation[0, 1] * n[0] + rotation[1, 1] * n[1] + rotation[2, 1] * n[2]
         bz = rotation[0, 2] * n[0] + rotation[1, 2] * n[1] + rotation[2, 2] * n[2]
         p, beam = points[i], beams[i]
-        height = bx * p[0] + by * p[1] + bz * p[2]
-        for k in range(3):
-            height += n[k] * (position[k] - anchors[i, k])
+        height = 0.0
+        for a in range(3):
+            x[a] = position[a]
+            for b in range(3):
+                x[a] += rotation[a, b] * p[b]
+            height += n[a] * (x[a] - anchors[i, a])
         k = slots[i]
         own[:] = clone_rotations[k] if k >= 0 else rotation
-        # normal and beam of the plane in the IMU frame of its clone, then how its height moves
-        # with the mount
+        # normal and beam of the plane in the IMU frame of its clone, then how its height below the
+        # return moves with the mount, about which it turns as a whole
         mx = own[0, 0] * n[0] + own[1, 0] * n[1] + own[2, 0] * n[2]
         my = own[0, 1] * n[0] + own[1, 1] * n[1] + own[2, 1] * n[2]
         mz = own[0, 2] * n[0] + own[1, 2] * n[1] + own[2, 2] * n[2]
         sx, sy, sz = 0.0, 0.0, 0.0
         for a in range(3):
-            reach = anchors[i, a] - sensors[i, a]
+            reach = x[a] - sensors[i, a]
             sx += own[a, 0] * reach
             sy += own[a, 1] * reach
             sz += own[a, 2] * reach
@@ -131,7 +134,7 @@ def anchored_information(
             # the plane turns and moves with its clone
             yx, yy, yz = 0.0, 0.0, 0.0
             for a in range(3):
-                reach = anchors[i, a] - clone_positions[k, a]
+                reach = x[a] - clone_positions[k, a]
                 yx += own[a, 0] * reach
                 yy += own[a, 1] * reach
                 yz += own[a, 2] * reach

@@ -273,8 +273,9 @@ class PaperParams:
     __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: int = 10
-    edge_model: str = ""
-    """path of a structured edge model for OpenCV; empty: edges from colour gradients"""
+    edge_model: str = "shipped"
+    """``shipped``, the path of a structured edge model for OpenCV, or ``gradient`` for edges from
+    colour gradients"""
     use_lidar_pose: bool = True
     """whether scans correct the pose (Algorithm 1)"""
     use_camera_pose: bool = True
@@ -285,7 +286,7 @@ class PaperParams:
     """whether the youngest keyframes are adjusted together"""
     use_closures: bool = True
     """whether keyframes seen again move the map"""
-    colour_weight: float = 0.004
+    colour_weight: float = 0.012
     """lambda of Eq. 7"""
     edge_threshold: float = 0.006
     """f_s above which a return may be an edge point, below which a planar one"""

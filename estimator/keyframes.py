@@ -28,8 +28,6 @@ class Keyframe:
     """(N,) whether the plane is known"""
     planes: Array
     """(N, 3) ``n . P = 1`` in this keyframe's camera frame"""
-    sensors: Array
-    """(N, 3) where the LIDAR was when it saw the planes, this keyframe's camera frame"""
     depth_m: float
     """median depth of the landmarks"""
     calibration: Array
@@ -82,12 +80,11 @@ def measure_planes(
         return
     rays = bearing_rays(keyframe.pixels[missing], camera)[:, :2]
     half_view = (0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy)
-    valid, planes, sensors = feature_planes(
+    valid, planes = feature_planes(
         rays, recent, camera_from_odom, half_view, radius=16.0 / camera.fx
     )
     keyframe.valid[missing] = valid
     keyframe.planes[missing[valid]] = planes[valid]
-    keyframe.sensors[missing[valid]] = sensors[valid]
     if keyframe.valid.any():
         keyframe.depth_m = float(np.median(keyframe.landmarks_camera(camera)[keyframe.valid, 2]))
 

@@ -22,27 +22,21 @@ class RecentReturns:
     def __init__(self, scans: int = 15, per_scan: int = 12000) -> None:
         self._points = np.zeros((scans * per_scan, 3), dtype=np.float32)
         self._counts = np.zeros(scans, dtype=np.int64)
-        self._sensors = np.zeros((scans, 3))
         self._per_scan = per_scan
         self._next = 0
 
-    def add(self, points_odom: Array, sensor_odom: Array | None = None) -> None:
-        """Keeps at most ``per_scan`` evenly strided of (N, 3) points, seen from ``sensor_odom``."""
+    def add(self, points_odom: Array) -> None:
+        """Keeps at most ``per_scan`` evenly strided of (N, 3) points."""
         stride = max(1, -(-len(points_odom) // self._per_scan))
         part = points_odom[::stride]
         start = self._next * self._per_scan
         self._points[start : start + len(part)] = part
         self._counts[self._next] = len(part)
-        self._sensors[self._next] = 0.0 if sensor_odom is None else sensor_odom
         self._next = (self._next + 1) % len(self._counts)
 
     def view(self) -> tuple[Float32, NDArray[np.int64], int]:
         """All slots (S * per_scan, 3), the number filled in each, and ``per_scan``."""
         return self._points, self._counts, self._per_scan
-
-    def sensors(self) -> Array:
-        """Where each slot was seen from, (S, 3), odom frame."""
-        return self._sensors
 
 
 @njit(cache=True)
@@ -57,13 +51,12 @@ def _project_into_cells(
     cell: float,
 ) -> tuple[NDArray[np.int64], Array]:
     """Sorts the visible returns by image cell. ``width``, ``height`` in normalised units on each
-    side of the axis. Returns the cells' starts (rows * cols + 1,) and (K, 4) x, y, 1 / depth and
-    the slot."""
+    side of the axis. Returns the cells' starts (rows * cols + 1,) and (K, 3) x, y, 1 / depth."""
     cols, rows = int(2.0 * width / cell) + 1, int(2.0 * height / cell) + 1
     total = 0
     for s in range(counts.shape[0]):
         total += counts[s]
-    seen = np.empty((total, 4))
+    seen = np.empty((total, 3))
     where = np.empty(total, dtype=np.int64)
     starts = np.zeros(rows * cols + 1, dtype=np.int64)
     kept = 0
@@ -79,14 +72,14 @@ def _project_into_cells(
             if abs(x) >= width or abs(y) >= height:
                 continue
             slot = int((y + height) / cell) * cols + int((x + width) / cell)
-            seen[kept, 0], seen[kept, 1], seen[kept, 2], seen[kept, 3] = x, y, 1.0 / z, s
+            seen[kept, 0], seen[kept, 1], seen[kept, 2] = x, y, 1.0 / z
             where[kept] = slot
             starts[slot + 1] += 1
             kept += 1
     for k in range(rows * cols):
         starts[k + 1] += starts[k]
     cursor = starts[:-1].copy()
-    ordered = np.empty((kept, 4))
+    ordered = np.empty((kept, 3))
     for i in range(kept):
         ordered[cursor[where[i]]] = seen[i]
         cursor[where[i]] += 1
@@ -98,22 +91,19 @@ def _fit_planes(
     rays: Array,
     starts: NDArray[np.int64],
     seen: Array,
-    scanners: Array,
     width: float,
     height: float,
     cell: float,
     radius: float,
     min_points: int,
     depth_tolerance: float,
-) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Fits ``1 / z = a + b x + c y`` around each of (N, 2) rays; refuses depth steps. Returns also
-    the mean of the ``scanners`` (S, 3) of the returns used."""
+) -> tuple[NDArray[np.bool_], Array]:
+    """Fits ``1 / z = a + b x + c y`` around each of (N, 2) rays; refuses depth steps."""
     cols, rows = int(2.0 * width / cell) + 1, int(2.0 * height / cell) + 1
     reach = int(np.ceil(radius / cell))
     valid = np.zeros(rays.shape[0], dtype=np.bool_)
     planes = np.zeros((rays.shape[0], 3))
-    sensors = np.zeros((rays.shape[0], 3))
-    near = np.empty((512, 4))
+    near = np.empty((512, 3))
     for k in range(rays.shape[0]):
         col, row = int((rays[k, 0] + width) / cell), int((rays[k, 1] + height) / cell)
         count = 0
@@ -124,7 +114,7 @@ def _fit_planes(
                 dx, dy = seen[i, 0] - rays[k, 0], seen[i, 1] - rays[k, 1]
                 if dx * dx + dy * dy <= radius * radius and count < near.shape[0]:
                     near[count, 0], near[count, 1] = dx / radius, dy / radius
-                    near[count, 2], near[count, 3] = seen[i, 2], seen[i, 3]
+                    near[count, 2] = seen[i, 2]
                     count += 1
         if count < min_points:
             continue
@@ -154,13 +144,10 @@ def _fit_planes(
         if np.sqrt(total / count) > depth_tolerance or worst > 4.0 * depth_tolerance:
             continue
         valid[k] = True
-        for i in range(count):
-            for a in range(3):
-                sensors[k, a] += scanners[int(near[i, 3]), a] / count
         planes[k, 0] = fit[1] / radius
         planes[k, 1] = fit[2] / radius
         planes[k, 2] = fit[0] - (fit[1] * rays[k, 0] + fit[2] * rays[k, 1]) / radius
-    return valid, planes, sensors
+    return valid, planes
 
 
 def feature_planes(
@@ -172,13 +159,12 @@ def feature_planes(
     radius: float,
     min_points: int = 6,
     depth_tolerance_m: float = 0.06,
-) -> tuple[NDArray[np.bool_], Array, Array]:
+) -> tuple[NDArray[np.bool_], Array]:
     """Planes of features seen along (N, 2) normalised ``rays`` (x / z, y / z).
 
     ``half_view``: the image's half extents in the same units; ``radius``: of the neighbourhood.
-    Returns valid (N,), planes (N, 3) with ``n . P = 1`` and where the LIDAR was on average when it
-    saw them (N, 3), both in the camera's frame. A neighbourhood whose returns scatter by more than
-    ``depth_tolerance_m`` is refused as a depth step.
+    Returns valid (N,) and planes (N, 3) with ``n . P = 1`` in the camera's frame. A neighbourhood
+    whose returns scatter by more than ``depth_tolerance_m`` is refused as a depth step.
     """
     points, counts, per_scan = recent.view()
     width, height = half_view[0] * 1.02, half_view[1] * 1.02
@@ -187,7 +173,6 @@ def feature_planes(
         points, counts, per_scan, camera_from_odom.rotation, camera_from_odom.translation,
         width, height, cell,
     )  # fmt: skip
-    scanners = camera_from_odom.apply(recent.sensors())
     return _fit_planes(
-        rays, starts, seen, scanners, width, height, cell, radius, min_points, depth_tolerance_m
+        rays, starts, seen, width, height, cell, radius, min_points, depth_tolerance_m
     )

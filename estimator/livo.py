@@ -102,6 +102,7 @@ class Livo:
             features=params.features,
             sigma_px=params.pixel_sigma,
             open_ticks=2 * rig.tick_hz,
+            lidar_in_camera=(rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
             depth_sigma_m=params.depth_sigma_m,
             height_sigma_m=params.anchor_height_m,
             on_change=self._follow_clones,
@@ -280,7 +281,7 @@ class Livo:
         # close to the ground a scan would fill a voxel from one corner of it: spread what it learns
         spread = thin_out(points, 0.12 * self._params.voxel_m, 16)
         self._map.insert(odom_points[spread], sensor, len(self._anchors) - 1, terms)
-        self._recent.add(odom_points, sensor)
+        self._recent.add(odom_points)
 
     def _lacks_anchor(self, tick: int) -> bool:
         """Whether the map would grow far from the newest clone, as it does where images fail."""

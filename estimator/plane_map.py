@@ -3,7 +3,8 @@
 Voxel planes with a covariance follow the idea of VoxelMap (Yuan et al. 2022); here the moments are
 kept (ten numbers a voxel), so that voxels can be merged exactly where a surface lies close to a
 voxel's face and each side would hold only one half of its noise. A voxel also remembers from where
-it was seen, and which anchor it hangs on (``estimator/anchors.py``).
+it was first seen (returns that came later were brought to agree with those), and which anchor it
+hangs on (``estimator/anchors.py``).
 """
 
 from __future__ import annotations
@@ -18,9 +19,8 @@ Array = NDArray[np.float64]
 
 _EMPTY = np.int64(-1)
 _OFFSET = 1 << 20
-_MOMENTS = 13
-"""count, sum of (x, y, z), sums of xx, xy, xz, yy, yz, zz about the voxel's centre, sum of the
-sensor's x, y, z"""
+_MOMENTS = 10
+"""count, sum of (x, y, z), sums of xx, xy, xz, yy, yz, zz about the voxel's centre"""
 _NO_ANCHOR = -1
 
 
@@ -49,6 +49,7 @@ def insert_points(
     keys: NDArray[np.int64],
     moments: Array,
     owners: NDArray[np.int16],
+    seen_from: Array,
     used: int,
     points: Array,
     sensor: Array,
@@ -82,6 +83,7 @@ def insert_points(
                 continue
             keys[slot] = key
             owners[slot] = owner
+            seen_from[slot] = sensor
             used += 1
         m = moments[slot]
         if m[0] >= max_count:
@@ -110,9 +112,6 @@ def insert_points(
         m[7] += y * y
         m[8] += y * z
         m[9] += z * z
-        m[10] += sensor[0]
-        m[11] += sensor[1]
-        m[12] += sensor[2]
     return used
 
 
@@ -210,7 +209,7 @@ def _gather(
     total: Array,
 ) -> tuple[float, float, float]:
     """Moments about the centre of the voxel of (x, y, z), merged with the neighbours whose face is
-    within ``margin``, into ``total`` (14,), and last the slot that gave most. Returns that
+    within ``margin``, into ``total`` (11,), and last the slot that gave most. Returns that
     centre."""
     cell = (np.floor(x / voxel), np.floor(y / voxel), np.floor(z / voxel))
     centre = ((cell[0] + 0.5) * voxel, (cell[1] + 0.5) * voxel, (cell[2] + 0.5) * voxel)
@@ -251,8 +250,6 @@ def _gather(
         total[7] += m[7] + 2.0 * sy * m[2] + n * sy * sy
         total[8] += m[8] + sy * m[3] + sz * m[2] + n * sy * sz
         total[9] += m[9] + 2.0 * sz * m[3] + n * sz * sz
-        for k in range(10, _MOMENTS):
-            total[k] += m[k]
     return centre
 
 
@@ -261,6 +258,7 @@ def match_planes(
     keys: NDArray[np.int64],
     moments: Array,
     owners: NDArray[np.int16],
+    seen_from: Array,
     points: Array,
     voxel: float,
     margin: float,
@@ -271,8 +269,8 @@ def match_planes(
 
     Returns found (N,), unit normals (N, 3), plane points (N, 3), and variances (N, 3): of the
     plane's height at the point, m^2, its thickness (what single returns scatter) and its own
-    uncertainty; and of the normal about either axis, rad^2. Then where the sensor was on average
-    (N, 3) and the anchors (N,).
+    uncertainty; and of the normal about either axis, rad^2. Then from where it was first seen
+    (N, 3), and the anchors (N,).
     A voxel is planar if its smallest standard deviation is below ``max_thickness`` and three times
     below the next one.
     """
@@ -314,10 +312,9 @@ def match_planes(
         variances[i, 0] = low
         variances[i, 1] = low / n * (1.0 + reach2 / mid)
         variances[i, 2] = low / (n * mid)
-        for k in range(3):
-            sensors[i, k] = total[10 + k] / n
-        # the voxel's own, or the one that a neighbour merged with it has
-        anchor_of[i] = owners[int(total[_MOMENTS])]
+        slot = int(total[_MOMENTS])
+        sensors[i] = seen_from[slot]
+        anchor_of[i] = owners[slot]
     return found, normals, anchors, variances, sensors, anchor_of
 
 
@@ -336,6 +333,7 @@ class PlaneMap:
         self._keys = np.full(capacity, _EMPTY, dtype=np.int64)
         self._moments = np.zeros((capacity, _MOMENTS))
         self._owners = np.full(capacity, _NO_ANCHOR, dtype=np.int16)
+        self._seen_from = np.zeros((capacity, 3))
 
     def insert(
         self,
@@ -350,8 +348,8 @@ class PlaneMap:
             terms = np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 6))
         sensor = np.zeros(3) if sensor_odom is None else sensor_odom
         self.used = insert_points(
-            self._keys, self._moments, self._owners, self.used, points_odom, sensor, owner, *terms,
-            self.voxel_m, self.max_points,
+            self._keys, self._moments, self._owners, self._seen_from, self.used,
+            points_odom, sensor, owner, *terms, self.voxel_m, self.max_points,
         )  # fmt: skip
 
     def bequeath(self, gone: int, heir: int, move: Pose) -> None:
@@ -367,6 +365,6 @@ class PlaneMap:
         """See ``match_planes``."""
         margin = 0.12 * self.voxel_m
         return match_planes(
-            self._keys, self._moments, self._owners, points_odom, self.voxel_m, margin, min_count,
-            max_thickness_m,
+            self._keys, self._moments, self._owners, self._seen_from,
+            points_odom, self.voxel_m, margin, min_count, max_thickness_m,
         )  # fmt: skip

@@ -42,16 +42,17 @@ def corrected_intrinsics(camera: CameraIntrinsics, calibration: Array) -> Array:
 
 
 def landmark_jacobians(
-    rays: Array, planes: Array, sensors: Array, imu_from_camera: Array, camera: CameraIntrinsics
+    rays: Array, planes: Array, sensor: Array, imu_from_camera: Array, camera: CameraIntrinsics
 ) -> Array:
     """How landmarks move with the calibration, (N, 3, 10), in the IMU frame of their keyframe.
 
     ``rays`` (N, 3) with z = 1 and ``planes`` (N, 3), ``n . P = 1``: the landmark is where they
-    meet. ``sensors`` (N, 3): where the LIDAR was when it saw the plane. All in the camera frame;
-    ``imu_from_camera`` (3, 3) turns it into the IMU's.
+    meet. ``sensor`` (3,): where the LIDAR was. All in the camera frame; ``imu_from_camera`` (3, 3)
+    turns it into the IMU's. That most returns came a little earlier or later, from elsewhere, does
+    not matter: their scans were brought to agree with those of this moment.
     """
     along = np.einsum("ij,ij->i", rays, planes)[:, None]
-    beams = rays / along - sensors
+    beams = rays / along - sensor
     out = np.empty((len(rays), 3, CALIBRATION_DIM))
     reach = rays / along
     # the plane moves by n . (turn x beam + shift), the landmark by as much along its ray

@@ -182,9 +182,9 @@ _NO_IMAGE = np.zeros((0, 0), dtype=np.uint8)
 class VisualFrontEnd:
     """Keyframes and the update by an image. Keyframe k is clone k of the filter.
 
-    ``depth_sigma_m``: of a landmark along its ray; ``height_sigma_m``: what all landmarks and
-    planes of a keyframe have in common; ``on_change(k)`` is called before clone k goes, with None
-    after one came.
+    ``lidar_in_camera`` (3,): where it sits; ``depth_sigma_m``: of a landmark along its ray;
+    ``height_sigma_m``: what all landmarks and planes of a keyframe have in common; ``on_change(k)``
+    is called before clone k goes, with None after one came.
     """
 
     def __init__(
@@ -197,6 +197,7 @@ class VisualFrontEnd:
         features: int,
         sigma_px: float,
         open_ticks: int,
+        lidar_in_camera: Array | None = None,
         depth_sigma_m: float = 0.0,
         height_sigma_m: float = 0.0,
         on_change: Callable[[int | None], None] = lambda k: None,
@@ -210,6 +211,7 @@ class VisualFrontEnd:
         self._features = features
         self._sigma_px = sigma_px
         self._open_ticks = open_ticks
+        self._lidar_in_camera = np.zeros(3) if lidar_in_camera is None else lidar_in_camera
         self._depth_sigma_m = depth_sigma_m
         self._own_variances = np.array([0.0, 0.0, 0.0, 0.0, 0.0, height_sigma_m**2])
         self._on_change = on_change
@@ -261,7 +263,6 @@ class VisualFrontEnd:
             pixels=pixels,
             valid=np.zeros(count, dtype=np.bool_),
             planes=np.zeros((count, 3)),
-            sensors=np.zeros((count, 3)),
             depth_m=0.0,
             calibration=eskf.state.calibration,
         )
@@ -326,7 +327,7 @@ class VisualFrontEnd:
         made_with[MOUNT_DIM:] = 0.0  # rays are those of the told lens
         jacobians = landmark_jacobians(
             bearing_rays(keyframe.pixels[which], self._camera), keyframe.planes[which],
-            keyframe.sensors[which], self._imu_from_camera.rotation, self._camera,
+            self._lidar_in_camera, self._imu_from_camera.rotation, self._camera,
         )  # fmt: skip
         return _Track(k, pixels, landmarks, jacobians, spreads, made_with)
 

@@ -53,7 +53,7 @@ def ablate_log(logged: LoggedRun, seconds: float | None, tell: Tell) -> dict[str
         if overrides is None:
             continue
         tell(variant)
-        config = replay_config(logged.path, estimator, overrides)
+        config = replay_config(logged.path, estimator, overrides, fresh=True)
         measured = measure(logged, config, end_s)
         rows[variant] = {
             "error_m": measured.error_m,

@@ -81,7 +81,7 @@ def bench_scene(logged: LoggedRun, seconds: float | None, tell: Tell) -> dict[st
     }  # fmt: skip
     for name in ESTIMATORS:
         tell(f"{name}")
-        measured = measure(logged, replay_config(logged.path, name), end_s)
+        measured = measure(logged, replay_config(logged.path, name, fresh=True), end_s)
         found["error_m"][name] = measured.error_m
         found["own_difference_m"][name] = abs(measured.error_m - measured.own_error_m)
         found["cpu_ms"][name] = measured.cpu_ms

@@ -120,7 +120,8 @@ class KissIcp:
         self._odometry = KissICP(config)
 
     def register(self, points: Array, shares: Array) -> Array:
-        self._odometry.register_frame(points, shares)
+        # It divides by the span of the times, and aborts where that is nothing.
+        self._odometry.register_frame(points, shares if np.ptp(shares) > 0.0 else np.zeros(0))
         return np.asarray(self._odometry.last_pose)
 
 

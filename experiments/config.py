@@ -14,7 +14,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -145,19 +145,21 @@ OPTION_KEYS: Mapping[str, str] = {
 def load_config(
     file: Path | None = None,
     overrides: list[str] | tuple[str, ...] = (),
+    take: Callable[[str], bool] = lambda _key: True,
     **options: Any,
 ) -> Config:
     """Builds the configuration of a flight.
 
     ``file`` is a TOML file or a ``config.json``; ``overrides`` are ``a.b=c`` strings whose values
     are TOML (bare words count as text); ``options`` are the names in ``OPTION_KEYS``, where None
-    means not given. Raises ``UsageError``.
+    means not given. ``take`` says of each key of the file whether it counts. Raises ``UsageError``.
     """
     values: dict[str, Any] = {}
     sources: dict[str, str] = {}
     if file is not None:
         for key, value in flatten(read_tree(file)):
-            values[key], sources[key] = value, str(file)
+            if take(key):
+                values[key], sources[key] = value, str(file)
     for text in overrides:
         key, value = _parse_override(text)
         values[key], sources[key] = value, f"--set {text}"

@@ -25,8 +25,8 @@ Picture = NDArray[np.uint8]
 _SHOWN = (("houses", 1), ("houses", 9), ("pools", 4))
 """scene of those held out, and number of its picture"""
 _SHOWN_VIEWS = 12
-_CANNY_SIGMA, _CANNY_LEVEL = 2.0, 5
-_ENERGY_GAIN = 2.2
+_CANNY_SIGMA, _CANNY_LEVEL = 2.0, 3
+_ENERGY_GAIN = 1.0
 _CAPTION_PX = 30
 _GAP = 4
 _INK, _PAPER = (235, 235, 235), 24

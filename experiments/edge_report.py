@@ -29,7 +29,7 @@ TRAIN_VIEWS, TEST_VIEWS = 15, 4
 """pictures of each scene and seed"""
 CANNY_SIGMAS = (1.0, 1.5, 2.0, 3.0)
 """blur, in pixels, before Canny"""
-CANNY_THRESHOLDS = np.geomspace(24.0, 400.0, 10)
+CANNY_THRESHOLDS = np.geomspace(40.0, 400.0, 8)
 _CANNY_LOW = 0.4
 """low threshold as a share of the high one, as in Matlab's and most users' practice"""
 _TIMED = 40

@@ -10,6 +10,7 @@ import dataclasses
 import json
 import shutil
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from estimator.api import Estimate, Estimator
 from experiments.api import Outcome
-from experiments.config import Config, UsageError, dump_config, load_config
+from experiments.config import Config, UsageError, dump_config, known_keys, load_config
 from experiments.metrics import PositioningError
 from experiments.sensor_log_reader import SensorLogReader
 from experiments.tum import TumWriter, read_tum
@@ -88,15 +89,31 @@ def open_run(run: Path) -> LoggedRun:
 
 
 def replay_config(
-    run: Path, estimator: str | None = None, overrides: tuple[str, ...] = ()
+    run: Path, estimator: str | None = None, overrides: tuple[str, ...] = (), fresh: bool = False
 ) -> Config:
-    """The configuration of a run, with another estimator or other parameters of it. Raises
+    """The configuration of a run, with another estimator or other parameters of it. ``fresh``:
+    estimators with today's defaults instead of the run's parameters. Of a run of an earlier version
+    whose estimators had parameters that are gone, these are left out, with a warning. Raises
     UsageError for a key that decided the flight."""
+    if not (run / "config.json").is_file():
+        raise UsageError(f"'{run}' is no run directory: it has no config.json")
     for text in overrides:
         key = text.partition("=")[0].strip()
         if key.partition(".")[0] in _FLOWN:
             raise UsageError(f"--set {key}: the flight is over; a replay changes estimators only")
-    return load_config(run / "config.json", overrides, estimator=estimator)
+    gone: list[str] = []
+
+    def take(key: str) -> bool:
+        if key.partition(".")[0] in _FLOWN or key == "estimator":
+            return True
+        if key not in known_keys():
+            gone.append(key)
+        return not fresh and key in known_keys()
+
+    config = load_config(run / "config.json", overrides, take, estimator=estimator)
+    if gone and not fresh:
+        warnings.warn(f"'{run}' has parameters that are gone: {', '.join(gone)}", stacklevel=2)
+    return config
 
 
 def check_needs(name: str, needs: SensorNeeds, reader: SensorLogReader) -> None:

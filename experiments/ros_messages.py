@@ -179,9 +179,9 @@ def imu_message(time_ns: int, frame: str, sample: ImuSample) -> bytes:
 def cloud_message(time_ns: int, frame: str, scan: LidarScan) -> bytes:
     """``sensor_msgs/msg/PointCloud2`` of the pulses that came back: x, y, z (m), time (s after the
     stamp), intensity."""
-    came_back = scan.ranges > 0.0
+    came_back = (scan.ranges > 0.0) & np.isfinite(scan.ranges)
     points = np.empty(int(came_back.sum()), dtype=_POINT)
-    points["xyz"] = scan.points[came_back]
+    points["xyz"] = scan.directions[came_back] * scan.ranges[came_back, None]
     points["time"] = scan.time_offsets[came_back]
     points["intensity"] = scan.intensity[came_back]
     body = Cdr().header(time_ns, frame).add("I", 1, len(points)).add("I", len(_POINT_FIELDS))

@@ -89,9 +89,7 @@ def test_feature_planes_fit_a_slope_and_refuse_a_step() -> None:
     recent = RecentReturns(scans=2, per_scan=12_000)
     recent.add(np.column_stack([x, y, z]) + rng.normal(0.0, 0.02, (12_000, 3)))
     rays = np.array([[0.0, 0.0], [-0.2, 0.15], [0.213, 0.05], [0.34, 0.0]])
-    valid, planes, _ = feature_planes(
-        rays, recent, Pose.identity(), (0.68, 0.38), radius=16.0 / 617.0
-    )
+    valid, planes = feature_planes(rays, recent, Pose.identity(), (0.68, 0.38), radius=16.0 / 617.0)
     np.testing.assert_array_equal(valid, [True, True, False, True])
     rays3 = np.column_stack([rays[:2], np.ones(2)])
     depth = 1.0 / np.einsum("ij,ij->i", rays3, planes[:2])

@@ -61,10 +61,13 @@ class StructuredEdges:
     """The structured edge detector (Dollar and Zitnick 2015) by OpenCV's ``ximgproc``.
 
     ``model_path``: a model in OpenCV's gzipped YAML form, such as ``touchdown edges train`` writes.
-    Raises FileNotFoundError if there is no such file and ValueError if it is damaged or no model.
+    ``full_energy``: share of votes that counts as energy 1; trees that disagree by a pixel about
+    where a certain boundary lies spread their votes, so that none gets them all. Raises
+    FileNotFoundError if there is no such file and ValueError if it is damaged or no model.
     """
 
-    def __init__(self, model_path: Path | str = SHIPPED_MODEL) -> None:
+    def __init__(self, model_path: Path | str = SHIPPED_MODEL, full_energy: float = 0.4) -> None:
+        self._full_energy = np.float32(full_energy)
         path = Path(model_path)
         check_model(path)
         try:
@@ -82,12 +85,12 @@ class StructuredEdges:
         framed = cv2.copyMakeBorder(rgb, RIM, below, RIM, right, cv2.BORDER_REFLECT)
         energy = self._detector.detectEdges(framed.astype(np.float32) / np.float32(255.0))
         inner = np.asarray(energy, np.float32)[RIM : RIM + height, RIM : RIM + width]
-        return np.clip(inner, 0.0, 1.0)
+        return np.clip(inner / self._full_energy, 0.0, 1.0)
 
 
 def edge_detector(model: str) -> EdgeDetector:
     """The detector by name: ``shipped`` for the model that comes with the project, ``gradient`` for
     edges without a model, otherwise the path of a model."""
-    if model in ("", "gradient"):
+    if model == "gradient":
         return GradientEdges()
     return StructuredEdges(SHIPPED_MODEL if model == "shipped" else model)

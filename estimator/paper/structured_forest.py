@@ -341,8 +341,9 @@ def _leaf(
     distance = ((alike - alike.mean(axis=0)) ** 2).sum(axis=1)
     image, y, x = patches[judged[int(distance.argmin())]]
     top, left = SHRINK * int(y), SHRINK * int(x)
-    inner = images.edges[image, top : top + INNER, left : left + INNER]
-    return np.flatnonzero(inner).astype(np.int32)
+    # of the patch alone: what lies just outside would put lines into leaves of plain ground
+    inner = images.segments[image, top : top + INNER, left : left + INNER]
+    return np.flatnonzero(segment_edges(inner)).astype(np.int32)
 
 
 def grow_forest(
