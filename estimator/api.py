@@ -234,6 +234,9 @@ class LivoParams:
     """whether scans correct the pose; without, they still give depth to features"""
     use_vision: bool = True
     """whether images are used"""
+    use_closures: bool = True
+    """whether images are compared with keyframes older than the last few: those of neighbouring
+    strips, and of places seen again"""
     loose: bool = False
     """each sensor gives a pose against a map taken for certain, instead of measuring pose and map
     together"""

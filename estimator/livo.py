@@ -54,6 +54,8 @@ _START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)
 """rad, m, m/s: the take-off pose is known, but the legs settle"""
 _FEWEST_RETURNS = 50
 """in a scan worth using"""
+_LAST_FEW = 4
+"""keyframes that are no closure to look back to"""
 _ANCHOR_REACH = 0.5
 """of the height: so far from the newest keyframe the map needs another pose to hang on"""
 _HISTORY = 128
@@ -103,6 +105,7 @@ class Livo:
             sigma_px=params.pixel_sigma,
             open_ticks=2 * rig.tick_hz,
             lidar_in_camera=(rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
+            oldest=None if params.use_closures else _LAST_FEW,
             depth_sigma_m=params.depth_sigma_m,
             height_sigma_m=params.anchor_height_m,
             on_change=self._follow_clones,

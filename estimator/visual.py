@@ -182,7 +182,8 @@ _NO_IMAGE = np.zeros((0, 0), dtype=np.uint8)
 class VisualFrontEnd:
     """Keyframes and the update by an image. Keyframe k is clone k of the filter.
 
-    ``lidar_in_camera`` (3,): where it sits; ``depth_sigma_m``: of a landmark along its ray;
+    ``lidar_in_camera`` (3,): where it sits; ``oldest``: so many of the youngest keyframes are
+    looked back to, None: all; ``depth_sigma_m``: of a landmark along its ray;
     ``height_sigma_m``: what all landmarks and planes of a keyframe have in common; ``on_change(k)``
     is called before clone k goes, with None after one came.
     """
@@ -198,6 +199,7 @@ class VisualFrontEnd:
         sigma_px: float,
         open_ticks: int,
         lidar_in_camera: Array | None = None,
+        oldest: int | None = None,
         depth_sigma_m: float = 0.0,
         height_sigma_m: float = 0.0,
         on_change: Callable[[int | None], None] = lambda k: None,
@@ -212,6 +214,7 @@ class VisualFrontEnd:
         self._sigma_px = sigma_px
         self._open_ticks = open_ticks
         self._lidar_in_camera = np.zeros(3) if lidar_in_camera is None else lidar_in_camera
+        self._oldest = oldest
         self._depth_sigma_m = depth_sigma_m
         self._own_variances = np.array([0.0, 0.0, 0.0, 0.0, 0.0, height_sigma_m**2])
         self._on_change = on_change
@@ -293,6 +296,9 @@ class VisualFrontEnd:
         poses = [clone @ self._imu_from_camera for clone in eskf.clones]
         now = eskf.state.pose @ self._imu_from_camera
         candidates = overlaps(self.keyframes, poses, now, self._camera)
+        if self._oldest is not None:
+            first = len(self.keyframes) - self._oldest
+            candidates = [c for c in candidates if c.index >= first]
         share = max((c.share * _closeness(c.scale) for c in candidates), default=0.0)
         variances = np.array(
             [np.trace(eskf.covariance[np.ix_(i, i)][3:, 3:])

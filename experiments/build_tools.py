@@ -237,14 +237,21 @@ def edge_detector(model: str) -> Callable[[NDArray[np.uint8]], NDArray[np.float3
     return detector(model)
 
 
+def segment_edges(segments: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """As `estimator.paper.structured_forest.segment_edges`."""
+    from estimator.paper.structured_forest import segment_edges as edges
+
+    return edges(segments)
+
+
 def train_edges(
-    images: Sequence[tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.bool_]]],
+    images: Sequence[tuple[NDArray[np.uint8], NDArray[np.int32]]],
     out: Path,
     seed: int,
     notes: dict[str, str],
     progress: Callable[[int, int], None],
 ) -> dict[str, Any]:
-    """Grows a structured forest from (picture, segments, boundaries) and writes it; its size."""
+    """Grows a structured forest from (picture, segments) and writes it; its size."""
     from estimator.paper.structured_forest import ForestParams, TrainingImages, grow_forest
     from estimator.paper.structured_model import write_model
 

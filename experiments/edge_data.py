@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from experiments.build import build_scene
-from experiments.build_tools import aerial_camera
+from experiments.build_tools import aerial_camera, segment_edges
 from experiments.config import Config, load_config
 from scenes.api import LAND_CLASSES, Scene
 from sim.frames import Pose, rotation_from_yaw, so3_exp
@@ -55,7 +55,8 @@ class EdgeView:
     """(H, W) number of the segment of each pixel"""
     scene: str
     seed: int
-    height_m: float
+    world_from_body: Pose
+    time_s: float
 
 
 def edge_views(
@@ -83,28 +84,31 @@ def _scene_views(config: Config, scene: Scene, views: int) -> Iterator[EdgeView]
     kinds = surface_kinds(scene)
     try:
         for number in range(views):
-            view, height = _look(camera, scene, rng, number)
+            view, pose, time_s = _look(camera, scene, rng, number)
             segments = segments_of(view, scene, kinds, camera.intrinsics.matrix())
             half = cv2.resize(view.rgb, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-            yield EdgeView(np.asarray(half, np.uint8), segments, scene.name, scene.seed, height)
+            yield EdgeView(
+                np.asarray(half, np.uint8), segments, scene.name, scene.seed, pose, time_s
+            )
     finally:
         camera.close()
 
 
 def _look(
     camera: AerialCamera, scene: Scene, rng: np.random.Generator, number: int
-) -> tuple[AerialView, float]:
-    """A view from a random pose, clear of everything; its height over the ground below."""
+) -> tuple[AerialView, Pose, float]:
+    """A view from a random pose of the body, clear of everything, and when it was taken."""
     low, high = scene.bounds_xy_m[0] + _MARGIN_M, scene.bounds_xy_m[1] - _MARGIN_M
     for _ in range(_MOST_TRIES):
         height = float(np.exp(rng.uniform(np.log(LOW_M), np.log(HIGH_M))))
         where = np.array([*rng.uniform(low, high), float(scene.model.qpos0[2]) + height])
         tilt = so3_exp(np.array([*rng.normal(0.0, _TILT_SIGMA, 2), 0.0]))
         pose = Pose(rotation_from_yaw(rng.uniform(-np.pi, np.pi)) @ tilt, where)
-        view = camera.look(pose, rng.uniform(0.0, _LONGEST_TIME_S), number)
+        time_s = rng.uniform(0.0, _LONGEST_TIME_S)
+        view = camera.look(pose, time_s, number)
         if float(view.depth_m.min()) > _NEAREST_M:
-            return view, height
-    return view, height
+            break
+    return view, pose, time_s
 
 
 def surface_kinds(scene: Scene) -> Int32:
@@ -137,7 +141,8 @@ def _paint_ground(kind: Int32, view: AerialView, scene: Scene, matrix: Array) ->
     rows, cols = np.nonzero(shown)
     depth = view.depth_m[::2, ::2][rows, cols].astype(np.float64)
     rays = np.column_stack([2 * cols, 2 * rows, np.ones(len(rows))]) @ np.linalg.inv(matrix).T
-    world = view.world_from_camera.apply(rays * depth[:, None])
+    points = np.asarray(rays * depth[:, None], np.float64)
+    world = view.world_from_camera.apply(points)
     cell = np.floor((world[:, :2] - ground.origin_xy_m) / ground.cell_m).astype(int)
     limits = np.array(ground.class_id.shape)[::-1] - 1
     cell = np.clip(cell, 0, limits)
@@ -189,7 +194,4 @@ def without_specks(segments: Int32, smallest: int) -> Int32:
 
 def boundaries(segments: Int32) -> NDArray[np.bool_]:
     """(H, W): pixels whose right or lower neighbour belongs to another segment."""
-    edge = np.zeros(segments.shape, bool)
-    edge[:, :-1] |= segments[:, :-1] != segments[:, 1:]
-    edge[:-1] |= segments[:-1] != segments[1:]
-    return edge
+    return segment_edges(segments)

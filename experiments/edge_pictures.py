@@ -3,7 +3,7 @@ paper's Fig. 4); precision over recall; the table of scores."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,24 +14,21 @@ from numpy.typing import NDArray
 from experiments.build import build_scene
 from experiments.build_tools import edge_detector, still_features
 from experiments.config import UsageError, load_config
-from experiments.edge_data import boundaries, edge_views
+from experiments.edge_data import EdgeView, boundaries, edge_views
 from experiments.edge_report import CANNY_THRESHOLDS, canny_masks
-from sim.frames import Pose, rotation_from_yaw
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
-_SHOWN = (("houses", 1), ("houses", 9), ("pools", 4))
-"""scene of those held out, and number of its picture"""
+_SHOWN = (("houses", 6), ("houses", 10), ("pools", 1))
+"""scene of those held out, and number of its picture; of the first, the scan is shown too"""
 _SHOWN_VIEWS = 12
 _CANNY_SIGMA, _CANNY_LEVEL = 2.0, 3
 _ENERGY_GAIN = 1.0
 _CAPTION_PX = 30
 _GAP = 4
 _INK, _PAPER = (235, 235, 235), 24
-_HOVER_M = 16.0
-_HOVER_SCENE = "houses"
 _EDGE_RGB, _PLANAR_RGB = (255, 96, 32), (60, 220, 235)
 
 
@@ -44,22 +41,24 @@ def draw_pictures(
     detector = edge_detector(model)
     folder.mkdir(parents=True, exist_ok=True)
     comparison, smoothness = folder / "edges.jpg", folder / "smoothness.jpg"
-    _write(comparison, comparison_picture(detector, seed, notes))
+    views = [
+        view
+        for name in dict.fromkeys(scene for scene, _ in _SHOWN)
+        for number, view in enumerate(edge_views([name], [seed], _SHOWN_VIEWS, notes))
+        if (name, number) in _SHOWN
+    ]
+    _write(comparison, comparison_picture(detector, views))
     notes("scan and image of one moment")
-    _write(smoothness, smoothness_picture(seed, model))
+    _write(smoothness, smoothness_picture(views[0], model))
     return comparison, smoothness
 
 
 def comparison_picture(
-    detector: Callable[[Picture], Float32], seed: int, notes: Callable[[str], None]
+    detector: Callable[[Picture], Float32], views: Sequence[EdgeView]
 ) -> Picture:
-    """A row for each of a few views: picture, truth, energy, Canny."""
-    rows, kept = [], {}
-    for name in dict.fromkeys(scene for scene, _ in _SHOWN):
-        for number, view in enumerate(edge_views([name], [seed], _SHOWN_VIEWS, notes)):
-            kept[name, number] = view
-    for place, key in enumerate(_SHOWN):
-        view = kept[key]
+    """A row for each view: picture, truth, energy, Canny."""
+    rows = []
+    for place, view in enumerate(views):
         canny = canny_masks(view.rgb, _CANNY_SIGMA, True)[_CANNY_LEVEL]
         tiles = [
             view.rgb,
@@ -74,15 +73,14 @@ def comparison_picture(
     return _below(rows)
 
 
-def smoothness_picture(seed: int, model: str) -> Picture:
+def smoothness_picture(shown: EdgeView, model: str) -> Picture:
     """Image, energy, f_c of the returns of one scan, and the points chosen by it."""
-    config = load_config(None, (f"paper.edge_model={model}",), scene=_HOVER_SCENE, seed=seed)
+    config = load_config(None, (f"paper.edge_model={model}",), scene=shown.scene, seed=shown.seed)
     scene = build_scene(config)
-    where = np.array([*scene.takeoff_xy_m, float(scene.model.qpos0[2]) + _HOVER_M])
-    view, found = still_features(
-        config, scene, Pose(rotation_from_yaw(scene.takeoff_yaw), where), 1.0
+    view, found = still_features(config, scene, shown.world_from_body, shown.time_s)
+    energy = np.asarray(
+        cv2.resize(energy_colours(found.energy), view.rgb.shape[1::-1]), np.uint8
     )
-    energy = cv2.resize(energy_colours(found.energy), view.rgb.shape[1::-1])
     dim = (0.35 * view.rgb).astype(np.uint8)
     known = np.isfinite(found.f_c)
     low, high = np.percentile(np.log(found.f_c[known] + 1e-3), [2.0, 98.0])
@@ -93,7 +91,7 @@ def smoothness_picture(seed: int, model: str) -> Picture:
     smooth, chosen = dim.copy(), dim.copy()
     _dots(smooth, found.pixels[known], tint, 1)
     for mask, colour, radius in ((found.planar, _PLANAR_RGB, 2), (found.edge, _EDGE_RGB, 3)):
-        _dots(chosen, found.pixels[mask], np.tile(np.uint8(colour), (int(mask.sum()), 1)), radius)
+        _dots(chosen, found.pixels[mask], np.tile(np.array(colour, np.uint8), (int(mask.sum()), 1)), radius)
     counts = (
         f"{int(found.edge.sum())} edge (orange), {int(found.planar.sum())} planar (cyan) points"
     )

@@ -48,7 +48,7 @@ def train(out: Path, seed: int, notes: Notes) -> dict[str, Any]:
         "seeds": " ".join(map(str, seeds)),
         "pictures": str(len(views)),
     }
-    images = [(view.rgb, view.segments, boundaries(view.segments)) for view in views]
+    images = [(view.rgb, view.segments) for view in views]
     size = train_edges(
         images, out, seed, about, lambda tree, nodes: notes(f"tree {tree}: {nodes} nodes")
     )

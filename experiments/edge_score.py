@@ -42,9 +42,8 @@ class Counts:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Score:
-    """Of a set of pictures. ``ods``: best F at one threshold for all; ``ois``: F with the best
-    threshold for each; ``ap``: average precision. ``best`` is the index of the threshold of ``ods``.
-    """
+    """Of a set of pictures. ``ods``: best F at one threshold for all, whose index is ``best``;
+    ``ois``: F with the best threshold for each; ``ap``: average precision."""
 
     ods: float
     ois: float

@@ -1,10 +1,11 @@
-"""A rig and a texture for the tests of the baselines."""
+"""A rig, a texture and a short flight for the tests of the baselines."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
+from experiments.config import Config, load_config
 from sim.api import CameraIntrinsics, ImuParams, LidarParams, SensorRig, VehicleModel
 from sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
 
@@ -52,3 +53,22 @@ def texture(side: int, seed: int = 3) -> np.ndarray:
         layer = cv2.GaussianBlur(rng.standard_normal((side, side)).astype(np.float32), (0, 0), blur)
         total += layer / layer.std()
     return np.clip(128.0 + 30.0 * total, 0, 255).astype(np.uint8)
+
+
+TINY = (
+    "sim.threads=1",
+    "mapper.enabled=false",
+    "survey.height_m=5",
+    "survey.legs=1",
+    "survey.leg_length_m=8",
+    "survey.duration_s=4",
+    "camera.width=424",
+    "camera.height=240",
+)
+"""About 10 s in the air."""
+
+
+def tiny(estimator: str, *more: str) -> Config:
+    return load_config(
+        None, (*TINY, *more), scene="flat", estimator=estimator, seed=103, survey_only=True
+    )

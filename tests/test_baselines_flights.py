@@ -5,29 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.config import Config, UsageError, load_config
+from experiments.config import UsageError, load_config
 from experiments.flight import fly
-
-TINY = (
-    "sim.threads=1",
-    "mapper.enabled=false",
-    "survey.height_m=5",
-    "survey.legs=1",
-    "survey.leg_length_m=8",
-    "survey.duration_s=4",
-    "camera.width=424",
-    "camera.height=240",
-)
-"""About 10 s in the air."""
-
-
-def tiny(estimator: str, *more: str) -> Config:
-    return load_config(
-        None, (*TINY, *more), scene="flat", estimator=estimator, seed=103, survey_only=True
-    )
-
-
-# ---------------------------------------------------------------------------------- closed loop
+from tests.baselines_support import tiny
 
 
 @pytest.mark.parametrize(
@@ -42,19 +22,6 @@ def test_short_survey_in_the_loop(estimator: str, most_m: float) -> None:
     off = abs(result["trajectory_error_m"] - result["position_error_m"]["mean"])
     assert off < 0.25
     assert result["position_error_m"]["yaw_deg"] < 5.0
-
-
-def test_positions_do_not_depend_on_whether_a_map_is_made() -> None:
-    """LIDAR and mapper beside it leave every random stream and every message alone."""
-    results = [
-        fly(tiny("optical_flow", f"mapper.enabled={enabled}"), None)
-        for enabled in ("false", "true")
-    ]
-    bare, mapped = results
-    assert bare["position_error_m"] == mapped["position_error_m"]
-    assert bare["trajectory_error_m"] == mapped["trajectory_error_m"]
-    assert bare["map"]["density_per_m2"] == 0.0
-    assert mapped["map"]["density_per_m2"] > 0.0
 
 
 def test_landing_without_a_map_is_refused() -> None:

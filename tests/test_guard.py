@@ -36,7 +36,8 @@ def scan(end: int = 600, seed: int = 0, **changes: Any) -> LidarScan:
 
 def image(tick: int = 600, **changes: Any) -> CameraImage:
     rgb = np.random.default_rng(tick).integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8)
-    return CameraImage(**({"tick": tick, "time_s": tick / 600, "rgb": rgb} | changes))
+    values: dict[str, Any] = {"tick": tick, "time_s": tick / 600, "rgb": rgb}
+    return CameraImage(**(values | changes))
 
 
 def obs(tick: int, **changes: Any) -> Observation:

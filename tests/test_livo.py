@@ -163,6 +163,31 @@ def test_a_clean_second_is_followed_to_the_centimetre() -> None:
     assert last.healthy
 
 
+def test_biases_and_level_are_learned_on_the_ground() -> None:
+    """Two seconds at rest with a biased IMU: the turn-on biases of 3 mrad/s and 30 mm/s^2 shrink to
+    what noise and the doubt of level leave, and gravity stays where it is."""
+    gyro, pull = np.array([2e-3, -3e-3, 1e-3]), np.array([0.02, -0.01, 0.03])
+    livo = Livo(RIG, LivoParams())
+    for tick in range(0, 1201, IMU_TICKS):
+        imu = ImuSample(
+            tick=tick, time_s=tick / HZ, angular_velocity=gyro,
+            specific_force=np.array([0.0, 0.0, GRAVITY_MPS2]) + pull,
+        )  # fmt: skip
+        estimate = livo.update(
+            Observation(
+                tick=tick,
+                time_s=tick / HZ,
+                imu=(imu,) if tick else (),
+                battery_fraction=1.0,
+                rotor_speed_radps=np.zeros(4),
+            )
+        )
+    np.testing.assert_allclose(estimate.angular_velocity_body, 0.0, atol=2e-4)
+    np.testing.assert_allclose(estimate.acceleration_odom, 0.0, atol=2e-3)
+    # three times the doubt of the attitude on the pad
+    np.testing.assert_allclose(estimate.odom_from_body.rotation, np.eye(3), atol=6e-4)
+
+
 def test_same_input_same_output_to_the_bit() -> None:
     first, second = fly(FLIGHT), fly(FLIGHT)
     for a, b in zip(first, second, strict=True):
@@ -248,6 +273,20 @@ def test_corrections_reach_control_without_a_jump() -> None:
         step = b.odom_from_body.translation - a.odom_from_body.translation
         expected = 0.5 * (a.velocity_odom + b.velocity_odom) * (b.time_s - a.time_s)
         assert np.linalg.norm(step - expected) < 2e-3
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"use_lidar": False}, {"use_vision": False}, {"loose": True}, {"use_closures": False},
+     {"use_calibration": False}],
+)  # fmt: skip
+def test_parts_can_be_left_out(change: dict[str, bool]) -> None:
+    livo = Livo(RIG, LivoParams(**change))
+    assert livo.needs.camera_hz == (0 if change == {"use_vision": False} else 10)
+    last = [livo.update(obs) for obs in FLIGHT][-1]
+    error = last.world_from_body.translation - position_at(last.time_s)
+    # over a plane the LIDAR holds height only
+    assert np.abs(error[2] if change == {"use_vision": False} else error).max() < 0.05
 
 
 def test_a_distorted_lens_is_accepted() -> None:

@@ -50,17 +50,17 @@ class PaperEstimator:
         self._events = list(self._guard.events)
         self._skipped += self._guard.refused
         self._filter.take_imu(obs)
-        measured = False
+        tick_before = self._filter.tick
         flat = [self._flat(image) for image in obs.images]
         self._images.extend(flat)
         arrivals: list[LidarScan | CameraImage] = [*obs.scans, *flat]
         for message in sorted(arrivals, key=_order):
-            measured |= self._take(message)
+            self._take(message)
         lag = self._rig.compute_latency_ticks + self._rig.lidar_scan_ticks
         if obs.tick - self._filter.tick > lag + self._rig.lidar_scan_ticks:
             self._filter.carry_to(obs.tick - lag)
-            measured = True
-        if measured:
+        if self._filter.tick != tick_before:
+            # Not only if a message corrected something: standing still does so on the way.
             self._filter.catch_up()
         seconds = self._filter.step_s
         world_from_odom, drift = self._camera.world_from_odom(seconds)
@@ -77,13 +77,13 @@ class PaperEstimator:
         rgb = cv2.remap(image.rgb, self._undistort[0], self._undistort[1], cv2.INTER_LINEAR)
         return CameraImage(tick=image.tick, time_s=image.time_s, rgb=np.asarray(rgb, np.uint8))
 
-    def _take(self, message: LidarScan | CameraImage) -> bool:
+    def _take(self, message: LidarScan | CameraImage) -> None:
         tick = _order(message)[0]
         if tick < self._filter.tick or tick > self._filter.head_tick:
             self._skipped += 1
             name = "scan" if isinstance(message, LidarScan) else "image"
             self._events.append(f"{name} {tick} refused: it came too late")
-            return False
+            return
         self._filter.carry_to(tick)
         if isinstance(message, LidarScan):
             image = nearest_image(list(self._images), tick, self._rig.lidar_scan_ticks)
@@ -93,10 +93,8 @@ class PaperEstimator:
             done = self._lidar.take(message, energy)
             self._skipped += not done
             self._scan_track = self._filter.track_of(message)
-            return done
-        if not self._camera.due(message.tick):
-            return False
-        return self._camera.take(message, self._energy_of(message))
+        elif self._camera.due(message.tick):
+            self._camera.take(message, self._energy_of(message))
 
     def _energy_of(self, image: CameraImage) -> NDArray[np.float32]:
         if self._energy[0] != image.tick:

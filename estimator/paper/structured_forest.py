@@ -230,15 +230,13 @@ class TrainingImages:
     edges: NDArray[np.bool_]
 
     @classmethod
-    def of(
-        cls, rgb: Sequence[Bytes], segments: Sequence[Int32], edges: Sequence[NDArray[np.bool_]]
-    ) -> TrainingImages:
+    def of(cls, rgb: Sequence[Bytes], segments: Sequence[Int32]) -> TrainingImages:
         channels = [channel_features(picture) for picture in rgb]
         return cls(
             np.stack([regular for regular, _ in channels]),
             np.stack([paired for _, paired in channels]),
             np.stack(segments),
-            np.stack(edges),
+            np.stack([segment_edges(numbers) for numbers in segments]),
         )
 
 
@@ -258,6 +256,14 @@ def sample_patches(edges: NDArray[np.bool_], count: int, rng: np.random.Generato
             places = at[rng.permutation(len(at))[:per_image]]
             chosen.append(np.column_stack([np.full(len(places), image), places]))
     return np.ascontiguousarray(np.concatenate(chosen), dtype=np.int32)
+
+
+def segment_edges(segments: Int32) -> NDArray[np.bool_]:
+    """(H, W): pixels whose right or lower neighbour, if there is one, is of another segment."""
+    edge = np.zeros(segments.shape, bool)
+    edge[:, :-1] |= segments[:, :-1] != segments[:, 1:]
+    edge[:-1] |= segments[:-1] != segments[1:]
+    return edge
 
 
 def grow_tree(images: TrainingImages, params: ForestParams, rng: np.random.Generator) -> Tree:

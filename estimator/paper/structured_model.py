@@ -7,6 +7,7 @@ import re
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +64,7 @@ def _document(
     lines += [f"   {name}: {value}" for name, value in zip(_OPTIONS, values, strict=True)]
     nodes = max(len(tree.child) for tree in trees)
     bounds, bins = _leaf_tables(trees, nodes)
-    ints = {
+    tables: dict[str, Sequence[NDArray[Any]]] = {
         "childs": [_padded(tree.child, nodes) for tree in trees],
         "featureIds": [_padded(tree.feature, nodes) for tree in trees],
         "thresholds": [_padded(tree.threshold, nodes) for tree in trees],
@@ -72,12 +73,12 @@ def _document(
     }
     for section in _SECTIONS:
         lines.append(f"{section}:")
-        for values_of_tree in ints[section]:
+        for values_of_tree in tables[section]:
             lines += _sequence(values_of_tree)
     return lines
 
 
-def _padded(values: NDArray[np.generic], nodes: int) -> NDArray[np.generic]:
+def _padded(values: NDArray[Any], nodes: int) -> NDArray[Any]:
     """OpenCV wants trees of one size; what is added is never reached."""
     return np.pad(values, (0, nodes - len(values)))
 
@@ -98,7 +99,7 @@ def _leaf_tables(trees: Sequence[forest.Tree], nodes: int) -> tuple[list[Int32],
     return bounds, bins
 
 
-def _sequence(values: NDArray[np.generic]) -> list[str]:
+def _sequence(values: NDArray[Any]) -> list[str]:
     """A YAML sequence within a sequence, in lines of a few numbers."""
     floating = np.issubdtype(values.dtype, np.floating)
     # YAML of OpenCV knows a real number by its point
