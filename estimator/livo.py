@@ -312,6 +312,8 @@ class Livo:
             rgb = np.asarray(flat, dtype=np.uint8)
         levels = grey_levels(rgb)
         self._vision.measure_open_keyframes(self._eskf, self._recent, image.tick)
+        # what a keyframe has wrong repeats from image to image, and would be taken for the rig's
+        self._eskf.learns = False
         report = self._vision.update(self._eskf, levels)
         if report.used:
             self._vision_tick = image.tick
