@@ -85,7 +85,8 @@ def extend_plane(
     near &= np.abs(seen[:, 1] / depth) < _VIEW_MARGIN * 0.5 * camera.height / camera.fy
     seen = seen[near]
     cells = np.floor(seen[:, :2] / (_CELL * seen[:, 2:])).astype(np.int64)
-    _, first = np.unique(cells, axis=0, return_index=True)
+    # one number a cell sorts much faster than rows
+    _, first = np.unique((cells[:, 0] << 32) + cells[:, 1], return_index=True)
     plane = common_plane(seen[np.sort(first)])
     if plane is None:
         return 0
