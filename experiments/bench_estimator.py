@@ -215,7 +215,7 @@ class TruePath:
 def logged_scans(logged: LoggedRun, end_s: float) -> list[ScanPoints]:
     """The returns of the scans between lift-off and ``end_s`` or the end of the survey."""
     scans: list[ScanPoints] = []
-    for obs in logged.sensors:
+    for obs in logged.sensors.observations(images=False):
         for scan in obs.scans:
             if scan.start_time_s < logged.from_s or scan.end_time_s >= min(end_s, logged.to_s):
                 continue

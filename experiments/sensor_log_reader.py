@@ -62,11 +62,16 @@ class SensorLogReader:
         self.shared = from_plain(SensorNeeds, json.loads(facts["shared"]))
 
     def __iter__(self) -> Iterator[Observation]:
+        return self.observations()
+
+    def observations(self, images: bool = True) -> Iterator[Observation]:
+        """From the beginning; without images in half the time, for who needs none."""
         arrived: defaultdict[str, deque[bytes]] = defaultdict(deque)
         for topic, data in self._messages():
             if topic == OBSERVATION_TOPIC:
-                yield _observation(json.loads(ros.text_of(data)), arrived)
-            else:
+                plain = json.loads(ros.text_of(data))
+                yield _observation(plain if images else plain | {"images": []}, arrived)
+            elif images or topic not in IMAGE_TOPICS:
                 arrived[topic].append(data)
 
     def _metadata(self) -> dict[str, str]:

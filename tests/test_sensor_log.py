@@ -72,6 +72,12 @@ def test_observations_come_back_bit_equal_and_every_time(
     assert any(image.right_rgb is not None for obs in back for image in obs.images)
 
 
+def test_images_may_be_left_out(log: Path, stream: list[Observation]) -> None:
+    back = SensorLogReader(log).observations(images=False)
+    without = [dataclasses.replace(obs, images=()) for obs in stream]
+    assert all(same(one, other) for one, other in zip(back, without, strict=True))
+
+
 def test_rig_and_needs_come_back(log: Path) -> None:
     reader = SensorLogReader(log)
     assert same(reader.rig, synthetic_rig())
