@@ -51,14 +51,14 @@ def edges_train(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
 @edges.command("evaluate")
 @click.option("--model", default="shipped", show_default=True,
               help="`shipped`, `gradient`, or a file of `touchdown edges train`.")  # fmt: skip
-@click.option("--seeds", type=click.IntRange(1), default=10, show_default=True)
+@click.option("--seeds", type=click.IntRange(1), default=5, show_default=True)
 @click.option("--plot", type=click.Path(path_type=Path), help="Precision over recall, JPG or PNG.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
 def edges_evaluate(model: str, seeds: int, plot: Path | None, as_json: bool, quiet: bool) -> int:
     """Score the detector beside Canny on scenes and seeds that it was not trained on.
 
-    Canny gets the blur and the colours that suit these very pictures best.
+    Canny gets the blur and the threshold that suit these very pictures best.
 
     Example: touchdown edges evaluate --seeds 3 --plot edges.png
     """

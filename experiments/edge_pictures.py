@@ -59,7 +59,7 @@ def comparison_picture(
     """A row for each view: picture, truth, energy, Canny."""
     rows = []
     for place, view in enumerate(views):
-        canny = canny_masks(view.rgb, _CANNY_SIGMA, True)[_CANNY_LEVEL]
+        canny = canny_masks(view.rgb, _CANNY_SIGMA)[_CANNY_LEVEL]
         tiles = [
             view.rgb,
             _line_drawing(boundaries(view.segments)),
@@ -169,8 +169,8 @@ def print_scores(report: Mapping[str, Any]) -> None:
     console = Console(highlight=False)
     console.print(table)
     console.print(
-        f"Canny at its best: {'colour' if setting['colour'] else 'grey'}, blur "
-        f"{setting['sigma_px']:.1f} px, threshold {setting['threshold']:.0f}"
+        f"Canny at its best: blur {setting['sigma_px']:.1f} px, threshold "
+        f"{setting['threshold']:.0f}"
     )
     console.print(f"ODS above Canny's: {report['ods_above_canny']:+.3f}")
     console.print(f"one picture: {report['detect_ms']:.1f} ms of one core")

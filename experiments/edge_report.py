@@ -95,12 +95,10 @@ def evaluate(model: str, seeds: int, notes: Notes) -> dict[str, Any]:
     }
 
 
-def canny_masks(rgb: NDArray[np.uint8], sigma: float, colour: bool) -> list[NDArray[np.bool_]]:
-    """(H, W) edges by Canny at every one of `CANNY_THRESHOLDS`, of the blurred picture; of colours
-    the channel with the strongest gradient counts."""
+def canny_masks(rgb: NDArray[np.uint8], sigma: float) -> list[NDArray[np.bool_]]:
+    """(H, W) edges by Canny at every one of `CANNY_THRESHOLDS`, of the blurred picture. At each
+    pixel the colour channel with the strongest gradient counts, which finds more than grey does."""
     blurred = cv2.GaussianBlur(rgb, (0, 0), sigma)
-    if not colour:
-        blurred = cv2.cvtColor(blurred, cv2.COLOR_RGB2GRAY)
     return [
         np.asarray(cv2.Canny(blurred, _CANNY_LOW * high, high, L2gradient=True) > 0)
         for high in CANNY_THRESHOLDS
@@ -113,25 +111,19 @@ def _counts(
     return [counts_of_energy(detector(v.rgb), boundaries(v.segments)) for v in views]
 
 
-def _best_canny(views: Sequence[EdgeView], notes: Notes) -> tuple[list[Counts], dict[str, Any]]:
-    """Counts with the blur, and with colours or without, that give the best F on these very
-    pictures: Canny is tuned on the test, the structured detector is not."""
-    best: tuple[float, list[Counts], dict[str, Any]] = (-1.0, [], {})
-    for colour in (True, False):
-        for sigma in CANNY_SIGMAS:
-            notes(f"scoring Canny, {'colour' if colour else 'grey'}, blur {sigma:.1f} px")
-            counts = [
-                counts_of_masks(canny_masks(v.rgb, sigma, colour), boundaries(v.segments))
-                for v in views
-            ]
-            result = score(counts)
-            if result.ods > best[0]:
-                setting = {
-                    "colour": colour,
-                    "sigma_px": sigma,
-                    "threshold": float(CANNY_THRESHOLDS[result.best]),
-                }
-                best = (result.ods, counts, setting)
+def _best_canny(views: Sequence[EdgeView], notes: Notes) -> tuple[list[Counts], dict[str, float]]:
+    """Counts with the blur that gives the best F on these very pictures: Canny is tuned on the
+    test, the structured detector is not."""
+    best: tuple[float, list[Counts], dict[str, float]] = (-1.0, [], {})
+    for sigma in CANNY_SIGMAS:
+        notes(f"scoring Canny, blur {sigma:.1f} px")
+        counts = [
+            counts_of_masks(canny_masks(v.rgb, sigma), boundaries(v.segments)) for v in views
+        ]
+        result = score(counts)
+        if result.ods > best[0]:
+            setting = {"sigma_px": sigma, "threshold": float(CANNY_THRESHOLDS[result.best])}
+            best = (result.ods, counts, setting)
     return best[1], best[2]
 
 
