@@ -78,9 +78,7 @@ def smoothness_picture(shown: EdgeView, model: str) -> Picture:
     config = load_config(None, (f"paper.edge_model={model}",), scene=shown.scene, seed=shown.seed)
     scene = build_scene(config)
     view, found = still_features(config, scene, shown.world_from_body, shown.time_s)
-    energy = np.asarray(
-        cv2.resize(energy_colours(found.energy), view.rgb.shape[1::-1]), np.uint8
-    )
+    energy = np.asarray(cv2.resize(energy_colours(found.energy), view.rgb.shape[1::-1]), np.uint8)
     dim = (0.35 * view.rgb).astype(np.uint8)
     known = np.isfinite(found.f_c)
     low, high = np.percentile(np.log(found.f_c[known] + 1e-3), [2.0, 98.0])
@@ -91,7 +89,12 @@ def smoothness_picture(shown: EdgeView, model: str) -> Picture:
     smooth, chosen = dim.copy(), dim.copy()
     _dots(smooth, found.pixels[known], tint, 1)
     for mask, colour, radius in ((found.planar, _PLANAR_RGB, 2), (found.edge, _EDGE_RGB, 3)):
-        _dots(chosen, found.pixels[mask], np.tile(np.array(colour, np.uint8), (int(mask.sum()), 1)), radius)
+        _dots(
+            chosen,
+            found.pixels[mask],
+            np.tile(np.array(colour, np.uint8), (int(mask.sum()), 1)),
+            radius,
+        )
     counts = (
         f"{int(found.edge.sum())} edge (orange), {int(found.planar.sum())} planar (cyan) points"
     )

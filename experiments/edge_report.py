@@ -117,9 +117,7 @@ def _best_canny(views: Sequence[EdgeView], notes: Notes) -> tuple[list[Counts], 
     best: tuple[float, list[Counts], dict[str, float]] = (-1.0, [], {})
     for sigma in CANNY_SIGMAS:
         notes(f"scoring Canny, blur {sigma:.1f} px")
-        counts = [
-            counts_of_masks(canny_masks(v.rgb, sigma), boundaries(v.segments)) for v in views
-        ]
+        counts = [counts_of_masks(canny_masks(v.rgb, sigma), boundaries(v.segments)) for v in views]
         result = score(counts)
         if result.ods > best[0]:
             setting = {"sigma_px": sigma, "threshold": float(CANNY_THRESHOLDS[result.best])}

@@ -254,4 +254,4 @@ def test_structured_edges_need_their_model(tmp_path: Path) -> None:
     broken.write_bytes(b"not a model")
     with pytest.raises(ValueError, match="broken"):
         StructuredEdges(broken)
-    assert isinstance(edge_detector(""), GradientEdges)
+    assert isinstance(edge_detector("gradient"), GradientEdges)
