@@ -226,7 +226,7 @@ class LivoParams:
     scan_height_sigma_m: float = 0.01
     scan_lateral_sigma_m: float = 0.3
     scan_yaw_sigma_deg: float = 0.5
-    anchor_height_m: float = 0.002
+    anchor_height_m: float = 0.004
     """error that all planes and landmarks of a keyframe have in common"""
     depth_sigma_m: float = 0.02
     """of a landmark along its ray"""

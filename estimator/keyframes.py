@@ -28,6 +28,8 @@ class Keyframe:
     """(N,) whether the plane is known"""
     planes: Array
     """(N, 3) ``n . P = 1`` in this keyframe's camera frame"""
+    sigmas: Array
+    """(N,) m along the ray, of features whose surroundings are no plane; 0 of the others"""
     depth_m: float
     """median depth of the landmarks"""
     calibration: Array
@@ -74,17 +76,20 @@ def detect_features(grey: Grey, max_count: int, spacing_px: int = 22, border_px:
 def measure_planes(
     keyframe: Keyframe, recent: RecentReturns, camera_from_odom: Pose, camera: CameraIntrinsics
 ) -> None:
-    """Gives planes to the features that have none yet, from the returns seen lately."""
-    missing = np.flatnonzero(~keyframe.valid)
+    """Gives planes to the features that have none yet, or a doubtful one, from the returns seen
+    lately."""
+    missing = np.flatnonzero(~keyframe.valid | (keyframe.sigmas > 0.0))
     if len(missing) == 0:
         return
     rays = bearing_rays(keyframe.pixels[missing], camera)[:, :2]
     half_view = (0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy)
-    valid, planes = feature_planes(
+    valid, planes, sigmas = feature_planes(
         rays, recent, camera_from_odom, half_view, radius=16.0 / camera.fx
     )
-    keyframe.valid[missing] = valid
-    keyframe.planes[missing[valid]] = planes[valid]
+    better = valid & (~keyframe.valid[missing] | (sigmas < keyframe.sigmas[missing]))
+    which = missing[better]
+    keyframe.valid[which] = True
+    keyframe.planes[which], keyframe.sigmas[which] = planes[better], sigmas[better]
     if keyframe.valid.any():
         keyframe.depth_m = float(np.median(keyframe.landmarks_camera(camera)[keyframe.valid, 2]))
 

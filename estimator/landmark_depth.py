@@ -15,6 +15,13 @@ from sim.frames import Pose
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
+_CLOSE = 0.4
+"""of the neighbourhood: returns so close tell the depth of a feature that is on no plane"""
+_MOST_SCATTER = 0.05
+"""of the depth; more is no depth at all"""
+_DOUBT = 2.0
+"""standard deviations of the scatter: it errs alike in all images that the feature is found in"""
+
 
 class RecentReturns:
     """The returns of the last few scans, odom frame, in a ring of fixed size."""
@@ -150,6 +157,45 @@ def _fit_planes(
     return valid, planes
 
 
+@njit(cache=True)
+def _rough_depths(
+    rays: Array,
+    starts: NDArray[np.int64],
+    seen: Array,
+    width: float,
+    height: float,
+    cell: float,
+    radius: float,
+    min_points: int,
+    most_share: float,
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Depth of what lies foremost within ``radius`` of (N, 2) rays, and how much it scatters."""
+    cols, rows = int(2.0 * width / cell) + 1, int(2.0 * height / cell) + 1
+    valid = np.zeros(rays.shape[0], dtype=np.bool_)
+    depths, sigmas = np.zeros(rays.shape[0]), np.zeros(rays.shape[0])
+    near = np.empty(256)
+    for k in range(rays.shape[0]):
+        col, row = int((rays[k, 0] + width) / cell), int((rays[k, 1] + height) / cell)
+        count = 0
+        for r in range(max(0, row - 1), min(rows, row + 2)):
+            first, final = r * cols + max(0, col - 1), r * cols + min(cols, col + 2)
+            for i in range(starts[first], starts[final]):
+                dx, dy = seen[i, 0] - rays[k, 0], seen[i, 1] - rays[k, 1]
+                if dx * dx + dy * dy <= radius * radius and count < near.shape[0]:
+                    near[count] = 1.0 / seen[i, 2]
+                    count += 1
+        if count < min_points:
+            continue
+        # the camera sees what is in front; returns from elsewhere looked past it
+        front = np.sort(near[:count])[: (2 * count + 2) // 3]
+        depth = front[len(front) // 2]
+        sigma = np.std(front)
+        if sigma > most_share * depth:
+            continue
+        valid[k], depths[k], sigmas[k] = True, depth, sigma
+    return valid, depths, sigmas
+
+
 def feature_planes(
     rays: Array,
     recent: RecentReturns,
@@ -159,12 +205,14 @@ def feature_planes(
     radius: float,
     min_points: int = 6,
     depth_tolerance_m: float = 0.06,
-) -> tuple[NDArray[np.bool_], Array]:
+) -> tuple[NDArray[np.bool_], Array, Array]:
     """Planes of features seen along (N, 2) normalised ``rays`` (x / z, y / z).
 
     ``half_view``: the image's half extents in the same units; ``radius``: of the neighbourhood.
-    Returns valid (N,) and planes (N, 3) with ``n . P = 1`` in the camera's frame. A neighbourhood
-    whose returns scatter by more than ``depth_tolerance_m`` is refused as a depth step.
+    Returns valid (N,), planes (N, 3) with ``n . P = 1`` in the camera's frame, and sigmas (N,),
+    m along the ray. A neighbourhood whose returns scatter by more than ``depth_tolerance_m`` is no
+    plane: as over leaves, its feature gets the depth of the foremost returns close by, a plane that
+    faces the camera, and a sigma for what they scatter. Those of planes are 0.
     """
     points, counts, per_scan = recent.view()
     width, height = half_view[0] * 1.02, half_view[1] * 1.02
@@ -173,6 +221,17 @@ def feature_planes(
         points, counts, per_scan, camera_from_odom.rotation, camera_from_odom.translation,
         width, height, cell,
     )  # fmt: skip
-    return _fit_planes(
+    valid, planes = _fit_planes(
         rays, starts, seen, width, height, cell, radius, min_points, depth_tolerance_m
     )
+    sigmas = np.zeros(len(rays))
+    open_ = np.flatnonzero(~valid)
+    rough, depths, scatter = _rough_depths(
+        rays[open_], starts, seen, width, height, cell, _CLOSE * radius, min_points, _MOST_SCATTER
+    )
+    chosen = open_[rough]
+    valid[chosen] = True
+    facing = np.column_stack([rays[chosen], np.ones(len(chosen))])
+    planes[chosen] = facing / (depths[rough] * np.einsum("ij,ij->i", facing, facing))[:, None]
+    sigmas[chosen] = _DOUBT * scatter[rough]
+    return valid, planes, sigmas

@@ -64,6 +64,9 @@ _LIFTING_THRUST = 0.85
 """of the weight: before so much static thrust the vehicle cannot have left the ground"""
 _IDLE_MARGIN = 1.2
 """of the idle speed: below it the rotors carry nothing"""
+_INFLATION, _FLOOR_M = 1.8, 0.005
+"""of the covariance handed out: what a landmark or a voxel has wrong repeats from image to image
+and scan to scan, which the filter takes for fresh noise"""
 
 
 class Livo:
@@ -386,7 +389,8 @@ class Livo:
         acceleration = acceleration - np.array([0.0, 0.0, GRAVITY_MPS2])
         cov = self._head_covariance
         # what is shown is off the best belief by the offset that fades
-        shown = cov[3:6, 3:6] + np.outer(self._offset[3:6], self._offset[3:6])
+        shown = _INFLATION * cov[3:6, 3:6] + _FLOOR_M**2 * np.eye(3)
+        shown += np.outer(self._offset[3:6], self._offset[3:6])
         body_from_imu = self._rig.body_from_imu.rotation
         return Estimate(
             tick=obs.tick,

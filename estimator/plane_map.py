@@ -360,9 +360,10 @@ class PlaneMap:
         )  # fmt: skip
 
     def match(
-        self, points_odom: Array, min_count: int = 8, max_thickness_m: float = 0.12
+        self, points_odom: Array, min_count: int = 8, max_thickness_m: float = 0.05
     ) -> tuple[NDArray[np.bool_], Array, Array, Array, Array, NDArray[np.int16]]:
-        """See ``match_planes``."""
+        """See ``match_planes``. What is thicker is leaves: their height changes with the angle that
+        they are seen at."""
         margin = 0.12 * self.voxel_m
         return match_planes(
             self._keys, self._moments, self._owners, self._seen_from,

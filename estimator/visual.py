@@ -266,6 +266,7 @@ class VisualFrontEnd:
             pixels=pixels,
             valid=np.zeros(count, dtype=np.bool_),
             planes=np.zeros((count, 3)),
+            sigmas=np.zeros(count),
             depth_m=0.0,
             calibration=eskf.state.calibration,
         )
@@ -325,7 +326,8 @@ class VisualFrontEnd:
         keyframe = self.keyframes[k]
         landmarks = self._imu_from_camera.apply(keyframe.landmarks_camera(self._camera)[which])
         arms = landmarks - self._imu_from_camera.translation
-        spreads = arms * (self._depth_sigma_m / np.linalg.norm(arms, axis=1))[:, None]
+        sigmas = np.hypot(self._depth_sigma_m, keyframe.sigmas[which])
+        spreads = arms * (sigmas / np.linalg.norm(arms, axis=1))[:, None]
         if len(eskf.state.calibration) == 0:
             none = np.zeros((len(which), 3, 0))
             return _Track(k, pixels, landmarks, none, spreads, np.zeros(0))

@@ -89,11 +89,34 @@ def test_feature_planes_fit_a_slope_and_refuse_a_step() -> None:
     recent = RecentReturns(scans=2, per_scan=12_000)
     recent.add(np.column_stack([x, y, z]) + rng.normal(0.0, 0.02, (12_000, 3)))
     rays = np.array([[0.0, 0.0], [-0.2, 0.15], [0.213, 0.05], [0.34, 0.0]])
-    valid, planes = feature_planes(rays, recent, Pose.identity(), (0.68, 0.38), radius=16.0 / 617.0)
-    np.testing.assert_array_equal(valid, [True, True, False, True])
+    valid, planes, sigmas = feature_planes(
+        rays, recent, Pose.identity(), (0.68, 0.38), radius=16.0 / 617.0
+    )
+    np.testing.assert_array_equal(valid & (sigmas == 0.0), [True, True, False, True])
     rays3 = np.column_stack([rays[:2], np.ones(2)])
     depth = 1.0 / np.einsum("ij,ij->i", rays3, planes[:2])
     np.testing.assert_allclose(depth, 20.0 / (rays3 @ normal), atol=0.02)
+
+
+def test_a_feature_among_leaves_gets_the_depth_of_the_foremost_and_a_doubt() -> None:
+    rng = np.random.default_rng(6)
+    # two thirds of the returns from a crown at 18 m, 0.3 m deep, the others from 0.9 m below
+    x, y = rng.uniform(-6, 6, (2, 12_000))
+    z = np.where(rng.random(12_000) < 2 / 3, rng.normal(18.0, 0.3, 12_000), 18.9)
+    recent = RecentReturns(scans=2, per_scan=12_000)
+    recent.add(np.column_stack([x, y, z]))
+    rays = np.array([[0.0, 0.0], [0.1, -0.1], [0.6, 0.0]])  # no returns around the last
+    valid, planes, sigmas = feature_planes(
+        rays, recent, Pose.identity(), (0.68, 0.38), radius=48.0 / 617.0
+    )
+    np.testing.assert_array_equal(valid, [True, True, False])
+    rays3 = np.column_stack([rays[:2], np.ones(2)])
+    depth = 1.0 / np.einsum("ij,ij->i", rays3, planes[:2])
+    np.testing.assert_allclose(depth, 18.0, atol=0.15)
+    # twice the scatter of the nearer two thirds
+    np.testing.assert_allclose(sigmas[:2], 0.6, atol=0.2)
+    for ray, plane in zip(rays3, planes[:2], strict=True):
+        np.testing.assert_allclose(np.cross(ray, plane), 0.0, atol=1e-12)  # faces the camera
 
 
 def test_reprojection_jacobian_matches_finite_differences() -> None:
