@@ -95,3 +95,16 @@ def thin_out(points: Array, cell: float, table_bits: int) -> NDArray[np.int64]:
             chosen[count] = i
             count += 1
     return chosen[:count]
+
+
+def clear_of_blind_zone(
+    points: Array, beams: Array, min_range_m: float, range_sigma_m: float
+) -> tuple[Array, Array]:
+    """(N, 3) points and beams of a scan, or none of them if more than a twentieth come from the
+    brink of what the sensor measures: there it gives too long a range for some pulses and none for
+    others, so that a map begun with them lies too low."""
+    if len(beams):
+        closest = float(np.quantile(np.linalg.norm(beams, axis=1), 0.05))
+        if closest < min_range_m + 4.0 * range_sigma_m:
+            return points[:0], beams[:0]
+    return points, beams

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from estimator.anchored_update import update_with_scan
 from estimator.anchors import Anchors
 from estimator.api import Estimate, LivoParams, PoseTrack
-from estimator.deskew import deskew, thin_out
+from estimator.deskew import clear_of_blind_zone, deskew, thin_out
 from estimator.eskf import Eskf
 from estimator.guard import InputGuard
 from estimator.imu_propagation import (
@@ -230,6 +230,8 @@ class Livo:
             self._history_rotations[first:], self._history_positions[first:],
             self._buffer.step_s, self._rig.lidar.min_range_m, self._rig.lidar.max_range_m,
         )  # fmt: skip
+        lidar = self._rig.lidar
+        points, beams = clear_of_blind_zone(points, beams, lidar.min_range_m, lidar.range_sigma_m)
         report = LidarReport(matched=0, rms_m=0.0, lateral_strength=np.zeros(3))
         if len(points) >= _FEWEST_RETURNS:
             report = self._update_with_points(points, beams)

@@ -7,7 +7,7 @@ import pytest
 
 from estimator.anchored_update import anchored_information, update_with_scan
 from estimator.anchors import Anchors
-from estimator.deskew import deskew, thin_out
+from estimator.deskew import clear_of_blind_zone, deskew, thin_out
 from estimator.eskf import Eskf
 from estimator.imu_propagation import STATE_DIM, NavState
 from estimator.lidar_update import floored, lateral_strength
@@ -220,3 +220,17 @@ def test_too_few_matches_change_nothing() -> None:
 def test_lateral_strength_of_level_ground_is_nothing() -> None:
     level = np.diag([1e6, 1e6, 0.0, 0.0, 0.0, 1e6])
     np.testing.assert_allclose(lateral_strength(level), np.zeros(3), atol=1e-6)
+
+
+def test_a_scan_from_the_brink_of_the_blind_zone_is_left_out() -> None:
+    # 100 beams straight down; the sensor measures from 0.5 m on, with 0.02 m of noise
+    down = np.tile([0.0, 0.0, -1.0], (100, 1))
+    ranges = np.linspace(0.60, 1.0, 100)[:, None]
+    points, beams = clear_of_blind_zone(down * ranges, down * ranges, 0.5, 0.02)
+    assert len(points) == len(beams) == 100
+    ranges[:10] = 0.57  # a tenth of them nearer than 0.5 + 4 x 0.02
+    points, beams = clear_of_blind_zone(down * ranges, down * ranges, 0.5, 0.02)
+    assert len(points) == len(beams) == 0
+    ranges[3:10] = 0.7  # three blades of grass are no ground
+    assert len(clear_of_blind_zone(down * ranges, down * ranges, 0.5, 0.02)[0]) == 100
+    assert len(clear_of_blind_zone(down[:0], down[:0], 0.5, 0.02)[0]) == 0
