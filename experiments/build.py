@@ -46,7 +46,8 @@ def build_scene(config: Config) -> Scene:
     """Loads the scene of a configuration. Raises ValueError or FileNotFoundError, one line each."""
     from scenes.compose import load_scene
 
-    return load_scene(config.scene, config.seed)
+    seed = config.seed if config.scene_seed is None else config.scene_seed
+    return load_scene(config.scene, seed)
 
 
 def build_flight(config: Config, scene: Scene) -> Flight:

@@ -5,6 +5,7 @@ Beside ``experiments.build`` the only module that knows all folders.
 
 from __future__ import annotations
 
+import importlib
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -374,3 +375,17 @@ def import_dem(tif: Path, out: Path, **options: Any) -> tuple[Path, list[str]]:
         warnings.simplefilter("always", UserWarning)
         path = import_model(tif, out, **options)
     return path, [str(warning.message) for warning in caught]
+
+
+def recognition(module: str) -> Any:
+    """A module of the package `landing.recognition`, such as ``labels``. Raises UsageError where it
+    needs a library that is not installed."""
+    try:
+        return importlib.import_module(f"landing.recognition.{module}")
+    except ImportError as error:
+        missing = (error.name or "").partition(".")[0]
+        if missing not in ("torch", "onnx", "onnxruntime"):
+            raise
+        raise UsageError(
+            f"this needs {missing}: install it with pip install 'touchdown[train]'"
+        ) from error

@@ -52,6 +52,7 @@ SCHEMA: Mapping[str, str] = {
     "trajectory_error_m": "float",
     "trajectory_error_max_m": "float",
     "trajectory_variance_m2": "float",
+    "landing.commanded_xy_m": "floats",
     "landing.site_xy_m": "floats",
     "landing.touchdown_xy_m": "floats",
     **{f"landing.{name}": "float" for name in _LANDING},

@@ -30,6 +30,7 @@ from experiments.cli_bench_estimator import bench_estimator
 from experiments.cli_calibrate import calibrate
 from experiments.cli_campaign import campaign, query
 from experiments.cli_edges import edges
+from experiments.cli_recognition import classify, dataset, evaluate, train
 from experiments.cli_replay import check_estimator, run_replay
 from experiments.cli_report import regress, report
 from experiments.cli_scenes import scenes
@@ -238,6 +239,8 @@ cli.add_command(calibrate)
 cli.add_command(campaign)
 cli.add_command(query)
 cli.add_command(edges)
+for _command in (dataset, train, evaluate, classify):
+    cli.add_command(_command)
 
 
 @cli.group(cls=CommandGroup)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import click
@@ -129,6 +130,8 @@ def bench_landing(scene: str, seed: int, rounds: int, reference: bool, as_json: 
 @click.option("--scorer", type=click.Choice(["risk", "paper"]), default=None, help="  [risk]")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--fit", "fit_model", is_flag=True, help="Fit landing.risk_weights to these places.")
+@click.option("--pictures", type=click.Path(path_type=Path), default=None, metavar="DIR",
+              help="Draw the steps to each site (Fig. 11 of the paper) into DIR.")  # fmt: skip
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def bench_selector(
@@ -137,6 +140,7 @@ def bench_selector(
     scorer: str | None,
     jobs: int,
     fit_model: bool,
+    pictures: Path | None,
     overrides: tuple[str, ...],
     as_json: bool,
 ) -> int:
@@ -157,12 +161,61 @@ def bench_selector(
             fit_model=fit_model,
             overrides=overrides,
             report=lambda place: click.echo(selector_check.row(place), err=as_json),
+            pictures=pictures,
         )
     )
     if as_json:
         click.echo(json.dumps(figures, indent=2))
     else:
         click.echo(selector_check.text(figures))
+    return EXIT_DONE
+
+
+@bench.command("endurance")
+@click.argument("scenes", nargs=-1)
+@click.option("--estimator", default="livo", show_default=True)
+@click.option("--seeds", default="0-1", show_default=True, help="Such as 0-4 or 100,101.")
+@click.option("--minutes", type=click.IntRange(min=2), default=5, show_default=True)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--plot", type=click.Path(path_type=Path), default=None, help="PNG or JPG.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def bench_endurance(
+    scenes: tuple[str, ...],
+    estimator: str,
+    seeds: str,
+    minutes: int,
+    jobs: int,
+    plot: Path | None,
+    overrides: tuple[str, ...],
+    as_json: bool,
+) -> int:
+    """Long surveys: position error, the estimator's time per scan and the process's memory in each
+    minute. SCENES: crossroad, lake, houses and forest, unless given.
+
+    Example: touchdown bench endurance forest --seeds 0 --minutes 10
+    """
+    from experiments import endurance
+    from experiments.selector_check import parsed_seeds
+
+    def run() -> list[dict[str, Any]]:
+        configs = [
+            endurance.endurance_config(
+                scene=scene, estimator=estimator, seed=seed, minutes=minutes, overrides=overrides
+            )
+            for scene in scenes or ("crossroad", "lake", "houses", "forest")
+            for seed in parsed_seeds(seeds)
+        ]
+        flights = endurance.measure(
+            configs, jobs, lambda flight: click.echo(endurance.row(flight), err=as_json)
+        )
+        if plot is not None:
+            endurance.plot(flights, plot)
+        return flights
+
+    flights = usage_errors(run)
+    if as_json:
+        click.echo(json.dumps({"flights": flights}, indent=2))
     return EXIT_DONE
 
 

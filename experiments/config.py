@@ -84,6 +84,9 @@ class Config(BaseModel):
 
     scene: str = "crossroad"
     seed: int = 0
+    scene_seed: int | None = None
+    """seed of the place alone, for flights over one place in other winds and noises; None: ``seed``
+    decides that too"""
     estimator: str = "livo"
     calibration: str | None = None
     """path of a file of `touchdown calibrate` that estimators are told instead of the rig's own
@@ -309,7 +312,9 @@ POSITIVE = re.compile(
     r"|ramp_s|timeout_s|divergence_m|period_s|duration_s|leg_length_m|survey\.height_m|\.legs|length_m"
     r"|threads|max_\w+|clear_radius_m)$"
 )
-NOT_NEGATIVE = re.compile(r"(_kmh|sigma(_\w+)?|_density|_walk|weight_\w+|_latency_\w+|^seed)$")
+NOT_NEGATIVE = re.compile(
+    r"(_kmh|sigma(_\w+)?|_density|_walk|weight_\w+|_latency_\w+|^(scene_)?seed)$"
+)
 POSITIVE_EXCEPT = re.compile(r"[_.]latency_ticks$")
 
 

@@ -6,7 +6,8 @@ import math
 import shutil
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -241,3 +242,34 @@ def print_calibration(report: Mapping[str, Any]) -> None:
         console.print(f"view {int(number) + 1} not used: {why}", soft_wrap=True)
     console.print(f"error and covariance agree: {'yes' if agreed else 'no'}")
     console.print(f"written: {report['file']}", soft_wrap=True)
+
+
+@contextmanager
+def progress_bar(quiet: bool) -> Iterator[Callable[[int, int, str], None]]:
+    """A bar on stderr that is told (done, total, what is being worked on)."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        BarColumn(30), MofNCompleteColumn(), TimeRemainingColumn(),
+        TextColumn("{task.description}"),
+    )  # fmt: skip
+    bar = Progress(*columns, console=Console(stderr=True), disable=quiet)
+    task = bar.add_task("", total=None)
+
+    def progress(done: int, total: int, note: str) -> None:
+        # not before there is something to show: bad input is one line
+        bar.start()
+        bar.update(task, completed=done, total=total, description=note)
+
+    try:
+        yield progress
+    finally:
+        if bar.live.is_started:
+            bar.stop()

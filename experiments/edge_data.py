@@ -84,7 +84,7 @@ def _scene_views(config: Config, scene: Scene, views: int) -> Iterator[EdgeView]
     kinds = surface_kinds(scene)
     try:
         for number in range(views):
-            view, pose, time_s = _look(camera, scene, rng, number)
+            view, pose, time_s = look_anywhere(camera, scene, rng, number)
             segments = segments_of(view, scene, kinds, camera.intrinsics.matrix())
             half = cv2.resize(view.rgb, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             yield EdgeView(
@@ -94,13 +94,18 @@ def _scene_views(config: Config, scene: Scene, views: int) -> Iterator[EdgeView]
         camera.close()
 
 
-def _look(
-    camera: AerialCamera, scene: Scene, rng: np.random.Generator, number: int
+def look_anywhere(
+    camera: AerialCamera,
+    scene: Scene,
+    rng: np.random.Generator,
+    number: int,
+    heights_m: tuple[float, float] = (LOW_M, HIGH_M),
 ) -> tuple[AerialView, Pose, float]:
-    """A view from a random pose of the body, clear of everything, and when it was taken."""
+    """A view from a random pose of the body, clear of everything, and when it was taken. Heights
+    are over the take-off spot; ``number`` numbers the noise."""
     low, high = scene.bounds_xy_m[0] + _MARGIN_M, scene.bounds_xy_m[1] - _MARGIN_M
     for _ in range(_MOST_TRIES):
-        height = float(np.exp(rng.uniform(np.log(LOW_M), np.log(HIGH_M))))
+        height = float(np.exp(rng.uniform(*np.log(heights_m))))
         where = np.array([*rng.uniform(low, high), float(scene.model.qpos0[2]) + height])
         tilt = so3_exp(np.array([*rng.normal(0.0, _TILT_SIGMA, 2), 0.0]))
         pose = Pose(rotation_from_yaw(rng.uniform(-np.pi, np.pi)) @ tilt, where)
@@ -128,13 +133,14 @@ def segments_of(view: AerialView, scene: Scene, kinds: Int32, matrix: Array) -> 
     geom_id, depth = view.geom_id[::2, ::2], view.depth_m[::2, ::2]
     kind = np.where(geom_id >= 0, kinds[geom_id], -1).astype(np.int32)
     if scene.ground is not None:
-        _paint_ground(kind, view, scene, matrix)
+        paint_ground(kind, view, scene, matrix)
     segments = connected(kind, *_depth_jumps(depth, kind, 0.5 * float(matrix[0, 0])))
     return without_specks(segments, _SMALLEST_PX)
 
 
-def _paint_ground(kind: Int32, view: AerialView, scene: Scene, matrix: Array) -> None:
-    """Writes the class of the ground's raster into the pixels that show the terrain, in place."""
+def paint_ground(kind: Int32, view: AerialView, scene: Scene, matrix: Array) -> None:
+    """Writes the class of the ground's raster into the pixels of ``kind`` (H/2, W/2) that show the
+    terrain, in place. The scene has a raster."""
     ground = scene.ground
     assert ground is not None
     shown = view.geom_id[::2, ::2] == scene.model.geom(ground.geom_name).id

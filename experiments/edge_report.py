@@ -27,7 +27,7 @@ TEST_SCENES = ("houses", "pools")
 TRAIN_SEEDS = (100, 101)
 TRAIN_VIEWS, TEST_VIEWS = 15, 4
 """pictures of each scene and seed"""
-CANNY_SIGMAS = (1.0, 1.5, 2.0, 3.0)
+CANNY_SIGMAS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
 """blur, in pixels, before Canny"""
 CANNY_THRESHOLDS = np.geomspace(40.0, 400.0, 8)
 _CANNY_LOW = 0.4

@@ -69,11 +69,11 @@ def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) 
     scene = build_scene(config)
     flight = build_flight(config, scene)
     if out_dir is None:
-        return _fly_and_judge(config, flight, NullRecorder(), progress)
+        return fly_and_judge(config, flight, NullRecorder(), progress)
     with run_directory(out_dir) as partial:
         sensors = _sensor_log(partial, flight) if config.log.sensors else None
         recorder = RunRecorder(partial, scene, flight.world.rig, config, sensors)
-        result = _fly_and_judge(config, flight, recorder, progress)
+        result = fly_and_judge(config, flight, recorder, progress)
         (partial / "config.json").write_text(dump_config(config))
         (partial / "result.json").write_text(json.dumps(result, indent=2) + "\n")
     return result
@@ -86,9 +86,10 @@ def _sensor_log(folder: Path, flight: Flight) -> SensorLog:
     return SensorLog(folder / FILE_NAME, flight.told, flight.estimator.needs | shared, shared)
 
 
-def _fly_and_judge(
+def fly_and_judge(
     config: Config, flight: Flight, recorder: Recorder, progress: Progress | None
 ) -> dict[str, Any]:
+    """Flies ``flight`` to its end, closes it and returns ``result.json`` as a dictionary."""
     clock = StageClock()
     surveyed: list[GridMap] = []
     latest: list[GridMap] = []
@@ -186,7 +187,7 @@ def _result(
         "trajectory_error_max_m": outcome.deviation.largest,
         "trajectory_variance_m2": outcome.deviation.variance,
         "nees": outcome.consistency.summary(),
-        "landing": outcome.landing,
+        "landing": _landing(outcome, config.landing.site_xy_m),
         "map": _map_figures(flight, outcome, maps, config.seed),
         "timing": {
             "wall_s": wall_s,
@@ -197,6 +198,15 @@ def _result(
         "versions": versions(),
         "git_revision": git_revision(),
     }
+
+
+def _landing(
+    outcome: FlightResult, commanded_xy_m: tuple[float, float] | None
+) -> dict[str, Any] | None:
+    """What the referee found, and which spot was commanded, if any was."""
+    if outcome.landing is None:
+        return None
+    return {"commanded_xy_m": commanded_xy_m, **outcome.landing}
 
 
 def _map_figures(

@@ -60,7 +60,7 @@ def costmap_picture(
     view: CostmapView, candidates: tuple[Candidate, ...], site_odom: Array | None
 ) -> Colours:
     """The coloured map beside the total cost, north up, with every candidate: (H, W, 3) RGB."""
-    rows, cols = _seen_box(view)
+    rows, cols = seen_box(view)
     cells = max(rows.stop - rows.start, cols.stop - cols.start)
     zoom = max(1, round(_PANEL_PIXELS / cells))
     photo = view.rgb[rows, cols, ::-1].copy()
@@ -90,7 +90,7 @@ def transform_points(pose: Pose, points: Points) -> Points:
     return (points @ pose.rotation.T.astype(np.float32)) + pose.translation.astype(np.float32)
 
 
-def _seen_box(view: CostmapView) -> tuple[slice, slice]:
+def seen_box(view: CostmapView) -> tuple[slice, slice]:
     """The part of the grid that holds known cells, with a small margin."""
     known = np.isfinite(view.total)
     if not known.any():

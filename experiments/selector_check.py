@@ -6,6 +6,7 @@ import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -109,8 +110,9 @@ def observe(
         survey.tow.close()
 
 
-def check_place(config: Config) -> dict[str, Any]:
+def check_place(config: Config, picture: Path | None = None) -> dict[str, Any]:
     """One place: what the selector chose beside the true map. Raises ValueError as `tow_survey`.
+    The steps that led to it are drawn into ``picture``, where one is named.
 
     ``chosen_safe`` (None where nothing was accepted), ``accepted`` and ``accepted_safe`` sites;
     ``cells``: numbers of surveyed cells that are safe, allowed, and both; ``room_m`` of the chosen
@@ -125,6 +127,10 @@ def check_place(config: Config) -> dict[str, Any]:
     room = np.minimum(distance_transform_edt(truth.safe_geometry) * TRUTH_CELL_M, ROOM_CAP_M)
     if costmap is None:
         raise ValueError(f"scene '{config.scene}': the survey mapped nothing")
+    if picture is not None:
+        from experiments.site_pictures import write_steps
+
+        write_steps(picture, config, selection)
     safe, judged = _on_grid(truth, costmap)
     seen = judged & np.isfinite(costmap.flatness)
     risk = risk_model()
@@ -186,14 +192,19 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def check_places(
-    configs: Sequence[Config], jobs: int, report: Callable[[dict[str, Any]], None]
+    configs: Sequence[Config],
+    jobs: int,
+    report: Callable[[dict[str, Any]], None],
+    pictures: Sequence[Path | None] | None = None,
 ) -> list[dict[str, Any]]:
     """`check_place` of each, in ``jobs`` processes; ``report`` is called in the order given."""
+    files = pictures or [None] * len(configs)
     if jobs == 1:
-        return [_reported(check_place(config), report) for config in configs]
+        pairs = zip(configs, files, strict=True)
+        return [_reported(check_place(config, file), report) for config, file in pairs]
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        return [_reported(place, report) for place in pool.map(check_place, configs)]
+        return [_reported(place, report) for place in pool.map(check_place, configs, files)]
 
 
 def fit(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -292,16 +303,23 @@ def run(
     fit_model: bool,
     overrides: Sequence[str],
     report: Callable[[dict[str, Any]], None],
+    pictures: Path | None = None,
 ) -> dict[str, Any]:
     """Checks every scene with every seed: ``{"scorer", "places": [...], "summary", "fit"}``, the
-    last one only on request. Raises UsageError for seeds that are none, and as `load_config`."""
+    last one only on request. ``pictures``: a folder for a picture of each place. Raises UsageError
+    for seeds that are none or a folder that cannot be, and as `load_config`."""
     given = ["sim.threads=1", *overrides, *([f"landing.scorer={scorer}"] if scorer else [])]
     configs = [
         load_config(None, given, scene=scene, seed=seed, estimator="oracle", record=False)
         for scene in scenes
         for seed in parsed_seeds(seeds)
     ]
-    places = check_places(configs, jobs, report)
+    files = None
+    if pictures is not None:
+        from experiments.site_pictures import picture_files
+
+        files = picture_files(configs, pictures)
+    places = check_places(configs, jobs, report, files)
     figures: dict[str, Any] = {"scorer": configs[0].landing.scorer, "summary": summary(places)}
     if fit_model:
         figures["fit"] = fit(places)

@@ -79,6 +79,10 @@ class Selection:
     """cells that the selector would land on"""
     probability: NDArray[np.float32]
     """of a touchdown that is safe by geometry, as `landing.risk` believes"""
+    cluster: NDArray[np.int32]
+    """number of the cluster (Eq. 19) that a cell belongs to, -1 outside"""
+    modes: NDArray[np.int32]
+    """(K, 2) row and col of each cluster's mode"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -159,6 +163,9 @@ class LandingParams:
     """from the end of the survey to the ground in an emergency"""
     site_xy_m: tuple[float, float] | None = None
     """a commanded site (world frame) instead of a chosen one"""
+    check_site: bool = True
+    """whether a commanded site that the map says is unsuitable is refused; off, it is flown to on
+    the word of whoever commands it, for methods whose maps are no better than their positions"""
     survey_only: bool = False
     """stop after the survey (the positioning experiment)"""
     second_look: bool = True
@@ -208,3 +215,17 @@ class LandingParams:
     sweep_m: float = 1.0
     final_speed_mps: float = 0.6
     touchdown_speed_mps: float = 0.09
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LabelledPictures:
+    """Pictures of ground from the air, and what each shows."""
+
+    images: NDArray[np.uint8]
+    """(N, S, S, 3) RGB"""
+    labels: NDArray[np.int64]
+    """(N,) index into ``classes``"""
+    classes: tuple[str, ...]
+    source: NDArray[np.int64]
+    """(N,) index into ``sources``, the data sets that they come from"""
+    sources: tuple[str, ...]

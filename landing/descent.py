@@ -39,13 +39,14 @@ def descend_to(flight: Flight) -> Generator[Setpoint, None, str | None]:
     emergency one look, which may move the site but refuses nothing."""
     flight.phase = Phase.DESCEND
     params = flight.params
+    looks = params.second_look and (params.check_site or params.site_xy_m is None)
     yield from _sink_to(flight, params.look_height_m)
-    if params.second_look:
+    if looks:
         refusal = yield from _look(flight, _MAX_SHIFT_M, "10 m")
         if refusal is not None and flight.deadline_s is None:
             return refusal
     yield from _sink_to(flight, params.commit_height_m)
-    if params.second_look and flight.deadline_s is None:
+    if looks and flight.deadline_s is None:
         yield from _sweep(flight)
         refusal = yield from _look(flight, _MAX_LOW_SHIFT_M, "4 m")
         if refusal is not None:
@@ -66,10 +67,13 @@ def _sink_to(flight: Flight, height_m: float) -> Steps:
 
 
 def _refresh_ground(flight: Flight) -> None:
+    """Height of the site as it is seen now. A site of the map stays where the map is, a commanded
+    one at its world coordinates, should the two have moved."""
     assert flight.site_odom is not None
-    ground = ground_under(flight.map_view, flight.site_odom)
-    if np.isfinite(ground):
-        flight.site_odom = np.array([flight.site_odom[0], flight.site_odom[1], ground])
+    commanded = flight.commanded_odom
+    xy = flight.site_odom[:2] if commanded is None else commanded
+    ground = ground_under(flight.map_view, xy)
+    flight.site_odom = np.array([*xy, ground if np.isfinite(ground) else flight.site_odom[2]])
 
 
 def _look(flight: Flight, max_shift_m: float, name: str) -> Generator[Setpoint, None, str | None]:

@@ -93,6 +93,13 @@ class Flight:
         return self.estimate.world_from_odom.apply(odom)
 
     @property
+    def commanded_odom(self) -> Array | None:
+        """(2,) the commanded site where the estimate sees it now; None where none was given."""
+        if self.params.site_xy_m is None:
+            return None
+        return self.odom(np.array([*self.params.site_xy_m, self.ground_world]))[:2]
+
+    @property
     def site_world(self) -> Array | None:
         if self.committed_site_world is not None:
             return self.committed_site_world

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Generator
 
 import numpy as np
@@ -124,9 +125,11 @@ def select(flight: Flight) -> Generator[Setpoint, None, Candidate | None]:
 
 def _decide(flight: Flight) -> Candidate | None:
     params = flight.params
-    if params.site_xy_m is not None:
-        wanted = flight.odom(np.array([*params.site_xy_m, flight.ground_world]))
-        candidate, flight.costmap = check_site(flight.map_view, flight.estimate, params, wanted[:2])
+    wanted = flight.commanded_odom
+    if wanted is not None:
+        candidate, flight.costmap = check_site(flight.map_view, flight.estimate, params, wanted)
+        if not (candidate.accepted or params.check_site):
+            candidate = _on_their_word(flight, wanted, candidate)
         flight.candidates = (candidate,)
         flight.aborted = not candidate.accepted
         flight.note = f"commanded site {params.site_xy_m}: {candidate.reason}"
@@ -152,6 +155,19 @@ def _decide(flight: Flight) -> Candidate | None:
         return None
     flight.site_odom = candidate.position_odom
     return candidate
+
+
+def _on_their_word(flight: Flight, wanted: Array, refused: Candidate) -> Candidate:
+    """The commanded site ``wanted`` (2,), accepted whatever the map says."""
+    height = ground_under(flight.map_view, wanted)
+    if not np.isfinite(height):
+        height = float(flight.odom(flight.start_world)[2]) - flight.leg_height
+    return dataclasses.replace(
+        refused,
+        position_odom=np.array([*wanted, height]),
+        accepted=True,
+        reason=f"landed on unchecked; the map would have {refused.reason}",
+    )
 
 
 def search_leg(flight: Flight, extra: int) -> Steps:

@@ -36,6 +36,8 @@ NOTHING_MAPPED = Selection(
     costmap=None,
     allowed=np.zeros((0, 0), np.bool_),
     probability=np.zeros((0, 0), np.float32),
+    cluster=np.zeros((0, 0), np.int32),
+    modes=np.zeros((0, 2), np.int32),
 )
 
 
@@ -100,6 +102,8 @@ def select_sites(
         costmap=judged.costmap,
         allowed=judged.allowed,
         probability=judged.probability,
+        cluster=clusters.label,
+        modes=clusters.modes,
     )
 
 

@@ -53,6 +53,7 @@ class Puppet:
         self.tick = 0
         self.battery = 1.0
         self.fine_height = ground
+        self.world_from_odom = Pose.identity()
 
     def view_map(self) -> MapView:
         low = self.position[2] - self.ground < 14.0
@@ -76,7 +77,10 @@ class Puppet:
             velocity = (
                 np.zeros(3) if on_ground or not self.setpoint else self.setpoint.velocity_odom
             )
-            estimate = make_estimate(self.tick, Pose(np.eye(3), self.position.copy()), velocity)
+            estimate = dataclasses.replace(
+                make_estimate(self.tick, Pose(np.eye(3), self.position.copy()), velocity),
+                world_from_odom=self.world_from_odom,
+            )
             self.setpoint = self.lander.update(obs, estimate, fine)
             if self.setpoint.motors_on:
                 self.position = self.setpoint.position_odom.copy()
@@ -174,6 +178,33 @@ def test_unsuitable_commanded_site_is_refused_with_its_reason() -> None:
     assert Phase.APPROACH not in phases
     assert "refused" in view.candidates[0].reason
     assert puppet.position[:2] == pytest.approx([0.0, 0.0], abs=0.02)
+
+
+def test_a_commanded_site_is_taken_unchecked_where_that_is_asked_for() -> None:
+    height = np.zeros((280, 280))
+    height[120:130, 132:140] = 0.8
+    lander = make_lander(site_xy_m=(7.0, 5.0), check_site=False)
+    phases, view = fly(Puppet(lander, make_grid(height, origin=ORIGIN)))
+    assert not view.aborted
+    assert Phase.RETURN not in phases
+    assert view.candidates[0].reason.startswith("landed on unchecked; the map would have refused")
+    assert view.committed_site_world is not None
+    assert view.committed_site_world[:2] == pytest.approx([7.0, 5.0])
+
+
+def test_a_commanded_site_stays_in_the_world_when_the_odometry_frame_is_corrected() -> None:
+    """0.5 m to the north in the middle of the descent: the vehicle ends 0.5 m south in odom."""
+    puppet = Puppet(make_lander(site_xy_m=(7.0, 5.0)), flat_map())
+    view = None
+    for view, _ in puppet.run(200.0):
+        low = puppet.position[2] < 8.0 and view.phase is Phase.DESCEND
+        if low:
+            puppet.world_from_odom = Pose(np.eye(3), np.array([0.0, 0.5, 0.0]))
+        if view.phase is Phase.DONE:
+            break
+    assert view is not None and view.committed_site_world is not None
+    assert view.committed_site_world[:2] == pytest.approx([7.0, 5.0])
+    assert puppet.position[:2] == pytest.approx([7.0, 4.5], abs=0.02)
 
 
 def test_a_site_that_looks_worse_from_10_m_is_given_up() -> None:

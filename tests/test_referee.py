@@ -68,6 +68,26 @@ def test_a_good_landing() -> None:
     assert result.position_error.summary()["mean"] == pytest.approx(0.05)
 
 
+def test_what_follows_the_first_contact_is_in_the_result() -> None:
+    """Down at 0.30 m, settling to 0.28, up by 2 cm, tilted by 3 degrees at the worst; 4.5 m/s^2."""
+    referee = make_referee()
+    fly_to_descent(referee)
+    story = ((0.30, 1.0, 4.5), (0.28, 3.0, 2.0), (0.30, 2.0, 0.5), (0.29, 0.0, 0.1))
+    for step, (height, tilt_deg, peak) in enumerate(story):
+        pose = Pose(so3_exp(np.array([0.0, np.radians(tilt_deg), 0.0])), np.array([5.0, 6, height]))
+        judge(
+            referee, 61.0 + 0.1 * step, pose.translation, Phase.TOUCHDOWN, world_from_body=pose,
+            contacts=LEG_ON_LAWN if step != 2 else (), peak_contact_accel=peak,
+        )  # fmt: skip
+    landing = referee.result(Outcome.LANDED).landing
+    assert landing is not None
+    assert landing["bounce_m"] == pytest.approx(0.02)
+    assert landing["impact_peak_mps2"] == pytest.approx(4.5)
+    assert landing["tilt_deg"] == pytest.approx(3.0)
+    assert landing["touchdown_xy_m"] == [5.0, 6.0]
+    assert landing["touchdown_time_s"] == pytest.approx(61.0)
+
+
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [({"no_site": True}, Outcome.NO_SITE), ({"aborted": True}, Outcome.ABORTED)],

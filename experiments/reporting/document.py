@@ -13,6 +13,7 @@ from typing import Any
 
 from experiments.campaign_dir import write_text
 from experiments.reporting import published
+from experiments.reporting.distance import add_errors_by_distance, distance_tables
 from experiments.reporting.figures import Picture, all_pictures
 from experiments.reporting.flights import (
     Row,
@@ -22,12 +23,13 @@ from experiments.reporting.flights import (
     outcome_counts,
     scenes_of,
 )
+from experiments.reporting.landing_figure import landing_pictures
+from experiments.reporting.landings import landing_tables, landing_words
 from experiments.reporting.statistics import INTERVAL
 from experiments.reporting.tables import (
     Cell,
     Table,
     axis_tables,
-    landing_tables,
     map_tables,
     nees_table,
     outcome_table,
@@ -58,7 +60,9 @@ class Report:
 def make_report(rows: list[dict[str, Any]], *, title: str, configuration: str = "") -> Report:
     """Everything that the flights of ``rows`` (see `flights.load_flights`) give."""
     add_path_deviations(rows)
-    pictures = {picture.name: picture for picture in all_pictures(rows)}
+    add_errors_by_distance(rows)
+    drawn = [*all_pictures(rows), *landing_pictures(rows)]
+    pictures = {picture.name: picture for picture in drawn}
 
     def named(*names: str) -> list[Picture]:
         return [pictures[name] for name in names if name in pictures]
@@ -67,7 +71,7 @@ def make_report(rows: list[dict[str, Any]], *, title: str, configuration: str = 
     sections = [
         Section("summary", "In words", summary_words(rows) + leading_words(rows), [], []),
         Section("published", "Beside the paper", published_words(rows), [], []),
-        Section("accuracy", "Accuracy", [], trajectory_tables(rows), []),
+        Section("accuracy", "Accuracy", [], trajectory_tables(rows) + distance_tables(rows), []),
         Section(
             "axes",
             "Errors by axis",
@@ -77,7 +81,7 @@ def make_report(rows: list[dict[str, Any]], *, title: str, configuration: str = 
         ),
         Section("map", "Maps", [], map_tables(rows), []),
         Section("paths", "Trajectories", _path_words(rows), [], named("fig9a", "fig9b")),
-        Section("landings", "Landings", [], landing_tables(rows), []),
+        Section("landings", "Landings", landing_words(rows), landing_tables(rows), named("fig12")),
         Section("outcomes", "Outcomes", [], [outcome_table(rows)], []),
         Section("consistency", "Consistency", [], [consistency] if consistency else [], []),
         Section("time", "Time", [], [time] if time else [], []),

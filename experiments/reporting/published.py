@@ -59,6 +59,28 @@ LANDING_SPEED_MPS = _table("Table 5", gps=0.32, optical_flow=0.29, hybrid_flow=0
 LANDING_ACCEL_MPS2 = _table("Table 5", gps=0.21, optical_flow=0.18, hybrid_flow=0.15, paper=0.04)
 LANDING_SLOPE_DEG = _table("Table 5", gps=3.11, optical_flow=2.36, hybrid_flow=1.83, paper=1.99)
 
+
+@dataclass(frozen=True, slots=True)
+class PublishedSite:
+    """A column of Table 6."""
+
+    name: str
+    obstacle_distance_m: float
+    level_deg: float
+    """what the paper calls the average level of site selection"""
+    speed_mps: float
+    site_type: str
+
+
+SITES: Mapping[str, PublishedSite] = {
+    "turf": PublishedSite("Turf", 4.52, 3.52, 0.13, "Lawn (safe)"),
+    "rooftop_parking": PublishedSite("Rooftop Parking Lots", 2.12, 2.32, 0.12, "Path (safe)"),
+    "cottage": PublishedSite("Cottage Area", 1.58, 4.11, 0.15, "Road (safe)"),
+    "footbridge": PublishedSite("Footbridge", 1.86, 2.45, 0.13, "Road (risky)"),
+    "pools": PublishedSite("Swimming Pools", 4.33, 3.18, 0.10, "Field (safe)"),
+}
+"""Table 6, five landings each, by the scene of this project that is of the same kind."""
+
 ORDER: tuple[str, ...] = tuple(
     sorted(TRAJECTORY_ERROR_M, key=lambda method: TRAJECTORY_ERROR_M[method].value)
 )

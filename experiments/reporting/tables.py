@@ -20,7 +20,6 @@ from experiments.reporting.flights import (
 from experiments.reporting.statistics import (
     Estimate,
     mean_interval,
-    share_interval,
     variance_interval,
 )
 
@@ -302,56 +301,6 @@ def outcome_table(rows: Sequence[Row]) -> Table:
     if len(lost) > 20:
         table.notes.append(f"and {len(lost) - 20} more.")
     return table
-
-
-def landing_tables(rows: Sequence[Row]) -> list[Table]:
-    """Landings beside the paper's Table 5; nothing where no flight was to land."""
-    landings = [row for row in rows if row["mode"] == "land"]
-    if not landings:
-        return []
-    columns: tuple[tuple[str, str, Any], ...] = (
-        ("d_L (m)", "landing.target_offset_m", published.LANDING_OFFSET_M),
-        ("v_z (m/s)", "landing.vertical_speed_mps", published.LANDING_SPEED_MPS),
-        ("a_z (m/s²)", "landing.vertical_accel_mps2", published.LANDING_ACCEL_MPS2),
-        ("α_L (°)", "landing.slope_deg", published.LANDING_SLOPE_DEG),
-        ("tilt (°)", "landing.tilt_deg", None),
-    )
-    header = ["method", "scene", "landings", "landed", "safe", *(c[0] for c in columns)]
-    table = Table("landing", "Table 5: landings", header, [])
-    for method in methods_of(landings):
-        printed = [published_cell(c[2] or {}, method) for c in columns]
-        if any(c.text != MISSING for c in printed):
-            blanks = [Cell(MISSING, kind="published")] * 3
-            where = Cell("paper prints", kind="published")
-            table.rows.append([name_cell(method), where, *blanks, *printed])
-        for scene in scenes_of(landings):
-            own = cell(landings, scene, method)
-            if not own:
-                continue
-            landed = [row for row in own if row["outcome"] == "LANDED"]
-            safe = sum(row.get("landing.safe_geometry") is True for row in landed)
-            measured = [mean_of(key)(landed) for _, key, _ in columns]
-            line = [name_cell(method), Cell(scene, kind="name"), Cell(str(len(own)))]
-            line += [_share(len(landed), len(own)), _share(safe, len(own))]
-            table.rows.append([*line, *map(figure, measured)])
-            table.numbers.setdefault(method, {})[scene] = {
-                "landings": len(own),
-                "landed": share_interval(len(landed), len(own)).as_json(),
-                "safe": share_interval(safe, len(own)).as_json(),
-                **{k: e.as_json() for (_, k, _), e in zip(columns, measured, strict=True) if e},
-            }
-    table.notes = [
-        "Shares are of all flights that were to land, with Wilson's 95 % interval; safe means that "
-        "the true ground around the touchdown is safe by geometry. The other figures are over the "
-        "flights that landed. The paper's are of five flights per method on a real vehicle.",
-    ]
-    return [table]
-
-
-def _share(hits: int, flights: int) -> Cell:
-    share = share_interval(hits, flights)
-    low, high = 100.0 * (share.low or 0.0), 100.0 * (share.high or 0.0)
-    return Cell(f"{100.0 * share.value:.0f} %", f"[{low:.0f}, {high:.0f}]")
 
 
 def nees_table(rows: Sequence[Row]) -> Table | None:

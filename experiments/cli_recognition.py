@@ -1,0 +1,228 @@
+"""Place recognition: ``touchdown dataset``, ``train``, ``evaluate``, ``classify``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from experiments.cli_base import EXIT_DONE, CommandGroup, usage_errors
+
+SCHEMES = ("d_land", "d_scene")
+"""The keys of `landing.recognition.labels.SCHEMES`, here so that help is instant."""
+
+_DATA = click.option(
+    "--data",
+    multiple=True,
+    required=True,
+    metavar="[KIND=]DIR",
+    help="Of `touchdown dataset render`, UC Merced, AID, Places365, or folders named as the "
+    "classes of D_Land. May be repeated.",
+)
+_ENGINE = click.option(
+    "--engine", type=click.Choice(("onnx", "torch")), default="onnx", show_default=True
+)
+_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+_QUIET = click.option("--quiet", is_flag=True, help="No progress on stderr.")
+
+
+@click.group(cls=CommandGroup)
+def dataset() -> int:
+    """Pictures of ground to learn from.
+
+    Example: touchdown dataset render --out patches --images 4000
+    """
+    return EXIT_DONE
+
+
+@dataset.command("render")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="A new folder.")
+@click.option("--images", type=click.IntRange(1), default=4000, show_default=True)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True,
+              help="Other places, other light; never a place of a seed below 1000.")  # fmt: skip
+@click.option("--scene", "scenes", multiple=True, metavar="NAME",
+              help="Only this scene. May be repeated.  [all]")  # fmt: skip
+@click.option("--size", "pixels", type=click.IntRange(32, 480), default=128, show_default=True,
+              help="Pixels across.")  # fmt: skip
+@click.option("--per-place", type=click.IntRange(1), default=40, show_default=True,
+              help="Patches of each scene's seed.")  # fmt: skip
+@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True,
+              help="Processes; the pictures do not depend on it.")  # fmt: skip
+@_JSON
+@_QUIET
+def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int:
+    """Render patches of the scenes as the vehicle's camera sees them, labelled by what they show.
+
+    Heights from 5 to 60 m, squares of ground from 3 to 26 m, light, blur and noise varied. Writes
+    PNG files by place, manifest.csv with both labels and the split, and a contact sheet.
+
+    Example: touchdown dataset render --out patches --images 4000 --jobs 2
+    """
+    from experiments.console import progress_bar
+    from experiments.patch_dataset import render_dataset
+
+    with progress_bar(quiet) as progress:
+        done = usage_errors(lambda: render_dataset(out, progress=progress, **options))
+    if as_json:
+        click.echo(json.dumps(done, indent=2))
+    else:
+        for kind in ("classes", "splits"):
+            click.echo("  ".join(f"{name} {count}" for name, count in done[kind].items()))
+        click.echo(f"written: {done['directory']} ({done['images']} pictures)")
+    return EXIT_DONE
+
+
+@click.command()
+@click.option("--network", default="resnet50_cbam", show_default=True,
+              help="resnet18, resnet34, resnet50, resnet101, resnet50_cbam, resnext50, vgg19, "
+              "mobilenet_v3_large or inception_v4.")  # fmt: skip
+@click.option("--labels", type=click.Choice(SCHEMES), default="d_land", show_default=True)
+@_DATA
+@click.option("--out", type=click.Path(path_type=Path), required=True,
+              help="Folder; a training in it that was stopped goes on.")  # fmt: skip
+@click.option("--epochs", type=click.IntRange(1), default=30, show_default=True)
+@click.option("--image-size", type=click.IntRange(32, 512), default=96, show_default=True,
+              help="Pixels across that the network sees.")  # fmt: skip
+@click.option("--batch-size", type=click.IntRange(2), default=64, show_default=True)
+@click.option("--learning-rate", type=click.FloatRange(0.0, min_open=True), default=1e-3,
+              show_default=True)  # fmt: skip
+@click.option("--weight-decay", type=click.FloatRange(0.0), default=0.05, show_default=True)
+@click.option("--patience", type=click.IntRange(1), default=8, show_default=True,
+              help="Epochs without a better validation before it ends.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
+@click.option("--threads", type=click.IntRange(1), help="Of the processor.  [all]")
+@_JSON
+@_QUIET
+def train(
+    data: tuple[str, ...],
+    out: Path,
+    device: str,
+    threads: int | None,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> int:
+    """Train a network to tell kinds of ground apart.
+
+    Writes network.onnx (float16 weights) and its checksum, curves.csv, curves.rrd for the Rerun
+    viewer, training.json, and after every epoch a checkpoint: the same command goes on from it.
+    Ends early when the validation pictures are not recognised better any more.
+
+    Example: touchdown train --data patches --out trained --epochs 20
+    """
+    from experiments.console import make_notes, progress_bar
+    from experiments.recognition_train import train_network
+
+    _use_threads(threads)
+    with progress_bar(quiet) as progress:
+        report = usage_errors(
+            lambda: train_network(data, out, options, device, progress, make_notes(quiet))
+        )
+    if as_json:
+        click.echo(json.dumps(report, indent=2))
+    else:
+        best = report["validation"]
+        click.echo(
+            f"best epoch {report['best_epoch']} of {report['epochs']}: validation top-1 "
+            f"{best['val_top1']:.3f}, macro F1 {best['val_macro_f1']:.3f}\n"
+            f"written: {report['network_file']} ({report['bytes'] / 1e6:.1f} MB)"
+        )
+    return EXIT_DONE
+
+
+def _use_threads(threads: int | None) -> None:
+    if threads is not None:
+        usage_errors(lambda: _torch().set_num_threads(threads))
+
+
+def _torch() -> Any:
+    from experiments.build_tools import recognition
+
+    recognition("learning.training")
+    import torch
+
+    return torch
+
+
+@click.command()
+@click.argument("network", type=click.Path(path_type=Path))
+@_DATA
+@click.option("--split", type=click.Choice(("train", "val", "test")), default="test",
+              show_default=True)  # fmt: skip
+@_ENGINE
+@click.option("--threads", type=click.IntRange(1), default=1, show_default=True)
+@click.option("--cost/--no-cost", "measure", default=True, show_default=True,
+              help="Measure RAM and run time in a process of its own.")  # fmt: skip
+@_JSON
+@_QUIET
+def evaluate(network: Path, as_json: bool, quiet: bool, **options: Any) -> int:
+    """Score NETWORK, a file of `touchdown train`, on pictures that it was not trained on.
+
+    Loss, macro F1, recall, top-1 with its interval, calibration error (ECE), confusion matrix; size
+    of the file (ROM), peak memory (RAM) and time a picture.
+
+    Example: touchdown evaluate trained/network.onnx --data patches
+    """
+    from experiments.console import progress_bar
+    from experiments.recognition_report import evaluate_network, print_evaluation
+
+    with progress_bar(quiet) as progress:
+        report = usage_errors(lambda: evaluate_network(network, progress=progress, **options))
+    if as_json:
+        click.echo(json.dumps(report, indent=2))
+    else:
+        print_evaluation(report)
+    return EXIT_DONE
+
+
+@click.command()
+@click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--network", type=click.Path(path_type=Path), required=True,
+              help="A file of `touchdown train`.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), default=Path("classes"), show_default=True,
+              help="Folder for NAME-classes.png.")  # fmt: skip
+@click.option("--window", "window_px", type=click.IntRange(16),
+              help="Side of the classified square.  [a quarter of the picture]")  # fmt: skip
+@click.option("--least", type=click.FloatRange(0.0, 1.0), default=0.5, show_default=True,
+              help="Probability below which ground is called unsure.")  # fmt: skip
+@_ENGINE
+@click.option("--threads", type=click.IntRange(1), default=1, show_default=True)
+@_JSON
+@_QUIET
+def classify(
+    images: tuple[Path, ...],
+    network: Path,
+    out: Path,
+    window_px: int | None,
+    least: float,
+    engine: str,
+    threads: int,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Draw what kinds of ground photographs from the air show.
+
+    A window slides over each picture; what overlapping windows say is averaged.
+
+    Example: touchdown classify photograph.jpg --network trained/network.onnx
+    """
+    from experiments.class_pictures import classify_pictures
+    from experiments.console import make_notes
+    from experiments.recognition_report import load_classifier
+
+    rows = usage_errors(
+        lambda: classify_pictures(
+            images, out, load_classifier(network, engine, threads), window_px, least,
+            make_notes(quiet),
+        )
+    )  # fmt: skip
+    if as_json:
+        click.echo(json.dumps({"pictures": rows}, indent=2))
+    else:
+        for row in rows:
+            shares = "  ".join(f"{name} {share:.0%}" for name, share in row["shares"].items())
+            click.echo(f"{row['classes']}: {shares}")
+    return EXIT_DONE

@@ -1,0 +1,139 @@
+"""`touchdown evaluate`: how good a network is on pictures that it was not trained on, and what it
+costs."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.build_tools import recognition
+from experiments.config import UsageError
+from experiments.photo_data import load_pictures, read_catalogue
+from experiments.reporting.statistics import share_interval
+from landing.api import LabelledPictures
+
+Progress = Callable[[int, int, str], None]
+_BATCH = 32
+_REPEATS = 30
+
+
+def load_classifier(network: Path, engine: str, threads: int) -> Any:
+    """A network's file in an engine. Raises UsageError where the engine is not installed."""
+    try:
+        return recognition("footprint").load_classifier(network, engine, threads)
+    except ImportError as error:
+        raise UsageError(
+            f"the engine '{engine}' needs {error.name}: install it with "
+            "pip install 'touchdown[train]'"
+        ) from error
+
+
+def evaluate_network(
+    network: Path,
+    data: Sequence[str],
+    split: str,
+    engine: str,
+    threads: int,
+    measure: bool,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Scores on the pictures of ``split``, altogether and by data set; ROM, RAM and run time."""
+    classifier = load_classifier(network, engine, threads)
+    facts = classifier.facts
+    catalogues = [read_catalogue(argument, facts.labels) for argument in data]
+    pictures = load_pictures(catalogues, split, facts.labels, facts.image_size, progress)
+    scores = _scores(classifier, pictures, progress)
+    report: dict[str, Any] = {
+        "network": facts.network,
+        "labels": facts.labels,
+        "split": split,
+        "engine": engine,
+        "image_size": facts.image_size,
+        "classes": list(facts.classes),
+        "rom_mb": network.stat().st_size / 1e6,
+        **_judged(scores, pictures.labels, facts.classes),
+        "by_source": {
+            name: _judged(scores[of], pictures.labels[of], facts.classes)
+            for number, name in enumerate(pictures.sources)
+            for of in [pictures.source == number]
+        },
+    }
+    if measure:
+        report |= footprint(network, engine)
+    return report
+
+
+def _scores(classifier: Any, pictures: LabelledPictures, progress: Progress) -> Any:
+    parts, count = [], len(pictures.labels)
+    for first in range(0, count, _BATCH):
+        parts.append(classifier.scores(pictures.images[first : first + _BATCH]))
+        progress(min(first + _BATCH, count), count, "classifying")
+    return np.concatenate(parts)
+
+
+def _judged(scores: Any, labels: Any, classes: tuple[str, ...]) -> dict[str, Any]:
+    found: dict[str, Any] = recognition("scores").summary(scores, labels, classes)
+    interval = share_interval(found["hits"], found["pictures"])
+    return found | {"top1_interval": [interval.low, interval.high]}
+
+
+def footprint(network: Path, engine: str) -> dict[str, float]:
+    """Peak memory and time a picture on one thread, in a process of its own."""
+    command = [sys.executable, "-m", "landing.recognition.footprint", str(network), engine]
+    done = subprocess.run([*command, str(_REPEATS)], capture_output=True, text=True, check=True)
+    found: dict[str, float] = json.loads(done.stdout)
+    return found
+
+
+def print_evaluation(report: Mapping[str, Any]) -> None:
+    """Tables: overall and by data set, recall of each class, confusion matrix."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False)
+    table = Table(
+        title=f"{report['network']}, {report['labels']}, {report['split']}", title_justify="left"
+    )
+    for heading in ("pictures of", "n", "loss", "macro F1", "recall", "top-1", "95 %", "ECE"):
+        table.add_column(heading, justify="left" if heading == "pictures of" else "right")
+    rows = {"all": report} | (report["by_source"] if len(report["by_source"]) > 1 else {})
+    for name, row in rows.items():
+        low, high = row["top1_interval"]
+        numbers = [f"{row[key]:.3f}" for key in ("loss", "macro_f1", "recall", "top1")]
+        table.add_row(
+            name, str(row["pictures"]), *numbers, f"{low:.3f}-{high:.3f}", f"{row['ece']:.3f}"
+        )
+    console.print(table)
+    console.print(_confusion_table(report))
+    cost = [f"ROM {report['rom_mb']:.1f} MB"]
+    if "image_ms" in report:
+        cost += [
+            f"peak RAM {report['peak_ram_mb']:.0f} MB",
+            f"{report['image_ms']:.1f} ms a picture on one thread ({report['engine']})",
+        ]
+    console.print(", ".join(cost))
+
+
+def _confusion_table(report: Mapping[str, Any]) -> Any:
+    """Classes that occur, or that something was taken for."""
+    from rich.table import Table
+
+    counts = np.array(report["confusion"])
+    shown = np.flatnonzero(counts.sum(axis=0) + counts.sum(axis=1))
+    table = Table(title="what it is, and what it was taken for", title_justify="left")
+    table.add_column("")
+    for number in shown:
+        table.add_column(report["classes"][number], justify="right")
+    table.add_column("recall", justify="right")
+    for number in shown:
+        name = report["classes"][number]
+        recall = report["recall_of"].get(name)
+        cells = [str(count) if count else "·" for count in counts[number, shown]]
+        table.add_row(name, *cells, "" if recall is None else f"{recall:.3f}")
+    return table

@@ -1,0 +1,104 @@
+"""`touchdown train`: pictures in, a network's file and its learning curves out."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from experiments.build_tools import recognition
+from experiments.config import UsageError
+from experiments.photo_data import load_pictures, read_catalogue
+
+CURVES, RECORDING, REPORT, NETWORK = "curves.csv", "curves.rrd", "training.json", "network.onnx"
+Progress = Callable[[int, int, str], None]
+
+
+def train_network(
+    data: Sequence[str],
+    out: Path,
+    options: Mapping[str, Any],
+    device: str,
+    progress: Progress,
+    notes: Callable[[str], None],
+) -> dict[str, Any]:
+    """Trains until it ends by itself; a training in ``out`` that was stopped goes on.
+
+    ``options``: fields of ``landing.recognition.learning.training.TrainParams``. Raises UsageError
+    for bad input, before anything is written.
+    """
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out: '{out}' is a file; name a folder")
+    training, registry = recognition("learning.training"), recognition("networks.registry")
+    export = recognition("learning.export")
+    params = training.TrainParams(**options)
+    registry.check_network(params.network, params.image_size)
+    chosen = training.chosen_device(device)
+    catalogues = [read_catalogue(argument, params.labels) for argument in data]
+    train, val = (
+        load_pictures(catalogues, split, params.labels, params.image_size, progress)
+        for split in ("train", "val")
+    )
+    out.mkdir(parents=True, exist_ok=True)
+    trainer = training.Trainer(params, train, val, out, chosen)
+    if trainer.history:
+        notes(f"going on after epoch {len(trainer.history)}")
+    while not trainer.finished:
+        row = trainer.run_epoch(progress)
+        write_curves(out / CURVES, trainer.history)
+        notes(
+            "epoch {epoch:3.0f}  loss {train_loss:.3f}  validation: loss {val_loss:.3f}  "
+            "F1 {val_macro_f1:.3f}  top-1 {val_top1:.3f}".format(**row)
+        )
+    best = trainer.best()
+    facts = recognition("weights").NetworkFacts(
+        network=params.network,
+        labels=params.labels,
+        image_size=params.image_size,
+        classes=train.classes,
+    )
+    export.export_network(out / NETWORK, best.network, best.temperature, facts)
+    record_curves(out / RECORDING, best.history)
+    report = {
+        "network_file": str(out / NETWORK),
+        "parameters": asdict(params),
+        "device": str(chosen),
+        "pictures": {"train": len(train.labels), "val": len(val.labels)},
+        "left_out": sum(catalogue.left_out for catalogue in catalogues),
+        "epochs": len(best.history),
+        "best_epoch": best.best_epoch + 1,
+        "temperature": best.temperature,
+        "validation": best.history[best.best_epoch],
+        "bytes": (out / NETWORK).stat().st_size,
+    }
+    (out / REPORT).write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    return report
+
+
+def write_curves(path: Path, history: Sequence[Mapping[str, float]]) -> None:
+    """One row an epoch."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(history[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({key: f"{value:.6g}" for key, value in row.items()} for row in history)
+
+
+def record_curves(path: Path, history: Sequence[Mapping[str, float]]) -> None:
+    """The same for the Rerun viewer: `touchdown view FILE`."""
+    import rerun as rr
+
+    stream = rr.RecordingStream("touchdown training", recording_id=str(path.parent.name))
+    stream.save(path)
+    epochs = [int(row["epoch"]) for row in history]
+    for name in history[0]:
+        if name != "epoch":
+            group = "loss" if name.endswith("loss") else name
+            stream.send_columns(
+                f"{group}/{name}",
+                [rr.TimeColumn("epoch", sequence=epochs)],
+                rr.Scalars.columns(scalars=[row[name] for row in history]),
+            )
+    stream.flush()

@@ -1,0 +1,1 @@
+"""Place recognition: what kind of ground a picture from the air shows."""

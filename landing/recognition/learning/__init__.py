@@ -1,0 +1,1 @@
+"""Training and what else needs torch."""

@@ -1,0 +1,78 @@
+"""Variations of training pictures, a batch at a time, on whatever device they are on.
+
+All numbers are drawn on the CPU from one generator, so that every device sees the same ones.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+_ZOOM = math.log(1.35)
+_SHIFT = 0.12
+"""of half a picture"""
+_LIGHT, _TINT = 0.25, 0.07
+"""deviation of the logarithm of brightness, and of each channel's"""
+_CONTRAST, _COLOUR = (0.7, 1.3), (0.5, 1.4)
+_NOISE = 0.03
+_ERASED = (0.1, 0.35)
+"""side of the rectangle that hides part of one picture in four"""
+
+
+def as_input(images: Tensor) -> Tensor:
+    """(B, S, S, 3) uint8 to (B, 3, S, S) float32 within 0..1, as networks get them."""
+    return images.permute(0, 3, 1, 2).float() / 255.0
+
+
+def augmented(images: Tensor, generator: torch.Generator) -> Tensor:
+    """(B, 3, S, S) within 0..1, turned, mirrored, zoomed, lit otherwise, partly hidden."""
+    return _hidden(_relit(_moved(images, generator), generator), generator)
+
+
+def _uniform(generator: torch.Generator, shape: tuple[int, ...], low: float, high: float) -> Tensor:
+    return low + (high - low) * torch.rand(shape, generator=generator)
+
+
+def _moved(images: Tensor, generator: torch.Generator) -> Tensor:
+    """Seen from above there is no up: any angle is as likely, and so is the mirror image."""
+    count = len(images)
+    angle = _uniform(generator, (count,), 0.0, 2.0 * math.pi)
+    zoom = torch.exp(_uniform(generator, (count,), -_ZOOM, _ZOOM))
+    mirror = torch.where(torch.rand(count, generator=generator) < 0.5, -1.0, 1.0)
+    shift = _uniform(generator, (count, 2, 1), -_SHIFT, _SHIFT)
+    cosine, sine = zoom * torch.cos(angle), zoom * torch.sin(angle)
+    rows = torch.stack([cosine * mirror, -sine, sine * mirror, cosine], dim=1)
+    transforms = torch.cat([rows.reshape(count, 2, 2), shift], dim=2).to(images)
+    grid = functional.affine_grid(transforms, list(images.shape), align_corners=False)
+    return functional.grid_sample(images, grid, padding_mode="reflection", align_corners=False)
+
+
+def _relit(images: Tensor, generator: torch.Generator) -> Tensor:
+    count = len(images)
+    light = _LIGHT * torch.randn(count, 1, 1, 1, generator=generator)
+    tint = _TINT * torch.randn(count, 3, 1, 1, generator=generator)
+    contrast = _uniform(generator, (count, 1, 1, 1), *_CONTRAST).to(images)
+    colour = _uniform(generator, (count, 1, 1, 1), *_COLOUR).to(images)
+    noise = _uniform(generator, (count, 1, 1, 1), 0.0, _NOISE).to(images)
+    # one seed of noise a batch: the grain itself may be drawn where the pictures are
+    grain = torch.randn(images.shape, generator=generator).to(images)
+    images = images * torch.exp(light + tint).to(images)
+    grey = images.mean(dim=1, keepdim=True)
+    images = grey + colour * (images - grey)
+    mean = images.mean(dim=(1, 2, 3), keepdim=True)
+    return (mean + contrast * (images - mean) + noise * grain).clamp(0.0, 1.0)
+
+
+def _hidden(images: Tensor, generator: torch.Generator) -> Tensor:
+    """A grey rectangle over one picture in four (Zhong et al., AAAI 2020)."""
+    count, size = len(images), images.shape[-1]
+    pick = torch.rand(count, generator=generator) < 0.25
+    sides = size * _uniform(generator, (count, 2), *_ERASED)
+    first = torch.rand(count, 2, generator=generator) * (size - sides)
+    pixel = torch.arange(size)
+    inside = (pixel >= first[..., None]) & (pixel < (first + sides)[..., None])
+    covered = pick[:, None, None] & inside[:, 0, :, None] & inside[:, 1, None, :]
+    return torch.where(covered[:, None].to(images.device), 0.5, images)

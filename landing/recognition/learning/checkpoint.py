@@ -1,0 +1,64 @@
+"""What a training leaves behind after every epoch, so that it can go on after any of them."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+
+LAST, BEST = "last.pt", "best.pt"
+
+
+class Resumable(Protocol):
+    def take_state(self, state: dict[str, Any]) -> None: ...
+
+
+def restore(trainer: Resumable, folder: Path, identity: dict[str, Any]) -> None:
+    """Goes on from ``last.pt`` in ``folder``, where there is one.
+
+    Raises ValueError where it is of a training with other parameters or pictures, or is broken.
+    """
+    path = folder / LAST
+    if not path.is_file():
+        return
+    state = _read(path)
+    before = state["identity"]
+    for key, value in identity.items():
+        if before.get(key) != value:
+            what = "other pictures" if key == "data" else f"{key} {before.get(key)}, not {value}"
+            raise ValueError(f"'{folder}' holds a training with {what}; name another folder")
+    trainer.take_state(state)
+
+
+def write_last(folder: Path, state: dict[str, Any]) -> None:
+    _write(folder / LAST, state)
+
+
+def write_best(folder: Path, weights: dict[str, Any]) -> None:
+    _write(folder / BEST, weights)
+
+
+def read_best(folder: Path) -> dict[str, Any]:
+    """Weights of the best epoch. Raises ValueError: no such file, or broken."""
+    return _read(folder / BEST)
+
+
+def _write(path: Path, value: dict[str, Any]) -> None:
+    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
+    try:
+        torch.save(value, partial)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        value: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    except (OSError, RuntimeError, ValueError, EOFError, pickle.UnpicklingError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ValueError(f"'{path}' is no checkpoint that can be read: {reason}") from error
+    return value

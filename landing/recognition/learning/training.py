@@ -1,0 +1,272 @@
+"""Training a network on labelled pictures: AdamW, cosine schedule, averaged weights, early stop."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from landing.api import LabelledPictures
+from landing.recognition import scores
+from landing.recognition.learning import checkpoint
+from landing.recognition.learning.augment import as_input, augmented
+from landing.recognition.networks.registry import build_network, check_network
+
+Progress = Callable[[int, int, str], None]
+_AVERAGE = 0.998
+"""of the weights of before that the averaged weights keep at each step"""
+_LARGEST_GRADIENT = 1.0
+_WARM_UP = 0.05
+"""share of all steps in which the learning rate rises from nothing"""
+_BETTER = 1e-4
+"""macro F1 that an epoch must gain to count as better"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrainParams:
+    network: str = "resnet50_cbam"
+    labels: str = "d_land"
+    image_size: int = 96
+    epochs: int = 30
+    batch_size: int = 64
+    learning_rate: float = 1e-3
+    weight_decay: float = 0.05
+    label_smoothing: float = 0.05
+    patience: int = 8
+    """epochs without a better macro F1 on the validation pictures before training ends"""
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """A network at its best epoch."""
+
+    network: nn.Module
+    temperature: float
+    history: list[dict[str, float]]
+    best_epoch: int
+
+
+def chosen_device(name: str) -> torch.device:
+    """``auto``: a GPU where there is one. Raises ValueError for a device that is not here."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if name not in ("cpu", "cuda"):
+        raise ValueError(f"unknown device '{name}': give auto, cpu or cuda")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ValueError("device 'cuda': torch finds no GPU here; give auto or cpu")
+    return torch.device(name)
+
+
+class Trainer:
+    """Training that can be stopped after any epoch and goes on where it was.
+
+    Every random number is keyed by seed, epoch and step, so that a training that was interrupted
+    ends with the same weights, to the bit on a CPU.
+    Raises ValueError: unknown network, too small pictures, a folder of another training.
+    """
+
+    def __init__(
+        self,
+        params: TrainParams,
+        train: LabelledPictures,
+        val: LabelledPictures,
+        folder: Path,
+        device: torch.device,
+    ) -> None:
+        check_network(params.network, params.image_size)
+        self.params, self._train, self._val = params, train, val
+        self._folder, self._device = folder, device
+        self.steps = max(1, math.ceil(len(train.labels) / params.batch_size))
+        torch.manual_seed(params.seed)
+        self.network = build_network(params.network, len(train.classes), params.image_size)
+        self.network.to(device)
+        self._average = copy.deepcopy(self.network).eval().requires_grad_(False)
+        self._optimizer = _optimizer(self.network, params)
+        self._scaler = torch.amp.GradScaler(device.type, enabled=_precision(device) is torch.half)
+        self.history: list[dict[str, float]] = []
+        self.best_epoch = -1
+        self._identity = asdict(params) | {"data": _fingerprint(train, val)}
+        checkpoint.restore(self, folder, self._identity)
+
+    @property
+    def finished(self) -> bool:
+        done = len(self.history)
+        return done >= self.params.epochs or done - 1 - self.best_epoch >= self.params.patience
+
+    def state(self) -> dict[str, Any]:
+        """All that the next epoch depends on."""
+        return {
+            "identity": self._identity,
+            "network": self.network.state_dict(),
+            "average": self._average.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "scaler": self._scaler.state_dict(),
+            "history": self.history,
+            "best_epoch": self.best_epoch,
+        }
+
+    def take_state(self, state: dict[str, Any]) -> None:
+        self.network.load_state_dict(state["network"])
+        self._average.load_state_dict(state["average"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self._scaler.load_state_dict(state["scaler"])
+        self.history, self.best_epoch = state["history"], state["best_epoch"]
+
+    def run_epoch(self, progress: Progress) -> dict[str, float]:
+        """Trains for one epoch, validates the averaged weights, writes the checkpoint."""
+        epoch = len(self.history)
+        draws = balanced_order(self._train, self.params.seed, epoch)
+        # dropout draws from torch's own generator
+        torch.manual_seed(self._key("dropout", epoch))
+        generator = torch.Generator().manual_seed(self._key("augment", epoch))
+        self.network.train()
+        total = 0.0
+        for step in range(self.steps):
+            batch = draws[step * self.params.batch_size : (step + 1) * self.params.batch_size]
+            total += self._step(epoch * self.steps + step, batch, generator)
+            progress(step + 1, self.steps, f"epoch {epoch + 1} of {self.params.epochs}")
+        found = scores.summary(
+            predict(self._average, self._val.images, self._device),
+            self._val.labels,
+            self._val.classes,
+        )
+        row = {
+            "epoch": epoch + 1,
+            "learning_rate": self._rate((epoch + 1) * self.steps - 1),
+            "train_loss": total / self.steps,
+            **{f"val_{key}": found[key] for key in ("loss", "macro_f1", "recall", "top1", "ece")},
+        }
+        best = max((r["val_macro_f1"] for r in self.history), default=-1.0)
+        self.history.append(row)
+        if row["val_macro_f1"] > best + _BETTER:
+            self.best_epoch = epoch
+            checkpoint.write_best(self._folder, self._average.state_dict())
+        checkpoint.write_last(self._folder, self.state())
+        return row
+
+    def best(self) -> Trained:
+        """The averaged weights of the best epoch, with the temperature that suits them."""
+        network = copy.deepcopy(self._average)
+        network.load_state_dict(checkpoint.read_best(self._folder))
+        found = predict(network, self._val.images, self._device)
+        temperature = scores.fitted_temperature(found, self._val.labels)
+        return Trained(network.cpu(), temperature, self.history, self.best_epoch)
+
+    def _step(self, step: int, batch: NDArray[np.int64], generator: torch.Generator) -> float:
+        for group in self._optimizer.param_groups:
+            group["lr"] = self._rate(step)
+        images = as_input(torch.from_numpy(self._train.images[batch]).to(self._device))
+        labels = torch.from_numpy(self._train.labels[batch]).to(self._device)
+        images = augmented(images, generator)
+        with _autocast(self._device):
+            loss = functional.cross_entropy(
+                self.network(normalised(images)),
+                labels,
+                label_smoothing=self.params.label_smoothing,
+            )
+        self._optimizer.zero_grad(set_to_none=True)
+        self._scaler.scale(loss).backward()
+        self._scaler.unscale_(self._optimizer)
+        nn.utils.clip_grad_norm_(self.network.parameters(), _LARGEST_GRADIENT)
+        self._scaler.step(self._optimizer)
+        self._scaler.update()
+        _follow(self._average, self.network, min(_AVERAGE, (1.0 + step) / (10.0 + step)))
+        return float(loss.detach())
+
+    def _rate(self, step: int) -> float:
+        return self.params.learning_rate * schedule(step, self.params.epochs * self.steps)
+
+    def _key(self, name: str, epoch: int) -> int:
+        sequence = np.random.SeedSequence([self.params.seed, crc32(name.encode()), epoch])
+        return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def schedule(step: int, steps: int) -> float:
+    """Share of the learning rate: up in a line, then down along half a cosine."""
+    warm = max(1, round(_WARM_UP * steps))
+    if step < warm:
+        return (step + 1) / warm
+    return 0.5 * (1.0 + math.cos(math.pi * (step - warm) / max(1, steps - warm)))
+
+
+def balanced_order(pictures: LabelledPictures, seed: int, epoch: int) -> NDArray[np.int64]:
+    """(N,) pictures of an epoch. One is drawn as often as the inverse root of how many there are
+    of its class in its data set, by one comb over the cumulated weights: as evenly as can be."""
+    group = pictures.labels * len(pictures.sources) + pictures.source
+    weights = 1.0 / np.sqrt(np.bincount(group)[group])
+    count = len(weights)
+    rng = np.random.default_rng([seed, crc32(b"training order"), epoch])
+    edges = np.cumsum(weights) / weights.sum()
+    comb = (np.arange(count) + rng.uniform()) / count
+    chosen = np.minimum(np.searchsorted(edges, comb), count - 1)
+    return np.asarray(rng.permutation(chosen), np.int64)
+
+
+def normalised(images: Tensor) -> Tensor:
+    """Pictures within 0..1 about zero, as the networks were trained on them."""
+    return (images - 0.5) / 0.25
+
+
+def predict(
+    network: nn.Module, images: NDArray[np.uint8], device: torch.device, batch: int = 64
+) -> NDArray[np.float32]:
+    """(N, C) scores of pictures (N, S, S, 3), in float32."""
+    network.eval()
+    parts = []
+    with torch.inference_mode():
+        for first in range(0, len(images), batch):
+            part = torch.from_numpy(images[first : first + batch]).to(device)
+            parts.append(network(normalised(as_input(part))).float().cpu().numpy())
+    return np.concatenate(parts)
+
+
+def _optimizer(network: nn.Module, params: TrainParams) -> torch.optim.AdamW:
+    """Weight decay for matrices and filters, not for biases and norms."""
+    large = [p for p in network.parameters() if p.ndim >= 2]
+    small = [p for p in network.parameters() if p.ndim < 2]
+    groups = [
+        {"params": large, "weight_decay": params.weight_decay},
+        {"params": small, "weight_decay": 0.0},
+    ]
+    return torch.optim.AdamW(groups, lr=params.learning_rate)
+
+
+def _precision(device: torch.device) -> torch.dtype | None:
+    """Of mixed precision: bfloat16 on a GPU that has it, else float16; none on a CPU."""
+    if device.type != "cuda":
+        return None
+    return torch.bfloat16 if torch.cuda.is_bf16_supported() else torch.half
+
+
+def _autocast(device: torch.device) -> torch.autocast:
+    precision = _precision(device)
+    return torch.autocast(device.type, dtype=precision or torch.bfloat16, enabled=bool(precision))
+
+
+@torch.no_grad()
+def _follow(average: nn.Module, network: nn.Module, keep: float) -> None:
+    """average = keep average + (1 - keep) network, running means of the norms included."""
+    for mean, now in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
+        if mean.is_floating_point():
+            mean.lerp_(now, 1.0 - keep)
+        else:
+            mean.copy_(now)
+
+
+def _fingerprint(*sets: LabelledPictures) -> int:
+    value = 0
+    for pictures in sets:
+        for array in (pictures.images, pictures.labels, pictures.source):
+            value = crc32(np.ascontiguousarray(array).data, value)
+    return value

@@ -1,0 +1,1 @@
+"""Networks that tell ground apart, in plain torch. `registry` names them without loading torch."""

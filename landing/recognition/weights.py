@@ -1,0 +1,84 @@
+"""The file of a trained network: ONNX with float16 weights, and its checksum beside it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from landing.recognition.labels import SCHEMES
+
+SUFFIX = ".onnx"
+INPUT, OUTPUT = "pictures", "scores"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NetworkFacts:
+    """What a file says of the network in it."""
+
+    network: str
+    labels: str
+    """a key of `landing.recognition.labels.SCHEMES`"""
+    image_size: int
+    classes: tuple[str, ...]
+
+    def properties(self) -> dict[str, str]:
+        """As a file keeps them."""
+        return {
+            "network": self.network,
+            "labels": self.labels,
+            "image_size": str(self.image_size),
+            "classes": " ".join(self.classes),
+        }
+
+
+def facts_of(properties: Mapping[str, str], path: Path) -> NetworkFacts:
+    """The reverse of ``NetworkFacts.properties``. Raises ValueError where something is missing."""
+    try:
+        facts = NetworkFacts(
+            network=properties["network"],
+            labels=properties["labels"],
+            image_size=int(properties["image_size"]),
+            classes=tuple(properties["classes"].split()),
+        )
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"'{path}' does not say what it recognises: {error}") from error
+    if SCHEMES.get(facts.labels) != facts.classes:
+        raise ValueError(f"'{path}' has classes that are not those of '{facts.labels}'")
+    return facts
+
+
+def checksum_file(path: Path) -> Path:
+    return path.with_name(path.name + ".sha256")
+
+
+def write_network(path: Path, content: bytes) -> None:
+    """Writes a network's file and, first, the checksum, in the form of ``sha256sum``."""
+    line = f"{hashlib.sha256(content).hexdigest()}  {path.name}\n"
+    for target, data in ((checksum_file(path), line.encode()), (path, content)):
+        partial = target.with_name(f".{target.name}.partial")
+        partial.write_bytes(data)
+        partial.replace(target)
+
+
+def read_network(path: Path) -> bytes:
+    """The content of a network's file, once its checksum is found right.
+
+    Raises FileNotFoundError where it or its checksum is missing, ValueError where they differ: the
+    file was cut short or changed.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"'{path}' does not exist; name a network, a file {SUFFIX}")
+    if not checksum_file(path).is_file():
+        raise FileNotFoundError(
+            f"'{checksum_file(path)}' is missing: without it '{path.name}' cannot be trusted"
+        )
+    content = path.read_bytes()
+    words = checksum_file(path).read_text(encoding="utf-8", errors="replace").split()
+    if not words or words[0].lower() != hashlib.sha256(content).hexdigest():
+        raise ValueError(
+            f"'{path}' ({len(content)} bytes) does not have the checksum in "
+            f"'{checksum_file(path).name}': it is cut short or changed; copy it again"
+        )
+    return content

@@ -1,0 +1,417 @@
+"""Scores by hand, class maps, training that can be stopped, and the file of a network."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from experiments import class_pictures, cli
+from experiments.picture_files import read_picture
+from landing.api import LabelledPictures
+from landing.recognition import scores, weights, windows
+from landing.recognition.labels import D_LAND
+
+# ----------------------------------------------------------------------------------------- scores
+
+
+def test_confusion_recall_and_f1_by_hand() -> None:
+    """Of 3 a's two are found, of 2 b's both, one of them claimed from a; there is no c."""
+    labels, predicted = np.array([0, 0, 0, 1, 1]), np.array([0, 0, 1, 1, 1])
+    counts = scores.confusion(labels, predicted, 3)
+    assert counts.tolist() == [[2, 1, 0], [0, 2, 0], [0, 0, 0]]
+    np.testing.assert_allclose(scores.recalls(counts), [2 / 3, 1.0, np.nan])
+    np.testing.assert_allclose(scores.f1_scores(counts), [0.8, 0.8, np.nan])
+
+
+def test_loss_is_that_of_the_softmax() -> None:
+    given = np.log(np.array([[0.5, 0.25, 0.25], [0.1, 0.8, 0.1]], np.float32))
+    assert scores.log_loss(given, np.array([0, 1])) == pytest.approx(-np.log(0.5 * 0.8) / 2)
+    np.testing.assert_allclose(scores.probabilities(given + 100.0)[1], [0.1, 0.8, 0.1], rtol=1e-4)
+
+
+def test_calibration_error_by_hand() -> None:
+    """Ten claims of 0.9, of which six are right, are off by 0.3."""
+    given = np.tile(np.log(np.array([[0.9, 0.1]], np.float32)), (10, 1))
+    labels = np.array([0] * 6 + [1] * 4)
+    assert scores.calibration_error(given, labels) == pytest.approx(0.3, abs=1e-6)
+
+
+def test_temperature_undoes_overconfidence() -> None:
+    """Scores three times too large; the best temperature is 3."""
+    rng = np.random.default_rng([3, 1])
+    logits = rng.normal(0.0, 1.5, (4000, 3)).astype(np.float32)
+    chance = scores.probabilities(logits)
+    labels = (rng.uniform(size=(4000, 1)) > chance.cumsum(axis=1)).sum(axis=1)
+    assert scores.fitted_temperature(3.0 * logits, labels) == pytest.approx(3.0, rel=0.1)
+
+
+def test_summary_leaves_out_classes_that_do_not_occur() -> None:
+    given = np.array([[5.0, 0.0, 0.0], [0.0, 5.0, 0.0]], np.float32)
+    found = scores.summary(given, np.array([0, 1]), ("a", "b", "c"))
+    assert found["macro_f1"] == found["recall"] == found["top1"] == 1.0
+    assert found["recall_of"] == {"a": 1.0, "b": 1.0} and found["pictures"] == 2
+
+
+# ---------------------------------------------------------------------------------------- windows
+
+
+def test_windows_cover_everything() -> None:
+    assert list(windows.window_starts(100, 32, 16)) == [0, 16, 32, 48, 64, 68]
+    assert list(windows.window_starts(32, 32, 8)) == [0]
+    with pytest.raises(ValueError, match="does not fit into 31"):
+        windows.window_starts(31, 32, 8)
+
+
+def _by_colour(images: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Certain that a window is water as far as it is blue, else lawn."""
+    blue = images[..., 2].mean(axis=(1, 2)) / 255.0
+    chance = np.zeros((len(images), len(D_LAND)))
+    chance[:, D_LAND.index("water")] = blue
+    chance[:, D_LAND.index("lawn")] = 1.0 - blue
+    return chance
+
+
+def test_class_map_finds_the_shore() -> None:
+    picture = np.zeros((48, 96, 3), np.uint8)
+    picture[:, 48:, 2] = 255
+    chance = windows.class_map(picture, 16, 4, _by_colour)
+    np.testing.assert_allclose(chance.sum(axis=2), 1.0, rtol=1e-5)
+    water = chance[..., D_LAND.index("water")]
+    assert (water[:, :36] < 1e-6).all() and (water[:, 60:] > 1.0 - 1e-6).all()
+    assert water[24, 47] == pytest.approx(0.5, abs=0.06)
+
+
+def test_unsure_ground_stays_white() -> None:
+    picture = np.zeros((16, 40, 3), np.uint8)
+    chance = np.full((16, 40, 7), 0.1, np.float32)
+    chance[:, :20, D_LAND.index("water")] = 0.4
+    chance[:, 20:, D_LAND.index("lawn")] = 0.9
+    drawn = class_pictures.class_picture(picture, chance, D_LAND, 0.5)
+    assert (drawn[0, 0] == 128).all() and (drawn[0, 39] == [60, 100, 40]).all()
+    assert drawn.shape[1] == 40 and drawn.shape[0] > 16
+    assert class_pictures._shares(chance, D_LAND, 0.5) == {"lawn": 0.5, "unsure": 0.5}
+
+
+def test_thirty_colours_differ() -> None:
+    colours = class_pictures.class_colours([str(n) for n in range(30)])
+    assert len(set(colours.values())) == 30
+
+
+# ----------------------------------------------------------------------------- files of networks
+
+
+def _sum(content: bytes) -> str:
+    return f"{hashlib.sha256(content).hexdigest()}  n.onnx\n"
+
+
+def test_checksum_has_the_form_of_sha256sum(tmp_path: Path) -> None:
+    weights.write_network(tmp_path / "n.onnx", b"abc")
+    assert (tmp_path / "n.onnx.sha256").read_text() == _sum(b"abc")
+    assert weights.read_network(tmp_path / "n.onnx") == b"abc"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["n.onnx", "n.onnx.sha256"]
+
+
+@pytest.mark.parametrize(
+    ("content", "checksum", "message"),
+    [
+        (None, None, "does not exist"),
+        (b"abc", None, "n.onnx.sha256' is missing"),
+        (b"ab", _sum(b"abc"), r"\(2 bytes\) does not have the checksum"),
+        (b"abc", "", "does not have the checksum"),
+        (b"abc", "0" * 64, "does not have the checksum"),
+    ],
+)
+def test_files_that_are_refused(
+    content: bytes | None, checksum: str | None, message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "n.onnx"
+    if content is not None:
+        path.write_bytes(content)
+    if checksum is not None:
+        weights.checksum_file(path).write_text(checksum)
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        weights.read_network(path)
+
+
+def test_a_file_that_does_not_say_what_it_is() -> None:
+    facts = weights.NetworkFacts(network="resnet18", labels="d_land", image_size=64, classes=D_LAND)
+    assert weights.facts_of(facts.properties(), Path("n")) == facts
+    with pytest.raises(ValueError, match="does not say what it recognises"):
+        weights.facts_of({}, Path("n"))
+    with pytest.raises(ValueError, match="classes that are not those of 'd_land'"):
+        weights.facts_of(facts.properties() | {"classes": "cat dog"}, Path("n"))
+
+
+# --------------------------------------------------------------------------------------- learning
+
+
+@pytest.fixture
+def torch() -> Any:
+    module: Any = pytest.importorskip("torch")
+    module.set_num_threads(1)
+    return module
+
+
+def _coloured(count: int, seed: int, size: int = 32) -> LabelledPictures:
+    """Lawn is green, water is blue, buildings are red; with noise."""
+    rng = np.random.default_rng([seed, 11])
+    kinds = {"lawn": 1, "water": 2, "building": 0}
+    names = [list(kinds)[number % 3] for number in range(count)]
+    images = rng.integers(60, 120, (count, size, size, 3))
+    for image, name in zip(images, names, strict=True):
+        image[..., kinds[name]] += 80
+    return LabelledPictures(
+        images=images.astype(np.uint8),
+        labels=np.array([D_LAND.index(name) for name in names], np.int64),
+        classes=D_LAND,
+        source=np.zeros(count, np.int64),
+        sources=("made up",),
+    )
+
+
+def test_rare_classes_are_drawn_more_often(torch: Any) -> None:
+    from landing.recognition.learning.training import balanced_order
+
+    pictures = _coloured(100, 1)
+    labels = np.array([0] * 81 + [1] * 19, np.int64)
+    source = np.array([0] * 81 + [0] * 18 + [1], np.int64)
+    uneven = LabelledPictures(
+        images=pictures.images, labels=labels, classes=D_LAND, source=source, sources=("a", "b")
+    )
+    draws = np.bincount(balanced_order(uneven, 0, 0), minlength=100)
+    weight = np.array([9.0, np.sqrt(18.0), 1.0])
+    expected = 100 * weight / weight.sum()
+    assert draws.sum() == 100
+    drawn = [draws[:81].sum(), draws[81:99].sum(), draws[99]]
+    np.testing.assert_allclose(drawn, expected, atol=1.0)
+    assert draws[:81].max() <= np.ceil(expected[0] / 81)
+    again = balanced_order(uneven, 0, 0)
+    assert (balanced_order(uneven, 0, 0) == again).all()
+    assert (balanced_order(uneven, 0, 1) != again).any()
+
+
+def test_learning_rate_rises_and_falls(torch: Any) -> None:
+    from landing.recognition.learning.training import schedule
+
+    assert [schedule(step, 100) for step in (0, 4, 5)] == pytest.approx([0.2, 1.0, 1.0])
+    assert schedule(52, 100) == pytest.approx(0.5, abs=0.01)
+    assert schedule(99, 100) < 1e-3
+
+
+def test_variations_keep_the_kind_of_picture(torch: Any) -> None:
+    from landing.recognition.learning.augment import as_input, augmented
+
+    images = as_input(torch.from_numpy(_coloured(12, 2).images))
+    results = [augmented(images, torch.Generator().manual_seed(s)) for s in (1, 1, 2)]
+    assert results[0].shape == images.shape
+    assert 0.0 <= float(results[0].min()) and float(results[0].max()) <= 1.0
+    assert bool((results[0] == results[1]).all()) and bool((results[0] != results[2]).any())
+
+
+def test_a_turn_of_a_plain_picture_changes_nothing(torch: Any) -> None:
+    from landing.recognition.learning.augment import _moved
+
+    images = torch.full((4, 3, 16, 16), 0.25)
+    moved = _moved(images, torch.Generator().manual_seed(3))
+    np.testing.assert_allclose(moved, 0.25, rtol=1e-6)
+
+
+def test_a_stopped_training_ends_as_one_that_was_not(torch: Any, tmp_path: Path) -> None:
+    from landing.recognition.learning.training import Trainer, TrainParams
+
+    params = TrainParams(network="resnet18", image_size=32, epochs=3, batch_size=16, seed=4)
+    train, val, cpu = _coloured(48, 1), _coloured(24, 2), torch.device("cpu")
+
+    def trainer(folder: str) -> Trainer:
+        (tmp_path / folder).mkdir(exist_ok=True)
+        return Trainer(params, train, val, tmp_path / folder, cpu)
+
+    whole = trainer("whole")
+    while not whole.finished:
+        whole.run_epoch(lambda done, total, note: None)
+    for _ in range(3):
+        pieces = trainer("pieces")
+        pieces.run_epoch(lambda done, total, note: None)
+    assert pieces.finished and pieces.history == whole.history
+    state, other = whole.network.state_dict(), pieces.network.state_dict()
+    assert all(bool((state[name] == other[name]).all()) for name in state)
+    assert whole.history[-1]["train_loss"] < whole.history[0]["train_loss"]
+    with pytest.raises(ValueError, match="holds a training with other pictures"):
+        Trainer(params, val, train, tmp_path / "whole", cpu)
+    changed = TrainParams(network="resnet18", image_size=32, epochs=3, batch_size=8, seed=4)
+    with pytest.raises(ValueError, match="a training with batch_size 16, not 8"):
+        Trainer(changed, train, val, tmp_path / "whole", cpu)
+    (tmp_path / "whole" / "last.pt").write_bytes(b"PK broken")
+    with pytest.raises(ValueError, match="is no checkpoint that can be read"):
+        trainer("whole")
+
+
+def test_a_device_that_is_not_here(torch: Any) -> None:
+    from landing.recognition.learning.training import chosen_device
+
+    with pytest.raises(ValueError, match="unknown device 'tpu'"):
+        chosen_device("tpu")
+    if not torch.cuda.is_available():
+        assert chosen_device("auto").type == "cpu"
+        with pytest.raises(ValueError, match="finds no GPU here"):
+            chosen_device("cuda")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders of coloured pictures."""
+    home = tmp_path_factory.mktemp("coloured")
+    pictures = _coloured(90, 5, 40)
+    for number, (image, label) in enumerate(zip(pictures.images, pictures.labels, strict=True)):
+        path = home / D_LAND[label]
+        path.mkdir(exist_ok=True)
+        cv2.imwrite(str(path / f"{number}.png"), image[..., ::-1])
+    return home
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory, folder: Path) -> Path:
+    """The network of a short training by the command."""
+    for name in ("torch", "onnx", "onnxruntime"):
+        pytest.importorskip(name)
+    out = tmp_path_factory.mktemp("trained")
+    arguments = ["train", "--network", "mobilenet_v3_large", "--data", str(folder), "--out",
+                 str(out), "--epochs", "2", "--image-size", "32", "--threads", "1", "--quiet",
+                 "--json"]  # fmt: skip
+    assert cli.main(arguments) == 0
+    return out / "network.onnx"
+
+
+def test_training_leaves_its_files(trained: Path) -> None:
+    names = {path.name for path in trained.parent.iterdir()}
+    assert names == {
+        "network.onnx", "network.onnx.sha256", "curves.csv", "curves.rrd", "training.json",
+        "last.pt", "best.pt",
+    }  # fmt: skip
+    report = json.loads((trained.parent / "training.json").read_text())
+    assert report["epochs"] == 2 and report["parameters"]["network"] == "mobilenet_v3_large"
+    curves = (trained.parent / "curves.csv").read_text().splitlines()
+    assert len(curves) == 3 and curves[0].startswith("epoch,learning_rate,train_loss,val_loss")
+
+
+def test_both_engines_read_the_same_file(trained: Path) -> None:
+    from landing.recognition.footprint import load_classifier
+
+    engines = [load_classifier(trained, name) for name in ("onnx", "torch")]
+    images = _coloured(6, 8).images
+    first, second = (engine.scores(images) for engine in engines)
+    assert engines[0].facts == engines[1].facts and first.shape == (6, 7)
+    np.testing.assert_allclose(first, second, atol=1e-4)
+    with pytest.raises(ValueError, match=r"\(N, 32, 32, 3\) uint8 needed"):
+        engines[0].scores(images[:, :16])
+
+
+def test_weights_are_float16_and_the_rest_of_training_is_kept(trained: Path, torch: Any) -> None:
+    """2 bytes a weight, and what torch reads back is its own weight, rounded."""
+    from landing.recognition.learning.export import TorchClassifier
+
+    count = 4_210_008
+    assert 2 * count < trained.stat().st_size < 2.2 * count
+    best = torch.load(trained.parent / "best.pt", weights_only=True)
+    read = TorchClassifier(trained)._module.network.state_dict()
+    for name, own in best.items():
+        if own.ndim >= 2:
+            assert bool((read[name] == own.half().float()).all()), name
+        elif own.is_floating_point():
+            assert bool((read[name] == own).all()), name
+
+
+def test_evaluating_by_command(
+    trained: Path, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["evaluate", str(trained), "--data", str(folder), "--quiet", "--json"]
+    assert cli.main(arguments) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["pictures"] == sum(map(sum, report["confusion"]))
+    assert report["top1"] == report["hits"] / report["pictures"]
+    assert report["rom_mb"] == trained.stat().st_size / 1e6
+    assert report["peak_ram_mb"] > 20.0 and report["image_ms"] > 0.0
+    assert list(report["by_source"]) == ["d_land"]
+    assert cli.main([*arguments[:-1], "--no-cost", "--engine", "torch"]) == 0
+    assert "what it is, and what it was taken for" in capsys.readouterr().out
+
+
+def test_classifying_by_command(
+    trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photograph = tmp_path / "photograph.png"
+    cv2.imwrite(str(photograph), np.full((60, 90, 3), 90, np.uint8))
+    out = tmp_path / "classes"
+    arguments = ["classify", str(photograph), "--network", str(trained), "--out", str(out)]
+    assert cli.main([*arguments, "--json", "--quiet"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["pictures"]
+    assert sum(row["shares"].values()) == pytest.approx(1.0) and row["window_px"] == 32
+    assert read_picture(out / "photograph-classes.png").shape[1] == 90
+    assert cli.main([*arguments, "--window", "64"]) == 2
+    assert "64 pixels do not fit into a picture of 90 x 60" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("change", [lambda content: content[:-100], lambda content: b"x" + content])
+def test_broken_networks_are_told_in_one_line(
+    change: Any, trained: Path, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken = tmp_path / "network.onnx"
+    broken.write_bytes(change(trained.read_bytes()))
+    weights.checksum_file(broken).write_bytes(weights.checksum_file(trained).read_bytes())
+    assert cli.main(["evaluate", str(broken), "--data", str(folder), "--quiet"]) == 2
+    told = capsys.readouterr().err
+    assert "is cut short or changed" in told and told.count("\n") == 1
+    for engine in ("onnx", "torch"):
+        weights.write_network(broken, b"no network at all")
+        assert cli.main(["evaluate", str(broken), "--data", str(folder), "--engine", engine]) == 2
+        told = capsys.readouterr().err
+        assert "is no network that can be loaded" in told and told.count("\n") == 1
+
+
+def test_commands_say_what_is_missing(
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Without torch the other commands work, and this one says what to install."""
+    for name in [n for n in sys.modules if n.startswith("landing.recognition.learning")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    arguments = ["train", "--data", str(folder), "--out", str(tmp_path / "out")]
+    assert cli.main(arguments) == 2
+    told = capsys.readouterr().err
+    assert "this needs torch: install it with pip install 'touchdown[train]'" in told
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--network", "resnet51"], "unknown network 'resnet51': did you mean"),
+        (["--data", "nowhere"], "'nowhere' is no folder"),
+        (["--device", "tpu"], "unknown device 'tpu'"),
+        (["--network", "inception_v4", "--image-size", "64"], "at least 75 pixels"),
+    ],
+)
+def test_training_refuses(
+    arguments: list[str],
+    message: str,
+    torch: Any,
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("onnx")
+    out = tmp_path / "out"
+    command = ["train", "--out", str(out), "--data", str(folder), "--quiet", *arguments]
+    assert cli.main(command) == 2
+    told = capsys.readouterr().err
+    assert message in told and told.count("\n") == 1 and not out.exists()
