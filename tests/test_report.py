@@ -265,3 +265,13 @@ def test_a_browser_without_a_network_shows_it(report: Report, tmp_path: Path) ->
     assert done.returncode == 0
     assert "CONSOLE" not in done.stderr
     assert done.stdout.count("<svg") == 5 and "parsererror" not in done.stdout
+
+
+def test_flights_without_a_map_are_not_in_the_tables_of_maps(tmp_path: Path) -> None:
+    write_flight(tmp_path, "lake", "livo", 0)
+    nothing = {"duration_s": 18.0, "density_per_m2": 0.0,
+               "levelness_error_deg": {"mean": None, "max": None, "places": 0}}  # fmt: skip
+    write_flight(tmp_path, "lake", "gps", 0, map=nothing)
+    report = make_report(load_flights(tmp_path), title="x")
+    assert set(table(report, "table1").numbers) == {"livo"}
+    assert len(table(report, "density").rows) == 1

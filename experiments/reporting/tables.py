@@ -159,7 +159,10 @@ def _leader(
 
 
 def map_tables(rows: Sequence[Row]) -> list[Table]:
-    """Table 1: scan time, map density, levelness deviation."""
+    """Table 1: scan time, map density, levelness deviation, of the flights that made a map."""
+    rows = [row for row in rows if number(row, "map.density_per_m2")]
+    if not rows:
+        return []
     scenes, methods = scenes_of(rows), methods_of(rows)
     table = Table(
         "table1",
