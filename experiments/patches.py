@@ -36,7 +36,7 @@ LEAST_SHARE = 0.6
 """of a patch that shows its class, and of the middle of it, 0.4 as wide"""
 _MIDDLE = 0.4
 _LEAST_PX = 48
-_DRAWN = 64
+_DRAWN = 192
 """squares that are tried in one picture"""
 _PER_VIEW, _PER_CLASS = 4, 2
 """patches of one picture at most, and of one class among them"""
@@ -105,8 +105,8 @@ def place_patches(name: str, seed: int, count: int, pixels: int, variation: int)
 
 
 def _share(count: int, view: int) -> int:
-    """Patches of one class that are taken up to this picture: a quarter, then any number."""
-    return max(1, count // 4) if view < count else count
+    """Patches of one class that are taken up to this picture: a fifth, then any number."""
+    return max(1, count // 5) if view < count else count
 
 
 def geom_classes(scene: Scene) -> Int32:
@@ -143,7 +143,7 @@ def _squares(
         side = round(side_m * half_focal / depth)
         top, left = row - side // 2, col - side // 2
         inside = top >= 0 and left >= 0 and top + side <= rows and left + side <= cols
-        if not inside or side < _LEAST_PX // 2:
+        if not inside or side < _LEAST_PX // 2 or _counts(sums, top, left, side)[_NOTHING] > 0:
             continue
         land_class, share = _majority(sums, top, left, side)
         middle = max(1, round(_MIDDLE * side))
@@ -166,18 +166,24 @@ def _middles(picture: Int32, taken: Counts, rng: np.random.Generator) -> Iterato
 
 
 def _integral(picture: Int32) -> NDArray[np.int32]:
-    """(classes, H + 1, W + 1) sums over all rows before and all columns before."""
+    """(classes + 1, H + 1, W + 1) sums over all rows before and all columns before; the last one
+    counts pixels that show nothing, beyond the rim of the place."""
     rows, cols = picture.shape
-    sums = np.zeros((len(LAND_CLASSES), rows + 1, cols + 1), np.int32)
-    for number in range(len(LAND_CLASSES)):
+    sums = np.zeros((len(LAND_CLASSES) + 1, rows + 1, cols + 1), np.int32)
+    for number in (*range(len(LAND_CLASSES)), _NOTHING):
         sums[number] = cv2.integral((picture == number).astype(np.uint8))
     return sums
 
 
+def _counts(sums: NDArray[np.int32], top: int, left: int, side: int) -> NDArray[np.int32]:
+    """(classes + 1,) pixels of each in a square."""
+    below, right = top + side, left + side
+    return sums[:, below, right] - sums[:, top, right] - sums[:, below, left] + sums[:, top, left]
+
+
 def _majority(sums: NDArray[np.int32], top: int, left: int, side: int) -> tuple[int, float]:
     """The commonest land class of a square and its share of all pixels in it."""
-    below, right = top + side, left + side
-    counts = sums[:, below, right] - sums[:, top, right] - sums[:, below, left] + sums[:, top, left]
+    counts = _counts(sums, top, left, side)[:_NOTHING]
     best = int(counts.argmax())
     return best, float(counts[best]) / side**2
 

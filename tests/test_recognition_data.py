@@ -111,10 +111,11 @@ def test_files_are_split_by_name() -> None:
 def test_majority_of_a_square() -> None:
     picture = np.full((10, 10), patches.LAND_CLASSES.index("road"), np.int32)
     picture[2:8, 2:8] = LAND_CLASSES.index("water")
-    picture[9, 9] = 255
+    picture[9, 9], picture[0, 0] = 255, -1
     sums = patches._integral(picture)
     assert patches._majority(sums, 2, 2, 6) == (LAND_CLASSES.index("water"), 1.0)
-    assert patches._majority(sums, 0, 0, 10) == (LAND_CLASSES.index("road"), 0.63)
+    assert patches._majority(sums, 0, 0, 10) == (LAND_CLASSES.index("road"), 0.62)
+    assert patches._counts(sums, 0, 0, 2)[-1] == 1 and patches._counts(sums, 1, 1, 9)[-1] == 0
 
 
 def test_rare_classes_come_first_and_squares_stay_apart() -> None:

@@ -33,7 +33,8 @@ def test_confusion_recall_and_f1_by_hand() -> None:
 def test_loss_is_that_of_the_softmax() -> None:
     given = np.log(np.array([[0.5, 0.25, 0.25], [0.1, 0.8, 0.1]], np.float32))
     assert scores.log_loss(given, np.array([0, 1])) == pytest.approx(-np.log(0.5 * 0.8) / 2)
-    np.testing.assert_allclose(scores.probabilities(given + 100.0)[1], [0.1, 0.8, 0.1], rtol=1e-4)
+    shifted = given + np.float32(100.0)
+    np.testing.assert_allclose(scores.probabilities(shifted)[1], [0.1, 0.8, 0.1], rtol=1e-4)
 
 
 def test_calibration_error_by_hand() -> None:

@@ -120,7 +120,7 @@ def test_space_is_attended_after_channels() -> None:
 
 
 def test_the_window_looks_seven_pixels_across() -> None:
-    module = cbam.Cbam(16).eval()
+    module: Any = cbam.Cbam(16).eval()
     with torch.no_grad():
         module.window[0].weight.fill_(1.0)
         pools = torch.zeros(1, 2, 15, 15)

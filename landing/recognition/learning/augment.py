@@ -1,6 +1,7 @@
 """Variations of training pictures, a batch at a time, on whatever device they are on.
 
-All numbers are drawn on the CPU from one generator, so that every device sees the same ones.
+All numbers but the grain of the noise are drawn on the CPU from one generator, so that every device
+sees the same ones.
 """
 
 from __future__ import annotations
@@ -57,8 +58,10 @@ def _relit(images: Tensor, generator: torch.Generator) -> Tensor:
     contrast = _uniform(generator, (count, 1, 1, 1), *_CONTRAST).to(images)
     colour = _uniform(generator, (count, 1, 1, 1), *_COLOUR).to(images)
     noise = _uniform(generator, (count, 1, 1, 1), 0.0, _NOISE).to(images)
-    # one seed of noise a batch: the grain itself may be drawn where the pictures are
-    grain = torch.randn(images.shape, generator=generator).to(images)
+    # millions of numbers: drawn where the pictures are, from a seed that is drawn here
+    local = torch.Generator(images.device)
+    local.manual_seed(int(torch.randint(2**62, (), generator=generator)))
+    grain = torch.randn(images.shape, generator=local, device=images.device)
     images = images * torch.exp(light + tint).to(images)
     grey = images.mean(dim=1, keepdim=True)
     images = grey + colour * (images - grey)

@@ -91,6 +91,9 @@ class Trainer:
         torch.manual_seed(params.seed)
         self.network = build_network(params.network, len(train.classes), params.image_size)
         self.network.to(device)
+        if device.type == "cuda":
+            # as its tensor cores want them
+            nn.utils.convert_conv2d_weight_memory_format(self.network, torch.channels_last)
         self._average = copy.deepcopy(self.network).eval().requires_grad_(False)
         self._optimizer = _optimizer(self.network, params)
         self._scaler = torch.amp.GradScaler(device.type, enabled=_precision(device) is torch.half)
