@@ -171,11 +171,12 @@ def test_grids_are_tried_whole() -> None:
 def test_missing_peers_are_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setitem(sys.modules, "kiss_icp", None)
+    for peer in ("evo", "kiss_icp", "small_gicp"):
+        monkeypatch.setitem(sys.modules, peer, None)
     assert cli.main(["bench", "estimator", "crossroad"]) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.count("\n") == 1
-    assert "kiss_icp is not installed; pip install 'touchdown[bench]'" in captured.err
+    assert "is not installed; pip install 'touchdown[bench]'" in captured.err
     assert cli.main(["bench", "estimator", "--seconds", "-3"]) == 2
 
 
