@@ -22,6 +22,18 @@ _LEAST_CONTRAST = 2.5
 """standard deviation of each channel's levels below which an image shows nothing but noise"""
 _STRIDE = 8
 """between the pixels that are looked at"""
+_CLUTTER_M = 10.0
+"""within which rain and fog are taken for targets"""
+_CLUTTER_LEVEL, _LONE_LEVEL = 6, 15
+"""strongest intensity of an echo of the air, and of one that hangs alone in it"""
+_CLUTTER_LEAST, _CLUTTER_SHARE = 10, 0.8
+"""weak, lone echoes in a scan, and weak ones among all that are near, from which it counts as taken
+in rain or fog: what is near otherwise is strong for the most part"""
+_CLUTTER_SCANS, _CLUTTER_MEMORY_S = 3, 30.0
+"""in a row before it is believed, and how long: over the ground everything is near"""
+_LEAST_RETURNS = 1e-3
+"""share of pulses that must be left when those echoes are taken away"""
+_LONE_GAP_M = 1.0
 _SILENCE_PERIODS = 3.5
 """a sensor that has been heard once is missed after so many of its periods"""
 
@@ -43,6 +55,10 @@ class InputGuard:
         self._pixels: NDArray[np.uint8] = np.zeros(0, np.uint8)
         self._seeing = False
         """whether any scan had a return yet"""
+        self._clutter_ticks = round(_CLUTTER_MEMORY_S * rig.tick_hz)
+        self._clutter_until = -1
+        self._cluttered = 0
+        """scans in a row that show rain or fog"""
         self._imu: ImuSample | None = None
         self._repaired = 0
         self.events: tuple[str, ...] = ()
@@ -111,12 +127,28 @@ class InputGuard:
             # standing on the ground it looks at nothing in its reach
             return None, "no returns" if self._seeing else ""
         self._seeing = True
+        floating = self._clutter(scan)
+        if floating is not None:
+            bad = floating if bad is None else bad | floating
+            if np.count_nonzero(ranges[~bad] > 0.0) < _LEAST_RETURNS * count:
+                return None, "nothing but echoes of rain or fog"
         if np.array_equal(ranges, self._ranges, equal_nan=True):
             return None, "the same as the one before"
         self._ranges = ranges
         if bad is None:
             return scan, ""
-        return _without_pulses(scan, bad), f"{int(bad.sum())} of {count} pulses not a number"
+        what = "not a number" if floating is None else "echoes of rain or fog"
+        return _without_pulses(scan, bad), f"{int(bad.sum())} of {count} pulses {what}"
+
+    def _clutter(self, scan: LidarScan) -> NDArray[np.bool_] | None:
+        """(N,) returns of rain or fog, None while there is no sign of either."""
+        shows, floating = clutter_of(scan)
+        self._cluttered = self._cluttered + 1 if shows else 0
+        if self._cluttered >= _CLUTTER_SCANS:
+            self._clutter_until = scan.end_tick + self._clutter_ticks
+        if scan.end_tick > self._clutter_until or not floating.any():
+            return None
+        return floating
 
     # ------------------------------------------------------------------------ images
 
@@ -222,6 +254,25 @@ def _disordered(stamps: list[int]) -> list[bool]:
         max(stamps[:i], default=stamp) > stamp or min(stamps[i:]) < stamp
         for i, stamp in enumerate(stamps)
     ]
+
+
+def clutter_of(scan: LidarScan) -> tuple[bool, NDArray[np.bool_]]:
+    """Whether a scan shows rain or fog, and (N,) which returns are echoes of either if it is about.
+
+    They are near and weak, and hang alone in the air: both pulses next to one in time come back
+    from elsewhere or not at all. Intensity tells them as in Park, Kim and Kim, "Fast and accurate
+    desnowing algorithm for LiDAR point clouds", IEEE Access 8, 2020. Where they are all that is
+    near, weak ones need not be alone, as they no longer are in fog.
+    """
+    ranges, level = scan.ranges, scan.intensity
+    near = (ranges > 0.0) & (ranges < _CLUTTER_M)
+    apart = np.abs(np.diff(ranges)) > _LONE_GAP_M
+    lone = near & (level <= _LONE_LEVEL) & np.append(True, apart) & np.append(apart, True)
+    weak = near & (level <= _CLUTTER_LEVEL)
+    shows = np.count_nonzero(lone & weak) >= _CLUTTER_LEAST and np.count_nonzero(
+        weak
+    ) >= _CLUTTER_SHARE * np.count_nonzero(near)
+    return bool(shows), weak | lone if shows else lone
 
 
 def _without_pulses(scan: LidarScan, bad: NDArray[np.bool_]) -> LidarScan:

@@ -2,21 +2,38 @@
 
 from __future__ import annotations
 
+import json
 import time
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.build_tools import selection_stages
+from estimator.api import Estimate
+from experiments.build import build_places
+from experiments.build_tools import place_check, selection_stages
 from experiments.config import load_config
-from experiments.selector_check import SCAN_PERIOD_S, tow_survey
+from experiments.selector_check import SCAN_PERIOD_S, Surveyed, tow_survey
+from landing.api import PlaceClassifier
+from sim.api import Observation, SensorRig
 
 Float32 = NDArray[np.float32]
 
 
+PATCHES, PATCH_PX = 10, 128
+"""what the time of classification is given for"""
+
+
 def bench_landing(
-    *, scene: str = "crossroad", seed: int = 0, rounds: int = 9, reference: bool = True
+    *,
+    scene: str = "crossroad",
+    seed: int = 0,
+    rounds: int = 9,
+    reference: bool = True,
+    network: Path | None = None,
+    threads: int = 2,
 ) -> dict[str, Any]:
     """Maps a scene with every scan of the survey and times the selection on it, one thread.
 
@@ -24,11 +41,25 @@ def bench_landing(
     lander does for a decision, the check of the ground included; ``reference_ms``: the same steps
     by Open3D, SciPy and scikit-image; ``ratio.reference``: its sum over ours; ``agreement``: how
     far the two results differ. Medians over ``rounds``, after one to warm up; the reference runs
-    once warm. Raises UsageError and ValueError as `load_config` and `build_scene`.
+    once warm. ``place_ms``: see `_place_figures`, where ``network`` is given or comes with the
+    project; it works on ``threads``. Raises UsageError and ValueError as `load_config`,
+    `build_places` and `build_scene`.
     """
-    overrides = ["sim.threads=1"]
+    overrides = ["sim.threads=1", f"landing.place_threads={threads}"]
+    if network is not None:
+        overrides.append(f"landing.place_recognition={json.dumps(str(network))}")
     config = load_config(None, overrides, scene=scene, seed=seed, estimator="oracle", record=False)
-    surveyed = tow_survey(config, period_s=SCAN_PERIOD_S)
+    classifier = build_places(config)
+    pictures: list[Any] = []
+
+    def remember(rig: SensorRig, obs: Observation, estimate: Estimate) -> None:
+        assert classifier is not None
+        if not pictures:
+            pictures.append(place_check(config, rig, classifier))
+        pictures[0].take_in(obs, estimate)
+
+    watch = None if classifier is None else remember
+    surveyed = tow_survey(config, period_s=SCAN_PERIOD_S, watch=watch)
     stages = selection_stages(config, surveyed.survey.rig)
     view, estimate = surveyed.map_view, surveyed.estimate
     laps: dict[str, list[float]] = {}
@@ -52,6 +83,9 @@ def bench_landing(
         "candidates": len(selection.candidates),
         "stage_ms": stage_ms,
     }
+    if classifier is not None:
+        figures |= _place_figures(classifier, pictures[0], surveyed, rounds)
+        figures["place_threads"] = threads
     if reference:
         for _ in range(2):
             theirs = stages.reference(view.coarse, estimate.odom_from_body.translation)
@@ -60,6 +94,32 @@ def bench_landing(
         figures["ratio"] = {"reference": figures["reference_ms"]["sum"] / stage_ms["sum"]}
         figures["agreement"] = agreement(ours, theirs)
     return figures
+
+
+def _place_figures(
+    classifier: PlaceClassifier, check: Any, surveyed: Surveyed, rounds: int
+) -> dict[str, Any]:
+    """``place_ms.ten_patches``: ten pictures of 128 x 128 to their classes, scaling included;
+    ``place_ms.selection``: all of a decision, the pictures cut out and classified best first until
+    one is safe; ``place_asked``: of how many sites."""
+    rng = np.random.default_rng(0)
+    patches = rng.integers(0, 256, (PATCHES, PATCH_PX, PATCH_PX, 3), dtype=np.uint8)
+    size = (classifier.image_size, classifier.image_size)
+    walls: dict[str, list[float]] = {"ten_patches": [], "selection": []}
+    for _ in range(rounds + 1):
+        started = time.perf_counter()
+        scaled = [cv2.resize(patch, size, interpolation=cv2.INTER_AREA) for patch in patches]
+        classifier.look(np.stack(scaled))
+        walls["ten_patches"].append(time.perf_counter() - started)
+        started = time.perf_counter()
+        selection = surveyed.survey.select(surveyed.map_view, surveyed.estimate)
+        judged = check.judge(selection.candidates, surveyed.map_view, selection=selection)
+        walls["selection"].append(time.perf_counter() - started)
+    asked = sum(
+        after is not before for before, after in zip(selection.candidates, judged, strict=True)
+    )
+    medians = {name: 1e3 * float(np.median(taken[1:])) for name, taken in walls.items()}
+    return {"place_ms": medians, "place_asked": asked}
 
 
 def agreement(ours: Any, theirs: Any) -> dict[str, float]:

@@ -8,7 +8,8 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,11 @@ from experiments.config import Config, UsageError
 from experiments.rig import told_rig
 from experiments.suggest import nearest
 from landing.api import Lander
-from scenes.api import Scene
+from scenes.api import LowSun, Scene
 from sim.api import SensorRig, Truth, World
+
+if TYPE_CHECKING:
+    from landing.recognition.in_flight import NetworkPlaces
 
 Array = NDArray[np.float64]
 
@@ -40,6 +44,8 @@ class Flight:
     """what the scheduled sensor faults have done so far"""
     told: SensorRig
     """the rig as the estimator knows it"""
+    network: dict[str, Any] | None = None
+    """what recognises places, for the result; None: nothing does"""
 
 
 def build_scene(config: Config) -> Scene:
@@ -47,7 +53,15 @@ def build_scene(config: Config) -> Scene:
     from scenes.compose import load_scene
 
     seed = config.seed if config.scene_seed is None else config.scene_seed
-    return load_scene(config.scene, seed)
+    return load_scene(config.scene, seed, low_sun(config))
+
+
+def low_sun(config: Config) -> LowSun | None:
+    """The sun that the faults of a configuration ask for, None: the scene's own."""
+    faults = config.faults
+    if not any(fault.kind == "low_sun" for fault in faults.schedule()):
+        return None
+    return LowSun(elevation_deg=faults.low_sun_deg, azimuth_deg=faults.low_sun_azimuth_deg)
 
 
 def build_flight(config: Config, scene: Scene) -> Flight:
@@ -56,6 +70,7 @@ def build_flight(config: Config, scene: Scene) -> Flight:
     from landing.lander import SiteLander
 
     make_estimator = _estimator_factory(config)
+    places = build_places(config)
     world = make_world(config, scene)
     try:
         rig = told_rig(world.rig, config)
@@ -64,7 +79,7 @@ def build_flight(config: Config, scene: Scene) -> Flight:
         raise
     estimator = _biased(make_estimator(rig, world.truth), config)
     mapper = _mapper(config, rig)
-    lander = SiteLander(rig, config.landing, config.survey)
+    lander = SiteLander(rig, config.landing, config.survey, places)
     needs = estimator.needs
     if config.mapper.enabled:
         needs = needs | mapper.needs | lander.needs
@@ -77,9 +92,47 @@ def build_flight(config: Config, scene: Scene) -> Flight:
         mapper=mapper,
         lander=lander,
         controller=controller,
-        faults=lambda: world.faults.summary(),
+        faults=lambda: world.faults.summary() + world.disturbances.summary(),
         told=rig,
+        network=None if places is None else places.description(),
     )
+
+
+def places_file(config: Config) -> Path | None:
+    """The network that recognises places in a flight, None where none does: ``off``, nothing to
+    choose, or ``auto`` without one that comes with the project."""
+    from landing.recognition.in_flight import SHIPPED
+
+    wanted = config.landing.place_recognition
+    if wanted == "off" or config.landing.survey_only:
+        return None
+    if wanted != "auto":
+        return Path(wanted)
+    return SHIPPED if SHIPPED.is_file() else None
+
+
+def build_places(config: Config) -> NetworkPlaces | None:
+    """Raises UsageError where the network's file cannot be used, or its engine is missing."""
+    file, params = places_file(config), config.landing
+    if file is None:
+        return None
+    if not params.place_patch_m > 0.0:
+        raise UsageError(f"landing.place_patch_m = {params.place_patch_m:g} must be positive")
+    if not 0.0 <= params.place_least_probability <= 1.0:
+        raise UsageError(
+            f"landing.place_least_probability = {params.place_least_probability:g} must be within "
+            "0 to 1"
+        )
+    from landing.recognition.in_flight import load_places
+
+    try:
+        return load_places(file, config.landing.place_threads)
+    except (ValueError, OSError) as error:
+        raise UsageError(f"landing.place_recognition: {error}") from error
+    except ImportError as error:
+        raise UsageError(
+            f"landing.place_recognition needs {error.name}: install it, or set it to off"
+        ) from error
 
 
 def _mapper(config: Config, rig: SensorRig) -> Mapper:

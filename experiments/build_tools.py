@@ -29,7 +29,8 @@ from estimator.api import (
 )
 from experiments.build import make_world
 from experiments.config import Config, UsageError
-from landing.api import Selection
+from experiments.suggest import nearest
+from landing.api import PlaceClassifier, Selection
 from scenes.api import Scene, TruthMaps
 from sim.api import SensorNeeds, SensorRig
 from sim.frames import Pose
@@ -103,6 +104,19 @@ def scene_names() -> list[str]:
     from scenes.registry import scene_names as names
 
     return names()
+
+
+def check_scene_name(name: str, where: str = "") -> None:
+    """Raises UsageError unless a scene has that name, or a file is there; ``where`` it was given,
+    such as " in FILE"."""
+    if "/" in name or name.endswith(".xml"):
+        if not Path(name).is_file():
+            raise UsageError(f"scene file '{name}'{where} does not exist")
+    elif name not in (known := scene_names()):
+        raise UsageError(
+            f"unknown scene '{name}'{where}{nearest(name, known)}; known: {', '.join(known)}, or "
+            "the path of an MJCF file"
+        )
 
 
 def scene_picture(scene: Scene, view: str, pixels: int | None = None) -> NDArray[np.uint8]:
@@ -375,6 +389,13 @@ def import_dem(tif: Path, out: Path, **options: Any) -> tuple[Path, list[str]]:
         warnings.simplefilter("always", UserWarning)
         path = import_model(tif, out, **options)
     return path, [str(warning.message) for warning in caught]
+
+
+def place_check(config: Config, rig: SensorRig, classifier: PlaceClassifier) -> Any:
+    """``landing.place_check.PlaceCheck`` of a flight."""
+    from landing.place_check import PlaceCheck
+
+    return PlaceCheck(classifier, rig, config.landing)
 
 
 def recognition(module: str) -> Any:

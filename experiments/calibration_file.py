@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from estimator.api import CalibrationResult
 from experiments.config import UsageError
+from experiments.run_directory import whole_file
 from experiments.suggest import nearest
 from sim.api import CameraIntrinsics
 from sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
@@ -119,8 +120,8 @@ def write_calibration(path: Path, result: CalibrationResult) -> None:
         ),
         views_used=len(result.used),
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(content.model_dump_json(indent=2) + "\n")
+    with whole_file(path) as partial:
+        partial.write_text(content.model_dump_json(indent=2) + "\n", encoding="utf-8")
 
 
 def read_calibration(path: Path) -> CalibrationFile:
@@ -136,6 +137,8 @@ def read_calibration(path: Path) -> CalibrationFile:
         raise UsageError(f"'{path}' is not valid JSON: {error}") from None
     except (UnicodeDecodeError, OSError) as error:
         raise UsageError(f"'{path}' cannot be read as text: {error}") from None
+    except RecursionError:
+        raise UsageError(f"'{path}' is nested too deeply for a calibration") from None
     if not isinstance(tree, dict):
         raise UsageError(f"'{path}' must hold one JSON object with camera and camera_from_lidar")
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,6 +15,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from experiments.api import Outcome
 from experiments.config import (
     OPTION_KEYS,
     Config,
@@ -33,6 +35,9 @@ AXES: Mapping[str, str] = {
 }
 """Short names of axes and the keys that they set; any other key is an axis by its own name."""
 
+_LABELS = {"wind_kmh": "w", "faults.events": ""}
+"""What values of an axis are headed with in the names of runs, where that is not its last name."""
+
 _OWN_KEYS = {
     "scene": "an axis: [axes] scene",
     "estimator": "an axis: [axes] estimator",
@@ -41,6 +46,9 @@ _OWN_KEYS = {
     "landing.survey_only": "set for the whole campaign: mode",
 }
 """Keys of a flight that a campaign sets by other means."""
+
+MOST_RUNS = 100_000
+"""of one campaign: its plan is one file"""
 
 _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -67,6 +75,29 @@ class Override(BaseModel):
     set: dict[str, Any]
 
 
+class Skip(BaseModel):
+    """Runs that are not flown: those whose axes have one of the values in ``when``."""
+
+    model_config = _STRICT
+
+    when: dict[str, Any]
+
+
+class Expect(BaseModel):
+    """What the runs in ``when`` are to come to; all of them without it."""
+
+    model_config = _STRICT
+
+    name: str = ""
+    when: dict[str, Any] = Field(default_factory=dict)
+    outcome: list[str] = Field(default_factory=list)
+    """any of these; none: any outcome but a crash of the program"""
+    position_error_m_max: float | None = Field(default=None, gt=0)
+    """largest position error up to the end of the survey"""
+    unsafe: bool = False
+    """whether touching down on unsafe ground, or not on the legs, is as expected"""
+
+
 class CampaignFile(BaseModel):
     """The schema of a campaign's TOML file."""
 
@@ -79,6 +110,8 @@ class CampaignFile(BaseModel):
     axes: dict[str, Any]
     base: dict[str, Any] = Field(default_factory=dict)
     override: list[Override] = Field(default_factory=list)
+    skip: list[Skip] = Field(default_factory=list)
+    expect: list[Expect] = Field(default_factory=list)
     limits: Limits = Field(default_factory=Limits)
 
 
@@ -104,6 +137,8 @@ class Plan:
     runs: tuple[PlannedRun, ...]
     text: str
     """the file as given"""
+    expect: tuple[Mapping[str, Any], ...] = ()
+    """what runs are to come to: the keys of ``Expect``, ``when`` by dotted keys of runs' values"""
 
 
 def load_plan(file: Path) -> Plan:
@@ -123,6 +158,8 @@ def load_plan(file: Path) -> Plan:
                  for number, entry in enumerate(spec.override, start=1)]  # fmt: skip
     _check_names(axes, str(file))
     runs = _runs(spec, axes, base, overrides, str(file))
+    expect = [_expectation(entry, axes, f"[[expect]] {number} of {file}")
+              for number, entry in enumerate(spec.expect, start=1)]  # fmt: skip
     return Plan(
         name=spec.name,
         mode=spec.mode,
@@ -130,6 +167,7 @@ def load_plan(file: Path) -> Plan:
         limits=spec.limits,
         runs=tuple(runs),
         text=file.read_text(encoding="utf-8"),
+        expect=tuple(expect),
     )
 
 
@@ -177,7 +215,9 @@ def _parse(tree: Mapping[str, Any], source: str) -> CampaignFile:
 
 def _siblings(location: tuple[int | str, ...]) -> list[str]:
     """Fields of the table that an unknown key stands in."""
-    groups: dict[Any, type[BaseModel]] = {"limits": Limits, "override": Override}
+    groups: dict[Any, type[BaseModel]] = {
+        "limits": Limits, "override": Override, "skip": Skip, "expect": Expect,
+    }  # fmt: skip
     model = groups.get(location[0], CampaignFile) if len(location) > 1 else CampaignFile
     return list(model.model_fields)
 
@@ -219,6 +259,8 @@ def _seed_ranges(text: Any, source: str) -> list[int]:
         first, last = int(found[1]), int(found[2] or found[1])
         if last < first:
             raise UsageError(f"seeds = {text!r} in {source} counts down in '{part.strip()}'")
+        if len(seeds) + last + 1 - first > MOST_RUNS:
+            raise UsageError(f"seeds = {text!r} in {source} are more than {MOST_RUNS}; give fewer")
         seeds += range(first, last + 1)
     return seeds
 
@@ -226,15 +268,38 @@ def _seed_ranges(text: Any, source: str) -> list[int]:
 def _override(
     entry: Override, axes: Mapping[str, list[Any]], source: str
 ) -> tuple[dict[str, list[Any]], dict[str, Any]]:
+    when = _when(entry.when, axes, source)
+    settings = dict(flatten(entry.set))
+    _check_settable(settings, axes, source)
+    return when, settings
+
+
+def _when(
+    tree: Mapping[str, Any], axes: Mapping[str, list[Any]], source: str
+) -> dict[str, list[Any]]:
+    """Wanted values by axis."""
     when: dict[str, list[Any]] = {}
-    for key, wanted in flatten(entry.when):
+    for key, wanted in flatten(tree):
         if key not in axes:
             hint = nearest(key, axes) or "; axes: " + ", ".join(axes)
             raise UsageError(f"unknown axis '{key}' in when of {source}{hint}")
         when[key] = wanted if isinstance(wanted, list) else [wanted]
-    settings = dict(flatten(entry.set))
-    _check_settable(settings, axes, source)
-    return when, settings
+    return when
+
+
+def _expectation(entry: Expect, axes: Mapping[str, list[Any]], source: str) -> dict[str, Any]:
+    when = _when(entry.when, axes, source)
+    for axis, wanted in when.items():
+        missing = [value for value in wanted if value not in axes[axis]]
+        if missing:
+            raise UsageError(f"{missing[0]!r} in when of {source} is no value of the axis '{axis}'")
+    for outcome in entry.outcome:
+        if outcome not in list(Outcome):
+            hint = nearest(outcome, list(Outcome)) or "; known: " + ", ".join(Outcome)
+            raise UsageError(f"unknown outcome '{outcome}' in {source}{hint}")
+    return entry.model_dump(mode="json") | {
+        "when": {AXES.get(axis, axis): wanted for axis, wanted in when.items()}
+    }
 
 
 def _check_settable(values: Iterable[str], axes: Iterable[str], source: str) -> None:
@@ -249,7 +314,7 @@ def _check_settable(values: Iterable[str], axes: Iterable[str], source: str) -> 
 def _check_names(axes: Mapping[str, list[Any]], source: str) -> None:
     """Scenes and estimators exist, as far as can be told without building them."""
     from experiments.build import check_estimator
-    from experiments.build_tools import scene_names
+    from experiments.build_tools import check_scene_name
 
     for axis in ("scene", "estimator"):
         for name in axes[axis]:
@@ -257,16 +322,8 @@ def _check_names(axes: Mapping[str, list[Any]], source: str) -> None:
                 raise UsageError(f"{axis} {name!r} in {source} must be text")
     for name in axes["estimator"]:
         check_estimator(name)
-    known = scene_names()
     for name in axes["scene"]:
-        if "/" in name or name.endswith(".xml"):
-            if not Path(name).is_file():
-                raise UsageError(f"scene file '{name}' of {source} does not exist")
-        elif name not in known:
-            raise UsageError(
-                f"unknown scene '{name}' in {source}{nearest(name, known)}; "
-                f"known: {', '.join(known)}, or the path of an MJCF file"
-            )
+        check_scene_name(name, f" in {source}")
 
 
 # -------------------------------------------------------------------------------------- unrolling
@@ -281,8 +338,17 @@ def _runs(
 ) -> list[PlannedRun]:
     checked: dict[str, Config] = {}
     runs = []
+    skipped = [_when(entry.when, axes, f"[[skip]] {number} of {source}")
+               for number, entry in enumerate(spec.skip, start=1)]  # fmt: skip
+    count = math.prod(map(len, axes.values()))
+    if count > MOST_RUNS:
+        raise UsageError(
+            f"[axes] of {source} span {count} runs, more than {MOST_RUNS}; split the campaign"
+        )
     for point in itertools.product(*axes.values()):
         place = dict(zip(axes, point, strict=True))
+        if any(all(place[axis] in wanted for axis, wanted in when.items()) for when in skipped):
+            continue
         values: dict[str, Any] = {"sim.threads": 1, **base}
         for when, settings in overrides:
             if all(place[axis] in wanted for axis, wanted in when.items()):
@@ -298,6 +364,8 @@ def _runs(
         runs.append(
             PlannedRun(run_id=_run_id(place, axes), values=values, config_sha=config_sha(config))
         )
+    if not runs:
+        raise UsageError(f"[[skip]] of {source} leaves nothing to fly")
     names = Counter(run.run_id for run in runs)
     name, count = names.most_common(1)[0]
     if count > 1:
@@ -310,8 +378,8 @@ def _run_id(place: Mapping[str, Any], axes: Mapping[str, list[Any]]) -> str:
     parts = [Path(place["scene"]).stem, place["estimator"], f"s{place['seed']}"]
     for axis, value in place.items():
         if axis not in ("scene", "estimator", "seed") and len(axes[axis]) > 1:
-            label = "w" if axis == "wind_kmh" else axis.rpartition(".")[2]
-            parts.append(f"{label}{_slug(value)}")
+            label = _LABELS.get(axis, axis.rpartition(".")[2])
+            parts.append(f"{label}{_slug(value) or 'none'}")
     return "-".join(re.sub(r"[^\w.+-]+", ".", part) for part in parts)
 
 

@@ -109,7 +109,28 @@ def read_plan_file(directory: Path) -> dict[str, Any]:
         raise UsageError(f"'{directory}' is no campaign: it holds no {PLAN_FILE}") from None
     except (OSError, ValueError) as error:
         raise UsageError(f"'{path}' cannot be read: {error}") from None
+    if not _is_plan(document):
+        raise UsageError(
+            f"'{path}' is damaged or of another program; name another directory, or the campaign's "
+            "own"
+        )
     return document
+
+
+def _is_plan(document: Any) -> bool:
+    """Whether it holds what every plan does."""
+    kinds = {"name": str, "mode": str, "created_utc": str, "sessions": list, "runs": list}
+    if not isinstance(document, dict) or "git_revision" not in document:
+        return False
+    if not all(isinstance(document.get(key), kind) for key, kind in kinds.items()):
+        return False
+    runs, sessions = document["runs"], document["sessions"]
+    return all(
+        isinstance(run, dict)
+        and isinstance(run.get("run_id"), str)
+        and isinstance(run.get("values"), dict)
+        for run in runs
+    ) and all(isinstance(one, dict) and isinstance(one.get("wall_s"), float) for one in sessions)
 
 
 def settle_plan(plan: Plan, directory: Path, git_revision: str | None) -> Plan:
@@ -133,6 +154,7 @@ def settle_plan(plan: Plan, directory: Path, git_revision: str | None) -> Plan:
         "mode": plan.mode,
         "record": plan.record,
         "limits": plan.limits.model_dump(),
+        "expect": [dict(expectation) for expectation in plan.expect],
         "runs": [
             {"run_id": run.run_id, "values": dict(run.values), "config_sha": run.config_sha}
             for run in plan.runs

@@ -14,6 +14,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
+from experiments import expectations
 from experiments.campaign_run import Task
 from experiments.campaign_session import Watcher
 from experiments.engines import Event
@@ -140,6 +141,8 @@ def print_summary(figures: Mapping[str, Any]) -> None:
         console.print(_cost_table(figures["estimators"]))
     for run_id, error in figures["errors"].items():
         console.print(f"crashed: {run_id}: {escape(error or '')}", soft_wrap=True)
+    for line in expectations.lines([expectations.verdict_of(v) for v in figures["expectations"]]):
+        console.print(escape(line), soft_wrap=True)
     console.print(f"table: {figures['results']}", soft_wrap=True)
 
 

@@ -84,10 +84,11 @@ def make_row(
 
     ``more`` fills ``wall_s``, ``cpu_s`` and ``started_utc`` where they are known.
     """
-    timing = result.get("timing") or {}
+    timing = result.get("timing")
+    wall_s = timing.get("wall_s") if isinstance(timing, dict) else None
     row: dict[str, Any] = dict.fromkeys(SCHEMA)
     row |= {key: value for key, value in flatten(result) if value is not None}
-    row |= {"run_id": run_id, "mode": mode, "config_sha": sha, "wall_s": timing.get("wall_s")}
+    row |= {"run_id": run_id, "mode": mode, "config_sha": sha, "wall_s": wall_s}
     return row | more
 
 
@@ -281,14 +282,39 @@ def _rows_at(results: Path, stamp: str) -> list[dict[str, Any]] | None:
 
 def _finished_rows(directory: Path) -> Iterable[dict[str, Any]]:
     for run_id in sorted(finished_ids(directory)):
-        yield from _read_table(directory / RUNS / run_id / ROW_FILE)
+        run = directory / RUNS / run_id
+        try:
+            rows = _read_table(run / ROW_FILE)
+            for row in rows:
+                _check_names(row)
+        except (OSError, ValueError) as error:  # of pyarrow, too
+            raise UsageError(
+                f"'{run / ROW_FILE}' is damaged; remove the directory '{run}' and give the "
+                f"campaign again, which flies it anew ({error})"
+            ) from error
+        yield from rows
+
+
+def _check_names(row: Mapping[str, Any]) -> None:
+    """Raises ValueError unless a row says which run it is of."""
+    for key in ("run_id", "scene", "estimator", "seed", "outcome"):
+        kind = int if key == "seed" else str
+        if not isinstance(row.get(key), kind):
+            raise ValueError(f"{key} = {row.get(key)!r}")
 
 
 def _crashed_rows(directory: Path) -> Iterable[dict[str, Any]]:
     folder = directory / FAILED
     for path in sorted(folder.glob("*.json")) if folder.is_dir() else ():
         if not (directory / RUNS / path.stem).exists():
-            yield crashed_row(json.loads(path.read_text(encoding="utf-8")))
+            try:
+                record = json.loads(path.read_text(encoding="utf-8"))
+                _check_names(row := crashed_row(record))
+            except (OSError, ValueError, KeyError, TypeError) as error:
+                raise UsageError(
+                    f"'{path}' is damaged; remove it and give the campaign again ({error})"
+                ) from error
+            yield row
 
 
 def _plain_rows(directory: Path) -> list[dict[str, Any]]:

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from experiments import expectations
 from experiments.campaign import Plan, in_shard
 from experiments.campaign_dir import (
     Shard,
@@ -145,9 +146,11 @@ def summary(directory: Path) -> dict[str, Any]:
 
     ``estimators`` gives processor and wall seconds of the finished runs of each, and the share of
     their wall time by stage: ``set_up`` is loading, building and writing, ``rest`` the loop itself.
+    ``expectations`` are `experiments.expectations.Verdict`, ``as_expected`` sums them up.
     Raises UsageError when ``directory`` is no campaign.
     """
     document = read_plan_file(directory)
+    verdicts = expectations.judge_campaign(directory)
     planned = {run["run_id"] for run in document["runs"]}
     rows = [row for row in refresh(directory) if row["run_id"] in planned]
     crashed = [row for row in rows if row["outcome"] == CRASHED]
@@ -169,6 +172,8 @@ def summary(directory: Path) -> dict[str, Any]:
         "wall_s": sum(session["wall_s"] for session in document["sessions"]),
         "estimators": _costs([row for row in rows if row["outcome"] != CRASHED]),
         "git_revisions": sorted({row["git_revision"] for row in rows if row["git_revision"]}),
+        "expectations": expectations.as_json(verdicts),
+        "as_expected": expectations.all_as_expected(verdicts),
     }
 
 

@@ -23,6 +23,7 @@ from experiments.cli_base import (
     guarded_fly,
     is_good,
     rendering_backend,
+    system_message,
     usage_errors,
 )
 from experiments.cli_bench import bench
@@ -30,7 +31,8 @@ from experiments.cli_bench_estimator import bench_estimator
 from experiments.cli_calibrate import calibrate
 from experiments.cli_campaign import campaign, query
 from experiments.cli_edges import edges
-from experiments.cli_recognition import classify, dataset, evaluate, train
+from experiments.cli_export import export
+from experiments.cli_recognition import classify, dataset, evaluate, quantize, train
 from experiments.cli_replay import check_estimator, run_replay
 from experiments.cli_report import regress, report
 from experiments.cli_scenes import scenes
@@ -94,7 +96,7 @@ _FLIGHT_OPTIONS = (
         "--fault",
         multiple=True,
         metavar="KIND@START[+DURATION]",
-        help="A sensor fault at START seconds, such as lidar_dropout@20+1. May be repeated.",
+        help="A fault at START seconds, such as lidar_dropout@20+1 or fog@0. May be repeated.",
     ),
     click.option(
         "--out",
@@ -239,7 +241,8 @@ cli.add_command(calibrate)
 cli.add_command(campaign)
 cli.add_command(query)
 cli.add_command(edges)
-for _command in (dataset, train, evaluate, classify):
+cli.add_command(export)
+for _command in (dataset, train, evaluate, quantize, classify):
     cli.add_command(_command)
 
 
@@ -283,23 +286,38 @@ def control_margins(config_file: Path | None, overrides: tuple[str, ...], as_jso
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command and returns its exit code; bad input is one line on stderr."""
     os.environ.setdefault("MUJOCO_GL", rendering_backend())
+    # What it could not write of a recording is told by `experiments.rerun_log`, in one line.
+    os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=off")
     warnings.formatwarning = _one_line_warning
+    # Of numba, about a library that it does without; nothing here has several threads.
+    warnings.filterwarnings("ignore", message=".*TBB threading layer")
     signal.signal(signal.SIGTERM, _interrupt)
+    for word in sys.argv[1:] if arguments is None else arguments:
+        if not word.isascii() and any("\ud800" <= letter <= "\udfff" for letter in word):
+            return _fail(f"'{word}' is no text in UTF-8; rename the file, or mend the word")
     try:
         code = cli.main(
             args=None if arguments is None else list(arguments),
             prog_name="touchdown",
             standalone_mode=False,
         )
+        if sys.stdout is not None:
+            sys.stdout.flush()  # what fails here is told below, and not at the interpreter's end
     except click.exceptions.NoArgsIsHelpError as error:
         return _fail(_missing_command(error))
     except click.ClickException as error:
         return _fail(_click_message(error))
     except (click.Abort, KeyboardInterrupt):
+        end_progress(quiet=False)
         print("touchdown: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
+    except SystemExit:
+        # So click ends where the reader of a pipe has left, which is no failure of ours.
+        if type(sys.stdout).__name__ != "PacifyFlushWrapper":
+            raise
+        return EXIT_DONE
     except BrokenPipeError:
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  nothing is left to close it
+        _let_go_of_stdout()
         return EXIT_DONE
     except ValueError as error:
         from experiments.config import UsageError
@@ -307,6 +325,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not isinstance(error, UsageError):
             raise
         return _fail(str(error))
+    except OSError as error:
+        message = system_message(error)
+        if message is None:
+            raise
+        _let_go_of_stdout()
+        return _fail(message)
     return int(code or 0)
 
 
@@ -318,7 +342,17 @@ def _interrupt(_signal: int, _frame: Any) -> None:
     raise KeyboardInterrupt
 
 
+def _let_go_of_stdout() -> None:
+    """What could not be written is dropped, lest the interpreter try it again at its end."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  nothing is left to close it
+        sys.__stdout__ = sys.stdout  # type: ignore[misc]
+
+
 def _fail(message: str) -> int:
+    end_progress(quiet=False)
     print(error_line(message), file=sys.stderr)
     return EXIT_USAGE
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+import errno
+import os
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +31,18 @@ class CommandGroup(click.Group):
 
 
 def is_good(result: dict[str, Any]) -> bool:
-    """Landed on safe ground; for a survey alone: flown to its end."""
+    """Landed on safe ground, of a safe class where places were recognised; for a survey alone:
+    flown to its end."""
     if result["outcome"] == "COMPLETED":
         return True
-    landing = result["landing"] or {}
-    return result["outcome"] == "LANDED" and bool(landing.get("safe_geometry"))
+    return result["outcome"] == "LANDED" and bool(ground_was_safe(result["landing"] or {}))
+
+
+def ground_was_safe(landing: Mapping[str, Any]) -> bool | None:
+    """By what the flight is judged on; None where the result does not say."""
+    by_class = landing.get("judged_on") == "geometry and class"
+    found = landing.get("safe" if by_class else "safe_geometry")
+    return found if isinstance(found, bool) else None
 
 
 def guarded_fly(config: Any, out: Path | None, progress: Callable[..., None]) -> dict[str, Any]:
@@ -53,7 +62,7 @@ def guarded_fly(config: Any, out: Path | None, progress: Callable[..., None]) ->
     except (ValueError, OSError) as error:
         if airborne:
             raise
-        raise UsageError(str(error)) from error
+        raise UsageError(input_message(error)) from error
 
 
 def rendering_backend() -> str:
@@ -67,6 +76,38 @@ def rendering_backend() -> str:
     return "glfw"
 
 
+_REMEDIES = {
+    errno.ENOSPC: "make room there and give the command again",
+    errno.EDQUOT: "make room there and give the command again",
+    errno.EROFS: "name a place that can be written to",
+    errno.EACCES: "name one that you may use, or change its permissions",
+    errno.EPERM: "name one that you may use, or change its permissions",
+    errno.ENAMETOOLONG: "give a shorter name",
+    errno.ELOOP: "its links lead in a circle; name the place itself",
+    errno.ENOTDIR: "a part of that path is a file; name another",
+    errno.EISDIR: "that is a directory; name a file",
+    errno.EMFILE: "raise the limit on open files (ulimit -n)",
+    errno.ENFILE: "raise the limit on open files (ulimit -n)",
+    errno.EIO: "the disk may be full or failing",
+    errno.EFBIG: "raise the limit on the size of files (ulimit -f)",
+}
+
+
+def system_message(error: OSError) -> str | None:
+    """What to tell of an error that the machine has and not the program; None for others."""
+    remedy = _REMEDIES.get(error.errno or 0)
+    if remedy is None:
+        return None
+    names = [f"'{name}'" for name in (error.filename2 or error.filename,) if name]
+    return f"{': '.join([*names, os.strerror(error.errno or 0)])}; {remedy}"
+
+
+def input_message(error: ValueError | OSError) -> str:
+    """What to tell of an error that bad input or the machine has caused."""
+    known = system_message(error) if isinstance(error, OSError) else None
+    return known or str(error)
+
+
 def usage_errors(action: Callable[[], Any]) -> Any:
     """Runs ``action``; what it finds wrong with its input becomes a UsageError."""
     from experiments.config import UsageError
@@ -74,4 +115,4 @@ def usage_errors(action: Callable[[], Any]) -> Any:
     try:
         return action()
     except (ValueError, OSError) as error:
-        raise UsageError(str(error)) from error
+        raise UsageError(input_message(error)) from error

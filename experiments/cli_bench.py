@@ -98,19 +98,39 @@ def bench_lidar(scene: str, preset: str, seed: int, rounds: int, as_json: bool) 
 @click.option("--seed", type=int, default=0, show_default=True)
 @click.option("--rounds", type=click.IntRange(min=1), default=9, show_default=True)
 @click.option("--reference/--no-reference", default=True, help="Time the other version too.")
+@click.option("--network", type=click.Path(path_type=Path), default=None,
+              help="Recognises places.  [the one that comes with touchdown]")  # fmt: skip
+@click.option("--threads", type=click.IntRange(min=1), default=2, show_default=True,
+              help="Of the processor, for the network.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def bench_landing(scene: str, seed: int, rounds: int, reference: bool, as_json: bool) -> int:
+def bench_landing(
+    scene: str,
+    seed: int,
+    rounds: int,
+    reference: bool,
+    network: Path | None,
+    threads: int,
+    as_json: bool,
+) -> int:
     """Choosing a landing site on the map of a whole survey: milliseconds of each step (Table 7 of
     the paper) beside the same steps by Open3D, SciPy and scikit-image, one thread each.
 
     ``selection`` is all that the lander does for one decision, the check of the ground included.
+    With a network: ten patches of 128 x 128 to their classes, and a whole decision with it.
 
     Example: touchdown bench landing --json
     """
     from experiments.bench_landing import bench_landing as measure
 
     figures = usage_errors(
-        lambda: measure(scene=scene, seed=seed, rounds=rounds, reference=reference)
+        lambda: measure(
+            scene=scene,
+            seed=seed,
+            rounds=rounds,
+            reference=reference,
+            network=network,
+            threads=threads,
+        )
     )
     if as_json:
         click.echo(json.dumps(figures, indent=2))
@@ -119,6 +139,10 @@ def bench_landing(scene: str, seed: int, rounds: int, reference: bool, as_json: 
     for name, milliseconds in figures["stage_ms"].items():
         other = f"{beside[name]:9.1f}" if name in beside else ""
         click.echo(f"{name:14}{milliseconds:8.2f} ms{other}")
+    if "place_ms" in figures:
+        asked, ms = figures["place_asked"], figures["place_ms"]
+        click.echo(f"{'ten patches':14}{ms['ten_patches']:8.2f} ms on {threads} threads")
+        click.echo(f"{'with places':14}{ms['selection']:8.2f} ms ({asked} sites asked about)")
     if reference:
         click.echo(f"ratio.reference {figures['ratio']['reference']:.1f}")
     return EXIT_DONE

@@ -74,7 +74,8 @@ def _quiet(_text: str) -> None:
 
 
 def _to_stderr(text: str) -> None:
-    print(f"\r\x1b[K{text}"[:160], end="", file=sys.stderr, flush=True)
+    if sys.stderr.isatty():
+        print(f"\r\x1b[K{text}"[:160], end="", file=sys.stderr, flush=True)
 
 
 def _table(figures: dict[str, Any]) -> str:

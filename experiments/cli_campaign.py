@@ -89,8 +89,8 @@ def fly_file(
     """Fly all runs of FILE.toml: scenes x estimators x seeds x winds, in parallel.
 
     Every run becomes a directory below DIR/runs, and a row of DIR/results.parquet. Stop it at any
-    time: the same command goes on where it was. Exit code 0 means every run came to an outcome, 1
-    that some crashed, 2 bad input.
+    time: the same command goes on where it was. Exit code 0 means every run came to an outcome, and
+    to what the file expects, 1 that some did not, 2 bad input.
 
     Example: touchdown campaign configs/positioning.toml --out runs/positioning --jobs 2
     """
@@ -114,7 +114,7 @@ def fly_file(
         click.echo(json.dumps(figures, indent=2))
     else:
         print_summary(figures)
-    return EXIT_FAILED if figures["crashed"] else EXIT_DONE
+    return EXIT_FAILED if figures["crashed"] or not figures["as_expected"] else EXIT_DONE
 
 
 @campaign.command("status")
@@ -122,6 +122,7 @@ def fly_file(
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def status(directory: Path, as_json: bool) -> int:
     """Print how far the campaign in DIR is, and where its time went. It may be flying meanwhile.
+    Exit code 1 means that runs came to something else than its file expects.
 
     Example: touchdown campaign status runs/positioning
     """
@@ -133,7 +134,7 @@ def status(directory: Path, as_json: bool) -> int:
         click.echo(json.dumps(figures, indent=2))
     else:
         print_summary(figures)
-    return EXIT_DONE
+    return EXIT_DONE if figures["as_expected"] else EXIT_FAILED
 
 
 @click.command()

@@ -39,7 +39,7 @@ def dataset() -> int:
 
 @dataset.command("render")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="A new folder.")
-@click.option("--images", type=click.IntRange(1), default=4000, show_default=True)
+@click.option("--images", type=click.IntRange(1, 10_000_000), default=4000, show_default=True)
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True,
               help="Other places, other light; never a place of a seed below 1000.")  # fmt: skip
 @click.option("--scene", "scenes", multiple=True, metavar="NAME",
@@ -179,9 +179,43 @@ def evaluate(network: Path, as_json: bool, quiet: bool, **options: Any) -> int:
 
 
 @click.command()
+@click.argument("network", type=click.Path(path_type=Path))
+@click.option("--type", "weight_type", type=click.Choice(("float16", "bfloat16", "int8")),
+              default="int8", show_default=True, help="Of the weights.")  # fmt: skip
+@_DATA
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="A file *.onnx.")
+@click.option("--pictures", type=click.IntRange(1), default=256, show_default=True,
+              help="Of the training split, that give the ranges of int8 activations.")  # fmt: skip
+@_JSON
+@_QUIET
+def quantize(network: Path, out: Path, as_json: bool, quiet: bool, **options: Any) -> int:
+    """Write NETWORK, a file of `touchdown train`, with smaller weights.
+
+    int8 computes in int8 too; bfloat16 and float16 are kept so and computed in float32. The limits
+    at which ground counts as safe are fitted anew to the validation pictures. `touchdown evaluate`
+    measures what comes out.
+
+    Example: touchdown quantize trained/network.onnx --data patches --out network-int8.onnx
+    """
+    from experiments.console import progress_bar
+    from experiments.recognition_variants import quantize_network
+
+    with progress_bar(quiet) as progress:
+        report = usage_errors(lambda: quantize_network(network, out, progress=progress, **options))
+    if as_json:
+        click.echo(json.dumps(report, indent=2))
+    else:
+        click.echo(
+            f"validation top-1 {report['top1_before']:.4f} before, {report['top1']:.4f} after\n"
+            f"written: {report['network_file']} ({report['bytes'] / 1e6:.1f} MB)"
+        )
+    return EXIT_DONE
+
+
+@click.command()
 @click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--network", type=click.Path(path_type=Path), required=True,
-              help="A file of `touchdown train`.")  # fmt: skip
+@click.option("--network", type=click.Path(path_type=Path),
+              help="A file of `touchdown train`.  [the one that comes with touchdown]")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), default=Path("classes"), show_default=True,
               help="Folder for NAME-classes.png.")  # fmt: skip
 @click.option("--window", "window_px", type=click.IntRange(16),
@@ -194,7 +228,7 @@ def evaluate(network: Path, as_json: bool, quiet: bool, **options: Any) -> int:
 @_QUIET
 def classify(
     images: tuple[Path, ...],
-    network: Path,
+    network: Path | None,
     out: Path,
     window_px: int | None,
     least: float,
@@ -211,11 +245,12 @@ def classify(
     """
     from experiments.class_pictures import classify_pictures
     from experiments.console import make_notes
-    from experiments.recognition_report import load_classifier
+    from experiments.recognition_report import load_classifier, shipped_network
 
     rows = usage_errors(
         lambda: classify_pictures(
-            images, out, load_classifier(network, engine, threads), window_px, least,
+            images, out, load_classifier(network or shipped_network(), engine, threads),
+            window_px, least,
             make_notes(quiet),
         )
     )  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from experiments.cli_base import EXIT_DONE, EXIT_FAILED, is_good
+from experiments.cli_base import EXIT_DONE, EXIT_FAILED, is_good, usage_errors
 
 _FLOWN = {
     "seed": "--seed",
@@ -100,7 +100,7 @@ def _checked(name: str, run: Path | None, seconds: float, overrides: tuple[str, 
     limit_threads()
     if run is None:
         config = load_config(None, overrides, estimator=name)
-        resolved = _build_function(config)
+        resolved = usage_errors(lambda: _build_function(config))
         return contract.check_estimator(resolved, seconds=seconds)
     logged = open_run(run)
     config = replay_config(run, name, overrides)
@@ -112,7 +112,9 @@ def _checked(name: str, run: Path | None, seconds: float, overrides: tuple[str, 
         if obs.time_s >= seconds:
             break
     return contract.check_estimator(
-        _build_function(config), rig=logged.sensors.rig, observations=observations
+        usage_errors(lambda: _build_function(config)),
+        rig=logged.sensors.rig,
+        observations=observations,
     )
 
 

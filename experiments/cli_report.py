@@ -23,7 +23,8 @@ def report(directory: Path, out: Path | None, as_json: bool) -> int:
 
     Of a campaign, or with --out: the paper's tables and figures, measured beside published, as
     report.html (one file, no network needed), report.md and report.json. Of any other directory: a
-    Markdown table of its runs, and their summary.
+    Markdown table of its runs, and their summary. Exit code 1 means that runs of a campaign came to
+    something else than its file expects.
 
     Example: touchdown report campaigns/positioning
     """
@@ -48,16 +49,20 @@ def _print_table(directory: Path, as_json: bool) -> int:
 
 
 def _write_report(directory: Path, out: Path, as_json: bool) -> int:
+    from experiments.campaign_rows import is_campaign
     from experiments.config import UsageError
+    from experiments.expectations import all_as_expected, judge_campaign, lines
     from experiments.reporting.document import as_json as figures
     from experiments.reporting.document import make_report, write_report
     from experiments.reporting.flights import campaign_text, load_flights
 
     rows = load_flights(directory)
+    verdicts = judge_campaign(directory) if is_campaign(directory) else []
     made = make_report(
         rows,
         title=f"Touchdown: {directory.resolve().name}",
         configuration=campaign_text(directory),
+        verdicts=verdicts,
     )
     try:
         written = write_report(made, rows, out)
@@ -66,13 +71,15 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
     if as_json:
         files = {kind: str(path) for kind, path in written.items()}
         click.echo(json.dumps({**figures(made, rows), "files": files}, indent=2))
-        return EXIT_DONE
+        return EXIT_DONE if all_as_expected(verdicts) else EXIT_FAILED
     for section in made.sections[:2]:
         click.echo(f"{section.title}\n")
         click.echo("\n".join(f"- {line}" for line in section.words) + "\n")
+    if verdicts:
+        click.echo("\n".join(lines(verdicts)) + "\n")
     for path in written.values():
         click.echo(f"written: {path}")
-    return EXIT_DONE
+    return EXIT_DONE if all_as_expected(verdicts) else EXIT_FAILED
 
 
 @click.command()

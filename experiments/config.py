@@ -214,6 +214,8 @@ def read_tree(file: Path) -> dict[str, Any]:
         raise UsageError(f"'{file}' is not valid {kind}: {_one_line(error)}") from None
     except (UnicodeDecodeError, OSError) as error:
         raise UsageError(f"'{file}' cannot be read as text: {_one_line(error)}") from None
+    except RecursionError:
+        raise UsageError(f"'{file}' is nested too deeply for a configuration") from None
     if not isinstance(data, dict):
         raise UsageError(f"'{file}' must hold one object of keys and values")
     return data
@@ -230,7 +232,7 @@ def _parse_override(text: str) -> tuple[str, Any]:
         raise UsageError(f"--set '{text}' is not of the form key=value, such as wind.mean_kmh=20")
     try:
         return key, tomllib.loads(f"value = {raw.strip()}")["value"]
-    except (tomllib.TOMLDecodeError, KeyError):
+    except (tomllib.TOMLDecodeError, KeyError, RecursionError):
         return key, raw.strip()
 
 
@@ -387,3 +389,7 @@ def _check_faults(config: Config, sources: Mapping[str, str]) -> None:
     except ValueError as error:
         where = sources.get("faults.events", "the configuration")
         raise UsageError(f"faults.events in {where}: {error}") from None
+    try:
+        config.faults.check(config.wind.mean_kmh)
+    except ValueError as error:
+        raise UsageError(str(error)) from None

@@ -26,6 +26,7 @@ _ROWS = (
     ("horizontal speed", "landing.horizontal_speed_mps", "{:.3f} m/s"),
     ("tilt at touchdown", "landing.tilt_deg", "{:.2f} deg"),
     ("ground", "landing.class_true", "{}"),
+    ("taken for", "landing.class_predicted", "{}"),
     ("safe geometry", "landing.safe_geometry", "{}"),
     ("map levelness error", "map.levelness_error_deg.mean", "{:.2f} deg"),
     ("simulated time", "timing.sim_s", "{:.1f} s"),
@@ -34,9 +35,18 @@ _ROWS = (
 _STAGE_ORDER = ("world", "estimator", "mapper", "lander", "controller", "recorder", "referee")
 
 
+_LONGEST_ERROR, _END_OF_ERROR = 700, 250
+"""characters of an error's line; of a longer one the remedy at its end is kept"""
+
+
 def error_line(message: str) -> str:
-    """The one line that stands for a mistake of the user."""
-    return f"touchdown: error: {' '.join(message.split())}"
+    """The one line that stands for a mistake of the user. What it quotes of the input may be of any
+    length and hold anything: characters that would steer the terminal are written as escapes."""
+    words = " ".join(message.split())
+    if len(words) > _LONGEST_ERROR:
+        words = f"{words[: _LONGEST_ERROR - _END_OF_ERROR]} ... {words[-_END_OF_ERROR:]}"
+    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)
+    return f"touchdown: error: {shown}"
 
 
 def print_result(result: Mapping[str, Any], out_dir: Path | None, good: bool) -> None:
@@ -205,7 +215,7 @@ def make_progress(quiet: bool) -> Callable[[float, str, str], None]:
 
 def end_progress(quiet: bool) -> None:
     """Leaves the cursor at the start of an empty line."""
-    if not quiet and sys.stderr.isatty():
+    if not quiet and sys.stderr is not None and sys.stderr.isatty():
         print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 

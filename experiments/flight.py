@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.api import GridMap
-from experiments.build import Flight, TruthLookup, build_flight, build_scene, check_estimator
+from experiments.build import (
+    Flight,
+    TruthLookup,
+    build_flight,
+    build_places,
+    build_scene,
+    check_estimator,
+)
 from experiments.config import Config, dump_config
 from experiments.loop import run_flight
 from experiments.metrics import levelness_error_deg
@@ -24,6 +31,7 @@ from experiments.referee import FlightResult, Referee
 from experiments.rig import check_calibration
 from experiments.run_directory import check_out_dir, run_directory
 from experiments.timing import StageClock, Timed
+from landing.api import LandingParams
 from scenes.api import Scene
 
 if TYPE_CHECKING:
@@ -63,6 +71,7 @@ def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) 
     """
     check_estimator(config.estimator)
     check_calibration(config)
+    build_places(config)
     if out_dir is not None:
         check_out_dir(out_dir)
     limit_threads()
@@ -74,8 +83,8 @@ def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) 
         sensors = _sensor_log(partial, flight) if config.log.sensors else None
         recorder = RunRecorder(partial, scene, flight.world.rig, config, sensors)
         result = fly_and_judge(config, flight, recorder, progress)
-        (partial / "config.json").write_text(dump_config(config))
-        (partial / "result.json").write_text(json.dumps(result, indent=2) + "\n")
+        (partial / "config.json").write_text(dump_config(config), encoding="utf-8")
+        (partial / "result.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return result
 
 
@@ -97,7 +106,8 @@ def fly_and_judge(
     def keep_map() -> None:
         surveyed.extend(copy.deepcopy(grid) for grid in latest)
 
-    referee = make_referee(config, flight.scene, keep_map)
+    by_class = flight.network is not None and class_counts(config.landing)
+    referee = make_referee(config, flight.scene, keep_map, by_class=by_class)
     watched = _Watcher(recorder, latest, progress)
     parts = timed_parts(flight, clock)
     try:
@@ -110,11 +120,22 @@ def fly_and_judge(
         flight.world.close()
         recorder.close()
     result = _result(config, flight, outcome, clock, surveyed or latest)
-    return plain_json({**result, **watched.events.summary(), "faults": flight.faults()})
+    told = {**watched.events.summary(), "phases": watched.phases.kept}
+    return plain_json({**result, **told, "faults": flight.faults()})
 
 
-def make_referee(config: Config, scene: Scene, on_survey_end: Callable[[], None]) -> Referee:
-    """The judge of a flight of ``config`` over ``scene``."""
+def class_counts(params: LandingParams) -> bool:
+    """Whether a touchdown must be on ground of a safe class where places are recognised: not where
+    a flight is to land whatever the kind of place."""
+    on_their_word = params.site_xy_m is not None and not params.check_site
+    return not (params.allow_risky or params.emergency or on_their_word)
+
+
+def make_referee(
+    config: Config, scene: Scene, on_survey_end: Callable[[], None], *, by_class: bool = False
+) -> Referee:
+    """The judge of a flight of ``config`` over ``scene``; ``by_class``: the class of the ground
+    counts as well as its geometry."""
     truth = TruthLookup(scene)
     return Referee(
         config.referee,
@@ -123,6 +144,7 @@ def make_referee(config: Config, scene: Scene, on_survey_end: Callable[[], None]
         judge_ground=truth.judge,
         moving_geoms=truth.moving_geoms,
         on_survey_end=on_survey_end,
+        by_class=by_class,
     )
 
 
@@ -148,6 +170,19 @@ class EventLog:
         return {"events": self.kept, "event_count": self.count}
 
 
+class PhaseLog:
+    """When each phase began; the first ``_MOST_EVENTS`` changes."""
+
+    def __init__(self) -> None:
+        self.kept: list[dict[str, Any]] = []
+        self._phase = ""
+
+    def add(self, time_s: float, phase: str) -> None:
+        if phase != self._phase and len(self.kept) < _MOST_EVENTS:
+            self.kept.append({"time_s": time_s, "phase": phase})
+        self._phase = phase
+
+
 class _Watcher:
     """Passes every tick on to the recorder, keeps the newest map at hand, reports progress."""
 
@@ -159,10 +194,12 @@ class _Watcher:
         self._progress = progress
         self._next_s = 0.0
         self.events = EventLog()
+        self.phases = PhaseLog()
 
     def tick(self, *event: Any) -> None:
         truth, _obs, estimate, map_view, view = event[:5]
         self.events.add(estimate.time_s, estimate.events)
+        self.phases.add(truth.time_s, str(view.phase))
         self._latest[:] = [map_view.coarse]
         if self._progress is not None and truth.time_s >= self._next_s:
             self._next_s = truth.time_s + 0.5
@@ -188,6 +225,7 @@ def _result(
         "trajectory_variance_m2": outcome.deviation.variance,
         "nees": outcome.consistency.summary(),
         "landing": _landing(outcome, config.landing.site_xy_m),
+        "place_recognition": flight.network or "off",
         "map": _map_figures(flight, outcome, maps, config.seed),
         "timing": {
             "wall_s": wall_s,

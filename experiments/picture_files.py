@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.config import UsageError
+from experiments.run_directory import whole_file
 
 Picture = NDArray[np.uint8]
 
@@ -43,5 +44,8 @@ def squared(picture: Picture, pixels: int) -> Picture:
 
 def write_png(path: Path, rgb: Picture) -> None:
     """Writes (H, W, 3) RGB; the same picture gives the same bytes. Raises OSError."""
-    if not cv2.imwrite(str(path), rgb[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6]):
+    done, data = cv2.imencode(".png", rgb[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6])
+    if not done:
         raise OSError(f"'{path}' cannot be written")
+    with whole_file(path) as partial:
+        partial.write_bytes(data.tobytes())

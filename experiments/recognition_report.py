@@ -34,6 +34,16 @@ def load_classifier(network: Path, engine: str, threads: int) -> Any:
         ) from error
 
 
+def shipped_network() -> Path:
+    """The one that comes with the project. Raises UsageError where none does."""
+    file: Path = recognition("in_flight").SHIPPED
+    if not file.is_file():
+        raise UsageError(
+            "no network comes with touchdown: give --network, a file of `touchdown train`"
+        )
+    return file
+
+
 def evaluate_network(
     network: Path,
     data: Sequence[str],
@@ -48,7 +58,7 @@ def evaluate_network(
     facts = classifier.facts
     catalogues = [read_catalogue(argument, facts.labels) for argument in data]
     pictures = load_pictures(catalogues, split, facts.labels, facts.image_size, progress)
-    scores = _scores(classifier, pictures, progress)
+    scores = all_scores(classifier, pictures, progress)
     report: dict[str, Any] = {
         "network": facts.network,
         "labels": facts.labels,
@@ -57,9 +67,9 @@ def evaluate_network(
         "image_size": facts.image_size,
         "classes": list(facts.classes),
         "rom_mb": network.stat().st_size / 1e6,
-        **_judged(scores, pictures.labels, facts.classes),
+        **_judged(scores, pictures.labels, facts),
         "by_source": {
-            name: _judged(scores[of], pictures.labels[of], facts.classes)
+            name: _judged(scores[of], pictures.labels[of], facts)
             for number, name in enumerate(pictures.sources)
             for of in [pictures.source == number]
         },
@@ -69,7 +79,7 @@ def evaluate_network(
     return report
 
 
-def _scores(classifier: Any, pictures: LabelledPictures, progress: Progress) -> Any:
+def all_scores(classifier: Any, pictures: LabelledPictures, progress: Progress) -> Any:
     parts, count = [], len(pictures.labels)
     for first in range(0, count, _BATCH):
         parts.append(classifier.scores(pictures.images[first : first + _BATCH]))
@@ -77,10 +87,14 @@ def _scores(classifier: Any, pictures: LabelledPictures, progress: Progress) -> 
     return np.concatenate(parts)
 
 
-def _judged(scores: Any, labels: Any, classes: tuple[str, ...]) -> dict[str, Any]:
-    found: dict[str, Any] = recognition("scores").summary(scores, labels, classes)
+def _judged(scores: Any, labels: Any, facts: Any) -> dict[str, Any]:
+    found: dict[str, Any] = recognition("scores").summary(scores, labels, facts.classes)
     interval = share_interval(found["hits"], found["pictures"])
-    return found | {"top1_interval": [interval.low, interval.high]}
+    found["top1_interval"] = [interval.low, interval.high]
+    if facts.labels == "d_land":
+        decision = recognition("decision")
+        found["decision"] = decision.decision_summary(scores, labels, facts.limits)
+    return found
 
 
 def footprint(network: Path, engine: str) -> dict[str, float]:
@@ -111,6 +125,8 @@ def print_evaluation(report: Mapping[str, Any]) -> None:
         )
     console.print(table)
     console.print(_confusion_table(report))
+    if "decision" in report:
+        console.print(_decision_words(report["decision"]))
     cost = [f"ROM {report['rom_mb']:.1f} MB"]
     if "image_ms" in report:
         cost += [
@@ -118,6 +134,19 @@ def print_evaluation(report: Mapping[str, Any]) -> None:
             f"{report['image_ms']:.1f} ms a picture on one thread ({report['engine']})",
         ]
     console.print(", ".join(cost))
+
+
+def _decision_words(decision: Mapping[str, Any]) -> str:
+    """Mistakes that would hurt, beside good sites that would be lost."""
+    parts = []
+    for kind, wrong, words in (
+        ("unsafe", "unsafe_taken_for_safe", "pictures of unsafe ground taken for safe"),
+        ("safe", "safe_refused", "of safe ground refused"),
+    ):
+        count, of = decision[wrong], decision[kind]
+        share = f" ({count / of:.2%})" if of else ""
+        parts.append(f"{count} of {of} {words}{share}")
+    return f"at {decision['least_probability']:.3f}: {', '.join(parts)}"
 
 
 def _confusion_table(report: Mapping[str, Any]) -> Any:

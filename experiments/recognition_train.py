@@ -54,11 +54,17 @@ def train_network(
             "F1 {val_macro_f1:.3f}  top-1 {val_top1:.3f}".format(**row)
         )
     best = trainer.best()
+    decision = recognition("decision")
     facts = recognition("weights").NetworkFacts(
         network=params.network,
         labels=params.labels,
         image_size=params.image_size,
         classes=train.classes,
+        limits=(
+            decision.fitted_limits(best.scores, val.labels)
+            if params.labels == "d_land"
+            else decision.Limits()
+        ),
     )
     export.export_network(out / NETWORK, best.network, best.temperature, facts)
     record_curves(out / RECORDING, best.history)
@@ -71,6 +77,7 @@ def train_network(
         "epochs": len(best.history),
         "best_epoch": best.best_epoch + 1,
         "temperature": best.temperature,
+        "limits": asdict(facts.limits) if params.labels == "d_land" else None,
         "validation": best.history[best.best_epoch],
         "bytes": (out / NETWORK).stat().st_size,
     }

@@ -59,7 +59,7 @@ class NullRecorder:
 class RunRecorder:
     """Fills a run directory: ``truth.tum``, ``estimate.tum``, ``reference.tum``, ``map.ply``,
     ``costmap.png`` and, with ``config.record``, ``flight.rrd``; what sensors said goes to
-    ``sensors`` where one is given.
+    ``sensors`` where one is given, and then ``odometry.tum`` is there, too.
 
     ``out_dir`` must exist. Files are complete after ``close``; memory does not grow with the
     flight.
@@ -78,6 +78,7 @@ class RunRecorder:
         self._truth = TumWriter(out_dir / "truth.tum")
         self._estimate = TumWriter(out_dir / "estimate.tum")
         self._reference = TumWriter(out_dir / "reference.tum")
+        self._odometry = TumWriter(out_dir / "odometry.tum") if sensors is not None else None
         self._row_ticks = max(1, round(rig.tick_hz / config.log.trajectory_hz))
         self._next_row_tick = 0
         self._last: tuple[Estimate, MapView] | None = None
@@ -112,8 +113,9 @@ class RunRecorder:
         self._recording.tick(truth, obs, estimate, map_view, lander_view, setpoint, command)
 
     def close(self) -> None:
-        for writer in (self._truth, self._estimate, self._reference):
-            writer.close()
+        for writer in (self._truth, self._estimate, self._reference, self._odometry):
+            if writer is not None:
+                writer.close()
         if self._sensors is not None:
             self._sensors.close()
         self._recording.close()
@@ -129,6 +131,8 @@ class RunRecorder:
     ) -> None:
         self._truth.add(truth.time_s, truth.world_from_body)
         self._estimate.add(estimate.time_s, estimate.world_from_body)
+        if self._odometry is not None:
+            self._odometry.add(estimate.time_s, estimate.odom_from_body)
         heading = estimate.world_from_odom.rotation @ rotation_from_yaw(setpoint.yaw_odom)
         self._reference.add(truth.time_s, Pose(heading, lander_view.reference_world))
 

@@ -49,7 +49,8 @@ class FlightResult:
 
 
 class Referee:
-    """``judge_ground(xy)`` looks the true ground up; ``on_survey_end`` is called once."""
+    """``judge_ground(xy)`` looks the true ground up; ``on_survey_end`` is called once;
+    ``by_class``: whether the class of the ground counts, which the result says."""
 
     def __init__(
         self,
@@ -60,6 +61,7 @@ class Referee:
         judge_ground: Callable[[Array], Any],
         moving_geoms: frozenset[str] = frozenset(),
         on_survey_end: Callable[[], None] = lambda: None,
+        by_class: bool = False,
     ) -> None:
         self._params = params
         self._upright_cosine = math.cos(math.radians(params.tip_tilt_deg))
@@ -67,6 +69,7 @@ class Referee:
         self._judge_ground = judge_ground
         self._moving_geoms = moving_geoms
         self._on_survey_end = on_survey_end
+        self._judged_on = "geometry and class" if by_class else "geometry"
         self._position_error = PositioningError()
         self._deviation = TrajectoryDeviation()
         self._consistency = Consistency()
@@ -211,9 +214,11 @@ class Referee:
             "slope_deg": verdict.slope_deg,
             **self._touchdown.summary(),
             "obstacle_distance_m": verdict.obstacle_distance_m,
-            "class_predicted": None,
+            "class_predicted": view.site_class,
+            "class_probability": view.site_class_probability,
             "class_true": verdict.land_class,
             "safe_geometry": verdict.safe_geometry,
             "safe_class": verdict.land_class in SAFE_CLASSES,
             "safe": verdict.safe,
+            "judged_on": self._judged_on,
         }

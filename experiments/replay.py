@@ -219,8 +219,8 @@ def replay(
         finally:
             writer.close()
         shutil.copy(run / "truth.tum", partial / "truth.tum")
-        (partial / "config.json").write_text(dump_config(config))
-        (partial / "result.json").write_text(json.dumps(result, indent=2) + "\n")
+        (partial / "config.json").write_text(dump_config(config), encoding="utf-8")
+        (partial / "result.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return result
 
 

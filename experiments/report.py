@@ -9,6 +9,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from experiments.cli_base import ground_was_safe
 from experiments.config import UsageError
 
 Row = Mapping[str, Any]
@@ -47,6 +48,7 @@ LANDING_COLUMNS: tuple[Column, ...] = (
     Column("tilt (deg)", "landing.tilt_deg", "{:.2f}"),
     Column("safe geometry", "landing.safe_geometry"),
     Column("true class", "landing.class_true"),
+    Column("taken for", "landing.class_predicted"),
     Column("levelness (deg)", "map.levelness_error_deg.mean", "{:.2f}"),
     Column("real-time factor", "timing.real_time_factor", "{:.2f}"),
 )
@@ -79,11 +81,21 @@ def load_run(path: Path) -> dict[str, Any]:
     """One ``result.json``. Raises UsageError when it is none."""
     try:
         row: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise UsageError(f"'{path}' cannot be read: {error}") from error
+    if not isinstance(row, dict):
+        raise UsageError(f"'{path}' is no run's result: it holds no object of keys and values")
     missing = {"scene", "estimator", "seed", "outcome"} - row.keys()
     if missing:
         raise UsageError(f"'{path}' is no run's result: {', '.join(sorted(missing))} missing")
+    for key in ("scene", "estimator", "outcome"):
+        if not isinstance(row[key], str):
+            raise UsageError(f"'{path}' is no run's result: {key} = {row[key]!r} must be text")
+    seed = row["seed"]
+    if isinstance(seed, bool) or not isinstance(seed, int) or abs(seed) >= 2**63:
+        raise UsageError(
+            f"'{path}' is no run's result: seed = {row['seed']!r} must be a whole number"
+        )
     return row
 
 
@@ -108,6 +120,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         if numbers:
             means[column.path] = fmean(numbers)
     unsafe = sum(
-        row["outcome"] == "LANDED" and lookup(row, "landing.safe_geometry") is False for row in rows
+        row["outcome"] == "LANDED" and ground_was_safe(row.get("landing") or {}) is False
+        for row in rows
     )
     return {"runs": len(rows), "outcomes": outcomes, "unsafe_touchdowns": unsafe, "means": means}

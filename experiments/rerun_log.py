@@ -7,6 +7,8 @@ changed.
 
 from __future__ import annotations
 
+import errno
+import os
 from collections import deque
 from pathlib import Path
 
@@ -55,8 +57,13 @@ class Every:
         return True
 
 
+_FOOTER, _FOOTER_BYTES = b"RRF2FOOT", 64
+"""at the end of a recording that is whole"""
+
+
 class RerunLog:
-    """A ``Recorder`` that writes one ``.rrd`` file with a blueprint in it."""
+    """A ``Recorder`` that writes one ``.rrd`` file with a blueprint in it. ``close`` raises OSError
+    where it could not be written to its end."""
 
     def __init__(self, path: Path, scene: Scene, rig: SensorRig, config: Config) -> None:
         self._scene = scene
@@ -66,6 +73,7 @@ class RerunLog:
             "touchdown", recording_id=f"{config.scene}-{config.estimator}-{config.seed}"
         )
         middle = scene.takeoff_xy_m + _survey_middle(scene, config)
+        self._path = path
         self._stream.save(path, default_blueprint=flight_blueprint(middle, _SPAN_M))
         self._poses, self._paths = PoseBatch(), PathBatch()
         self._scalars = ScalarBatch()
@@ -123,6 +131,11 @@ class RerunLog:
         self._flush()
         self._stream.flush()
         self._stream.disconnect()
+        # Its writer has a thread of its own and tells nobody of a full disk.
+        with self._path.open("rb") as file:
+            file.seek(max(0, os.fstat(file.fileno()).st_size - _FOOTER_BYTES))
+            if _FOOTER not in file.read():
+                raise OSError(errno.EIO, os.strerror(errno.EIO), str(self._path))
 
     # --------------------------------------------------------------------------------- static
 

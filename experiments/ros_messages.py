@@ -8,11 +8,13 @@ its size, counted from after the four bytes of the encapsulation header.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.api import CameraIntrinsics, ImuSample, LidarScan
+from sim.api import CameraIntrinsics, ImuSample, LidarScan, SensorRig
 from sim.frames import Pose, quat_wxyz_from_matrix
 
 Array = NDArray[np.float64]
@@ -31,7 +33,20 @@ _PARTS = {
     "geometry_msgs/TransformStamped": (
         "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"
     ),
-    "sensor_msgs/PointField": "string name\nuint32 offset\nuint8 datatype\nuint32 count\n",
+    "geometry_msgs/Pose": ("geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n"),
+    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance\n",
+    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n",
+    "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance\n",
+    "sensor_msgs/NavSatStatus": (
+        "int8 STATUS_NO_FIX=-1\nint8 STATUS_FIX=0\nint8 STATUS_SBAS_FIX=1\n"
+        "int8 STATUS_GBAS_FIX=2\nuint16 SERVICE_GPS=1\nuint16 SERVICE_GLONASS=2\n"
+        "uint16 SERVICE_COMPASS=4\nuint16 SERVICE_GALILEO=8\nint8 status\nuint16 service\n"
+    ),
+    "sensor_msgs/PointField": (
+        "uint8 INT8=1\nuint8 UINT8=2\nuint8 INT16=3\nuint8 UINT16=4\nuint8 INT32=5\n"
+        "uint8 UINT32=6\nuint8 FLOAT32=7\nuint8 FLOAT64=8\n"
+        "string name\nuint32 offset\nuint8 datatype\nuint32 count\n"
+    ),
     "sensor_msgs/RegionOfInterest": (
         "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n"
     ),
@@ -63,6 +78,21 @@ _MESSAGES = {
         "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\n"
         "uint32 binning_y\nsensor_msgs/RegionOfInterest roi\n"
     ),
+    "nav_msgs/msg/Odometry": (
+        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n"
+        "geometry_msgs/TwistWithCovariance twist\n"
+    ),
+    "sensor_msgs/msg/Image": (
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\n"
+        "uint8 is_bigendian\nuint32 step\nuint8[] data\n"
+    ),
+    "sensor_msgs/msg/NavSatFix": (
+        "uint8 COVARIANCE_TYPE_UNKNOWN=0\nuint8 COVARIANCE_TYPE_APPROXIMATED=1\n"
+        "uint8 COVARIANCE_TYPE_DIAGONAL_KNOWN=2\nuint8 COVARIANCE_TYPE_KNOWN=3\n"
+        "std_msgs/Header header\nsensor_msgs/NavSatStatus status\nfloat64 latitude\n"
+        "float64 longitude\nfloat64 altitude\nfloat64[9] position_covariance\n"
+        "uint8 position_covariance_type\n"
+    ),
     "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
 }
 
@@ -72,6 +102,7 @@ _POINT = np.dtype(
 _POINT_FIELDS = (("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("time", 12, 7), ("intensity", 16, 2))
 """name, byte offset, PointField's number of the type (7: float32, 2: uint8)"""
 _UNKNOWN = np.zeros(9)
+_DIAGONAL = np.eye(3).ravel()
 
 
 def definition(message: str) -> str:
@@ -127,6 +158,11 @@ class Cdr:
     def header(self, time_ns: int, frame: str) -> Cdr:
         return self.add("i", time_ns // 10**9).add("I", time_ns % 10**9).text(frame)
 
+    def pose(self, pose: Pose) -> Cdr:
+        """Translation, then rotation as x, y, z, w."""
+        w, x, y, z = quat_wxyz_from_matrix(pose.rotation)
+        return self.floats(pose.translation).floats(np.array([x, y, z, w]))
+
     def done(self) -> bytes:
         return bytes(self._data)
 
@@ -167,27 +203,39 @@ def image_data(message: bytes) -> memoryview:
     return memoryview(message)[at + 4 :]
 
 
-def imu_message(time_ns: int, frame: str, sample: ImuSample) -> bytes:
+def imu_message(
+    time_ns: int,
+    frame: str,
+    sample: ImuSample,
+    rate_variance: float = 0.0,
+    force_variance: float = 0.0,
+) -> bytes:
     """``sensor_msgs/msg/Imu``; no orientation, which the standard marks by a covariance of -1."""
     no_orientation = _UNKNOWN.copy()
     no_orientation[0] = -1.0
     body = Cdr().header(time_ns, frame).floats(np.array([0.0, 0.0, 0.0, 1.0]))
-    body.floats(no_orientation).floats(sample.angular_velocity).floats(_UNKNOWN)
-    return body.floats(sample.specific_force).floats(_UNKNOWN).done()
+    body.floats(no_orientation).floats(sample.angular_velocity).floats(rate_variance * _DIAGONAL)
+    return body.floats(sample.specific_force).floats(force_variance * _DIAGONAL).done()
 
 
-def cloud_message(time_ns: int, frame: str, scan: LidarScan) -> bytes:
+def cloud_message(
+    time_ns: int,
+    frame: str,
+    scan: LidarScan,
+    point: np.dtype[Any] = _POINT,
+    fields: tuple[tuple[str, int, int], ...] = _POINT_FIELDS,
+) -> bytes:
     """``sensor_msgs/msg/PointCloud2`` of the pulses that came back: x, y, z (m), time (s after the
-    stamp), intensity."""
+    stamp), intensity. Fields of another layout than ``_POINT`` that a scan has not are 0."""
     came_back = (scan.ranges > 0.0) & np.isfinite(scan.ranges)
-    points = np.empty(int(came_back.sum()), dtype=_POINT)
+    points = np.zeros(int(came_back.sum()), dtype=point)
     points["xyz"] = scan.directions[came_back] * scan.ranges[came_back, None]
     points["time"] = scan.time_offsets[came_back]
     points["intensity"] = scan.intensity[came_back]
-    body = Cdr().header(time_ns, frame).add("I", 1, len(points)).add("I", len(_POINT_FIELDS))
-    for name, offset, kind in _POINT_FIELDS:
+    body = Cdr().header(time_ns, frame).add("I", 1, len(points)).add("I", len(fields))
+    for name, offset, kind in fields:
         body.text(name).add("I", offset).add("B", kind).add("I", 1)
-    body.add("B", 0).add("I", _POINT.itemsize, points.nbytes).blob(points.tobytes())
+    body.add("B", 0).add("I", point.itemsize, points.nbytes).blob(points.tobytes())
     return body.add("B", 1).done()
 
 
@@ -217,9 +265,18 @@ def camera_message(time_ns: int, frame: str, camera: CameraIntrinsics, shift: fl
 
 def mounts_message(time_ns: int, body: str, mounts: dict[str, Pose]) -> bytes:
     """``tf2_msgs/msg/TFMessage`` of ``body_from_sensor`` by the sensor's frame."""
-    message = Cdr().add("I", len(mounts))
-    for frame, pose in mounts.items():
-        w, x, y, z = quat_wxyz_from_matrix(pose.rotation)
-        message.header(time_ns, body).text(frame).floats(pose.translation)
-        message.floats(np.array([x, y, z, w]))
+    return transforms_message(time_ns, [(body, frame, pose) for frame, pose in mounts.items()])
+
+
+def transforms_message(time_ns: int, links: Sequence[tuple[str, str, Pose]]) -> bytes:
+    """``tf2_msgs/msg/TFMessage`` of (parent, child, ``parent_from_child``)."""
+    message = Cdr().add("I", len(links))
+    for parent, child, pose in links:
+        message.header(time_ns, parent).text(child).pose(pose)
     return message.done()
+
+
+def right_camera_shift(rig: SensorRig) -> float:
+    """P[0, 3] of the right camera of the pair: -fx times the baseline, pixels times metres."""
+    offset = (rig.body_from_camera.inverse() @ rig.body_from_camera_right).translation
+    return -float(rig.camera.fx * offset[0])

@@ -1,4 +1,4 @@
-"""A run directory appears at once, complete, or not at all."""
+"""A run directory, or a file, appears at once, complete, or not at all."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from experiments.cli_base import system_message
 from experiments.config import UsageError
 
 
@@ -23,13 +24,34 @@ def check_out_dir(out_dir: Path) -> None:
 
 @contextmanager
 def run_directory(out_dir: Path) -> Iterator[Path]:
-    """A directory to fill; it becomes ``out_dir``, in place of an earlier run, if all goes well."""
+    """A directory to fill; it becomes ``out_dir``, in place of an earlier run, if all goes well.
+
+    Raises UsageError where the machine does not let it: a full or read-only disk, no permission.
+    """
     partial = out_dir.with_name(f".{out_dir.name}.partial-{os.getpid()}")
-    partial.mkdir(parents=True)
     try:
+        partial.mkdir(parents=True)
         yield partial
         if out_dir.exists():
             shutil.rmtree(out_dir)
         os.replace(partial, out_dir)
+    except OSError as error:
+        # Of the machine, such as a full disk; whoever reads it knows ``out_dir`` alone.
+        if system_message(error) is None:
+            raise
+        error.filename, error.filename2 = str(out_dir), None
+        raise UsageError(f"--out: {system_message(error)}") from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+@contextmanager
+def whole_file(out: Path) -> Iterator[Path]:
+    """A file to write; it becomes ``out``, in place of an earlier one, if all goes well."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    partial = out.with_name(f".{out.name}.partial-{os.getpid()}")
+    try:
+        yield partial
+        os.replace(partial, out)
+    finally:
+        partial.unlink(missing_ok=True)

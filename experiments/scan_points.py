@@ -53,7 +53,7 @@ def scan_points_odom(
     times = scan.start_time_s + scan.time_offsets[hits].astype(np.float64)
     in_lidar = (scan.directions[hits] * scan.ranges[hits, None]).astype(np.float64)
     in_body = body_from_lidar.apply(in_lidar)
-    rotations, positions = _interpolate(track, times)
+    rotations, positions = poses_at(track, times)
     return np.einsum("nij,nj->ni", rotations, in_body) + positions
 
 
@@ -63,7 +63,7 @@ def height_colours(heights_m: Array) -> NDArray[np.uint8]:
     return _TURBO_RGB[(55 + 200 * level).astype(np.uint8)]
 
 
-def _interpolate(track: PoseTrack, times: Array) -> tuple[Array, Array]:
+def poses_at(track: PoseTrack, times: Array) -> tuple[Array, Array]:
     """Rotations (N, 3, 3) and positions (N, 3) at ``times``; poses at the ends hold beyond them."""
     if len(track.times_s) == 1:
         rotations = matrices_from_quats_wxyz(np.repeat(track.quats_wxyz, len(times), axis=0))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from experiments.build_tools import hover_view, scene_picture, scene_truth_maps
 from experiments.config import Config, UsageError
+from experiments.run_directory import whole_file
 from scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene, TruthMaps
 
 if TYPE_CHECKING:
@@ -178,8 +179,14 @@ VIEWS: Mapping[str, Callable[[SceneViews], Picture]] = {
 
 def write_picture(path: Path, picture: Picture) -> None:
     """Writes RGB to a .png or .jpg file. Raises UsageError where that cannot be."""
-    if not cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
-        raise UsageError(f"--out: '{path}' cannot be written: is its folder writable?")
+    done, data = cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    if not done:
+        raise UsageError(f"--out: '{path}' cannot be written as {path.suffix}")
+    try:
+        with whole_file(path) as partial:
+            partial.write_bytes(data.tobytes())
+    except OSError as error:
+        raise UsageError(f"--out: '{path}' cannot be written: {error.strerror}") from error
 
 
 def _span(values: NDArray[np.floating], low: float, high: float) -> tuple[float, float]:

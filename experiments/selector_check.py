@@ -18,13 +18,14 @@ from experiments.build import build_scene
 from experiments.build_tools import (
     TowedSurvey,
     build_towed_survey,
+    check_scene_name,
     risk_model,
     scene_truth_maps,
 )
 from experiments.config import Config, UsageError, load_config
 from landing.api import CostmapView, Selection
 from scenes.api import Scene, TruthMaps
-from sim.api import Observation
+from sim.api import Observation, SensorRig
 from sim.frames import Pose
 
 Array = NDArray[np.float64]
@@ -35,6 +36,7 @@ SCENES = (
     "turf",
 )  # fmt: skip
 """All but ``flat`` and ``open_water``, where there is nothing to choose."""
+MOST_SEEDS = 100_000
 SCAN_PERIOD_S = 0.1
 """of a flight"""
 LOOK_PERIOD_S = 0.3
@@ -63,14 +65,20 @@ class Surveyed:
     selection: Selection
 
 
-def tow_survey(config: Config, period_s: float = LOOK_PERIOD_S) -> Surveyed:
+Watch = Callable[[SensorRig, Observation, Estimate], None]
+"""Called with everything that a towed survey sees."""
+
+
+def tow_survey(
+    config: Config, period_s: float = LOOK_PERIOD_S, watch: Watch | None = None
+) -> Surveyed:
     """Maps the configured scene along the survey and selects. Raises ValueError as `build_scene`.
 
     A scan every ``period_s``, at least the duration of one scan; with every second one a picture.
     """
     scene = build_scene(config)
     survey = build_towed_survey(config, scene)
-    *_, (estimate, view) = observe(survey, survey.path, start_s=0.0, period_s=period_s)
+    *_, (estimate, view) = observe(survey, survey.path, start_s=0.0, period_s=period_s, watch=watch)
     selection = survey.select(view, estimate)
     return Surveyed(
         scene=scene, survey=survey, map_view=view, estimate=estimate, selection=selection
@@ -78,7 +86,12 @@ def tow_survey(config: Config, period_s: float = LOOK_PERIOD_S) -> Surveyed:
 
 
 def observe(
-    survey: TowedSurvey, path: Any, *, start_s: float, period_s: float
+    survey: TowedSurvey,
+    path: Any,
+    *,
+    start_s: float,
+    period_s: float,
+    watch: Watch | None = None,
 ) -> Iterator[tuple[Estimate, MapView]]:
     """Tows the sensors along ``path`` from ``start_s`` on and yields after every scan. The camera
     is free again at the end."""
@@ -105,6 +118,8 @@ def observe(
                 quats_wxyz=look.quats_wxyz,
             )
             estimate = _true_estimate(obs, look.world_from_body, track)
+            if watch is not None:
+                watch(rig, obs, estimate)
             yield estimate, survey.mapper.update(obs, estimate)
     finally:
         survey.tow.close()
@@ -308,6 +323,8 @@ def run(
     """Checks every scene with every seed: ``{"scorer", "places": [...], "summary", "fit"}``, the
     last one only on request. ``pictures``: a folder for a picture of each place. Raises UsageError
     for seeds that are none or a folder that cannot be, and as `load_config`."""
+    for name in scenes:
+        check_scene_name(name)
     given = ["sim.threads=1", *overrides, *([f"landing.scorer={scorer}"] if scorer else [])]
     configs = [
         load_config(None, given, scene=scene, seed=seed, estimator="oracle", record=False)
@@ -334,9 +351,12 @@ def parsed_seeds(text: str) -> list[int]:
     found: list[int] = []
     for part in text.split(","):
         first, dash, last = part.strip().partition("-")
-        if not first.isdigit() or (dash and not last.isdigit()):
+        if not first.isdecimal() or (dash and not last.isdecimal()):
             raise UsageError(f"--seeds '{text}' is not of the form 0-24 or 3,5,7")
-        found += range(int(first), int(last or first) + 1)
+        seeds = range(int(first), int(last or first) + 1)
+        if len(found) + seeds.stop - seeds.start > MOST_SEEDS:
+            raise UsageError(f"--seeds '{text}' are more than {MOST_SEEDS}; give fewer")
+        found += seeds
     if not found:
         raise UsageError(f"--seeds '{text}' names no seed: give the smaller one first")
     return found

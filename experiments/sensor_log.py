@@ -11,15 +11,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import cv2
 import numpy as np
-from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from experiments import ros_messages as ros
 from experiments.message_json import to_plain
+from experiments.ros_bag import RosBag, tick_ns
 from sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 
 FILE_NAME = "sensors.mcap"
@@ -33,7 +33,6 @@ IMAGE_TOPICS = ("/camera/image/compressed", "/camera_right/image/compressed")
 BODY, IMU, LIDAR, CAMERA, CAMERA_RIGHT = "body", "imu", "lidar", "camera", "camera_right"
 """frames of the ROS messages"""
 
-_CHUNK_BYTES = 4 << 20
 _TYPES = {
     OBSERVATION_TOPIC: "std_msgs/msg/String",
     SCAN_TOPIC: "std_msgs/msg/UInt8MultiArray",
@@ -69,16 +68,9 @@ class SensorLog:
         self, path: Path, rig: SensorRig, sensed: SensorNeeds, shared: SensorNeeds | None = None
     ) -> None:
         self._tick_hz = rig.tick_hz
-        self._file: BinaryIO = path.open("wb")
         # Checksums are left to the file system: they cost more than packing.
-        self._writer = Writer(
-            self._file,
-            chunk_size=_CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
-            enable_crcs=False,
-        )
-        self._writer.start(profile="ros2", library="touchdown")
-        self._writer.add_metadata(
+        self._bag = RosBag(path, _TYPES, checksums=False)
+        self._bag.note(
             METADATA,
             {
                 "format": FORMAT,
@@ -87,9 +79,6 @@ class SensorLog:
                 "shared": json.dumps(to_plain(shared or SensorNeeds())),
             },
         )
-        self._schemas: dict[str, int] = {}
-        self._channels: dict[str, int] = {}
-        self._sequence: dict[str, int] = {}
         self._write_rig(rig, sensed)
 
     def add(self, obs: Observation) -> None:
@@ -109,8 +98,7 @@ class SensorLog:
         self._put(OBSERVATION_TOPIC, obs.tick, obs.tick, ros.text_message(text))
 
     def close(self) -> None:
-        self._writer.finish()
-        self._file.close()
+        self._bag.close()
 
     def _add_image(self, arrival: int, image: CameraImage) -> None:
         eyes = (image.rgb, image.right_rgb)
@@ -139,34 +127,15 @@ class SensorLog:
             message = ros.camera_message(0, CAMERA, rig.camera)
             self._put("/camera/camera_info", 0, 0, message)
         if sensed.camera_hz and sensed.stereo:
-            offset = (rig.body_from_camera.inverse() @ rig.body_from_camera_right).translation
-            shift = -float(rig.camera.fx * offset[0])
+            shift = ros.right_camera_shift(rig)
             message = ros.camera_message(0, CAMERA_RIGHT, rig.camera, shift)
             self._put("/camera_right/camera_info", 0, 0, message)
 
     def _put(self, topic: str, arrival_tick: int, measured_tick: int, data: bytes) -> None:
-        if topic not in self._channels:
-            self._channels[topic] = self._register(topic)
-        count = self._sequence.get(topic, 0)
-        self._sequence[topic] = count + 1
-        self._writer.add_message(
-            self._channels[topic],
-            log_time=self._ns(arrival_tick),
-            data=data,
-            publish_time=self._ns(measured_tick),
-            sequence=count,
-        )
-
-    def _register(self, topic: str) -> int:
-        kind = _TYPES[topic]
-        if kind not in self._schemas:
-            text = ros.definition(kind).encode()
-            self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text)
-        return self._writer.register_channel(topic, "cdr", self._schemas[kind])
+        self._bag.put(topic, self._ns(arrival_tick), self._ns(measured_tick), data)
 
     def _ns(self, tick: int) -> int:
-        """Nanoseconds since the start, rounded; not negative."""
-        return max(0, (2 * tick * 10**9 + self._tick_hz) // (2 * self._tick_hz))
+        return tick_ns(tick, self._tick_hz)
 
 
 def plain_observation(obs: Observation) -> dict[str, Any]:

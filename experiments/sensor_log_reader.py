@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
+import struct
 from collections import defaultdict, deque
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
@@ -29,6 +31,15 @@ from experiments.sensor_log import (
 from sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 
 _WANTED = frozenset({OBSERVATION_TOPIC, SCAN_TOPIC, *IMAGE_TOPICS})
+
+
+@dataclass(frozen=True, slots=True)
+class PackedImage:
+    """One exposure at ``tick``, as PNG."""
+
+    tick: int
+    png: memoryview
+    right_png: memoryview | None
 
 
 class SensorLogReader:
@@ -57,20 +68,42 @@ class SensorLogReader:
                 f"'{path}' is a sensor log of format {facts.get('format')}, not {FORMAT}; "
                 "fly again with --log-sensors"
             )
-        self.rig = from_plain(SensorRig, json.loads(facts["rig"]))
-        self.sensed = from_plain(SensorNeeds, json.loads(facts["sensed"]))
-        self.shared = from_plain(SensorNeeds, json.loads(facts["shared"]))
+        with _damage_told(path):
+            self.rig = from_plain(SensorRig, json.loads(facts["rig"]))
+            self.sensed = from_plain(SensorNeeds, json.loads(facts["sensed"]))
+            self.shared = from_plain(SensorNeeds, json.loads(facts["shared"]))
 
     def __iter__(self) -> Iterator[Observation]:
         return self.observations()
+
+    def packed(self) -> Iterator[tuple[Observation, tuple[PackedImage, ...]]]:
+        """From the beginning; images apart, as the PNG files that they were logged as."""
+        arrived: defaultdict[str, deque[bytes]] = defaultdict(deque)
+        left, right = (arrived[topic] for topic in IMAGE_TOPICS)
+        for topic, data in self._messages():
+            if topic != OBSERVATION_TOPIC:
+                arrived[topic].append(data)
+                continue
+            plain = json.loads(ros.text_of(data))
+            images = tuple(
+                PackedImage(
+                    tick=tick,
+                    png=ros.image_data(left.popleft()),
+                    right_png=ros.image_data(right.popleft()) if stereo else None,
+                )
+                for tick, _time_s, stereo in plain.pop("images", [])
+            )
+            yield _observation(plain, arrived), images
 
     def observations(self, images: bool = True) -> Iterator[Observation]:
         """From the beginning; without images in half the time, for who needs none."""
         arrived: defaultdict[str, deque[bytes]] = defaultdict(deque)
         for topic, data in self._messages():
             if topic == OBSERVATION_TOPIC:
-                plain = json.loads(ros.text_of(data))
-                yield _observation(plain if images else plain | {"images": []}, arrived)
+                with _damage_told(self.path):
+                    plain = json.loads(ros.text_of(data))
+                    obs = _observation(plain if images else plain | {"images": []}, arrived)
+                yield obs
             elif images or topic not in IMAGE_TOPICS:
                 arrived[topic].append(data)
 
@@ -88,16 +121,28 @@ class SensorLogReader:
         for record in self._records():
             if isinstance(record, Channel):
                 topics[record.id] = record.topic
-            elif isinstance(record, Message) and topics[record.channel_id] in _WANTED:
+            elif isinstance(record, Message) and topics.get(record.channel_id) in _WANTED:
                 yield topics[record.channel_id], record.data
 
     def _records(self) -> Iterator[Any]:
         with self.path.open("rb") as file:
             try:
                 yield from StreamReader(file).records
-            except (McapError, EOFError, ValueError) as error:
+            except Exception as error:  # decompressors have errors of their own
                 detail = str(error) or type(error).__name__
                 raise UsageError(f"'{self.path}' is no complete MCAP file: {detail}") from error
+
+
+@contextlib.contextmanager
+def _damage_told(path: Path) -> Iterator[None]:
+    """What does not fit together in a file that can be read is a UsageError, too."""
+    try:
+        yield
+    except UsageError:
+        raise
+    except (ValueError, LookupError, TypeError, struct.error) as error:
+        detail = f"{type(error).__name__}: {error}"
+        raise UsageError(f"'{path}' is damaged ({detail}); fly again with --log-sensors") from error
 
 
 def _observation(plain: dict[str, Any], arrived: defaultdict[str, deque[bytes]]) -> Observation:
@@ -139,7 +184,12 @@ def _image(head: list[Any], arrived: defaultdict[str, deque[bytes]]) -> CameraIm
 
 
 def _picture(message: bytes) -> NDArray[np.uint8]:
-    file = np.frombuffer(ros.image_data(message), dtype=np.uint8)
+    return unpack_image(ros.image_data(message))
+
+
+def unpack_image(png: memoryview) -> NDArray[np.uint8]:
+    """(H, W, 3) RGB of a PNG file. Raises UsageError where it is none."""
+    file = np.frombuffer(png, dtype=np.uint8)
     bgr = cv2.imdecode(file, cv2.IMREAD_COLOR)
     if bgr is None:
         raise UsageError("a picture in the sensor log is damaged; fly again with --log-sensors")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.frames import Pose, quat_wxyz_from_matrix
+from sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
 Array = NDArray[np.float64]
 
@@ -44,3 +45,18 @@ def read_tum(path: Path) -> tuple[Array, Array, Array]:
     """Times (N,) s, positions (N, 3) m, quaternions (N, 4) in the order w, x, y, z."""
     table = np.loadtxt(path, dtype=np.float64, ndmin=2)
     return table[:, 0], table[:, 1:4], table[:, [7, 4, 5, 6]]
+
+
+def tum_rows(path: Path) -> Iterator[tuple[float, Pose]]:
+    """Time (s) and pose of one row after the other; nothing but the present one is kept. Raises
+    ValueError for a line that is no row."""
+    with path.open(encoding="ascii") as file:
+        for line in file:
+            if line.isspace() or line.startswith("#"):
+                continue
+            numbers = [float(word) for word in line.split()]
+            if len(numbers) != 8:
+                raise ValueError(f"'{path}' is no trajectory: it has the line {line.strip()!r}")
+            time_s, x, y, z, qx, qy, qz, qw = numbers
+            rotation = matrix_from_quat_wxyz(np.array([qw, qx, qy, qz]))
+            yield time_s, Pose(rotation, np.array([x, y, z]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal, Protocol
 
@@ -51,6 +51,10 @@ class Candidate:
     """why it was chosen or refused, in words"""
     safe_probability: float = float("nan")
     """of a touchdown that is safe by geometry; NaN where the scorer does not say"""
+    class_predicted: str | None = None
+    """what place recognition takes the ground for; None where it was not asked"""
+    class_probability: float = float("nan")
+    """of ``class_predicted``"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,6 +87,8 @@ class Selection:
     """number of the cluster (Eq. 19) that a cell belongs to, -1 outside"""
     modes: NDArray[np.int32]
     """(K, 2) row and col of each cluster's mode"""
+    driven: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), np.bool_))
+    """near a surface on which something was seen to move"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -104,6 +110,35 @@ class LanderView:
     """no safe site was found: returning to the take-off spot"""
     aborted: bool
     """gave up for another reason (a refused ``--site``, energy)"""
+    site_class: str | None = None
+    """what place recognition takes the ground of the site for; None where it is off"""
+    site_class_probability: float = float("nan")
+    """of ``site_class``"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlaceOpinion:
+    """What a classifier says of N pictures."""
+
+    chances: Array
+    """(N, 7) calibrated probabilities of ``scenes.api.LAND_CLASSES``, in their order"""
+    familiar: NDArray[np.bool_]
+    """(N,) False where a picture is far from all that the classifier was trained on"""
+
+
+class PlaceClassifier(Protocol):
+    """Names the kind of ground in square pictures from the air."""
+
+    @property
+    def image_size(self) -> int:
+        """Pixels across that ``look`` takes."""
+
+    @property
+    def least_probability(self) -> float:
+        """Of safe ground, below which a picture counts as unsafe: what suits the classifier."""
+
+    def look(self, pictures: NDArray[np.uint8]) -> PlaceOpinion:
+        """Of pictures (N, S, S, 3) RGB with S = ``image_size``."""
 
 
 class Lander(Protocol):
@@ -215,6 +250,25 @@ class LandingParams:
     sweep_m: float = 1.0
     final_speed_mps: float = 0.6
     touchdown_speed_mps: float = 0.09
+    place_recognition: str = "auto"
+    """``auto``: by the network that comes with the project, if one does; ``off``: sites are judged
+    by geometry alone; else the path of a network's file"""
+    place_least_probability: float = 0.0
+    """of a safe class, below which a site is refused; 0: what the network's file says"""
+    place_batch: int = 3
+    """sites that are classified together, before the first safe one ends it"""
+    place_rounds: int = 4
+    """how often other sites are looked for where none was of a safe class"""
+    place_patch_m: float = 6.4
+    """side of the square of ground around a site that is classified"""
+    place_pictures: int = 64
+    """pictures of the survey that are kept for it"""
+    place_batch_latency_s: float = 0.1
+    """what a decision takes longer for every batch"""
+    place_threads: int = 1
+    """of the processor, that classify"""
+    allow_risky: bool = False
+    """land on roads and roofs too; such a flight is judged on geometry"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

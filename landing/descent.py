@@ -91,6 +91,9 @@ def _look(flight: Flight, max_shift_m: float, name: str) -> Generator[Setpoint, 
     yield from flight.hover(flight.params.decision_latency_s)
     if look.position_odom is None:
         return f"at {name}: {look.reason}"
+    unsafe = _unsafe_place(flight, look.position_odom) if max_shift_m == _MAX_SHIFT_M else None
+    if unsafe is not None:
+        return f"at {name}: {unsafe}"
     flight.note = f"look at {name}: {look.reason}"
     moved = float(np.linalg.norm(look.position_odom[:2] - flight.site_odom[:2]))
     flight.site_odom = look.position_odom
@@ -98,6 +101,19 @@ def _look(flight: Flight, max_shift_m: float, name: str) -> Generator[Setpoint, 
         here = flight.odom(flight.reference_world)
         yield from _move(flight, np.array([*look.position_odom[:2], here[2]]), _SHIFT_SPEED_MPS)
     return None
+
+
+def _unsafe_place(flight: Flight, position: Array) -> str | None:
+    """Why the kind of ground at ``position`` (3,) is refused from closer, in words; None: it is
+    safe, or place recognition is off. At 4 m the camera sees too little of the place to ask."""
+    if flight.places is None:
+        return None
+    place = flight.places.look_again(
+        flight.site_place, position, flight.map_view, flight.obs.time_s
+    )
+    why = flight.places.refusal(place, flight.takes_risky)
+    flight.site_place = place
+    return why
 
 
 def _sweep(flight: Flight) -> Steps:

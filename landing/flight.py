@@ -17,6 +17,7 @@ from landing.energy import (
     return_time_s,
     search_leg_time_s,
 )
+from landing.place_check import PlaceCheck, SitePlace
 from landing.trajectory import PiecewiseTrajectory, State, through
 from landing.wind import WindGuess
 from sim.api import Observation, SensorRig
@@ -36,7 +37,13 @@ class Flight:
     estimate: Estimate
     map_view: MapView
 
-    def __init__(self, rig: SensorRig, params: LandingParams, survey: SurveyParams) -> None:
+    def __init__(
+        self,
+        rig: SensorRig,
+        params: LandingParams,
+        survey: SurveyParams,
+        places: PlaceCheck | None = None,
+    ) -> None:
         self.rig = rig
         self.params = params
         self.survey = survey
@@ -52,6 +59,11 @@ class Flight:
         self.site_odom: Array | None = None
         self.committed_site_world: Array | None = None
         self.refused_odom: list[Array] = []
+        self.places = places
+        """place recognition; None: it is off"""
+        self.site_place: SitePlace | None = None
+        self.alike_odom: list[Array] = []
+        """sites whose kind of ground was refused"""
         self.no_site = False
         self.aborted = False
         self.reference_world: Array = self.start_world.copy()
@@ -69,6 +81,8 @@ class Flight:
     def take_in(self, obs: Observation, estimate: Estimate, map_view: MapView) -> None:
         self._last_s = obs.time_s if self.takeoff_s is None else self.obs.time_s
         self.obs, self.estimate, self.map_view = obs, estimate, map_view
+        if self.places is not None:
+            self.places.take_in(obs, estimate)
         if self.takeoff_s is not None and self.phase is not Phase.TOUCHDOWN:
             self.wind.update(obs, estimate)
 
@@ -124,6 +138,11 @@ class Flight:
         """Whether the least bad site must do: asked for, or what the battery still gives is just
         enough for it."""
         return self.params.emergency == "battery" or self.time_left_s() < self.params.emergency_s
+
+    @property
+    def takes_risky(self) -> bool:
+        """Whether roads and roofs will do."""
+        return self.params.allow_risky or self.in_emergency
 
     def affords(self, seconds: float) -> bool:
         """Whether the battery gives ``seconds`` and then the way home and a landing there."""

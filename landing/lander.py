@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from controller.api import Setpoint
 from estimator.api import Estimate, MapView
-from landing.api import LanderView, LandingParams, Phase, SurveyParams
+from landing.api import LanderView, LandingParams, Phase, PlaceClassifier, SurveyParams
 from landing.flight import Flight, Steps
 from landing.health import HealthWatch, give_up
 from landing.phases import fly
+from landing.place_check import PlaceCheck
 from sim.api import Observation, SensorNeeds, SensorRig
 
 
@@ -20,8 +21,15 @@ class SiteLander:
 
     needs = SensorNeeds(camera_hz=10, lidar=True)
 
-    def __init__(self, rig: SensorRig, params: LandingParams, survey: SurveyParams) -> None:
-        self._flight = Flight(rig, params, survey)
+    def __init__(
+        self,
+        rig: SensorRig,
+        params: LandingParams,
+        survey: SurveyParams,
+        places: PlaceClassifier | None = None,
+    ) -> None:
+        check = None if places is None else PlaceCheck(places, rig, params)
+        self._flight = Flight(rig, params, survey, check)
         self._steps: Steps = fly(self._flight)
         self._health = HealthWatch()
 
@@ -42,6 +50,7 @@ class SiteLander:
 
     def view(self) -> LanderView:
         flight = self._flight
+        place = flight.site_place
         return LanderView(
             phase=flight.phase,
             note=flight.note,
@@ -52,4 +61,6 @@ class SiteLander:
             reference_world=flight.reference_world,
             no_site=flight.no_site,
             aborted=flight.aborted,
+            site_class=None if place is None else place.name,
+            site_class_probability=float("nan") if place is None else place.probability,
         )

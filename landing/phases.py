@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from controller.api import Setpoint
 from landing.api import Candidate, Phase
+from landing.choice import choose_commanded, choose_sites
 from landing.descent import descend_to, final_descent
 from landing.flight import Flight, Steps, vertical_move
 from landing.second_look import ground_under
-from landing.selector import check_site, select_sites
 from landing.trajectory import straight_trajectory, survey_trajectory
 
 Array = NDArray[np.float64]
@@ -86,7 +86,7 @@ def land_somewhere(flight: Flight) -> Generator[Setpoint, None, bool]:
             return True
         assert flight.site_odom is not None
         flight.refused_odom.append(flight.site_odom)
-        flight.site_odom = None
+        flight.site_odom = flight.site_place = None
         if flight.params.site_xy_m is not None:
             flight.aborted = True
             flight.note = f"the commanded site is refused: {look}"
@@ -107,8 +107,10 @@ def select(flight: Flight) -> Generator[Setpoint, None, Candidate | None]:
         if flight.in_emergency and flight.deadline_s is None:
             flight.deadline_s = flight.now + flight.params.emergency_s
         yield from flight.hover(_SETTLE_S)
+        asked = _batches(flight)
         site = _decide(flight)
-        yield from flight.hover(flight.params.decision_latency_s)
+        seconds = (_batches(flight) - asked) * flight.params.place_batch_latency_s
+        yield from flight.hover(flight.params.decision_latency_s + seconds)
         if site is not None:
             return site
         if flight.params.site_xy_m is not None:
@@ -127,24 +129,14 @@ def _decide(flight: Flight) -> Candidate | None:
     params = flight.params
     wanted = flight.commanded_odom
     if wanted is not None:
-        candidate, flight.costmap = check_site(flight.map_view, flight.estimate, params, wanted)
+        candidate = choose_commanded(flight, wanted)
         if not (candidate.accepted or params.check_site):
             candidate = _on_their_word(flight, wanted, candidate)
         flight.candidates = (candidate,)
         flight.aborted = not candidate.accepted
         flight.note = f"commanded site {params.site_xy_m}: {candidate.reason}"
     else:
-        selection = select_sites(
-            flight.map_view,
-            flight.estimate,
-            params,
-            footprint_radius_m=flight.rig.vehicle.footprint_radius_m,
-            reach_m=flight.reach_m(),
-            avoid_odom=flight.refused_odom,
-            wind_mps=flight.wind.speed_mps,
-            least_bad=flight.in_emergency,
-        )
-        flight.candidates, flight.costmap = selection.candidates, selection.costmap
+        flight.candidates = choose_sites(flight)
         if not flight.candidates:
             flight.note = "nothing mapped to choose from"
             return None
@@ -154,7 +146,14 @@ def _decide(flight: Flight) -> Candidate | None:
     if not candidate.accepted:
         return None
     flight.site_odom = candidate.position_odom
+    if flight.places is not None:
+        flight.site_place = flight.places.place_of(candidate)
     return candidate
+
+
+def _batches(flight: Flight) -> int:
+    """That place recognition was asked for so far."""
+    return 0 if flight.places is None else flight.places.batches
 
 
 def _on_their_word(flight: Flight, wanted: Array, refused: Candidate) -> Candidate:
@@ -239,7 +238,7 @@ def return_home(flight: Flight) -> Steps:
     yield from _straight(flight, above, in_world=True, hold_s=1.0)
     home = flight.start_world.copy()
     home[2] = flight.ground_world
-    flight.site_odom = flight.odom(home)
+    flight.site_odom, flight.site_place = flight.odom(home), None
     low = flight.site_odom + np.array([0, 0, flight.params.commit_height_m + flight.leg_height])
     here = flight.odom(flight.reference_world)
     yield from flight.follow(vertical_move(here, low[2], flight.params.descent_speed_mps))
@@ -254,7 +253,7 @@ def come_down_here(flight: Flight) -> Steps:
     ground = ground_under(flight.map_view, here[:2])
     if not np.isfinite(ground):
         ground = float(flight.odom(flight.start_world)[2]) - flight.leg_height
-    flight.site_odom = np.array([here[0], here[1], ground])
+    flight.site_odom, flight.site_place = np.array([here[0], here[1], ground]), None
     low = ground + flight.params.commit_height_m + flight.leg_height
     if low < here[2]:
         yield from flight.follow(vertical_move(here, low, flight.params.descent_speed_mps))

@@ -15,7 +15,7 @@ from landing.costmap import compute_costmap
 from landing.landable import LandableMap, assess, explain, fit_footprint, ground_planes
 from landing.risk import safe_probability
 from landing.terrain import Terrain, distance_to, observed_terrain
-from landing.traffic import traffic_penalty
+from landing.traffic import near_traffic, surfaces_of_sites, traffic_penalty
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -63,6 +63,7 @@ def select_sites(
     footprint_radius_m: float,
     reach_m: float = np.inf,
     avoid_odom: Sequence[Array] = (),
+    alike_odom: Sequence[Array] = (),
     wind_mps: float = 0.0,
     least_bad: bool = False,
 ) -> Selection:
@@ -70,6 +71,7 @@ def select_sites(
     ``params.scorer`` gives them less the penalty of ``landing.traffic``.
 
     ``reach_m``: how far the energy left allows to fly; ``avoid_odom``: sites already refused;
+    ``alike_odom``: sites whose kind of ground was refused: the surfaces they lie on rank lower;
     ``wind_mps``: speed of the wind as far as it is known; ``least_bad``: accept the most probable
     site where none is good enough. ValueError: an unknown scorer.
     """
@@ -83,7 +85,9 @@ def select_sites(
         np.logical_and(
             judged.allowed, np.hypot(x[None, :], y[:, None]) > _AVOID_M, out=judged.allowed
         )
-    value = _value_map(judged, params) - traffic_penalty(terrain, judged.landable, params)
+    driven = near_traffic(terrain, judged.landable)
+    worse = driven | surfaces_of_sites(terrain, alike_odom) if alike_odom else driven
+    value = _value_map(judged, params) - traffic_penalty(worse, params)
     if least_bad and not judged.allowed.any() and np.isfinite(value).any():
         judged.allowed.flat[int(np.nanargmax(value))] = True
     bandwidth, radius = bandwidths(footprint_radius_m / terrain.cell_m)
@@ -104,6 +108,7 @@ def select_sites(
         probability=judged.probability,
         cluster=clusters.label,
         modes=clusters.modes,
+        driven=driven,
     )
 
 

@@ -6,6 +6,8 @@ for as far as it gives the same echo: cars that were here a moment ago will be t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from landing.api import LandingParams
 from landing.landable import Defect, LandableMap
 from landing.terrain import Terrain, near
 
+Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
@@ -26,16 +29,32 @@ _NEAR_M = 2.0
 
 def driven_surface(terrain: Terrain, landable: LandableMap) -> Mask:
     """Cells that give the same echo as those where something moved, and are connected to them."""
-    moved = (landable.defect == Defect.MOVING) & terrain.known
-    if not moved.any():
+    return surface_of(terrain, (landable.defect == Defect.MOVING) & terrain.known)
+
+
+def surface_of(terrain: Terrain, cells: Mask) -> Mask:
+    """Cells that give the same echo as ``cells`` (rows, cols), and are connected to them."""
+    if not cells.any():
         return np.zeros(terrain.shape, np.bool_)
     echo = _smooth_echo(terrain)
-    typical = np.median(echo[moved])
+    typical = np.median(echo[cells])
     alike = terrain.known & (np.abs(echo - typical) <= _SAME_ECHO * typical)
     _, labels = cv2.connectedComponents(alike.astype(np.uint8), connectivity=4)
-    connected = np.unique(labels[moved & alike])
-    driven: Mask = np.isin(labels, connected[connected > 0])
-    return driven
+    connected = np.unique(labels[cells & alike])
+    surface: Mask = np.isin(labels, connected[connected > 0])
+    return surface
+
+
+def surfaces_of_sites(terrain: Terrain, sites_odom: Sequence[Array]) -> Mask:
+    """Cells of the surface that each of ``sites_odom`` (3,) lies on, by the same echo."""
+    found = np.zeros(terrain.shape, np.bool_)
+    for site in sites_odom:
+        row, col = terrain.cell_of(site)
+        if terrain.contains(row, col) and terrain.known[row, col]:
+            cells = np.zeros(terrain.shape, np.bool_)
+            cells[row, col] = True
+            found |= surface_of(terrain, cells)
+    return found
 
 
 def _smooth_echo(terrain: Terrain) -> Float32:
@@ -48,8 +67,12 @@ def _smooth_echo(terrain: Terrain) -> Float32:
     return (total / np.maximum(share, np.float32(1e-3))).astype(np.float32)
 
 
-def traffic_penalty(terrain: Terrain, landable: LandableMap, params: LandingParams) -> Float32:
-    """What is taken off C_sum when sites are ranked, (rows, cols): ``traffic_penalty`` within 2 m
-    of a surface that traffic uses, else 0."""
-    close = near(driven_surface(terrain, landable), _NEAR_M / terrain.cell_m)
+def near_traffic(terrain: Terrain, landable: LandableMap) -> Mask:
+    """Cells within 2 m of a surface that traffic uses."""
+    return near(driven_surface(terrain, landable), _NEAR_M / terrain.cell_m)
+
+
+def traffic_penalty(close: Mask, params: LandingParams) -> Float32:
+    """What is taken off C_sum when sites are ranked, (rows, cols): ``traffic_penalty`` in cells
+    that are ``close`` to traffic or to what place recognition refused, else 0."""
     return np.where(close, np.float32(params.traffic_penalty), np.float32(0.0))

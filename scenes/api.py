@@ -34,6 +34,15 @@ class Surface:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class LowSun:
+    """A sun that stands where it is told to instead of where a scene's seed puts it."""
+
+    elevation_deg: float
+    azimuth_deg: float | None = None
+    """where it stands, counter-clockwise from east; None: by the scene's seed"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class GroundRaster:
     """Class and reflectivity of the terrain geom, whose texture shows several materials. Cell
     (row, col) covers x in [x0 + col*c, ...), y in [y0 + row*c, ...), world frame."""

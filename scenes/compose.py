@@ -9,9 +9,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import Scene
+from scenes.api import LowSun, Scene
 from scenes.draft import SceneDraft
 from scenes.foreign import read_mjcf
+from scenes.light import lower_own_sun, sun_at
 from scenes.registry import scene_generator
 
 Array = NDArray[np.float64]
@@ -28,15 +29,17 @@ NEAR_M, FAR_M = 0.05, 400.0
 _PROBE_HEIGHT_M = 500.0
 
 
-def load_scene(name_or_path: str, seed: int) -> Scene:
+def load_scene(name_or_path: str, seed: int, sun: LowSun | None = None) -> Scene:
     """The place ``name_or_path`` with the vehicle on its take-off spot.
 
     name_or_path: a name of `scenes.registry.scene_names` or the path of an MJCF file (a path has
     a slash or ends in .xml). seed: non-negative; the same seed gives the same model to the byte.
-    A file's place does not depend on it.
+    A file's place does not depend on it. sun: instead of the scene's own; shadows are baked with
+    it in named scenes, files have no others than their own.
     Raises ValueError (unknown name, negative seed, malformed MJCF) and FileNotFoundError.
     """
-    spec, draft = compose_spec(name_or_path, seed)
+    with sun_at(sun):
+        spec, draft = compose_spec(name_or_path, seed)
     return compile_scene(spec, draft, Path(name_or_path).stem, seed, name_or_path)
 
 
@@ -71,6 +74,8 @@ def compose_spec(name_or_path: str, seed: int) -> tuple[Any, SceneDraft]:
         raise ValueError(f"seed {seed} is negative: give an integer from 0 up")
     is_path = name_or_path.endswith(".xml") or "/" in name_or_path
     draft = read_mjcf(Path(name_or_path)) if is_path else scene_generator(name_or_path)(seed)
+    if is_path:
+        lower_own_sun(draft.spec)
     furnish(draft)
     return draft.spec, draft
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import struct
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +32,28 @@ def export_scene(scene_or_spec: Scene | Any, out_dir: Path) -> Path:
         scene = scene_or_spec
         spec, _ = compose_spec(scene.source or scene.name, scene.seed)
         spec.body(VEHICLE_BODY).pos = scene.model.body_pos[scene.model.body(VEHICLE_BODY).id]
-    assets = Path(out_dir) / ASSETS
+    with _whole(Path(out_dir)) as folder:
+        _write(spec, folder)
+    return Path(out_dir) / "scene.xml"
+
+
+@contextmanager
+def _whole(out_dir: Path) -> Iterator[Path]:
+    """A folder that becomes ``out_dir``, where that is new or empty, if all goes well."""
+    if out_dir.is_dir() and any(out_dir.iterdir()):
+        yield out_dir
+        return
+    partial = out_dir.with_name(f".{out_dir.name}.partial-{os.getpid()}")
+    try:
+        partial.mkdir(parents=True)
+        yield partial
+        os.replace(partial, out_dir)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _write(spec: Any, out_dir: Path) -> None:
+    assets = out_dir / ASSETS
     assets.mkdir(parents=True, exist_ok=True)
     for texture in spec.textures:
         if len(texture.data):
@@ -47,10 +71,9 @@ def export_scene(scene_or_spec: Scene | Any, out_dir: Path) -> Path:
     for kind in ("texturedir", "meshdir", "assetdir"):
         compiler.attrib.pop(kind, None)
     compiler.set("assetdir", ASSETS)
-    path = Path(out_dir) / "scene.xml"
     ET.indent(root)
-    path.write_text(ET.tostring(root, encoding="unicode"))
-    return path
+    text = ET.tostring(root, encoding="unicode")
+    (out_dir / "scene.xml").write_text(text, encoding="utf-8")
 
 
 def _copy_file(spec: Any, element: Any, assets: Path) -> None:

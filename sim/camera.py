@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.api import Scene
-from sim.api import CameraIntrinsics, CameraParams
+from sim.api import CameraIntrinsics, CameraParams, FaultParams
 from sim.camera_gl import SNAPSHOT_FIELDS, Snapshot, Stage
 from sim.camera_optics import (
     NOISE_MARGIN,
@@ -29,6 +29,7 @@ from sim.camera_optics import (
     raster_rows,
     through_lens,
 )
+from sim.camera_trouble import CameraTrouble, Sight
 
 Bytes = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
@@ -45,7 +46,8 @@ class CameraSensor:
 
     ``render``, ``render_depth`` and ``render_segmentation`` show one instant through the same lens;
     they may run in any one thread: the GL context is made at the first picture and belongs to the
-    thread that asked for it. Grey noise depends on (seed, camera, tick) alone.
+    thread that asked for it. Grey noise depends on (seed, camera, tick) alone. ``faults`` of the
+    clock ``tick_hz`` trouble the pictures of ``render``.
 
     Raises ValueError when the model has no such camera or the parameters are impossible; rendering
     raises RuntimeError when there is no way to render on this machine, or when called from a second
@@ -58,6 +60,8 @@ class CameraSensor:
         params: CameraParams,
         seed: int,
         camera_name: str = CAMERA_NAME,
+        faults: FaultParams | None = None,
+        tick_hz: int = 600,
     ) -> None:
         self._model = scene.model
         self._params = params
@@ -71,6 +75,12 @@ class CameraSensor:
             )
         self._noise_key = [seed, crc32(camera_name.encode())]
         self._noise = noise_tile(params, self._noise_key)
+        self._trouble: CameraTrouble | None = None
+        if faults is not None and faults.events:
+            trouble = CameraTrouble(
+                faults, tick_hz, params, self._lens.raster, self._model, seed, camera_name
+            )
+            self._trouble = trouble if trouble.ever else None
         self._stage: Stage | None = None
         self._thread: int | None = None
 
@@ -89,12 +99,15 @@ class CameraSensor:
         are split evenly among them from the top, each band drawn from its own instant.
         """
         instants = [snapshot] if isinstance(snapshot, Snapshot) else list(snapshot)
-        whole = len(instants) == 1 and self._lens.map_x is None
+        sight = self._trouble.at(tick) if self._trouble is not None else None
+        whole = len(instants) == 1 and self._lens.map_x is None and sight is None
         if whole:  # the common case: `develop` flips, so that nothing is copied twice
             stage, height = self._own_stage(), self._params.height
             raw = stage.colour(instants[0], self._camera_id, 0, height)
         else:
-            raw = self._bands(instants)
+            raw = self._bands(instants, sight)
+        if self._trouble is not None and sight is not None:
+            raw = self._trouble.through_lens(sight, raw, instants[-1])
         table = exposure_table(self._params, raw)
         if table is not None:
             raw = cv2.LUT(raw, table).astype(np.uint8, copy=False)
@@ -121,8 +134,9 @@ class CameraSensor:
             self._stage.close()
         self._stage, self._thread = None, None
 
-    def _bands(self, instants: Sequence[Snapshot]) -> Bytes:
-        """(H, W, 3) picture, top row first, of one band of rows for every instant."""
+    def _bands(self, instants: Sequence[Snapshot], sight: Sight | None) -> Bytes:
+        """(H, W, 3) picture, top row first, of one band of rows for every instant, through the
+        air."""
         stage = self._own_stage()
         height, width = self._params.height, self._params.width
         picture = np.empty((height, width, 3), dtype=np.uint8)
@@ -132,7 +146,11 @@ class CameraSensor:
             if rows.start == rows.stop:
                 continue
             first, last = raster_rows(self._lens, rows)
-            drawn = np.ascontiguousarray(stage.colour(instant, self._camera_id, first, last)[::-1])
+            drawn = stage.colour(instant, self._camera_id, first, last)
+            if self._trouble is not None and sight is not None and sight.extinction > 0.0:
+                depth = stage.depth_of_last(last - first)
+                drawn = self._trouble.through_air(sight, drawn, depth, first)
+            drawn = np.ascontiguousarray(drawn[::-1])
             picture[rows] = through_lens(self._lens, drawn, first, rows, smooth=True)
         return picture
 

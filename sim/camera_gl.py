@@ -80,6 +80,14 @@ class Stage:
         mujoco.mjr_readPixels(pixels, None, viewport, self._context)
         return pixels
 
+    def depth_of_last(self, rows: int) -> Float32:
+        """(rows, W) float32 metres along the optical axis of the ``colour`` just drawn, ``inf``
+        where nothing is drawn."""
+        buffer = np.empty((rows, self._pinhole.width), dtype=np.float32)
+        viewport = mujoco.MjrRect(0, 0, self._pinhole.width, rows)
+        mujoco.mjr_readPixels(None, buffer, viewport, self._context)
+        return _metres(buffer, self._scene.camera[0])
+
     def depth(self, snapshot: Snapshot, camera_id: int) -> Float32:
         """(H, W) float32 metres along the optical axis, ``inf`` where nothing is drawn."""
         viewport = self._draw_ids(snapshot, camera_id)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from sim.api import FAULT_KINDS, CameraImage, Fault, FaultParams, GpsFix, LidarScan, Observation
+from sim.fault_types import LASTING_KINDS, WORLD_KINDS
 
 _STREAMS = ("scans", "images", "gps")
 _STAMPS: dict[type, tuple[str, ...]] = {
@@ -37,8 +38,8 @@ class FaultInjector:
                     for fault in params.schedule()
                     if name in FAULT_KINDS[fault.kind]
                 ],
-                round(params.late_s * tick_hz),
-                np.array(params.gps_jump_m),
+                params,
+                tick_hz,
             )
             for name in _STREAMS
         }
@@ -84,16 +85,17 @@ class _Pending:
         if tick < self.start_tick:
             return False
         if self.end_tick is None:
-            return self.befallen == 0
+            return self.befallen == 0 or self.fault.kind in LASTING_KINDS
         return tick < self.end_tick
 
 
 class _FaultyStream:
     """The messages of one sensor on their way."""
 
-    def __init__(self, faults: list[_Pending], late_ticks: int, gps_jump: Any) -> None:
+    def __init__(self, faults: list[_Pending], params: FaultParams, tick_hz: int) -> None:
         self.faults = faults
-        self._late_ticks = late_ticks
+        self._params, self._tick_hz = params, tick_hz
+        self._late_ticks = round(params.late_s * tick_hz)
         self._last: Any = None
         self._held: Any = None
         self._queue: deque[tuple[int, Any]] = deque()
@@ -102,7 +104,7 @@ class _FaultyStream:
             "lidar_empty": partial(_pulses, take=slice(0)),
             "lidar_blind": _without_returns,
             "camera_black": _black,
-            "gps_jump": partial(_moved, offset=gps_jump),
+            "gps_jump": partial(_moved, offset=np.array(params.gps_jump_m)),
             "lidar_frozen": self._frozen,
             "camera_frozen": self._frozen,
             "gps_frozen": self._frozen,
@@ -123,12 +125,19 @@ class _FaultyStream:
         due, swap = tick, self._held is not None
         for pending in self.faults:
             kind = pending.fault.kind
-            if not pending.befalls(tick):
+            in_world = kind in WORLD_KINDS
+            if not pending.befalls(_measured(message) if in_world else tick):
                 continue
             pending.befallen += 1
+            if in_world:
+                continue  # it has happened to it already
             if kind.endswith("_dropout"):
                 return
-            if kind in self._content:
+            if kind.endswith("_skew"):
+                message = self._skewed(message, pending.start_tick)
+            elif kind == "gps_spoof":
+                message = self._spoofed(message, pending.start_tick)
+            elif kind in self._content:
                 message = self._content[kind](message)
             elif kind.endswith("_late"):
                 due = tick + self._late_ticks
@@ -149,9 +158,30 @@ class _FaultyStream:
             due = max(due, self._queue[-1][0])
         self._queue.append((due, message))
 
+    def _skewed(self, message: Any, start_tick: int) -> Any:
+        """With the stamps of a clock that is off, and more so the longer it runs fast."""
+        hz, params = self._tick_hz, self._params
+        since_s = max(0, _measured(message) - start_tick) / hz
+        shift = round((params.skew_s + 1e-6 * params.skew_ppm * since_s) * hz)
+        ticks = {n: getattr(message, n) + shift for n in _STAMPS[type(message)] if "tick" in n}
+        times = {n.replace("tick", "time_s"): tick / hz for n, tick in ticks.items()}
+        return dataclasses.replace(message, **ticks, **times)
+
+    def _spoofed(self, fix: GpsFix, start_tick: int) -> GpsFix:
+        """Drawn away at a constant velocity from where it was when the spoofing began."""
+        velocity = np.array(self._params.gps_spoof_mps)
+        since_s = max(0, fix.tick - start_tick) / self._tick_hz
+        moved = _moved(fix, velocity * since_s)
+        return dataclasses.replace(moved, velocity_world=fix.velocity_world + velocity)
+
     def _frozen(self, message: Any) -> Any:
         """What was delivered last, as if it had been measured now."""
         return message if self._last is None else _stamped(self._last, message)
+
+
+def _measured(message: Any) -> int:
+    """Tick at the end of the measurement, as it is stamped."""
+    return int(message.end_tick if isinstance(message, LidarScan) else message.tick)
 
 
 def _stamped(message: Any, like: Any) -> Any:

@@ -21,7 +21,9 @@ from sim import lidar_returns as returns
 from sim.api import LidarParams, LidarScan
 from sim.frames import Pose, quat_wxyz_from_matrix
 from sim.lidar_scene import Hits, LidarScene, RayTarget, rays_behind
+from sim.lidar_weather import Clutter, LidarWeather
 from sim.livox import ScanPattern, pattern
+from sim.weather import Weather
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -97,10 +99,13 @@ class LidarSensor:
     """Simulates the LIDAR that ``params.preset`` names in ``scene``.
 
     ``scan`` is a pure function of its arguments, the scene and the seed: it may run in any thread
-    beside the physics. Raises ValueError for an unknown preset or return mode.
+    beside the physics. Without ``weather`` the air is clear. Raises ValueError for an unknown
+    preset or return mode.
     """
 
-    def __init__(self, scene: Scene, params: LidarParams, seed: int) -> None:
+    def __init__(
+        self, scene: Scene, params: LidarParams, seed: int, weather: Weather | None = None
+    ) -> None:
         if params.return_mode not in ("first", "strongest"):
             raise ValueError(
                 f"unknown LIDAR return mode '{params.return_mode}': choose first or strongest"
@@ -118,6 +123,11 @@ class LidarSensor:
         self._budget = returns.LinkBudget.of(
             self._pattern.range_limits_m, self._pattern.range_reflectivities, self._max_range
         )
+        self._weather = None
+        if weather is not None and weather.ever:
+            self._weather = LidarWeather(
+                weather, self._pattern, params, self._budget, self._quantiles
+            )
 
     @property
     def scene(self) -> LidarScene:
@@ -153,7 +163,8 @@ class LidarSensor:
         track = body.mounted(body_from_lidar)
         pulses = self._aim(first, nominal, np.arange(count), _ON_AXIS, track)
         movers = self._in_view(track, self._movers(body_times_s, moving_poses))
-        ranges, intensity = self._measure(first, nominal, pulses, track, movers)
+        clutter = self._weather.at(end_tick) if self._weather is not None else None
+        ranges, intensity = self._measure(first, nominal, pulses, track, movers, clutter)
         return LidarScan(
             start_tick=start_tick,
             end_tick=end_tick,
@@ -290,7 +301,13 @@ class LidarSensor:
     # -------------------------------------------------------------------------- returns
 
     def _measure(
-        self, first: int, nominal: Float32, pulses: _Rays, track: _Track, movers: _Movers
+        self,
+        first: int,
+        nominal: Float32,
+        pulses: _Rays,
+        track: _Track,
+        movers: _Movers,
+        clutter: Clutter | None,
     ) -> tuple[Float32, NDArray[np.uint8]]:
         """Ranges and intensities of all pulses."""
         hits, others = self._cast(pulses.rays, pulses.times, movers, open_ground=True)
@@ -300,6 +317,8 @@ class LidarSensor:
             pulses, hits = _Rays.joined(pulses, *parts), Hits.joined(hits, *part_hits)
         self._penetrate(pulses, hits, movers)
         strengths, ranges, intensity = self._receive(pulses, hits)
+        if clutter is not None:
+            clutter.weaken(hits.distance, pulses.bits, strengths, ranges, intensity)
         count = len(nominal)
         ranges, intensity = ranges[:count], intensity[:count]
         if split.size:
@@ -318,6 +337,8 @@ class LidarSensor:
                 ranges,
                 intensity,
             )
+        if clutter is not None:
+            clutter.scatter(pulses.bits[:count], ranges, intensity)
         return ranges, intensity
 
     def _split(

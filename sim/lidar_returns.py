@@ -46,6 +46,8 @@ _INTENSITY_PER_REFLECTIVITY = 150.0
 """Livox scale: 0..150 is 0..100 % of a matt target, above lies mirror-like reflection."""
 _WATER_SALT = 0x85EBCA6B
 _LIMIT_SALT = 0x27D4EB2F
+_AIR_SALT = 0x165667B1
+_DROP_SALT = 0x2545F491
 _PORE_SALT = 1 << 8
 """Plus the geom's id; keeps clear of the salts of a beam's parts."""
 
@@ -79,6 +81,13 @@ class LinkBudget:
         reach = steps / (1.0 - _SURE_SIGMAS * _LIMIT_SPREAD)
         at = np.clip(np.searchsorted(limits, reach) - 1, 0, len(powers) - 1)
         return LinkBudget(anchors, levels[at] * (reach / limits[at]) ** (1.0 / powers[at]))
+
+    def strength_needed(self, ranges_m: Array) -> Array:
+        """Strength that is just detected at each of the ranges."""
+        limits, levels, powers = self.anchors.T
+        at = np.clip(np.searchsorted(limits, ranges_m) - 1, 0, len(limits) - 2)
+        needed: Array = levels[at] * (ranges_m / limits[at]) ** (1.0 / powers[at])
+        return needed
 
     def limit_m(self, strength: float) -> float:
         """Metres at which a target of this strength is just detected."""
@@ -190,6 +199,66 @@ def receive(
         if strength >= sure[step] or _detected(d, strength, bits[i], anchors, quantiles):
             ranges[i] = max(d + range_sigma * range_noise[i], min_range)
             intensity[i] = _level(strength)
+
+
+@njit(cache=True, nogil=True)
+def weaken(
+    distance: Float32,
+    bits: Uint32,
+    extinction: float,
+    anchors: Array,
+    quantiles: Array,
+    strengths: Float32,
+    ranges: Float32,
+    intensity: Uint8,
+) -> None:
+    """Undivided pulses through air of this extinction in 1/m, there and back: lowers ``strengths``
+    and ``intensity`` (N,), and takes away the ``ranges`` (N,) of what is too weak by then."""
+    for i in range(distance.shape[0]):
+        if strengths[i] <= 0.0:
+            continue
+        strengths[i] *= math.exp(-2.0 * extinction * distance[i])
+        if ranges[i] > 0.0:
+            if _detected(distance[i], strengths[i], bits[i], anchors, quantiles):
+                intensity[i] = _level(strengths[i])
+            else:
+                ranges[i], intensity[i] = 0.0, 0
+
+
+@njit(cache=True, nogil=True)
+def clutter(
+    bits: Uint32,
+    expected: Array,
+    threshold: Array,
+    spread: float,
+    step_m: float,
+    min_range: float,
+    strongest: bool,
+    ranges: Float32,
+    intensity: Uint8,
+) -> None:
+    """Puts the nearest echo of the air in the place of ``ranges`` and ``intensity`` (N,) where it
+    comes before them, or with ``strongest`` where it is the stronger one. ``expected`` (K,) echoes
+    up to k ``step_m``, each of the strength ``threshold`` (K,) at least. Beyond what just counts,
+    diameters of drops are exponentially distributed, with the relative mean ``spread``."""
+    first = min(math.ceil(min_range / step_m), expected.shape[0] - 1)
+    for i in range(bits.shape[0]):
+        draw = expected[first] - math.log(_uniform(bits[i], _AIR_SALT))
+        if draw >= expected[-1]:
+            continue
+        k = int(np.searchsorted(expected, draw))
+        part = (draw - expected[k - 1]) / (expected[k] - expected[k - 1])
+        r = (k - 1 + part) * step_m
+        width = 1.0 - spread * math.log(_uniform(bits[i], _DROP_SALT))
+        strength = threshold[k] * width * width
+        if ranges[i] > 0.0:
+            if strongest:
+                target = intensity[i] / _INTENSITY_PER_REFLECTIVITY / (ranges[i] * ranges[i])
+                if target >= strength / (r * r):
+                    continue
+            elif ranges[i] <= r:
+                continue
+        ranges[i], intensity[i] = r, _level(strength)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

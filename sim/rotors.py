@@ -53,15 +53,18 @@ class Rotors:
         self.speeds = np.zeros(4)
         self.wrench = np.zeros(6)
 
-    def demand(self, rotor_speed_radps: Array) -> None:
+    def demand(self, rotor_speed_radps: Array, speed_share: Array | None = None) -> None:
         """Takes a command, (4,) rad/s: 0 switches a motor off, anything else is held within the
-        motor's range. ValueError: a wrong shape or a value that is not a finite number."""
+        motor's range. Of that, weak motors reach ``speed_share`` (4,). ValueError: a wrong shape or
+        a value that is not a finite number."""
         if np.shape(rotor_speed_radps) != (4,) or not np.all(np.isfinite(rotor_speed_radps)):
             raise ValueError(
                 f"a command must hold 4 finite rotor speeds in rad/s, not {rotor_speed_radps!r}"
             )
         np.clip(rotor_speed_radps, self._min, self._max, out=self._demand)
         self._demand[np.asarray(rotor_speed_radps) <= 0.0] = 0.0
+        if speed_share is not None:
+            self._demand *= speed_share
 
     def cut(self) -> None:
         """No power: every demand is 0."""

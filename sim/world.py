@@ -27,10 +27,11 @@ from sim.api import (
     WindParams,
 )
 from sim.battery import Battery
-from sim.camera import CameraSensor, Snapshot
+from sim.camera import CAMERA_NAME, CameraSensor, Snapshot
 from sim.clock import check_rates, image_period_ticks, readout_ticks
 from sim.contacts import ContactSensor
 from sim.delivery import DeliveryQueue, make_executor
+from sim.disturbances import Disturbances
 from sim.faults import FaultInjector
 from sim.frames import Pose, matrix_from_quat_wxyz
 from sim.ground import GroundProbe
@@ -42,6 +43,7 @@ from sim.navigation import NavSensors
 from sim.physics import prepare_physics, settle_on_ground
 from sim.rotors import Rotors
 from sim.vehicle import rotor_geometry, sensor_poses, vehicle_body_id, vehicle_model
+from sim.weather import Weather
 from sim.wind import Wind
 
 Array = NDArray[np.float64]
@@ -121,7 +123,7 @@ class MujocoWorld:
         self._track_quats = np.empty((ticks + 1, 4))
         pattern(lidar.preset)  # an unknown one is an error even where no LIDAR is asked for
         self._lidar_params, self._camera_params = lidar, camera
-        self._camera = CameraSensor(self._scene, camera, self._seed)
+        self._camera = self._make_camera(CAMERA_NAME)
         self._lidar: LidarSensor | None = None
         self._right: CameraSensor | None = None
         self._scans: DeliveryQueue[LidarScan] = DeliveryQueue(self._executor)
@@ -133,10 +135,21 @@ class MujocoWorld:
         self._image_period = image_period_ticks(self._sim, self._needs)
         self._readout = readout_ticks(self._camera_params.readout_s, self._sim)
         if self._needs.lidar and self._lidar is None:
-            self._lidar = LidarSensor(self._scene, self._lidar_params, self._seed)
+            air = Weather(self._fault_params, self._sim.tick_hz)
+            self._lidar = LidarSensor(self._scene, self._lidar_params, self._seed, air)
         if self._needs.stereo and self._right is None:
-            self._right = CameraSensor(self._scene, self._camera_params, self._seed, RIGHT_CAMERA)
+            self._right = self._make_camera(RIGHT_CAMERA)
         self._nav = self._make_nav()
+
+    def _make_camera(self, name: str) -> CameraSensor:
+        return CameraSensor(
+            self._scene,
+            self._camera_params,
+            self._seed,
+            name,
+            self._fault_params,
+            self._sim.tick_hz,
+        )
 
     def _make_nav(self) -> NavSensors:
         return NavSensors(self._scene, self._nav_params, self._sim, self._needs, self._seed)
@@ -193,7 +206,9 @@ class MujocoWorld:
         self._battery = Battery(self._sim.battery_capacity_j)
         self._imu = ImuSensor(self._imu_params, self._sim.tick_hz, self._sim.imu_ticks, self._seed)
         self._nav = self._make_nav()
-        self.faults = FaultInjector(self._fault_params, self._sim.tick_hz)
+        faults, tick_hz = self._fault_params, self._sim.tick_hz
+        self.faults = FaultInjector(faults, tick_hz)
+        self.disturbances = Disturbances(faults, tick_hz, self._wind_params.mean_kmh, self._seed)
         self._ground_z = float(self._position[2]) - self._vehicle.leg_height_m
         self._mark_start()
         self._acceleration = np.zeros(3)
@@ -214,6 +229,7 @@ class MujocoWorld:
         height = float(self._position[2]) - self._ground_z
         airspeed = float(np.linalg.norm(self._velocity - self._air))
         self._air[:] = self._wind.step(self._step_s, height, airspeed)
+        self.disturbances.add_gust(self._tick, self._wind.mean_direction, self._air)
         clearance = self._ground.clearance(self._data, self._position)
         velocity_before = self._velocity.copy()
         self._peak_acceleration = 0.0
@@ -292,7 +308,8 @@ class MujocoWorld:
         if self._battery.empty:
             self._rotors.cut()
         else:
-            self._rotors.demand(command.rotor_speed_radps)
+            share = self.disturbances.rotor_speed_share(self._tick)
+            self._rotors.demand(command.rotor_speed_radps, share)
 
     def _advance_tick(self, clearance_m: float) -> None:
         before = self._velocity.tolist()
@@ -382,7 +399,7 @@ class MujocoWorld:
             times_s,
             positions,
             quats_wxyz,
-            self.rig.body_from_lidar,
+            self.disturbances.lidar_mount(end_tick, self.rig.body_from_lidar),
             self._moving.tracks(times_s),
         )
 

@@ -69,7 +69,7 @@ def test_the_seed_of_the_place_is_apart_from_that_of_the_flight(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     asked: list[tuple[str, int]] = []
-    monkeypatch.setattr("scenes.compose.load_scene", lambda *place: asked.append(place))
+    monkeypatch.setattr("scenes.compose.load_scene", lambda *place: asked.append(place[:2]))
     build_scene(load_config(None, ["scene_seed=7"], scene="turf", seed=3))
     build_scene(load_config(None, [], scene="turf", seed=3))
     assert asked == [("turf", 7), ("turf", 3)]

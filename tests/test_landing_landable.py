@@ -16,7 +16,7 @@ from landing.second_look import ground_under, look_again
 from landing.selector import check_site, select_sites
 from landing.terrain import Terrain, observed_terrain
 from landing.touchdown import TouchdownDetector
-from landing.traffic import traffic_penalty
+from landing.traffic import near_traffic, traffic_penalty
 from sim.frames import Pose
 
 Array = NDArray[np.float64]
@@ -172,11 +172,12 @@ def test_the_surface_that_traffic_uses_is_avoided_as_far_as_it_goes() -> None:
     grid.intensity[:, :40] = 14.0
     grid.intensity[:, 40:] = 46.0
     terrain, result = judged(grid)
-    assert traffic_penalty(terrain, result, PARAMS).max() == 0.0  # nothing moved: nothing known
+    # nothing moved: nothing known
+    assert traffic_penalty(near_traffic(terrain, result), PARAMS).max() == 0.0
     grid.height_std_m[30:50, 2:10] = 0.5
     grid.max_height_m[30:50, 2:10] = 1.5
     terrain, result = judged(grid)
-    penalty = traffic_penalty(terrain, result, PARAMS)
+    penalty = traffic_penalty(near_traffic(terrain, result), PARAMS)
     assert penalty[70, 30] == pytest.approx(0.3)  # the same surface, far from where it moved
     assert penalty[70, 60] == 0.0
     sites = select_sites(view_of(grid), ABOVE, PARAMS, footprint_radius_m=0.5).candidates

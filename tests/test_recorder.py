@@ -17,6 +17,7 @@ from experiments.pictures import map_points
 from experiments.recorder import NullRecorder, RunRecorder
 from experiments.rerun_scene import pose_on_path
 from experiments.scan_points import scan_points_odom
+from experiments.sensor_log import FILE_NAME, SensorLog
 from experiments.tum import TumWriter, read_tum
 from landing.api import Candidate, CostmapView, Phase
 from scenes.api import MovingBody, Scene, Surface
@@ -28,6 +29,7 @@ from sim.api import (
     LidarParams,
     LidarScan,
     Observation,
+    SensorNeeds,
     SensorRig,
     VehicleModel,
 )
@@ -333,6 +335,15 @@ def test_without_recording_only_the_rrd_is_missing(
     names = {path.name for path in tmp_path.iterdir()}
     assert "flight.rrd" not in names
     assert {"truth.tum", "map.ply", "costmap.png"} <= names
+
+
+def test_with_sensors_the_odometry_is_kept_apart(
+    tmp_path: Path, scene: Scene, rig: SensorRig
+) -> None:
+    log = SensorLog(tmp_path / FILE_NAME, rig, SensorNeeds(lidar=True))
+    _fly(RunRecorder(tmp_path, scene, rig, load_config(record=False), log), steps=100)
+    odometry, estimate = ((tmp_path / f"{name}.tum") for name in ("odometry", "estimate"))
+    assert odometry.read_bytes() == estimate.read_bytes()  # its frame is the world's
 
 
 def test_null_recorder_takes_the_same_calls() -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.campaign_dir import write_text
+from experiments.expectations import Verdict
 from experiments.reporting import published
 from experiments.reporting.distance import add_errors_by_distance, distance_tables
 from experiments.reporting.figures import Picture, all_pictures
@@ -37,6 +38,7 @@ from experiments.reporting.tables import (
     trajectory_tables,
 )
 from experiments.reporting.words import leading_words, published_words, summary_words
+from experiments.run_directory import run_directory
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +59,15 @@ class Report:
     """text of the campaign's file, empty where there is none"""
 
 
-def make_report(rows: list[dict[str, Any]], *, title: str, configuration: str = "") -> Report:
-    """Everything that the flights of ``rows`` (see `flights.load_flights`) give."""
+def make_report(
+    rows: list[dict[str, Any]],
+    *,
+    title: str,
+    configuration: str = "",
+    verdicts: Sequence[Verdict] = (),
+) -> Report:
+    """Everything that the flights of ``rows`` (see `flights.load_flights`) give; ``verdicts`` on
+    what was expected of them."""
     add_path_deviations(rows)
     add_errors_by_distance(rows)
     drawn = [*all_pictures(rows), *landing_pictures(rows)]
@@ -83,12 +92,34 @@ def make_report(rows: list[dict[str, Any]], *, title: str, configuration: str = 
         Section("paths", "Trajectories", _path_words(rows), [], named("fig9a", "fig9b")),
         Section("landings", "Landings", landing_words(rows), landing_tables(rows), named("fig12")),
         Section("outcomes", "Outcomes", [], [outcome_table(rows)], []),
+        Section("expected", "As expected", *expectation_parts(verdicts), []),
         Section("consistency", "Consistency", [], [consistency] if consistency else [], []),
         Section("time", "Time", [], [time] if time else [], []),
         Section("conditions", "Conditions", condition_words(rows), [], []),
     ]
     kept = [s for s in sections if s.tables or s.pictures or s.key in _ALWAYS]
     return Report(title, tiles(rows), kept, configuration)
+
+
+def expectation_parts(verdicts: Sequence[Verdict]) -> tuple[list[str], list[Table]]:
+    """Words on the runs that are not as expected, and a table with a row for each expectation."""
+    words = [
+        f"`{run_id}`: {reason}." for v in verdicts for run_id, reason in v.failures.items()
+    ]  # fmt: skip
+    if not verdicts:
+        return words, []
+    rows = [
+        [
+            Cell(verdict.name, kind="name"),
+            Cell(verdict.expected),
+            Cell(", ".join(f"{name} {n}" for name, n in sorted(verdict.outcomes.items()))),
+            Cell("–" if verdict.largest_error_m is None else f"{verdict.largest_error_m:.2f}"),
+            Cell(verdict.word),
+        ]
+        for verdict in verdicts
+    ]
+    header = ["runs", "expected", "came to", "largest error, m", "verdict"]
+    return words, [Table("expected", "What was expected, and what came", header, rows)]
 
 
 _ALWAYS = ("summary", "published", "conditions")
@@ -212,7 +243,15 @@ def as_json(report: Report, rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def write_report(report: Report, rows: Sequence[Row], out: Path) -> dict[str, Path]:
-    """Writes ``report.md``, ``report.html``, ``report.json`` and ``figures/`` into ``out``."""
+    """Writes ``report.md``, ``report.html``, ``report.json`` and ``figures/`` into ``out``, which
+    appears complete where it is new."""
+    if not out.exists():
+        with run_directory(out) as partial:
+            return {kind: out / path.name for kind, path in _write(report, rows, partial).items()}
+    return _write(report, rows, out)
+
+
+def _write(report: Report, rows: Sequence[Row], out: Path) -> dict[str, Path]:
     (out / "figures").mkdir(parents=True, exist_ok=True)
     for section in report.sections:
         for picture in section.pictures:

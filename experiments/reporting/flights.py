@@ -92,9 +92,20 @@ def cell(rows: Iterable[Row], scene: str | None = None, method: str | None = Non
 
 def is_bad(row: Row) -> bool:
     """Not flown to the end, or landed on ground that is unsafe."""
-    if row["outcome"] == "LANDED" and row.get("landing.safe_geometry") is False:
+    if row["outcome"] == "LANDED" and touched_safe_ground(row) is False:
         return True
     return row["outcome"] not in GOOD_OUTCOMES
+
+
+def judged_by_class(row: Row) -> bool:
+    """Whether the kind of ground counts, and not its geometry alone."""
+    return row.get("landing.judged_on") == "geometry and class"
+
+
+def touched_safe_ground(row: Row) -> bool | None:
+    """By what the flight is judged on; None where nothing was touched."""
+    found = row.get("landing.safe" if judged_by_class(row) else "landing.safe_geometry")
+    return found if isinstance(found, bool) else None
 
 
 def outcome_counts(rows: Iterable[Row]) -> dict[str, int]:

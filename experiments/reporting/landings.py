@@ -10,10 +10,12 @@ from experiments.reporting import published
 from experiments.reporting.flights import (
     Row,
     cell,
+    judged_by_class,
     methods_of,
     number,
     outcome_counts,
     scenes_of,
+    touched_safe_ground,
     values,
 )
 from experiments.reporting.statistics import Estimate, mean_interval, share_interval
@@ -59,8 +61,14 @@ def landed_of(rows: Sequence[Row]) -> list[Row]:
 
 
 def unsafe_of(rows: Sequence[Row]) -> list[Row]:
-    """Flights that touched ground which is unsafe by geometry, whatever their outcome."""
-    return [row for row in rows if row.get("landing.safe_geometry") is False]
+    """Flights that touched unsafe ground, whatever their outcome: unsafe by geometry or, where
+    places were recognised, by class."""
+    return [row for row in rows if touched_safe_ground(row) is False]
+
+
+def _unsafe_word(rows: Sequence[Row]) -> str:
+    """By what flights are judged."""
+    return "unsafe" if any(map(judged_by_class, rows)) else "unsafe by geometry"
 
 
 def landing_tables(rows: Sequence[Row]) -> list[Table]:
@@ -96,7 +104,7 @@ def _table_5(landings: Sequence[Row]) -> Table:
             table.rows.append([name_cell(method), where, *blanks, *printed])
         for scene, own in _groups(landings, method):
             landed = landed_of(own)
-            safe = sum(row.get("landing.safe_geometry") is True for row in landed)
+            safe = sum(touched_safe_ground(row) is True for row in landed)
             measured = [mean_of(measure[2])(landed) for measure in _MEASURES]
             line = [name_cell(method), Cell(scene, kind="name"), Cell(str(len(own)))]
             line += [_share(len(landed), len(own)), _share(safe, len(own))]
@@ -109,8 +117,9 @@ def _table_5(landings: Sequence[Row]) -> Table:
             }
     table.notes = [
         "Shares are of all flights that were to land, with Wilson's 95 % interval; safe means that "
-        "the true ground around the touchdown is safe by geometry. The other figures are over the "
-        "flights that landed. The paper's are of five flights per method on a real vehicle.",
+        "the true ground around the touchdown is safe by geometry, and of a safe class in flights "
+        "that recognise places. The other figures are over the flights that landed. The paper's "
+        "are of five flights per method on a real vehicle.",
         "d_L: from the first contact to the site as committed at 4 m, or as commanded. v_z, a_z: "
         "mean absolute values over the last 0.5 s. α_L: slope of the true ground. Tilt: of the "
         "vehicle, the largest from the first contact on; the paper prints no figure for it.",
@@ -237,10 +246,10 @@ def _method_words(method: str, own: Sequence[Row]) -> list[str]:
         named = (f"{row['scene']} seed {row['seed']}" for row in unsafe[:_NAMED])
         more = f" and {len(unsafe) - _NAMED} more" if len(unsafe) > _NAMED else ""
         lines[0] += (
-            f" {len(unsafe)} touched ground that is unsafe by geometry: {', '.join(named)}{more}."
+            f" {len(unsafe)} touched ground that is {_unsafe_word(own)}: {', '.join(named)}{more}."
         )
     else:
-        lines[0] += " None touched ground that is unsafe by geometry."
+        lines[0] += f" None touched ground that is {_unsafe_word(own)}."
     extremes = [
         f"{title.partition(' (')[0]} {digits(worst)} {title.partition('(')[2].rstrip(')')}"
         for title, key, scale in _EXTREMES[2:]

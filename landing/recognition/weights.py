@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from landing.recognition.decision import Limits
 from landing.recognition.labels import SCHEMES
 
 SUFFIX = ".onnx"
@@ -22,6 +23,8 @@ class NetworkFacts:
     """a key of `landing.recognition.labels.SCHEMES`"""
     image_size: int
     classes: tuple[str, ...]
+    limits: Limits = field(default_factory=Limits)
+    """what an answer must reach to be landed on; fitted with ``d_land`` alone"""
 
     def properties(self) -> dict[str, str]:
         """As a file keeps them."""
@@ -30,6 +33,8 @@ class NetworkFacts:
             "labels": self.labels,
             "image_size": str(self.image_size),
             "classes": " ".join(self.classes),
+            "least_probability": repr(self.limits.least_probability),
+            "least_energy": repr(self.limits.least_energy),
         }
 
 
@@ -41,6 +46,13 @@ def facts_of(properties: Mapping[str, str], path: Path) -> NetworkFacts:
             labels=properties["labels"],
             image_size=int(properties["image_size"]),
             classes=tuple(properties["classes"].split()),
+            limits=Limits(
+                **{
+                    name: float(properties[name])
+                    for name in ("least_probability", "least_energy")
+                    if name in properties
+                }
+            ),
         )
     except (KeyError, ValueError) as error:
         raise ValueError(f"'{path}' does not say what it recognises: {error}") from error

@@ -55,6 +55,8 @@ class Trained:
     temperature: float
     history: list[dict[str, float]]
     best_epoch: int
+    scores: NDArray[np.float32]
+    """(N, C) calibrated, of the validation pictures"""
 
 
 def chosen_device(name: str) -> torch.device:
@@ -164,7 +166,8 @@ class Trainer:
         network.load_state_dict(checkpoint.read_best(self._folder))
         found = predict(network, self._val.images, self._device)
         temperature = scores.fitted_temperature(found, self._val.labels)
-        return Trained(network.cpu(), temperature, self.history, self.best_epoch)
+        calibrated = (found / temperature).astype(np.float32)
+        return Trained(network.cpu(), temperature, self.history, self.best_epoch, calibrated)
 
     def _step(self, step: int, batch: NDArray[np.int64], generator: torch.Generator) -> float:
         for group in self._optimizer.param_groups:
