@@ -289,7 +289,7 @@ def outside_builder(name: str) -> Callable[[dict[str, Any], SensorRig], Estimato
     module_name, _, function_name = name.partition(":")
     try:
         build = getattr(importlib.import_module(module_name), function_name)
-    except (ImportError, AttributeError) as error:
+    except (ImportError, AttributeError, SyntaxError, ValueError) as error:
         raise UsageError(
             f"estimator '{name}': {error}; give MODULE:FUNCTION importable from here"
         ) from error

@@ -313,7 +313,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_INTERRUPTED
     except SystemExit:
         # So click ends where the reader of a pipe has left, which is no failure of ours.
-        if type(sys.stdout).__name__ != "PacifyFlushWrapper":
+        if not type(sys.stdout).__name__.endswith("PacifyFlushWrapper"):
             raise
         return EXIT_DONE
     except BrokenPipeError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
@@ -43,7 +44,9 @@ class TumWriter:
 
 def read_tum(path: Path) -> tuple[Array, Array, Array]:
     """Times (N,) s, positions (N, 3) m, quaternions (N, 4) in the order w, x, y, z."""
-    table = np.loadtxt(path, dtype=np.float64, ndmin=2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # an empty file: there is nothing to take
+        table = np.loadtxt(path, dtype=np.float64, ndmin=2)
     return table[:, 0], table[:, 1:4], table[:, [7, 4, 5, 6]]
 
 

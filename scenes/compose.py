@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,14 @@ START_GAP_M = 0.003
 """The legs start this far above the ground and settle."""
 NEAR_M, FAR_M = 0.05, 400.0
 _PROBE_HEIGHT_M = 500.0
+
+
+def _told(message: str) -> None:
+    warnings.warn(f"MuJoCo: {' '.join(message.split())}", stacklevel=2)
+
+
+# Else MuJoCo appends to a file MUJOCO_LOG.TXT wherever the command was given.
+mujoco.set_mju_user_warning(_told)
 
 
 def load_scene(name_or_path: str, seed: int, sun: LowSun | None = None) -> Scene:

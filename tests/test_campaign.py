@@ -287,7 +287,9 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def start_campaign(file: Path, out: Path) -> subprocess.Popen[bytes]:
     script = (
-        "import sys; from pathlib import Path; from experiments.campaign import load_plan; "
+        "import signal, sys; "  # what runs in a shell's background is born deaf to Ctrl-C
+        "signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from pathlib import Path; from experiments.campaign import load_plan; "
         "from experiments.campaign_session import fly_campaign; "
         "from experiments.engines import LocalEngine; "
         f"fly_campaign(load_plan(Path({str(file)!r})), Path({str(out)!r}), LocalEngine(2), "

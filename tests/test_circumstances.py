@@ -111,12 +111,15 @@ def test_a_signal_in_the_air_is_130_one_line_and_leaves_nothing(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    before = signal.getsignal(signal.SIGTERM)
+    before = {kind: signal.getsignal(kind) for kind in (signal.SIGINT, signal.SIGTERM)}
+    # What runs in a shell's background is born deaf to Ctrl-C.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     monkeypatch.setattr(
         "experiments.flight.fly", _flight(lambda _partial: signal.raise_signal(number))
     )
     code, out, err = _run(capsys, "land", "flat", "--out", str(tmp_path / "run"), "--quiet")
-    signal.signal(signal.SIGTERM, before)
+    for kind, handler in before.items():
+        signal.signal(kind, handler)
     assert (code, out, err.strip()) == (130, "", "touchdown: interrupted")
     assert list(tmp_path.iterdir()) == []
 

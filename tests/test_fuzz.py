@@ -86,7 +86,8 @@ def _run(kind: str, numbers: range, home: Path) -> None:
                 found.append(f"{kind} {number}: touchdown {line}\n" + "\n".join(verdict.faults))
     print(kind, dict(codes))
     assert not found, f"{len(found)} of {len(numbers)}:\n\n" + "\n\n".join(found[:5])
-    assert codes[2] and sum(codes.values()) > codes[2], codes  # neither all good nor all bad
+    # Neither all good nor all bad, but for commands that need a network's file.
+    assert codes[2] and (kind == "learn" or sum(codes.values()) > codes[2]), codes
 
 
 @pytest.mark.parametrize("kind", [kind for kind in SHORT if kind not in ("mjcf", "files")])
