@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from estimator.api import LivoParams, PaperParams
 from experiments.bench_estimator import logged_survey, measure
 from experiments.config import UsageError
 from experiments.replay import LoggedRun, open_run, replay_config
@@ -20,7 +18,6 @@ VARIANTS: dict[str, tuple[str, dict[str, bool]]] = {
     "livo: loose": ("livo", {"loose": True}),
     "livo: no degeneracy handling": ("livo", {"use_degeneracy": False}),
     "livo: no closures": ("livo", {"use_closures": False}),
-    "livo: no window": ("livo", {"use_window": False}),
     "paper: all on": ("paper", {}),
     "paper: LIDAR only": ("paper", {"use_camera_pose": False}),
     "paper: camera only": ("paper", {"use_lidar_pose": False}),
@@ -30,30 +27,22 @@ VARIANTS: dict[str, tuple[str, dict[str, bool]]] = {
 }
 """Name of a variant: its estimator, and the parameters that it changes."""
 
-_PARAMS = {"livo": LivoParams, "paper": PaperParams}
 Tell = Callable[[str], None]
 
 
-def changes(variant: str) -> tuple[str, ...] | None:
-    """The ``KEY=VALUE`` texts of a variant, or None where the estimator has no such switch."""
+def changes(variant: str) -> tuple[str, ...]:
+    """The ``KEY=VALUE`` texts of a variant."""
     estimator, values = VARIANTS[variant]
-    known = {field.name for field in dataclasses.fields(_PARAMS[estimator])}
-    if not values.keys() <= known:
-        return None
     return tuple(f"{estimator}.{name}={str(value).lower()}" for name, value in values.items())
 
 
 def ablate_log(logged: LoggedRun, seconds: float | None, tell: Tell) -> dict[str, Any]:
-    """``{"error_m", "lost_s", "cpu_ms"}`` by variant; None for a switch that is not there."""
+    """``{"error_m", "lost_s", "cpu_ms"}`` by variant."""
     end_s = math.inf if seconds is None else logged.from_s + seconds
     rows: dict[str, Any] = {}
     for variant, (estimator, _) in VARIANTS.items():
-        overrides = changes(variant)
-        rows[variant] = None
-        if overrides is None:
-            continue
         tell(variant)
-        config = replay_config(logged.path, estimator, overrides, fresh=True)
+        config = replay_config(logged.path, estimator, changes(variant), fresh=True)
         measured = measure(logged, config, end_s)
         rows[variant] = {
             "error_m": measured.error_m,
@@ -93,8 +82,6 @@ def ablation_table(found: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _cell(row: dict[str, Any] | None) -> str:
-    if row is None:
-        return "n/a"
+def _cell(row: dict[str, Any]) -> str:
     lost = row["lost_s"]
     return f"{row['error_m']:.3f}" if lost is None else f"lost at {lost:.0f} s"
