@@ -3,6 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 READY_TO_TEST := $(VENV)/.ready-to-test
+READY_FOR_DOCS := $(VENV)/.ready-for-docs
 # The first interpreter that is new enough; override with `make PYTHON=...`.
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	command -v $$p >/dev/null 2>&1 && \
@@ -11,13 +12,14 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 export MUJOCO_GL ?= egl
 
 .DEFAULT_GOAL := help
-.PHONY: help land test check bench format clean
+.PHONY: help land test check bench docs format clean
 
 help:
 	@echo "make land    set everything up, fly over crossroad and land"
 	@echo "make test    the tests"
 	@echo "make check   style, types, architecture"
 	@echo "make bench   real-time factor and the time of each stage"
+	@echo "make docs    the pages as a site, in site/"
 	@echo "make format  put the sources in order"
 	@echo "make clean   remove the environment and what was built"
 
@@ -35,6 +37,10 @@ check: $(READY_TO_TEST)
 
 bench: $(READY)
 	$(BIN)/touchdown bench loop
+
+docs: $(READY_FOR_DOCS)
+	NO_MKDOCS_2_WARNING=1 PATH=$(abspath $(BIN)):$$PATH $(BIN)/mkdocs build
+	@echo "open site/index.html, or with search: $(BIN)/python -m http.server -d site"
 
 format: $(READY_TO_TEST)
 	$(BIN)/ruff check --fix .
@@ -57,5 +63,10 @@ $(READY_TO_TEST): $(READY)
 	    --constraint constraints.txt --editable ".[dev,rl]"
 	@touch $@
 
+$(READY_FOR_DOCS): $(READY)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+	    --constraint constraints.txt --editable ".[docs]"
+	@touch $@
+
 clean:
-	rm -rf $(VENV) build dist *.egg-info
+	rm -rf $(VENV) build dist site *.egg-info

@@ -80,8 +80,8 @@ class Estimator(Protocol):
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GridMap:
     """A square-celled elevation map in the ODOM frame. Cell (row, col) covers
-    x in [x0 + col*c, x0 + (col+1)*c), y in [y0 + row*c, y0 + (row+1)*c). Unseen cells: count 0 and
-    NaN heights. All arrays (rows, cols[, 3]); they are the mapper's own: read, never write.
+    ``x in [x0 + col*c, x0 + (col+1)*c), y in [y0 + row*c, y0 + (row+1)*c)``. Unseen cells: count 0
+    and NaN heights. All arrays (rows, cols[, 3]); they are the mapper's own: read, never write.
     """
 
     origin_xy_m: Array

@@ -32,7 +32,7 @@ from experiments.config import Config, UsageError
 from experiments.suggest import nearest
 from landing.api import PlaceClassifier, Selection
 from scenes.api import Scene, TruthMaps
-from sim.api import SensorNeeds, SensorRig
+from sim.api import SensorNeeds, SensorRig, VehicleModel
 from sim.frames import Pose
 
 if TYPE_CHECKING:
@@ -124,6 +124,14 @@ def scene_picture(scene: Scene, view: str, pixels: int | None = None) -> NDArray
     from scenes.render import scene_picture as picture
 
     return picture(scene, view, pixels)
+
+
+def vehicle_portrait(scene: Scene) -> tuple[NDArray[np.uint8], VehicleModel]:
+    """(H, W, 3) RGB of the vehicle on the ground, and what its controller knows of it."""
+    from scenes.render import vehicle_picture
+    from sim.vehicle import vehicle_model
+
+    return vehicle_picture(scene), vehicle_model(scene.model)
 
 
 def scene_truth_maps(scene: Scene, cell_m: float, region: Array | None = None) -> TruthMaps:

@@ -35,6 +35,7 @@ from experiments.cli_export import export
 from experiments.cli_recognition import classify, dataset, evaluate, quantize, train
 from experiments.cli_replay import check_estimator, run_replay
 from experiments.cli_report import regress, report
+from experiments.cli_reproduce import reproduce
 from experiments.cli_scenes import scenes
 from experiments.console import (
     end_progress,
@@ -233,6 +234,7 @@ def view(run: Path, web: bool) -> int:
 
 cli.add_command(report)
 cli.add_command(regress)
+cli.add_command(reproduce)
 cli.add_command(scenes)
 cli.add_command(bench)
 bench.add_command(bench_estimator)

@@ -45,7 +45,7 @@ class LowSun:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroundRaster:
     """Class and reflectivity of the terrain geom, whose texture shows several materials. Cell
-    (row, col) covers x in [x0 + col*c, ...), y in [y0 + row*c, ...), world frame."""
+    (row, col) covers ``x in [x0 + col*c, ...), y in [y0 + row*c, ...)``, world frame."""
 
     geom_name: str
     origin_xy_m: Array

@@ -17,6 +17,8 @@ Picture = NDArray[np.uint8]
 """(H, W, 3) RGB"""
 
 VIEWS = ("above", "oblique")
+_VEHICLE_GROUP = 4
+"""of its geoms, see ``vehicle/quadrotor.xml``"""
 
 
 def scene_picture(scene: Scene, view: str, pixels: int | None = None) -> Picture:
@@ -45,6 +47,21 @@ def scene_picture(scene: Scene, view: str, pixels: int | None = None) -> Picture
         return _render(model, data, eye, size)
 
 
+def vehicle_picture(scene: Scene, pixels: int = 1200) -> Picture:
+    """The vehicle where it takes off, 16:9, ``pixels`` wide, from ahead and aside; sensors never
+    draw it, so that no other picture shows it. The model is left as it was."""
+    model = scene.model
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    body = data.body("vehicle/quadrotor")
+    eye = _camera(body.xpos[:2], 1.5, -16.0, np.rad2deg(scene.takeoff_yaw) + 215.0)
+    eye.lookat[2] = body.xpos[2]
+    options = mujoco.MjvOption()
+    options.geomgroup[_VEHICLE_GROUP] = 1
+    with _lens(model, 42.0, 0.02, 300.0):
+        return _render(model, data, eye, (pixels, pixels * 9 // 16), options)
+
+
 @contextmanager
 def _lens(model: Any, fovy_deg: float, near_m: float, far_m: float) -> Iterator[None]:
     """The free camera's field of view and clip planes, put back afterwards."""
@@ -65,7 +82,9 @@ def _camera(xy_m: NDArray[np.float64], distance: float, elevation: float, azimut
     return camera
 
 
-def _render(model: Any, data: Any, camera: Any, size: tuple[int, int]) -> Picture:
+def _render(
+    model: Any, data: Any, camera: Any, size: tuple[int, int], options: Any = None
+) -> Picture:
     """(H, W, 3) uint8. Rendered twice as large and scaled down, against jagged edges."""
     width, height = 2 * size[0], 2 * size[1]
     kept = int(model.vis.global_.offwidth), int(model.vis.global_.offheight)
@@ -73,7 +92,7 @@ def _render(model: Any, data: Any, camera: Any, size: tuple[int, int]) -> Pictur
     model.vis.global_.offheight = max(kept[1], height)
     try:
         with mujoco.Renderer(model, height, width, max_geom=model.ngeom + 200) as renderer:
-            renderer.update_scene(data, camera)
+            renderer.update_scene(data, camera, options)
             picture = renderer.render()
     finally:
         model.vis.global_.offwidth, model.vis.global_.offheight = kept

@@ -29,6 +29,7 @@ MAX_LINE = 2000
 """characters of an error: more is no sentence"""
 _ERROR, _WARNING = "touchdown: error: ", "touchdown: warning: "
 _MAX_WARNINGS = 3
+_MAY_STAY = ("results.parquet", "reproduction.json")
 _HEAVY = (
     "control",
     "controller.design",
@@ -48,6 +49,7 @@ _HEAVY = (
     "experiments.overhead",
     "experiments.patch_dataset",
     "experiments.reporting.document",
+    "experiments.reproduce_report",
     "experiments.rerun_log",
     "experiments.scene_check",
     "experiments.scene_tools",
@@ -249,8 +251,9 @@ def written(code: int | str, before: dict[str, str], after: dict[str, str]) -> l
     lost = sorted(before.keys() - after.keys())
     halves = [path for path in new if ".partial" in path or ".flying" in path]
     faults = [f"half-written: {path}" for path in halves]
-    # A table over the runs may be made anew at any time, and a campaign's lock holds nothing.
-    new = [path for path in new if not path.endswith("results.parquet") and ".lock" not in path]
+    # A table over the runs may be made anew at any time, a campaign's lock holds nothing, and the
+    # mark of a reproduction is what the same command goes on from.
+    new = [path for path in new if not path.endswith(_MAY_STAY) and ".lock" not in path]
     if code == "reached":  # like Ctrl-C: folders that are empty do no harm
         new = [path for path in new if after[path] != "folder"]
     if code in (2, "reached") and (new or lost):

@@ -6,23 +6,26 @@ import ast
 import contextlib
 import dataclasses
 import importlib
+import importlib.util
 import io
 import json
 import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import click
 import pytest
+import yaml
 
 from experiments import cli
 from experiments.campaign import load_plan
 from experiments.config import load_config
 
 ROOT = Path(__file__).parent.parent
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 FOLDERS = ("sim", "scenes", "estimator", "landing", "controller", "experiments")
 SENSOR_KEYS = (
     "lidar",
@@ -107,22 +110,100 @@ def test_pictures_exist(page: Path) -> None:
 
 
 def test_the_front_page_links_every_page() -> None:
-    linked = {target for target, _ in _links(ROOT / "README.md", "")}
-    assert [_name(page) for page in PAGES if page not in linked and page.name != "README.md"] == []
+    """Pages of single modules of the reference are linked by the page of the reference."""
+    reference = ROOT / "docs" / "reference" / "index.md"
+    linked = {target for page in (ROOT / "README.md", reference) for target, _ in _links(page, "")}
+    assert [_name(page) for page in PAGES if page not in linked] == []
+
+
+# ------------------------------------------------------------------------------------------- site
+
+
+def _site_hooks() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("site_hooks", ROOT / "docs" / "site_hooks.py")
+    assert spec is not None and spec.loader is not None
+    hooks = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hooks)
+    return hooks
+
+
+def _in_nav(entries: Any) -> Iterator[str]:
+    if isinstance(entries, str):
+        yield entries
+    else:
+        for entry in entries.values() if isinstance(entries, dict) else entries:
+            yield from _in_nav(entry)
+
+
+def test_the_site_has_every_page_once() -> None:
+    site = yaml.safe_load(_text("mkdocs.yml"))
+    hooks = _site_hooks()
+    written = {str(p.relative_to(ROOT / "docs")) for p in (ROOT / "docs").rglob("*.md")}
+    added = {*hooks.ROOT_PAGES.values(), hooks.COMMANDS_PAGE}
+    assert not written & added, "pages that the site adds would hide pages of docs/"
+    assert sorted(_in_nav(site["nav"])) == sorted(written | added)
+    assert set(hooks.ROOT_PAGES) == {page.name for page in ROOT.glob("*.md")}
+    for file in (*site["hooks"], *(f"docs/{sheet}" for sheet in site["extra_css"])):
+        assert (ROOT / file).is_file()
+
+
+def test_the_reference_has_every_api() -> None:
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    described = set(re.findall(r"^::: ([\w.]+)$", text, re.MULTILINE))
+    assert described >= {f"{folder}.api" for folder in FOLDERS} | {"sim.frames"}
+    for module in described:
+        assert (ROOT / (module.replace(".", "/") + ".py")).is_file(), module
+
+
+@pytest.mark.parametrize(
+    ("source", "link", "in_the_site"),
+    [
+        ("README.md", "docs/scenes.md#truth-maps", "scenes.md#truth-maps"),
+        ("README.md", "docs/images/costmap.png", "images/costmap.png"),
+        ("README.md", "ARCHITECTURE.md", "architecture.md"),
+        ("docs/reference/index.md", "../../README.md#commands", "../index.md#commands"),
+        ("docs/results/landing.md", "../images/pools.jpg", "../images/pools.jpg"),
+        ("docs/scenes.md", "#truth-maps", "#truth-maps"),
+        ("docs/scenes.md", "https://example.org/README.md", "https://example.org/README.md"),
+        ("docs/scenes.md", "../Makefile", "../Makefile"),
+    ],
+)
+def test_links_are_moved_with_their_pages(source: str, link: str, in_the_site: str) -> None:
+    assert _site_hooks().links_of_the_site(f"[a]({link})", source) == f"[a]({in_the_site})"
+
+
+def test_the_site_describes_every_command() -> None:
+    page = _site_hooks().help_of_commands()
+    described = re.findall(r"^## (.+)$", page, re.MULTILINE)
+    assert described == ["touchdown", *(f"touchdown {path}" for path in _leaves(cli.cli))]
+    assert re.findall(r"^Usage: ([a-z -]+[a-z])", page, re.MULTILINE) == described
 
 
 # --------------------------------------------------------------------------------------- commands
 
 
 def _commands(text: str) -> Iterator[list[str]]:
-    """Arguments of every ``touchdown`` command in shell text."""
-    for line in text.splitlines():
+    """Arguments of every ``touchdown`` command in shell text, or in the steps of a workflow.
+    Variables of loops have their first value."""
+    for name, value in re.findall(r"\bfor (\w+) in (\S+)", text):
+        text = text.replace(f"${name}", value)
+    for line in text.replace("\\\n", " ").splitlines():
+        line = re.sub(r"^\s*(- )?run: |^\$ ", "", line)
         words = shlex.split(line, comments=True)
         while words:
-            end = words.index("&&") if "&&" in words else len(words)
+            end = next((i for i, word in enumerate(words) if word in ("&&", "|", ">")), len(words))
             if words[0] in ("touchdown", ".venv/bin/touchdown"):
                 yield words[1:end]
             words = words[end + 1 :]
+
+
+def _leaves(group: click.Group) -> Iterator[str]:
+    """Every command that does something, by its full name without the program's. Some groups do."""
+    for name, command in sorted(group.commands.items()):
+        if not isinstance(command, click.Group) or type(command) is not type(cli.cli):
+            yield name
+        if isinstance(command, click.Group):
+            yield from (f"{name} {inner}" for inner in _leaves(command))
 
 
 def _parse(arguments: list[str]) -> click.Context:
@@ -141,7 +222,7 @@ def _parse(arguments: list[str]) -> click.Context:
 
 @pytest.mark.parametrize("page", PAGES, ids=_name)
 def test_commands_in_blocks_parse(page: Path) -> None:
-    for block in _blocks(page, "sh"):
+    for block in (*_blocks(page, "sh"), *_blocks(page, "yaml")):
         for arguments in _commands(block):
             try:
                 options = _parse(arguments).params
@@ -163,17 +244,31 @@ def test_commands_in_prose_exist(page: Path) -> None:
                 pytest.fail(f"{_name(page)}: {code}: {error.message}")
 
 
-def test_the_front_page_names_every_command() -> None:
-    def leaves(group: click.Group, path: str) -> Iterator[str]:
-        for name, command in group.commands.items():
-            if isinstance(command, click.Group):
-                yield from leaves(command, f"{path} {name}")
-            else:
-                yield f"{path} {name}"
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_no_command_is_written_where_nobody_checks_it(page: Path) -> None:
+    """Wherever a page writes ``touchdown`` and a command's name, the tests above have read it."""
+    text = page.read_text(encoding="utf-8")
+    codes = [*_blocks(page, "sh"), *_blocks(page, "yaml"), *_inline(page)]
+    checked = sum(1 for code in codes for arguments in _commands(code) if arguments)
+    names = "|".join(cli.cli.commands)
+    text = re.sub(r"(?<=\s)#\s.*?$", "", text, flags=re.MULTILINE)
+    assert checked >= len(re.findall(rf"(?<![\w-])touchdown\s+(?:{names})(?![\w-])", text))
 
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_options_in_prose_exist(page: Path) -> None:
+    """Options that are written without their command are options of some command."""
+    described = _site_hooks().help_of_commands() + _text("experiments/pytest_plugin.py")
+    known = set(re.findall(r"--[a-z][\w-]*", described))
+    for code in _inline(page):
+        if code.startswith("--"):
+            assert code.split()[0].split("=")[0] in known, f"{_name(page)}: {code}"
+
+
+def test_the_front_page_names_every_command() -> None:
     table = " ".join(row[0] for row in _rows("README.md", "command")) + " "
-    for command in leaves(cli.cli, "touchdown"):
-        assert re.search(rf"`{command}[ `]", table), f"README.md lacks '{command}'"
+    for command in _leaves(cli.cli):
+        assert re.search(rf"`touchdown {command}[ `]", table), f"README.md lacks '{command}'"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=_name)

@@ -1,0 +1,237 @@
+"""`touchdown reproduce`: every table and figure of the paper from one command, part by part."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import importlib.util
+import json
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from experiments.campaign_dir import utc_now, write_text
+from experiments.campaign_session import Watcher
+from experiments.cli_base import system_message
+from experiments.config import UsageError
+from experiments.engines import EngineStoppedError
+from experiments.reproduce_parts import PARTS, Done, Job, Notes, Part, part_named
+
+MARK, STATE, ERROR, REPORT = "reproduction.json", "part.json", "error.txt", "report"
+_LOCK = ".lock"
+_QUICK, _WHOLE = '"edition": "quick"', '"edition": "whole"'
+_OF_THE_MACHINE = (OSError, EngineStoppedError)
+"""what stops everything, since the next part would meet it too"""
+
+
+@dataclass(frozen=True, slots=True)
+class PartState:
+    """``part.json``: what a part came to. ``error`` is of a part that could not be ended, and is
+    tried again; ``why`` says in what a part failed its purpose, empty where it did not."""
+
+    part: str
+    edition: str
+    settings: dict[str, Any]
+    figures: dict[str, Any]
+    why: str
+    error: str
+    wall_s: float
+    finished_utc: str
+    git_revision: str | None
+
+    @property
+    def good(self) -> bool:
+        return not self.why and not self.error
+
+
+@dataclass(frozen=True, slots=True)
+class Reproduction:
+    """``states`` by name of the part, of all parts that were ever ended; ``skipped`` are those that
+    were left out now, whatever earlier calls did."""
+
+    out: Path
+    quick: bool
+    states: dict[str, PartState]
+    skipped: tuple[str, ...]
+    wall_s: float
+
+    @property
+    def good(self) -> bool:
+        """Whether every part that was asked for did what it is for."""
+        return all(state.good for name, state in self.states.items() if name not in self.skipped)
+
+
+def reproduce(
+    out: Path,
+    *,
+    quick: bool,
+    jobs: int,
+    skip: Sequence[str] = (),
+    notes: Notes = lambda _note: None,
+    watcher: Callable[[], Watcher] = Watcher,
+) -> Reproduction:
+    """Does what ``out`` lacks of the quick or the whole edition and writes ``out/report``.
+
+    Parts that are done are not repeated. A part that goes wrong is told in its state and in the
+    report, and the others go on; what stops the machine (a full disk) stops all. Raises UsageError.
+    """
+    from experiments.reproduce_report import write_reproduction
+
+    skipped = tuple(part_named(name).name for name in skip)
+    wanted = [part for part in PARTS if part.name not in skipped]
+    if not wanted:
+        raise UsageError("--skip leaves nothing to do")
+    started = time.perf_counter()
+    _check_libraries([part for part in wanted if not _is_done(part, out, quick)])
+    with _locked(out):
+        todo = [part for part in wanted if not _is_done(part, out, quick)]
+        _sign(out, quick=quick)
+        for number, part in enumerate(wanted, start=1):
+            head = f"[{number}/{len(wanted)}] {part.name}"
+            if part not in todo:
+                notes(f"{head}: done already")
+                continue
+            notes(f"{head}: {part.title}, for {', '.join(part.shows)}")
+            job = Job(
+                folder=out / part.name, quick=quick, jobs=jobs, notes=notes, watcher=watcher()
+            )
+            state = _do(part, job)
+            told = state.error or state.why
+            notes(f"{head}: {f'FAILED: {told}' if told else 'done'} after {state.wall_s:.0f} s")
+        done = Reproduction(
+            out, quick, read_states(out), skipped, time.perf_counter() - started
+        )  # fmt: skip
+        notes("writing the report")
+        write_reproduction(done, out / REPORT)
+    return done
+
+
+def _do(part: Part, job: Job) -> PartState:
+    """Runs a part and writes its state down."""
+    from experiments.flight import git_revision
+
+    started = time.perf_counter()
+    job.folder.mkdir(parents=True, exist_ok=True)
+    done, error = Done({}), ""
+    try:
+        done = part.run(job)
+    except Exception as problem:
+        if isinstance(problem, UsageError) and isinstance(problem.__cause__, _OF_THE_MACHINE):
+            raise
+        if isinstance(problem, OSError) and (message := system_message(problem)):
+            raise UsageError(f"--out {job.folder}: {message}") from problem
+        kind = "" if isinstance(problem, UsageError) else f"{type(problem).__name__}: "
+        error = " ".join(f"{kind}{problem}".split())
+        write_text(job.folder / ERROR, traceback.format_exc())
+    state = PartState(
+        part=part.name,
+        edition=job.edition.name,
+        settings=part.settings(job.quick),
+        figures=done.figures,
+        why=done.why,
+        error=error,
+        wall_s=time.perf_counter() - started,
+        finished_utc=utc_now(),
+        git_revision=git_revision(),
+    )
+    tree = {name: getattr(state, name) for name in PartState.__slots__}
+    write_text(job.folder / STATE, json.dumps(tree, indent=1) + "\n")
+    return state
+
+
+def read_states(out: Path) -> dict[str, PartState]:
+    """What each part came to, in the order of `PARTS`. Raises UsageError for a damaged state."""
+    return {part.name: state for part in PARTS if (state := _read_state(out / part.name / STATE))}
+
+
+def _read_state(file: Path) -> PartState | None:
+    if not file.is_file():
+        return None
+    try:
+        return PartState(**json.loads(file.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError) as error:
+        raise UsageError(
+            f"'{file}' is damaged or of another program; delete it, and its part is done again"
+        ) from error
+
+
+def _is_done(part: Part, out: Path, quick: bool) -> bool:
+    """Parts whose settings are the same quick and whole serve as both. A campaign with flights that
+    came to no outcome is gone on with."""
+    state = _read_state(out / part.name / STATE)
+    if state is None or state.error:
+        return False
+    lost = state.figures.get("crashed", 0) or state.figures.get("remaining", 0)
+    return not lost and state.settings == _as_read(part.settings(quick))
+
+
+def _as_read(tree: Mapping[str, Any]) -> Any:
+    """As it comes back from a file: tuples are lists there."""
+    return json.loads(json.dumps(tree))
+
+
+def _check_libraries(todo: Sequence[Part]) -> None:
+    needed = [part.name for part in todo if part.needs_torch]
+    missing = [name for name in ("torch", "onnx") if importlib.util.find_spec(name) is None]
+    if needed and missing:
+        raise UsageError(
+            f"the part {needed[0]} needs {missing[0]}: install it with pip install "
+            f"'touchdown[train]', or leave the part out with --skip {needed[0]}"
+        )
+
+
+def _sign(out: Path, *, quick: bool) -> None:
+    """Marks the directory as a reproduction, so that nothing else is ever overwritten. A quick one
+    may become whole, but not the other way round: it would leave flights out that are there."""
+    mark = out / MARK
+    if quick and mark.is_file() and _WHOLE in mark.read_text(encoding="utf-8", errors="replace"):
+        raise UsageError(
+            f"'{out}' was begun without --quick; go on without it, or name another --out"
+        )
+    write_text(mark, f"{{{_QUICK if quick else _WHOLE}}}\n")
+
+
+@contextlib.contextmanager
+def _locked(out: Path) -> Iterator[None]:
+    """Makes the directory and keeps others out. Raises UsageError for one of something else."""
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out {out}: is a file; name a new directory")
+    ours = (out / MARK).is_file()
+    if out.is_dir() and not ours and any(not p.name.startswith(".") for p in out.iterdir()):
+        raise UsageError(
+            f"--out {out}: holds something that is no reproduction; name another directory"
+        )
+    with contextlib.ExitStack() as held:
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            file = held.enter_context((out / _LOCK).open("a"))
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UsageError(
+                f"'{out}' is being worked on by another reproduction; wait for it, or name "
+                "another --out"
+            ) from None
+        except OSError as error:
+            raise UsageError(f"--out {out}: {error.strerror}") from error
+        yield
+
+
+# ------------------------------------------------------------------------------------------ plans
+
+
+def overview(*, quick: bool, jobs: int, skip: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """Each part, what it shows and about how long it takes with ``jobs`` processes."""
+    skipped = {part_named(name).name for name in skip}
+    return [
+        {
+            "part": part.name,
+            "title": part.title,
+            "shows": list(part.shows),
+            "core_minutes": part.core_seconds(quick) / 60.0,
+        }
+        for part in PARTS
+        if part.name not in skipped
+    ]

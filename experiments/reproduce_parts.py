@@ -1,0 +1,355 @@
+"""The parts of a reproduction: each fills a directory and says whether it did what it is for.
+
+Heavy modules are imported by the part that needs them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from experiments.campaign_dir import write_text
+from experiments.campaign_session import Watcher, default_jobs
+from experiments.config import UsageError, load_config
+from experiments.reporting.published import SITES
+from experiments.reproduce_plans import (
+    PAPER_SCENES,
+    Edition,
+    Recognition,
+    core_seconds,
+    digest,
+    edition,
+    plan_of,
+)
+from experiments.run_directory import run_directory
+
+FLIGHTS, PICTURES, NETWORKS, SCORES = "flights", "pictures", "networks", "scores.json"
+VEHICLE = "vehicle.jpg"
+
+Notes = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """What a part is given: its own directory, how much to do, and whom to tell."""
+
+    folder: Path
+    quick: bool
+    jobs: int = field(default_factory=default_jobs)
+    notes: Notes = lambda _note: None
+    watcher: Watcher = field(default_factory=Watcher)
+
+    @property
+    def edition(self) -> Edition:
+        return edition(quick=self.quick)
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """``figures`` are for the report; ``why`` says in what the part failed its purpose, empty where
+    it did not."""
+
+    figures: dict[str, Any]
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    name: str
+    title: str
+    shows: tuple[str, ...]
+    """tables and figures of the paper"""
+    settings: Callable[[bool], dict[str, Any]]
+    """what decides its result, of the quick edition or of the whole one"""
+    run: Callable[[Job], Done]
+    core_seconds: Callable[[bool], float]
+    """roughly, on one core"""
+    needs_torch: bool = False
+
+
+# ------------------------------------------------------------------------------- sensors, pictures
+
+
+def _calibration(job: Job) -> Done:
+    from experiments.calibration_report import run_calibration
+
+    with run_directory(job.folder / PICTURES) as partial_folder:
+        report = run_calibration(
+            load_config(seed=0),
+            job.edition.poses,
+            partial_folder / "calibration.json",
+            partial_folder,
+            job.notes,
+        )
+    del report["file"]
+    agreed = report["consistency"]["consistent"]
+    return Done(report, "" if agreed else "its errors are beyond what it says of them")
+
+
+def _edges(job: Job) -> Done:
+    from experiments.edge_pictures import draw_pictures
+
+    with run_directory(job.folder / PICTURES) as partial_folder:
+        files = draw_pictures(partial_folder, 0, "shipped", job.notes)
+    return Done({"pictures": [file.name for file in files]})
+
+
+def _world(job: Job) -> Done:
+    """Figs. 7 and 8: the vehicle, and the paper's four scenes."""
+    from experiments.build_tools import vehicle_portrait
+    from experiments.scene_tools import load_place, render_view
+    from experiments.scene_views import write_picture
+
+    config = load_config(scene=PAPER_SCENES[0], seed=0)
+    with run_directory(job.folder / PICTURES) as partial_folder:
+        job.notes("drawing the vehicle")
+        picture, vehicle = vehicle_portrait(load_place(config))
+        write_picture(partial_folder / VEHICLE, picture)
+        for scene in PAPER_SCENES:
+            job.notes(f"drawing {scene}")
+            render_view(scene, 0, "oblique", partial_folder / f"{scene}.jpg")
+    tick_hz = config.sim.tick_hz
+    return Done({
+        "mass_kg": vehicle.mass_kg,
+        "footprint_radius_m": vehicle.footprint_radius_m,
+        "lidar": config.lidar.preset,
+        "lidar_scan_hz": tick_hz / config.sim.lidar_scan_ticks,
+        "camera_px": [config.camera.width, config.camera.height],
+        "camera_deg": [config.camera.fov_x_deg, config.camera.fov_y_deg],
+        "imu_hz": tick_hz / config.sim.imu_ticks,
+        "scenes": list(PAPER_SCENES),
+    })  # fmt: skip
+
+
+def _sites(job: Job) -> Done:
+    """Fig. 11: the steps from a map to a site, over the paper's five kinds of sites."""
+    from experiments import selector_check
+
+    with run_directory(job.folder / PICTURES) as partial_folder:
+        found = selector_check.run(
+            tuple(SITES),
+            seeds="0",
+            scorer=None,
+            jobs=min(job.jobs, len(SITES)),
+            fit_model=False,
+            overrides=(),
+            report=lambda place: job.notes(selector_check.row(place)),
+            pictures=partial_folder,
+        )
+    kept = ("scene", "seed", "chosen_safe", "accepted", "accepted_safe")
+    places = [{key: place[key] for key in kept} for place in found["places"]]
+    unsafe = [place["scene"] for place in places if place["chosen_safe"] is False]
+    why = f"the site chosen on {', '.join(unsafe)} is unsafe by the true map" if unsafe else ""
+    return Done({"scorer": found["scorer"], "places": places}, why)
+
+
+def _speed(job: Job) -> Done:
+    """Table 7."""
+    from experiments.bench_landing import bench_landing
+
+    job.notes("surveying crossroad, then choosing a site over and over")
+    return Done(bench_landing(rounds=job.edition.rounds, threads=job.jobs))
+
+
+# ---------------------------------------------------------------------------------------- flights
+
+
+def _campaign(name: str, job: Job) -> Done:
+    from experiments.campaign_session import fly_campaign, make_engine
+
+    figures = fly_campaign(
+        plan_of(name, quick=job.quick),
+        job.folder / FLIGHTS,
+        make_engine("local", job.jobs),
+        watcher=job.watcher,
+    )
+    kept = ("name", "mode", "runs", "finished", "crashed", "remaining", "outcomes", "errors")
+    why = ""
+    if figures["crashed"] or figures["remaining"]:
+        lost = figures["crashed"] + figures["remaining"]
+        why = f"{lost} of {figures['runs']} flights came to no outcome"
+    elif not figures["as_expected"]:
+        why = "not all flights are as the campaign's file expects"
+    return Done({key: figures[key] for key in kept}, why)
+
+
+# ------------------------------------------------------------------------------------ recognition
+
+
+def _recognition(job: Job) -> Done:
+    """Pictures, networks, scores; whatever is there already is kept."""
+    size = job.edition.recognition
+    home = job.folder / job.edition.name
+    _start_over_if_changed(home, dataclasses.asdict(size))
+    _use_threads(job.jobs)
+    pictures = home / PICTURES
+    if not pictures.is_dir():
+        from experiments.patch_dataset import render_dataset
+
+        render_dataset(
+            pictures,
+            images=size.images,
+            seed=0,
+            scenes=size.scenes,
+            pixels=size.pixels,
+            per_place=size.per_place,
+            jobs=job.jobs,
+            progress=lambda done, total, note: job.notes(f"picture {done} of {total}: {note}"),
+        )
+    scores = [
+        _network(job, size, home, network, labels)
+        for network in size.networks
+        for labels in size.labels
+    ]
+    figures = {"size": dataclasses.asdict(size), "folder": home.name, "networks": scores}
+    return Done(figures)
+
+
+def _network(job: Job, size: Recognition, home: Path, network: str, labels: str) -> dict[str, Any]:
+    """Trains and scores one, unless that is done; goes on with a training that was stopped."""
+    from experiments.recognition_report import evaluate_network
+    from experiments.recognition_train import train_network
+
+    folder = home / NETWORKS / f"{network}-{labels}"
+    if (folder / SCORES).is_file():
+        known: dict[str, Any] = json.loads((folder / SCORES).read_text(encoding="utf-8"))
+        return known
+    job.notes(f"training {network}, {labels}")
+    data = [str(home / PICTURES)]
+    options = {
+        "network": network,
+        "labels": labels,
+        "image_size": size.image_size,
+        "epochs": size.epochs,
+    }
+    training = train_network(data, folder, options, "auto", _quiet, job.notes)
+    judge = partial(
+        evaluate_network, folder / "network.onnx", data, engine="onnx", threads=1, progress=_quiet
+    )
+    kept = ("network", "labels", "split", "pictures", "loss", "macro_f1", "recall", "top1",
+            "top1_interval", "rom_mb", "peak_ram_mb", "image_ms")  # fmt: skip
+    scores: dict[str, Any] = {"network": network, "labels": labels, "epochs": training["epochs"]}
+    for split in ("val", "test"):
+        found = judge(split=split, measure=split == "test")
+        scores[split] = {key: found[key] for key in kept if key in found}
+    write_text(folder / SCORES, json.dumps(scores, indent=1) + "\n")
+    return scores
+
+
+def _start_over_if_changed(home: Path, settings: dict[str, Any]) -> None:
+    """A training goes on only with the pictures and options that it began with."""
+    file, text = home / "settings.json", json.dumps(settings, indent=1) + "\n"
+    if file.is_file() and file.read_text(encoding="utf-8") != text:
+        shutil.rmtree(home)
+    home.mkdir(parents=True, exist_ok=True)
+    write_text(file, text)
+
+
+def _use_threads(count: int) -> None:
+    import torch
+
+    torch.set_num_threads(count)
+
+
+def _quiet(_done: int, _total: int, _note: str) -> None:
+    pass
+
+
+# ------------------------------------------------------------------------------------------- list
+
+
+def _campaign_part(name: str, title: str, *shows: str) -> Part:
+    return Part(
+        name=name,
+        title=title,
+        shows=shows,
+        settings=lambda quick: {"flights": digest(plan_of(name, quick=quick))},
+        run=partial(_campaign, name),
+        core_seconds=lambda quick: core_seconds(plan_of(name, quick=quick)),
+    )
+
+
+def _always(seconds: float) -> Callable[[bool], float]:
+    return lambda _quick: seconds
+
+
+def _recognition_seconds(quick: bool) -> float:
+    """Six pictures rendered a second; a core learns from 90 a second with ResNet18 at 64 pixels,
+    from 15 with the networks of the whole edition on average."""
+    size = edition(quick=quick).recognition
+    passes = size.images * size.epochs * len(size.networks) * len(size.labels)
+    return size.images / 6.0 + passes / (90.0 if quick else 15.0)
+
+
+PARTS: tuple[Part, ...] = (
+    Part(
+        name="calibration",
+        title="Camera and LIDAR, calibrated",
+        shows=("Fig. 2",),
+        settings=lambda quick: {"poses": edition(quick=quick).poses},
+        run=_calibration,
+        core_seconds=_always(60.0),
+    ),
+    Part(
+        name="edges",
+        title="Edge energy and smoothness",
+        shows=("Fig. 4",),
+        settings=lambda _quick: {"seed": 0},
+        run=_edges,
+        core_seconds=_always(40.0),
+    ),
+    Part(
+        name="world",
+        title="Vehicle and scenes",
+        shows=("Fig. 7", "Fig. 8"),
+        settings=lambda _quick: {"seed": 0},
+        run=_world,
+        core_seconds=_always(30.0),
+    ),
+    Part(
+        name="speed",
+        title="Time of a choice of site",
+        shows=("Table 7",),
+        settings=lambda quick: {"rounds": edition(quick=quick).rounds},
+        run=_speed,
+        core_seconds=_always(20.0),
+    ),
+    Part(
+        name="sites",
+        title="From the map to the site",
+        shows=("Fig. 11",),
+        settings=lambda _quick: {"seed": 0},
+        run=_sites,
+        core_seconds=_always(80.0),
+    ),
+    _campaign_part("positioning", "Positioning", "Table 1", "Table 2", "Fig. 9 a", "Fig. 10"),
+    _campaign_part("commanded_site", "Landings on one spot", "Table 5", "Fig. 12"),
+    _campaign_part("real_sites", "Landings on five kinds of sites", "Table 6"),
+    _campaign_part("landing", "Landings over four scenes", "Fig. 9 b"),
+    Part(
+        name="recognition",
+        title="Place recognition",
+        shows=("Fig. 5", "Table 3", "Table 4"),
+        settings=lambda quick: dataclasses.asdict(edition(quick=quick).recognition),
+        run=_recognition,
+        core_seconds=_recognition_seconds,
+        needs_torch=True,
+    ),
+)
+"""In the order of doing: what is short comes first."""
+
+
+def part_named(name: str) -> Part:
+    """Raises UsageError for an unknown name."""
+    from experiments.suggest import nearest
+
+    known = [part.name for part in PARTS]
+    if name not in known:
+        raise UsageError(f"unknown part '{name}'{nearest(name, known)}; known: {', '.join(known)}")
+    return PARTS[known.index(name)]
