@@ -85,6 +85,8 @@ def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int
 @click.option("--epochs", type=click.IntRange(1), default=30, show_default=True)
 @click.option("--image-size", type=click.IntRange(32, 512), default=96, show_default=True,
               help="Pixels across that the network sees.")  # fmt: skip
+@click.option("--first-size", type=click.IntRange(32, 512),
+              help="Of the first epochs; pictures grow from it.  [--image-size]")  # fmt: skip
 @click.option("--batch-size", type=click.IntRange(2), default=64, show_default=True)
 @click.option("--learning-rate", type=click.FloatRange(0.0, min_open=True), default=1e-3,
               show_default=True)  # fmt: skip

@@ -206,6 +206,23 @@ def test_learning_rate_rises_and_falls(torch: Any) -> None:
     assert schedule(99, 100) < 1e-3
 
 
+def test_pictures_grow(torch: Any) -> None:
+    from landing.recognition.learning.training import TrainParams, check_growth, size_of_epoch
+
+    params = TrainParams(image_size=96, first_size=48, epochs=8)
+    check_growth(params)
+    sizes = [size_of_epoch(params, epoch) for epoch in range(8)]
+    assert sizes == [48, 48, 64, 64, 80, 80, 96, 96]
+    assert {size_of_epoch(TrainParams(epochs=8), epoch) for epoch in range(8)} == {96}
+    for wrong, message in (
+        ({"first_size": 128}, "is more than image_size 96"),
+        ({"first_size": 48, "network": "inception_v4"}, "at least 75 pixels, not 48"),
+        ({"first_size": 48, "network": "vgg19"}, "one size only"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            check_growth(TrainParams(**wrong))
+
+
 def test_variations_keep_the_kind_of_picture(torch: Any) -> None:
     from landing.recognition.learning.augment import as_input, augmented
 
@@ -227,9 +244,11 @@ def test_a_turn_of_a_plain_picture_changes_nothing(torch: Any) -> None:
 def test_a_stopped_training_ends_as_one_that_was_not(torch: Any, tmp_path: Path) -> None:
     from landing.recognition.learning.training import Trainer, TrainParams
 
-    plan: Any = {"network": "mobilenet_v3_large", "image_size": 32, "epochs": 3, "seed": 4}
+    plan: Any = {
+        "network": "mobilenet_v3_large", "image_size": 48, "first_size": 32, "epochs": 3, "seed": 4,
+    }  # fmt: skip
     params = TrainParams(**plan, batch_size=12)
-    train, val, cpu = _coloured(36, 1), _coloured(12, 2), torch.device("cpu")
+    train, val, cpu = _coloured(36, 1, 48), _coloured(12, 2, 48), torch.device("cpu")
 
     def trainer(folder: str) -> Trainer:
         (tmp_path / folder).mkdir(exist_ok=True)

@@ -20,7 +20,7 @@ from landing.api import LabelledPictures
 from landing.recognition import scores
 from landing.recognition.learning import checkpoint
 from landing.recognition.learning.augment import as_input, augmented
-from landing.recognition.networks.registry import build_network, check_network
+from landing.recognition.networks.registry import FIXED_SIZE, build_network, check_network
 
 Progress = Callable[[int, int, str], None]
 _AVERAGE = 0.998
@@ -30,6 +30,8 @@ _WARM_UP = 0.05
 """share of all steps in which the learning rate rises from nothing"""
 _BETTER = 1e-4
 """macro F1 that an epoch must gain to count as better"""
+_SIZES, _SIZE_STEP = 4, 16
+"""Growing pictures have this many sizes, which are multiples of so many pixels"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,6 +39,9 @@ class TrainParams:
     network: str = "resnet50_cbam"
     labels: str = "d_land"
     image_size: int = 96
+    first_size: int | None = None
+    """pixels across of the first epochs' pictures, which grow to ``image_size`` (Tan and Le, ICML
+    2021, section 4.2); None: all alike"""
     epochs: int = 30
     batch_size: int = 64
     learning_rate: float = 1e-3
@@ -87,15 +92,15 @@ class Trainer:
         device: torch.device,
     ) -> None:
         check_network(params.network, params.image_size)
+        check_growth(params)
         self.params, self._train, self._val = params, train, val
         self._folder, self._device = folder, device
         self.steps = max(1, math.ceil(len(train.labels) / params.batch_size))
         torch.manual_seed(params.seed)
         self.network = build_network(params.network, len(train.classes), params.image_size)
         self.network.to(device)
-        if device.type == "cuda":
-            # as its tensor cores want them
-            nn.utils.convert_conv2d_weight_memory_format(self.network, torch.channels_last)
+        # as tensor cores want them, and the vector units of a processor
+        nn.utils.convert_conv2d_weight_memory_format(self.network, torch.channels_last)
         self._average = copy.deepcopy(self.network).eval().requires_grad_(False)
         self._optimizer = _optimizer(self.network, params)
         self._scaler = torch.amp.GradScaler(device.type, enabled=_precision(device) is torch.half)
@@ -107,7 +112,11 @@ class Trainer:
     @property
     def finished(self) -> bool:
         done = len(self.history)
-        return done >= self.params.epochs or done - 1 - self.best_epoch >= self.params.patience
+        if done >= self.params.epochs:
+            return True
+        # pictures that still grow make the network better at what it is validated on
+        grown = size_of_epoch(self.params, done) == self.params.image_size
+        return grown and done - 1 - self.best_epoch >= self.params.patience
 
     def state(self) -> dict[str, Any]:
         """All that the next epoch depends on."""
@@ -141,8 +150,10 @@ class Trainer:
             batch = draws[step * self.params.batch_size : (step + 1) * self.params.batch_size]
             total += self._step(epoch * self.steps + step, batch, generator)
             progress(step + 1, self.steps, f"epoch {epoch + 1} of {self.params.epochs}")
+        with _autocast(self._device):
+            seen = predict(self._average, self._val.images, self._device)
         found = scores.summary(
-            predict(self._average, self._val.images, self._device),
+            seen,
             self._val.labels,
             self._val.classes,
         )
@@ -175,6 +186,9 @@ class Trainer:
         images = as_input(torch.from_numpy(self._train.images[batch]).to(self._device))
         labels = torch.from_numpy(self._train.labels[batch]).to(self._device)
         images = augmented(images, generator)
+        size = size_of_epoch(self.params, step // self.steps)
+        if size < images.shape[-1]:
+            images = functional.interpolate(images, size=(size, size), mode="area")
         with _autocast(self._device):
             loss = functional.cross_entropy(
                 self.network(normalised(images)),
@@ -196,6 +210,32 @@ class Trainer:
     def _key(self, name: str, epoch: int) -> int:
         sequence = np.random.SeedSequence([self.params.seed, crc32(name.encode()), epoch])
         return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def check_growth(params: TrainParams) -> None:
+    """Raises ValueError where ``first_size`` is too large, too small for the network, or where the
+    network sees pictures of one size only."""
+    first = params.first_size
+    if first is None:
+        return
+    if first > params.image_size:
+        raise ValueError(
+            f"first_size {first} is more than image_size {params.image_size}: pictures grow"
+        )
+    if params.network in FIXED_SIZE:
+        raise ValueError(f"{params.network} sees pictures of one size only: leave out first_size")
+    check_network(params.network, first)
+
+
+def size_of_epoch(params: TrainParams, epoch: int) -> int:
+    """Pixels across of the pictures that an epoch (from 0) trains on: as long at each of a few
+    sizes, from ``first_size`` to ``image_size``."""
+    if params.first_size is None:
+        return params.image_size
+    stage = min(_SIZES * epoch // params.epochs, _SIZES - 1)
+    span = params.image_size - params.first_size
+    size = params.first_size + span * stage / (_SIZES - 1)
+    return min(params.image_size, max(params.first_size, _SIZE_STEP * round(size / _SIZE_STEP)))
 
 
 def schedule(step: int, steps: int) -> float:
@@ -227,7 +267,7 @@ def normalised(images: Tensor) -> Tensor:
 def predict(
     network: nn.Module, images: NDArray[np.uint8], device: torch.device, batch: int = 64
 ) -> NDArray[np.float32]:
-    """(N, C) scores of pictures (N, S, S, 3), in float32."""
+    """(N, C) float32 scores of pictures (N, S, S, 3)."""
     network.eval()
     parts = []
     with torch.inference_mode():
@@ -249,9 +289,11 @@ def _optimizer(network: nn.Module, params: TrainParams) -> torch.optim.AdamW:
 
 
 def _precision(device: torch.device) -> torch.dtype | None:
-    """Of mixed precision: bfloat16 on a GPU that has it, else float16; none on a CPU."""
+    """Of mixed precision: bfloat16 where GPU or processor compute in it, float16 on other GPUs,
+    none on other processors."""
     if device.type != "cuda":
-        return None
+        able = torch.cpu.get_capabilities()
+        return torch.bfloat16 if able.get("avx512_bf16") or able.get("amx_bf16") else None
     return torch.bfloat16 if torch.cuda.is_bf16_supported() else torch.half
 
 

@@ -24,6 +24,8 @@ _BUILDERS = {
 _SMALLEST = {"inception_v4": 75}
 """pixels below which a convolution without padding has nothing left to look at"""
 _SMALLEST_OF_OTHERS = 32
+FIXED_SIZE = ("vgg19",)
+"""whose linear layers are laid out for one size of pictures"""
 
 NETWORKS = tuple(_BUILDERS)
 
