@@ -20,6 +20,9 @@ from experiments.cli_base import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
 @click.option("--jobs", type=click.IntRange(1, 1024), help="Flights at a time.  [cores]")
 @click.option("--skip", multiple=True, metavar="PART",
               help="Leave a part out, such as recognition. May be repeated.")  # fmt: skip
+@click.option("--photographs", multiple=True, metavar="[KIND=]DIR",
+              help="Labelled photographs to learn from and test on beside rendered "
+              "pictures, as --data of touchdown train. May be repeated.")  # fmt: skip
 @click.option("--list", "only_list", is_flag=True,
               help="Print the parts, what each shows and about how long it takes.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
@@ -29,6 +32,7 @@ def reproduce(
     quick: bool,
     jobs: int | None,
     skip: tuple[str, ...],
+    photographs: tuple[str, ...],
     only_list: bool,
     as_json: bool,
     quiet: bool,
@@ -61,6 +65,7 @@ def reproduce(
             quick=quick,
             jobs=jobs,
             skip=skip,
+            photographs=photographs,
             notes=make_notes(quiet),
             watcher=Watcher if quiet else Display,
         )

@@ -19,6 +19,7 @@ from experiments.cli_base import system_message
 from experiments.config import UsageError
 from experiments.engines import EngineStoppedError
 from experiments.reproduce_parts import PARTS, Done, Job, Notes, Part, part_named
+from experiments.reproduce_plans import Extent
 
 MARK, STATE, ERROR, REPORT = "reproduction.json", "part.json", "error.txt", "report"
 _LOCK = ".lock"
@@ -70,6 +71,7 @@ def reproduce(
     quick: bool,
     jobs: int,
     skip: Sequence[str] = (),
+    photographs: Sequence[str] = (),
     notes: Notes = lambda _note: None,
     watcher: Callable[[], Watcher] = Watcher,
 ) -> Reproduction:
@@ -85,9 +87,10 @@ def reproduce(
     if not wanted:
         raise UsageError("--skip leaves nothing to do")
     started = time.perf_counter()
-    _check_libraries([part for part in wanted if not _is_done(part, out, quick)])
+    extent = Extent(quick=quick, photographs=tuple(photographs))
+    _check_libraries([part for part in wanted if not _is_done(part, out, extent)])
     with _locked(out):
-        todo = [part for part in wanted if not _is_done(part, out, quick)]
+        todo = [part for part in wanted if not _is_done(part, out, extent)]
         _sign(out, quick=quick)
         for number, part in enumerate(wanted, start=1):
             head = f"[{number}/{len(wanted)}] {part.name}"
@@ -96,7 +99,7 @@ def reproduce(
                 continue
             notes(f"{head}: {part.title}, for {', '.join(part.shows)}")
             job = Job(
-                folder=out / part.name, quick=quick, jobs=jobs, notes=notes, watcher=watcher()
+                folder=out / part.name, extent=extent, jobs=jobs, notes=notes, watcher=watcher()
             )
             state = _do(part, job)
             told = state.error or state.why
@@ -129,7 +132,7 @@ def _do(part: Part, job: Job) -> PartState:
     state = PartState(
         part=part.name,
         edition=job.edition.name,
-        settings=part.settings(job.quick),
+        settings=part.settings(job.extent),
         figures=done.figures,
         why=done.why,
         error=error,
@@ -158,14 +161,14 @@ def _read_state(file: Path) -> PartState | None:
         ) from error
 
 
-def _is_done(part: Part, out: Path, quick: bool) -> bool:
+def _is_done(part: Part, out: Path, extent: Extent) -> bool:
     """Parts whose settings are the same quick and whole serve as both. A campaign with flights that
     came to no outcome is gone on with."""
     state = _read_state(out / part.name / STATE)
     if state is None or state.error:
         return False
     lost = state.figures.get("crashed", 0) or state.figures.get("remaining", 0)
-    return not lost and state.settings == _as_read(part.settings(quick))
+    return not lost and state.settings == _as_read(part.settings(extent))
 
 
 def _as_read(tree: Mapping[str, Any]) -> Any:
@@ -230,7 +233,7 @@ def overview(*, quick: bool, jobs: int, skip: Sequence[str] = ()) -> list[dict[s
             "part": part.name,
             "title": part.title,
             "shows": list(part.shows),
-            "core_minutes": part.core_seconds(quick) / 60.0,
+            "core_minutes": part.core_seconds(Extent(quick=quick)) / 60.0,
         }
         for part in PARTS
         if part.name not in skipped

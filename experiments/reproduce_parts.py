@@ -21,10 +21,10 @@ from experiments.reporting.published import SITES
 from experiments.reproduce_plans import (
     PAPER_SCENES,
     Edition,
+    Extent,
     Recognition,
     core_seconds,
     digest,
-    edition,
     plan_of,
 )
 from experiments.run_directory import run_directory
@@ -40,14 +40,14 @@ class Job:
     """What a part is given: its own directory, how much to do, and whom to tell."""
 
     folder: Path
-    quick: bool
+    extent: Extent
     jobs: int = field(default_factory=default_jobs)
     notes: Notes = lambda _note: None
     watcher: Watcher = field(default_factory=Watcher)
 
     @property
     def edition(self) -> Edition:
-        return edition(quick=self.quick)
+        return self.extent.edition
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +65,10 @@ class Part:
     title: str
     shows: tuple[str, ...]
     """tables and figures of the paper"""
-    settings: Callable[[bool], dict[str, Any]]
-    """what decides its result, of the quick edition or of the whole one"""
+    settings: Callable[[Extent], dict[str, Any]]
+    """what decides its result"""
     run: Callable[[Job], Done]
-    core_seconds: Callable[[bool], float]
+    core_seconds: Callable[[Extent], float]
     """roughly, on one core"""
     needs_torch: bool = False
 
@@ -164,7 +164,7 @@ def _campaign(name: str, job: Job) -> Done:
     from experiments.campaign_session import fly_campaign, make_engine
 
     figures = fly_campaign(
-        plan_of(name, quick=job.quick),
+        plan_of(name, quick=job.extent.quick),
         job.folder / FLIGHTS,
         make_engine("local", job.jobs),
         watcher=job.watcher,
@@ -186,7 +186,7 @@ def _recognition(job: Job) -> Done:
     """Pictures, networks, scores; whatever is there already is kept."""
     size = job.edition.recognition
     home = job.folder / job.edition.name
-    _start_over_if_changed(home, dataclasses.asdict(size))
+    _start_over_if_changed(home, _recognition_settings(job.extent))
     _use_threads(job.jobs)
     pictures = home / PICTURES
     if not pictures.is_dir():
@@ -207,8 +207,13 @@ def _recognition(job: Job) -> Done:
         for network in size.networks
         for labels in size.labels
     ]
-    figures = {"size": dataclasses.asdict(size), "folder": home.name, "networks": scores}
+    figures = {"size": _recognition_settings(job.extent), "folder": home.name, "networks": scores}
     return Done(figures)
+
+
+def _recognition_settings(extent: Extent) -> dict[str, Any]:
+    photographs = list(extent.photographs)
+    return dataclasses.asdict(extent.edition.recognition) | {"photographs": photographs}
 
 
 def _network(job: Job, size: Recognition, home: Path, network: str, labels: str) -> dict[str, Any]:
@@ -221,7 +226,7 @@ def _network(job: Job, size: Recognition, home: Path, network: str, labels: str)
         known: dict[str, Any] = json.loads((folder / SCORES).read_text(encoding="utf-8"))
         return known
     job.notes(f"training {network}, {labels}")
-    data = [str(home / PICTURES)]
+    data = [str(home / PICTURES), *job.extent.photographs]
     options = {
         "network": network,
         "labels": labels,
@@ -269,22 +274,22 @@ def _campaign_part(name: str, title: str, *shows: str) -> Part:
         name=name,
         title=title,
         shows=shows,
-        settings=lambda quick: {"flights": digest(plan_of(name, quick=quick))},
+        settings=lambda extent: {"flights": digest(plan_of(name, quick=extent.quick))},
         run=partial(_campaign, name),
-        core_seconds=lambda quick: core_seconds(plan_of(name, quick=quick)),
+        core_seconds=lambda extent: core_seconds(plan_of(name, quick=extent.quick)),
     )
 
 
-def _always(seconds: float) -> Callable[[bool], float]:
-    return lambda _quick: seconds
+def _always(seconds: float) -> Callable[[Extent], float]:
+    return lambda _extent: seconds
 
 
-def _recognition_seconds(quick: bool) -> float:
+def _recognition_seconds(extent: Extent) -> float:
     """Six pictures rendered a second; a core learns from 90 a second with ResNet18 at 64 pixels,
-    from 15 with the networks of the whole edition on average."""
-    size = edition(quick=quick).recognition
+    from 25 with the networks of the whole edition on average."""
+    size = extent.edition.recognition
     passes = size.images * size.epochs * len(size.networks) * len(size.labels)
-    return size.images / 6.0 + passes / (90.0 if quick else 15.0)
+    return size.images / 6.0 + passes / (90.0 if extent.quick else 25.0)
 
 
 PARTS: tuple[Part, ...] = (
@@ -292,7 +297,7 @@ PARTS: tuple[Part, ...] = (
         name="calibration",
         title="Camera and LIDAR, calibrated",
         shows=("Fig. 2",),
-        settings=lambda quick: {"poses": edition(quick=quick).poses},
+        settings=lambda extent: {"poses": extent.edition.poses},
         run=_calibration,
         core_seconds=_always(60.0),
     ),
@@ -300,7 +305,7 @@ PARTS: tuple[Part, ...] = (
         name="edges",
         title="Edge energy and smoothness",
         shows=("Fig. 4",),
-        settings=lambda _quick: {"seed": 0},
+        settings=lambda _extent: {"seed": 0},
         run=_edges,
         core_seconds=_always(40.0),
     ),
@@ -308,7 +313,7 @@ PARTS: tuple[Part, ...] = (
         name="world",
         title="Vehicle and scenes",
         shows=("Fig. 7", "Fig. 8"),
-        settings=lambda _quick: {"seed": 0},
+        settings=lambda _extent: {"seed": 0},
         run=_world,
         core_seconds=_always(30.0),
     ),
@@ -316,7 +321,7 @@ PARTS: tuple[Part, ...] = (
         name="speed",
         title="Time of a choice of site",
         shows=("Table 7",),
-        settings=lambda quick: {"rounds": edition(quick=quick).rounds},
+        settings=lambda extent: {"rounds": extent.edition.rounds},
         run=_speed,
         core_seconds=_always(20.0),
     ),
@@ -324,7 +329,7 @@ PARTS: tuple[Part, ...] = (
         name="sites",
         title="From the map to the site",
         shows=("Fig. 11",),
-        settings=lambda _quick: {"seed": 0},
+        settings=lambda _extent: {"seed": 0},
         run=_sites,
         core_seconds=_always(80.0),
     ),
@@ -336,7 +341,7 @@ PARTS: tuple[Part, ...] = (
         name="recognition",
         title="Place recognition",
         shows=("Fig. 5", "Table 3", "Table 4"),
-        settings=lambda quick: dataclasses.asdict(edition(quick=quick).recognition),
+        settings=_recognition_settings,
         run=_recognition,
         core_seconds=_recognition_seconds,
         needs_torch=True,

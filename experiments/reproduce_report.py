@@ -245,11 +245,13 @@ def _fill_speed(section: Section, figures: Figures, _folder: Path) -> None:
 def _fill_recognition(section: Section, figures: Figures, folder: Path) -> None:
     size = figures["size"]
     networks, schemes = len(size["networks"]), len(size["labels"])
+    names = [Path(argument.rpartition("=")[2]).name for argument in size["photographs"]]
+    also = f" and the photographs of {' and '.join(names)}" if names else ""
     section.words.append(
-        f"{size['images']} rendered pictures of {size['pixels']} pixels; networks see "
+        f"{size['images']} rendered pictures of {size['pixels']} pixels{also}; networks see "
         f"{size['image_size']} and learn for at most {size['epochs']} epochs. The paper's pictures "
         "are photographs of UC Merced, AID and Places365, 81 970 for validation and 5000 for the "
-        "test: scores on rendered ground stand beside them, but are of another task."
+        "test: scores on other pictures stand beside them, but are of another task."
     )
     if networks < len(NETWORK_NAMES):
         section.words.append(

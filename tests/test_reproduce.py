@@ -24,7 +24,15 @@ from experiments.picture_files import write_png
 from experiments.reporting import published
 from experiments.reporting.published_networks import NETWORK_NAMES, STEP_TIMES, TEST, VALIDATION
 from experiments.reproduce_parts import PARTS, Done, part_named
-from experiments.reproduce_plans import PLANS, QUICK, WHOLE, digest, plan_of
+from experiments.reproduce_plans import (
+    PLANS,
+    QUICK,
+    WHOLE,
+    WHOLE_ON_GPU,
+    Extent,
+    digest,
+    plan_of,
+)
 from experiments.reproduce_report import ITEMS
 from tests.report_support import LANDING, write_run
 
@@ -212,7 +220,9 @@ def test_quick_fits_into_twenty_minutes_of_two_cores() -> None:
     """By the measured cost of each kind of flight; a fifth is left for what waits for others."""
     minutes = sum(part["core_minutes"] for part in reproduce.overview(quick=True, jobs=2))
     alone = {"calibration", "edges", "world", "speed"}
-    waiting = sum(part.core_seconds(True) / 60.0 for part in PARTS if part.name in alone)
+    waiting = sum(
+        part.core_seconds(Extent(quick=True)) / 60.0 for part in PARTS if part.name in alone
+    )
     assert (minutes + waiting) / 2.0 < 0.8 * 20.0
 
 
@@ -349,7 +359,18 @@ def test_a_campaign_without_some_outcomes_fails(
     skip = [other.name for other in PARTS if other is not part]
     done = run_quick(tmp_path, skip=skip)
     assert done.states["real_sites"].why == "2 of 5 flights came to no outcome"
-    assert not reproduce._is_done(part, tmp_path, quick=True), "it is gone on with"
+    assert not reproduce._is_done(part, tmp_path, Extent(quick=True)), "it is gone on with"
+
+
+@pytest.mark.usefixtures("no_report")
+def test_photographs_are_learned_from_too(world: World, tmp_path: Path) -> None:
+    skip = [part.name for part in PARTS if part.name != "recognition"]
+    assert run_quick(tmp_path, skip=skip).good
+    assert run_quick(tmp_path, skip=skip).good and world.count("pictures") == 1
+    done = run_quick(tmp_path, skip=skip, photographs=["ucmerced=photographs"])
+    assert world.count("pictures") == 2, "other pictures start over"
+    assert done.states["recognition"].figures["size"]["photographs"] == ["ucmerced=photographs"]
+    assert WHOLE.name != WHOLE_ON_GPU.name, "never in one folder or one table"
 
 
 @pytest.mark.usefixtures("no_report")
