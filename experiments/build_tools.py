@@ -30,7 +30,7 @@ from estimator.api import (
 from experiments.build import make_world
 from experiments.config import Config, UsageError
 from experiments.suggest import nearest
-from landing.api import PlaceClassifier, Selection
+from landing.api import PlaceClassifier, Selection, SurveyParams
 from scenes.api import Scene, TruthMaps
 from sim.api import SensorNeeds, SensorRig, VehicleModel
 from sim.frames import Pose
@@ -206,6 +206,13 @@ def build_towed_survey(config: Config, scene: Scene) -> TowedSurvey:
             footprint_radius_m=rig.vehicle.footprint_radius_m,
         ),
     )
+
+
+def check_survey(params: SurveyParams) -> None:
+    """Raises ValueError for a survey that cannot be flown in its time."""
+    from landing.trajectory import survey_trajectory
+
+    survey_trajectory(np.zeros(3), 0.0, params)
 
 
 def aerial_camera(config: Config, scene: Scene) -> AerialCamera:

@@ -354,6 +354,12 @@ def test_a_worker_that_is_killed_is_replaced(tmp_path: Path, undisturbed: Path) 
     assert summary(out)["crashed"] == 0
 
 
+def test_a_survey_that_cannot_be_flown_is_told_before_the_first_flight(tmp_path: Path) -> None:
+    text = axes(scene=["flat"], estimator=["gps"]) + "[axes.survey]\nduration_s = [36.0, 3.0]\n"
+    with pytest.raises(UsageError, match=r"a survey of 3 legs of 50 m does not fit into 3 s"):
+        make_plan(tmp_path, text)
+
+
 def test_any_number_of_jobs_and_shards_gives_the_same_rows(
     tmp_path: Path, undisturbed: Path
 ) -> None:
