@@ -285,7 +285,7 @@ def _optimizer(network: nn.Module, params: TrainParams) -> torch.optim.AdamW:
         {"params": large, "weight_decay": params.weight_decay},
         {"params": small, "weight_decay": 0.0},
     ]
-    return torch.optim.AdamW(groups, lr=params.learning_rate)
+    return torch.optim.AdamW(groups, lr=params.learning_rate, fused=True)
 
 
 def _precision(device: torch.device) -> torch.dtype | None:
