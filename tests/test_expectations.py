@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_campaign import fly, make_plan
 
 from experiments import cli
 from experiments.campaign import load_plan
 from experiments.campaign_session import summary
 from experiments.config import UsageError
 from experiments.expectations import judge, judge_campaign, lines, unexpected
+from tests.campaign_flights import fly, make_plan
 
 ROOT = Path(__file__).parent.parent
 FILE = """

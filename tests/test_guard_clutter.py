@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_fault_models import look_down
+from test_fault_air import look_down
 from test_guard import RIG, obs
 from test_lidar import PLANE
 
