@@ -24,6 +24,8 @@ def train_network(
     device: str,
     progress: Progress,
     notes: Callable[[str], None],
+    *,
+    compiled: bool = False,
 ) -> dict[str, Any]:
     """Trains until it ends by itself; a training in ``out`` that was stopped goes on.
 
@@ -43,7 +45,7 @@ def train_network(
         for split in ("train", "val")
     )
     out.mkdir(parents=True, exist_ok=True)
-    trainer = training.Trainer(params, train, val, out, chosen)
+    trainer = training.Trainer(params, train, val, out, chosen, compiled=compiled)
     if trainer.history:
         notes(f"going on after epoch {len(trainer.history)}")
     while not trainer.finished:

@@ -266,6 +266,8 @@ def test_a_stopped_training_ends_as_one_that_was_not(torch: Any, tmp_path: Path)
     assert whole.history[-1]["train_loss"] < whole.history[0]["train_loss"]
     with pytest.raises(ValueError, match="holds a training with other pictures"):
         Trainer(params, val, train, tmp_path / "whole", cpu)
+    longer = TrainParams(**(plan | {"epochs": 4}), batch_size=12)
+    assert not Trainer(longer, train, val, tmp_path / "whole", cpu).finished
     changed = TrainParams(**plan, batch_size=8)
     with pytest.raises(ValueError, match="a training with batch_size 12, not 8"):
         Trainer(changed, train, val, tmp_path / "whole", cpu)

@@ -30,6 +30,8 @@ _WARM_UP = 0.05
 """share of all steps in which the learning rate rises from nothing"""
 _BETTER = 1e-4
 """macro F1 that an epoch must gain to count as better"""
+_MAY_CHANGE = ("epochs", "patience")
+"""parameters of a training that goes on: its schedule is as long as it is told to be now"""
 _SIZES, _SIZE_STEP = 4, 16
 """Growing pictures have this many sizes, which are multiples of so many pixels"""
 
@@ -90,7 +92,10 @@ class Trainer:
         val: LabelledPictures,
         folder: Path,
         device: torch.device,
+        *,
+        compiled: bool = False,
     ) -> None:
+        """``compiled``: by `torch.compile`, which takes a minute for every size of pictures."""
         check_network(params.network, params.image_size)
         check_growth(params)
         self.params, self._train, self._val = params, train, val
@@ -101,12 +106,15 @@ class Trainer:
         self.network.to(device)
         # as tensor cores want them, and the vector units of a processor
         nn.utils.convert_conv2d_weight_memory_format(self.network, torch.channels_last)
+        self._compiled = torch.compile(self.network, dynamic=False) if compiled else None
         self._average = copy.deepcopy(self.network).eval().requires_grad_(False)
         self._optimizer = _optimizer(self.network, params)
         self._scaler = torch.amp.GradScaler(device.type, enabled=_precision(device) is torch.half)
         self.history: list[dict[str, float]] = []
         self.best_epoch = -1
         self._identity = asdict(params) | {"data": _fingerprint(train, val)}
+        for name in _MAY_CHANGE:
+            del self._identity[name]
         checkpoint.restore(self, folder, self._identity)
 
     @property
@@ -189,9 +197,12 @@ class Trainer:
         size = size_of_epoch(self.params, step // self.steps)
         if size < images.shape[-1]:
             images = functional.interpolate(images, size=(size, size), mode="area")
+        # the last pictures of an epoch are too few to be worth compiling for
+        whole = len(batch) == self.params.batch_size
+        network = self._compiled if self._compiled is not None and whole else self.network
         with _autocast(self._device):
             loss = functional.cross_entropy(
-                self.network(normalised(images)),
+                network(normalised(images)),
                 labels,
                 label_smoothing=self.params.label_smoothing,
             )

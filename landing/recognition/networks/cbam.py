@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 REDUCTION = 16
 """r: the hidden layer of the channel attention has C / r units"""
@@ -20,7 +21,8 @@ def channel_attention(features: Tensor, mlp: Callable[[Tensor], Tensor]) -> Tens
     """Eq. 2: M_c(F) = sigmoid(MLP(AvgPool(F)) + MLP(MaxPool(F))), (B, C, 1, 1).
 
     The pools go over all pixels; both share ``mlp``, (B, C) to (B, C)."""
-    mean, most = features.mean(dim=(2, 3)), features.amax(dim=(2, 3))
+    mean = functional.adaptive_avg_pool2d(features, 1).flatten(1)
+    most = functional.adaptive_max_pool2d(features, 1).flatten(1)
     return torch.sigmoid(mlp(mean) + mlp(most))[:, :, None, None]
 
 
