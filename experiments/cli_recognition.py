@@ -97,7 +97,7 @@ def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int
 @click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
 @click.option("--threads", type=click.IntRange(1), help="Of the processor.  [all]")
 @click.option("--compile", "compiled", is_flag=True,
-              help="Compile the network: a minute for each size of pictures, then faster by a third. "
+              help="Compile the network: a minute for each size of pictures, faster by a third after. "
               "Needs a C++ compiler.")  # fmt: skip
 @_JSON
 @_QUIET
