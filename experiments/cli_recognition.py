@@ -82,6 +82,8 @@ def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int
 @_DATA
 @click.option("--out", type=click.Path(path_type=Path), required=True,
               help="Folder; a training in it that was stopped goes on.")  # fmt: skip
+@click.option("--start-from", "start", type=click.Path(path_type=Path), metavar="DIR",
+              help="Of another training: begin with its best weights.  [fresh ones]")  # fmt: skip
 @click.option("--epochs", type=click.IntRange(1), default=30, show_default=True)
 @click.option("--image-size", type=click.IntRange(32, 512), default=96, show_default=True,
               help="Pixels across that the network sees.")  # fmt: skip
@@ -104,6 +106,7 @@ def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int
 def train(
     data: tuple[str, ...],
     out: Path,
+    start: Path | None,
     device: str,
     threads: int | None,
     compiled: bool,
@@ -126,7 +129,14 @@ def train(
     with progress_bar(quiet) as progress:
         report = usage_errors(
             lambda: train_network(
-                data, out, options, device, progress, make_notes(quiet), compiled=compiled
+                data,
+                out,
+                options,
+                device,
+                progress,
+                make_notes(quiet),
+                start=start,
+                compiled=compiled,
             )
         )
     if as_json:

@@ -25,6 +25,7 @@ def train_network(
     progress: Progress,
     notes: Callable[[str], None],
     *,
+    start: Path | None = None,
     compiled: bool = False,
 ) -> dict[str, Any]:
     """Trains until it ends by itself; a training in ``out`` that was stopped goes on.
@@ -45,7 +46,7 @@ def train_network(
         for split in ("train", "val")
     )
     out.mkdir(parents=True, exist_ok=True)
-    trainer = training.Trainer(params, train, val, out, chosen, compiled=compiled)
+    trainer = training.Trainer(params, train, val, out, chosen, start=start, compiled=compiled)
     if trainer.history:
         notes(f"going on after epoch {len(trainer.history)}")
     while not trainer.finished:

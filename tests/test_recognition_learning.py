@@ -276,6 +276,28 @@ def test_a_stopped_training_ends_as_one_that_was_not(torch: Any, tmp_path: Path)
         trainer("whole")
 
 
+def test_a_training_may_begin_with_the_weights_of_another(torch: Any, tmp_path: Path) -> None:
+    from landing.recognition.learning.training import Trainer, TrainParams
+
+    train, val, cpu = _coloured(12, 1), _coloured(6, 2), torch.device("cpu")
+    params = TrainParams(network="mobilenet_v3_large", image_size=32, epochs=1, batch_size=6)
+    first, second = tmp_path / "first", tmp_path / "second"
+    first.mkdir()
+    second.mkdir()
+    Trainer(params, train, val, first, cpu).run_epoch(lambda done, total, note: None)
+    best = torch.load(first / "best.pt", weights_only=True)
+    trainer = Trainer(params, train, val, second, cpu, start=first)
+    assert all(bool((value == best[n]).all()) for n, value in trainer.network.state_dict().items())
+    trainer.run_epoch(lambda done, total, note: None)
+    with pytest.raises(ValueError, match="a training with other weights to begin with"):
+        Trainer(params, train, val, second, cpu)
+    other = TrainParams(network="resnet18", image_size=32, epochs=1, batch_size=6)
+    with pytest.raises(ValueError, match="holds weights of another network"):
+        Trainer(other, train, val, second, cpu, start=first)
+    with pytest.raises(ValueError, match="is no checkpoint that can be read"):
+        Trainer(params, train, val, second, cpu, start=tmp_path / "none")
+
+
 def test_a_device_that_is_not_here(torch: Any) -> None:
     from landing.recognition.learning.training import chosen_device
 

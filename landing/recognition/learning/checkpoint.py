@@ -6,10 +6,13 @@ import os
 import pickle
 from pathlib import Path
 from typing import Any, Protocol
+from zlib import crc32
 
 import torch
+from torch import nn
 
 LAST, BEST = "last.pt", "best.pt"
+_OTHER = {"data": "other pictures", "start": "other weights to begin with"}
 
 
 class Resumable(Protocol):
@@ -28,7 +31,7 @@ def restore(trainer: Resumable, folder: Path, identity: dict[str, Any]) -> None:
     before = state["identity"]
     for key, value in identity.items():
         if before.get(key) != value:
-            what = "other pictures" if key == "data" else f"{key} {before.get(key)}, not {value}"
+            what = _OTHER[key] if key in _OTHER else f"{key} {before.get(key)}, not {value}"
             raise ValueError(f"'{folder}' holds a training with {what}; name another folder")
     trainer.take_state(state)
 
@@ -44,6 +47,22 @@ def write_best(folder: Path, weights: dict[str, Any]) -> None:
 def read_best(folder: Path) -> dict[str, Any]:
     """Weights of the best epoch. Raises ValueError: no such file, or broken."""
     return _read(folder / BEST)
+
+
+def begin_with(network: nn.Module, folder: Path) -> None:
+    """Loads the best weights of the training in ``folder``. Raises ValueError: as ``read_best``, or
+    of another network or other classes."""
+    try:
+        network.load_state_dict(read_best(folder))
+    except RuntimeError:
+        raise ValueError(
+            f"'{folder / BEST}' holds weights of another network or of other classes"
+        ) from None
+
+
+def fingerprint(folder: Path) -> int:
+    """Of the best weights in ``folder``."""
+    return crc32((folder / BEST).read_bytes())
 
 
 def _write(path: Path, value: dict[str, Any]) -> None:

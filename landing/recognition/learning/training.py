@@ -93,9 +93,12 @@ class Trainer:
         folder: Path,
         device: torch.device,
         *,
+        start: Path | None = None,
         compiled: bool = False,
     ) -> None:
-        """``compiled``: by `torch.compile`, which takes a minute for every size of pictures."""
+        """``start``: the folder of another training of this network, whose best weights this one
+        begins with. ``compiled``: by `torch.compile`, which takes a minute for every size of
+        pictures."""
         check_network(params.network, params.image_size)
         check_growth(params)
         self.params, self._train, self._val = params, train, val
@@ -103,6 +106,8 @@ class Trainer:
         self.steps = max(1, math.ceil(len(train.labels) / params.batch_size))
         torch.manual_seed(params.seed)
         self.network = build_network(params.network, len(train.classes), params.image_size)
+        if start is not None:
+            checkpoint.begin_with(self.network, start)
         self.network.to(device)
         # as tensor cores want them, and the vector units of a processor
         nn.utils.convert_conv2d_weight_memory_format(self.network, torch.channels_last)
@@ -112,7 +117,10 @@ class Trainer:
         self._scaler = torch.amp.GradScaler(device.type, enabled=_precision(device) is torch.half)
         self.history: list[dict[str, float]] = []
         self.best_epoch = -1
-        self._identity = asdict(params) | {"data": _fingerprint(train, val)}
+        self._identity = asdict(params) | {
+            "data": _fingerprint(train, val),
+            "start": None if start is None else checkpoint.fingerprint(start),
+        }
         for name in _MAY_CHANGE:
             del self._identity[name]
         checkpoint.restore(self, folder, self._identity)
