@@ -29,7 +29,8 @@ scene = ["crossroad", "lake", "houses", "forest"]
 estimator = ["gps", "optical_flow", "livo"]
 seeds = "0-4"
 [base]
-survey = { legs = 1, leg_length_m = 8.0, duration_s = 6.0 }
+survey = { legs = 1, leg_length_m = 6.0, duration_s = 5.0, height_m = 8.0 }
+mapper = { enabled = false }
 [limits]
 retries = 1
 """
