@@ -17,10 +17,11 @@ from scenes.textures import Picture, to_picture
 
 Array = NDArray[np.float64]
 
-DECK = Surface(land_class="road", reflectivity=0.24)
+ASPHALT_DECK = Surface(land_class="road", reflectivity=0.24)
+TIMBER_DECK = Surface(land_class="path", reflectivity=0.24)
 STEEL = Surface(land_class="other", reflectivity=0.40)
 CONCRETE = Surface(land_class="building", reflectivity=0.36)
-STAIRS = Surface(land_class="road", reflectivity=0.33)
+STAIRS = Surface(land_class="path", reflectivity=0.33)
 RAIL_M, POST_STEP_M = 1.15, 2.0
 STEP_RISE_M = 0.17
 PX_PER_M = 40.0
@@ -33,15 +34,16 @@ def add_bridge(builder: Builder, plan: Plan) -> None:
     bridge = plan.bridge
     rng = builder.rng
     picture = asphalt_deck(rng, bridge) if plan.over_road else timber_deck(rng, bridge)
-    material = builder.material("road_deck", picture)
+    deck = ASPHALT_DECK if plan.over_road else TIMBER_DECK
+    material = builder.material(f"{deck.land_class}_deck", picture)
     pose = {"pos": [*bridge.lot.origin_xy_m, 0.0], "quat": quat_z(bridge.lot.angle)}
     for name, first, last in (
-        ("road_deck", -bridge.half_length_m, bridge.half_length_m),
-        ("road_ramp", bridge.half_length_m, bridge.reach_m),
-        ("road_ramp", -bridge.reach_m, -bridge.half_length_m),
+        (f"{deck.land_class}_deck", -bridge.half_length_m, bridge.half_length_m),
+        (f"{deck.land_class}_ramp", bridge.half_length_m, bridge.reach_m),
+        (f"{deck.land_class}_ramp", -bridge.reach_m, -bridge.half_length_m),
     ):
         mesh = builder.mesh(builder.unique(name), slab_mesh(bridge, first, last))
-        builder.geom(name, DECK, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material, **pose)
+        builder.geom(name, deck, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material, **pose)
     _cast_slab(builder, bridge)
     rgba = _RAILS[int(rng.integers(len(_RAILS)))]
     for side in (1.0, -1.0):
@@ -218,7 +220,7 @@ def _add_stairs(builder: Builder, plan: Plan, side: float, end: float, rgba: lis
     ]
     mesh = builder.mesh("stairs", MeshData.join(parts))
     pose = {"pos": [*bridge.lot.origin_xy_m, 0.0], "quat": quat_z(bridge.lot.angle)}
-    builder.geom("road_stairs", STAIRS, type=GEOM.mjGEOM_MESH, meshname=mesh, **pose,
+    builder.geom("path_stairs", STAIRS, type=GEOM.mjGEOM_MESH, meshname=mesh, **pose,
                  rgba=[0.60, 0.59, 0.56, 1])  # fmt: skip
     aside = bridge.lot.points(np.array([[end * u, v + side * 0.85] for u in (top_u, low_u)]))
     builder.geom("railing", STEEL, type=GEOM.mjGEOM_CAPSULE, rgba=rgba, size=[0.03, 0, 0],
