@@ -151,17 +151,19 @@ def test_seeds_bridge_streams_and_roads() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 3])
-def test_bridge_is_a_road_wide_enough_to_land_on(seed: int) -> None:
+def test_bridge_is_wide_enough_to_land_on(seed: int) -> None:
+    """Over a road it is an asphalt road, over water a timber path."""
     scene, plan = place("footbridge", seed), bridge_plan(seed)
-    bridge = plan.bridge
+    bridge, kind = plan.bridge, "road" if plan.over_road else "path"
     assert bridge.width_m >= 4.0
     for u in (0.0, 0.6 * bridge.half_length_m):
         spot = bridge.lot.at(u, 0.0)
         heights, classes = looked_at(scene, spot[None])
         assert heights[0] == pytest.approx(float(bridge.top(np.array(u))), abs=0.02)
-        assert classes[0] == ROAD
+        assert classes[0] == LAND_CLASSES.index(kind)
         judged = judge_touchdown(scene, spot)
-        assert judged.safe_geometry and judged.land_class == "road" and not judged.safe
+        assert judged.safe_geometry and judged.land_class == kind
+        assert judged.safe is (kind == "path")
         assert judged.obstacle_distance_m == pytest.approx(0.5 * bridge.width_m - 0.1, abs=0.12)
     beside = bridge.lot.at(0.0, 0.5 * bridge.width_m - 0.7)
     assert not judge_touchdown(scene, beside).safe_geometry
