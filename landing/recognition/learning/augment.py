@@ -28,20 +28,23 @@ def as_input(images: Tensor) -> Tensor:
     return images.permute(0, 3, 1, 2).float() / 255.0
 
 
-def augmented(images: Tensor, generator: torch.Generator) -> Tensor:
-    """(B, 3, S, S) within 0..1, turned, mirrored, zoomed, lit otherwise, partly hidden."""
-    return _hidden(_relit(_moved(images, generator), generator), generator)
+def augmented(images: Tensor, generator: torch.Generator, strength: float = 1.0) -> Tensor:
+    """(B, 3, S, S) within 0..1, turned, mirrored, zoomed, lit otherwise, partly hidden.
+
+    ``strength`` 0 leaves turning and mirroring, and a shift."""
+    moved = _moved(images, generator, strength)
+    return _hidden(_relit(moved, generator, strength), generator, strength)
 
 
 def _uniform(generator: torch.Generator, shape: tuple[int, ...], low: float, high: float) -> Tensor:
     return low + (high - low) * torch.rand(shape, generator=generator)
 
 
-def _moved(images: Tensor, generator: torch.Generator) -> Tensor:
+def _moved(images: Tensor, generator: torch.Generator, strength: float = 1.0) -> Tensor:
     """Seen from above there is no up: any angle is as likely, and so is the mirror image."""
     count = len(images)
     angle = _uniform(generator, (count,), 0.0, 2.0 * math.pi)
-    zoom = torch.exp(_uniform(generator, (count,), -_ZOOM, _ZOOM))
+    zoom = torch.exp(strength * _uniform(generator, (count,), -_ZOOM, _ZOOM))
     mirror = torch.where(torch.rand(count, generator=generator) < 0.5, -1.0, 1.0)
     shift = _uniform(generator, (count, 2, 1), -_SHIFT, _SHIFT)
     cosine, sine = zoom * torch.cos(angle), zoom * torch.sin(angle)
@@ -51,13 +54,15 @@ def _moved(images: Tensor, generator: torch.Generator) -> Tensor:
     return functional.grid_sample(images, grid, padding_mode="reflection", align_corners=False)
 
 
-def _relit(images: Tensor, generator: torch.Generator) -> Tensor:
+def _relit(images: Tensor, generator: torch.Generator, strength: float) -> Tensor:
     count = len(images)
-    light = _LIGHT * torch.randn(count, 1, 1, 1, generator=generator)
-    tint = _TINT * torch.randn(count, 3, 1, 1, generator=generator)
-    contrast = _uniform(generator, (count, 1, 1, 1), *_CONTRAST).to(images)
-    colour = _uniform(generator, (count, 1, 1, 1), *_COLOUR).to(images)
-    noise = _uniform(generator, (count, 1, 1, 1), 0.0, _NOISE).to(images)
+    light = strength * _LIGHT * torch.randn(count, 1, 1, 1, generator=generator)
+    tint = strength * _TINT * torch.randn(count, 3, 1, 1, generator=generator)
+    contrast, colour = (
+        1.0 + strength * (_uniform(generator, (count, 1, 1, 1), *span).to(images) - 1.0)
+        for span in (_CONTRAST, _COLOUR)
+    )
+    noise = strength * _uniform(generator, (count, 1, 1, 1), 0.0, _NOISE).to(images)
     # millions of numbers: drawn where the pictures are, from a seed that is drawn here
     local = torch.Generator(images.device)
     local.manual_seed(int(torch.randint(2**62, (), generator=generator)))
@@ -69,10 +74,10 @@ def _relit(images: Tensor, generator: torch.Generator) -> Tensor:
     return (mean + contrast * (images - mean) + noise * grain).clamp(0.0, 1.0)
 
 
-def _hidden(images: Tensor, generator: torch.Generator) -> Tensor:
+def _hidden(images: Tensor, generator: torch.Generator, strength: float) -> Tensor:
     """A grey rectangle over one picture in four (Zhong et al., AAAI 2020)."""
     count, size = len(images), images.shape[-1]
-    pick = torch.rand(count, generator=generator) < 0.25
+    pick = torch.rand(count, generator=generator) < 0.25 * strength
     sides = size * _uniform(generator, (count, 2), *_ERASED)
     first = torch.rand(count, 2, generator=generator) * (size - sides)
     pixel = torch.arange(size)

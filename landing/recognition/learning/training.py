@@ -49,6 +49,8 @@ class TrainParams:
     learning_rate: float = 1e-3
     weight_decay: float = 0.05
     label_smoothing: float = 0.05
+    variation: float = 1.0
+    """strength of what is changed in pictures (`augment.augmented`)"""
     patience: int = 8
     """epochs without a better macro F1 on the validation pictures before training ends"""
     seed: int = 0
@@ -201,7 +203,7 @@ class Trainer:
             group["lr"] = self._rate(step)
         images = as_input(torch.from_numpy(self._train.images[batch]).to(self._device))
         labels = torch.from_numpy(self._train.labels[batch]).to(self._device)
-        images = augmented(images, generator)
+        images = augmented(images, generator, self.params.variation)
         size = size_of_epoch(self.params, step // self.steps)
         if size < images.shape[-1]:
             images = functional.interpolate(images, size=(size, size), mode="area")
