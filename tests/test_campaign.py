@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -143,3 +144,19 @@ def test_real_flights_are_the_same_in_any_number_of_workers(tmp_path: Path) -> N
         for result in results:
             del result["timing"]
         assert results[0] == results[1]
+
+
+def test_a_flight_by_itself_adds_up_as_one_of_a_campaign() -> None:
+    """One thread for the algebra, unless somebody asks for more."""
+    script = "import experiments, os; print(os.environ['OPENBLAS_NUM_THREADS'])"
+    other = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
+    for environment, threads in ((other, "1"), (other | {"OPENBLAS_NUM_THREADS": "3"}, "3")):
+        found = subprocess.run(
+            [sys.executable, "-c", script],
+            cwd=Path(__file__).parent.parent,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert found.stdout.strip() == threads
