@@ -101,8 +101,8 @@ def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int
 @click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
 @click.option("--threads", type=click.IntRange(1), help="Of the processor.  [all]")
 @click.option("--compile", "compiled", is_flag=True,
-              help="Compile the network: a minute for each size of pictures, then a third "
-              "faster. Needs a C++ compiler.")  # fmt: skip
+              help="Compile the network: slow at each new size of pictures, then faster. "
+              "Needs a C++ compiler.")  # fmt: skip
 @_JSON
 @_QUIET
 def train(
