@@ -9,17 +9,18 @@ from typing import Any
 
 from experiments.config import Config, load_config
 
-_SHORT_SURVEY = (
+SHORT_SURVEY = (
     "survey.legs=2",
     "survey.leg_length_m=25.0",
     "survey.leg_spacing_m=15.0",
     "survey.duration_s=14.0",
 )
+"""of flights that measure speed, settings by dotted keys"""
 
 
 def bench_config(*, scene: str, estimator: str, seed: int, full: bool) -> Config:
     """A landing with recording; unless ``full``, after a short survey. Raises UsageError."""
-    overrides = () if full else _SHORT_SURVEY
+    overrides = () if full else SHORT_SURVEY
     return load_config(None, overrides, scene=scene, estimator=estimator, seed=seed, record=True)
 
 
@@ -27,7 +28,7 @@ def overhead_config(*, scene: str, seed: int, full: bool) -> Config:
     """The flight of `measure_loop_overhead`: one thread, truth for the estimator, and the survey
     alone, unless ``full``. Raises UsageError."""
     overrides = ["sim.threads=1", "landing.survey_only=true"]
-    overrides += [] if full else list(_SHORT_SURVEY)
+    overrides += [] if full else list(SHORT_SURVEY)
     return load_config(None, overrides, scene=scene, estimator="oracle", seed=seed, record=True)
 
 

@@ -70,6 +70,42 @@ def bench_loop(
     return EXIT_DONE if is_good(result["result"]) else EXIT_FAILED
 
 
+@bench.command("workers")
+@click.option("--scene", default="crossroad", show_default=True)
+@click.option("--estimator", default="livo", show_default=True)
+@click.option("--workers", type=click.IntRange(min=2), default=2, show_default=True)
+@click.option("--runs", type=click.IntRange(min=2), default=6, show_default=True,
+              help="Flights of each campaign.")  # fmt: skip
+@click.option("--rounds", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def bench_workers(
+    scene: str, estimator: str, workers: int, runs: int, rounds: int, as_json: bool
+) -> int:
+    """The same campaign of short landings by one single-threaded worker and by several.
+
+    ratio.one is how many times as many flights they end in a second, their start included.
+
+    Example: touchdown bench workers --json
+    """
+    from experiments.bench_workers import measure_workers
+
+    figures = usage_errors(
+        lambda: measure_workers(
+            scene=scene,
+            estimator=estimator,
+            workers=workers,
+            runs=runs,
+            rounds=rounds,
+            report=lambda line: click.echo(line, err=as_json),
+        )
+    )
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+    else:
+        click.echo(f"ratio.one {figures['ratio']['one']:.2f} with {workers} workers")
+    return EXIT_DONE
+
+
 @bench.command("lidar")
 @click.option("--scene", default="crossroad", show_default=True)
 @click.option("--preset", default="horizon", show_default=True, help="horizon, avia or mid360.")

@@ -17,6 +17,7 @@ import pytest
 from experiments import bench, cli
 from experiments.bench import bench_config, overhead_config
 from experiments.build import build_scene
+from experiments.campaign import Plan
 from experiments.config import Config, load_config
 from experiments.overhead import NOT_OVERHEAD, _compare, _Sums, measure_overhead
 from experiments.timing import StageClock, Timed
@@ -237,3 +238,27 @@ def test_bare_physics_is_mujoco_s_own_step(lawn: Scene) -> None:
     np.testing.assert_array_equal(data.qpos, world._data.qpos)
     assert world._data.xfrc_applied[:, 2].max() > 10.0
     world.close()
+
+
+def test_workers_are_compared_by_their_wall_time(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Three rounds: 2, 1.5 and 1.8 times as fast; the median counts."""
+    spent = iter([60.0, 30.0, 60.0, 40.0, 72.0, 40.0])
+    flown: list[tuple[int, int]] = []
+
+    def fly(plan: Plan, out: Path, jobs: int) -> float:
+        flown.append((len(plan.runs), jobs))
+        return next(spent)
+
+    monkeypatch.setattr("experiments.bench_workers._flown", fly)
+    assert cli.main(["bench", "workers", "--rounds", "3", "--runs", "4", "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["ratio"]["one"] == pytest.approx(1.8)
+    assert figures["wall_s"] == {"one": [60.0, 60.0, 72.0], "workers": [30.0, 40.0, 40.0]}
+    assert flown == [(4, 1), (4, 2)] * 3
+
+
+def test_runs_of_the_workers_share_out_evenly(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["bench", "workers", "--runs", "5"]) == 2
+    assert "--runs 5 do not share out among 2 workers" in capsys.readouterr().err
