@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -172,6 +173,27 @@ def test_a_training_may_begin_with_the_weights_of_another(torch: Any, tmp_path: 
         Trainer(other, train, val, second, cpu, start=first)
     with pytest.raises(ValueError, match="is no checkpoint that can be read"):
         Trainer(params, train, val, second, cpu, start=tmp_path / "none")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a setting of glibc")
+def test_memory_is_used_again() -> None:
+    """A second array of 64 MB has no page (4 kB) that the system would have to zero."""
+    script = (
+        "import resource, numpy as np\n"
+        "from experiments.recognition_train import keep_freed_memory\n"
+        "keep_freed_memory()\n"
+        "faults = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "def more():\n"
+        "    before = faults()\n"
+        "    np.ones(8_000_000)\n"
+        "    return faults() - before\n"
+        "print(more(), more())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    first, second = map(int, done.stdout.split())
+    assert second < 100 < first
 
 
 def test_a_device_that_is_not_here(torch: Any) -> None:
