@@ -32,9 +32,11 @@ Counts = NDArray[np.int64]
 HEIGHTS_M = (5.0, 60.0)
 SIDES_M = (3.2, 25.6)
 """of the square of ground, drawn by its logarithm; flights look at 6.4 m"""
-LEAST_SHARE = 0.6
-"""of a patch that shows its class, and of the middle of it, 0.4 as wide"""
+LEAST_SHARE, LEAST_MIDDLE = 0.6, 0.95
+"""of a patch that shows its class, and of the middle of it, where a vehicle would stand: less, and
+two answers are right"""
 _MIDDLE = 0.4
+"""width of the middle"""
 _LEAST_PX = 48
 _DRAWN = 192
 """squares that are tried in one picture"""
@@ -149,7 +151,8 @@ def _squares(
         middle = max(1, round(_MIDDLE * side))
         offset = (side - middle) // 2
         same, middle_share = _majority(sums, top + offset, left + offset, middle)
-        if same == land_class and min(share, middle_share) >= LEAST_SHARE:
+        clear = share >= LEAST_SHARE and middle_share >= LEAST_MIDDLE
+        if same == land_class and clear:
             yield _Square(top, left, side, land_class, share, depth)
 
 

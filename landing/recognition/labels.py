@@ -134,7 +134,7 @@ _RENDERED = {
                                  "trees": "park"}),
     "lake": ("resort", {"water": "pond", "lawn": "meadow", "field": "beach", "trees": "forest"}),
     "houses": ("mediumresidential", {}),
-    "forest": ("forest", {"lawn": "meadow", "field": "meadow", "water": "river"}),
+    "forest": ("forest", {"lawn": "meadow", "water": "river"}),
     "turf": ("playground", {"trees": "park", "building": "stadium"}),
     "rooftop_parking": ("parking", {"building": "commercial", "trees": "commercial"}),
     "cottage": ("sparseresidential", {"field": "farmland", "trees": "forest"}),
