@@ -110,6 +110,31 @@ def test_without_strength_pictures_are_only_moved(torch: Any) -> None:
     assert float((augmented(plain, torch.Generator().manual_seed(3)) - plain).abs().max()) > 0.05
 
 
+def test_blended_pictures_have_blended_classes(torch: Any) -> None:
+    """Pictures as bright as their class is high: what is left of a class is left of its light."""
+    from landing.recognition.learning.augment import blended
+
+    generator = torch.Generator().manual_seed(3)
+    classes = torch.arange(8)
+    images = classes.float()[:, None, None, None].expand(8, 3, 4, 4)
+    targets = torch.nn.functional.one_hot(classes, 8).float()
+    mixed, chances = blended(images, targets, generator, 0.4)
+    torch.testing.assert_close(chances.sum(dim=1), torch.ones(8))
+    torch.testing.assert_close(mixed[:, 0, 0, 0], chances @ classes.float())
+    assert bool((chances[classes, classes] >= 0.5).all()) and bool((chances < 1.0).any())
+
+
+@pytest.mark.parametrize("strength", [0.2, 1.0])
+def test_shares_of_blended_pictures_are_beta_distributed(torch: Any, strength: float) -> None:
+    """Beta(a, a): mean 1/2, variance 1 / (8 a + 4)."""
+    from landing.recognition.learning.augment import _beta
+
+    generator = torch.Generator().manual_seed(4)
+    draws = np.array([_beta(strength, generator) for _ in range(4000)])
+    assert draws.mean() == pytest.approx(0.5, abs=0.025)
+    assert draws.var() == pytest.approx(1.0 / (8.0 * strength + 4.0), rel=0.06)
+
+
 def test_a_turn_of_a_plain_picture_changes_nothing(torch: Any) -> None:
     from landing.recognition.learning.augment import _moved
 

@@ -84,3 +84,24 @@ def _hidden(images: Tensor, generator: torch.Generator, strength: float) -> Tens
     inside = (pixel >= first[..., None]) & (pixel < (first + sides)[..., None])
     covered = pick[:, None, None] & inside[:, 0, :, None] & inside[:, 1, None, :]
     return torch.where(covered[:, None].to(images.device), 0.5, images)
+
+
+def blended(
+    images: Tensor, targets: Tensor, generator: torch.Generator, strength: float
+) -> tuple[Tensor, Tensor]:
+    """Pictures (B, 3, S, S) and probabilities of their classes (B, C), blended with those that a
+    permutation gives (Zhang et al., ICLR 2018): all by one share from Beta(``strength``,
+    ``strength``), at least half of it their own."""
+    pair = torch.randperm(len(images), generator=generator).to(images.device)
+    draw = _beta(strength, generator)
+    own = max(draw, 1.0 - draw)
+    return own * images + (1.0 - own) * images[pair], own * targets + (1.0 - own) * targets[pair]
+
+
+def _beta(strength: float, generator: torch.Generator) -> float:
+    """One draw of Beta(a, a) for a up to 1, by Joehnk's method: torch's own takes no generator."""
+    while True:
+        u, v = torch.rand(2, generator=generator, dtype=torch.float64).tolist()
+        x, y = u ** (1.0 / strength), v ** (1.0 / strength)
+        if 0.0 < x + y <= 1.0:
+            return float(x / (x + y))

@@ -19,7 +19,7 @@ from torch.nn import functional
 from landing.api import LabelledPictures
 from landing.recognition import scores
 from landing.recognition.learning import checkpoint
-from landing.recognition.learning.augment import as_input, augmented
+from landing.recognition.learning.augment import as_input, augmented, blended
 from landing.recognition.networks.registry import FIXED_SIZE, build_network, check_network
 
 Progress = Callable[[int, int, str], None]
@@ -51,6 +51,8 @@ class TrainParams:
     label_smoothing: float = 0.05
     variation: float = 1.0
     """strength of what is changed in pictures (`augment.augmented`)"""
+    blending: float = 0.0
+    """strength of `augment.blended`, up to 1; 0: pictures are not blended"""
     patience: int = 8
     """epochs without a better macro F1 on the validation pictures before training ends"""
     seed: int = 0
@@ -204,6 +206,9 @@ class Trainer:
         images = as_input(torch.from_numpy(self._train.images[batch]).to(self._device))
         labels = torch.from_numpy(self._train.labels[batch]).to(self._device)
         images = augmented(images, generator, self.params.variation)
+        targets = functional.one_hot(labels, len(self._train.classes)).float()
+        if self.params.blending > 0.0:
+            images, targets = blended(images, targets, generator, self.params.blending)
         size = size_of_epoch(self.params, step // self.steps)
         if size < images.shape[-1]:
             images = functional.interpolate(images, size=(size, size), mode="area")
@@ -213,7 +218,7 @@ class Trainer:
         with _autocast(self._device):
             loss = functional.cross_entropy(
                 network(normalised(images)),
-                labels,
+                targets,
                 label_smoothing=self.params.label_smoothing,
             )
         self._optimizer.zero_grad(set_to_none=True)
