@@ -137,6 +137,7 @@ def _result(outcome: str, **landing: Any) -> dict[str, Any]:
         (_result("LANDED", safe_geometry=False), 1),
         (_result("TIPPED", safe_geometry=True), 1),
         (_result("NO_SITE"), 1),
+        (_result("GROUNDED"), 1),
         (_result("COMPLETED"), 0),
     ],
 )

@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from experiments import cli
@@ -155,6 +156,26 @@ def test_another_order_than_the_papers_is_said(rows: list[dict[str, Any]]) -> No
         "lake: the paper's methods come in the order `gps` < `paper`; in its Table 2 it is "
         "`paper` < `gps`." in leading_words(swapped)
     )
+
+
+def test_a_method_that_never_took_off_does_not_compete(rows: list[dict[str, Any]]) -> None:
+    nothing = {"trajectory_error_m": None, "position_error_m.mean": None, "outcome": "GROUNDED"}
+    grounded = [row | nothing if row["estimator"] == "livo" else row for row in rows]
+    words = leading_words(grounded)
+    assert words[0].startswith("crossroad: `paper` is ahead by E_tra")
+    assert "crossroad: no flight with a figure to compare of `livo`." in words
+    best = table(make_report(grounded, title="x"), "table2_error").rows
+    assert {line[0].text: line[1].kind for line in best} == {
+        "`livo`": "", "`paper`": "best", "`gps`": "",
+    }  # fmt: skip
+
+
+def test_a_path_that_never_left_the_ground_has_no_deviation(tmp_path: Path) -> None:
+    run = write_flight(tmp_path, "flat", "gps", 0)
+    truth = np.loadtxt(run / "truth.tum")
+    truth[:, 1:4] = (0.0, 0.0, 0.05)
+    np.savetxt(run / "truth.tum", truth)
+    assert path_deviation(run) is None
 
 
 def test_lost_flights_are_counted_and_named(report: Report) -> None:
