@@ -23,7 +23,7 @@ def report(directory: Path, out: Path | None, as_json: bool) -> int:
 
     Of a campaign, or with --out: the paper's tables and figures, measured beside published, as
     report.html (one file, no network needed), report.md and report.json. Of any other directory: a
-    Markdown table of its runs, and their summary. Exit code 1 means that runs of a campaign came to
+    Markdown table of its runs, and a line on how they ended. Exit code 1 means that runs of a campaign came to
     something else than its file expects.
 
     Example: touchdown report campaigns/positioning
@@ -36,7 +36,13 @@ def report(directory: Path, out: Path | None, as_json: bool) -> int:
 
 
 def _print_table(directory: Path, as_json: bool) -> int:
-    from experiments.report import LANDING_COLUMNS, load_runs, markdown_table, summary
+    from experiments.report import (
+        LANDING_COLUMNS,
+        load_runs,
+        markdown_table,
+        summary,
+        summary_line,
+    )
 
     rows = load_runs(directory)
     totals = summary(rows)
@@ -44,7 +50,7 @@ def _print_table(directory: Path, as_json: bool) -> int:
         click.echo(json.dumps({"summary": totals, "runs": rows}, indent=2))
     else:
         click.echo(markdown_table(rows, LANDING_COLUMNS))
-        click.echo(f"\n{json.dumps(totals, indent=2)}")
+        click.echo(f"\n{summary_line(totals)}")
     return EXIT_DONE
 
 

@@ -248,7 +248,12 @@ def test_a_plain_directory_prints_its_table(
     campaign: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["report", str(campaign)]) == 0
-    assert capsys.readouterr().out.startswith("| scene | estimator | seed | outcome |")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("| run | scene | estimator | seed | outcome |")
+    assert lines[2].startswith("| crossroad-gps-s0 | crossroad | gps | 0 |")
+    assert lines[-2:] == ["", "21 runs: COMPLETED 17, DIVERGED 1, LANDED 3; 1 unsafe touchdown"]
+    assert cli.main(["report", str(campaign / "lake-livo-s1"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["runs"][0]["run"] == "lake-livo-s1"
     assert not (campaign / "report").exists()
 
 
