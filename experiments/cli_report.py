@@ -23,8 +23,8 @@ def report(directory: Path, out: Path | None, as_json: bool) -> int:
 
     Of a campaign, or with --out: the paper's tables and figures, measured beside published, as
     report.html (one file, no network needed), report.md and report.json. Of any other directory: a
-    Markdown table of its runs, and a line on how they ended. Exit code 1 means that runs of a campaign came to
-    something else than its file expects.
+    Markdown table of its runs, and a line on how they ended. Exit code 1 means that runs of a
+    campaign came to something else than its file expects.
 
     Example: touchdown report campaigns/positioning
     """

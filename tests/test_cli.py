@@ -188,7 +188,7 @@ def test_a_sensor_log_is_not_replaced_by_a_run_without(
 
 @pytest.mark.parametrize(
     ("kind", "recognition", "remark"),
-    [("road", "off", True), ("building", "off", True), ("lawn", "off", False), ("road", "a", False)],
+    [("road", "off", True), ("building", "off", True), ("lawn", "off", False), ("road", "", False)],
 )
 def test_risky_ground_without_place_recognition_is_remarked_on(
     kind: str, recognition: str, remark: bool, capsys: pytest.CaptureFixture[str]
@@ -205,7 +205,7 @@ def test_risky_ground_without_place_recognition_is_remarked_on(
 def test_a_table_in_a_pipe_is_not_cut(capsys: pytest.CaptureFixture[str]) -> None:
     from experiments.console import print_scene_check
 
-    row = {
+    row: dict[str, Any] = {
         "scene": "a_scene_with_a_name_that_takes_a_whole_line_of_a_terminal_and_more_than_that",
         "built": 3, "failed": {}, "closest": None, "differ": True, "without_safe_site": [],
         "safe_share_min": 0.5, "safe_share_median": 0.6, "seconds_per_seed": 1.5,

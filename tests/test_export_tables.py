@@ -23,7 +23,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_nothing_is_judged_of_a_flight_that_never_took_off() -> None:
     grounded = FlownRun(Path("r"), {"span_s": [None, 21.2]})
-    with pytest.raises(UsageError, match="'r' never took off.*leave out --judged"):
+    with pytest.raises(UsageError, match=r"'r' never took off.*leave out --judged"):
         grounded.wanted_s(True)
     assert grounded.wanted_s(False) == FlownRun(Path("r"), {}).span_s() == (-np.inf, np.inf)
     assert grounded.span_s()[0] == np.inf, "no row of a table is judged"
