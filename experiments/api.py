@@ -16,6 +16,8 @@ class Outcome(StrEnum):
     DIVERGED = "DIVERGED"
     NO_SITE = "NO_SITE"
     ABORTED = "ABORTED"
+    GROUNDED = "GROUNDED"
+    """the survey was over and the vehicle had not left the ground"""
     COMPLETED = "COMPLETED"
     """``fly``: the survey was flown to its end"""
 

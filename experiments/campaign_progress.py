@@ -17,6 +17,7 @@ from rich.table import Table
 from experiments import expectations
 from experiments.campaign_run import Task
 from experiments.campaign_session import Watcher
+from experiments.console import make_console
 from experiments.engines import Event
 
 
@@ -126,7 +127,7 @@ def _clock(seconds: float) -> str:
 
 def print_summary(figures: Mapping[str, Any]) -> None:
     """How far a campaign is and what it took."""
-    console = Console(highlight=False)
+    console = make_console()
     console.print(
         f"{figures['name']}: {figures['finished']} of {figures['runs']} runs finished, "
         f"{figures['crashed']} crashed, {figures['remaining']} to go, "

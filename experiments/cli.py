@@ -104,6 +104,7 @@ _FLIGHT_OPTIONS = (
         type=click.Path(path_type=Path),
         help="Run directory.  [runs/SCENE-ESTIMATOR-SEED]",
     ),
+    click.option("--force", is_flag=True, help="Replace a run whose sensors.mcap would be lost."),
     click.option("--record/--no-record", default=None, help="Write flight.rrd.  [record]"),
     click.option(
         "--log-sensors",
@@ -186,6 +187,7 @@ def fly(context: click.Context, replayed: Path | None, **options: Any) -> int:
 
 def _run_flight(options: dict[str, Any], **more: Any) -> int:
     from experiments.config import load_config
+    from experiments.run_directory import check_log_kept
 
     quiet, out = options["quiet"], options["out"]
     config = load_config(
@@ -198,6 +200,7 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
     if out is None:
         stem = Path(config.scene).stem
         out = Path("runs") / f"{stem}-{config.estimator.replace(':', '.')}-{config.seed}"
+    check_log_kept(out, logs=config.log.sensors, force=options["force"])
     result = guarded_fly(config, out, make_progress(quiet))
     end_progress(quiet)
     good = is_good(result)

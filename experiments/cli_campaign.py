@@ -169,9 +169,10 @@ def query(directory: Path, sql: str, as_json: bool, as_csv: bool) -> int:
 
 
 def _print_rows(columns: list[str], rows: list[tuple[Any, ...]]) -> None:
-    from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
+
+    from experiments.console import make_console
 
     table = Table()
     for title in columns:
@@ -179,5 +180,4 @@ def _print_rows(columns: list[str], rows: list[tuple[Any, ...]]) -> None:
     for row in rows:
         cells = (f"{v:.6g}" if isinstance(v, float) else "" if v is None else str(v) for v in row)
         table.add_row(*map(escape, cells))
-    # Only people need it to fit.
-    Console(highlight=False, width=None if sys.stdout.isatty() else 4000).print(table)
+    make_console().print(table)

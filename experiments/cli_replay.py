@@ -27,6 +27,7 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
     from experiments.config import UsageError
     from experiments.console import end_progress, make_progress, print_result
     from experiments.replay import replay, replay_config
+    from experiments.run_directory import check_log_kept
 
     for name, option in _FLOWN.items():
         if options.get(name) not in (None, (), False):
@@ -40,6 +41,8 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
         stem = Path(config.scene).stem
         name = config.estimator.replace(":", ".")
         out = Path("runs") / f"{stem}-{name}-{config.seed}-replay"
+    if out.resolve() != run.resolve():  # which is told as such
+        check_log_kept(out, logs=False, force=options["force"])
     result = replay(run, config, out, make_progress(quiet))
     end_progress(quiet)
     good = is_good(result)

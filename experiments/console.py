@@ -9,9 +9,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from experiments.report import lookup
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 _ROWS = (
     ("outcome", "outcome", "{}"),
@@ -25,13 +28,15 @@ _ROWS = (
     ("vertical speed", "landing.vertical_speed_mps", "{:.3f} m/s"),
     ("horizontal speed", "landing.horizontal_speed_mps", "{:.3f} m/s"),
     ("tilt at touchdown", "landing.tilt_deg", "{:.2f} deg"),
-    ("ground", "landing.class_true", "{}"),
+    ("kind of ground", "landing.class_true", "{}"),
     ("taken for", "landing.class_predicted", "{}"),
     ("safe geometry", "landing.safe_geometry", "{}"),
     ("map levelness error", "map.levelness_error_deg.mean", "{:.2f} deg"),
     ("simulated time", "timing.sim_s", "{:.1f} s"),
     ("real-time factor", "timing.real_time_factor", "{:.2f}"),
 )
+_UNCUT = 4000
+"""columns"""
 _STAGE_ORDER = ("world", "estimator", "mapper", "lander", "controller", "recorder", "referee")
 
 
@@ -49,12 +54,18 @@ def error_line(message: str) -> str:
     return f"touchdown: error: {shown}"
 
 
+def make_console() -> Console:
+    """Of stdout. Only on a terminal do tables have to fit: in a file or a pipe nothing is cut."""
+    from rich.console import Console
+
+    return Console(highlight=False, width=None if sys.stdout.isatty() else _UNCUT)
+
+
 def print_result(result: Mapping[str, Any], out_dir: Path | None, good: bool) -> None:
     """The table of a flight, and where its recording is."""
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console(highlight=False)
+    console = make_console()
     title = "{scene}, {estimator}, seed {seed}, wind {wind_kmh:g} km/h".format(**result)
     table = Table(title=title, show_header=False, title_justify="left", min_width=52)
     table.add_column(style="dim")
@@ -69,6 +80,8 @@ def print_result(result: Mapping[str, Any], out_dir: Path | None, good: bool) ->
         if path == "outcome":
             text = f"[bold {'green' if good else 'red'}]{text}[/]"
         table.add_row(label, text)
+    if remark := _remark(result):
+        table.add_row("remark", remark)
     console.print(table)
     if out_dir is not None:
         console.print(f"run directory: {out_dir}", soft_wrap=True)
@@ -78,9 +91,18 @@ def print_result(result: Mapping[str, Any], out_dir: Path | None, good: bool) ->
             console.print(f"look at it:    {program} view {out_dir}", soft_wrap=True)
 
 
+def _remark(result: Mapping[str, Any]) -> str:
+    """On a touchdown that counts by geometry alone, where the kind of ground is a risky one."""
+    from scenes.api import RISKY_CLASSES
+
+    kind = lookup(result, "landing.class_true")
+    if kind not in RISKY_CLASSES or result.get("place_recognition") != "off":
+        return ""
+    return f"a {kind} is risky ground; place recognition was off"
+
+
 def print_stages(result: Mapping[str, Any]) -> None:
     """Real-time factor and where the time of a flight went."""
-    from rich.console import Console
     from rich.table import Table
 
     timing = result["timing"]
@@ -100,14 +122,13 @@ def print_stages(result: Mapping[str, Any]) -> None:
     table.add_row("rest of the loop", f"{rest:.1f}", f"{rest / total:.0%}")
     table.add_section()
     table.add_row("all", f"{total:.1f}", "100%")
-    console = Console(highlight=False)
+    console = make_console()
     console.print(table)
     console.print(f"real-time factor {timing['real_time_factor']:.2f} ({timing['sim_s']:.1f} s)")
 
 
 def print_overhead(ratio: float, overhead: Mapping[str, Any]) -> None:
     """What the loop costs on one core beyond physics, rays and pixels, largest first."""
-    from rich.console import Console
     from rich.table import Table
 
     bare, loop = overhead["bare_ms"], overhead["loop_ms"]
@@ -122,13 +143,12 @@ def print_overhead(ratio: float, overhead: Mapping[str, Any]) -> None:
         table.add_row(name.replace("_", " "), f"{ms:.1f}", f"{ms / bare['all']:.0%}")
     table.add_section()
     table.add_row("loop without estimator and lander", f"{loop['all']:.1f}", f"{ratio:.0%}")
-    console = Console(highlight=False)
+    console = make_console()
     console.print(table)
     console.print(f"overhead: {ratio:.2f} x bare")
 
 
 def print_margins(rows: list[dict[str, Any]]) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(title="loop margins", title_justify="left")
@@ -142,12 +162,11 @@ def print_margins(rows: list[dict[str, Any]]) -> None:
             f"{row['phase_margin_deg']:.0f}",
             f"{row['crossover_rad_s']:.2f}",
         )
-    Console(highlight=False).print(table)
+    make_console().print(table)
 
 
 def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
     """One row a scene: seeds that build, how much the two most alike differ, safe ground."""
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(title="seeds of each scene", title_justify="left")
@@ -172,7 +191,7 @@ def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
             seeds = ", ".join(str(seed) for seed in row["without_safe_site"])
             notes.append(f"{row['scene']}: no safe site where the survey looks in seeds {seeds}")
         notes += [f"{row['scene']} seed {seed}: {why}" for seed, why in row["failed"].items()]
-    console = Console(highlight=False)
+    console = make_console()
     console.print(table)
     console.print(
         "closest: the two most alike seeds, their mean absolute difference in height, share of "
@@ -221,7 +240,6 @@ def end_progress(quiet: bool) -> None:
 
 def print_calibration(report: Mapping[str, Any]) -> None:
     """Errors of a calibration beside what it says of them itself."""
-    from rich.console import Console
     from rich.table import Table
 
     error, sigma = report["error"], report["stated_sigma"]
@@ -246,7 +264,7 @@ def print_calibration(report: Mapping[str, Any]) -> None:
         error["camera_percent"].items(), sigma["camera_px"], strict=True
     ):
         table.add_row(name, f"{percent:+.3f} %", f"{spread:.2f} px")
-    console = Console(highlight=False)
+    console = make_console()
     console.print(table)
     for number, why in views["refused"].items():
         console.print(f"view {int(number) + 1} not used: {why}", soft_wrap=True)

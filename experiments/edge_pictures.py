@@ -156,8 +156,9 @@ _LABELS = {
 
 
 def print_scores(report: Mapping[str, Any]) -> None:
-    from rich.console import Console
     from rich.table import Table
+
+    from experiments.console import make_console
 
     scenes = list(next(iter(report["scenes"].values())))
     table = Table(title=f"{report['pictures']} pictures", title_justify="left")
@@ -169,7 +170,7 @@ def print_scores(report: Mapping[str, Any]) -> None:
         figures = [*row.values(), *report["scenes"][name].values()]
         table.add_row(_LABELS.get(name, name), *(f"{figure:.3f}" for figure in figures))
     setting = report["canny_setting"]
-    console = Console(highlight=False)
+    console = make_console()
     console.print(table)
     console.print(
         f"Canny at its best: blur {setting['sigma_px']:.1f} px, threshold "

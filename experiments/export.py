@@ -90,12 +90,22 @@ class FlownRun:
         return own
 
     def span_s(self) -> tuple[float, float]:
-        """Positions are judged from here on, and before there."""
-        first, last = self.result.get("span_s") or (None, None)
+        """Positions are judged from here on, and before there: never, where it never took off;
+        always, in runs of earlier versions, which do not tell."""
+        first, last = self.result.get("span_s") or (-np.inf, None)
         return (
-            -np.inf if first is None else float(first),
+            np.inf if first is None else float(first),
             np.inf if last is None else float(last),
         )
+
+    def wanted_s(self, judged: bool) -> tuple[float, float]:
+        """The span to export: all, or ``judged`` alone. Raises UsageError where that is nothing."""
+        if not judged:
+            return -np.inf, np.inf
+        first_s, end_s = self.span_s()
+        if first_s == np.inf:
+            raise UsageError(f"'{self.path}' never took off: no row is judged; leave out --judged")
+        return first_s, end_s
 
 
 def open_flown(run: Path) -> FlownRun:
@@ -195,7 +205,7 @@ def _is_export(path: Path, kind: str) -> bool:
 def write_tum(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:
     """One trajectory, ``t x y z qx qy qz qw``, world frame."""
     rows = tum_rows(flown.file(f"{options.poses}.tum"))
-    first_s, end_s = flown.span_s() if options.judged else (-np.inf, np.inf)
+    first_s, end_s = flown.wanted_s(options.judged)
     writer, count = TumWriter(path), 0
     try:
         for time_s, pose in rows:
@@ -224,6 +234,7 @@ def write_csv(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:
     the vehicle should have been, the error of the estimate (world axes) and the deviation from
     the reference. Cells without a value are empty."""
     first_s, end_s = flown.span_s()
+    flown.wanted_s(options.judged)  # refuses what would be an empty table
     truth = tum_rows(flown.file("truth.tum"))
     others = [_at_times(flown, name) for name in ("estimate", "reference")]
     phase = _Phases(flown.result)

@@ -86,6 +86,12 @@ class TrajectoryDeviation:
     def variance(self) -> float:
         return self._m2 / self.count if self.count else 0.0
 
+    def summary(self) -> dict[str, float | None]:
+        """Keys of ``result.json``, metres; None where nothing was flown."""
+        figures = (self.mean, self.largest, self.variance) if self.count else (None,) * 3
+        names = ("trajectory_error_m", "trajectory_error_max_m", "trajectory_variance_m2")
+        return dict(zip(names, figures, strict=True))
+
 
 NEES_LIMIT = 14.2
 """A consistent estimator is below it in 99.7 % of samples (chi-square, 3 degrees of freedom)."""

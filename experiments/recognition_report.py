@@ -107,10 +107,11 @@ def footprint(network: Path, engine: str) -> dict[str, float]:
 
 def print_evaluation(report: Mapping[str, Any]) -> None:
     """Tables: overall and by data set, recall of each class, confusion matrix."""
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console(highlight=False)
+    from experiments.console import make_console
+
+    console = make_console()
     table = Table(
         title=f"{report['network']}, {report['labels']}, {report['split']}", title_justify="left"
     )

@@ -114,7 +114,7 @@ class Referee:
             survey_s = (self._survey_to_s or truth.time_s) - self._survey_from_s
         return FlightResult(
             outcome=outcome,
-            reason=self._reason or view.note,
+            reason=self._reason or ("" if outcome is Outcome.COMPLETED else view.note),
             sim_s=truth.time_s,
             survey_s=survey_s,
             span_s=(self._lift_off_s, self._survey_to_s),
@@ -178,9 +178,13 @@ class Referee:
         return None
 
     def _judge_end(self, truth: Truth, view: LanderView) -> Outcome | None:
+        over = self._survey_to_s is not None or view.phase == Phase.DONE
+        if over and self._lift_off_s is None and not view.aborted:
+            self._reason = "never took off"
+            return Outcome.GROUNDED
         if view.phase == Phase.DONE:
             if self._survey_only:
-                return Outcome.COMPLETED
+                return Outcome.ABORTED if view.aborted else Outcome.COMPLETED
             if self._at_rest(truth):
                 if view.no_site:
                     return Outcome.NO_SITE

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from experiments.config import UsageError
 from experiments.reporting.baseline import (
     Baseline,
-    Cells,
     Key,
     Trial,
     cell_name,
@@ -25,6 +24,7 @@ from experiments.reporting.baseline import (
     configuration_sha,
 )
 from experiments.reporting.flights import Row
+from experiments.reporting.losses import Pairs, absent, newly_bad, vanished
 from experiments.reporting.statistics import (
     Estimate,
     detectable_paired,
@@ -92,6 +92,8 @@ class OutcomeResult:
 class Comparison:
     cells: list[CellResult]
     outcomes: list[OutcomeResult]
+    vanished: list[str]
+    """cells that are worse without a test, see `experiments.reporting.losses.vanished`"""
     newly_bad: list[str]
     missing: list[str]
     """what the baseline has and the directory has not"""
@@ -106,11 +108,23 @@ class Comparison:
         object.__setattr__(
             self,
             "regressed",
-            any(cell.worse for cell in self.cells) or any(o.worse for o in self.outcomes),
+            bool(self.vanished)
+            or any(cell.worse for cell in self.cells)
+            or any(o.worse for o in self.outcomes),
         )
 
+    @property
+    def blind(self) -> list[str]:
+        """Cells with too few flights to find any change."""
+        return [cell.name for cell in self.cells if cell.detectable is None]
+
+    def failed(self, require_power: bool = False) -> bool:
+        """Something got worse, or nothing was compared; with ``require_power`` also where a cell
+        had too few flights to find any change."""
+        return self.regressed or not self.cells or (require_power and bool(self.blind))
+
     def as_json(self) -> dict[str, Any]:
-        found = asdict(self)
+        found = asdict(self) | {"compared": len(self.cells), "blind": self.blind}
         found["alpha"] = {"errors": ERROR_ALPHA, "outcomes": OUTCOME_ALPHA}
         return found
 
@@ -133,7 +147,9 @@ def compare(rows: Sequence[Row], baseline: Baseline, margin: float = 0.0) -> Com
         )
     samples = [found for key in common if (found := _sample(key, new[key], old[key])) is not None]
     cells = _test([*samples, *_over_scenes(samples)], margin)
-    measured = {sample.key for sample in samples}
+    pairs = {key: (new[key], old[key]) for key in common}
+    gone = vanished(pairs)
+    measured = {sample.key for sample in samples} | gone.keys()
     warnings = [
         f"{cell_name(key)}: too few flights with an error to compare"
         for key in common
@@ -146,10 +162,11 @@ def compare(rows: Sequence[Row], baseline: Baseline, margin: float = 0.0) -> Com
         )
     return Comparison(
         cells=cells,
-        outcomes=_compare_outcomes({key: (new[key], old[key]) for key in common}),
-        newly_bad=_newly_bad({key: (new[key], old[key]) for key in common}),
-        missing=_absent(old, new),
-        added=_absent(new, old),
+        outcomes=_compare_outcomes(pairs),
+        vanished=[f"{cell_name(key)}: {why}" for key, why in gone.items()],
+        newly_bad=newly_bad(pairs),
+        missing=absent(old, new),
+        added=absent(new, old),
         warnings=warnings,
         margin=margin,
         baseline_revision=baseline.git_revision,
@@ -277,8 +294,6 @@ def _as_ratio(change: Estimate) -> dict[str, Any]:
 
 # ------------------------------------------------------------------------------------- outcomes
 
-Pairs = Mapping[Key, tuple[Mapping[int, Trial], Mapping[int, Trial]]]
-
 
 def _compare_outcomes(pairs: Pairs) -> list[OutcomeResult]:
     """Fisher's test per cell, and per method over all its cells where it has several."""
@@ -308,25 +323,3 @@ def _compare_outcomes(pairs: Pairs) -> list[OutcomeResult]:
             counts.items(), raw, holm(raw), strict=True
         )
     ]
-
-
-def _newly_bad(pairs: Pairs) -> list[str]:
-    return [
-        f"{cell_name(key)}, seed {seed}: {old[seed].outcome} before, {new[seed].outcome} now"
-        for key, (new, old) in pairs.items()
-        for seed in sorted(new.keys() & old.keys())
-        if new[seed].bad and not old[seed].bad
-    ]
-
-
-def _absent(these: Cells, those: Cells) -> list[str]:
-    """Cells, and seeds of common cells, of ``these`` that ``those`` lack."""
-    lines = []
-    for key, trials in sorted(these.items()):
-        if key not in those:
-            lines.append(cell_name(key))
-            continue
-        seeds = sorted(trials.keys() - those[key].keys())
-        if seeds:
-            lines.append(f"{cell_name(key)}: seed {', '.join(map(str, seeds))}")
-    return lines

@@ -249,6 +249,8 @@ def _replay(
             break
         if progress is not None:
             progress(obs.time_s, "REPLAY", "")
+    if outcome is Outcome.COMPLETED and not np.isfinite(logged.from_s):
+        outcome, reason = Outcome.GROUNDED, "the flight that was logged never took off"
     wall_s = time.perf_counter() - started
     scans = max(last_s / 0.1, 1e-9)
     return _result(

@@ -33,6 +33,7 @@ class Column:
 
 
 LANDING_COLUMNS: tuple[Column, ...] = (
+    Column("run", "run"),
     Column("scene", "scene"),
     Column("estimator", "estimator"),
     Column("seed", "seed"),
@@ -65,16 +66,24 @@ def lookup(row: Row, path: str) -> Any:
 
 
 def load_runs(directory: Path) -> list[dict[str, Any]]:
-    """Every ``result.json`` at or below ``directory``, by scene, estimator and seed.
+    """Every ``result.json`` at or below ``directory``, by scene, estimator and seed, and below
+    ``run`` the directory that it lies in, from ``directory`` on.
 
     Raises UsageError when there is none or one cannot be read.
     """
     if not directory.is_dir():
         raise UsageError(f"'{directory}' is no directory of runs")
-    rows = [load_run(path) for path in sorted(directory.rglob("result.json"))]
+    rows = [
+        {**load_run(path), "run": _name(path.parent, directory)}
+        for path in sorted(directory.rglob("result.json"))
+    ]
     if not rows:
         raise UsageError(f"'{directory}' holds no finished run (no result.json)")
     return sorted(rows, key=lambda row: (row["scene"], row["estimator"], row["seed"]))
+
+
+def _name(run: Path, directory: Path) -> str:
+    return directory.resolve().name if run == directory else run.relative_to(directory).as_posix()
 
 
 def load_run(path: Path) -> dict[str, Any]:
@@ -124,3 +133,11 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         for row in rows
     )
     return {"runs": len(rows), "outcomes": outcomes, "unsafe_touchdowns": unsafe, "means": means}
+
+
+def summary_line(totals: Mapping[str, Any]) -> str:
+    """``3 runs: LANDED 2, NO_SITE 1; 1 unsafe touchdown``, of `summary`."""
+    runs, unsafe = totals["runs"], totals["unsafe_touchdowns"]
+    counts = ", ".join(f"{name} {count}" for name, count in sorted(totals["outcomes"].items()))
+    line = f"{runs} run{'s' * (runs != 1)}: {counts}"
+    return line + (f"; {unsafe} unsafe touchdown{'s' * (unsafe != 1)}" if unsafe else "")

@@ -22,6 +22,20 @@ def check_out_dir(out_dir: Path) -> None:
         raise UsageError(f"--out {out_dir}: holds something that is no run; name another directory")
 
 
+def check_log_kept(out_dir: Path, *, logs: bool, force: bool) -> None:
+    """Raises UsageError where a run with a sensor log would be replaced by one without: the log may
+    be what other commands count on. ``logs``: the new run writes one."""
+    if force or logs:
+        return
+    from experiments.sensor_log import FILE_NAME
+
+    if (out_dir / FILE_NAME).is_file():
+        raise UsageError(
+            f"'{out_dir}' holds {FILE_NAME}, and this run would replace it without one; name "
+            "another directory with --out, or give --force"
+        )
+
+
 @contextmanager
 def run_directory(out_dir: Path) -> Iterator[Path]:
     """A directory to fill; it becomes ``out_dir``, in place of an earlier run, if all goes well.

@@ -137,6 +137,7 @@ def _result(outcome: str, **landing: Any) -> dict[str, Any]:
         (_result("LANDED", safe_geometry=False), 1),
         (_result("TIPPED", safe_geometry=True), 1),
         (_result("NO_SITE"), 1),
+        (_result("GROUNDED"), 1),
         (_result("COMPLETED"), 0),
     ],
 )
@@ -159,6 +160,59 @@ def test_exit_code_tells_the_outcome(
     assert got == code
     assert result["outcome"] in out
     assert err == ""
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [((), 2), (("--fault", "fog@0"), 2), (("--force",), 0), (("--log-sensors",), 0)],
+)
+def test_a_sensor_log_is_not_replaced_by_a_run_without(
+    options: tuple[str, ...],
+    code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("experiments.flight.fly", lambda *_: _result("COMPLETED"))
+    run = tmp_path / "runs" / "crossroad-livo-0"
+    run.mkdir(parents=True)
+    (run / "sensors.mcap").write_bytes(b"precious")
+    got, _, err = _run(capsys, "fly", "crossroad", "--quiet", *options)
+    assert got == code
+    assert err.count("\n") == (1 if code else 0)
+    if code:
+        assert "sensors.mcap" in err and "--out" in err and "--force" in err
+    assert _run(capsys, "fly", "crossroad", "--quiet", "--out", "elsewhere")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "recognition", "remark"),
+    [("road", "off", True), ("building", "off", True), ("lawn", "off", False), ("road", "", False)],
+)
+def test_risky_ground_without_place_recognition_is_remarked_on(
+    kind: str, recognition: str, remark: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from experiments.console import print_result
+
+    result = _result("LANDED", class_true=kind, safe_geometry=True)
+    print_result(result | {"place_recognition": recognition}, None, True)
+    out = capsys.readouterr().out
+    assert "kind of ground" in out and kind in out
+    assert (f"a {kind} is risky ground; place recognition was off" in out) == remark
+
+
+def test_a_table_in_a_pipe_is_not_cut(capsys: pytest.CaptureFixture[str]) -> None:
+    from experiments.console import print_scene_check
+
+    row: dict[str, Any] = {
+        "scene": "a_scene_with_a_name_that_takes_a_whole_line_of_a_terminal_and_more_than_that",
+        "built": 3, "failed": {}, "closest": None, "differ": True, "without_safe_site": [],
+        "safe_share_min": 0.5, "safe_share_median": 0.6, "seconds_per_seed": 1.5,
+    }  # fmt: skip
+    print_scene_check([row])
+    out = capsys.readouterr().out
+    assert "…" not in out and row["scene"] in out and "safe ground" in out and "s a seed" in out
 
 
 def test_a_fault_in_the_air_is_not_told_as_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,8 @@ import pytest
 from export_support import OFFSET, make_flown, read_bag
 from replay_support import LIFT_OFF_S
 
-from experiments.export import ExportOptions, export
+from experiments.config import UsageError
+from experiments.export import ExportOptions, FlownRun, export
 from experiments.flight import PhaseLog
 from experiments.tum import read_tum
 
@@ -18,6 +19,14 @@ from experiments.tum import read_tum
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_flown(tmp_path_factory.mktemp("runs") / "flown")
+
+
+def test_nothing_is_judged_of_a_flight_that_never_took_off() -> None:
+    grounded = FlownRun(Path("r"), {"span_s": [None, 21.2]})
+    with pytest.raises(UsageError, match=r"'r' never took off.*leave out --judged"):
+        grounded.wanted_s(True)
+    assert grounded.wanted_s(False) == FlownRun(Path("r"), {}).span_s() == (-np.inf, np.inf)
+    assert grounded.span_s()[0] == np.inf, "no row of a table is judged"
 
 
 def test_trajectories_are_copied_whole_or_judged(run: Path, tmp_path: Path) -> None:

@@ -37,7 +37,8 @@ def test_trajectory_deviation_mean_and_variance() -> None:
     deviation = TrajectoryDeviation()
     for distance in (1.0, 2.0, 3.0):
         deviation.add(make_truth(0.0, [distance, 0.0, 0.0]), np.zeros(3))
-    assert deviation.mean == pytest.approx(2.0)
+    assert deviation.summary()["trajectory_error_m"] == pytest.approx(2.0)
+    assert TrajectoryDeviation().summary()["trajectory_error_m"] is None, "nothing was flown"
     assert deviation.variance == pytest.approx(2.0 / 3.0)
     assert deviation.largest == pytest.approx(3.0)
 

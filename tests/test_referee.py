@@ -133,9 +133,36 @@ def test_lost_tipped_and_late() -> None:
     assert judge(make_referee(), 100.0, [0, 0, 0], Phase.INIT) is Outcome.TIMEOUT
 
 
+@pytest.mark.parametrize("survey_only", [True, False])
+def test_a_survey_that_never_took_off_is_no_flight(survey_only: bool) -> None:
+    """It shakes by 3 cm on its legs while it believes to be at 30 m."""
+    referee = make_referee(survey_only=survey_only)
+    story = ((0.0, 0.30, Phase.INIT), (5.0, 0.33, Phase.TAKEOFF), (16.0, 0.31, Phase.SURVEY))
+    for time_s, height, phase in story:
+        assert judge(referee, time_s, [0, 0, height], phase, contacts=LEG_ON_LAWN) is None
+    after = Phase.DONE if survey_only else Phase.SELECT
+    view = {"note": "surveying 1 legs of 10 m"}
+    ended = judge(referee, 21.0, [0, 0, 0.3], after, contacts=LEG_ON_LAWN, view=view)
+    assert ended is Outcome.GROUNDED
+    result = referee.result(Outcome.GROUNDED)
+    assert result.reason == "never took off" and result.span_s == (None, 21.0)
+    assert set(result.deviation.summary().values()) == {None}
+    assert set(result.position_error.summary().values()) == {None}
+
+
+def test_a_survey_that_was_given_up_is_not_completed() -> None:
+    referee = make_referee(survey_only=True)
+    fly_to_descent(referee)
+    given_up = {"aborted": True, "note": "the position estimate stays unhealthy"}
+    assert judge(referee, 61.0, [5, 6, 0.3], Phase.DONE, view=given_up) is Outcome.ABORTED
+    assert "unhealthy" in referee.result(Outcome.ABORTED).reason
+
+
 def test_survey_only_completes_without_touching_down() -> None:
     referee = make_referee(survey_only=True)
     judge(referee, 0.0, [0, 0, 0.3], Phase.INIT)
     judge(referee, 1.0, [0, 0, 5.0], Phase.SURVEY)
-    assert judge(referee, 40.0, [0, 0, 30.0], Phase.DONE) is Outcome.COMPLETED
-    assert referee.result(Outcome.COMPLETED).landing is None
+    done = judge(referee, 40.0, [0, 0, 30.0], Phase.DONE, view={"note": "surveying 3 legs of 50 m"})
+    assert done is Outcome.COMPLETED
+    result = referee.result(Outcome.COMPLETED)
+    assert result.landing is None and result.reason == ""

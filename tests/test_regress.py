@@ -150,6 +150,8 @@ def test_detectable_effect_of_ten_pairs_by_hand() -> None:
     assert detectable_paired(9, 0.04 / 24) is None
     assert fewest_pairs(0.04 / 24) == 10
     assert detectable_paired(1, 0.5) is None
+    assert detectable_unpaired(3, 3, 0.04) is None, "one of 20 shuffles is no less than 0.05"
+    assert detectable_unpaired(4, 4, 0.04) is not None
 
 
 def test_detectable_effect_of_many_flights_nears_the_normal_limit() -> None:
@@ -275,8 +277,68 @@ def test_crashed_flights_have_no_error_and_count_as_lost() -> None:
     crashed = [row | {"outcome": "CRASHED", "position_error_m.mean": None} for row in rows]
     found = against(crashed, rows)
     assert found.regressed and found.cells == []
-    assert found.outcomes[0].worse
-    assert found.warnings == ["lake, livo: too few flights with an error to compare"]
+    assert found.outcomes[0].worse and found.warnings == []
+    assert found.vanished == [
+        "lake, livo: no flight comes to a position error, 10 of 10 did in the baseline"
+    ]
+
+
+@pytest.mark.parametrize("seeds", [range(1), range(2), range(5)])
+def test_flights_that_never_took_off_are_worse_whatever_their_number(seeds: range) -> None:
+    rows = [flight("lake", "livo", seed, 0.02) for seed in seeds]
+    grounded = [row | {"outcome": "GROUNDED", "position_error_m.mean": None} for row in rows]
+    found = against(grounded, rows)
+    assert found.regressed and found.failed()
+    words = verdict_words(found)
+    assert words[0].startswith("WORSE  lake, livo: no flight comes to a position error")
+    assert words[-1].startswith("Nothing was compared: ")
+    assert not any(line.startswith("Nothing got worse") for line in words)
+
+
+def test_a_cell_that_loses_most_of_its_flights_is_worse_beside_others() -> None:
+    """3 of 5 is beyond half, 2 of 5 is for Fisher's test to judge."""
+    rows = [flight("lake", m, seed, 0.02) for m in ("gps", "livo") for seed in range(5)]
+
+    def lost(count: int) -> list[Row]:
+        return [
+            row | {"outcome": "GROUNDED", "position_error_m.mean": None}
+            if row["estimator"] == "gps" and row["seed"] < count
+            else row
+            for row in rows
+        ]
+
+    found = against(lost(3), rows)
+    assert found.regressed
+    assert found.vanished == [
+        "lake, gps: 2 of 5 flights end as they should, 5 of 5 did in the baseline"
+    ]
+    assert not against(lost(2), rows).regressed
+
+
+def test_other_seeds_that_all_fail_are_worse() -> None:
+    old = [flight("lake", "livo", seed, 0.02) for seed in range(4)]
+    new = [flight("lake", "livo", seed, None, outcome="GROUNDED") for seed in (7, 8)]
+    assert against(new, old).vanished == [
+        "lake, livo: no flight comes to a position error, 4 of 4 did in the baseline"
+    ]
+
+
+def test_fewer_seeds_than_the_baseline_are_no_loss() -> None:
+    old = [flight("lake", "livo", seed, 0.02) for seed in range(10)]
+    assert against(old[:3], old).vanished == []
+
+
+def test_one_estimator_in_one_scene_needs_five_equal_seeds() -> None:
+    rows = [flight("lake", "livo", seed, 0.02 + 0.001 * seed) for seed in range(5)]
+    four, five = against(rows[:4], rows[:4]), against(rows, rows)
+    assert (four.blind, five.blind) == (["lake, livo"], [])
+    assert (four.failed(), four.failed(require_power=True)) == (False, True)
+    assert not five.failed(require_power=True)
+    assert verdict_words(four)[-1] == (
+        "No change could have been found at all: 1 comparison needs 5 equal seeds, and there are 4."
+    )
+    assert against(scaled(rows, lambda r: 3.0), rows).regressed
+    assert not against(scaled(rows[:4], lambda r: 3.0), rows[:4]).regressed
 
 
 def test_what_is_missing_is_named() -> None:
@@ -297,7 +359,7 @@ def test_what_is_missing_is_named() -> None:
 def test_too_few_seeds_to_see_anything_is_said() -> None:
     rows = campaign(np.random.default_rng(0), range(5))
     found = against(scaled(rows, lambda r: 3.0), rows)
-    words = " ".join(verdict_words(found))
+    words = verdict_words(found)[-1]
     assert "No change could have been found in 24 comparisons with too few flights" in words
     assert "among 30 comparisons one needs 10 equal seeds" in words
     assert {c.scene for c in found.cells if c.worse} == {"all scenes"}
@@ -358,6 +420,23 @@ def test_exit_codes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["regress", old, "--baseline", base, "--update"]) == 0
     assert Path(base).read_bytes() == written, "the same flights, the same file"
     assert [p.name for p in Path(base).parent.iterdir()] == ["base.json"]
+
+
+def test_exit_codes_where_nothing_could_be_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    base = str(tmp_path / "base.json")
+    for name, seeds, code, words in (
+        ("one", range(1), 1, "Nothing was compared: "),
+        ("four", range(4), 0, "No change could have been found at all: "),
+    ):
+        write_runs(tmp_path / name, seeds=seeds)
+        command = ["regress", str(tmp_path / name), "--baseline", base]
+        assert cli.main([*command, "--update"]) == 0
+        capsys.readouterr()
+        assert cli.main(command) == code
+        assert capsys.readouterr().out.splitlines()[-1].startswith(words)
+        assert cli.main([*command, "--require-power"]) == 1
 
 
 @pytest.mark.parametrize(

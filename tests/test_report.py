@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from experiments import cli
@@ -157,6 +158,26 @@ def test_another_order_than_the_papers_is_said(rows: list[dict[str, Any]]) -> No
     )
 
 
+def test_a_method_that_never_took_off_does_not_compete(rows: list[dict[str, Any]]) -> None:
+    nothing = {"trajectory_error_m": None, "position_error_m.mean": None, "outcome": "GROUNDED"}
+    grounded = [row | nothing if row["estimator"] == "livo" else row for row in rows]
+    words = leading_words(grounded)
+    assert words[0].startswith("crossroad: `paper` is ahead by E_tra")
+    assert "crossroad: no flight with a figure to compare of `livo`." in words
+    best = table(make_report(grounded, title="x"), "table2_error").rows
+    assert {line[0].text: line[1].kind for line in best} == {
+        "`livo`": "", "`paper`": "best", "`gps`": "",
+    }  # fmt: skip
+
+
+def test_a_path_that_never_left_the_ground_has_no_deviation(tmp_path: Path) -> None:
+    run = write_flight(tmp_path, "flat", "gps", 0)
+    truth = np.loadtxt(run / "truth.tum")
+    truth[:, 1:4] = (0.0, 0.0, 0.05)
+    np.savetxt(run / "truth.tum", truth)
+    assert path_deviation(run) is None
+
+
 def test_lost_flights_are_counted_and_named(report: Report) -> None:
     found = table(report, "outcomes")
     assert found.numbers["gps"]["lake"] == {"COMPLETED": 2, "DIVERGED": 1}
@@ -227,7 +248,12 @@ def test_a_plain_directory_prints_its_table(
     campaign: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["report", str(campaign)]) == 0
-    assert capsys.readouterr().out.startswith("| scene | estimator | seed | outcome |")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("| run | scene | estimator | seed | outcome |")
+    assert lines[2].startswith("| crossroad-gps-s0 | crossroad | gps | 0 |")
+    assert lines[-2:] == ["", "21 runs: COMPLETED 17, DIVERGED 1, LANDED 3; 1 unsafe touchdown"]
+    assert cli.main(["report", str(campaign / "lake-livo-s1"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["runs"][0]["run"] == "lake-livo-s1"
     assert not (campaign / "report").exists()
 
 

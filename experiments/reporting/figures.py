@@ -127,7 +127,7 @@ class _Paths:
 def _paths(row: Row) -> _Paths | None:
     run_dir = Path(row["run_dir"])
     truth = read_trajectory(run_dir / "truth.tum")
-    if truth is None:
+    if truth is None or airborne(truth) == len(truth.time_s):
         return None
     others = (read_trajectory(run_dir / f"{name}.tum") for name in ("estimate", "reference"))
     return _Paths(truth, *others)
@@ -140,7 +140,7 @@ def _shown(path: Trajectory, start: int = 0) -> NDArray[np.float64]:
 
 
 def first_flight(rows: Sequence[Row], scene: str, method: str, mode: str) -> _Paths | None:
-    """The flight with the lowest seed that has trajectories."""
+    """The flight with the lowest seed that has trajectories and left the ground."""
     own = [row for row in cell(rows, scene, method) if row["mode"] == mode]
     for row in sorted(own, key=lambda row: row["seed"]):
         if (paths := _paths(row)) is not None:

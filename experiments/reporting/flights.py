@@ -130,9 +130,9 @@ def read_trajectory(file: Path) -> Trajectory | None:
 
 
 def airborne(truth: Trajectory) -> int:
-    """Index of the first sample after lift-off."""
+    """Index of the first sample after lift-off; the number of samples where there was none."""
     above = truth.position[:, 2] > truth.position[0, 2] + LIFT_OFF_M
-    return int(np.argmax(above)) if above.any() else 0
+    return int(np.argmax(above)) if above.any() else len(above)
 
 
 def path_deviation(run_dir: Path) -> dict[str, float] | None:

@@ -227,7 +227,8 @@ def detectable_paired(pairs: int, alpha: float) -> float | None:
 
 def detectable_unpaired(flights: int, flights_before: int, alpha: float) -> float | None:
     """The same for two independent samples, in standard deviations of one of them."""
-    if min(flights, flights_before) < 2:
+    # No p is smaller than one over the number of ways to shuffle the labels.
+    if min(flights, flights_before) < 2 or 1 / math.comb(flights + flights_before, flights) > alpha:
         return None
     scale = 1.0 / math.sqrt(1.0 / flights + 1.0 / flights_before)
     return _detectable_student(scale, flights + flights_before - 2, alpha)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from experiments.regress import ERROR_ALPHA, CellResult, Comparison
+from experiments.regress import ERROR_ALPHA, FEWEST, CellResult, Comparison
 from experiments.reporting.statistics import fewest_pairs
 
 
 def verdict_words(found: Comparison) -> list[str]:
-    """What got worse, by how much, how sure; then what could not have been seen."""
-    lines = []
+    """What got worse, by how much, how sure; at the end what could not have been seen."""
+    lines = [f"WORSE  {line}" for line in found.vanished]
     for cell in (cell for cell in found.cells if cell.worse):
         interval = _interval(cell)
         lines.append(
@@ -22,14 +22,15 @@ def verdict_words(found: Comparison) -> list[str]:
             f"they should, was {outcome.bad_before} of {outcome.flights_before}, adjusted p = "
             f"{outcome.p_adjusted:.2g}"
         )
-    if not lines:
+    if not lines and found.cells:
         limit = f" by more than {100 * found.margin:g} %" if found.margin else ""
         lines.append(f"Nothing got worse{limit} beyond chance in {_comparisons(len(found.cells))}.")
     lines += _power_words(found)
     lines += [f"newly lost: {line}" for line in found.newly_bad]
     lines += [f"missing: {line}" for line in found.missing]
     lines += [f"not in the baseline: {line}" for line in found.added]
-    return lines + [f"note: {line}" for line in found.warnings]
+    lines += [f"note: {line}" for line in found.warnings]
+    return lines + _blind_words(found)
 
 
 def _interval(cell: CellResult) -> str:
@@ -43,25 +44,40 @@ def _comparisons(count: int) -> str:
 
 
 def _power_words(found: Comparison) -> list[str]:
-    """The smallest change that each cell could have shown, in one line, and the blind cells."""
+    """The smallest change that cells could have shown."""
     seen = [cell for cell in found.cells if cell.detectable is not None]
-    blind = [cell for cell in found.cells if cell.detectable is None]
-    lines = []
-    if seen:
-        best, worst = min(seen, key=_least), max(seen, key=_least)
-        lines.append(
-            "Smallest change that would have been found with 80 % power: "
-            f"{_detectable(best)} times in {best.name}"
-            + (f", {_detectable(worst)} times in {worst.name}." if worst is not best else ".")
-        )
-    if blind:
-        needed = fewest_pairs(ERROR_ALPHA / len(found.cells))
-        lines.append(
-            f"No change could have been found in {_comparisons(len(blind))} with too few flights "
-            f"({', '.join(cell.name for cell in blind[:4])}{', ...' if len(blind) > 4 else ''}): "
-            f"among {_comparisons(len(found.cells))} one needs {needed} equal seeds."
-        )
-    return lines
+    if not seen:
+        return []
+    best, worst = min(seen, key=_least), max(seen, key=_least)
+    return [
+        "Smallest change that would have been found with 80 % power: "
+        f"{_detectable(best)} times in {best.name}"
+        + (f", {_detectable(worst)} times in {worst.name}." if worst is not best else ".")
+    ]
+
+
+def _blind_words(found: Comparison) -> list[str]:
+    """Where no change could have been found, and how many flights it takes; the last line."""
+    needed = fewest_pairs(ERROR_ALPHA / max(1, len(found.cells)))
+    if not found.cells:
+        return [
+            f"Nothing was compared: no scene and method has {FEWEST} flights with a position error "
+            f"both here and in the baseline; fly at least {needed} equal seeds."
+        ]
+    blind, compared = found.blind, _comparisons(len(found.cells))
+    if len(blind) == len(found.cells):
+        pairs = max(cell.flights if cell.test == "paired" else 0 for cell in found.cells)
+        return [
+            f"No change could have been found at all: {compared} "
+            f"need{'s' * (len(blind) == 1)} {needed} equal seeds, and there are {pairs}."
+        ]
+    if not blind:
+        return []
+    return [
+        f"No change could have been found in {_comparisons(len(blind))} with too few flights "
+        f"({', '.join(blind[:4])}{', ...' if len(blind) > 4 else ''}): "
+        f"among {compared} one needs {needed} equal seeds."
+    ]
 
 
 def _least(cell: CellResult) -> float:

@@ -49,10 +49,13 @@ def summary_words(rows: Sequence[Row]) -> list[str]:
         for method in methods
         if (own := [row for row in bad if row["estimator"] == method])
     ]
-    lines.append(
-        f"{len(bad)} did not end as they should ({', '.join(by_method)}); their errors up to the "
-        "loss are in all figures."
-    )
+    measured = [row for row in bad if number(row, "position_error_m.mean") is not None]
+    line = f"{len(bad)} did not end as they should ({', '.join(by_method)})"
+    if measured:
+        line += "; their errors up to the loss are in all figures"
+    if len(measured) < len(bad):
+        line += f"; {len(bad) - len(measured)} of them have no figures"
+    lines.append(f"{line}.")
     return lines
 
 
@@ -80,7 +83,22 @@ def leading_words(rows: Sequence[Row]) -> list[str]:
         )
         line += "".join(f", `{m}` {digits(e.value)} m" for _, m, e in order[2:])
         lines.append(f"{line}. {_lead_words(first, second, adjusted.get(scene))}")
+    lines += _absence_words(rivals, ranked)
     return lines + _order_words({s: [m for _, m, _ in order] for s, order in contests.items()})
+
+
+def _absence_words(
+    rows: Sequence[Row], ranked: dict[str, list[tuple[float, str, Estimate]]]
+) -> list[str]:
+    """Methods that were to fly where others flew, and came to no figure."""
+    lines = []
+    for scene, order in ranked.items():
+        flown = {method for _, method, _ in order}
+        absent = [m for m in methods_of(cell(rows, scene)) if m not in flown]
+        if order and absent:
+            names = ", ".join(f"`{method}`" for method in absent)
+            lines.append(f"{scene}: no flight with a figure to compare of {names}.")
+    return lines
 
 
 def _ranking(rows: Sequence[Row], scene: str) -> list[tuple[float, str, Estimate]]:
