@@ -32,6 +32,7 @@ _ROWS = (
     ("simulated time", "timing.sim_s", "{:.1f} s"),
     ("real-time factor", "timing.real_time_factor", "{:.2f}"),
 )
+_LAST_EVENTS = 5
 _STAGE_ORDER = ("world", "estimator", "mapper", "lander", "controller", "recorder", "referee")
 
 
@@ -70,12 +71,25 @@ def print_result(result: Mapping[str, Any], out_dir: Path | None, good: bool) ->
             text = f"[bold {'green' if good else 'red'}]{text}[/]"
         table.add_row(label, text)
     console.print(table)
+    for line in _last_words(result):
+        console.print(line, soft_wrap=True, markup=False)
     if out_dir is not None:
         console.print(f"run directory: {out_dir}", soft_wrap=True)
         if (out_dir / "flight.rrd").exists():
             console.print(f"recording:     {out_dir / 'flight.rrd'}", soft_wrap=True)
             program = "touchdown" if shutil.which("touchdown") else sys.argv[0]
             console.print(f"look at it:    {program} view {out_dir}", soft_wrap=True)
+
+
+def _last_words(result: Mapping[str, Any]) -> list[str]:
+    """Of a flight whose estimate was lost: what its estimator had to tell last."""
+    events = result.get("events") or []
+    if result["outcome"] != "DIVERGED" or not events:
+        return []
+    count, kept = result.get("event_count", len(events)), len(events)
+    which = "the last" if count <= kept else f"the last of the first {kept}"
+    lines = [f"{event['time_s']:6.1f} s  {event['text']}" for event in events[-_LAST_EVENTS:]]
+    return [f"{which} of {count} events that {result['estimator']} told:", *lines]
 
 
 def print_stages(result: Mapping[str, Any]) -> None:

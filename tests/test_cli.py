@@ -161,6 +161,22 @@ def test_exit_code_tells_the_outcome(
     assert err == ""
 
 
+def test_a_lost_estimate_tells_what_it_knew(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    events = [{"time_s": 1.5 * i, "text": f"scan {i} refused [no returns]"} for i in range(8)]
+    lost = _result("DIVERGED") | {"estimator": "livo", "events": events, "event_count": 8}
+    monkeypatch.setattr("experiments.flight.fly", lambda *_args: lost)
+    code, out, _ = _run(capsys, "fly", "crossroad", "--quiet")
+    assert code == 1
+    assert "the last of 8 events that livo told:" in out
+    assert "  10.5 s  scan 7 refused [no returns]" in out and "scan 2 " not in out
+    lost |= {"event_count": 900}
+    assert "the last of the first 8 of 900 events" in _run(capsys, "fly", "crossroad")[1]
+    lost |= {"outcome": "TIPPED"}
+    assert "events" not in _run(capsys, "fly", "crossroad", "--quiet")[1]
+
+
 def test_a_fault_in_the_air_is_not_told_as_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
     def fly(_config: Any, _out: Path, progress: Any) -> dict[str, Any]:
         progress(0.0, "TAKEOFF", "")
