@@ -198,6 +198,38 @@ def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
         console.print(note, soft_wrap=True)
 
 
+def print_place(row: Mapping[str, Any]) -> None:
+    """What a file's place offers a survey, why it cannot be flown, and what may not be meant."""
+    from rich.console import Console
+    from rich.table import Table
+
+    facts, good = row["facts"], not row["problems"]
+    x, y = facts["takeoff_xy_m"]
+    table = Table(title=row["place"], show_header=False, title_justify="left", min_width=52)
+    table.add_column(style="dim")
+    table.add_column(justify="right")
+    verdict = "[bold green]yes[/]" if good else "[bold red]no[/]"
+    for label, text in (
+        ("can be flown", verdict),
+        ("take-off", f"{x:.1f}, {y:.1f} m, heading {facts['takeoff_yaw_deg']:.0f} deg"),
+        ("ground there", f"{facts['takeoff_geom']} ({facts['takeoff_class']})"),
+        ("above what is around", f"{facts['takeoff_above_m'] + 0.0:.1f} m"),
+        ("may be landed on again", "yes" if facts["takeoff_safe"] else "no"),
+        ("ground under the legs", f"{facts['legs_share']:.0%}"),
+        ("under what is seen", f"{facts['seen_share']:.0%}"),
+        ("highest below the legs", f"{facts['highest_m'] + 0.0:.1f} m"),
+        ("safe ground", f"{facts['safe_share']:.0%} of what is seen"),
+        ("safe but for its class", f"{facts['safe_geometry_share'] - facts['safe_share']:.0%}"),
+        ("geoms without a class", ", ".join(facts["without_class"]) or "none"),
+    ):
+        table.add_row(label, text)
+    console = Console(highlight=False)
+    console.print(table)
+    for kind in ("problems", "remarks"):
+        for sentence in row[kind]:
+            console.print(f"{kind[:-1]}: {sentence}", soft_wrap=True, markup=False)
+
+
 def make_notes(quiet: bool) -> Callable[[str], None]:
     """Prints what is being worked on to stderr."""
     if quiet:
