@@ -17,6 +17,7 @@ from experiments import cli
 from experiments.cli_scenes import VIEW_NAMES
 from experiments.config import load_config
 from experiments.contact_sheet import SHEET_VIEWS, contact_sheet, thumbnails
+from experiments.map_frame import tick_step
 from experiments.place_report import check_place
 from experiments.scene_check import check_scene
 from experiments.scene_views import CLASS_RGB, VIEWS, SceneViews
@@ -128,6 +129,24 @@ def test_maps_show_class_height_and_safe_ground(views: SceneViews) -> None:
     assert np.ptp(pixel(safe, 10.0, -10.0)) == 0
     height = views.draw("height")[:-LEGEND_ROWS]
     assert np.abs(pixel(height, 0.0, 10.0) - pixel(height, -10.0, -10.0)).max() > 60
+
+
+def test_written_maps_have_ticks_and_the_survey(views: SceneViews) -> None:
+    assert [tick_step(span) for span in (160.0, 66.0, 34.0, 1.0)] == [10.0, 5.0, 2.0, 0.1]
+    picture = views.draw("class")
+    framed = views.framed("class", picture)
+    height, width = picture.shape[0] - LEGEND_ROWS, picture.shape[1]
+    top, left = 14, 54
+    changed = (framed[top : top + height, left : left + width] != picture[:height]).any(axis=-1)
+    # Legs from the middle of the map to the east and north: nothing west of the circle changes.
+    assert changed[height // 2 - 10 : height // 2, width // 2 - 10 : width // 2 + 10].any()
+    assert not changed[:, : width // 2 - 12].any() and not changed[height // 2 + 12 :].any()
+    assert changed.mean() < 0.02
+    below = framed[top + height, left : left + width].min(axis=-1)
+    ticks = np.flatnonzero(below > 200)
+    np.testing.assert_allclose(ticks, np.arange(0, 11) * width / 10, atol=1.5)  # every 5 m
+    depth = views.draw("depth")
+    assert views.framed("depth", depth) is depth
 
 
 def test_lidar_picture_is_black_where_nothing_came_back(views: SceneViews) -> None:
