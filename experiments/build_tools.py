@@ -37,6 +37,7 @@ from sim.frames import Pose
 
 if TYPE_CHECKING:
     from estimator.paper.still_scan import StillFeatures
+    from scenes.place_facts import PlaceFacts
     from scenes.survey_facts import Difference, Layout, SurveyFacts
     from sim.aerial import AerialCamera, AerialView
     from sim.bare import BareWorld
@@ -363,14 +364,25 @@ def lidar_peers(config: Config, scene: Scene) -> LidarPeers:
 
 
 def survey_facts(config: Config, scene: Scene) -> SurveyFacts:
-    """What the configured survey finds. A Livox Horizon sees 81.7 x 25.1 degrees: from 30 m, 26 m
-    aside and 6.7 m ahead."""
+    """What the configured survey finds."""
     from scenes.survey_facts import survey_facts as facts
 
-    survey = config.survey
+    return facts(scene, *_survey_reach(config.survey))
+
+
+def place_facts(config: Config, scene: Scene) -> PlaceFacts:
+    """What a file's place offers the configured survey."""
+    from scenes.place_facts import place_facts as facts
+
+    return facts(scene, *_survey_reach(config.survey))
+
+
+def _survey_reach(survey: SurveyParams) -> tuple[float, float, float, float]:
+    """Length and width of the rectangle of the legs, and how far is seen from it fore and aft and
+    aside. A Livox Horizon sees 81.7 x 25.1 degrees: from 30 m, 26 m aside and 6.7 m ahead."""
     ahead, aside = survey.height_m * np.tan(0.5 * np.deg2rad([25.1, 81.7]))
     width = (survey.legs - 1) * survey.leg_spacing_m
-    return facts(scene, survey.leg_length_m, width, float(ahead), float(aside))
+    return survey.leg_length_m, width, float(ahead), float(aside)
 
 
 def scene_layout(scene: Scene) -> Layout:

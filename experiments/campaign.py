@@ -158,7 +158,6 @@ def load_plan(file: Path) -> Plan:
                  for number, entry in enumerate(spec.override, start=1)]  # fmt: skip
     _check_names(axes, str(file))
     runs = _runs(spec, axes, base, overrides, str(file))
-    _check_surveys(runs, str(file))
     expect = [_expectation(entry, axes, f"[[expect]] {number} of {file}")
               for number, entry in enumerate(spec.expect, start=1)]  # fmt: skip
     return Plan(
@@ -170,24 +169,6 @@ def load_plan(file: Path) -> Plan:
         text=file.read_text(encoding="utf-8"),
         expect=tuple(expect),
     )
-
-
-def _check_surveys(runs: Sequence[PlannedRun], source: str) -> None:
-    """What a flight would say at its start, before the first one."""
-    from experiments.build_tools import check_survey
-
-    keys = {key for key in known_keys() if key.startswith("survey.")}
-    seen: set[str] = set()
-    for run in runs:
-        values = {key: value for key, value in run.values.items() if key in keys}
-        text = json.dumps(values, sort_keys=True)
-        if text in seen:
-            continue
-        seen.add(text)
-        try:
-            check_survey(config_for(values, source).survey)
-        except ValueError as error:
-            raise UsageError(f"{run.run_id} of {source}: {error}") from None
 
 
 def config_for(values: Mapping[str, Any], source: str) -> Config:

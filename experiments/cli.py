@@ -21,6 +21,7 @@ from experiments.cli_base import (
     EXIT_USAGE,
     CommandGroup,
     guarded_fly,
+    has_display,
     is_good,
     rendering_backend,
     system_message,
@@ -230,6 +231,11 @@ def view(run: Path, web: bool) -> int:
     if not recording.is_file():
         raise UsageError(
             f"'{recording}' does not exist; name a run directory that was flown without --no-record"
+        )
+    if not web and sys.platform == "linux" and not has_display():
+        raise UsageError(
+            f"there is no display to open a window on; give touchdown view {run} --web, or open "
+            f"'{recording}' on a machine that has one"
         )
     command = [sys.executable, "-m", "rerun", str(recording), *(["--web-viewer"] if web else [])]
     return EXIT_DONE if subprocess.run(command, check=False).returncode == 0 else EXIT_FAILED

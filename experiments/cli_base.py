@@ -65,6 +65,12 @@ def guarded_fly(config: Any, out: Path | None, progress: Callable[..., None]) ->
         raise UsageError(input_message(error)) from error
 
 
+def has_display() -> bool:
+    """Whether the environment names an X11 or Wayland display."""
+    names = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+    return any(os.environ.get(name) for name in names)
+
+
 def rendering_backend() -> str:
     """The first of EGL and OSMesa whose library loads here, else GLFW, which needs a display."""
     for backend, library in (("egl", "libEGL.so.1"), ("osmesa", "libOSMesa.so.8")):

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from experiments.cli_base import EXIT_DONE, EXIT_FAILED, CommandGroup, usage_errors
-from experiments.console import make_notes, print_scene_check
+from experiments.console import make_notes, print_place, print_scene_check
 
 VIEW_NAMES = (
     "above",
@@ -106,27 +106,42 @@ def scenes_render(
 
 @scenes.command("check")
 @click.argument("names", nargs=-1, metavar="[SCENE]...")
-@click.option("--seeds", type=click.IntRange(1), default=25, show_default=True)
+@click.option("--seeds", type=click.IntRange(1), default=25, show_default=True,
+              help="Of a named scene; a file has none.")  # fmt: skip
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE",
+              help="Of a file's survey, such as survey.legs=1. May be repeated.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
-def scenes_check(names: tuple[str, ...], seeds: int, as_json: bool, quiet: bool) -> int:
+def scenes_check(
+    names: tuple[str, ...], seeds: int, overrides: tuple[str, ...], as_json: bool, quiet: bool
+) -> int:
     """Build many seeds of scenes (all, unless named): do they differ, do they offer safe ground?
 
     Exit code 1 when a seed does not build or two seeds of a scene are the same place. A seed that
     offers no safe site where the survey looks is named.
 
+    Of an MJCF file: can it be flown? The take-off spot, the ground under the survey, the share of
+    safe ground, geoms without a class. Exit code 1 when it cannot, with the reason.
+
     Example: touchdown scenes check crossroad --seeds 5
     """
     from experiments.build_tools import scene_names
+    from experiments.place_report import check_place
     from experiments.scene_check import check_scenes, passed
 
-    chosen = names or tuple(scene_names())
-    rows = check_scenes(chosen, seeds, make_notes(quiet))
+    known = scene_names()
+    chosen = names or tuple(known)
+    places = [check_place(name, overrides) for name in chosen if name not in known]
+    rows = check_scenes([n for n in chosen if n in known], seeds, make_notes(quiet))
     if as_json:
-        click.echo(json.dumps({"scenes": rows}, indent=2))
+        click.echo(json.dumps({"scenes": rows, "places": places}, indent=2))
     else:
-        print_scene_check(rows)
-    return EXIT_DONE if passed(rows) else EXIT_FAILED
+        for place in places:
+            print_place(place)
+        if rows:
+            print_scene_check(rows)
+    good = passed(rows) and not any(place["problems"] for place in places)
+    return EXIT_DONE if good else EXIT_FAILED
 
 
 @scenes.command("export")

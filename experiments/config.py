@@ -185,6 +185,7 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
     _check_rates(config)
     _check_map(config)
     _check_faults(config, sources)
+    _check_survey(config, sources)
     return config
 
 
@@ -283,6 +284,8 @@ def _check_finite(key: str, value: Any, source: str) -> None:
 def _validate(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
     tree: dict[str, Any] = {}
     for key, value in values.items():
+        if key == "faults.events" and isinstance(value, str):
+            value = [value]
         *groups, name = key.split(".")
         node = tree
         for group in groups:
@@ -393,3 +396,23 @@ def _check_faults(config: Config, sources: Mapping[str, str]) -> None:
         config.faults.check(config.wind.mean_kmh)
     except ValueError as error:
         raise UsageError(str(error)) from None
+
+
+def _check_survey(config: Config, sources: Mapping[str, str]) -> None:
+    path = dataclasses.replace(config.survey, height_m=SurveyParams().height_m)
+    problem = "" if path == SurveyParams() else _survey_problem(path)
+    if problem:
+        given = {source: None for key, source in sources.items() if key.startswith("survey.")}
+        raise UsageError(f"{problem} (survey as set in {', '.join(given)})")
+
+
+@functools.cache
+def _survey_problem(params: SurveyParams) -> str:
+    """Why a survey cannot be flown, empty where it can."""
+    from experiments.build_tools import check_survey
+
+    try:
+        check_survey(params)
+    except ValueError as error:
+        return str(error)
+    return ""

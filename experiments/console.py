@@ -37,6 +37,7 @@ _ROWS = (
 )
 _UNCUT = 4000
 """columns"""
+_LAST_EVENTS = 5
 _STAGE_ORDER = ("world", "estimator", "mapper", "lander", "controller", "recorder", "referee")
 
 
@@ -83,6 +84,8 @@ def print_result(result: Mapping[str, Any], out_dir: Path | None, good: bool) ->
     if remark := _remark(result):
         table.add_row("remark", remark)
     console.print(table)
+    for line in _last_words(result):
+        console.print(line, soft_wrap=True, markup=False)
     if out_dir is not None:
         console.print(f"run directory: {out_dir}", soft_wrap=True)
         if (out_dir / "flight.rrd").exists():
@@ -99,6 +102,17 @@ def _remark(result: Mapping[str, Any]) -> str:
     if kind not in RISKY_CLASSES or result.get("place_recognition") != "off":
         return ""
     return f"a {kind} is risky ground; place recognition was off"
+
+
+def _last_words(result: Mapping[str, Any]) -> list[str]:
+    """Of a flight whose estimate was lost: what its estimator had to tell last."""
+    events = result.get("events") or []
+    if result["outcome"] != "DIVERGED" or not events:
+        return []
+    count, kept = result.get("event_count", len(events)), len(events)
+    which = "the last" if count <= kept else f"the last of the first {kept}"
+    lines = [f"{event['time_s']:6.1f} s  {event['text']}" for event in events[-_LAST_EVENTS:]]
+    return [f"{which} of {count} events that {result['estimator']} told:", *lines]
 
 
 def print_stages(result: Mapping[str, Any]) -> None:
@@ -201,6 +215,38 @@ def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
     )
     for note in notes:
         console.print(note, soft_wrap=True)
+
+
+def print_place(row: Mapping[str, Any]) -> None:
+    """What a file's place offers a survey, why it cannot be flown, and what may not be meant."""
+    from rich.console import Console
+    from rich.table import Table
+
+    facts, good = row["facts"], not row["problems"]
+    x, y = facts["takeoff_xy_m"]
+    table = Table(title=row["place"], show_header=False, title_justify="left", min_width=52)
+    table.add_column(style="dim")
+    table.add_column(justify="right")
+    verdict = "[bold green]yes[/]" if good else "[bold red]no[/]"
+    for label, text in (
+        ("can be flown", verdict),
+        ("take-off", f"{x:.1f}, {y:.1f} m, heading {facts['takeoff_yaw_deg']:.0f} deg"),
+        ("ground there", f"{facts['takeoff_geom']} ({facts['takeoff_class']})"),
+        ("above what is around", f"{facts['takeoff_above_m'] + 0.0:.1f} m"),
+        ("may be landed on again", "yes" if facts["takeoff_safe"] else "no"),
+        ("ground under the legs", f"{facts['legs_share']:.0%}"),
+        ("under what is seen", f"{facts['seen_share']:.0%}"),
+        ("highest below the legs", f"{facts['highest_m'] + 0.0:.1f} m"),
+        ("safe ground", f"{facts['safe_share']:.0%} of what is seen"),
+        ("safe but for its class", f"{facts['safe_geometry_share'] - facts['safe_share']:.0%}"),
+        ("geoms without a class", ", ".join(facts["without_class"]) or "none"),
+    ):
+        table.add_row(label, text)
+    console = Console(highlight=False)
+    console.print(table)
+    for kind in ("problems", "remarks"):
+        for sentence in row[kind]:
+            console.print(f"{kind[:-1]}: {sentence}", soft_wrap=True, markup=False)
 
 
 def make_notes(quiet: bool) -> Callable[[str], None]:

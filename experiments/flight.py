@@ -7,6 +7,7 @@ import importlib.metadata
 import json
 import math
 import subprocess
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,7 @@ from experiments.build import (
     check_estimator,
 )
 from experiments.config import Config, dump_config
+from experiments.idle_faults import idle_faults
 from experiments.loop import run_flight
 from experiments.metrics import levelness_error_deg
 from experiments.recorder import NullRecorder, Recorder, RunRecorder
@@ -77,6 +79,7 @@ def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) 
     limit_threads()
     scene = build_scene(config)
     flight = build_flight(config, scene)
+    _warn_of_idle_faults(config, flight)
     if out_dir is None:
         return fly_and_judge(config, flight, NullRecorder(), progress)
     with run_directory(out_dir) as partial:
@@ -86,6 +89,14 @@ def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) 
         (partial / "config.json").write_text(dump_config(config), encoding="utf-8")
         (partial / "result.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return result
+
+
+def _warn_of_idle_faults(config: Config, flight: Flight) -> None:
+    needs = flight.estimator.needs
+    if config.mapper.enabled:
+        needs = needs | flight.mapper.needs | flight.lander.needs
+    for sentence in idle_faults(config, needs):
+        warnings.warn(sentence, stacklevel=3)
 
 
 def _sensor_log(folder: Path, flight: Flight) -> SensorLog:

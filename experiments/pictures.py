@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.api import GridMap
+from experiments.map_frame import PAPER, MapFrame, Marks
 from landing.api import Candidate, CostmapView
 from sim.frames import Pose
 
@@ -23,6 +24,7 @@ _REFUSED_BGR = (80, 80, 255)
 _PANEL_PIXELS = 1200
 _MARGIN_CELLS = 8
 _LABEL_PIXELS = 66
+_WORDS = "x east, y north (m, world); white circle: take-off; dashed: the survey's legs"
 
 
 def map_points(
@@ -60,18 +62,30 @@ def costmap_picture(
     view: CostmapView, candidates: tuple[Candidate, ...], site_odom: Array | None
 ) -> Colours:
     """The coloured map beside the total cost, north up, with every candidate: (H, W, 3) RGB."""
+    panels = _panels(view, candidates, site_odom)
+    gap = np.full((panels[0].shape[0], 12, 3), 255, np.uint8)
+    return np.hstack([panels[0], gap, panels[1]])
+
+
+def _panels(
+    view: CostmapView, candidates: tuple[Candidate, ...], site_odom: Array | None
+) -> list[Colours]:
+    """Map and total cost, (H, W, 3) RGB each."""
     rows, cols = seen_box(view)
-    cells = max(rows.stop - rows.start, cols.stop - cols.start)
-    zoom = max(1, round(_PANEL_PIXELS / cells))
+    zoom = _zoom(rows, cols)
     photo = view.rgb[rows, cols, ::-1].copy()
     photo[~np.isfinite(view.total[rows, cols]) & ~photo.any(axis=2)] = _UNKNOWN_BGR
     panels: list[Colours] = []
     for source in (photo, _coloured(view.total[rows, cols])):
         panel = np.repeat(np.repeat(source[::-1], zoom, axis=0), zoom, axis=1)
         _draw_candidates(panel, view, rows, cols, zoom, candidates, site_odom)
-        panels.append(panel)
-    gap = np.full((panels[0].shape[0], 12, 3), 255, np.uint8)
-    return np.ascontiguousarray(np.hstack([panels[0], gap, panels[1]])[:, :, ::-1])
+        panels.append(np.ascontiguousarray(panel[:, :, ::-1]))
+    return panels
+
+
+def _zoom(rows: slice, cols: slice) -> int:
+    """Pixels of a cell."""
+    return max(1, round(_PANEL_PIXELS / max(rows.stop - rows.start, cols.stop - cols.start)))
 
 
 def write_costmap(
@@ -79,10 +93,50 @@ def write_costmap(
     view: CostmapView,
     candidates: tuple[Candidate, ...],
     site_odom: Array | None,
+    world_from_odom: Pose,
+    marks: Marks,
 ) -> None:
-    picture = costmap_picture(view, candidates, site_odom)
+    """The picture of `costmap_picture` with ticks in metres of the world frame, take-off spot, the
+    survey's rectangle and a key of its colours."""
+    rows, cols = seen_box(view)
+    panels = _panels(view, candidates, site_odom)
+    corner = view.origin_xy_m + view.cell_m * np.array([cols.start, rows.start])
+    size_m = view.cell_m * np.array([cols.stop - cols.start, rows.stop - rows.start])
+    # The two frames are turned by a fraction of a degree: right in the middle, well elsewhere.
+    middle = np.array([*(corner + 0.5 * size_m), 0.0])
+    west, south = (corner + (world_from_odom.apply(middle) - middle)[:2]).tolist()
+    scale = panels[0].shape[1] / 800.0
+    frame = MapFrame(
+        west_m=west, south_m=south, pixels_per_m=_zoom(rows, cols) / view.cell_m, scale=scale
+    )
+    for panel in panels:
+        frame.draw_marks(panel, marks)
+    picture = frame.around(panels, _WORDS)
+    picture = frame.below(picture, _key(frame, picture.shape[1]))
     if not cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
         raise OSError(f"{path} cannot be written")
+
+
+def _key(frame: MapFrame, width: int) -> Colours:
+    """The colours of the cost and of the candidates' circles."""
+    scale = frame.scale
+    top, bottom, base = round(6 * scale), round(24 * scale), round(20 * scale)
+    strip = np.full((round(34 * scale), width, 3), PAPER, np.uint8)
+    at = frame.write(strip, "C_sum 0", 0, base) + round(8 * scale)
+    ramp = np.linspace(0.0, 1.0, round(150 * scale), dtype=np.float32)
+    colours = np.repeat(_coloured(ramp[None])[:, :, ::-1], bottom - top, axis=0)
+    strip[top:bottom, at : at + len(ramp)] = colours
+    at = frame.write(strip, "1 (best)", at + len(ramp) + round(8 * scale), base)
+    for name, bgr in (
+        ("unknown", _UNKNOWN_BGR),
+        ("chosen site", _CHOSEN_BGR),
+        ("candidate and its score", _ACCEPTED_BGR),
+        ("refused", _REFUSED_BGR),
+    ):
+        at += round(22 * scale)
+        strip[top:bottom, at : at + bottom - top] = bgr[::-1]
+        at = frame.write(strip, name, at + bottom - top + round(8 * scale), base)
+    return strip
 
 
 def transform_points(pose: Pose, points: Points) -> Points:

@@ -10,6 +10,7 @@ import numpy as np
 from controller.api import Setpoint
 from estimator.api import Estimate, MapView
 from experiments.config import Config
+from experiments.map_frame import survey_marks
 from experiments.tum import TumWriter
 from landing.api import LanderView
 from scenes.api import Scene
@@ -84,6 +85,7 @@ class RunRecorder:
         self._last: tuple[Estimate, MapView] | None = None
         self._selection: tuple[LanderView, Pose] | None = None
         self._costmap_id = 0
+        self._marks = survey_marks(scene.takeoff_xy_m, scene.takeoff_yaw, config.survey)
         self._recording: Recorder = NullRecorder()
         if config.record:
             from experiments.rerun_log import RerunLog
@@ -164,4 +166,11 @@ class RunRecorder:
         site = view.site_world
         site_odom = None if site is None else world_from_odom.inverse().apply(np.asarray(site))
         if view.costmap is not None:
-            write_costmap(self._out_dir / "costmap.png", view.costmap, view.candidates, site_odom)
+            write_costmap(
+                self._out_dir / "costmap.png",
+                view.costmap,
+                view.candidates,
+                site_odom,
+                world_from_odom,
+                self._marks,
+            )

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from experiments.build import build_scene
-from experiments.build_tools import layout_difference, scene_layout, scene_names, survey_facts
+from experiments.build_tools import layout_difference, scene_layout, survey_facts
 from experiments.config import load_config
-from experiments.scene_tools import load_place
 
 SAME_HEIGHT_M = 0.01
 SAME_CLASS_SHARE = 0.005
@@ -23,11 +22,7 @@ SAME_GREY = 2.0
 def check_scenes(
     names: Sequence[str], seeds: int, progress: Callable[[str], None]
 ) -> list[dict[str, Any]]:
-    """One row a scene, see `check_scene`. Raises UsageError for a name that is no scene,
-    before any other work."""
-    for name in names:
-        if name not in scene_names():
-            load_place(load_config(scene=name))
+    """One row a scene, see `check_scene`."""
     return [check_scene(name, seeds, progress) for name in names]
 
 

@@ -17,24 +17,25 @@ PICTURE_SUFFIXES = (".png", ".jpg")
 
 
 def render_view(name: str, seed: int, view: str, out: Path) -> None:
-    """Writes one view (`experiments.scene_views.VIEWS`) of a scene. Raises UsageError before
-    anything is written."""
+    """Writes one view (`experiments.scene_views.VIEWS`) of a scene, a map with ticks around it.
+    Raises UsageError before anything is written."""
     if out.suffix.lower() not in PICTURE_SUFFIXES:
         raise UsageError(f"--out {out} must end in {' or '.join(PICTURE_SUFFIXES)}")
-    picture = _views(name, seed).draw(view)
+    views = _views(name, seed)
+    picture = views.draw(view)
     _make_folder(out.parent)
-    write_picture(out, picture)
+    write_picture(out, views.framed(view, picture))
 
 
 def render_all_views(name: str, seed: int, out_dir: Path) -> dict[str, Picture]:
-    """Writes every view of a scene to ``out_dir/VIEW.png`` and returns them by name. Raises as
-    `render_view`."""
+    """Writes every view of a scene to ``out_dir/VIEW.png``, maps with ticks around them, and
+    returns them by name, without ticks. Raises as `render_view`."""
     views = _views(name, seed)
     _make_folder(out_dir)
     pictures: dict[str, Picture] = {}
     for view in VIEWS:
         pictures[view] = views.draw(view)
-        write_picture(out_dir / f"{view}.png", pictures[view])
+        write_picture(out_dir / f"{view}.png", views.framed(view, pictures[view]))
     return pictures
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from experiments.build_tools import hover_view, scene_picture, scene_truth_maps
 from experiments.config import Config, UsageError
+from experiments.map_frame import PAPER, MapFrame, survey_marks, write_words
 from experiments.run_directory import whole_file
 from scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene, TruthMaps
 
@@ -42,8 +43,8 @@ _BRIGHTEST = 100.0
 _SUN = np.array([-0.5, 0.5, 0.7]) / np.linalg.norm([-0.5, 0.5, 0.7])
 _RELIEF_GAIN = 2.0
 _STRIP_PIXELS = 46
-_INK = (235, 235, 235)
-_PAPER = 24
+ABOVE_HALF_SPANS = 0.51
+"""half of what the picture from above shows of level ground at height 0, in spans of the scene"""
 _LIDAR_ASIDE_M, _LIDAR_AHEAD_M = 28.0, 10.0
 """half the area that is drawn: a Livox Horizon on level ground 30 m below, and a little more"""
 _LIDAR_PIXELS_PER_M = 28.0
@@ -59,6 +60,30 @@ class SceneViews:
     def draw(self, view: str) -> Picture:
         """(H, W, 3) RGB of a view named in `VIEWS`."""
         return VIEWS[view](self)
+
+    def framed(self, view: str, picture: Picture) -> Picture:
+        """What `draw` gave of ``view``; a map gets ticks in metres around it, the take-off spot and
+        the rectangle of the survey's legs."""
+        if view not in MAP_VIEWS:
+            return picture
+        drawn, key = picture, None
+        if view == "above":
+            low, high = self._scene.bounds_xy_m
+            half = ABOVE_HALF_SPANS * float((high - low).max())
+            west, south = (0.5 * (low + high) - half).tolist()
+            across_m = 2.0 * half
+        else:
+            drawn, key = picture[:-_STRIP_PIXELS], picture[-_STRIP_PIXELS:]
+            west, south = self.truth.origin_xy_m.tolist()
+            across_m = self.truth.cell_m * self.truth.class_id.shape[1]
+        frame = MapFrame(west_m=west, south_m=south, pixels_per_m=drawn.shape[1] / across_m)
+        marked = drawn.copy()
+        scene = self._scene
+        frame.draw_marks(
+            marked, survey_marks(scene.takeoff_xy_m, scene.takeoff_yaw, self._config.survey)
+        )
+        done = frame.around([marked], MAP_WORDS)
+        return done if key is None else frame.below(done, key)
 
     @cached_property
     def truth(self) -> TruthMaps:
@@ -176,6 +201,9 @@ VIEWS: Mapping[str, Callable[[SceneViews], Picture]] = {
 }
 """In the order in which people look at them."""
 
+MAP_VIEWS = ("above", "height", "slope", "class", "safe")
+MAP_WORDS = "x east, y north (m); circle: take-off and heading; dashed: the survey's legs"
+
 
 def write_picture(path: Path, picture: Picture) -> None:
     """Writes RGB to a .png or .jpg file. Raises UsageError where that cannot be."""
@@ -214,7 +242,7 @@ def _north_up(picture: Picture) -> Picture:
 
 def _with_scale(picture: Picture, colormap: int, low: str, high: str) -> Picture:
     """A strip below with the colour scale from ``low`` to ``high``."""
-    strip = np.full((_STRIP_PIXELS, picture.shape[1], 3), _PAPER, np.uint8)
+    strip = np.full((_STRIP_PIXELS, picture.shape[1], 3), PAPER, np.uint8)
     left = 20 + _text(strip, low, 12)
     right = min(left + 360, picture.shape[1] - 130)
     strip[12:34, left:right] = _coloured(np.linspace(0.0, 1.0, right - left)[None], colormap)
@@ -224,7 +252,7 @@ def _with_scale(picture: Picture, colormap: int, low: str, high: str) -> Picture
 
 def _with_key(picture: Picture, key: list[tuple[str, tuple[int, int, int]]]) -> Picture:
     """A strip below with a coloured square and a name for each entry."""
-    strip = np.full((_STRIP_PIXELS, picture.shape[1], 3), _PAPER, np.uint8)
+    strip = np.full((_STRIP_PIXELS, picture.shape[1], 3), PAPER, np.uint8)
     at = 12
     for name, colour in key:
         strip[12:34, at : at + 22] = colour
@@ -234,6 +262,4 @@ def _with_key(picture: Picture, key: list[tuple[str, tuple[int, int, int]]]) -> 
 
 def _text(strip: Picture, text: str, left: int) -> int:
     """Writes into a strip in place and returns the column where the text ends."""
-    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.55
-    cv2.putText(strip, text, (left, 29), font, scale, _INK, 1, cv2.LINE_AA)
-    return left + int(cv2.getTextSize(text, font, scale, 1)[0][0])
+    return write_words(strip, text, left, 29, 0.55)

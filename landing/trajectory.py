@@ -7,6 +7,7 @@ two states of position, velocity and acceleration (Flash and Hogan 1985; Mueller
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -154,7 +155,8 @@ def survey_trajectory(start: Array, yaw: float, params: SurveyParams) -> Piecewi
     turns take over and hand on, so a turn swings out beyond the ends of its legs. Rest at both
     ends. Short turns are hard, long ones leave little time for the legs: the time is shared so that
     the product of the largest speed and the largest acceleration is smallest.
-    Raises ValueError when ``duration_s`` cannot be met with less than 6 m/s^2.
+    Raises ValueError when ``duration_s`` cannot be met with less than 6 m/s^2, and says how long it
+    takes.
     """
     if params.legs < 1 or min(params.leg_length_m, params.leg_spacing_m, params.duration_s) <= 0.0:
         raise ValueError(
@@ -164,10 +166,16 @@ def survey_trajectory(start: Array, yaw: float, params: SurveyParams) -> Piecewi
     candidates = [_survey(start, yaw, params, share) for share in np.linspace(0.02, 0.40, 77)]
     rated = [(*peaks(c, per_segment=24), c) for c in candidates if c is not None]
     _, acceleration, best = min(rated, key=lambda r: r[0] * r[1], default=(0.0, np.inf, None))
-    if best is None or acceleration > _MAX_SURVEY_ACCEL:
+    if best is None:
+        raise ValueError(
+            f"a survey of {params.legs} legs leaves no time for its turns; give fewer survey.legs"
+        )
+    if acceleration > _MAX_SURVEY_ACCEL:
+        # Flown in k times the time, a path has 1 / k^2 of the acceleration.
+        least_s = params.duration_s * math.sqrt(acceleration / _MAX_SURVEY_ACCEL)
         raise ValueError(
             f"a survey of {params.legs} legs of {params.leg_length_m:g} m does not fit into "
-            f"{params.duration_s:g} s; raise survey.duration_s"
+            f"{params.duration_s:g} s; raise survey.duration_s to {math.ceil(least_s)} or more"
         )
     return best
 

@@ -35,6 +35,9 @@ _MOVING_KINDS = (
 )  # fmt: skip
 """In an order in which nothing refers to what is gone already."""
 
+_told: set[tuple[str, str]] = set()
+"""Files, and what was told of them."""
+
 
 def surface_of_name(name: str) -> Surface | None:
     """The surface of a material's or geom's name that begins with a land class (``lawn_2``,
@@ -101,10 +104,9 @@ def stand_still(spec: Any, path: Path) -> None:
         for element in list(getattr(spec, kind)):
             spec.delete(element)
     if moving:
-        warnings.warn(
-            f"{path}: its {moving} joints and soft bodies are left out; nothing in a scene moves "
-            "by itself",
-            stacklevel=4,
+        _warn_once(
+            path,
+            f"its {moving} joints and soft bodies are left out; nothing in a scene moves by itself",
         )
     compiler, option = spec.compiler, spec.option
     compiler.settotalmass = -1.0
@@ -195,6 +197,13 @@ def _lift(spec: Any, by_m: float) -> None:
             frame.pos = frame.pos + offset
 
 
+def _warn_once(path: Path, text: str) -> None:
+    """Once in a process: a file is read again by whoever needs the place."""
+    if (key := (str(path.resolve()), text)) not in _told:
+        _told.add(key)
+        warnings.warn(f"{path}: {text}", stacklevel=4)
+
+
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
@@ -230,11 +239,13 @@ def _surfaces(spec: Any, path: Path) -> dict[str, Surface]:
         surfaces[geom.name] = found or DEFAULT_SURFACE
     if unknown:
         names = ", ".join(unknown[:4]) + (" ..." if len(unknown) > 4 else "")
-        warnings.warn(
-            f"{path}: {len(unknown)} geoms have no known class ({names}): they count as 'other' "
-            f"with reflectivity {DEFAULT_SURFACE.reflectivity}; begin a material's or geom's name "
-            f"with one of {', '.join(LAND_CLASSES)}",
-            stacklevel=3,
+        one = len(unknown) == 1
+        _warn_once(
+            path,
+            f"{len(unknown)} {'geom has' if one else 'geoms have'} no known class ({names}): "
+            f"{'it counts' if one else 'they count'} as 'other' with reflectivity "
+            f"{DEFAULT_SURFACE.reflectivity}; begin a material's or geom's name with one of "
+            f"{', '.join(LAND_CLASSES)}",
         )
     return surfaces
 
@@ -254,7 +265,5 @@ def _bounds(model: Any, data: Any, takeoff_xy_m: np.ndarray, path: Path) -> np.n
     low, high = (world - reach).min(axis=0)[:2], (world + reach).max(axis=0)[:2]
     size = float((high - low).max())
     if not _SMALL_M <= size <= _HUGE_M:
-        warnings.warn(
-            f"{path}: the scene is {size:.3g} m across; are its lengths in metres?", stacklevel=3
-        )
+        _warn_once(path, f"the scene is {size:.3g} m across; are its lengths in metres?")
     return np.stack([np.maximum(low, window[0]), np.minimum(high, window[1])])

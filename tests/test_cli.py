@@ -215,6 +215,22 @@ def test_a_table_in_a_pipe_is_not_cut(capsys: pytest.CaptureFixture[str]) -> Non
     assert "…" not in out and row["scene"] in out and "safe ground" in out and "s a seed" in out
 
 
+def test_a_lost_estimate_tells_what_it_knew(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    events = [{"time_s": 1.5 * i, "text": f"scan {i} refused [no returns]"} for i in range(8)]
+    lost = _result("DIVERGED") | {"estimator": "livo", "events": events, "event_count": 8}
+    monkeypatch.setattr("experiments.flight.fly", lambda *_args: lost)
+    code, out, _ = _run(capsys, "fly", "crossroad", "--quiet")
+    assert code == 1
+    assert "the last of 8 events that livo told:" in out
+    assert "  10.5 s  scan 7 refused [no returns]" in out and "scan 2 " not in out
+    lost |= {"event_count": 900}
+    assert "the last of the first 8 of 900 events" in _run(capsys, "fly", "crossroad")[1]
+    lost |= {"outcome": "TIPPED"}
+    assert "events" not in _run(capsys, "fly", "crossroad", "--quiet")[1]
+
+
 def test_a_fault_in_the_air_is_not_told_as_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
     def fly(_config: Any, _out: Path, progress: Any) -> dict[str, Any]:
         progress(0.0, "TAKEOFF", "")
@@ -223,6 +239,28 @@ def test_a_fault_in_the_air_is_not_told_as_bad_input(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("experiments.flight.fly", fly)
     with pytest.raises(ValueError, match="shapes"):
         cli.main(["land", "crossroad"])
+
+
+def test_a_viewer_without_a_display_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "flight.rrd").write_bytes(b"RRF")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    opened: list[list[str]] = []
+
+    def start(command: list[str], check: bool) -> subprocess.CompletedProcess[bytes]:
+        opened.append(command)
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(subprocess, "run", start)
+    code, _, err = _run(capsys, "view", str(tmp_path))
+    assert code == 2 and "--web" in err and err.count("\n") == 1
+    assert _run(capsys, "view", str(tmp_path), "--web")[0] == 0
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert _run(capsys, "view", str(tmp_path))[0] == 0
+    assert [command[-1] == "--web-viewer" for command in opened] == [True, False]
 
 
 def test_interruption_is_130(

@@ -77,6 +77,8 @@ def test_every_parameter_of_every_group_has_a_key() -> None:
         ("sim.lidar_scan_ticks=50", ["sim.lidar_scan_ticks", "multiple"]),
         ("livo.camera_hz=7", ["livo.camera_hz", "30 Hz"]),
         ("control.control_hz=100", ["control.control_hz", "200"]),
+        ("survey.legs=5", ["does not fit into 36 s", "to 50 or more", "--set survey.legs=5"]),
+        ("survey.legs=40", ["40 legs leaves no time for its turns", "fewer survey.legs"]),
     ],
 )
 def test_mistakes_are_told_in_one_line(override: str, words: list[str]) -> None:
@@ -113,3 +115,16 @@ def test_a_date_is_no_number(tmp_path: Path) -> None:
 def test_a_number_for_a_group_is_told() -> None:
     with pytest.raises(UsageError, match="group"):
         load_config(None, ["sim=600"])
+
+
+def test_the_time_that_a_survey_is_said_to_need_is_enough() -> None:
+    assert load_config(None, ["survey.legs=5", "survey.duration_s=50"]).survey.legs == 5
+
+
+def test_one_fault_needs_no_brackets(tmp_path: Path) -> None:
+    file = tmp_path / "a.toml"
+    file.write_text("faults.events = 'gps_dropout@20'\n")
+    for config in (load_config(file), load_config(None, ["faults.events=gps_dropout@20"])):
+        assert config.faults.events == ("gps_dropout@20",)
+    with pytest.raises(UsageError, match="unknown fault 'gps_drop' in 'gps_drop@20'"):
+        load_config(None, ["faults.events=gps_drop@20"])

@@ -16,7 +16,9 @@ import pytest
 from estimator.api import Estimate
 from estimator.livo import Livo
 from experiments import cli
+from experiments.config import load_config
 from experiments.contract import RULES, Violation, check_estimator
+from experiments.flight import fly
 from experiments.synthetic_stream import SyntheticStream, synthetic_rig
 from sim.api import GRAVITY_MPS2, Observation, SensorNeeds, SensorRig
 from sim.frames import Pose, rotation_from_yaw
@@ -285,6 +287,36 @@ def test_the_example_of_the_page_keeps_the_contract_and_its_way() -> None:
     true = stream.true_pose(obs.tick).translation
     assert np.linalg.norm(true - rig.world_from_body_start.translation) > 2.0
     assert np.linalg.norm(estimate.world_from_body.translation - true) < 0.5
+
+
+def test_the_example_of_the_page_knows_that_it_flies_whatever_the_thrust() -> None:
+    """Thrust falls below weight in the air, too: what the IMU says then is no bias."""
+    module: dict[str, Any] = {"__name__": "my_lab.flow"}
+    exec(compile(_example(), "flow.py", "exec", dont_inherit=True), module)
+    rig = synthetic_rig()
+    as_it_was, with_less = module["build"]({}, rig), module["build"]({}, rig)
+    for obs in SyntheticStream(rig, as_it_was.needs, 2.0):
+        expected = as_it_was.update(obs)
+        share = 0.5 if obs.time_s > 1.2 else 1.0
+        found = with_less.update(
+            dataclasses.replace(obs, rotor_speed_radps=share * obs.rotor_speed_radps)
+        )
+    np.testing.assert_array_equal(
+        found.odom_from_body.translation, expected.odom_from_body.translation
+    )
+
+
+@pytest.mark.slow
+def test_the_example_of_the_page_flies_a_survey(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _module(tmp_path, monkeypatch, "ground_flow_flown", _example())
+    config = load_config(
+        estimator="ground_flow_flown:build", scene="crossroad", record=False, survey_only=True
+    )
+    result = fly(config, None)
+    assert result["outcome"] == "COMPLETED", result["reason"]
+    assert result["position_error_m"]["mean"] < 5.0
 
 
 def test_the_command_passes_the_example(

@@ -30,6 +30,7 @@ from docs_support import (
 from experiments import cli
 from experiments.campaign import load_plan
 from experiments.config import load_config
+from experiments.place_report import check_place
 
 # ------------------------------------------------------------------------------------------ links
 
@@ -261,7 +262,10 @@ def test_the_smallest_place_is_a_place(tmp_path: Path) -> None:
     file = tmp_path / "my_place.xml"
     file.write_text(blocks_of(ROOT / "docs" / "your-own-place.md", "xml")[0], encoding="utf-8")
     surfaces = read_mjcf(file).surfaces
-    assert {surface.land_class for surface in surfaces.values()} == {"lawn", "building"}
+    classes = {surface.land_class for surface in surfaces.values()}
+    assert classes == {"lawn", "building", "trees"}
+    row = check_place(str(file))
+    assert row["problems"] == row["remarks"] == []
 
 
 def test_the_smallest_estimator_satisfies_the_contract() -> None:

@@ -10,6 +10,7 @@ import pytest
 from experiments.cli import main
 from experiments.config import UsageError, load_config
 from experiments.flight import fly
+from experiments.idle_faults import idle_faults
 from sim.api import (
     FAULT_KINDS,
     CameraImage,
@@ -17,6 +18,7 @@ from sim.api import (
     GpsFix,
     LidarScan,
     Observation,
+    SensorNeeds,
 )
 from sim.fault_types import parse_fault
 from sim.faults import FaultInjector
@@ -270,3 +272,15 @@ def test_a_survey_with_all_of_them(estimator: str) -> None:
         assert words in said
     assert len(result["faults"]) == len(ALL_AT_DIFFERENT_TIMES)
     assert all(sum(entry["messages"].values()) > 0 for entry in result["faults"])
+
+
+def test_a_fault_of_a_sensor_that_nobody_reads_is_told() -> None:
+    schedule = ["gps_dropout@20+5", "lidar_nan@3", "fog@0", "gust@9"]
+    config = load_config(estimator="livo", fault=schedule)
+    all_but_gps = SensorNeeds(camera_hz=10, lidar=True)
+    (sentence,) = idle_faults(config, all_but_gps)
+    assert "'gps_dropout@20+5' does nothing" in sentence and "'livo'" in sentence
+    assert idle_faults(config, SensorNeeds(camera_hz=5, lidar=True, gps=True)) == []
+    dark = idle_faults(config, SensorNeeds(gps=True))
+    assert [sentence.split("'")[1] for sentence in dark] == ["lidar_nan@3", "fog@0"]
+    assert dark[1].endswith("reads the LIDAR or the camera")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from pathlib import Path
 
 os.environ.setdefault("MUJOCO_GL", "egl")
@@ -16,7 +17,9 @@ from experiments import cli
 from experiments.cli_scenes import VIEW_NAMES
 from experiments.config import load_config
 from experiments.contact_sheet import SHEET_VIEWS, contact_sheet, thumbnails
-from experiments.scene_check import check_scene, passed
+from experiments.map_frame import tick_step
+from experiments.place_report import check_place
+from experiments.scene_check import check_scene
 from experiments.scene_views import CLASS_RGB, VIEWS, SceneViews
 from scenes.api import Scene
 from scenes.compose import load_scene
@@ -128,6 +131,24 @@ def test_maps_show_class_height_and_safe_ground(views: SceneViews) -> None:
     assert np.abs(pixel(height, 0.0, 10.0) - pixel(height, -10.0, -10.0)).max() > 60
 
 
+def test_written_maps_have_ticks_and_the_survey(views: SceneViews) -> None:
+    assert [tick_step(span) for span in (160.0, 66.0, 34.0, 1.0)] == [10.0, 5.0, 2.0, 0.1]
+    picture = views.draw("class")
+    framed = views.framed("class", picture)
+    height, width = picture.shape[0] - LEGEND_ROWS, picture.shape[1]
+    top, left = 14, 54
+    changed = (framed[top : top + height, left : left + width] != picture[:height]).any(axis=-1)
+    # Legs from the middle of the map to the east and north: nothing west of the circle changes.
+    assert changed[height // 2 - 10 : height // 2, width // 2 - 10 : width // 2 + 10].any()
+    assert not changed[:, : width // 2 - 12].any() and not changed[height // 2 + 12 :].any()
+    assert changed.mean() < 0.02
+    below = framed[top + height, left : left + width].min(axis=-1)
+    ticks = np.flatnonzero(below > 200)
+    np.testing.assert_allclose(ticks, np.arange(0, 11) * width / 10, atol=1.5)  # every 5 m
+    depth = views.draw("depth")
+    assert views.framed("depth", depth) is depth
+
+
 def test_lidar_picture_is_black_where_nothing_came_back(views: SceneViews) -> None:
     picture = views.draw("lidar")[:-LEGEND_ROWS]
     middle = tuple(size // 2 for size in picture.shape[:2])
@@ -221,13 +242,70 @@ def test_layout_reads_heights_and_classes(place: Scene) -> None:
     assert share == pytest.approx(8.0 * 6.0 / np.prod(np.ptp(place.bounds_xy_m, axis=0)), rel=0.1)
 
 
-def test_a_file_has_no_seeds_and_that_is_told(place_file: Path) -> None:
-    row = check_scene(str(place_file), 2, lambda _note: None)
-    assert row["built"] == 2
-    assert not row["differ"]
-    assert row["closest"]["height_m"] == 0.0
-    assert not passed([row])
-    assert row["without_safe_site"] == []
+# ------------------------------------------------------------------------------------ files
+
+
+def write_place(tmp_path: Path, geoms: str) -> str:
+    path = tmp_path / "place.xml"
+    path.write_text(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
+    return str(path)
+
+
+LAWN = '<geom name="lawn" type="plane" size="0 0 1"/>'
+SMALL_LAWN = '<geom name="lawn" type="box" size="20 20 1" pos="0 0 -1"/>'
+
+
+@pytest.mark.parametrize(
+    ("geoms", "problem", "remark"),
+    [
+        (LAWN, "", ""),
+        # Legs of 50 x 40 m from the middle of 40 x 40 m of ground: 20 x 20 m have some below.
+        (SMALL_LAWN, "ground under 20% of the survey, 50 x 40 m", ""),
+        (
+            f'{LAWN}<geom name="building_x" type="box" size="3 3 3" pos="0 0 3"/>',
+            "",
+            "on 'building_x' (building), 6.0 m above the ground",
+        ),
+        (
+            f'{LAWN}<geom name="building_mast" type="box" size="1 1 16" pos="30 20 16"/>',
+            "32.0 m higher than the take-off",
+            "",
+        ),
+        ('<geom name="road" type="plane" size="0 0 1"/>', "no safe ground", ""),
+        # 60 x 60 m of ground hold the legs, but not all that is seen from them.
+        (
+            '<geom name="lawn" type="box" size="30 30 1" pos="25 20 -1"/>',
+            "",
+            "ground under 63% of what LIDAR and camera see",
+        ),
+    ],
+)
+def test_a_file_is_judged_by_what_a_survey_needs(
+    geoms: str, problem: str, remark: str, tmp_path: Path
+) -> None:
+    row = check_place(write_place(tmp_path, geoms))
+    for found, expected in ((row["problems"], problem), (row["remarks"], remark)):
+        assert len(found) == bool(expected), found
+        assert expected in "".join(found)
+
+
+def test_the_check_of_a_file_is_a_table_and_an_exit_code(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = write_place(tmp_path, f'{SMALL_LAWN}<geom name="heap" size="1" pos="6 5 0"/>')
+    with pytest.warns(UserWarning, match=r"1 geom has no known class \(heap\): it counts"):
+        assert cli.main(["scenes", "check", place, "--json"]) == 1
+    (row,) = json.loads(capsys.readouterr().out)["places"]
+    assert row["facts"]["without_class"] == ["heap"]
+    assert row["facts"]["legs_share"] == pytest.approx(0.2, abs=0.01)
+    short = ["--set", "survey.legs=1", "--set", "survey.leg_length_m=12"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # the heap was told of already
+        assert cli.main(["scenes", "check", place, *short]) == 0
+    shown = capsys.readouterr().out
+    assert "lawn (lawn)" in shown and "heap" in shown
+    assert "remark: there is ground under" in shown
+    assert cli.main(["scenes", "check", "crosroad"]) == 2
 
 
 @pytest.mark.slow
