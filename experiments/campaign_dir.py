@@ -232,8 +232,8 @@ def check_outside_code(plan: Plan, directory: Path) -> None:
         ]
         if changed:
             raise UsageError(
-                f"the code of {name} has changed since {len(changed)} runs of '{directory}' were "
-                f"flown, such as {changed[0]}; name another --out, or remove those runs "
+                f"the code of {name} has changed since runs of '{directory}' were flown "
+                f"({len(changed)}), such as {changed[0]}; name another --out, or remove those runs "
                 f"({directory / RUNS / changed[0]} and so on) to fly them anew"
             )
 

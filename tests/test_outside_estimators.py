@@ -283,7 +283,7 @@ def test_a_campaign_is_not_gone_on_with_on_other_code(
     lab(STILL + "\nGAIN = 1\n")
     with pytest.raises(UsageError) as failure:
         check_outside_code(plan, out)
-    for words in (f"the code of {name} has changed since 1 runs", plan.runs[0].run_id, "--out"):
+    for words in (f"the code of {name} has changed since runs of", plan.runs[0].run_id, "--out"):
         assert words in str(failure.value)
     for file in (out / "runs" / plan.runs[0].run_id).iterdir():
         file.unlink()
