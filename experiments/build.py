@@ -5,7 +5,6 @@ With ``experiments.build_tools`` the only module that knows all folders.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,8 @@ from controller.api import Controller
 from estimator.api import Estimator, Mapper
 from experiments.bias import BiasedEstimator
 from experiments.config import Config, UsageError
+from experiments.outside import check_outside, is_outside
+from experiments.outside_estimator import OutsideEstimator
 from experiments.rig import told_rig
 from experiments.suggest import nearest
 from landing.api import Lander
@@ -74,10 +75,10 @@ def build_flight(config: Config, scene: Scene) -> Flight:
     world = make_world(config, scene)
     try:
         rig = told_rig(world.rig, config)
+        estimator = _biased(make_estimator(rig, world.truth), config)
     except ValueError:
         world.close()
         raise
-    estimator = _biased(make_estimator(rig, world.truth), config)
     mapper = _mapper(config, rig)
     lander = SiteLander(rig, config.landing, config.survey, places)
     needs = estimator.needs
@@ -267,8 +268,9 @@ ESTIMATORS: Mapping[str, Callable[[Config], _EstimatorFactory]] = {
 
 
 def check_estimator(name: str) -> None:
-    """Raises UsageError naming the nearest known estimator unless ``name`` can be built."""
-    if name not in ESTIMATORS and ":" not in name:
+    """Raises UsageError naming the nearest known estimator unless ``name`` may be that of one, or
+    MODULE:FUNCTION; `find_estimator` looks whether that is there."""
+    if name not in ESTIMATORS and not is_outside(name):
         known = ", ".join(ESTIMATORS)
         raise UsageError(
             f"unknown estimator '{name}'{nearest(name, ESTIMATORS)}; "
@@ -276,23 +278,15 @@ def check_estimator(name: str) -> None:
         )
 
 
+def find_estimator(name: str) -> None:
+    """Raises UsageError unless ``name`` can be built, as far as can be told without a rig."""
+    check_estimator(name)
+    if is_outside(name):
+        check_outside(name)
+
+
 def _estimator_factory(config: Config) -> _EstimatorFactory:
     check_estimator(config.estimator)
     if config.estimator in ESTIMATORS:
         return ESTIMATORS[config.estimator](config)
-    build = outside_builder(config.estimator)
-    return lambda rig, _truth: build({}, rig)
-
-
-def outside_builder(name: str) -> Callable[[dict[str, Any], SensorRig], Estimator]:
-    """``my_lab.vio:build`` -> the function ``build`` of the module ``my_lab.vio``."""
-    module_name, _, function_name = name.partition(":")
-    try:
-        build = getattr(importlib.import_module(module_name), function_name)
-    except (ImportError, AttributeError, SyntaxError, ValueError) as error:
-        raise UsageError(
-            f"estimator '{name}': {error}; give MODULE:FUNCTION importable from here"
-        ) from error
-    if not callable(build):
-        raise UsageError(f"estimator '{name}': {function_name} is not a function")
-    return build
+    return lambda rig, _truth: OutsideEstimator(config.estimator, config.outside, rig)

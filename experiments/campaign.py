@@ -22,6 +22,7 @@ from experiments.config import (
     UsageError,
     config_of,
     flatten,
+    is_key,
     known_keys,
     read_tree,
 )
@@ -233,7 +234,7 @@ def _axes(tree: Mapping[str, Any], source: str) -> dict[str, list[Any]]:
     if "scene" not in given:
         raise UsageError(f"[axes] of {source} lacks scene, such as scene = ['crossroad']")
     for key, values in given.items():
-        settable = key in known_keys() and key not in _OWN_KEYS
+        settable = is_key(key) and key not in _OWN_KEYS
         if key not in AXES and not settable:
             hint = nearest(key, [*AXES, "seeds", *known_keys()])
             raise UsageError(f"unknown axis '{key}' in {source}{hint}")

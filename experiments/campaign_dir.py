@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from experiments.campaign import Plan, PlannedRun, config_for, config_sha
-from experiments.campaign_rows import FAILED
+from experiments.campaign_rows import FAILED, RUNS, refresh
 from experiments.campaign_run import PARTIAL, Task
 from experiments.config import UsageError, flatten
+from experiments.outside import code_now, is_outside
 
 PLAN_FILE, SOURCE_FILE, LOCK_FILE = "campaign.json", "campaign.toml", ".lock"
 Shard = tuple[int, int]
@@ -207,11 +208,34 @@ def _difference(old: Mapping[str, Any], runs: Sequence[PlannedRun], directory: P
         dict(flatten(json.loads(config_for(values, "campaign").model_dump_json())))
         for values in (old["values"], same[0].values)
     )
-    key = next(key for key in then if key != "record" and then[key] != now[key])
+    key = next(k for k in {**then, **now} if k != "record" and then.get(k) != now.get(k))
     return (
-        f"{start}: {key} of run {old['run_id']} was {json.dumps(then[key])} and is now "
-        f"{json.dumps(now[key])}{end}"
+        f"{start}: {key} of run {old['run_id']} was {json.dumps(then.get(key))} and is now "
+        f"{json.dumps(now.get(key))}{end}"
     )
+
+
+def check_outside_code(plan: Plan, directory: Path) -> None:
+    """Raises UsageError where finished runs were flown with other code of an outside estimator than
+    there is now: they would not be flown again, and stand beside runs of another program. Runs that
+    do not say what they were flown with pass."""
+    wanted = {str(run.values["estimator"]) for run in plan.runs}
+    now = {name: code_now(name) for name in sorted(wanted) if is_outside(name)}
+    if not now or not (directory / PLAN_FILE).is_file():
+        return
+    rows = refresh(directory)
+    for name, code in now.items():
+        changed = [
+            row["run_id"]
+            for row in rows
+            if row["estimator"] == name and row.get("estimator_sha") not in (None, code)
+        ]
+        if changed:
+            raise UsageError(
+                f"the code of {name} has changed since runs of '{directory}' were flown "
+                f"({len(changed)}), such as {changed[0]}; name another --out, or remove those runs "
+                f"({directory / RUNS / changed[0]} and so on) to fly them anew"
+            )
 
 
 # ---------------------------------------------------------------------------------------- leavings

@@ -35,6 +35,8 @@ RECORDING = "flight.rrd"
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 _PR_SET_PDEATHSIG = 1
 
+REAL_RUNNER = "experiments.campaign_run:fly"
+
 Tell = Callable[[dict[str, Any]], None]
 
 
@@ -49,7 +51,7 @@ class Task:
     """absolute, of the campaign"""
     record_failures: bool = False
     """fly a run with a bad outcome once more, for its recording"""
-    runner: str = "experiments.campaign_run:fly"
+    runner: str = REAL_RUNNER
     """MODULE:FUNCTION that takes a configuration and an output directory, fills it and returns the
     result"""
 

@@ -16,6 +16,7 @@ from experiments.campaign import Plan, in_shard
 from experiments.campaign_dir import (
     Shard,
     add_session,
+    check_outside_code,
     clear_partial,
     flying_now,
     locked,
@@ -31,7 +32,7 @@ from experiments.campaign_rows import (
     finished_ids,
     refresh,
 )
-from experiments.campaign_run import PARTIAL, Task, wants_recording
+from experiments.campaign_run import PARTIAL, REAL_RUNNER, Task, wants_recording
 from experiments.config import UsageError
 from experiments.engines import Engine, EngineStoppedError, Event, LocalEngine
 from experiments.report import load_run
@@ -59,19 +60,27 @@ def fly_campaign(
     *,
     shard: Shard | None = None,
     watcher: Watcher | None = None,
-    runner: str = "experiments.campaign_run:fly",
+    runner: str = REAL_RUNNER,
 ) -> dict[str, Any]:
     """Flies what ``directory`` lacks of a plan, and returns `summary`.
 
     Finished runs are never repeated; runs that crashed are tried again. Stopping it at any moment,
     by whatever means, and calling it again gives the rows of an undisturbed campaign. ``shard``
     (i, n) flies the i-th of n parts, i from 1. Raises UsageError for a directory that is in use,
-    that belongs to another campaign, or whose disk is full.
+    that belongs to another campaign, or whose disk is full; for an outside estimator that is not to
+    be had, or whose code is not that of the finished runs.
     """
+    from experiments.build import find_estimator
     from experiments.flight import git_revision
 
     watcher = watcher or Watcher()
+    real = runner == REAL_RUNNER
+    if real:
+        for name in {str(run.values["estimator"]): None for run in plan.runs}:
+            find_estimator(name)
     with locked(directory, shard):
+        if real:
+            check_outside_code(plan, directory)
         plan = settle_plan(plan, directory, git_revision())
         todo, done = _left(plan, directory, shard, runner)
         session: dict[str, Any] = {

@@ -49,6 +49,7 @@ def guarded_fly(config: Any, out: Path | None, progress: Callable[..., None]) ->
     """Flies. What goes wrong before the first control step is bad input; after it, our fault."""
     from experiments.config import UsageError
     from experiments.flight import fly as fly_config
+    from experiments.outside_estimator import OutsideError
 
     airborne = False
 
@@ -60,7 +61,7 @@ def guarded_fly(config: Any, out: Path | None, progress: Callable[..., None]) ->
     try:
         return fly_config(config, out, watch)
     except (ValueError, OSError) as error:
-        if airborne:
+        if airborne or isinstance(error, OutsideError):
             raise
         raise UsageError(input_message(error)) from error
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -83,11 +84,13 @@ def check_estimator(
         raise UsageError(f"--seconds {seconds:g} must be positive")
     violations = _checked(name, run, seconds, overrides)
     if as_json:
-        rows = [{"rule": v.rule, "reason": v.reason} for v in violations]
+        rows = [{"rule": v.rule, "reason": v.reason, "trace": v.trace} for v in violations]
         click.echo(json.dumps({"estimator": name, "violations": rows}, indent=2))
     else:
         for violation in violations:
             click.echo(str(violation))
+            if violation.trace:
+                click.echo(textwrap.indent(violation.trace.rstrip(), "    "))
         broken = len(violations)
         click.echo(f"{name}: {broken} of {len(RULES)} rules broken" if broken else f"{name}: good")
     return EXIT_FAILED if violations else EXIT_DONE
@@ -98,35 +101,39 @@ def _checked(name: str, run: Path | None, seconds: float, overrides: tuple[str, 
     from experiments.build import build_estimator
     from experiments.config import load_config
     from experiments.flight import limit_threads
+    from experiments.outside_estimator import OutsideError
     from experiments.replay import check_needs, open_run, replay_config, seen_by
 
     limit_threads()
     if run is None:
         config = load_config(None, overrides, estimator=name)
-        resolved = usage_errors(lambda: _build_function(config))
-        return contract.check_estimator(resolved, seconds=seconds)
+        build = usage_errors(lambda: _build_function(config))
+        return contract.check_estimator(build, params=config.outside, seconds=seconds)
     logged = open_run(run)
     config = replay_config(run, name, overrides)
-    needs = build_estimator(config, logged.sensors.rig).needs
+    build = usage_errors(lambda: _build_function(config))
+    rig, observations = logged.sensors.rig, []
+    try:
+        needs = build_estimator(config, rig).needs
+    except OutsideError:
+        # It does not get as far as messages; the contract says why.
+        return contract.check_estimator(build, rig=rig, params=config.outside, seconds=seconds)
     check_needs(name, needs, logged.sensors)
-    observations = []
     for obs in seen_by(needs, logged.sensors):
         observations.append(obs)
         if obs.time_s >= seconds:
             break
     return contract.check_estimator(
-        usage_errors(lambda: _build_function(config)),
-        rig=logged.sensors.rig,
-        observations=observations,
+        build, rig=rig, params=config.outside, observations=observations
     )
 
 
 def _build_function(config: Any) -> Any:
     """``build(params, rig)`` of the configured estimator. Raises UsageError where there is none."""
-    from experiments.build import build_estimator, outside_builder
-    from experiments.build import check_estimator as check_name
+    from experiments.build import build_estimator, check_estimator
+    from experiments.outside import is_outside, outside_builder
 
-    check_name(config.estimator)
-    if ":" in config.estimator:
+    check_estimator(config.estimator)
+    if is_outside(config.estimator):
         return outside_builder(config.estimator)
     return lambda _params, rig: build_estimator(config, rig)

@@ -32,6 +32,7 @@ from estimator.api import (
     StereoParams,
 )
 from experiments.api import BiasParams, RefereeParams, RigErrorParams
+from experiments.outside_keys import PREFIX, wrong_outside_key
 from experiments.suggest import nearest
 from landing.api import LandingParams, SurveyParams
 from sim.api import (
@@ -88,6 +89,8 @@ class Config(BaseModel):
     """seed of the place alone, for flights over one place in other winds and noises; None: ``seed``
     decides that too"""
     estimator: str = "livo"
+    outside: dict[str, Any] = Field(default_factory=dict)
+    """what an estimator of somebody's own, MODULE:FUNCTION, is built with: any keys"""
     calibration: str | None = None
     """path of a file of `touchdown calibrate` that estimators are told instead of the rig's own
     calibration with the errors of ``rig_error``"""
@@ -180,6 +183,9 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
     for key, value in values.items():
         _check_key(key, sources[key])
         _check_finite(key, value, sources[key])
+    if found := wrong_outside_key(values, values.get("estimator", "livo")):
+        key, reason = found
+        raise UsageError(f"{key} in {sources.get(key, 'the configuration')} {reason}")
     config = _validate(values, sources)
     _check_ranges(config, sources)
     _check_rates(config)
@@ -198,6 +204,16 @@ def dump_config(config: Config) -> str:
 def known_keys() -> tuple[str, ...]:
     """Every dotted key of the schema, in its order."""
     return tuple(key for key, _ in flatten(json.loads(Config().model_dump_json())))
+
+
+def is_key(key: str) -> bool:
+    """Whether a dotted key may be set."""
+    return key in known_keys() or is_outside_key(key)
+
+
+def is_outside_key(key: str) -> bool:
+    """Whether it is of the table that outside estimators are built with, where any key may be."""
+    return key.startswith(PREFIX)
 
 
 # ------------------------------------------------------------------------------------- reading
@@ -251,13 +267,18 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 
 def _check_key(key: str, source: str) -> None:
     keys = known_keys()
-    if key in keys:
+    if is_key(key):
         return
+    if key == "outside":
+        keys = ("outside.gain",)
     inside = [known for known in keys if known.startswith(f"{key}.")]
     if inside:
         raise UsageError(
             f"'{key}' in {source} is a group, set one of its keys, such as '{inside[0]}'"
         )
+    group, _, rest = key.partition(".")
+    if rest and difflib.get_close_matches(group, ["outside"], cutoff=0.7):
+        keys = (*keys, f"outside.{rest}")
     hint = nearest(key, keys) or _same_last_name(key, keys)
     raise UsageError(f"unknown key '{key}' in {source}{hint or f'; groups: {_groups()}'}")
 
@@ -326,7 +347,7 @@ POSITIVE_EXCEPT = re.compile(r"[_.]latency_ticks$")
 def _check_ranges(config: Config, sources: Mapping[str, str]) -> None:
     """Signs follow the names: a rate, a size or a duration is positive, a spread not negative."""
     for key, value in flatten(json.loads(config.model_dump_json())):
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if isinstance(value, bool) or not isinstance(value, int | float) or is_outside_key(key):
             continue
         where = f" in {sources[key]}" if key in sources else ""
         if POSITIVE.search(key) and not POSITIVE_EXCEPT.search(key):

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+import traceback
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 from zlib import crc32
 
@@ -17,12 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.api import Estimate, Estimator
+from experiments.contract_motion import MotionCheck
+from experiments.estimate_check import (
+    meaningless,
+    no_number,
+    not_finite,
+    told,
+    wrong_estimator,
+    wrong_shape,
+)
+from experiments.outside import Build, wrong_signature
 from experiments.synthetic_stream import SyntheticStream, synthetic_rig
-from sim.api import Observation, SensorNeeds, SensorRig
+from sim.api import Observation, SensorRig
 from sim.frames import Pose, so3_log
 
 Array = NDArray[np.float64]
-Build = Callable[[dict[str, Any], SensorRig], Estimator]
 
 RULES = {
     "builds": "build(params, rig) returns an object with needs and update",
@@ -34,6 +44,7 @@ RULES = {
     "deterministic": "the same messages give the same estimates to the bit",
     "frames": "the first estimate is near the take-off pose: world ENU, body FLU",
     "continuity": "odom_from_body does not jump",
+    "motion": "velocity_odom and angular_velocity_body are those of odom_from_body",
     "missing data": "a second without scans, or without images, is survived",
 }
 """What is checked, by name."""
@@ -45,14 +56,6 @@ JUMP_M, JUMP_DEG = 0.5, 10.0
 _GAP = (0.4, 0.75)
 """share of the stream between which data is missing"""
 
-_SHAPES = {
-    "velocity_odom": (3,),
-    "angular_velocity_body": (3,),
-    "acceleration_odom": (3,),
-    "position_covariance": (3, 3),
-    "rotation_covariance": (3, 3),
-}
-
 
 @dataclass(frozen=True, slots=True)
 class Violation:
@@ -60,6 +63,8 @@ class Violation:
 
     rule: str
     reason: str
+    trace: str = field(default="", compare=False)
+    """the traceback of what was raised, where that is how it was seen"""
 
     def __str__(self) -> str:
         return f"{self.rule}: {self.reason}"
@@ -108,23 +113,25 @@ class _Check:
     def broke(self, rule: str) -> bool:
         return any(violation.rule == rule for violation in self.violations)
 
-    def _note(self, rule: str, reason: str) -> None:
+    def _note(self, rule: str, reason: str, trace: str = "") -> None:
         if not self.broke(rule):
-            self.violations.append(Violation(rule, reason))
+            self.violations.append(Violation(rule, reason, trace))
 
     def built(self) -> Estimator | None:
         """A new estimator, or None with the reason noted."""
         before = _digest(self._rig)
+        reason = wrong_signature(self._build)
+        if reason:
+            self._note("builds", reason)
+            return None
         try:
             estimator = self._build(copy.deepcopy(self._params), self._rig)
         except Exception as error:  # whatever it is, the author wants to read it
-            self._note("builds", f"build raised {_told(error)}")
+            self._note("builds", f"build raised {told(error)}", _trace(error))
             return None
-        if not isinstance(getattr(estimator, "needs", None), SensorNeeds):
-            self._note("builds", "the estimator's attribute 'needs' is no SensorNeeds")
-            return None
-        if not callable(getattr(estimator, "update", None)):
-            self._note("builds", "the estimator has no method update(obs)")
+        reason = wrong_estimator(estimator, self._rig)
+        if reason:
+            self._note("builds", reason)
             return None
         if _digest(self._rig) != before:
             self._note("inputs", "build modified the rig")
@@ -134,7 +141,7 @@ class _Check:
         """One pass with every rule of a single pass; digests of the estimates."""
         digests: list[bytes] = []
         previous: tuple[Observation, Estimate] | None = None
-        rig_before = _digest(self._rig)
+        rig_before, motion = _digest(self._rig), MotionCheck()
         kept: list[tuple[Observation, list[tuple[str, bytes]]]] = []
         for original in stream:
             obs = copy.deepcopy(original)
@@ -143,12 +150,17 @@ class _Check:
             if estimate is None:
                 break
             self._judge(obs, estimate, previous)
+            if not any(self.broke(rule) for rule in ("shapes", "finite", "time")):
+                motion.add(estimate)
             previous = (obs, estimate)
             digests.append(_digest(estimate))
             if len(kept) > 200:  # a second: whoever writes later than that is not caught
                 self._compare(kept.pop(0), obs.time_s)
         for pair in kept:
             self._compare(pair, pair[0].time_s)
+        reason = motion.reason()
+        if reason:
+            self._note("motion", reason)
         if _digest(self._rig) != rig_before:
             self._note("inputs", "update modified the rig")
         return digests
@@ -157,7 +169,8 @@ class _Check:
         try:
             estimate = estimator.update(obs)
         except Exception as error:
-            self._note("answers", f"at {obs.time_s:.3f} s update raised {_told(error)}")
+            reason = f"at {obs.time_s:.3f} s update raised {told(error)}"
+            self._note("answers", reason, _trace(error))
             return None
         if not isinstance(estimate, Estimate):
             kind = type(estimate).__name__
@@ -176,8 +189,12 @@ class _Check:
     def _judge(
         self, obs: Observation, estimate: Estimate, previous: tuple[Observation, Estimate] | None
     ) -> None:
+        reason = no_number(estimate)
+        if reason:
+            self._note("shapes", f"at {obs.time_s:.3f} s {reason}")
+            return
         self._judge_time(obs, estimate, None if previous is None else previous[1])
-        reason = _wrong_shape(estimate)
+        reason = wrong_shape(estimate)
         if reason:
             self._note("shapes", f"at {obs.time_s:.3f} s {reason}")
             return
@@ -185,7 +202,7 @@ class _Check:
         if name:
             self._note("finite", f"at {obs.time_s:.3f} s {name} is not finite")
             return
-        reason = _meaningless(estimate)
+        reason = meaningless(estimate)
         if reason:
             self._note("shapes", f"at {obs.time_s:.3f} s {reason}")
             return
@@ -266,11 +283,19 @@ class _Check:
             except Exception as error:
                 self._note(
                     "missing data",
-                    f"without {field}, at {obs.time_s:.3f} s, update raised {_told(error)}",
+                    f"without {field}, at {obs.time_s:.3f} s, update raised {told(error)}",
+                    _trace(error),
+                )
+                return
+            if not isinstance(estimate, Estimate):
+                kind = type(estimate).__name__
+                self._note(
+                    "missing data",
+                    f"without {field}, at {obs.time_s:.3f} s, update returned {kind}, not Estimate",
                 )
                 return
             known = self.broke("shapes") or self.broke("finite")
-            if not known and (_wrong_shape(estimate) or _not_finite(estimate)):
+            if not known and (wrong_shape(estimate) or _not_finite(estimate)):
                 self._note(
                     "missing data",
                     f"without {field}, at {obs.time_s:.3f} s, the estimate is not finite",
@@ -292,63 +317,18 @@ def _between(first: Pose, second: Pose) -> tuple[float, float]:
     return distance, float(np.degrees(angle))
 
 
-def _told(error: Exception) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
-
-
-def _poses(estimate: Estimate) -> Iterator[tuple[str, Any]]:
-    for name in ("odom_from_body", "world_from_odom"):
-        yield name, getattr(estimate, name)
-
-
-def _wrong_shape(estimate: Estimate) -> str:
-    """What is wrong with the form of an estimate, or nothing."""
-    for name, pose in _poses(estimate):
-        if not isinstance(pose, Pose):
-            return f"{name} is no Pose"
-        if np.shape(pose.rotation) != (3, 3) or np.shape(pose.translation) != (3,):
-            return f"{name} has a rotation of {np.shape(pose.rotation)}, not (3, 3), or a " + (
-                f"translation of {np.shape(pose.translation)}, not (3,)"
-            )
-    for name, shape in _SHAPES.items():
-        if np.shape(getattr(estimate, name)) != shape:
-            return f"{name} has shape {np.shape(getattr(estimate, name))}, not {shape}"
-    track = estimate.scan_track
-    if track is not None:
-        count = len(track.times_s)
-        wrong = np.shape(track.positions_odom) != (count, 3)
-        if wrong or np.shape(track.quats_wxyz) != (count, 4):
-            return f"scan_track has {count} times, but not as many positions and quaternions"
-    return ""
-
-
-def _meaningless(estimate: Estimate) -> str:
-    """What is no rotation or no covariance, of the right shape; or nothing."""
-    for name, pose in _poses(estimate):
-        off = float(np.abs(pose.rotation @ pose.rotation.T - np.eye(3)).max())
-        if off > 1e-6 or np.linalg.det(pose.rotation) < 0.0:
-            return f"{name}.rotation is no rotation matrix"
-    for name in ("position_covariance", "rotation_covariance"):
-        matrix = getattr(estimate, name)
-        scale = float(np.abs(matrix).max())
-        if np.abs(matrix - matrix.T).max() > 1e-6 * scale:
-            return f"{name} is not symmetric"
-        if np.linalg.eigvalsh(matrix)[0] < -1e-9 * scale:
-            return f"{name} has a negative eigenvalue"
-    track = estimate.scan_track
-    if track is not None and np.any(np.diff(track.times_s) <= 0.0):
-        return "scan_track.times_s does not ascend"
-    return ""
+def _trace(error: Exception) -> str:
+    """The traceback of an exception, without the frame of the caller here."""
+    first = error.__traceback__.tb_next if error.__traceback__ is not None else None
+    return "".join(traceback.format_exception(type(error), error, first))
 
 
 def _not_finite(estimate: Estimate) -> str:
     """The name of the first part that is not finite, or nothing."""
-    parts: list[tuple[str, Any]] = [(name, getattr(estimate, name)) for name in _SHAPES]
-    for name, pose in _poses(estimate):
-        parts += [(f"{name}.rotation", pose.rotation), (f"{name}.translation", pose.translation)]
-    parts += [("time_s", estimate.time_s)]
-    parts += [(f"diagnostics['{name}']", value) for name, value in estimate.diagnostics.items()]
-    return next((name for name, value in parts if not np.all(np.isfinite(value))), "")
+    told_too = ((f"diagnostics['{name}']", value) for name, value in estimate.diagnostics.items())
+    return not_finite(estimate) or next(
+        (name for name, value in told_too if not np.all(np.isfinite(value))), ""
+    )
 
 
 # ------------------------------------------------------------------------------------ digests

@@ -88,6 +88,12 @@ class Failure:
     traceback: str = ""
 
 
+_SERVE = (
+    "import sys; sys.path.sort(key=lambda entry: entry == ''); "  # here comes last: hides nothing
+    "from experiments.campaign_run import serve; serve()"
+)
+
+
 def local_environment() -> dict[str, str]:
     """The environment of workers here: one thread each, and modules found as in this process."""
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
@@ -210,7 +216,7 @@ class Supervisor:
         fcntl.fcntl(self._log, fcntl.F_SETFL, os.O_APPEND)
         self._runs = 0
         self._worker = subprocess.Popen(
-            [sys.executable, "-c", "from experiments.campaign_run import serve; serve()"],
+            [sys.executable, "-c", _SERVE],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,

@@ -22,12 +22,13 @@ from experiments.build import (
     build_flight,
     build_places,
     build_scene,
-    check_estimator,
+    find_estimator,
 )
 from experiments.config import Config, dump_config
 from experiments.idle_faults import idle_faults
 from experiments.loop import run_flight
 from experiments.metrics import levelness_error_deg
+from experiments.outside import flown_code
 from experiments.recorder import NullRecorder, Recorder, RunRecorder
 from experiments.referee import FlightResult, Referee
 from experiments.rig import check_calibration
@@ -71,7 +72,7 @@ def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) 
     an earlier run of that name is replaced. Raises UsageError for bad input before anything is
     written.
     """
-    check_estimator(config.estimator)
+    find_estimator(config.estimator)
     check_calibration(config)
     build_places(config)
     if out_dir is not None:
@@ -228,6 +229,7 @@ def _result(
         "scene": config.scene,
         "seed": config.seed,
         "estimator": config.estimator,
+        **flown_code(config.estimator),
         "wind_kmh": config.wind.mean_kmh,
         "position_error_m": outcome.position_error.summary(),
         "span_s": outcome.span_s,

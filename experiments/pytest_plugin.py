@@ -87,12 +87,14 @@ def fly_all(
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
+    from experiments.build import find_estimator
     from experiments.config import UsageError, load_config
 
     if mode not in ("fly", "land"):
         raise UsageError(f"mode = '{mode}' must be 'fly' or 'land'")
     if jobs < 1:
         raise UsageError(f"--touchdown-jobs {jobs} must be 1 or more")
+    find_estimator(estimator)
     tasks = []
     for scene in scenes:
         for seed in seeds:
@@ -125,22 +127,24 @@ def _fly_one(task: tuple[str, str, str]) -> dict[str, Any]:
     from experiments.campaign_rows import CRASHED, make_row
     from experiments.cli_base import guarded_fly, rendering_backend
     from experiments.config import Config, UsageError
+    from experiments.outside_estimator import OutsideError
 
     os.environ.setdefault("MUJOCO_GL", rendering_backend())
     text, out, mode = task
     config = Config.model_validate_json(text)
     try:
         result = guarded_fly(config, Path(out), lambda *_: None)
-    except UsageError:
-        raise
     except Exception as error:
+        outside = isinstance(error, OutsideError)
+        if isinstance(error, UsageError) and not outside:
+            raise
         result = {
             "scene": config.scene,
             "estimator": config.estimator,
             "seed": config.seed,
             "wind_kmh": config.wind.mean_kmh,
             "outcome": CRASHED,
-            "reason": f"{type(error).__name__}: {error}",
+            "reason": str(error) if outside else f"{type(error).__name__}: {error}",
         }
     return make_row(result, Path(out).name, mode, config_sha(config))
 

@@ -21,8 +21,17 @@ from numpy.typing import NDArray
 
 from estimator.api import Estimate, Estimator
 from experiments.api import Outcome
-from experiments.config import Config, UsageError, dump_config, known_keys, load_config
+from experiments.config import (
+    Config,
+    UsageError,
+    dump_config,
+    is_key,
+    is_outside_key,
+    load_config,
+    read_tree,
+)
 from experiments.metrics import PositioningError
+from experiments.outside import flown_code
 from experiments.sensor_log_reader import SensorLogReader
 from experiments.tum import TumWriter, read_tum
 from sim.api import Observation, SensorNeeds
@@ -93,8 +102,9 @@ def replay_config(
 ) -> Config:
     """The configuration of a run, with another estimator or other parameters of it. ``fresh``:
     estimators with today's defaults instead of the run's parameters. Of a run of an earlier version
-    whose estimators had parameters that are gone, these are left out, with a warning. Raises
-    UsageError for a key that decided the flight."""
+    whose estimators had parameters that are gone, these are left out, with a warning; so are, with
+    none, those of an outside estimator when another takes its place. Raises UsageError for a key
+    that decided the flight."""
     if not (run / "config.json").is_file():
         raise UsageError(f"'{run}' is no run directory: it has no config.json")
     for text in overrides:
@@ -102,13 +112,14 @@ def replay_config(
         if key.partition(".")[0] in _FLOWN:
             raise UsageError(f"--set {key}: the flight is over; a replay changes estimators only")
     gone: list[str] = []
+    same = estimator in (None, read_tree(run / "config.json").get("estimator"))
 
     def take(key: str) -> bool:
         if key.partition(".")[0] in _FLOWN or key == "estimator":
             return True
-        if key not in known_keys():
+        if not is_key(key):
             gone.append(key)
-        return not fresh and key in known_keys()
+        return not fresh and is_key(key) and (same or not is_outside_key(key))
 
     config = load_config(run / "config.json", overrides, take, estimator=estimator)
     if gone and not fresh:
@@ -280,6 +291,7 @@ def _result(
         "scene": config.scene,
         "seed": config.seed,
         "estimator": config.estimator,
+        **flown_code(config.estimator),
         "wind_kmh": config.wind.mean_kmh,
         "replay_of": str(logged.path),
         "flown_by": logged.result.get("estimator"),

@@ -1,7 +1,8 @@
 """A few seconds of sensor messages made up with numpy alone: a take-off over rolling ground.
 
 For checks that need plausible input and no simulator. Rates, delays and mounts are those of the
-vehicle; the ground is a sum of waves, its picture a random mosaic, and the vehicle stays level.
+vehicle; the ground is a sum of waves, its picture a random mosaic, and the vehicle turns, but stays
+level.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ CONTROL_TICKS = 3
 REST_S = 0.6
 """on the ground before the take-off"""
 _CLIMB_M, _ASIDE_M, _CLIMB_S = 2.5, 1.0, 2.4
+_TURN_RAD = 0.5
+"""of the heading in a whole climb"""
 _PULSES = 6000
 _TILE_M = 0.05
 _SEA_LEVEL_PA, _LAPSE_PER_M, _EXPONENT = 101325.0, 2.25577e-5, 5.25588
@@ -112,8 +115,10 @@ class SyntheticStream:
                 yield self._observation(tick, arrived)
 
     def true_pose(self, tick: int) -> Pose:
-        """``world_from_body``; level, heading as at the start."""
-        return Pose(self._start.rotation, self._positions(np.array([tick / self._rig.tick_hz]))[0])
+        """``world_from_body``; level, the heading turns on the way up."""
+        times = np.array([tick / self._rig.tick_hz])
+        turn = rotation_from_yaw(float(self._turns(times)[0]))
+        return Pose(self._start.rotation @ turn, self._positions(times)[0])
 
     def _due(self, tick: int) -> list[tuple[str, int, Callable[..., Any]]]:
         """(field, arrival tick, measuring function) of what is measured at ``tick``."""
@@ -141,21 +146,42 @@ class SyntheticStream:
 
     # ------------------------------------------------------------------------ the flight
 
-    def _positions(self, times_s: Array) -> Array:
-        """(N, 3) of the body origin: at rest, then a climb of minimum jerk."""
+    def _progress(self, times_s: Array) -> Array:
+        """(N,) 0 at rest, then of minimum jerk to at most 1."""
         span_s = max(self._seconds - REST_S, 0.1)
         share = np.clip((times_s - REST_S) / span_s, 0.0, 1.0)
         smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        return np.asarray(smooth * min(1.0, span_s / _CLIMB_S) ** 2)  # as it can accelerate
+
+    def _positions(self, times_s: Array) -> Array:
+        """(N, 3) of the body origin."""
         aside = self._start.rotation @ np.array([0.6, 0.8, 0.0])
         way = _ASIDE_M * aside + np.array([0.0, 0.0, _CLIMB_M])
-        way *= min(1.0, span_s / _CLIMB_S) ** 2  # no faster than it can accelerate
-        return np.asarray(self._start.translation + smooth[:, None] * way)
+        return np.asarray(self._start.translation + self._progress(times_s)[:, None] * way)
 
-    def _mean_acceleration(self, tick: int, over_ticks: int) -> Array:
+    def _turns(self, times_s: Array) -> Array:
+        """(N,) of the heading since the start, rad."""
+        return np.asarray(_TURN_RAD * self._progress(times_s))
+
+    def _points(self, times_s: Array, offset_body: Array) -> Array:
+        """(N, 3) world positions of what is mounted at ``offset_body`` (3,)."""
+        offsets = np.broadcast_to(offset_body, (len(times_s), 3))
+        return self._positions(times_s) + self._turned(times_s, offsets)
+
+    def _turned(self, times_s: Array, vectors: Array) -> Array:
+        """(N, 3) in the world, of (N, 3) in the body at these times."""
+        turn = self._turns(times_s)
+        cos, sin, (x, y, z) = np.cos(turn), np.sin(turn), vectors.T
+        about_z = np.column_stack([cos * x - sin * y, sin * x + cos * y, z])
+        return np.asarray(about_z @ self._start.rotation.T)
+
+    def _mean_acceleration(
+        self, tick: int, over_ticks: int, offset_body: Array | float = 0.0
+    ) -> Array:
         """(3,) over the ticks before ``tick``, from velocities by central differences."""
         hz, half = self._rig.tick_hz, 0.5
         edges = np.array([tick - over_ticks - half, tick - over_ticks + half, tick - half])
-        at = self._positions(np.append(edges, tick + half) / hz)
+        at = self._points(np.append(edges, tick + half) / hz, np.asarray(offset_body))
         return np.asarray(((at[3] - at[2]) - (at[1] - at[0])) * hz * hz / over_ticks)
 
     def _observation(self, tick: int, arrived: dict[str, list[Any]]) -> Observation:
@@ -178,13 +204,18 @@ class SyntheticStream:
         return {"tick": tick, "time_s": tick / self._rig.tick_hz}
 
     def _imu(self, tick: int, rng: np.random.Generator) -> ImuSample:
-        rig = self._rig
-        force = self._mean_acceleration(tick, rig.imu_ticks) + np.array([0.0, 0.0, GRAVITY_MPS2])
-        world_from_imu = self._start.rotation @ rig.body_from_imu.rotation
+        rig, mount = self._rig, self._rig.body_from_imu
+        force = self._mean_acceleration(tick, rig.imu_ticks, mount.translation)
+        force = force + np.array([0.0, 0.0, GRAVITY_MPS2])
+        before, middle, now = self._turns(np.arange(tick - rig.imu_ticks, tick + 1.0,
+                                                    0.5 * rig.imu_ticks) / rig.tick_hz)  # fmt: skip
+        turn_rate = np.array([0.0, 0.0, (now - before) * rig.tick_hz / rig.imu_ticks])
+        world_from_imu = self._start.rotation @ rotation_from_yaw(float(middle)) @ mount.rotation
         noise = math.sqrt(rig.tick_hz / rig.imu_ticks)
         return ImuSample(
             **self._time(tick),
-            angular_velocity=rig.imu.gyro_density * noise * rng.standard_normal(3),
+            angular_velocity=mount.rotation.T @ turn_rate
+            + rig.imu.gyro_density * noise * rng.standard_normal(3),
             specific_force=world_from_imu.T @ force
             + rig.imu.accel_density * noise * rng.standard_normal(3),
         )
@@ -199,9 +230,9 @@ class SyntheticStream:
         along = np.radians(12.0) * np.sin(2.0 * np.pi * 71.9 * phase)
         rays = np.column_stack([np.tan(across), np.tan(along), np.ones(_PULSES)])
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        world_from_lidar = self._start.rotation @ rig.body_from_lidar.rotation
-        origins = self._positions(phase) + self._start.rotation @ rig.body_from_lidar.translation
-        ranges = _ranges_to_ground(origins, rays @ world_from_lidar.T)
+        origins = self._points(phase, rig.body_from_lidar.translation)
+        aimed = self._turned(phase, rays @ rig.body_from_lidar.rotation.T)
+        ranges = _ranges_to_ground(origins, aimed)
         ranges += 0.01 * rng.standard_normal(_PULSES)
         return LidarScan(
             start_tick=start,
@@ -243,12 +274,12 @@ class SyntheticStream:
 
     def _gps(self, tick: int, rng: np.random.Generator) -> GpsFix:
         hz = self._rig.tick_hz
-        antenna = self._start.rotation @ np.array(self._rig.nav.gps.antenna_body_m)
-        around = self._positions(np.array([tick - 1.0, tick, tick + 1.0]) / hz)
+        antenna = np.array(self._rig.nav.gps.antenna_body_m)
+        around = self._points(np.array([tick - 1.0, tick, tick + 1.0]) / hz, antenna)
         sigma = np.array([0.5, 0.5, 0.75])
         return GpsFix(
             **self._time(tick),
-            position_world=around[1] + antenna + 0.2 * sigma * rng.standard_normal(3),
+            position_world=around[1] + 0.2 * sigma * rng.standard_normal(3),
             velocity_world=(around[2] - around[0]) * 0.5 * hz + 0.05 * rng.standard_normal(3),
             sigma_position_m=sigma,
             sigma_velocity_mps=0.05,
@@ -267,7 +298,7 @@ class SyntheticStream:
         field = params.strength_ut * np.append(level, -np.sin(dip))
         noise = params.noise_sigma_ut * rng.standard_normal(3)
         return MagnetometerSample(
-            **self._time(tick), field_body_ut=self._start.rotation.T @ field + noise
+            **self._time(tick), field_body_ut=self.true_pose(tick).rotation.T @ field + noise
         )
 
     def _rangefinder(self, tick: int, rng: np.random.Generator) -> RangefinderSample:

@@ -243,6 +243,16 @@ class SensorNeeds:
             rangefinder=self.rangefinder or other.rangefinder,
         )
 
+    def check_camera_rate(self, clock_hz: int) -> None:
+        """ValueError, with the allowed values, unless images fall on pulses of a camera's clock."""
+        rate = self.camera_hz
+        if not isinstance(rate, int | np.integer) or rate < 0 or (rate and clock_hz % rate):
+            divisors = ", ".join(str(i) for i in range(1, clock_hz + 1) if clock_hz % i == 0)
+            raise ValueError(
+                f"camera_hz is {rate}, but images come on pulses of a {clock_hz} Hz clock: 0 or "
+                f"one of {divisors}"
+            )
+
 
 # ------------------------------------------------------------------------------------- messages
 

@@ -24,12 +24,7 @@ def check_rates(sim: SimParams, needs: SensorNeeds) -> None:
         raise ValueError(
             f"sim.compute_latency_ticks must be 0 or more, not {sim.compute_latency_ticks}"
         )
-    camera_clock_hz = sim.tick_hz // sim.camera_ticks
-    if needs.camera_hz < 0 or (needs.camera_hz and camera_clock_hz % needs.camera_hz):
-        raise ValueError(
-            f"camera_hz is {needs.camera_hz}, but images come on pulses of a {camera_clock_hz} Hz "
-            f"clock: 0 or one of {_divisors(camera_clock_hz)}"
-        )
+    needs.check_camera_rate(sim.tick_hz // sim.camera_ticks)
 
 
 def image_period_ticks(sim: SimParams, needs: SensorNeeds) -> int:

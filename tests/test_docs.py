@@ -182,7 +182,8 @@ def test_commands_in_blocks_parse(page: Path) -> None:
                 options = _parse(arguments).params
             except click.ClickException as error:
                 pytest.fail(f"{name_of(page)}: touchdown {' '.join(arguments)}: {error.message}")
-            load_config(None, options.get("overrides", ()))
+            estimator = options.get("estimator") or options.get("name")
+            load_config(None, options.get("overrides", ()), estimator=estimator)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -1,0 +1,45 @@
+"""The table ``outside`` of a configuration: whatever somebody's own estimator is built with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+PREFIX = "outside."
+_DEEPEST = 8
+
+
+def wrong_outside_key(values: Mapping[str, Any], estimator: Any) -> tuple[str, str] | None:
+    """The first key of ``values``, by dotted key, that is of the table and cannot be, and why."""
+    ours = {key: value for key, value in values.items() if key.startswith(PREFIX)}
+    for key, value in ours.items():
+        if isinstance(estimator, str) and ":" not in estimator:
+            return key, (
+                "is for an estimator of your own, MODULE:FUNCTION, which "
+                f"'{estimator}' is not; leave it out (in a campaign: set it in an [[override]])"
+            )
+        if isinstance(value, dict):
+            return key, f"is a table; set its keys one by one, such as {key}.gain"
+        if key.count(".") > _DEEPEST:
+            return key[:80], "is nested too deeply"
+        parent = next((other for other in ours if key.startswith(f"{other}.")), None)
+        if parent is not None:
+            return key, f"cannot be set beside a value of {parent}"
+        reason = _wrong_value(value)
+        if reason:
+            return key, reason
+    return None
+
+
+def _wrong_value(value: Any, depth: int = 0) -> str:
+    if isinstance(value, float) and not math.isfinite(value):
+        return "must hold finite numbers"
+    if isinstance(value, list | dict):
+        if depth == _DEEPEST:
+            return "is nested too deeply"
+        items = value.values() if isinstance(value, dict) else value
+        return next((reason for item in items if (reason := _wrong_value(item, depth + 1))), "")
+    if not isinstance(value, str | int | float):
+        return f"is a {type(value).__name__}; text, numbers, booleans and lists of them can be set"
+    return ""
