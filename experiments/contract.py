@@ -53,6 +53,8 @@ START_DISTANCE_M, START_ANGLE_DEG = 5.0, 20.0
 """from the take-off pose: what a receiver's first fix may be off, not what a mistaken frame is"""
 JUMP_M, JUMP_DEG = 0.5, 10.0
 """of ``odom_from_body`` between two control steps, beyond what its own velocity explains"""
+TURN_RAD = 0.5
+"""of the made-up flight: without it degrees could not be told from radians"""
 _GAP = (0.4, 0.75)
 """share of the stream between which data is missing"""
 
@@ -92,7 +94,7 @@ def check_estimator(
     if estimator is None:
         return check.violations
     needs = estimator.needs
-    stream = observations or tuple(SyntheticStream(rig, needs, seconds))
+    stream = observations or tuple(SyntheticStream(rig, needs, seconds, turn_rad=TURN_RAD))
     first = check.run(estimator, stream)
     if not check.broke("answers"):
         check.repeat(stream, first)

@@ -1,8 +1,7 @@
 """A few seconds of sensor messages made up with numpy alone: a take-off over rolling ground.
 
 For checks that need plausible input and no simulator. Rates, delays and mounts are those of the
-vehicle; the ground is a sum of waves, its picture a random mosaic, and the vehicle turns, but stays
-level.
+vehicle; the ground is a sum of waves, its picture a random mosaic, and the vehicle stays level.
 """
 
 from __future__ import annotations
@@ -41,8 +40,6 @@ CONTROL_TICKS = 3
 REST_S = 0.6
 """on the ground before the take-off"""
 _CLIMB_M, _ASIDE_M, _CLIMB_S = 2.5, 1.0, 2.4
-_TURN_RAD = 0.5
-"""of the heading in a whole climb"""
 _PULSES = 6000
 _TILE_M = 0.05
 _SEA_LEVEL_PA, _LAPSE_PER_M, _EXPONENT = 101325.0, 2.25577e-5, 5.25588
@@ -86,13 +83,20 @@ def synthetic_rig() -> SensorRig:
 
 
 class SyntheticStream:
-    """Iterating gives the same observations every time: ``seconds`` of what ``needs`` asks for."""
+    """Iterating gives the same observations every time: ``seconds`` of what ``needs`` asks for.
+
+    ``turn_rad`` is what the heading changes by on the way up."""
 
     def __init__(
-        self, rig: SensorRig, needs: SensorNeeds, seconds: float = 3.0, seed: int = 0
+        self,
+        rig: SensorRig,
+        needs: SensorNeeds,
+        seconds: float = 3.0,
+        seed: int = 0,
+        turn_rad: float = 0.0,
     ) -> None:
         self._rig, self._needs, self._seed = rig, needs, seed
-        self._seconds = seconds
+        self._seconds, self._turn_rad = seconds, turn_rad
         self._start = rig.world_from_body_start
         tiles = np.random.default_rng([seed, 1]).integers(30, 226, (256, 256, 3))
         self._tiles = tiles.astype(np.float64)
@@ -115,7 +119,7 @@ class SyntheticStream:
                 yield self._observation(tick, arrived)
 
     def true_pose(self, tick: int) -> Pose:
-        """``world_from_body``; level, the heading turns on the way up."""
+        """``world_from_body``; level."""
         times = np.array([tick / self._rig.tick_hz])
         turn = rotation_from_yaw(float(self._turns(times)[0]))
         return Pose(self._start.rotation @ turn, self._positions(times)[0])
@@ -161,7 +165,7 @@ class SyntheticStream:
 
     def _turns(self, times_s: Array) -> Array:
         """(N,) of the heading since the start, rad."""
-        return np.asarray(_TURN_RAD * self._progress(times_s))
+        return np.asarray(self._turn_rad * self._progress(times_s))
 
     def _points(self, times_s: Array, offset_body: Array) -> Array:
         """(N, 3) world positions of what is mounted at ``offset_body`` (3,)."""

@@ -209,7 +209,7 @@ def config_case(rng: Rng, folder: Path) -> Case:
         for _ in range(int(rng.integers(0, 4))):
             group = pick(rng, document)
             inner = document[group]
-            if isinstance(inner, dict) and rng.random() < 0.8:
+            if isinstance(inner, dict) and inner and rng.random() < 0.8:
                 key = pick(rng, inner)
                 inner[misspelt(rng, key) if rng.random() < 0.2 else key] = neighbour(
                     rng, inner[key]

@@ -19,7 +19,7 @@ from experiments.build import ESTIMATORS, build_estimator
 from experiments.campaign_dir import check_outside_code
 from experiments.campaign_rows import make_row, write_table
 from experiments.config import UsageError, dump_config, load_config
-from experiments.contract import check_estimator
+from experiments.contract import TURN_RAD, check_estimator
 from experiments.contract_motion import MotionCheck
 from experiments.outside import code_now, flown_code, outside_builder
 from experiments.outside_estimator import OutsideError, OutsideEstimator
@@ -300,7 +300,8 @@ class TruePath:
     needs = SensorNeeds()
 
     def __init__(self, rig: SensorRig, spoil: Callable[[Estimate], Estimate]) -> None:
-        self._path, self._spoil = SyntheticStream(rig, self.needs, 3.0), spoil
+        self._path = SyntheticStream(rig, self.needs, 3.0, turn_rad=TURN_RAD)
+        self._spoil = spoil
         self._last: Pose | None = None
 
     def update(self, obs: Observation) -> Estimate:
@@ -365,6 +366,6 @@ def test_true_velocities_and_a_correction_are_no_violation() -> None:
 def test_velocities_of_every_built_in_estimator_are_those_of_its_poses(name: str) -> None:
     rig, motion = synthetic_rig(), MotionCheck()
     estimator = build_estimator(load_config(estimator=name), rig)
-    for obs in SyntheticStream(rig, estimator.needs, 2.6):
+    for obs in SyntheticStream(rig, estimator.needs, 2.6, turn_rad=TURN_RAD):
         motion.add(estimator.update(obs))
     assert motion.reason() == ""
