@@ -170,7 +170,7 @@ def _torch() -> Any:
 
 
 @click.command()
-@click.argument("network", type=click.Path(path_type=Path))
+@click.argument("network", required=False, type=click.Path(path_type=Path))
 @_DATA
 @click.option("--split", type=click.Choice(("train", "val", "test")), default="test",
               show_default=True)  # fmt: skip
@@ -180,8 +180,10 @@ def _torch() -> Any:
               help="Measure RAM and run time in a process of its own.")  # fmt: skip
 @_JSON
 @_QUIET
-def evaluate(network: Path, as_json: bool, quiet: bool, **options: Any) -> int:
+def evaluate(network: Path | None, as_json: bool, quiet: bool, **options: Any) -> int:
     """Score NETWORK, a file of `touchdown train`, on pictures that it was not trained on.
+
+    Without NETWORK: the one that comes with touchdown.
 
     Loss, macro F1, recall, top-1 with its interval, calibration error (ECE), confusion matrix; size
     of the file (ROM), peak memory (RAM) and time a picture.
@@ -189,10 +191,16 @@ def evaluate(network: Path, as_json: bool, quiet: bool, **options: Any) -> int:
     Example: touchdown evaluate trained/network.onnx --data patches
     """
     from experiments.console import progress_bar
-    from experiments.recognition_report import evaluate_network, print_evaluation
+    from experiments.recognition_report import (
+        evaluate_network,
+        print_evaluation,
+        shipped_network,
+    )
 
     with progress_bar(quiet) as progress:
-        report = usage_errors(lambda: evaluate_network(network, progress=progress, **options))
+        report = usage_errors(
+            lambda: evaluate_network(network or shipped_network(), progress=progress, **options)
+        )
     if as_json:
         click.echo(json.dumps(report, indent=2))
     else:
@@ -201,7 +209,7 @@ def evaluate(network: Path, as_json: bool, quiet: bool, **options: Any) -> int:
 
 
 @click.command()
-@click.argument("network", type=click.Path(path_type=Path))
+@click.argument("network", required=False, type=click.Path(path_type=Path))
 @click.option("--type", "weight_type", type=click.Choice(("float16", "bfloat16", "int8")),
               default="int8", show_default=True, help="Of the weights.")  # fmt: skip
 @_DATA
@@ -210,8 +218,10 @@ def evaluate(network: Path, as_json: bool, quiet: bool, **options: Any) -> int:
               help="Of the training split, that give the ranges of int8 activations.")  # fmt: skip
 @_JSON
 @_QUIET
-def quantize(network: Path, out: Path, as_json: bool, quiet: bool, **options: Any) -> int:
+def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **options: Any) -> int:
     """Write NETWORK, a file of `touchdown train`, with smaller weights.
+
+    Without NETWORK: the one that comes with touchdown.
 
     int8 computes in int8 too; bfloat16 and float16 are kept so and computed in float32. The limits
     at which ground counts as safe are fitted anew to the validation pictures. `touchdown evaluate`
@@ -220,10 +230,15 @@ def quantize(network: Path, out: Path, as_json: bool, quiet: bool, **options: An
     Example: touchdown quantize trained/network.onnx --data patches --out network-int8.onnx
     """
     from experiments.console import progress_bar
+    from experiments.recognition_report import shipped_network
     from experiments.recognition_variants import quantize_network
 
     with progress_bar(quiet) as progress:
-        report = usage_errors(lambda: quantize_network(network, out, progress=progress, **options))
+        report = usage_errors(
+            lambda: quantize_network(
+                network or shipped_network(), out, progress=progress, **options
+            )
+        )
     if as_json:
         click.echo(json.dumps(report, indent=2))
     else:

@@ -1,0 +1,58 @@
+"""The network that comes with the project: what it is, and that it knows places it never saw."""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import numpy as np
+import pytest
+
+from experiments.patches import place_patches
+from experiments.splits import HELD_OUT_SCENES, split_of_place
+from landing.recognition.in_flight import SHIPPED, NetworkPlaces, load_places
+from landing.recognition.weights import read_network
+from scenes.api import LAND_CLASSES, SAFE_CLASSES
+
+SEED = 900_004
+"""of no data set, and one that leaves 4 when divided by 5"""
+PICTURES = 24
+LARGEST_MB = 60.0
+
+
+@pytest.fixture(scope="module")
+def places() -> NetworkPlaces:
+    return load_places(SHIPPED)
+
+
+def test_what_comes_along(places: NetworkPlaces) -> None:
+    assert len(read_network(SHIPPED)) <= LARGEST_MB * 1e6
+    description = places.description()
+    assert description["network"] == "resnet50_cbam"
+    assert places.image_size == 128
+    assert 0.5 <= places.least_probability < 1.0
+
+
+def test_number_of_weights() -> None:
+    """Filters and matrices are float16: all weights but those that are one for a channel."""
+    onnx = pytest.importorskip("onnx")
+    model = onnx.load_from_string(read_network(SHIPPED))
+    halves = [t for t in model.graph.initializer if t.data_type == onnx.TensorProto.FLOAT16]
+    filters = sum(int(np.prod(tensor.dims)) for tensor in halves)
+    assert filters == 25_985_760  # and 69 207 more in biases and norms
+
+
+@pytest.mark.parametrize("scene", ["lake", "houses", *HELD_OUT_SCENES])
+def test_places_never_seen(scene: str, places: NetworkPlaces) -> None:
+    """A floor far below the scores on thousands of pictures: `docs/results/recognition.md`."""
+    assert split_of_place(scene, SEED) == "test"
+    patches = place_patches(scene, SEED, PICTURES, places.image_size, variation=0)
+    opinion = places.look(np.stack([patch.rgb for patch in patches]))
+    found = [LAND_CLASSES[best] for best in opinion.chances.argmax(axis=1)]
+    true = [patch.land_class for patch in patches]
+    assert np.mean([a == b for a, b in zip(found, true, strict=True)]) >= 0.75
+    safe = np.array([name in SAFE_CLASSES for name in LAND_CLASSES])
+    sure = opinion.chances[:, safe].sum(axis=1) >= places.least_probability
+    taken = sure & opinion.familiar & safe[opinion.chances.argmax(axis=1)]
+    assert not any(t and name in ("water", "trees") for t, name in zip(taken, true, strict=True))
