@@ -4,7 +4,7 @@ plain folders named as the classes."""
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,8 @@ class Entry:
     split: str
     source: str
     """kind of data set"""
+    scene: str = ""
+    """of a rendered picture"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +101,8 @@ def _rendered(folder: Path, scheme: str, labels: Any) -> Catalogue:
                 )
             else:
                 label = classes.index(row[scheme])
-                entries.append(Entry(folder / row["file"], label, row["split"], RENDERED))
+                file, split = folder / row["file"], row["split"]
+                entries.append(Entry(file, label, split, RENDERED, row["scene"]))
     return _checked(Catalogue(RENDERED, tuple(entries), left_out), folder)
 
 
@@ -142,7 +145,7 @@ def load_pictures(
 
     Raises UsageError as ``read_picture``, or where there is no picture in the split.
     """
-    entries = list(_of_split(catalogues, split))
+    entries = entries_of(catalogues, split)
     if not entries:
         raise UsageError(f"--data: no picture is in the split '{split}': give more data")
     images = np.empty((len(entries), pixels, pixels, 3), np.uint8)
@@ -159,6 +162,8 @@ def load_pictures(
     )
 
 
-def _of_split(catalogues: Sequence[Catalogue], split: str) -> Iterator[Entry]:
-    for catalogue in catalogues:
-        yield from (entry for entry in catalogue.entries if entry.split == split)
+def entries_of(catalogues: Sequence[Catalogue], split: str) -> list[Entry]:
+    """Of one split, in the order of the pictures that ``load_pictures`` gives."""
+    return [
+        entry for catalogue in catalogues for entry in catalogue.entries if entry.split == split
+    ]

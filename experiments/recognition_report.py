@@ -14,8 +14,9 @@ import numpy as np
 
 from experiments.build_tools import recognition
 from experiments.config import UsageError
-from experiments.photo_data import load_pictures, read_catalogue
+from experiments.photo_data import Entry, entries_of, load_pictures, read_catalogue
 from experiments.reporting.statistics import share_interval
+from experiments.splits import HELD_OUT_SCENES
 from landing.api import LabelledPictures
 
 Progress = Callable[[int, int, str], None]
@@ -53,7 +54,8 @@ def evaluate_network(
     measure: bool,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Scores on the pictures of ``split``, altogether and by data set; ROM, RAM and run time."""
+    """Scores on the pictures of ``split``, altogether, by data set and by scene; ROM, RAM and run
+    time."""
     classifier = load_classifier(network, engine, threads)
     facts = classifier.facts
     catalogues = [read_catalogue(argument, facts.labels) for argument in data]
@@ -73,10 +75,26 @@ def evaluate_network(
             for number, name in enumerate(pictures.sources)
             for of in [pictures.source == number]
         },
+        "by_scene": _by_scene(scores, pictures.labels, entries_of(catalogues, split), facts),
     }
     if measure:
         report |= footprint(network, engine)
     return report
+
+
+def _by_scene(
+    scores: Any, labels: Any, entries: Sequence[Entry], facts: Any
+) -> dict[str, dict[str, Any]]:
+    """Of rendered pictures: of each scene, and of those that are trained on and never trained on
+    together."""
+    of_picture = np.array([entry.scene for entry in entries])
+    names = sorted(set(of_picture.tolist()) - {""})
+    groups = {name: of_picture == name for name in names}
+    if len(names) > 1:
+        held_out = np.isin(of_picture, HELD_OUT_SCENES)
+        groups["scenes trained on"] = ~held_out & (of_picture != "")
+        groups["scenes never trained on"] = held_out
+    return {name: _judged(scores[of], labels[of], facts) for name, of in groups.items() if of.any()}
 
 
 def all_scores(classifier: Any, pictures: LabelledPictures, progress: Progress) -> Any:
@@ -118,6 +136,7 @@ def print_evaluation(report: Mapping[str, Any]) -> None:
     for heading in ("pictures of", "n", "loss", "macro F1", "recall", "top-1", "95 %", "ECE"):
         table.add_column(heading, justify="left" if heading == "pictures of" else "right")
     rows = {"all": report} | (report["by_source"] if len(report["by_source"]) > 1 else {})
+    rows |= report["by_scene"]
     for name, row in rows.items():
         low, high = row["top1_interval"]
         numbers = [f"{row[key]:.3f}" for key in ("loss", "macro_f1", "recall", "top1")]

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from experiments import cli
+from experiments.patch_dataset import COLUMNS, MANIFEST
 from experiments.picture_files import read_picture
 from landing.api import LabelledPictures
 from landing.recognition import weights
@@ -309,6 +310,25 @@ def test_evaluating_by_command(
     assert list(report["by_source"]) == ["d_land"]
     assert cli.main([*arguments[:-1], "--no-cost", "--engine", "torch"]) == 0
     assert "what it is, and what it was taken for" in capsys.readouterr().out
+
+
+def test_rendered_pictures_are_scored_by_scene(
+    trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [("lake", 4), ("lake", 9), ("pools", 0), ("flat", 4)]
+    lines = [",".join(COLUMNS)]
+    for number, (scene, seed) in enumerate(rows):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((32, 32, 3), 40 * number, np.uint8))
+        lines.append(f"{number}.png,lawn,pond,{scene},{seed},test,20.0,6.0,1.000")
+    (tmp_path / MANIFEST).write_text("\n".join(lines) + "\n")
+    arguments = ["evaluate", str(trained), "--data", str(tmp_path), "--no-cost", "--quiet"]
+    assert cli.main([*arguments, "--json"]) == 0
+    by_scene = json.loads(capsys.readouterr().out)["by_scene"]
+    assert {name: row["pictures"] for name, row in by_scene.items()} == {
+        "flat": 1, "lake": 2, "pools": 1, "scenes trained on": 3, "scenes never trained on": 1
+    }  # fmt: skip
+    assert cli.main(arguments) == 0
+    assert "scenes never trained on" in capsys.readouterr().out
 
 
 def test_classifying_by_command(
