@@ -101,8 +101,8 @@ def _rendered(folder: Path, scheme: str, labels: Any) -> Catalogue:
                 )
             else:
                 label = classes.index(row[scheme])
-                file, split = folder / row["file"], row["split"]
-                entries.append(Entry(file, label, split, RENDERED, row["scene"]))
+                picture, split = folder / row["file"], row["split"]
+                entries.append(Entry(picture, label, split, RENDERED, row["scene"]))
     return _checked(Catalogue(RENDERED, tuple(entries), left_out), folder)
 
 
