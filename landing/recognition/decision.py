@@ -22,9 +22,9 @@ Labels = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 LARGEST_MISTAKE = 0.0025
-"""share of pictures of unsafe ground that may pass for safe where limits are fitted. Scenes of
-which nothing was trained on mislead about four times as often as validation pictures do, and one
-in a hundred of theirs is the most that may pass."""
+"""share of pictures of unsafe ground that may pass for safe where limits are fitted: far less
+than is bearable, since ground of scenes never trained on misleads several times as often as
+validation pictures do."""
 LEAST = 0.5
 """no limit of probability is lower"""
 STRANGE = 0.005
