@@ -160,7 +160,7 @@ def fly(config: Config, out: Path) -> dict[str, Any]:
 
 def serve() -> None:
     """The life of a worker: flies what it is told until stdin ends."""
-    _die_with_parent()
+    die_with_parent(int(os.environ.get("TOUCHDOWN_SUPERVISOR", os.getppid())))
     faulthandler.enable()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the supervisor decides
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
@@ -203,10 +203,10 @@ def _forget_random_state() -> None:
         sys.modules["cv2"].setRNGSeed(0)
 
 
-def _die_with_parent() -> None:
-    """Linux kills this process when the thread that started it ends."""
+def die_with_parent(parent: int) -> None:
+    """Linux kills this process when the thread that started it, of process ``parent``, ends."""
     libc = ctypes.CDLL(None, use_errno=True)
     if hasattr(libc, "prctl"):
         libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != int(os.environ.get("TOUCHDOWN_SUPERVISOR", os.getppid())):
+    if os.getppid() != parent:
         os._exit(1)  # it was dead before

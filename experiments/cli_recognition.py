@@ -48,6 +48,9 @@ def dataset() -> int:
               help="Pixels across.")  # fmt: skip
 @click.option("--per-place", type=click.IntRange(1), default=40, show_default=True,
               help="Patches of each scene's seed.")  # fmt: skip
+@click.option("--new-colours", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
+              help="Share of views in which roads, paving, roofs … have other colours than "
+              "the scene gives them.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True,
               help="Processes; the pictures do not depend on it.")  # fmt: skip
 @_JSON

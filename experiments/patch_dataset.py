@@ -48,6 +48,7 @@ class _Place:
     count: int
     pixels: int
     variation: int
+    new_colours: float
     folder: str
 
     @property
@@ -63,18 +64,20 @@ def render_dataset(
     pixels: int = 128,
     per_place: int = PER_PLACE,
     jobs: int = 1,
+    new_colours: float = 0.0,
     progress: Callable[[int, int, str], None] = lambda done, total, note: None,
 ) -> dict[str, Any]:
     """Renders ``images`` patches of ``pixels`` across into the new folder ``out``.
 
-    Each scene is seen with as many seeds as it takes at ``per_place`` patches a seed. The same
+    Each scene is seen with as many seeds as it takes at ``per_place`` patches a seed, a share of
+    ``new_colours`` of the views in colours that the scene does not have. The same
     arguments give the same bytes, whatever ``jobs``. The folder appears when it is complete.
     Raises UsageError: ``out`` is not empty, an unknown scene.
     """
     names = _checked_scenes(scenes)
     _check_target(out)
     with run_directory(out) as partial:
-        rows = _render(partial, names, images, seed, pixels, per_place, jobs, progress)
+        rows = _render(partial, names, images, seed, pixels, per_place, jobs, new_colours, progress)
         (partial / MANIFEST).write_text(_csv(rows), encoding="utf-8")
         write_png(partial / SHEET, contact_sheet(_samples(partial, rows)))
     return {"directory": str(out), "images": len(rows), **_counts(rows)}
@@ -105,6 +108,7 @@ def _render(
     pixels: int,
     per_place: int,
     jobs: int,
+    new_colours: float,
     progress: Callable[[int, int, str], None],
 ) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
@@ -115,7 +119,7 @@ def _render(
             seeds = -(-wanted // (len(scenes) * per_place))
             counts = _even(wanted, seeds * len(scenes))
             places = [
-                _Place(name, first + number, counts.pop(), pixels, seed, str(folder))
+                _Place(name, first + number, counts.pop(), pixels, seed, new_colours, str(folder))
                 for number in range(seeds)
                 for name in scenes
             ]
@@ -153,7 +157,9 @@ def _render_place(place: _Place) -> list[dict[str, Any]]:
     folder = Path(place.folder) / place.name
     folder.mkdir()
     rows = []
-    patches = place_patches(place.scene, place.seed, place.count, place.pixels, place.variation)
+    patches = place_patches(
+        place.scene, place.seed, place.count, place.pixels, place.variation, place.new_colours
+    )
     for number, patch in enumerate(patches):
         file = f"{place.name}/{number:04d}.png"
         write_png(Path(place.folder) / file, patch.rgb)

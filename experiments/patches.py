@@ -7,7 +7,7 @@ the true segmentation. Light, blur and noise are drawn for each patch.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 from zlib import crc32
 
@@ -19,6 +19,7 @@ from experiments.build import build_scene
 from experiments.build_tools import aerial_camera
 from experiments.config import load_config
 from experiments.edge_data import look_anywhere, paint_ground
+from experiments.recolour import material_picture, recoloured
 from scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
 
 if TYPE_CHECKING:
@@ -75,15 +76,20 @@ class _Square:
     depth_m: float
 
 
-def place_patches(name: str, seed: int, count: int, pixels: int, variation: int) -> list[Patch]:
+def place_patches(
+    name: str, seed: int, count: int, pixels: int, variation: int, new_colours: float = 0.0
+) -> list[Patch]:
     """Up to ``count`` patches of ``pixels`` across of a scene's ``seed``; rare classes first.
 
-    A pure function of its arguments; ``variation`` changes poses, squares and light. Fewer come
-    back where a place does not show enough ground of one class. Raises UsageError for bad names.
+    A pure function of its arguments; ``variation`` changes poses, squares and light. In a share of
+    ``new_colours`` of the pictures materials have colours that the scene does not give them. Fewer
+    come back where a place does not show enough ground of one class. Raises UsageError for bad
+    names.
     """
     config = load_config(None, ("camera.noise_sigma=0", "camera.samples=4"), scene=name, seed=seed)
     scene = build_scene(config)
     rng = np.random.default_rng([seed, variation, crc32(b"patches"), crc32(name.encode())])
+    colours = np.random.default_rng([seed, variation, crc32(b"colours"), crc32(name.encode())])
     classes = geom_classes(scene)
     camera = aerial_camera(config, scene)
     matrix = camera.intrinsics.matrix()
@@ -93,6 +99,9 @@ def place_patches(name: str, seed: int, count: int, pixels: int, variation: int)
         for number in range(_MOST_VIEWS * count):
             view, _, _ = look_anywhere(camera, scene, rng, number, HEIGHTS_M)
             shown = class_picture(view, scene, classes, matrix)
+            if new_colours > 0.0 and colours.uniform() < new_colours:
+                materials = material_picture(scene, view.geom_id[::2, ::2], shown)
+                view = replace(view, rgb=recoloured(view.rgb, materials, colours))
             # while there is time, a class that has its share waits for the others
             open_to = np.where(taken < _share(count, number), taken, _FULL)
             squares = list(_squares(view, shown, matrix, open_to, rng))

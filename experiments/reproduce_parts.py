@@ -6,30 +6,27 @@ Heavy modules are imported by the part that needs them.
 from __future__ import annotations
 
 import dataclasses
-import json
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from experiments.campaign_dir import write_text
 from experiments.campaign_session import Watcher, default_jobs
 from experiments.config import UsageError, load_config
 from experiments.reporting.published import SITES
+from experiments.reproduce_networks import PICTURES, train_and_score
 from experiments.reproduce_plans import (
     PAPER_SCENES,
     Edition,
     Extent,
-    Recognition,
     core_seconds,
     digest,
     plan_of,
 )
 from experiments.run_directory import run_directory
 
-FLIGHTS, PICTURES, NETWORKS, SCORES = "flights", "pictures", "networks", "scores.json"
+FLIGHTS = "flights"
 VEHICLE = "vehicle.jpg"
 
 Notes = Callable[[str], None]
@@ -183,87 +180,21 @@ def _campaign(name: str, job: Job) -> Done:
 
 
 def _recognition(job: Job) -> Done:
-    """Pictures, networks, scores; whatever is there already is kept."""
-    size = job.edition.recognition
-    home = job.folder / job.edition.name
-    _start_over_if_changed(home, _recognition_settings(job.extent))
-    _use_threads(job.jobs)
-    pictures = home / PICTURES
-    if not pictures.is_dir():
-        from experiments.patch_dataset import render_dataset
-
-        render_dataset(
-            pictures,
-            images=size.images,
-            seed=0,
-            scenes=size.scenes,
-            pixels=size.pixels,
-            per_place=size.per_place,
-            jobs=job.jobs,
-            progress=lambda done, total, note: job.notes(f"picture {done} of {total}: {note}"),
-        )
-    scores = [
-        _network(job, size, home, network, labels)
-        for network in size.networks
-        for labels in size.labels
-    ]
-    figures = {"size": _recognition_settings(job.extent), "folder": home.name, "networks": scores}
-    return Done(figures)
+    settings = _recognition_settings(job.extent)
+    scores = train_and_score(
+        job.folder / job.edition.name,
+        job.edition.recognition,
+        job.extent.photographs,
+        settings,
+        job.jobs,
+        job.notes,
+    )
+    return Done({"size": settings, "folder": job.edition.name, "networks": scores})
 
 
 def _recognition_settings(extent: Extent) -> dict[str, Any]:
     photographs = list(extent.photographs)
     return dataclasses.asdict(extent.edition.recognition) | {"photographs": photographs}
-
-
-def _network(job: Job, size: Recognition, home: Path, network: str, labels: str) -> dict[str, Any]:
-    """Trains and scores one, unless that is done; goes on with a training that was stopped."""
-    from experiments.recognition_report import evaluate_network
-    from experiments.recognition_train import train_network
-
-    folder = home / NETWORKS / f"{network}-{labels}"
-    if (folder / SCORES).is_file():
-        known: dict[str, Any] = json.loads((folder / SCORES).read_text(encoding="utf-8"))
-        return known
-    job.notes(f"training {network}, {labels}")
-    data = [str(home / PICTURES), *job.extent.photographs]
-    options = {
-        "network": network,
-        "labels": labels,
-        "image_size": size.image_size,
-        "epochs": size.epochs,
-    }
-    training = train_network(data, folder, options, "auto", _quiet, job.notes)
-    judge = partial(
-        evaluate_network, folder / "network.onnx", data, engine="onnx", threads=1, progress=_quiet
-    )
-    kept = ("network", "labels", "split", "pictures", "loss", "macro_f1", "recall", "top1",
-            "top1_interval", "rom_mb", "peak_ram_mb", "image_ms")  # fmt: skip
-    scores: dict[str, Any] = {"network": network, "labels": labels, "epochs": training["epochs"]}
-    for split in ("val", "test"):
-        found = judge(split=split, measure=split == "test")
-        scores[split] = {key: found[key] for key in kept if key in found}
-    write_text(folder / SCORES, json.dumps(scores, indent=1) + "\n")
-    return scores
-
-
-def _start_over_if_changed(home: Path, settings: dict[str, Any]) -> None:
-    """A training goes on only with the pictures and options that it began with."""
-    file, text = home / "settings.json", json.dumps(settings, indent=1) + "\n"
-    if file.is_file() and file.read_text(encoding="utf-8") != text:
-        shutil.rmtree(home)
-    home.mkdir(parents=True, exist_ok=True)
-    write_text(file, text)
-
-
-def _use_threads(count: int) -> None:
-    import torch
-
-    torch.set_num_threads(count)
-
-
-def _quiet(_done: int, _total: int, _note: str) -> None:
-    pass
 
 
 # ------------------------------------------------------------------------------------------- list

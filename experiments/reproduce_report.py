@@ -21,7 +21,8 @@ from experiments.reporting.figures import Picture
 from experiments.reporting.flights import load_flights
 from experiments.reporting.published_networks import NETWORK_NAMES
 from experiments.reporting.tables import MISSING, Cell, Table
-from experiments.reproduce_parts import FLIGHTS, PARTS, PICTURES, VEHICLE, Part
+from experiments.reproduce_networks import PICTURES
+from experiments.reproduce_parts import FLIGHTS, PARTS, VEHICLE, Part
 from experiments.reproduce_tables import (
     calibration_table,
     network_tables,

@@ -12,14 +12,14 @@ import cv2
 import numpy as np
 import pytest
 
-from experiments import cli, patch_dataset, patches
+from experiments import cli, patch_dataset, patches, recolour
 from experiments.config import UsageError
 from experiments.patch_dataset import contact_sheet
 from experiments.photo_data import load_pictures, read_catalogue
 from experiments.picture_files import read_picture, squared
 from experiments.splits import split_of_file, split_of_place, split_of_ucmerced
 from landing.recognition import labels
-from scenes.api import LAND_CLASSES
+from scenes.api import LAND_CLASSES, OTHER_CLASS_ID
 from scenes.registry import scene_names
 
 UC_MERCED = Path(__file__).parent.parent.parent / "shared" / "data" / "ucmerced"
@@ -172,7 +172,35 @@ def test_patches_of_a_place(tmp_path: Path) -> None:
     assert (other.rgb != found[0].rgb).any()
 
 
-def _painted(name: str, seed: int, count: int, pixels: int, variation: int) -> list[patches.Patch]:
+def test_new_colours(tmp_path: Path) -> None:
+    """The same squares of the same ground, in other colours."""
+    place = tmp_path / "place.xml"
+    place.write_text(_PLACE, encoding="utf-8")
+    as_it_is = patches.place_patches(str(place), 7, 4, 40, 0)
+    new, again = (patches.place_patches(str(place), 7, 4, 40, 0, 1.0) for _ in range(2))
+    for before, after, same in zip(as_it_is, new, again, strict=True):
+        assert (after.rgb == same.rgb).all() and (after.rgb != before.rgb).any()
+        assert (after.land_class, after.side_m) == (before.land_class, before.side_m)
+
+
+def test_a_material_has_one_colour() -> None:
+    """Two materials in a grey picture: what each shows is multiplied, in linear light."""
+    grey = np.full((4, 8, 3), 96, np.uint8)
+    road = LAND_CLASSES.index("road")
+    materials = np.full((2, 4), road + 1, np.int32)
+    materials[:, 2:] += OTHER_CLASS_ID + 2
+    found = recolour.recoloured(grey, materials, np.random.default_rng(3))
+    left, right = found[:, :4].reshape(-1, 3), found[:, 4:].reshape(-1, 3)
+    assert (left == left[0]).all() and (right == right[0]).all() and (left[0] != right[0]).any()
+    light, warm, green = np.random.default_rng(3).normal(0.0, recolour._SPREAD["road"])
+    gains = np.exp([light + warm, light + green, light - warm])
+    linear = np.minimum((96 / 255) ** 2.2 * gains, 1.0)
+    np.testing.assert_array_equal(left[0], np.round(255 * linear ** (1 / 2.2)))
+
+
+def _painted(
+    name: str, seed: int, count: int, pixels: int, variation: int, new_colours: float
+) -> list[patches.Patch]:
     """At most two patches a place, in the colour of its seed."""
     rgb = np.full((pixels, pixels, 3), seed % 256, np.uint8)
     land_class = "water" if name == "pools" else "lawn"

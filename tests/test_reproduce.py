@@ -176,7 +176,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
 
     engine = SimpleNamespace(name="here", jobs=1, run=run)
     monkeypatch.setattr("experiments.campaign_session.make_engine", lambda *rest: engine)
-    monkeypatch.setattr("experiments.reproduce_parts._use_threads", lambda count: None)
+    monkeypatch.setattr("experiments.reproduce_networks._use_one_thread", lambda: None)
     monkeypatch.setattr("experiments.reproduce._check_libraries", lambda parts: None)
     return found
 

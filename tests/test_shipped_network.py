@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
+from pathlib import Path
 
 os.environ.setdefault("MUJOCO_GL", "egl")
 
+import cv2
 import numpy as np
 import pytest
 
+from experiments import cli
 from experiments.patches import place_patches
 from experiments.splits import HELD_OUT_SCENES, split_of_place
 from landing.recognition.in_flight import SHIPPED, NetworkPlaces, load_places
@@ -56,3 +60,25 @@ def test_places_never_seen(scene: str, places: NetworkPlaces) -> None:
     sure = opinion.chances[:, safe].sum(axis=1) >= places.least_probability
     taken = sure & opinion.familiar & safe[opinion.chances.argmax(axis=1)]
     assert not any(t and name in ("water", "trees") for t, name in zip(taken, true, strict=True))
+
+
+def test_commands_that_name_no_network_take_this_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    home = tmp_path / "pictures"
+    patches = place_patches("lake", SEED, 10, 128, variation=0)
+    for number, patch in enumerate(patches):
+        (home / patch.land_class).mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(home / patch.land_class / f"{number}.png"), patch.rgb[..., ::-1])
+    whole = ["evaluate", "--data", str(home), "--split", "train", "--no-cost", "--quiet", "--json"]
+    assert cli.main(whole) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["network"] == "resnet50_cbam" and report["image_size"] == 128
+    assert report["rom_mb"] == SHIPPED.stat().st_size / 1e6
+    assert 0 < report["pictures"] <= len(patches)
+    picture = next(home.glob("*/*.png"))
+    out = tmp_path / "classes"
+    assert cli.main(["classify", str(picture), "--out", str(out), "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["pictures"]
+    assert Path(row["classes"]).is_file()
+    assert sum(row["shares"].values()) == pytest.approx(1.0, abs=1e-6)

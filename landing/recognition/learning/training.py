@@ -167,7 +167,9 @@ class Trainer:
         self.network.train()
         total = 0.0
         for step in range(self.steps):
-            batch = draws[step * self.params.batch_size : (step + 1) * self.params.batch_size]
+            # Two pictures at least: of one, batch norm may find nothing to divide by.
+            first = min(step * self.params.batch_size, max(0, len(draws) - 2))
+            batch = draws[first : (step + 1) * self.params.batch_size]
             total += self._step(epoch * self.steps + step, batch, generator)
             progress(step + 1, self.steps, f"epoch {epoch + 1} of {self.params.epochs}")
         with _autocast(self._device):
