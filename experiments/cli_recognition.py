@@ -85,8 +85,9 @@ def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int
 @_DATA
 @click.option("--out", type=click.Path(path_type=Path), required=True,
               help="Folder; a training in it that was stopped goes on.")  # fmt: skip
-@click.option("--start-from", "start", type=click.Path(path_type=Path), metavar="DIR",
-              help="Of another training: begin with its best weights.  [fresh ones]")  # fmt: skip
+@click.option("--start-from", "start", type=click.Path(path_type=Path), metavar="PATH",
+              help="Folder of another training, or a network's file: begin with its "
+              "weights.  [fresh ones]")  # fmt: skip
 @click.option("--epochs", type=click.IntRange(1), default=30, show_default=True)
 @click.option("--image-size", type=click.IntRange(32, 512), default=96, show_default=True,
               help="Pixels across that the network sees.")  # fmt: skip

@@ -201,6 +201,37 @@ def test_a_training_may_begin_with_the_weights_of_another(torch: Any, tmp_path: 
         Trainer(params, train, val, second, cpu, start=tmp_path / "none")
 
 
+def test_a_training_may_begin_with_the_weights_of_a_file(torch: Any, tmp_path: Path) -> None:
+    from landing.recognition.learning.export import export_network
+    from landing.recognition.learning.training import Trainer, TrainParams
+    from landing.recognition.networks.registry import build_network
+
+    train, val, cpu = _coloured(12, 1), _coloured(6, 2), torch.device("cpu")
+    torch.manual_seed(3)
+    before = build_network("mobilenet_v3_large", len(train.classes), 32)
+    for mean in (v for n, v in before.state_dict().items() if n.endswith("running_mean")):
+        mean.uniform_(-1.0, 1.0)
+    facts = weights.NetworkFacts(
+        network="mobilenet_v3_large", labels="d_land", image_size=32, classes=train.classes
+    )
+    file, out = tmp_path / "network.onnx", tmp_path / "out"
+    export_network(file, before, 2.5, facts)
+    out.mkdir()
+    params = TrainParams(network="mobilenet_v3_large", image_size=32, epochs=1, batch_size=6)
+    trainer = Trainer(params, train, val, out, cpu, start=file)
+    given = before.state_dict()
+    for name, value in trainer.network.state_dict().items():
+        # float16 keeps eleven bits of what is not too small for it
+        assert torch.allclose(value.float(), given[name].float(), rtol=2.0**-11, atol=1e-7), name
+    trainer.run_epoch(lambda done, total, note: None)
+    assert Trainer(params, train, val, out, cpu, start=file).finished
+    other = TrainParams(network="resnet18", image_size=32, epochs=1, batch_size=6)
+    with pytest.raises(ValueError, match="holds weights of another network"):
+        Trainer(other, train, val, tmp_path, cpu, start=file)
+    with pytest.raises(FileNotFoundError, match="does not exist; name a network"):
+        Trainer(params, train, val, tmp_path, cpu, start=tmp_path / "none.onnx")
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="a setting of glibc")
 def test_memory_is_used_again() -> None:
     """A second array of 64 MB has no page (4 kB) that the system would have to zero."""

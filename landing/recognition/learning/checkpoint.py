@@ -11,6 +11,9 @@ from zlib import crc32
 import torch
 from torch import nn
 
+from landing.recognition.learning.weights_file import load_weights, read_weights
+from landing.recognition.weights import SUFFIX
+
 LAST, BEST = "last.pt", "best.pt"
 _OTHER = {"data": "other pictures", "start": "other weights to begin with"}
 
@@ -49,20 +52,26 @@ def read_best(folder: Path) -> dict[str, Any]:
     return _read(folder / BEST)
 
 
-def begin_with(network: nn.Module, folder: Path) -> None:
-    """Loads the best weights of the training in ``folder``. Raises ValueError: as ``read_best``, or
-    of another network or other classes."""
+def begin_with(network: nn.Module, name: str, classes: tuple[str, ...], start: Path) -> None:
+    """Loads the best weights of the training in the folder ``start``, or those of the network's
+    file ``start``. ``name`` and ``classes`` are of ``network``. Raises ValueError: as
+    ``read_best`` or ``read_weights``, or of another network or other classes."""
+    other = ValueError(f"'{start}' holds weights of another network or of other classes")
     try:
-        network.load_state_dict(read_best(folder))
+        if start.suffix != SUFFIX:
+            network.load_state_dict(read_best(start))
+            return
+        facts, weights = read_weights(start)
+        if (facts.network, facts.classes) != (name, classes):
+            raise other
+        load_weights(network, weights, "network.")
     except RuntimeError:
-        raise ValueError(
-            f"'{folder / BEST}' holds weights of another network or of other classes"
-        ) from None
+        raise other from None
 
 
-def fingerprint(folder: Path) -> int:
-    """Of the best weights in ``folder``."""
-    return crc32((folder / BEST).read_bytes())
+def fingerprint(start: Path) -> int:
+    """Of the best weights in a folder, or of a network's file."""
+    return crc32((start if start.suffix == SUFFIX else start / BEST).read_bytes())
 
 
 def _write(path: Path, value: dict[str, Any]) -> None:

@@ -19,13 +19,12 @@ from torch import Tensor, nn
 
 from landing.recognition.engine import as_input
 from landing.recognition.learning.training import normalised
+from landing.recognition.learning.weights_file import load_weights, read_weights
 from landing.recognition.networks.registry import build_network
 from landing.recognition.weights import (
     INPUT,
     OUTPUT,
     NetworkFacts,
-    facts_of,
-    read_network,
     write_network,
 )
 
@@ -104,17 +103,11 @@ class TorchClassifier:
     """
 
     def __init__(self, path: Path, device: torch.device | None = None) -> None:
-        try:
-            model = onnx.load_from_string(read_network(path))
-        except ValueError:
-            raise
-        except Exception as error:  # protobuf's own class moves between versions
-            raise ValueError(f"'{path}' is no network that can be loaded: {error}") from error
-        self.facts = facts_of({p.key: p.value for p in model.metadata_props}, path)
+        self.facts, weights = read_weights(path)
         self._device = device or torch.device("cpu")
         network = build_network(self.facts.network, len(self.facts.classes), self.facts.image_size)
         self._module = Calibrated(network, 1.0)
-        self._module.load_state_dict(_state(model.graph, self._module))
+        load_weights(self._module, weights)
         self._module.eval().to(self._device)
 
     def scores(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -122,20 +115,3 @@ class TorchClassifier:
         with torch.inference_mode():
             scores: Tensor = self._module(pictures.to(self._device))
         return scores.float().cpu().numpy()
-
-
-def _state(graph: onnx.GraphProto, module: nn.Module) -> dict[str, Tensor]:
-    """Weights of a file under the names of ``module``; counters of the norms are not in it. Raises
-    ValueError where one is missing."""
-    given = {value.name: numpy_helper.to_array(value) for value in graph.initializer}
-    # the exporter gives values that are equal one name, and an Identity for each other
-    for node in graph.node:
-        if node.op_type == "Identity" and node.input[0] in given:
-            given[node.output[0]] = given[node.input[0]]
-    state = module.state_dict()
-    for name, own in state.items():
-        if name in given:
-            state[name] = torch.from_numpy(given[name].astype(np.float32))
-        elif own.is_floating_point():
-            raise ValueError(f"the file lacks the weights '{name}'")
-    return state

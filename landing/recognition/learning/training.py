@@ -100,9 +100,9 @@ class Trainer:
         start: Path | None = None,
         compiled: bool = False,
     ) -> None:
-        """``start``: the folder of another training of this network, whose best weights this one
-        begins with. ``compiled``: by `torch.compile`, which takes a minute for every size of
-        pictures."""
+        """``start``: what this one begins with, the best weights in the folder of another training
+        of this network or those in a network's file. ``compiled``: by `torch.compile`, which takes
+        a minute for every size of pictures."""
         check_network(params.network, params.image_size)
         check_growth(params)
         self.params, self._train, self._val = params, train, val
@@ -111,7 +111,7 @@ class Trainer:
         torch.manual_seed(params.seed)
         self.network = build_network(params.network, len(train.classes), params.image_size)
         if start is not None:
-            checkpoint.begin_with(self.network, start)
+            checkpoint.begin_with(self.network, params.network, train.classes, start)
         self.network.to(device)
         # as tensor cores want them, and the vector units of a processor
         nn.utils.convert_conv2d_weight_memory_format(self.network, torch.channels_last)
