@@ -88,6 +88,10 @@ def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int
 @click.option("--start-from", "start", type=click.Path(path_type=Path), metavar="PATH",
               help="Folder of another training, or a network's file: begin with its "
               "weights.  [fresh ones]")  # fmt: skip
+@click.option("--start-share", type=click.FloatRange(0.0, 1.0, max_open=True), default=0.0,
+              show_default=True,
+              help="Of the weights that --start-from gives, in those that come out: such a mean "
+              "knows other ground better than either.")  # fmt: skip
 @click.option("--epochs", type=click.IntRange(1), default=30, show_default=True)
 @click.option("--image-size", type=click.IntRange(32, 512), default=96, show_default=True,
               help="Pixels across that the network sees.")  # fmt: skip
@@ -154,7 +158,8 @@ def train(
         click.echo(
             f"best epoch {report['best_epoch']} of {report['epochs']}: validation top-1 "
             f"{best['val_top1']:.3f}, macro F1 {best['val_macro_f1']:.3f}\n"
-            f"written: {report['network_file']} ({report['bytes'] / 1e6:.1f} MB)"
+            f"written, validation top-1 {report['written']['top1']:.3f}: "
+            f"{report['network_file']} ({report['bytes'] / 1e6:.1f} MB)"
         )
     return EXIT_DONE
 
@@ -248,7 +253,8 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
     else:
         click.echo(
             f"validation top-1 {report['top1_before']:.4f} before, {report['top1']:.4f} after\n"
-            f"written: {report['network_file']} ({report['bytes'] / 1e6:.1f} MB)"
+            f"written, validation top-1 {report['written']['top1']:.3f}: "
+            f"{report['network_file']} ({report['bytes'] / 1e6:.1f} MB)"
         )
     return EXIT_DONE
 

@@ -77,6 +77,7 @@ def train_network(
     )
     export.export_network(out / NETWORK, best.network, best.temperature, facts)
     record_curves(out / RECORDING, best.history)
+    found = recognition("scores").summary(best.scores, val.labels, val.classes)
     report = {
         "network_file": str(out / NETWORK),
         "parameters": asdict(params),
@@ -88,6 +89,7 @@ def train_network(
         "temperature": best.temperature,
         "limits": asdict(facts.limits) if params.labels == "d_land" else None,
         "validation": best.history[best.best_epoch],
+        "written": {name: found[name] for name in ("loss", "macro_f1", "recall", "top1", "ece")},
         "bytes": (out / NETWORK).stat().st_size,
     }
     (out / REPORT).write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")

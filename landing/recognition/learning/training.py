@@ -30,8 +30,9 @@ _WARM_UP = 0.05
 """share of all steps in which the learning rate rises from nothing"""
 _BETTER = 1e-4
 """macro F1 that an epoch must gain to count as better"""
-_MAY_CHANGE = ("epochs", "patience")
-"""parameters of a training that goes on: its schedule is as long as it is told to be now"""
+_MAY_CHANGE = ("epochs", "patience", "start_share")
+"""parameters of a training that goes on: its schedule is as long as it is told to be now, and what
+becomes of its weights is decided at the end"""
 _SIZES, _SIZE_STEP = 4, 16
 """Growing pictures have this many sizes, which are multiples of so many pixels"""
 
@@ -53,6 +54,9 @@ class TrainParams:
     """strength of what is changed in pictures (`augment.augmented`)"""
     blending: float = 0.0
     """strength of `augment.blended`, up to 1; 0: pictures are not blended"""
+    start_share: float = 0.0
+    """of the weights that the training began with in those that it ends with: between the two lies
+    what knows other ground better than either (Wortsman et al., CVPR 2022, Eq. 1)"""
     patience: int = 8
     """epochs without a better macro F1 on the validation pictures before training ends"""
     seed: int = 0
@@ -105,13 +109,15 @@ class Trainer:
         a minute for every size of pictures."""
         check_network(params.network, params.image_size)
         check_growth(params)
-        self.params, self._train, self._val = params, train, val
+        if params.start_share and start is None:
+            raise ValueError("start_share: there are no weights to begin with; name some")
+        self.params, self._train, self._val, self._start = params, train, val, start
         self._folder, self._device = folder, device
         self.steps = max(1, math.ceil(len(train.labels) / params.batch_size))
         torch.manual_seed(params.seed)
         self.network = build_network(params.network, len(train.classes), params.image_size)
         if start is not None:
-            checkpoint.begin_with(self.network, params.network, train.classes, start)
+            self._load_start(self.network, start)
         self.network.to(device)
         # as tensor cores want them, and the vector units of a processor
         nn.utils.convert_conv2d_weight_memory_format(self.network, torch.channels_last)
@@ -194,13 +200,21 @@ class Trainer:
         return row
 
     def best(self) -> Trained:
-        """The averaged weights of the best epoch, with the temperature that suits them."""
+        """The averaged weights of the best epoch, or what is between those and the ones it began
+        with, with the temperature that suits them."""
         network = copy.deepcopy(self._average)
         network.load_state_dict(checkpoint.read_best(self._folder))
+        if self._start is not None and self.params.start_share:
+            began = copy.deepcopy(self._average)
+            self._load_start(began, self._start)
+            _follow(network, began, 1.0 - self.params.start_share)
         found = predict(network, self._val.images, self._device)
         temperature = scores.fitted_temperature(found, self._val.labels)
         calibrated = (found / temperature).astype(np.float32)
         return Trained(network.cpu(), temperature, self.history, self.best_epoch, calibrated)
+
+    def _load_start(self, network: nn.Module, start: Path) -> None:
+        checkpoint.begin_with(network, self.params.network, self._train.classes, start)
 
     def _step(self, step: int, batch: NDArray[np.int64], generator: torch.Generator) -> float:
         for group in self._optimizer.param_groups:
