@@ -103,6 +103,8 @@ def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int
 @click.option("--weight-decay", type=click.FloatRange(0.0), default=0.05, show_default=True)
 @click.option("--variation", type=click.FloatRange(0.0, 2.0), default=1.0, show_default=True,
               help="How strongly zoom, light, colour and noise vary in pictures.")  # fmt: skip
+@click.option("--markings", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
+              help="Share of pictures that get painted lines, as of lanes and bays.")  # fmt: skip
 @click.option("--blending", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
               help="How strongly pictures are blended with one another.")  # fmt: skip
 @click.option("--patience", type=click.IntRange(1), default=8, show_default=True,

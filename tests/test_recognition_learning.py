@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 import json
 import subprocess
 import sys
@@ -109,6 +111,37 @@ def test_without_strength_pictures_are_only_moved(torch: Any) -> None:
     varied = augmented(plain, torch.Generator().manual_seed(3), 0.0)
     np.testing.assert_allclose(varied, plain, atol=1e-6)
     assert float((augmented(plain, torch.Generator().manual_seed(3)) - plain).abs().max()) > 0.05
+
+
+def test_lines_are_painted_on_a_share_of_the_pictures(torch: Any) -> None:
+    from landing.recognition.learning.augment import augmented, marked
+
+    plain = torch.full((400, 3, 48, 48), 0.3)
+    painted = marked(plain, torch.Generator().manual_seed(5), 0.25)
+    changed = ((painted - plain).abs().amax(dim=1) > 0.02).float().mean(dim=(1, 2))
+    count = int((changed > 0.0).sum())
+    assert 70 <= count <= 130, "a quarter, four deviations of a binomial count to either side"
+    some = changed[changed > 0.0]
+    assert float(some.max()) < 0.5, "a line is at most a quarter as wide as its period, and an edge"
+    assert float(some.mean()) > 0.01
+    assert float(painted.min()) >= 0.0 and float(painted.max()) <= 1.0
+    assert torch.equal(marked(plain, torch.Generator().manual_seed(5), 0.0), plain)
+    without, none = (
+        augmented(plain[:4], torch.Generator().manual_seed(7), 1.0, *markings)
+        for markings in ((), (0.0,))
+    )
+    assert torch.equal(without, none)
+
+
+def test_a_straight_line_has_the_same_colour_all_along(torch: Any) -> None:
+    """Of each picture, what was added is a multiple of one colour: paint has no picture in it."""
+    from landing.recognition.learning.augment import marked
+
+    plain = torch.full((30, 3, 48, 48), 0.5)
+    added = (marked(plain, torch.Generator().manual_seed(1), 1.0) - plain).flatten(2)
+    for one in added:
+        spread = torch.linalg.svdvals(one)
+        assert float(spread[1]) <= 1e-4 * max(1.0, float(spread[0]))
 
 
 def test_blended_pictures_have_blended_classes(torch: Any) -> None:
@@ -220,11 +253,21 @@ def test_a_training_may_begin_with_the_weights_of_a_file(torch: Any, tmp_path: P
     params = TrainParams(network="mobilenet_v3_large", image_size=32, epochs=1, batch_size=6)
     trainer = Trainer(params, train, val, out, cpu, start=file)
     given = before.state_dict()
+    trainer_began = copy.deepcopy(trainer.network.state_dict())
     for name, value in trainer.network.state_dict().items():
         # float16 keeps eleven bits of what is not too small for it
         assert torch.allclose(value.float(), given[name].float(), rtol=2.0**-11, atol=1e-7), name
     trainer.run_epoch(lambda done, total, note: None)
     assert Trainer(params, train, val, out, cpu, start=file).finished
+    ended = Trainer(params, train, val, out, cpu, start=file).best().network.state_dict()
+    half = dataclasses.replace(params, start_share=0.5)
+    between = Trainer(half, train, val, out, cpu, start=file).best().network.state_dict()
+    for name, value in between.items():
+        if value.is_floating_point():
+            mean = 0.5 * (trainer_began[name] + ended[name])
+            assert torch.allclose(value, mean, rtol=1e-5, atol=1e-6), name
+    with pytest.raises(ValueError, match="there are no weights to begin with"):
+        Trainer(half, train, val, tmp_path, cpu)
     other = TrainParams(network="resnet18", image_size=32, epochs=1, batch_size=6)
     with pytest.raises(ValueError, match="holds weights of another network"):
         Trainer(other, train, val, tmp_path, cpu, start=file)

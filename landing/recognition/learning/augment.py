@@ -21,6 +21,12 @@ _CONTRAST, _COLOUR = (0.7, 1.3), (0.5, 1.4)
 _NOISE = 0.03
 _ERASED = (0.1, 0.35)
 """side of the rectangle that hides part of one picture in four"""
+_PERIOD, _THICKNESS = (0.1, 0.7), (0.03, 0.25)
+"""between painted lines, in pictures; how wide they are, of that"""
+_WAVE, _WAVE_LENGTH = 0.03, (0.15, 0.6)
+"""deviation and length of the waves of lines seen through water, in pictures"""
+_DASH, _EDGE = (0.08, 0.4), (0.004, 0.03)
+"""of a dashed line, and of a blurred edge, in pictures"""
 
 
 def as_input(images: Tensor) -> Tensor:
@@ -28,11 +34,16 @@ def as_input(images: Tensor) -> Tensor:
     return images.permute(0, 3, 1, 2).float() / 255.0
 
 
-def augmented(images: Tensor, generator: torch.Generator, strength: float = 1.0) -> Tensor:
-    """(B, 3, S, S) within 0..1, turned, mirrored, zoomed, lit otherwise, partly hidden.
+def augmented(
+    images: Tensor, generator: torch.Generator, strength: float = 1.0, markings: float = 0.0
+) -> Tensor:
+    """(B, 3, S, S) within 0..1, turned, mirrored, zoomed, lit otherwise, partly hidden; with lines
+    painted on a share ``markings`` of them.
 
     ``strength`` 0 leaves turning and mirroring, and a shift."""
     moved = _moved(images, generator, strength)
+    if markings > 0.0:
+        moved = marked(moved, generator, markings)
     return _hidden(_relit(moved, generator, strength), generator, strength)
 
 
@@ -84,6 +95,41 @@ def _hidden(images: Tensor, generator: torch.Generator, strength: float) -> Tens
     inside = (pixel >= first[..., None]) & (pixel < (first + sides)[..., None])
     covered = pick[:, None, None] & inside[:, 0, :, None] & inside[:, 1, None, :]
     return torch.where(covered[:, None].to(images.device), 0.5, images)
+
+
+def marked(images: Tensor, generator: torch.Generator, share: float) -> Tensor:
+    """Parallel lines over a share of the pictures (B, 3, S, S): whole or dashed, straight or wavy,
+    of any colour, half of them white. Lanes, bays and courts are painted on all sorts of ground,
+    and in pools; what it is they do not tell."""
+    count, size = len(images), images.shape[-1]
+
+    def draw(low: float, high: float) -> Tensor:
+        return _uniform(generator, (count, 1, 1), low, high)
+
+    def chance(of: float) -> Tensor:
+        return torch.rand(count, 1, 1, generator=generator) < of
+
+    pixel = (torch.arange(size) + 0.5) / size - 0.5
+    angle = draw(0.0, math.pi)
+    along = torch.cos(angle) * pixel + torch.sin(angle) * pixel[:, None]
+    across = torch.cos(angle) * pixel[:, None] - torch.sin(angle) * pixel
+    wave = _WAVE * torch.randn(count, 1, 1, generator=generator) * chance(0.5)
+    bent = torch.sin(2.0 * math.pi * (along / draw(*_WAVE_LENGTH) + draw(0.0, 1.0)))
+    period = draw(*_PERIOD)
+    phase = (across + wave * bent) / period + draw(0.0, 1.0)
+    half = 0.5 * draw(*_THICKNESS) * period
+    inside = half - period * (phase - torch.floor(phase) - 0.5).abs()
+    edge = draw(*_EDGE)
+    paint = (0.5 + inside / edge).clamp(0.0, 1.0)
+    dashes = along / draw(*_DASH) + draw(0.0, 1.0)
+    paint = torch.where(chance(0.5) & (dashes - torch.floor(dashes) < 0.5), 0.0, paint)
+    # lines that begin, and end, somewhere
+    paint = torch.where((along - draw(-0.4, 0.4)).abs() < draw(0.2, 1.0), paint, 0.0)
+    paint = paint * draw(0.4, 1.0) * chance(share)
+    colour = torch.rand(count, 3, 1, 1, generator=generator)
+    white = _uniform(generator, (count, 1, 1, 1), 0.75, 1.0)
+    colour = torch.where(chance(0.5)[..., None], white, colour).to(images)
+    return torch.lerp(images, colour.expand_as(images), paint[:, None].to(images))
 
 
 def blended(

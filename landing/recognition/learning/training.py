@@ -52,6 +52,8 @@ class TrainParams:
     label_smoothing: float = 0.05
     variation: float = 1.0
     """strength of what is changed in pictures (`augment.augmented`)"""
+    markings: float = 0.0
+    """share of pictures with lines painted on them (`augment.marked`)"""
     blending: float = 0.0
     """strength of `augment.blended`, up to 1; 0: pictures are not blended"""
     start_share: float = 0.0
@@ -221,7 +223,7 @@ class Trainer:
             group["lr"] = self._rate(step)
         images = as_input(torch.from_numpy(self._train.images[batch]).to(self._device))
         labels = torch.from_numpy(self._train.labels[batch]).to(self._device)
-        images = augmented(images, generator, self.params.variation)
+        images = augmented(images, generator, self.params.variation, self.params.markings)
         targets = functional.one_hot(labels, len(self._train.classes)).float()
         if self.params.blending > 0.0:
             images, targets = blended(images, targets, generator, self.params.blending)
