@@ -91,7 +91,7 @@ def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int
 @click.option("--start-share", type=click.FloatRange(0.0, 1.0, max_open=True), default=0.0,
               show_default=True,
               help="Of the weights that --start-from gives, in those that come out: such a mean "
-              "knows other ground better than either.")  # fmt: skip
+              "may know other ground better than either.")  # fmt: skip
 @click.option("--epochs", type=click.IntRange(1), default=30, show_default=True)
 @click.option("--image-size", type=click.IntRange(32, 512), default=96, show_default=True,
               help="Pixels across that the network sees.")  # fmt: skip

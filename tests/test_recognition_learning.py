@@ -133,7 +133,7 @@ def test_lines_are_painted_on_a_share_of_the_pictures(torch: Any) -> None:
     assert torch.equal(without, none)
 
 
-def test_a_straight_line_has_the_same_colour_all_along(torch: Any) -> None:
+def test_paint_has_one_colour(torch: Any) -> None:
     """Of each picture, what was added is a multiple of one colour: paint has no picture in it."""
     from landing.recognition.learning.augment import marked
 

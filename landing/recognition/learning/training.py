@@ -57,8 +57,8 @@ class TrainParams:
     blending: float = 0.0
     """strength of `augment.blended`, up to 1; 0: pictures are not blended"""
     start_share: float = 0.0
-    """of the weights that the training began with in those that it ends with: between the two lies
-    what knows other ground better than either (Wortsman et al., CVPR 2022, Eq. 1)"""
+    """of the weights that the training began with in those that it ends with: between the two may
+    lie what knows other ground better than either (Wortsman et al., CVPR 2022, Eq. 1)"""
     patience: int = 8
     """epochs without a better macro F1 on the validation pictures before training ends"""
     seed: int = 0
