@@ -13,6 +13,27 @@ from experiments.cli_base import EXIT_DONE, CommandGroup, usage_errors
 SCHEMES = ("d_land", "d_scene")
 """The keys of `landing.recognition.labels.SCHEMES`, here so that help is instant."""
 
+
+class MissCostType(click.ParamType):
+    """``water=10`` to ("water", 10.0); whether there is such a class is known with the labels."""
+
+    name = "cost"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, float]:
+        if isinstance(value, tuple):
+            return value
+        name, equals, number = str(value).partition("=")
+        try:
+            cost = float(number)
+        except ValueError:
+            cost = float("nan")
+        if not (equals and cost > 0.0 and cost < float("inf")):
+            self.fail(f"'{value}': give a class and a number above 0, such as water=10", param, ctx)
+        return name.strip(), cost
+
+
 _DATA = click.option(
     "--data",
     multiple=True,
@@ -107,6 +128,9 @@ def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int
               help="Share of pictures that get painted lines, as of lanes and bays.")  # fmt: skip
 @click.option("--blending", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
               help="How strongly pictures are blended with one another.")  # fmt: skip
+@click.option("--miss-cost", "miss_costs", type=MissCostType(), multiple=True, metavar="CLASS=K",
+              help="How many times as bad as any other mistake it is to take CLASS for something "
+              "else, such as water=10. May be repeated.  [1 each]")  # fmt: skip
 @click.option("--patience", type=click.IntRange(1), default=8, show_default=True,
               help="Epochs without a better validation before it ends.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)

@@ -68,6 +68,7 @@ def evaluate_network(
         "engine": engine,
         "image_size": facts.image_size,
         "classes": list(facts.classes),
+        "miss_costs": dict(facts.miss_costs),
         "rom_mb": network.stat().st_size / 1e6,
         **_judged(scores, pictures.labels, facts),
         "by_source": {

@@ -7,7 +7,7 @@ import ctypes
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,13 @@ def train_network(
     export = recognition("learning.export")
     params = training.TrainParams(**options)
     registry.check_network(params.network, params.image_size)
+    facts = recognition("weights").NetworkFacts(
+        network=params.network,
+        labels=params.labels,
+        image_size=params.image_size,
+        classes=recognition("labels").SCHEMES[params.labels],
+        miss_costs=params.miss_costs,
+    )
     chosen = training.chosen_device(device)
     if chosen.type == "cpu":
         keep_freed_memory()
@@ -63,21 +70,13 @@ def train_network(
             "F1 {val_macro_f1:.3f}  top-1 {val_top1:.3f}".format(**row)
         )
     best = trainer.best()
-    decision = recognition("decision")
-    facts = recognition("weights").NetworkFacts(
-        network=params.network,
-        labels=params.labels,
-        image_size=params.image_size,
-        classes=train.classes,
-        limits=(
-            decision.fitted_limits(best.scores, val.labels)
-            if params.labels == "d_land"
-            else decision.Limits()
-        ),
-    )
+    weighed = recognition("engine").weighed(best.scores, facts)
+    if params.labels == "d_land":
+        limits = recognition("decision").fitted_limits(weighed, val.labels)
+        facts = replace(facts, limits=limits)
     export.export_network(out / NETWORK, best.network, best.temperature, facts)
     record_curves(out / RECORDING, best.history)
-    found = recognition("scores").summary(best.scores, val.labels, val.classes)
+    found = recognition("scores").summary(weighed, val.labels, val.classes)
     report = {
         "network_file": str(out / NETWORK),
         "parameters": asdict(params),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 
 from experiments import class_pictures
 from landing.recognition import scores, weights, windows
+from landing.recognition.engine import weighed
 from landing.recognition.labels import D_LAND
 
 # ----------------------------------------------------------------------------------------- scores
@@ -136,9 +138,33 @@ def test_files_that_are_refused(
         weights.read_network(path)
 
 
+def test_a_class_that_costs_more_to_miss_is_taken_sooner() -> None:
+    """Lawn at 0.85 and water at 0.15 cost 0.15 * 10 and 0.85 to miss: 1.5 of 2.35 for water."""
+    found = np.full((2, 7), -50.0, np.float32)
+    found[:, D_LAND.index("lawn")] = np.log([0.85, 0.95])
+    found[:, D_LAND.index("water")] = np.log([0.15, 0.05])
+    plain = weights.NetworkFacts(network="resnet18", labels="d_land", image_size=64, classes=D_LAND)
+    dear = dataclasses.replace(plain, miss_costs=(("water", 10.0),))
+    np.testing.assert_array_equal(weighed(found, plain), found)
+    chance = scores.probabilities(weighed(found, dear))
+    water = chance[:, D_LAND.index("water")]
+    np.testing.assert_allclose(water, [1.5 / 2.35, 0.5 / 1.45], rtol=1e-6)
+    assert [D_LAND[best] for best in chance.argmax(axis=1)] == ["water", "lawn"]
+    assert weights.facts_of(dear.properties(), Path("n")) == dear
+    for costs, message in (
+        ((("lava", 2.0),), "miss cost of 'lava': the classes are lawn, field"),
+        ((("water", 0.0),), "miss cost 0 of 'water': give a number above 0"),
+        ((("water", float("inf")),), "miss cost inf of 'water'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            dataclasses.replace(plain, miss_costs=costs)
+
+
 def test_a_file_that_does_not_say_what_it_is() -> None:
     facts = weights.NetworkFacts(network="resnet18", labels="d_land", image_size=64, classes=D_LAND)
     assert weights.facts_of(facts.properties(), Path("n")) == facts
+    with pytest.raises(ValueError, match="does not say what it recognises"):
+        weights.facts_of(facts.properties() | {"miss_costs": "water"}, Path("n"))
     with pytest.raises(ValueError, match="does not say what it recognises"):
         weights.facts_of({}, Path("n"))
     with pytest.raises(ValueError, match="classes that are not those of 'd_land'"):

@@ -21,7 +21,8 @@ class Classifier(Protocol):
     facts: NetworkFacts
 
     def scores(self, images: NDArray[np.uint8]) -> Float32:
-        """(N, C), calibrated, of pictures (N, S, S, 3) RGB with S = ``facts.image_size``."""
+        """(N, C), calibrated and `weighed`, of pictures (N, S, S, 3) RGB with
+        S = ``facts.image_size``."""
 
 
 class OnnxClassifier:
@@ -50,7 +51,8 @@ class OnnxClassifier:
 
     def scores(self, images: NDArray[np.uint8]) -> Float32:
         pictures = as_input(images, self.facts.image_size)
-        return np.asarray(self._session.run(None, {INPUT: pictures})[0], np.float32)
+        found = np.asarray(self._session.run(None, {INPUT: pictures})[0], np.float32)
+        return weighed(found, self.facts)
 
 
 def as_input(images: NDArray[np.uint8], size: int) -> Float32:
@@ -61,6 +63,16 @@ def as_input(images: NDArray[np.uint8], size: int) -> Float32:
             f"(N, {size}, {size}, 3) uint8 needed"
         )
     return np.ascontiguousarray(images.transpose(0, 3, 1, 2), np.float32) / np.float32(255.0)
+
+
+def weighed(found: Float32, facts: NetworkFacts) -> Float32:
+    """(N, C) scores plus the logarithms of what it costs to miss a class: the highest one is then
+    the class of least expected cost (Elkan, IJCAI 2001, section 2), and their softmax what would
+    be calibrated if the class were as many times as frequent."""
+    added = np.zeros(len(facts.classes), np.float32)
+    for name, cost in facts.miss_costs:
+        added[facts.classes.index(name)] = np.log(cost)
+    return found + added
 
 
 def chances(classifier: Classifier, images: NDArray[np.uint8], batch: int = 32) -> Array:

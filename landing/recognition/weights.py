@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +26,19 @@ class NetworkFacts:
     classes: tuple[str, ...]
     limits: Limits = field(default_factory=Limits)
     """what an answer must reach to be landed on; fitted with ``d_land`` alone"""
+    miss_costs: tuple[tuple[str, float], ...] = ()
+    """classes, and how many times as bad as any other mistake it is to take one for something
+    else; 1 for those that are left out"""
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for the cost of a class that it does not know, or no cost."""
+        for name, cost in self.miss_costs:
+            if name not in self.classes:
+                raise ValueError(
+                    f"miss cost of '{name}': the classes are {', '.join(self.classes)}"
+                )
+            if not (cost > 0.0 and math.isfinite(cost)):
+                raise ValueError(f"miss cost {cost:g} of '{name}': give a number above 0")
 
     def properties(self) -> dict[str, str]:
         """As a file keeps them."""
@@ -35,6 +49,7 @@ class NetworkFacts:
             "classes": " ".join(self.classes),
             "least_probability": repr(self.limits.least_probability),
             "least_energy": repr(self.limits.least_energy),
+            "miss_costs": " ".join(f"{name}={cost!r}" for name, cost in self.miss_costs),
         }
 
 
@@ -52,6 +67,12 @@ def facts_of(properties: Mapping[str, str], path: Path) -> NetworkFacts:
                     for name in ("least_probability", "least_energy")
                     if name in properties
                 }
+            ),
+            miss_costs=tuple(
+                (name, float(cost))
+                for name, _, cost in (
+                    part.partition("=") for part in properties.get("miss_costs", "").split()
+                )
             ),
         )
     except (KeyError, ValueError) as error:

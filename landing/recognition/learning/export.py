@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
-from landing.recognition.engine import as_input
+from landing.recognition.engine import as_input, weighed
 from landing.recognition.learning.training import normalised
 from landing.recognition.learning.weights_file import load_weights, read_weights
 from landing.recognition.networks.registry import build_network
@@ -114,4 +114,4 @@ class TorchClassifier:
         pictures = torch.from_numpy(as_input(images, self.facts.image_size))
         with torch.inference_mode():
             scores: Tensor = self._module(pictures.to(self._device))
-        return scores.float().cpu().numpy()
+        return weighed(scores.float().cpu().numpy(), self.facts)

@@ -30,7 +30,7 @@ _WARM_UP = 0.05
 """share of all steps in which the learning rate rises from nothing"""
 _BETTER = 1e-4
 """macro F1 that an epoch must gain to count as better"""
-_MAY_CHANGE = ("epochs", "patience", "start_share")
+_MAY_CHANGE = ("epochs", "patience", "start_share", "miss_costs")
 """parameters of a training that goes on: its schedule is as long as it is told to be now, and what
 becomes of its weights is decided at the end"""
 _SIZES, _SIZE_STEP = 4, 16
@@ -59,6 +59,8 @@ class TrainParams:
     start_share: float = 0.0
     """of the weights that the training began with in those that it ends with: between the two may
     lie what knows other ground better than either (Wortsman et al., CVPR 2022, Eq. 1)"""
+    miss_costs: tuple[tuple[str, float], ...] = ()
+    """as ``NetworkFacts.miss_costs``: what is trained is the same, not what is made of it"""
     patience: int = 8
     """epochs without a better macro F1 on the validation pictures before training ends"""
     seed: int = 0
