@@ -21,7 +21,7 @@ Float32 = NDArray[np.float32]
 Labels = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-LARGEST_MISTAKE = 0.005
+LARGEST_MISTAKE = 0.0025
 """share of pictures of unsafe ground that may pass for safe where limits are fitted: less than is
 bearable, since ground of scenes never trained on misleads more often than validation pictures do"""
 LEAST = 0.5
