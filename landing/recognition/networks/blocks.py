@@ -19,12 +19,11 @@ class ConvNorm(nn.Sequential):
         padding: int | tuple[int, int] = 0,
         groups: int = 1,
         eps: float = 1e-5,
-        momentum: float = 0.1,
         activation: type[nn.Module] | None = nn.ReLU,
     ) -> None:
         layers: list[nn.Module] = [
             nn.Conv2d(inside, outside, kernel, stride, padding, groups=groups, bias=False),
-            nn.BatchNorm2d(outside, eps=eps, momentum=momentum),
+            nn.BatchNorm2d(outside, eps=eps),
         ]
         if activation is not None:
             layers.append(activation())
