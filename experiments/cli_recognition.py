@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,20 @@ _DATA = click.option(
     help="Of `touchdown dataset render`, UC Merced, AID, Places365, or folders named as the "
     "classes of D_Land. May be repeated.",
 )
+
+
+def _miss_cost(default: str) -> Callable[[Any], Any]:
+    return click.option(
+        "--miss-cost",
+        "miss_costs",
+        type=MissCostType(),
+        multiple=True,
+        metavar="CLASS=K",
+        help="How many times as bad as any other mistake it is to take CLASS for something else, "
+        f"such as water=10. May be repeated.  {default}",
+    )
+
+
 _ENGINE = click.option(
     "--engine", type=click.Choice(("onnx", "torch")), default="onnx", show_default=True
 )
@@ -128,9 +143,7 @@ def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int
               help="Share of pictures that get painted lines, as of lanes and bays.")  # fmt: skip
 @click.option("--blending", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
               help="How strongly pictures are blended with one another.")  # fmt: skip
-@click.option("--miss-cost", "miss_costs", type=MissCostType(), multiple=True, metavar="CLASS=K",
-              help="How many times as bad as any other mistake it is to take CLASS for something "
-              "else, such as water=10. May be repeated.  [1 each]")  # fmt: skip
+@_miss_cost("[1 each]")
 @click.option("--patience", type=click.IntRange(1), default=8, show_default=True,
               help="Epochs without a better validation before it ends.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
@@ -210,6 +223,7 @@ def _torch() -> Any:
 @click.option("--split", type=click.Choice(("train", "val", "test")), default="test",
               show_default=True)  # fmt: skip
 @_ENGINE
+@_miss_cost("[those of the file, which its limits are fitted to]")
 @click.option("--threads", type=click.IntRange(1), default=1, show_default=True)
 @click.option("--cost/--no-cost", "measure", default=True, show_default=True,
               help="Measure RAM and run time in a process of its own.")  # fmt: skip

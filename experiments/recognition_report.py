@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -53,10 +54,16 @@ def evaluate_network(
     threads: int,
     measure: bool,
     progress: Progress,
+    miss_costs: Sequence[tuple[str, float]] = (),
 ) -> dict[str, Any]:
     """Scores on the pictures of ``split``, altogether, by data set and by scene; ROM, RAM and run
-    time."""
+    time. ``miss_costs``: in place of the file's.
+
+    Raises UsageError and ValueError for bad input.
+    """
     classifier = load_classifier(network, engine, threads)
+    if miss_costs:
+        classifier.facts = replace(classifier.facts, miss_costs=tuple(miss_costs))
     facts = classifier.facts
     catalogues = [read_catalogue(argument, facts.labels) for argument in data]
     pictures = load_pictures(catalogues, split, facts.labels, facts.image_size, progress)

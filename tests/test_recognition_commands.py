@@ -106,6 +106,15 @@ def test_what_a_miss_costs_is_decided_at_the_end(
             for path in (trained.parent, out)
         )
         np.testing.assert_allclose(dear - plain, np.broadcast_to(more, (6, 7)), atol=1e-4)
+    reports = []
+    for file, cost in ((out / "network.onnx", []), (trained, ["--miss-cost", "water=10"])):
+        whole = ["evaluate", str(file), "--data", str(folder), "--no-cost", "--quiet", "--json"]
+        assert cli.main([*whole, *cost]) == 0
+        reports.append(json.loads(capsys.readouterr().out))
+    assert reports[0]["miss_costs"] == reports[1]["miss_costs"] == {"water": 10.0}
+    assert reports[0]["confusion"] == reports[1]["confusion"]
+    assert cli.main([*whole, "--miss-cost", "lava=2"]) == 2
+    assert "miss cost of 'lava'" in capsys.readouterr().err
 
 
 def test_evaluating_by_command(
