@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
 from controller.api import ControlParams, Setpoint
@@ -87,7 +87,7 @@ class CascadeController:
         share = setpoint.thrust_limit
         speeds = self._mixer.speeds(wrench, np.inf if share is None else share * self._weight)
         if share is None:  # on the ground the errors are not the controller's to integrate away
-            self._settle(force, wrench, demand, self._mixer.wrench(speeds))
+            self._settle(force, wrench, self._mixer.wrench(speeds))
         return Command(rotor_speed_radps=self._lead.command(speeds))
 
     def _wanted_force(self, estimate: Estimate, setpoint: Setpoint) -> Array:
@@ -95,80 +95,127 @@ class CascadeController:
         reference = setpoint.acceleration_odom
         last = reference if self._last_acceleration is None else self._last_acceleration
         self._last_acceleration = reference
-        drag = _expected_drag(setpoint.velocity_odom, self._drag_per_mass)
+        velocity_error, acceleration_error, feed_forward, drag = _outer_errors(
+            setpoint.position_odom,
+            estimate.odom_from_body.translation,
+            setpoint.velocity_odom,
+            estimate.velocity_odom,
+            estimate.acceleration_odom,
+            reference,
+            last,
+            self._step_s,
+            self._gains.position,
+            self._max_correction,
+            self._reference_lead_s,
+            self._drag_per_mass,
+        )
         unexpected = self._observer.update(
             estimate.acceleration_odom,
             estimate.odom_from_body.rotation,
             self._lead.modelled_radps,
             drag,
         )
-        velocity_error, acceleration_error, feed_forward = _outer_errors(
-            setpoint.position_odom - estimate.odom_from_body.translation,
-            setpoint.velocity_odom - estimate.velocity_odom,
-            estimate.acceleration_odom - reference,
-            reference,
-            (reference - last) / self._step_s,
-            self._gains.position,
-            self._max_correction,
-            self._reference_lead_s,
-        )
         feedback = self._velocity_pid.output(velocity_error, acceleration_error)
-        wanted = feedback + feed_forward - drag - unexpected
-        self._unlimited_force = self._vehicle.mass_kg * wanted
-        self._unlimited_force[2] += self._weight
-        return _limited_force(self._unlimited_force, self._weight, self._max_slope)
+        self._unlimited_force, limited = _forces(
+            feedback,
+            feed_forward,
+            drag,
+            unexpected,
+            self._vehicle.mass_kg,
+            self._weight,
+            self._max_slope,
+        )
+        return limited
 
-    def _settle(self, force: Array, wrench: Array, demand: Array, achieved: Array) -> None:
+    def _settle(self, force: Array, wrench: Array, achieved: Array) -> None:
         """Integrates both PIDs, telling them what tilt limit and rotors left undone."""
-        delivered = force * (achieved[0] / wrench[0])
-        missing = (delivered - self._unlimited_force) / self._vehicle.mass_kg
+        missing, missing_turn = _undone(
+            force,
+            self._unlimited_force,
+            achieved,
+            wrench,
+            self._vehicle.mass_kg,
+            self._vehicle.inertia_kgm2,
+        )
         self._velocity_pid.settle(missing)
-        self._rate_pid.settle((achieved[1:] - wrench[1:]) / self._vehicle.inertia_kgm2)
+        self._rate_pid.settle(missing_turn)
 
 
-@njit(cache=True)
+# Whole steps are compiled, not single lines: on vectors of three the calls are what costs.
+
+
+_GIVEN = types.Array(types.float64, 1, "A", readonly=True)
+
+
+# Estimates and setpoints come in arrays of all kinds; one signature, or each kind is compiled anew.
+@njit([(_GIVEN,) * 7 + (types.float64, _GIVEN, types.float64, _GIVEN, types.float64)], cache=True)
 def _outer_errors(
-    position_error: Array,
-    velocity_error: Array,
-    acceleration_error: Array,
+    wanted_position: Array,
+    position: Array,
+    wanted_velocity: Array,
+    velocity: Array,
+    acceleration: Array,
     reference: Array,
-    jerk: Array,
+    last_reference: Array,
+    step_s: float,
     gain: Array,
     max_correction: float,
     lead_s: Array,
-) -> tuple[Array, Array, Array]:
-    """Velocity error with the position loop's correction, acceleration error, and feed-forward.
+    drag_per_mass: float,
+) -> tuple[Array, Array, Array, Array]:
+    """Velocity error with the position loop's correction, acceleration error, feed-forward, and the
+    rotor drag of the reference's own speed in still air; the rest of the drag is observed.
 
     The feed-forward looks ahead by the lag of the loops inside.
     """
-    correction = gain * position_error
+    correction = gain * (wanted_position - position)
     size = np.sqrt(np.sum(correction * correction))
     if size > max_correction:
         correction *= max_correction / size
+    jerk = (reference - last_reference) / step_s
     jerk_size = np.sqrt(np.sum(jerk * jerk))
     if jerk_size > _MAX_JERK_MPS3:
-        jerk = jerk * (_MAX_JERK_MPS3 / jerk_size)
-    return velocity_error + correction, acceleration_error, reference + lead_s * jerk
-
-
-@njit(cache=True)
-def _expected_drag(velocity: Array, drag_per_mass: float) -> Array:
-    """(3,) m/s^2: rotor drag of the reference's own speed in still air; the rest is observed."""
-    drag = -drag_per_mass * velocity
+        jerk *= _MAX_JERK_MPS3 / jerk_size
+    drag = -drag_per_mass * wanted_velocity
     drag[2] = 0.0
-    return drag
+    return (
+        wanted_velocity - velocity + correction,
+        acceleration - reference,
+        reference + lead_s * jerk,
+        drag,
+    )
 
 
 @njit(cache=True)
-def _limited_force(force: Array, weight: float, max_slope: float) -> Array:
-    """Vertical share first, then as much of the horizontal as the tilt limit allows."""
+def _forces(
+    feedback: Array,
+    feed_forward: Array,
+    drag: Array,
+    unexpected: Array,
+    mass: float,
+    weight: float,
+    max_slope: float,
+) -> tuple[Array, Array]:
+    """(3,) N, odom frame: the wanted push, and what of it the limits leave: the vertical share
+    first, then as much of the horizontal as the tilt limit allows."""
+    force = mass * (feedback + feed_forward - drag - unexpected)
+    force[2] += weight
     limited = force.copy()
     low, high = _MIN_VERTICAL_FORCE * weight, _MAX_VERTICAL_FORCE * weight
     limited[2] = min(max(force[2], low), high)
     horizontal = np.sqrt(force[0] ** 2 + force[1] ** 2)
     if horizontal > max_slope * limited[2]:
         limited[:2] *= max_slope * limited[2] / horizontal
-    return limited
+    return force, limited
+
+
+@njit(cache=True)
+def _undone(
+    force: Array, unlimited: Array, achieved: Array, wrench: Array, mass: float, inertia: Array
+) -> tuple[Array, Array]:
+    """What tilt limit and rotors leave undone: accelerations, (3,) linear and (3,) angular."""
+    delivered = force * (achieved[0] / wrench[0])
+    return (delivered - unlimited) / mass, (achieved[1:] - wrench[1:]) / inertia
 
 
 @njit(cache=True)

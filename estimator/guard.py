@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
+from numba import njit, types
 from numpy.typing import NDArray
 
 from sim.api import CameraImage, ImuSample, LidarScan, Observation, SensorRig
@@ -43,10 +44,12 @@ Message = TypeVar("Message", LidarScan, CameraImage)
 class InputGuard:
     """Screens observations, in order. ``events`` are those of the last call of ``screen``.
 
-    ``camera_hz``: images a second to be expected; 0: as they come.
+    ``camera_hz``: images a second to be expected; 0: as they come. ``inertial``: whether IMU
+    samples are looked at.
     """
 
-    def __init__(self, rig: SensorRig, camera_hz: int = 0) -> None:
+    def __init__(self, rig: SensorRig, camera_hz: int = 0, *, inertial: bool = True) -> None:
+        self._inertial = inertial
         self._shape = (rig.camera.height, rig.camera.width, 3)
         self._scans = _Stream("scan", rig.lidar_scan_ticks, rig.tick_hz)
         period = round(rig.tick_hz / camera_hz) if camera_hz else 0
@@ -70,7 +73,7 @@ class InputGuard:
         range NaN. A bad IMU sample is replaced by the one before it, because filters count on one
         for every step."""
         events: list[str] = []
-        imu = self._steady(obs.imu, events)
+        imu = self._steady(obs.imu, events) if self._inertial else obs.imu
         scans = self._scans.screen(obs.scans, obs.tick, self._judge_scan, events)
         images = self._images.screen(obs.images, obs.tick, self._judge_image, events)
         self.events = tuple(events)
@@ -132,7 +135,7 @@ class InputGuard:
             bad = floating if bad is None else bad | floating
             if np.count_nonzero(ranges[~bad] > 0.0) < _LEAST_RETURNS * count:
                 return None, "nothing but echoes of rain or fog"
-        if np.array_equal(ranges, self._ranges, equal_nan=True):
+        if _equal(ranges, self._ranges):
             return None, "the same as the one before"
         self._ranges = ranges
         if bad is None:
@@ -264,15 +267,48 @@ def clutter_of(scan: LidarScan) -> tuple[bool, NDArray[np.bool_]]:
     desnowing algorithm for LiDAR point clouds", IEEE Access 8, 2020. Where they are all that is
     near, weak ones need not be alone, as they no longer are in fog.
     """
-    ranges, level = scan.ranges, scan.intensity
-    near = (ranges > 0.0) & (ranges < _CLUTTER_M)
-    apart = np.abs(np.diff(ranges)) > _LONE_GAP_M
-    lone = near & (level <= _LONE_LEVEL) & np.append(True, apart) & np.append(apart, True)
-    weak = near & (level <= _CLUTTER_LEVEL)
-    shows = np.count_nonzero(lone & weak) >= _CLUTTER_LEAST and np.count_nonzero(
-        weak
-    ) >= _CLUTTER_SHARE * np.count_nonzero(near)
-    return bool(shows), weak | lone if shows else lone
+    floating = np.zeros(len(scan.ranges), np.bool_)
+    return _find_clutter(scan.ranges, scan.intensity, floating), floating
+
+
+_RANGES = types.Array(types.float32, 1, "A", readonly=True)
+_LEVELS = types.Array(types.uint8, 1, "A", readonly=True)
+
+
+@njit([(_RANGES, _LEVELS, types.boolean[::1])], cache=True)
+def _find_clutter(
+    ranges: NDArray[np.float32], level: NDArray[np.uint8], floating: NDArray[np.bool_]
+) -> bool:
+    """`clutter_of`, into ``floating`` (N,), which must be false."""
+    near = weak = lone_weak = 0
+    for i in range(ranges.shape[0]):
+        if not (0.0 < ranges[i] < _CLUTTER_M):
+            continue
+        near += 1
+        faint = level[i] <= _CLUTTER_LEVEL
+        weak += faint
+        if level[i] > _LONE_LEVEL:
+            continue
+        before = i == 0 or abs(ranges[i] - ranges[i - 1]) > _LONE_GAP_M
+        after = i == ranges.shape[0] - 1 or abs(ranges[i + 1] - ranges[i]) > _LONE_GAP_M
+        floating[i] = before and after
+        lone_weak += faint and floating[i]
+    if lone_weak < _CLUTTER_LEAST or weak < _CLUTTER_SHARE * near:
+        return False
+    for i in range(ranges.shape[0]):
+        floating[i] |= 0.0 < ranges[i] < _CLUTTER_M and level[i] <= _CLUTTER_LEVEL
+    return True
+
+
+@njit([(_RANGES, _RANGES)], cache=True)
+def _equal(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
+    """Whether (N,) and (M,) are the same; a NaN is like another."""
+    if one.shape[0] != other.shape[0]:
+        return False
+    for i in range(one.shape[0]):
+        if one[i] != other[i] and not (np.isnan(one[i]) and np.isnan(other[i])):
+            return False
+    return True
 
 
 def _without_pulses(scan: LidarScan, bad: NDArray[np.bool_]) -> LidarScan:

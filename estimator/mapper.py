@@ -8,6 +8,7 @@ averaged per cell in the odom frame (the coloured point cloud map of Zou, Sun, K
 from __future__ import annotations
 
 import itertools
+import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -121,7 +122,7 @@ class GridMapper:
         self._intrinsics = np.concatenate(
             [[camera.fx, camera.fy, camera.cx, camera.cy], np.asarray(camera.distortion, float)]
         )
-        self._guard = InputGuard(rig)
+        self._guard = InputGuard(rig, inertial=False)
         self._view = MapView(version=0, coarse=self._coarse.view(), fine=None)
 
     def update(self, obs: Observation, estimate: Estimate) -> MapView:
@@ -147,10 +148,9 @@ class GridMapper:
         if self._track and estimate.time_s <= self._track[-1][0]:
             return
         pose = estimate.odom_from_body
-        if np.isfinite(pose.translation).all() and np.isfinite(pose.rotation).all():
-            self._track.append(
-                (estimate.time_s, pose.translation.copy(), quat_wxyz_from_matrix(pose.rotation))
-            )
+        quat = quat_wxyz_from_matrix(pose.rotation)
+        if math.isfinite(sum(pose.translation.tolist()) + sum(quat.tolist())):
+            self._track.append((estimate.time_s, pose.translation.copy(), quat))
 
     def _track_spanning(self, start_s: float, end_s: float, estimate: Estimate) -> PoseTrack | None:
         """The estimator's own track if it spans the interval, else the causal poses around it."""
@@ -165,13 +165,19 @@ class GridMapper:
             return track
         if len(self._track) < 2:
             return None
-        times = np.array([entry[0] for entry in self._track])
-        first = max(int(np.searchsorted(times, start_s)) - 1, 0)
-        last = min(int(np.searchsorted(times, end_s)) + 2, times.size)
-        first = min(first, last - 2)
-        entries = list(self._track)[first:last]
+        entries: list[tuple[float, Array, Array]] = []
+        for entry in reversed(self._track):  # what is asked for lies not far behind the newest
+            if entry[0] >= end_s:
+                entries = [entry]
+                continue
+            entries.append(entry)
+            if entry[0] <= start_s and len(entries) > 1:
+                break
+        entries.reverse()
+        if len(entries) < 2:
+            entries = [self._track[0], self._track[1]]
         return PoseTrack(
-            times_s=times[first:last],
+            times_s=np.array([entry[0] for entry in entries]),
             positions_odom=np.array([entry[1] for entry in entries]),
             quats_wxyz=np.array([entry[2] for entry in entries]),
         )
@@ -245,17 +251,15 @@ class GridMapper:
             <= scan.end_time_s + duration + 1e-6
         ]
         near.sort(key=lambda posed: posed.image.time_s)
-        offsets = [posed.image.time_s - scan.start_time_s for posed in near]
-        middles = [
-            -np.inf,
-            *(0.5 * (a + b) for a, b in itertools.pairwise(offsets)),
-            np.inf,
-        ]
-        nearest = [(middles[k], middles[k + 1], posed) for k, posed in enumerate(near)]
-        anywhere = [(-np.inf, np.inf, posed) for posed in reversed(near)] if len(near) > 1 else []
-        for low, high, posed in nearest + anywhere:
+        offsets = np.array([posed.image.time_s - scan.start_time_s for posed in near])
+        count = scan.ranges.shape[0]
+        middles = np.searchsorted(scan.time_offsets, 0.5 * (offsets[:-1] + offsets[1:])).tolist()
+        nearest = list(itertools.pairwise([0, *middles, count]))
+        first = [(own, (0, 0), posed) for own, posed in zip(nearest, near, strict=False)]
+        then = [((0, count), own, posed) for own, _, posed in reversed(first)]
+        for window, skipped, posed in first + (then if len(near) > 1 else []):
             kernels.sample_colours(
-                origins, beams, scan.ranges, low, high, scan.time_offsets, posed.image.rgb,
+                origins, beams, scan.ranges, window, skipped, posed.image.rgb,
                 posed.camera_from_odom.rotation, posed.camera_from_odom.translation,
                 self._intrinsics, colours,
             )  # fmt: skip

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
+_KNOT_EVERY = 64
+
 
 @numba.njit(cache=True)
 def _lerp_pose(
@@ -42,7 +44,7 @@ def _lerp_pose(
     pose[11] = 1.0 - s * (x * x + y * y)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def deskew(
     directions: Float32,
     time_offsets: Float32,
@@ -61,40 +63,70 @@ def deskew(
     track: (M,), (M, 3), (M, 4) wxyz, M >= 2; lidar_*: body_from_lidar. Writes ``origins`` and
     ``beams``, (N, 3) float32. Times outside the track take its nearest end.
     """
-    pose = np.empty(12)
-    index = 0
+    # Exact poses at knots, with the mount in them; between two, a quarter of a millisecond apart,
+    # straight lines differ from the turn by less than 1e-6 even at 10 rad/s.
+    pose, first, second = np.empty(12), np.empty(12), np.empty(12)
+    count = directions.shape[0]
     last = track_times.shape[0] - 2
-    for i in range(directions.shape[0]):
-        time = start_time + time_offsets[i]
+    index = 0
+    for knot in range(0, count, _KNOT_EVERY):
+        end = min(knot + _KNOT_EVERY, count - 1)
+        if knot == 0:
+            time = start_time + time_offsets[0]
+            while index < last and track_times[index + 1] < time:
+                index += 1
+            _lerp_pose(track_times, track_positions, track_quats, index, time, pose)
+            _mount(pose, lidar_rotation, lidar_translation, second)
+        first[:] = second
+        time = start_time + time_offsets[end]
         while index < last and track_times[index + 1] < time:
             index += 1
         _lerp_pose(track_times, track_positions, track_quats, index, time, pose)
-        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-        bx = lidar_rotation[0, 0] * dx + lidar_rotation[0, 1] * dy + lidar_rotation[0, 2] * dz
-        by = lidar_rotation[1, 0] * dx + lidar_rotation[1, 1] * dy + lidar_rotation[1, 2] * dz
-        bz = lidar_rotation[2, 0] * dx + lidar_rotation[2, 1] * dy + lidar_rotation[2, 2] * dz
-        tx, ty, tz = lidar_translation[0], lidar_translation[1], lidar_translation[2]
-        for k in range(3):
-            r0, r1, r2 = pose[3 + 3 * k], pose[4 + 3 * k], pose[5 + 3 * k]
-            beams[i, k] = r0 * bx + r1 * by + r2 * bz
-            origins[i, k] = pose[k] + r0 * tx + r1 * ty + r2 * tz
+        _mount(pose, lidar_rotation, lidar_translation, second)
+        span = time_offsets[end] - time_offsets[knot]
+        per_span = 1.0 / span if span > 0.0 else 0.0
+        for i in range(knot, min(knot + _KNOT_EVERY, count)):
+            f = (time_offsets[i] - time_offsets[knot]) * per_span
+            dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
+            for k in range(3):
+                origins[i, k] = first[k] + f * (second[k] - first[k])
+                row = 3 + 3 * k
+                r0 = first[row] + f * (second[row] - first[row])
+                r1 = first[row + 1] + f * (second[row + 1] - first[row + 1])
+                r2 = first[row + 2] + f * (second[row + 2] - first[row + 2])
+                beams[i, k] = r0 * dx + r1 * dy + r2 * dz
 
 
 @numba.njit(cache=True)
+def _mount(body: Array, rotation: Array, translation: Array, mounted: Array) -> None:
+    """Poses as `_lerp_pose` writes them: of what sits on ``body`` by body_from_it, the mount."""
+    for k in range(3):
+        row = 3 + 3 * k
+        mounted[k] = body[k]
+        for j in range(3):
+            mounted[k] += body[row + j] * translation[j]
+            mounted[row + j] = (
+                body[row] * rotation[0, j]
+                + body[row + 1] * rotation[1, j]
+                + body[row + 2] * rotation[2, j]
+            )
+
+
+@numba.njit(cache=True, error_model="numpy")
 def sample_colours(
     origins: Float32,
     beams: Float32,
     ranges: Float32,
-    prefer_low: float,
-    prefer_high: float,
-    time_offsets: Float32,
+    window: tuple[int, int],
+    skipped: tuple[int, int],
     image: NDArray[np.uint8],
     rotation: Array,
     translation: Array,
     intrinsics: Array,
     colours: Float32,
 ) -> None:
-    """Colours the returns whose time lies in [prefer_low, prefer_high] and that have none yet.
+    """Colours the returns of the pulses [first, last) of ``window`` that have no colour yet, all
+    but those of ``skipped``.
 
     rotation (3, 3), translation (3,): camera_from_odom at the exposure; intrinsics: (9,) fx, fy,
     cx, cy, k1, k2, p1, p2, k3 (OpenCV); image: (H, W, 3); ``colours``: (N, 3) float32, NaN where
@@ -103,10 +135,9 @@ def sample_colours(
     rows, cols = image.shape[0], image.shape[1]
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     k1, k2, p1, p2, k3 = intrinsics[4], intrinsics[5], intrinsics[6], intrinsics[7], intrinsics[8]
-    for i in range(ranges.shape[0]):
+    for i in range(window[0], window[1]):
         r = ranges[i]
-        time = time_offsets[i]
-        if r <= 0.0 or time < prefer_low or time > prefer_high or not np.isnan(colours[i, 0]):
+        if r <= 0.0 or skipped[0] <= i < skipped[1] or not np.isnan(colours[i, 0]):
             continue
         x = origins[i, 0] + r * beams[i, 0]
         y = origins[i, 1] + r * beams[i, 1]
@@ -114,22 +145,23 @@ def sample_colours(
         zc = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + translation[2]
         if not zc > 0.05:
             continue
-        u = (rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0]) / zc
-        v = (rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1]) / zc
+        per_z = 1.0 / zc
+        u = per_z * (rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0])
+        v = per_z * (rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1])
         q = u * u + v * v
         if q > 4.0:
             continue
         radial = 1.0 + q * (k1 + q * (k2 + q * k3))
         ud = u * radial + 2.0 * p1 * u * v + p2 * (q + 2.0 * u * u)
         vd = v * radial + p1 * (q + 2.0 * v * v) + 2.0 * p2 * u * v
-        col = int(np.floor(fx * ud + cx + 0.5))
-        row = int(np.floor(fy * vd + cy + 0.5))
-        if 0 <= col < cols and 0 <= row < rows:
+        col = fx * ud + cx + 0.5
+        row = fy * vd + cy + 0.5
+        if 0.0 <= col < cols and 0.0 <= row < rows:
             for k in range(3):
-                colours[i, k] = image[row, col, k]
+                colours[i, k] = image[int(row), int(col), k]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def accumulate_returns(
     origins: Float32,
     beams: Float32,
@@ -161,6 +193,8 @@ def accumulate_returns(
     """
     rows, cols = count.shape
     inside = 0
+    per_cell, per_cap = 1.0 / cell, 1.0 / count_cap
+    known_idle, keep = 0.0, 1.0
     for i in range(ranges.shape[0]):
         r = ranges[i]
         if not r > 0.0:
@@ -168,17 +202,16 @@ def accumulate_returns(
         x = origins[i, 0] + r * beams[i, 0]
         y = origins[i, 1] + r * beams[i, 1]
         z = origins[i, 2] + r * beams[i, 2]
-        if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
+        across, along = (x - origin_x) * per_cell, (y - origin_y) * per_cell
+        # Comparisons that no NaN passes.
+        if not (0.0 <= across < cols and 0.0 <= along < rows and abs(z) < np.inf):
             continue
-        col = int(np.floor((x - origin_x) / cell))
-        row = int(np.floor((y - origin_y) / cell))
-        if col < 0 or row < 0 or col >= cols or row >= rows:
-            continue
+        col, row = int(across), int(along)
         inside += 1
         n = count[row, col] + 1.0
         if n > count_cap:
             n = count_cap
-            missing[row, col] *= 1.0 - 1.0 / count_cap
+            missing[row, col] *= 1.0 - per_cap
         if np.isnan(height[row, col]):
             height[row, col] = z
             std[row, col] = 0.0
@@ -193,7 +226,8 @@ def accumulate_returns(
             std[row, col] = np.sqrt(variance)
             idle = now - last_seen[row, col]
             if idle > 0.0:
-                keep = np.exp(-idle / extreme_memory)
+                if idle != known_idle:  # many cells of a scan were seen last at the same time
+                    known_idle, keep = idle, np.exp(-idle / extreme_memory)
                 mean = height[row, col]
                 high[row, col] = mean + keep * (high[row, col] - mean)
                 low[row, col] = mean + keep * (low[row, col] - mean)
@@ -209,8 +243,9 @@ def accumulate_returns(
                 for k in range(3):
                     rgb[row, col, k] = colours[i, k]
             else:
+                weight = 1.0 / m
                 for k in range(3):
-                    rgb[row, col, k] += (colours[i, k] - rgb[row, col, k]) / m
+                    rgb[row, col, k] += weight * (colours[i, k] - rgb[row, col, k])
     return inside
 
 

@@ -53,8 +53,8 @@ def scan_points_odom(
     times = scan.start_time_s + scan.time_offsets[hits].astype(np.float64)
     in_lidar = (scan.directions[hits] * scan.ranges[hits, None]).astype(np.float64)
     in_body = body_from_lidar.apply(in_lidar)
-    rotations, positions = poses_at(track, times)
-    return np.einsum("nij,nj->ni", rotations, in_body) + positions
+    quats, positions = _quats_at(track, times)
+    return _turned(quats, in_body) + positions
 
 
 def height_colours(heights_m: Array) -> NDArray[np.uint8]:
@@ -65,15 +65,33 @@ def height_colours(heights_m: Array) -> NDArray[np.uint8]:
 
 def poses_at(track: PoseTrack, times: Array) -> tuple[Array, Array]:
     """Rotations (N, 3, 3) and positions (N, 3) at ``times``; poses at the ends hold beyond them."""
+    quats, positions = _quats_at(track, times)
+    return matrices_from_quats_wxyz(quats), positions
+
+
+def _quats_at(track: PoseTrack, times: Array) -> tuple[Array, Array]:
+    """Unit quaternions wxyz (N, 4) and positions (N, 3), as `poses_at`."""
     if len(track.times_s) == 1:
-        rotations = matrices_from_quats_wxyz(np.repeat(track.quats_wxyz, len(times), axis=0))
-        return rotations, np.repeat(track.positions_odom, len(times), axis=0)
+        shape = len(times), 1
+        return np.tile(track.quats_wxyz, shape), np.tile(track.positions_odom, shape)
     after = np.clip(np.searchsorted(track.times_s, times), 1, len(track.times_s) - 1)
     start, end = track.times_s[after - 1], track.times_s[after]
     share = np.clip((times - start) / (end - start), 0.0, 1.0)[:, None]
     first, second = track.quats_wxyz[after - 1], track.quats_wxyz[after]
     second = np.where(np.sum(first * second, axis=1, keepdims=True) < 0.0, -second, second)
     quats = (1.0 - share) * first + share * second
-    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    quats /= np.sqrt(np.einsum("ni,ni->n", quats, quats))[:, None]
     positions = (1.0 - share) * track.positions_odom[after - 1]
-    return matrices_from_quats_wxyz(quats), positions + share * track.positions_odom[after]
+    return quats, positions + share * track.positions_odom[after]
+
+
+def _turned(quats_wxyz: Array, vectors: Array) -> Array:
+    """(N, 3) vectors turned by (N, 4) unit quaternions: v + 2 w (r x v) + 2 r x (r x v)."""
+    w, x, y, z = np.ascontiguousarray(quats_wxyz.T)
+    a, b, c = np.ascontiguousarray(vectors.T)
+    i, j, k = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    out = np.empty_like(vectors)
+    out[:, 0] = a + w * i + y * k - z * j
+    out[:, 1] = b + w * j + z * i - x * k
+    out[:, 2] = c + w * k + x * j - y * i
+    return out

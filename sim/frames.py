@@ -155,12 +155,12 @@ def rotation_from_yaw(yaw: float) -> Array:
 
 def yaw_from_rotation(rotation: Array) -> float:
     """Heading in radians of the body x axis projected on the ground, in (-pi, pi]."""
-    return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    return math.atan2(rotation.item(1, 0), rotation.item(0, 0))
 
 
 def tilt_from_rotation(rotation: Array) -> float:
     """Angle in radians between the body z axis and the world z axis."""
-    return float(np.arccos(np.clip(rotation[2, 2], -1.0, 1.0)))
+    return math.acos(min(max(rotation.item(2, 2), -1.0), 1.0))
 
 
 def wrap_angle(angle: float) -> float:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from zlib import crc32
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from sim.api import GRAVITY_MPS2, ImuParams, ImuSample
-from sim.frames import so3_exp, so3_log
 
 Array = NDArray[np.float64]
 
-_UP = np.array([0.0, 0.0, GRAVITY_MPS2])
+_DRAWN = 64
 
 
 class ImuSensor:
@@ -36,6 +37,7 @@ class ImuSensor:
             params.vibration_gyro_density, params.vibration_accel_density
         ) / math.sqrt(self._period_s)
         self._vibration_rng = np.random.default_rng([seed, crc32(b"imu vibration")])
+        self._randomness = self._draw()
         turn_on = _stack(params.gyro_bias_sigma, params.accel_bias_sigma)
         self._bias = turn_on * self._rng.standard_normal(6)
 
@@ -55,16 +57,14 @@ class ImuSensor:
     ) -> ImuSample:
         """The sample that ends at ``tick`` from the world_from_imu rotations (3, 3) at both ends of
         its period and the world velocities (3,) m/s of the IMU's own point. ``shake``: mean square
-        of the rotor speeds over that in hover."""
-        turn = so3_log(rotation_start.T @ rotation_end)
-        rotation_mid = rotation_start @ so3_exp(0.5 * turn)
-        acceleration = (velocity_end - velocity_start) / self._period_s
-        ideal = np.concatenate([turn / self._period_s, rotation_mid.T @ (acceleration + _UP)])
-        white, walk = self._rng.standard_normal((2, 6))
-        measured = ideal + self._bias + self._noise * white
-        if self._vibration.any():
-            measured += shake * self._vibration * self._vibration_rng.standard_normal(6)
-        self._bias = self._bias + self._walk * walk
+        of the rotor speeds over that in hover. Turns of more than 170 degrees a sample are beyond
+        it."""
+        measured = _ideal(
+            rotation_start, rotation_end, velocity_start, velocity_end, self._period_s
+        )
+        noise, step, shaking = next(self._randomness)
+        measured += self._bias + noise + shake * shaking
+        self._bias = self._bias + step
         measured.setflags(write=False)
         return ImuSample(
             tick=tick,
@@ -73,6 +73,56 @@ class ImuSensor:
             specific_force=measured[3:],
         )
 
+    def _draw(self) -> Iterator[tuple[Array, Array, Array]]:
+        """White noise, step of the bias and vibration in hover of one sample after the other, (6,)
+        each; drawn for many at a time, which costs less."""
+        while True:
+            white, walk = np.moveaxis(self._rng.standard_normal((_DRAWN, 2, 6)), 1, 0)
+            shaking = np.zeros((_DRAWN, 6))
+            if self._vibration.any():
+                shaking = self._vibration * self._vibration_rng.standard_normal((_DRAWN, 6))
+            yield from zip(self._noise * white, self._walk * walk, shaking, strict=True)
+
 
 def _stack(gyro: float, accel: float) -> Array:
     return np.array([gyro] * 3 + [accel] * 3)
+
+
+@njit(cache=True)
+def _ideal(
+    rotation_start: Array,
+    rotation_end: Array,
+    velocity_start: Array,
+    velocity_end: Array,
+    period_s: float,
+) -> Array:
+    """(6,) mean body rate and specific force in the axes of half the turn, without error."""
+    turn = np.zeros(3)
+    trace = 0.0
+    for k in range(3):
+        for row in range(3):
+            trace += rotation_start[row, k] * rotation_end[row, k]
+        # The antisymmetric part of start^T end is the sine times the axis.
+        i, j = (k + 1) % 3, (k + 2) % 3
+        for row in range(3):
+            turn[k] += 0.5 * rotation_start[row, j] * rotation_end[row, i]
+            turn[k] -= 0.5 * rotation_start[row, i] * rotation_end[row, j]
+    sine = np.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
+    angle = np.arctan2(sine, 0.5 * (trace - 1.0))
+    axis = turn / sine if sine > 0.0 else turn
+    push = (velocity_end - velocity_start) / period_s
+    push[2] += GRAVITY_MPS2
+    force = np.zeros(3)
+    for k in range(3):
+        for row in range(3):
+            force[k] += rotation_start[row, k] * push[row]
+    # Rodrigues' formula, back by half the turn.
+    along = axis[0] * force[0] + axis[1] * force[1] + axis[2] * force[2]
+    cosine, half_sine = np.cos(0.5 * angle), -np.sin(0.5 * angle)
+    out = np.empty(6)
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        across = axis[i] * force[j] - axis[j] * force[i]
+        out[k] = angle * axis[k] / period_s
+        out[3 + k] = cosine * force[k] + half_sine * across + (1.0 - cosine) * along * axis[k]
+    return out

@@ -23,11 +23,11 @@ class MovingBodies:
 
     def write(self, data: Any, time_s: float) -> None:
         """Puts the mocap bodies of an MjData where they are at ``time_s``."""
-        times = np.array([time_s])
+        if not self._paths:
+            return
+        positions, quats = data.mocap_pos, data.mocap_quat
         for path in self._paths:
-            positions, quats = path.at(times)
-            data.mocap_pos[path.mocap_id] = positions[0]
-            data.mocap_quat[path.mocap_id] = quats[0]
+            path.put(time_s, positions[path.mocap_id], quats[path.mocap_id])
 
     def tracks(self, times_s: Array) -> dict[str, tuple[Array, Array]]:
         """By body name: positions (M, 3) world metres and quaternions wxyz (M, 4) at (M,) times."""
@@ -56,25 +56,34 @@ class _Path:
         self._speed = body.speed_mps
         self._start = body.start_m
 
+    def put(self, time_s: float, position: Array, quat_wxyz: Array) -> None:
+        """Writes (3,) and (4,) of one instant."""
+        travelled = self._start + self._speed * time_s
+        _locate(self._starts, self._directions, self._arc, travelled, position, quat_wxyz)
+
     def at(self, times_s: Array) -> tuple[Array, Array]:
         positions = np.empty((len(times_s), 3))
-        quats = np.zeros((len(times_s), 4))
+        quats = np.empty((len(times_s), 4))
         travelled = self._start + self._speed * times_s
-        _locate(self._starts, self._directions, self._arc, travelled, positions, quats)
+        _locate_each(self._starts, self._directions, self._arc, travelled, positions, quats)
         return positions, quats
 
 
 @njit(cache=True)
 def _locate(
+    starts: Array, directions: Array, arc: Array, travelled: float, position: Array, quat: Array
+) -> None:
+    distance = travelled % arc[-1]
+    edge = min(max(np.searchsorted(arc, distance, side="right") - 1, 0), len(starts) - 1)
+    for axis in range(3):
+        position[axis] = starts[edge, axis] + (distance - arc[edge]) * directions[edge, axis]
+    half_yaw = 0.5 * np.arctan2(directions[edge, 1], directions[edge, 0])
+    quat[0], quat[1], quat[2], quat[3] = np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)
+
+
+@njit(cache=True)
+def _locate_each(
     starts: Array, directions: Array, arc: Array, travelled: Array, positions: Array, quats: Array
 ) -> None:
     for m in range(len(travelled)):
-        distance = travelled[m] % arc[-1]
-        edge = min(max(np.searchsorted(arc, distance, side="right") - 1, 0), len(starts) - 1)
-        for axis in range(3):
-            positions[m, axis] = (
-                starts[edge, axis] + (distance - arc[edge]) * directions[edge, axis]
-            )
-        half_yaw = 0.5 * np.arctan2(directions[edge, 1], directions[edge, 0])
-        quats[m, 0] = np.cos(half_yaw)
-        quats[m, 3] = np.sin(half_yaw)
+        _locate(starts, directions, arc, travelled[m], positions[m], quats[m])

@@ -91,6 +91,12 @@ class NavSensors:
         self.rangefinder: Channel[RangefinderSample] = Channel(
             "rangefinder", params.rangefinder, hz, needs.rangefinder
         )
+        self._listening = heard or needs.barometer or needs.magnetometer or needs.rangefinder
+
+    @property
+    def listening(self) -> bool:
+        """Whether any of them was asked for."""
+        return self._listening
 
     def sense(
         self,

@@ -15,6 +15,8 @@ the effect of one per cent of thrust.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -46,6 +48,7 @@ class Rotors:
                 geometry.radius_m,
             ]
         )
+        self._torque_coefficient = float(vehicle.torque_coefficient)
         self._min = vehicle.rotor_speed_min
         self._max = vehicle.rotor_speed_max
         self._lag = float(-np.expm1(-tick_s / vehicle.motor_time_constant_s))
@@ -57,12 +60,14 @@ class Rotors:
         """Takes a command, (4,) rad/s: 0 switches a motor off, anything else is held within the
         motor's range. Of that, weak motors reach ``speed_share`` (4,). ValueError: a wrong shape or
         a value that is not a finite number."""
-        if np.shape(rotor_speed_radps) != (4,) or not np.all(np.isfinite(rotor_speed_radps)):
+        # Scalars: at every control step, numpy's calls on four numbers are most of what they cost.
+        wanted = np.asarray(rotor_speed_radps).tolist()
+        if np.shape(rotor_speed_radps) != (4,) or not math.isfinite(sum(wanted)):
             raise ValueError(
                 f"a command must hold 4 finite rotor speeds in rad/s, not {rotor_speed_radps!r}"
             )
-        np.clip(rotor_speed_radps, self._min, self._max, out=self._demand)
-        self._demand[np.asarray(rotor_speed_radps) <= 0.0] = 0.0
+        low, high = self._min, self._max
+        self._demand[:] = [min(max(w, low), high) if w > 0.0 else 0.0 for w in wanted]
         if speed_share is not None:
             self._demand *= speed_share
 
@@ -101,7 +106,7 @@ class Rotors:
 
     def shaft_power(self) -> float:
         """Mechanical power of all rotors at their present speed, W."""
-        return float(self._coefficients[_KQ] * np.sum(self.speeds**3))
+        return self._torque_coefficient * sum(w * w * w for w in self.speeds.tolist())
 
 
 @njit(cache=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -91,6 +93,7 @@ class MujocoWorld:
         self._prepare_body()
         self._prepare_sensors(lidar, camera)
         self.rig = self._make_rig(lidar, imu)
+        self._imu_mount = self.rig.body_from_imu.rotation
         self.reset()
 
     # ------------------------------------------------------------------------ preparation
@@ -218,7 +221,7 @@ class MujocoWorld:
 
     def _mark_start(self) -> None:
         """Sensors that look back at an earlier state look back at the present one."""
-        self._imu_rotation = matrix_from_quat_wxyz(self._quat)
+        self._imu_rotation = self._world_from_imu()
         self._imu_velocity = self._velocity.copy()
         self._track_positions[0] = self._position
         self._track_quats[0] = self._quat
@@ -227,7 +230,7 @@ class MujocoWorld:
         """Advances ``control_ticks``. RuntimeError: the command or the physics is not finite."""
         self._take_command(command)
         height = float(self._position[2]) - self._ground_z
-        airspeed = float(np.linalg.norm(self._velocity - self._air))
+        airspeed = math.dist(self._velocity.tolist(), self._air.tolist())
         self._air[:] = self._wind.step(self._step_s, height, airspeed)
         self.disturbances.add_gust(self._tick, self._wind.mean_direction, self._air)
         clearance = self._ground.clearance(self._data, self._position)
@@ -301,7 +304,7 @@ class MujocoWorld:
     # ------------------------------------------------------------------------ one step
 
     def _take_command(self, command: Command) -> None:
-        if not np.all(np.isfinite(command.rotor_speed_radps)):
+        if not math.isfinite(sum(command.rotor_speed_radps.tolist())):
             raise RuntimeError(
                 f"tick {self._tick}: the command {command.rotor_speed_radps} is not finite"
             )
@@ -328,14 +331,9 @@ class MujocoWorld:
         """What is measured at this tick."""
         if self._tick % self._sim.imu_ticks == 0:
             imu.append(self._sample_imu())
-        self._nav.sense(
-            self._tick,
-            self._data,
-            self._position,
-            self._quat,
-            self._velocity,
-            self._angular_velocity,
-        )
+        if self._nav.listening:
+            motion = self._position, self._quat, self._velocity, self._angular_velocity
+            self._nav.sense(self._tick, self._data, *motion)
         if self._lidar is not None:
             self._record_track()
         if self._image_period:
@@ -357,18 +355,20 @@ class MujocoWorld:
             self._instants.clear()
 
     def _sample_imu(self) -> ImuSample:
-        rotation, velocity = matrix_from_quat_wxyz(self._quat), self._velocity.copy()
-        mount = self.rig.body_from_imu.rotation
+        rotation, velocity = self._world_from_imu(), self._velocity.copy()
         sample = self._imu.sample(
             self._tick,
-            self._imu_rotation @ mount,
-            rotation @ mount,
+            self._imu_rotation,
+            rotation,
             self._imu_velocity,
             velocity,
             float(self._rotors.speeds @ self._rotors.speeds) / self._hover_square,
         )
         self._imu_rotation, self._imu_velocity = rotation, velocity
         return sample
+
+    def _world_from_imu(self) -> Array:
+        return matrix_from_quat_wxyz(self._quat) @ self._imu_mount
 
     def _record_track(self) -> None:
         ticks = self._sim.lidar_scan_ticks
