@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from estimator.api import Estimate
@@ -12,6 +14,9 @@ _REACTION_SHARE = 0.3
 _STILL_MPS = 0.10
 _HOLD_S = 0.12
 _SMOOTHING = 0.2
+_CARRIED_SHARE, _CARRIED_S = 0.2, 0.8
+"""mean ground reaction, and the time constant of its mean: in the air it is 0, but for a tenth of
+the weight by ground effect"""
 
 
 class TouchdownDetector:
@@ -20,12 +25,17 @@ class TouchdownDetector:
     In the air the specific force along body z times the mass is the rotors' thrust; on the ground
     the legs add to it. The difference (IMU minus thrust from rotor telemetry), low-passed over
     about five samples, must stay above 30 % of the weight while the vehicle no longer sinks.
+
+    Where the estimate of that speed has gone astray, as it may so near the ground that the LIDAR
+    measures nothing, or the vehicle bounces, the mean over about a second tells the same later: no
+    vehicle stays in the air with a fifth of its weight missing from the thrust.
     """
 
     def __init__(self, rig: SensorRig) -> None:
         self._vehicle = rig.vehicle
         self._up_in_imu = rig.body_from_imu.rotation[2]
-        self._reaction_n = 0.0
+        self._reaction_n = self._carried_n = 0.0
+        self._slow_smoothing = 1.0 - math.exp(-rig.imu_ticks / rig.tick_hz / _CARRIED_S)
         self._since_s: float | None = None
 
     @property
@@ -39,7 +49,10 @@ class TouchdownDetector:
         for sample in obs.imu:
             force = self._vehicle.mass_kg * float(self._up_in_imu @ sample.specific_force)
             self._reaction_n += _SMOOTHING * (force - thrust - self._reaction_n)
+            self._carried_n += self._slow_smoothing * (force - thrust - self._carried_n)
         weight = self._vehicle.mass_kg * GRAVITY_MPS2
+        if self._carried_n > _CARRIED_SHARE * weight:
+            return True
         pressed = self._reaction_n > _REACTION_SHARE * weight
         still = abs(float(estimate.velocity_odom[2])) < _STILL_MPS
         unloaded = thrust < (1.0 - 0.5 * _REACTION_SHARE) * weight
