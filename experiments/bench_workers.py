@@ -6,6 +6,7 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,8 @@ def measure_workers(
     wall: dict[str, list[float]] = {"one": [], "workers": []}
     with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
         plan = workers_plan(Path(folder), scene=scene, estimator=estimator, runs=runs)
+        # The first flight on a machine compiles kernels: one that does not count comes before.
+        _flown(replace(plan, runs=plan.runs[:1]), Path(folder) / "first", 1)
         for number in range(rounds):
             for name, jobs in (("one", 1), ("workers", workers)):
                 spent = _flown(plan, Path(folder) / f"{name}-{number}", jobs)

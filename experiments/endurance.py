@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.compiling import compiled_before
 from experiments.config import Config, UsageError, load_config
 from experiments.recorder import NullRecorder
 from experiments.timing import StageClock, Timed
@@ -115,10 +116,14 @@ def measure(
     fresh = multiprocessing.get_context("spawn")
     flights = []
     with ProcessPoolExecutor(jobs, mp_context=fresh, max_tasks_per_child=1) as pool:
-        for flight in pool.map(fly_long, configs):
+        for flight in pool.map(_fly_compiled, configs):
             report(flight)
             flights.append(flight)
     return flights
+
+
+def _fly_compiled(config: Config) -> dict[str, Any]:
+    return compiled_before(lambda: fly_long(config))
 
 
 def row(flight: dict[str, Any]) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import shutil
 import time
 from collections import deque
 from concurrent.futures import ProcessPoolExecutor
@@ -20,6 +21,7 @@ from typing import Any
 
 from experiments.build import build_flight, build_scene
 from experiments.build_tools import build_bare
+from experiments.compiling import compiled_before
 from experiments.config import Config
 from experiments.flight import limit_threads, make_referee, timed_parts
 from experiments.loop import run_flight
@@ -152,12 +154,18 @@ def measure_on_one_core(config: Config, out_dir: Path) -> dict[str, Any]:
     os.environ["LP_NUM_THREADS"] = "0"  # Mesa's software renderer
     try:
         with ProcessPoolExecutor(1, mp_context=fresh, initializer=_take_one_core) as pool:
-            return pool.submit(measure_overhead, config, out_dir).result()
+            return pool.submit(_measure_compiled, config, out_dir).result()
     finally:
         if kept is None:
             del os.environ["LP_NUM_THREADS"]
         else:
             os.environ["LP_NUM_THREADS"] = kept
+
+
+def _measure_compiled(config: Config, out_dir: Path) -> dict[str, Any]:
+    return compiled_before(
+        lambda: measure_overhead(config, out_dir), again=lambda: shutil.rmtree(out_dir)
+    )
 
 
 def _take_one_core() -> None:
