@@ -157,8 +157,9 @@ def sample_colours(
         col = fx * ud + cx + 0.5
         row = fy * vd + cy + 0.5
         if 0.0 <= col < cols and 0.0 <= row < rows:
+            pixel = image[np.uintp(row), np.uintp(col)]
             for k in range(3):
-                colours[i, k] = image[int(row), int(col), k]
+                colours[i, k] = pixel[k]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -206,7 +207,7 @@ def accumulate_returns(
         # Comparisons that no NaN passes.
         if not (0.0 <= across < cols and 0.0 <= along < rows and abs(z) < np.inf):
             continue
-        col, row = int(across), int(along)
+        col, row = np.uintp(across), np.uintp(along)  # unsigned: no index counts from the end
         inside += 1
         n = count[row, col] + 1.0
         if n > count_cap:
