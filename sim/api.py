@@ -55,7 +55,8 @@ class SimParams:
     battery_capacity_j: float = 700e3
     """Usable energy at take-off (about 195 Wh)."""
     threads: int = 2
-    """2: rendering and ray casting overlap with estimation; 1: everything in the calling thread.
+    """2: rendering and ray casting overlap with each other and with everything else; 1: all of it
+    in the calling thread.
     Both give the same result to the bit."""
 
 

@@ -30,8 +30,8 @@ class InlineExecutor(Executor):
 
 
 def make_executor(threads: int) -> Executor:
-    """threads 1: in the caller's thread; 2: one worker thread beside it (a single one, since an
-    OpenGL context belongs to one thread). ValueError: anything else."""
+    """threads 1: in the caller's thread; 2: a worker thread beside it (one, since an OpenGL
+    context belongs to one thread). ValueError: anything else."""
     if threads == 1:
         return InlineExecutor()
     if threads == 2:

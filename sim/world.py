@@ -89,7 +89,7 @@ class MujocoWorld:
         self._fault_params = faults
         self._model = scene.model
         self._step_s = sim.control_ticks / sim.tick_hz
-        self._executor = make_executor(sim.threads)
+        self._eye, self._caster = make_executor(sim.threads), make_executor(sim.threads)
         self._prepare_body()
         self._prepare_sensors(lidar, camera)
         self.rig = self._make_rig(lidar, imu)
@@ -129,8 +129,8 @@ class MujocoWorld:
         self._camera = self._make_camera(CAMERA_NAME)
         self._lidar: LidarSensor | None = None
         self._right: CameraSensor | None = None
-        self._scans: DeliveryQueue[LidarScan] = DeliveryQueue(self._executor)
-        self._images: DeliveryQueue[CameraImage] = DeliveryQueue(self._executor)
+        self._scans: DeliveryQueue[LidarScan] = DeliveryQueue(self._caster)
+        self._images: DeliveryQueue[CameraImage] = DeliveryQueue(self._eye)
         self._add_sensors()
 
     def _add_sensors(self) -> None:
@@ -293,13 +293,14 @@ class MujocoWorld:
         )
 
     def close(self) -> None:
-        """Ends the worker thread and frees the camera. The world is unusable afterwards."""
+        """Ends the worker threads and frees the camera. The world is unusable afterwards."""
         self._scans.clear()
         self._images.clear()
         for camera in (self._camera, self._right):
             if camera is not None:
-                self._executor.submit(camera.close).result()
-        self._executor.shutdown(wait=True)
+                self._eye.submit(camera.close).result()
+        self._eye.shutdown(wait=True)
+        self._caster.shutdown(wait=True)
 
     # ------------------------------------------------------------------------ one step
 
@@ -386,7 +387,7 @@ class MujocoWorld:
             self._track_positions[0] = self._position
             self._track_quats[0] = self._quat
 
-    # ------------------------------------------------------------------------ worker thread
+    # ------------------------------------------------------------------------ worker threads
 
     def _scan(self, end_tick: int, positions: Array, quats_wxyz: Array) -> LidarScan:
         assert self._lidar is not None
