@@ -6,6 +6,7 @@ Heavy modules are imported by the part that needs them.
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -151,7 +152,9 @@ def _speed(job: Job) -> Done:
     from experiments.bench_landing import bench_landing
 
     job.notes("surveying crossroad, then choosing a site over and over")
-    return Done(bench_landing(rounds=job.edition.rounds, threads=job.jobs))
+    reference = importlib.util.find_spec("skimage") is not None
+    rounds, threads = job.edition.rounds, job.jobs
+    return Done(bench_landing(rounds=rounds, threads=threads, reference=reference))
 
 
 # ---------------------------------------------------------------------------------------- flights

@@ -112,10 +112,13 @@ def speed_table(figures: Figures) -> Table:
             [Cell(name, kind="name"), _number(ours.get(step)), _number(theirs.get(step))]
             + [_printed(text)]
         )
+    other = "the other version is made of Open3D, SciPy and scikit-image"
+    if not theirs:
+        other = "the other version was left out: it needs scikit-image (extra `bench`)"
     notes = [
         f"Milliseconds, medians on the map of a whole survey of {figures['scene']}, "
-        f"{figures['cells'][0]} x {figures['cells'][1]} cells, one thread; the other version is "
-        "made of Open3D, SciPy and scikit-image. The paper's are of an NVIDIA NX.",
+        f"{figures['cells'][0]} x {figures['cells'][1]} cells, one thread; {other}. The paper's "
+        "are of an NVIDIA NX.",
     ]
     if places:
         notes.append(

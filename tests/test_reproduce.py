@@ -147,7 +147,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
         return {"scorer": "risk", "places": [{"scene": scene, **place} for scene in scenes]}
 
     @replaced("bench_landing.bench_landing", "speed")
-    def _(rounds: int, threads: int) -> dict[str, Any]:
+    def _(rounds: int, threads: int, reference: bool) -> dict[str, Any]:
         names = ("down_sampling", "flatness", "smoothness", "distance", "clustering", "selection")
         times = {name: 1.5 for name in names}
         return {"scene": "crossroad", "cells": [300, 400], "stage_ms": times}
