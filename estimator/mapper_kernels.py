@@ -99,7 +99,7 @@ def deskew(
 
 @numba.njit(cache=True)
 def _mount(body: Array, rotation: Array, translation: Array, mounted: Array) -> None:
-    """Poses as `_lerp_pose` writes them: of what sits on ``body`` by body_from_it, the mount."""
+    """Writes the pose, as `_lerp_pose` does, of a sensor that is mounted on ``body``."""
     for k in range(3):
         row = 3 + 3 * k
         mounted[k] = body[k]

@@ -91,12 +91,8 @@ class NavSensors:
         self.rangefinder: Channel[RangefinderSample] = Channel(
             "rangefinder", params.rangefinder, hz, needs.rangefinder
         )
-        self._listening = heard or needs.barometer or needs.magnetometer or needs.rangefinder
-
-    @property
-    def listening(self) -> bool:
-        """Whether any of them was asked for."""
-        return self._listening
+        self.listening = heard or needs.barometer or needs.magnetometer or needs.rangefinder
+        """whether any of them was asked for"""
 
     def sense(
         self,

@@ -48,7 +48,6 @@ class Rotors:
                 geometry.radius_m,
             ]
         )
-        self._torque_coefficient = float(vehicle.torque_coefficient)
         self._min = vehicle.rotor_speed_min
         self._max = vehicle.rotor_speed_max
         self._lag = float(-np.expm1(-tick_s / vehicle.motor_time_constant_s))
@@ -106,7 +105,8 @@ class Rotors:
 
     def shaft_power(self) -> float:
         """Mechanical power of all rotors at their present speed, W."""
-        return self._torque_coefficient * sum(w * w * w for w in self.speeds.tolist())
+        cubes = sum(w * w * w for w in self.speeds.tolist())
+        return self._coefficients.item(_KQ) * cubes
 
 
 @njit(cache=True)
