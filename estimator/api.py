@@ -250,6 +250,8 @@ class LivoParams:
     mount_shift_sigma_m: float = 0.003
     focal_sigma: float = 5e-4
     center_sigma_px: float = 0.1
+    camera_clock_sigma_s: float = 0.005
+    """how far the camera's clock may be ahead of the IMU's, or behind; 0: it is not"""
     use_degeneracy: bool = True
     """whether a scan is kept from correcting what it does not measure, as sideways motion over
     level ground"""

@@ -43,9 +43,11 @@ class Eskf:
     def __init__(self, state: NavState, variances: Array) -> None:
         self.state = state
         self.base = len(variances)
-        self.learns = True
-        """whether measurements correct the calibration; if not, its doubt still counts in what they
-        say of the rest (Schmidt's "consider" filter)"""
+        self.learns = np.ones(len(state.calibration), np.bool_)
+        """(C,) which numbers of the calibration measurements correct; the doubt of the others still
+        counts in what they say of the rest (Schmidt's "consider" filter)"""
+        self.rate = np.zeros(3)
+        """(3,) rad/s, turn rate in the IMU's frame at the state's tick"""
         if len(state.calibration) != self.base - STATE_DIM:
             raise ValueError(
                 f"Eskf: {self.base} variances do not fit {len(state.calibration)} numbers of "
@@ -75,6 +77,8 @@ class Eskf:
         cov[:STATE_DIM, :STATE_DIM] = total @ cov[:STATE_DIM, :STATE_DIM] @ total.T + noise
         cov[:STATE_DIM, STATE_DIM:] = total @ cov[:STATE_DIM, STATE_DIM:]
         cov[STATE_DIM:, :STATE_DIM] = cov[:STATE_DIM, STATE_DIM:].T
+        if count:
+            self.rate = gyro[-1]
         all_ticks = np.concatenate(([state.tick], ticks))
         self.state = NavState(
             int(ticks[-1]) if count else state.tick,
@@ -86,6 +90,11 @@ class Eskf:
             state.calibration,
         )
         return all_ticks, rotations, positions
+
+    @property
+    def motion(self) -> Array:
+        """(6,) turn rate in the IMU's frame, rad/s, and velocity in the odometry frame, m/s."""
+        return np.concatenate([self.rate, self.state.velocity])
 
     # ------------------------------------------------------------------------ clones
 
@@ -133,8 +142,7 @@ class Eskf:
         local = self.covariance[np.ix_(touched, touched)]
         solved = np.linalg.solve(np.eye(len(touched)) + information @ local, vector)
         delta: Array = self.covariance[:, touched] @ solved
-        if not self.learns:
-            delta[STATE_DIM : self.base] = 0.0
+        delta[STATE_DIM : self.base] *= self.learns
         return delta
 
     def absorb(self, touched: NDArray[np.int64], information: Array) -> None:
@@ -144,12 +152,11 @@ class Eskf:
         middle = np.linalg.solve(np.eye(len(touched)) + information @ local, information)
         middle = 0.5 * (middle + middle.T)
         # the same product from both sides keeps the matrix symmetric to rounding
-        shared = slice(STATE_DIM, self.base)
-        kept = self.covariance[shared, shared].copy()
+        held = np.flatnonzero(~self.learns) + STATE_DIM
+        kept = self.covariance[np.ix_(held, held)]
         self.covariance = self.covariance - (columns @ middle) @ columns.T
         self.covariance = 0.5 * (self.covariance + self.covariance.T)
-        if not self.learns:
-            self.covariance[shared, shared] = kept
+        self.covariance[np.ix_(held, held)] = kept
 
     def boxplus(
         self, state: NavState, clones: list[Pose], delta: Array

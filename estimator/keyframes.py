@@ -34,6 +34,8 @@ class Keyframe:
     """median depth of the landmarks"""
     calibration: Array
     """(C,) of the filter when the planes were measured"""
+    motion: Array
+    """(6,) turn rate in the IMU's frame and velocity in the odometry frame at ``tick``"""
 
     def landmarks_camera(self, camera: CameraIntrinsics) -> Array:
         """(N, 3) in the camera frame; zeros where the plane is unknown."""

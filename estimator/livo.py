@@ -35,7 +35,12 @@ from estimator.landmark_depth import RecentReturns
 from estimator.lidar_update import DegeneracyWatch, LidarReport
 from estimator.patch_tracker import grey_levels
 from estimator.plane_map import PlaneMap
-from estimator.self_calibration import CALIBRATION_DIM, corrected_mount
+from estimator.self_calibration import (
+    CLOCK,
+    calibration_diagnostics,
+    corrected_mount,
+    prior_sigmas,
+)
 from estimator.stillness import Stillness
 from estimator.visual import VisualFrontEnd, VisualReport
 from sim.api import (
@@ -86,13 +91,14 @@ class Livo:
         self._imu_from_lidar = self._imu_from_body @ rig.body_from_lidar
         start = rig.world_from_body_start @ rig.body_from_imu
         zero = np.zeros(3)
-        rig_sigmas = _calibration_sigmas(params)
+        rig_sigmas = prior_sigmas(params)
         state = NavState(
             0, start.rotation, start.translation, zero, zero, zero, np.zeros(len(rig_sigmas))
         )
         bias_sigmas = np.repeat([rig.imu.gyro_bias_sigma, rig.imu.accel_bias_sigma], 3)
         self._eskf = Eskf(state, np.concatenate([_START_SIGMAS, bias_sigmas, rig_sigmas]) ** 2)
-        self._eskf.learns, self._eskf.loose = False, params.loose
+        self._eskf.loose = params.loose
+        self._teach(False)
         self._anchors = Anchors()
         self._head = state
         self._head_covariance = self._eskf.covariance[:STATE_DIM, :STATE_DIM].copy()
@@ -254,7 +260,7 @@ class Livo:
         params = self._params
         reach = float(np.median(np.linalg.norm(beams, axis=1)))
         self._last_height = reach
-        self._eskf.learns = reach >= params.calibrate_above_m
+        self._teach(reach >= params.calibrate_above_m)
         if not params.use_lidar:
             return LidarReport(matched=0, rms_m=0.0, lateral_strength=np.zeros(3))
         # the footprint is about 1.75 x 0.5 of the height: so many even cells cover it
@@ -318,7 +324,7 @@ class Livo:
         levels = grey_levels(rgb)
         self._vision.measure_open_keyframes(self._eskf, self._recent, image.tick)
         # what a keyframe has wrong repeats from image to image, and would be taken for the rig's
-        self._eskf.learns = False
+        self._teach(False)
         report = self._vision.update(self._eskf, levels)
         if report.used:
             self._vision_tick = image.tick
@@ -328,15 +334,13 @@ class Livo:
         if self._vision.wants_keyframe(report, image.tick):
             self._vision.add_keyframe(self._eskf, levels, self._recent, image.tick)
         self._diagnostics |= _visual_diagnostics(report, len(self._vision.keyframes))
-        calibration = self._eskf.state.calibration
-        if len(calibration):
-            turn = np.degrees(calibration[:3])
-            self._diagnostics |= {
-                "calibration_roll_deg": float(turn[0]),
-                "calibration_pitch_deg": float(turn[1]),
-                "calibration_yaw_deg": float(turn[2]),
-                "calibration_focal": float(calibration[6:8].mean()),
-            }
+        self._diagnostics |= calibration_diagnostics(self._eskf.state.calibration)
+
+    def _teach(self, mount_and_lens: bool) -> None:
+        """Whether the next measurement corrects these; the camera's clock, which nothing else looks
+        like, it always does."""
+        self._eskf.learns[:] = mount_and_lens
+        self._eskf.learns[CLOCK:] = True
 
     def _track_over(self, first: int) -> PoseTrack:
         imu_from_body = self._imu_from_body
@@ -409,15 +413,6 @@ class Livo:
             diagnostics=dict(self._diagnostics),
             events=tuple(self._events),
         )
-
-
-def _calibration_sigmas(params: LivoParams) -> Array:
-    """(10,), or (0,) where the rig is taken as told; rad, m, 1, pixels."""
-    if not params.use_calibration:
-        return np.zeros(0)
-    turn = np.radians(params.mount_turn_sigma_deg)
-    sigmas = [turn, params.mount_shift_sigma_m, params.focal_sigma, params.center_sigma_px]
-    return np.repeat(sigmas, [3, 3, 2, CALIBRATION_DIM - 8])
 
 
 def _tick_of(message: LidarScan | CameraImage) -> int:

@@ -22,7 +22,13 @@ from estimator.keyframes import (
 from estimator.landmark_depth import RecentReturns
 from estimator.patch_tracker import Grey, track
 from estimator.plane_extension import extend_plane
-from estimator.self_calibration import MOUNT_DIM, corrected_intrinsics, landmark_jacobians
+from estimator.self_calibration import (
+    CENTER,
+    FOCAL,
+    corrected_intrinsics,
+    exposed,
+    landmark_jacobians,
+)
 from sim.api import CameraIntrinsics
 from sim.frames import Pose
 
@@ -60,7 +66,7 @@ def reprojection_information(
     fixed, exact = np.zeros((len(pixels), 3, 0)), np.zeros((len(pixels), 3))
     return calibrated_information(
         pixels, landmarks, fixed, exact, rotation, position, key_rotation, key_position,
-        camera_rotation, camera_position, intrinsics, sigma_px, gate_px,
+        np.zeros(12), camera_rotation, camera_position, intrinsics, sigma_px, gate_px,
     )  # fmt: skip
 
 
@@ -74,6 +80,7 @@ def calibrated_information(
     position: Array,
     key_rotation: Array,
     key_position: Array,
+    motions: Array,
     camera_rotation: Array,
     camera_position: Array,
     intrinsics: Array,
@@ -84,9 +91,10 @@ def calibrated_information(
     keyframe.
 
     ``pixels`` (N, 2) measured now; ``landmarks`` (N, 3) in the keyframe's IMU frame and their
-    ``jacobians`` (N, 3, C) by the calibration, C = 0 or 10, and ``spreads`` (N, 3), one standard
+    ``jacobians`` (N, 3, C) by the calibration, C = 0 or 11, and ``spreads`` (N, 3), one standard
     deviation along their rays; ``rotation``,
-    ``position``: odom_from_imu now; ``key_*``: odom_from_imu of the keyframe; ``camera_*``:
+    ``position``: odom_from_imu when the picture was taken; ``key_*``: likewise of the keyframe;
+    ``motions`` (12,): turn rate and velocity now, then the keyframe's; ``camera_*``:
     camera_from_imu; ``intrinsics``: fx, fy, cx, cy. Error order: present rotation (right
     perturbation) and position, then the keyframe's, then the calibration. Cauchy weights of scale
     ``gate_px`` / 2, zero beyond ``gate_px``. Returns also the number used and their rms in pixels.
@@ -137,6 +145,9 @@ def calibrated_information(
             jacobian[1, 19] += fy * c[1] / c[2]
             jacobian[0, 20] += 1.0
             jacobian[1, 21] += 1.0
+            for a in range(2):
+                for b in range(12):
+                    jacobian[a, 22] -= jacobian[a, b] * motions[b]
         weight = 1.0 / ((1.0 + 4.0 * error2 / (gate_px * gate_px)) * sigma_px * sigma_px)
         # the landmark's depth moves its pixel along one line, on which less is known
         du, dv = 0.0, 0.0
@@ -231,8 +242,14 @@ class VisualFrontEnd:
                 and age <= self._open_ticks
                 and age % (self._open_ticks // 4) == 0
             ):
-                camera_from_odom = (eskf.clones[k] @ self._imu_from_camera).inverse()
+                camera_from_odom = self._camera_at(eskf.clones[k], keyframe).inverse()
                 measure_planes(keyframe, recent, camera_from_odom, self._camera)
+
+    def _camera_at(self, pose: Pose, keyframe: Keyframe) -> Pose:
+        """odom_from_camera of a keyframe stamped at ``pose``, by the calibration it was made
+        with."""
+        (taken,) = exposed([pose], keyframe.motion[None], keyframe.calibration)
+        return taken @ self._imu_from_camera
 
     def add_keyframe(
         self, eskf: Eskf, levels: tuple[Grey, Grey, Grey], recent: RecentReturns, tick: int
@@ -240,7 +257,7 @@ class VisualFrontEnd:
         """Makes the present image a keyframe, if enough of its features have a plane."""
         pixels = detect_features(levels[0], self._features)
         keyframe = self._keyframe(eskf, levels, pixels, tick)
-        camera_from_odom = (eskf.state.pose @ self._imu_from_camera).inverse()
+        camera_from_odom = self._camera_at(eskf.state.pose, keyframe).inverse()
         measure_planes(keyframe, recent, camera_from_odom, self._camera)
         if int(keyframe.valid.sum()) < _LEAST_PLANES:
             extend_plane(keyframe, recent, camera_from_odom, self._camera)
@@ -269,6 +286,7 @@ class VisualFrontEnd:
             sigmas=np.zeros(count),
             depth_m=0.0,
             calibration=eskf.state.calibration,
+            motion=eskf.motion,
         )
 
     def _append(self, eskf: Eskf, keyframe: Keyframe) -> None:
@@ -294,8 +312,7 @@ class VisualFrontEnd:
 
     def update(self, eskf: Eskf, levels: tuple[Grey, Grey, Grey]) -> VisualReport:
         """Iterated update by one image; nothing is changed if fewer than 15 landmarks are found."""
-        poses = [clone @ self._imu_from_camera for clone in eskf.clones]
-        now = eskf.state.pose @ self._imu_from_camera
+        *poses, now = (pose @ self._imu_from_camera for pose in self._exposed(eskf))
         candidates = overlaps(self.keyframes, poses, now, self._camera)
         if self._oldest is not None:
             first = len(self.keyframes) - self._oldest
@@ -321,6 +338,11 @@ class VisualFrontEnd:
         used, rms = self._iterate(eskf, tracks)
         return VisualReport(used=used, looked_back=len(tracks), rms_px=rms, best_share=share)
 
+    def _exposed(self, eskf: Eskf) -> list[Pose]:
+        """odom_from_imu of all clones, then of now, when their pictures were taken."""
+        motions = np.array([*(keyframe.motion for keyframe in self.keyframes), eskf.motion])
+        return exposed([*eskf.clones, eskf.state.pose], motions, eskf.state.calibration)
+
     def _track(self, eskf: Eskf, k: int, which: NDArray[np.int64], pixels: Array) -> _Track:
         """Landmarks of keyframe ``k`` as made, and how they depend on the calibration."""
         keyframe = self.keyframes[k]
@@ -332,10 +354,12 @@ class VisualFrontEnd:
             none = np.zeros((len(which), 3, 0))
             return _Track(k, pixels, landmarks, none, spreads, np.zeros(0))
         made_with = keyframe.calibration.copy()
-        made_with[MOUNT_DIM:] = 0.0  # rays are those of the told lens
+        made_with[FOCAL] = made_with[CENTER] = 0.0  # rays are those of the told lens
+        motion = keyframe.motion.copy()
+        motion[3:] = eskf.clones[k].rotation.T @ motion[3:]
         jacobians = landmark_jacobians(
             bearing_rays(keyframe.pixels[which], self._camera), keyframe.planes[which],
-            self._lidar_in_camera, self._imu_from_camera.rotation, self._camera,
+            self._lidar_in_camera, self._imu_from_camera, motion, self._camera,
         )  # fmt: skip
         return _Track(k, pixels, landmarks, jacobians, spreads, made_with)
 
@@ -369,12 +393,14 @@ class VisualFrontEnd:
         if shared:
             intrinsics = corrected_intrinsics(self._camera, state.calibration)
         used, total = 0, 0.0
+        *clones, now = self._exposed(eskf)
         for slot, track_ in enumerate(tracks):
-            clone = eskf.clones[track_.keyframe]
+            clone, keyframe = clones[track_.keyframe], self.keyframes[track_.keyframe]
             landmarks = track_.landmarks + track_.jacobians @ (state.calibration - track_.made_with)
             part, part_vector, count, rms = calibrated_information(
                 track_.pixels, landmarks, track_.jacobians, track_.spreads,
-                state.rotation, state.position, clone.rotation, clone.translation,
+                now.rotation, now.translation, clone.rotation, clone.translation,
+                np.concatenate([eskf.motion, keyframe.motion]),
                 self._camera_from_imu.rotation, self._camera_from_imu.translation,
                 intrinsics, self._sigma_px, gate_px,
             )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -64,6 +65,11 @@ def position_at(t: float) -> np.ndarray:
     return np.array([0.5 * t * t, 0.0, START_Z])
 
 
+def swaying(t: float) -> np.ndarray:
+    """To and fro along x, at up to 4 m/s and 8 m/s^2."""
+    return np.array([2.0 * (1.0 - np.cos(2.0 * t)), 0.0, START_Z])
+
+
 def scan_ending_at(tick: int) -> LidarScan:
     """Level ground z = 0 under the moving LIDAR, without noise."""
     rng = np.random.default_rng(tick)
@@ -102,9 +108,11 @@ def ground_grey(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray(128.0 + 45.0 * waves)
 
 
-def image_at(tick: int, rig: SensorRig) -> CameraImage:
+def image_at(tick: int, rig: SensorRig, position: np.ndarray | None = None) -> CameraImage:
+    """Stamped ``tick``, taken at ``position``; None: where the vehicle then is."""
     camera = rig.camera
-    pose = Pose(np.eye(3), position_at(tick / HZ)) @ rig.body_from_camera
+    taken = position_at(tick / HZ) if position is None else position
+    pose = Pose(np.eye(3), taken) @ rig.body_from_camera
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     rays = np.stack(
         [(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], -1
@@ -114,16 +122,25 @@ def image_at(tick: int, rig: SensorRig) -> CameraImage:
     return CameraImage(tick=tick, time_s=tick / HZ, rgb=np.repeat(grey[..., None], 3, axis=2))
 
 
-def observations(rig: SensorRig, last_tick: int) -> list[Observation]:
-    found = []
+def observations(
+    rig: SensorRig,
+    last_tick: int,
+    motion: Callable[[float], np.ndarray] = position_at,
+    ahead_ticks: int = 0,
+) -> list[Observation]:
+    """``ahead_ticks``: of the camera's clock."""
+    found, step = [], IMU_TICKS / HZ
     for tick in range(0, last_tick + 1, IMU_TICKS):
         measured = tick - LATENCY
         due = measured > 0 and measured % SCAN_TICKS == 0
+        # the mean over the interval that ends now, of a motion whose acceleration hardly changes
+        now = motion(tick / HZ - 0.5 * step)
+        around = motion(tick / HZ - 1.5 * step) + motion(tick / HZ + 0.5 * step) - 2.0 * now
         imu = ImuSample(
             tick=tick,
             time_s=tick / HZ,
             angular_velocity=np.zeros(3),
-            specific_force=np.array([1.0, 0.0, GRAVITY_MPS2]),
+            specific_force=around / step**2 + np.array([0.0, 0.0, GRAVITY_MPS2]),
         )
         found.append(
             Observation(
@@ -131,7 +148,9 @@ def observations(rig: SensorRig, last_tick: int) -> list[Observation]:
                 time_s=tick / HZ,
                 imu=(imu,) if tick else (),
                 scans=(scan_ending_at(measured),) if due else (),
-                images=(image_at(measured, rig),) if due else (),
+                images=(image_at(measured, rig, motion((measured - ahead_ticks) / HZ)),)
+                if due
+                else (),
                 rotor_speed_radps=np.full(4, 400.0),
                 battery_fraction=1.0,
             )
@@ -161,6 +180,22 @@ def test_a_clean_second_is_followed_to_the_centimetre() -> None:
     assert last.diagnostics["features_tracked"] > 30
     assert last.diagnostics["lidar_matched"] > 500
     assert last.healthy
+
+
+@pytest.mark.parametrize("sigma_s", [0.005, 0.0])
+def test_a_camera_whose_clock_is_ahead_is_found_out(sigma_s: float) -> None:
+    """20 ms at up to 4 m/s are 8 cm, where the clock is taken as told."""
+    livo = Livo(RIG, LivoParams(camera_clock_sigma_s=sigma_s))
+    estimates = [livo.update(obs) for obs in observations(RIG, 3000, swaying, 12)]
+    late = [e for e in estimates if e.time_s > 2.5]
+    worst = max(np.linalg.norm(e.world_from_body.translation - swaying(e.time_s)) for e in late)
+    clock_ms = late[-1].diagnostics["calibration_clock_ms"]
+    if sigma_s:
+        assert clock_ms == pytest.approx(20.0, abs=1.0)
+        assert worst < 0.02
+    else:
+        assert clock_ms == 0.0
+        assert worst > 0.05
 
 
 def test_biases_and_level_are_learned_on_the_ground() -> None:

@@ -18,6 +18,7 @@ from estimator.self_calibration import (
     CALIBRATION_DIM,
     corrected_intrinsics,
     corrected_mount,
+    exposed,
     landmark_jacobians,
 )
 from estimator.visual import calibrated_information
@@ -44,7 +45,7 @@ def test_anchored_jacobian_matches_finite_differences() -> None:
     def height(delta: np.ndarray) -> float:
         turn, shift = so3_exp(delta[6:9]), delta[9:12]
         pose = Pose(now.rotation @ so3_exp(delta[:3]), now.translation + delta[3:6])
-        owner = Pose(clone.rotation @ so3_exp(delta[16:19]), clone.translation + delta[19:])
+        owner = Pose(clone.rotation @ so3_exp(delta[-6:-3]), clone.translation + delta[-3:])
         point = owner.inverse().apply(pose.apply(turn @ beam_now + lever + shift))
         return float((turn @ in_clone) @ (point - (turn @ beam_then + lever + shift)))
 
@@ -58,10 +59,11 @@ def test_anchored_jacobian_matches_finite_differences() -> None:
         clone.rotation[None], clone.translation[None], np.zeros((1, 6)), CALIBRATION_DIM,
         0.02, 1e-3, 0.0, 1e9,
     )  # fmt: skip
-    gradient = np.array([(height(1e-6 * e) - height(-1e-6 * e)) / 2e-6 for e in np.eye(22)])
+    size = 12 + CALIBRATION_DIM
+    gradient = np.array([(height(1e-6 * e) - height(-1e-6 * e)) / 2e-6 for e in np.eye(size)])
     assert used == 1
     np.testing.assert_allclose(information, np.outer(gradient, gradient), atol=1e-5)
-    np.testing.assert_allclose(vector, -gradient * height(np.zeros(22)), atol=1e-4)
+    np.testing.assert_allclose(vector, -gradient * height(np.zeros(size)), atol=1e-4)
 
 
 def test_landmarks_move_with_the_rig_as_predicted() -> None:
@@ -71,6 +73,7 @@ def test_landmarks_move_with_the_rig_as_predicted() -> None:
     planes = normals / (20.0 * np.linalg.norm(normals, axis=1, keepdims=True))
     sensor = np.array([0.3, -0.5, 0.1])
     rotation = IMU_FROM_CAMERA.rotation
+    motion = np.array([0.3, -0.6, 0.4, 7.0, 2.0, -1.0])
 
     def landmarks(calibration: np.ndarray) -> np.ndarray:
         """The plane through three returns around each landmark, met by a ray of a lens."""
@@ -85,10 +88,16 @@ def test_landmarks_move_with_the_rig_as_predicted() -> None:
         for i, n in enumerate(planes):
             moved_n = turn @ n
             through = turn @ (centre[i] - sensor) + sensor + shift
+            # the same plane, from where the camera was when the picture was taken
+            (taken,) = exposed([Pose.identity()], motion[None], calibration)
+            early = IMU_FROM_CAMERA.inverse() @ taken.inverse() @ IMU_FROM_CAMERA
+            moved_n, through = early.rotation @ moved_n, early.apply(through)
             out[i] = rays[i] * (moved_n @ through) / (moved_n @ rays[i])
         return out @ rotation.T
 
-    jacobians = landmark_jacobians(bearing_rays(pixels, CAMERA), planes, sensor, rotation, CAMERA)
+    jacobians = landmark_jacobians(
+        bearing_rays(pixels, CAMERA), planes, sensor, IMU_FROM_CAMERA, motion, CAMERA
+    )
     for k in range(CALIBRATION_DIM):
         if k < 3:
             continue  # a turn about the sensor also turns the plane: below
@@ -109,22 +118,27 @@ def test_calibrated_reprojection_matches_finite_differences() -> None:
     )
     camera_from_imu = IMU_FROM_CAMERA.inverse()
     landmark, jacobian = np.array([1.5, -1.0, -19.0]), rng.normal(size=(3, CALIBRATION_DIM))
+    motions = rng.normal(0, 1, (2, 6))
+    size = 12 + CALIBRATION_DIM
 
     def pixel(delta: np.ndarray) -> np.ndarray:
         pose = Pose(now.rotation @ so3_exp(delta[:3]), now.translation + delta[3:6])
         owner = Pose(key.rotation @ so3_exp(delta[6:9]), key.translation + delta[9:12])
         point = landmark + jacobian @ delta[12:]
         fx, fy, cx, cy = corrected_intrinsics(CAMERA, delta[12:])
+        pose, owner = exposed([pose, owner], motions, delta[12:])
         x, y, z = (camera_from_imu @ pose.inverse() @ owner).apply(point)
         return np.array([fx * x / z + cx, fy * y / z + cy])
 
     residual = np.array([0.05, -0.1])
     information, vector, used, _ = calibrated_information(
-        (pixel(np.zeros(22)) + residual)[None], landmark[None], jacobian[None], np.zeros((1, 3)),
-        now.rotation, now.translation, key.rotation, key.translation, camera_from_imu.rotation,
-        camera_from_imu.translation, corrected_intrinsics(CAMERA, np.zeros(10)), 1.0, 1e6,
+        (pixel(np.zeros(size)) + residual)[None], landmark[None], jacobian[None], np.zeros((1, 3)),
+        now.rotation, now.translation, key.rotation, key.translation, motions.ravel(),
+        camera_from_imu.rotation, camera_from_imu.translation,
+        corrected_intrinsics(CAMERA, np.zeros(CALIBRATION_DIM)), 1.0, 1e6,
     )  # fmt: skip
-    gradient = np.column_stack([(pixel(1e-6 * e) - pixel(-1e-6 * e)) / 2e-6 for e in np.eye(22)])
+    steps = 1e-6 * np.eye(size)
+    gradient = np.column_stack([(pixel(step) - pixel(-step)) / 2e-6 for step in steps])
     assert used == 1
     np.testing.assert_allclose(information, gradient.T @ gradient, rtol=1e-3, atol=0.1)
     np.testing.assert_allclose(vector, gradient.T @ residual, rtol=1e-3, atol=1e-2)
@@ -138,7 +152,16 @@ def test_an_unsure_depth_says_nothing_along_its_line() -> None:
     intrinsics = np.array([600.0, 600.0, 423.5, 239.5])
     spread = 1e3 * landmark / np.linalg.norm(landmark)
     information, *_ = calibrated_information(
-        pixels, landmark, np.zeros((1, 3, 0)), spread, *arguments, intrinsics, 1.0, 1e6
+        pixels,
+        landmark,
+        np.zeros((1, 3, 0)),
+        spread,
+        *arguments[:4],
+        np.zeros(12),
+        *arguments[4:],
+        intrinsics,
+        1.0,
+        1e6,
     )
     assert information[3, 3] < 1e-3  # x of the position moves the pixel along the line
     assert information[4, 4] == pytest.approx((600.0 / 12.0) ** 2, rel=0.01)
@@ -152,7 +175,7 @@ def test_calibration_is_carried_and_corrected() -> None:
         np.zeros(CALIBRATION_DIM),
     )  # fmt: skip
     base = STATE_DIM + CALIBRATION_DIM
-    with pytest.raises(ValueError, match="give 25"):
+    with pytest.raises(ValueError, match="give 26"):
         Eskf(state, np.ones(STATE_DIM))
     eskf = Eskf(state, np.full(base, 0.01))
     eskf.add_clone()
@@ -170,7 +193,7 @@ def test_calibration_is_carried_and_corrected() -> None:
     expected = prior @ full / (full @ prior @ full + 1.0)
     np.testing.assert_allclose(delta, expected, atol=1e-10)
     # not learning: the calibration stays, the rest moves as before and is as sure as before
-    eskf.learns = False
+    eskf.learns[:] = False
     held = eskf.gain(touched, information, row)
     np.testing.assert_array_equal(held[STATE_DIM:base], 0.0)
     np.testing.assert_array_equal(held[:STATE_DIM], delta[:STATE_DIM])
@@ -269,7 +292,7 @@ def flown(seed: int, walls: bool, drift_m: float) -> tuple[Eskf, np.ndarray, np.
     along y, by an odometry that errs by ``drift_m`` a step, adding to its map as it goes. Returns
     the filter, what the told mount has wrong, and the true position."""
     rng = np.random.default_rng(seed)
-    sigmas = np.repeat([5e-3, 0.01, 0.0, 0.0], [3, 3, 2, 2])
+    sigmas = np.repeat([5e-3, 0.01, 0.0, 0.0, 0.0], [3, 3, 2, 2, 1])
     error = sigmas * rng.standard_normal(CALIBRATION_DIM)
     told = Pose(np.eye(3), np.array([0.0, 0.0, -0.1]))
     true = corrected_mount(told, error)
