@@ -3,6 +3,7 @@
 A classifier is trained on squares cut out of the camera's pictures, so that is what it gets: not
 the coloured map, whose cells are far coarser. A square is laid level through the ground at a site,
 along the picture's own axes, which takes out the camera's tilt and lens and keeps the resolution.
+Haze, if the pictures taken so far show any, is taken out as well.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.api import Estimate
+from landing.haze import Haze, darkest_light, estimate_haze
 from sim.api import CameraIntrinsics, Observation, SensorRig
 from sim.frames import Pose, interpolate_pose
 
@@ -42,6 +44,8 @@ class _Kept:
     odom_from_camera: Pose
     height_m: float
     """above the ground of the take-off"""
+    darkest: float = 0.0
+    """``landing.haze.darkest_light``, of those that are kept"""
 
 
 class KeptPictures:
@@ -57,6 +61,8 @@ class KeptPictures:
         self._track: deque[tuple[float, Pose]] = deque(maxlen=_TRACK)
         self._kept: list[_Kept] = []
         self._newest: _Kept | None = None
+        self._haze: Haze | None = None
+        """as the kept pictures have it; None: to be estimated"""
 
     def __len__(self) -> int:
         return len(self._kept)
@@ -99,8 +105,12 @@ class KeptPictures:
     def _keep(self, picture: _Kept) -> None:
         """A copy, since the picture is another's. Where there are too many, they move apart."""
         self._kept.append(
-            _Kept(picture.rgb.copy(), picture.time_s, picture.odom_from_camera, picture.height_m)
-        )
+            _Kept(
+                picture.rgb.copy(), picture.time_s, picture.odom_from_camera, picture.height_m,
+                darkest_light(picture.rgb),
+            )
+        )  # fmt: skip
+        self._haze = None
         while len(self._kept) > self._limit:
             self._spacing *= _WIDER
             kept = self._kept[:1]
@@ -108,6 +118,14 @@ class KeptPictures:
                 if self._apart(kept[-1], other):
                     kept.append(other)
             self._kept = kept
+
+    @property
+    def haze(self) -> Haze:
+        """By the pictures kept so far."""
+        if self._haze is None:
+            heights = np.array([kept.height_m for kept in self._kept])
+            self._haze = estimate_haze(heights, np.array([kept.darkest for kept in self._kept]))
+        return self._haze
 
     def square(
         self, site_odom: Array, side_m: float, pixels: int, since_s: float = -np.inf
@@ -153,6 +171,8 @@ class KeptPictures:
         where, _ = project(self._rig.camera, kept.odom_from_camera.inverse().apply(points))
         x, y = (np.ascontiguousarray(where[..., axis], np.float32) for axis in (0, 1))
         found = cv2.remap(kept.rgb, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        away = np.linalg.norm(points - kept.odom_from_camera.translation, axis=-1)
+        found = self.haze.removed(np.asarray(found, np.uint8), away)
         if count != pixels:
             found = cv2.resize(found, (pixels, pixels), interpolation=cv2.INTER_AREA)
         return np.asarray(found, np.uint8)
