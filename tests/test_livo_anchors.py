@@ -16,6 +16,7 @@ from estimator.keyframes import bearing_rays
 from estimator.plane_map import PlaneMap
 from estimator.self_calibration import (
     CALIBRATION_DIM,
+    CLOCK,
     corrected_intrinsics,
     corrected_mount,
     exposed,
@@ -194,6 +195,11 @@ def test_calibration_is_carried_and_corrected() -> None:
     np.testing.assert_allclose(delta, expected, atol=1e-10)
     # not learning: the calibration stays, the rest moves as before and is as sure as before
     eskf.learns[:] = False
+    eskf.learns[CLOCK] = True
+    some = eskf.gain(touched, information, row)[STATE_DIM:base]
+    assert some[CLOCK] == delta[STATE_DIM + CLOCK] != 0.0
+    np.testing.assert_array_equal(np.delete(some, CLOCK), 0.0)
+    eskf.learns[CLOCK] = False
     held = eskf.gain(touched, information, row)
     np.testing.assert_array_equal(held[STATE_DIM:base], 0.0)
     np.testing.assert_array_equal(held[:STATE_DIM], delta[:STATE_DIM])
