@@ -59,6 +59,8 @@ _START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)
 """rad, m, m/s: the take-off pose is known, but the legs settle"""
 _FEWEST_RETURNS = 50
 """in a scan worth using"""
+_FRESH_SCANS = 3
+"""periods of a scan, after which the last one no longer tells the ground around"""
 _LAST_FEW = 4
 """keyframes that are no closure to look back to"""
 _ANCHOR_REACH = 0.5
@@ -129,7 +131,7 @@ class Livo:
         self._history_positions = state.position[None]
         self._gyro, self._force = np.zeros(3), np.zeros(3)
         self._offset = np.zeros(9)
-        self._vision_tick = 0
+        self._vision_tick, self._scan_tick = 0, 0
         self._lifted = False
         self._last_height = 0.0
         self._diagnostics: dict[str, float] = {"skipped": 0.0}
@@ -244,6 +246,7 @@ class Livo:
             self._events += self._degeneracy.events(report)
         self._correct_history()
         self._learn(points, mount.translation, scan.end_tick)
+        self._scan_tick = scan.end_tick
         self._scan_track = self._track_over(first)
         self._diagnostics |= {
             "scan_returns": float(len(points)),
@@ -332,7 +335,9 @@ class Livo:
         elif self._vision.keyframes:
             self._diagnostics["skipped"] += 1.0
         if self._vision.wants_keyframe(report, image.tick):
-            self._vision.add_keyframe(self._eskf, levels, self._recent, image.tick)
+            # returns of long ago lie at one side of the picture, maybe on a roof there
+            fresh = image.tick - self._scan_tick <= _FRESH_SCANS * self._rig.lidar_scan_ticks
+            self._vision.add_keyframe(self._eskf, levels, self._recent, image.tick, extend=fresh)
         self._diagnostics |= _visual_diagnostics(report, len(self._vision.keyframes))
         self._diagnostics |= calibration_diagnostics(self._eskf.state.calibration)
 

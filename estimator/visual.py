@@ -252,14 +252,21 @@ class VisualFrontEnd:
         return taken @ self._imu_from_camera
 
     def add_keyframe(
-        self, eskf: Eskf, levels: tuple[Grey, Grey, Grey], recent: RecentReturns, tick: int
+        self,
+        eskf: Eskf,
+        levels: tuple[Grey, Grey, Grey],
+        recent: RecentReturns,
+        tick: int,
+        *,
+        extend: bool = True,
     ) -> bool:
-        """Makes the present image a keyframe, if enough of its features have a plane."""
+        """Makes the present image a keyframe, if enough of its features have a plane; ``extend``:
+        their own, or that of the returns around."""
         pixels = detect_features(levels[0], self._features)
         keyframe = self._keyframe(eskf, levels, pixels, tick)
         camera_from_odom = self._camera_at(eskf.state.pose, keyframe).inverse()
         measure_planes(keyframe, recent, camera_from_odom, self._camera)
-        if int(keyframe.valid.sum()) < _LEAST_PLANES:
+        if extend and int(keyframe.valid.sum()) < _LEAST_PLANES:
             extend_plane(keyframe, recent, camera_from_odom, self._camera)
         if int(keyframe.valid.sum()) < _LEAST_PLANES:
             return False
