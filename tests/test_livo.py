@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from estimator.api import Estimate, LivoParams
 from estimator.livo import Livo
 from estimator.oracle import Oracle
+from estimator.visual import VisualFrontEnd
 from sim.api import (
     GRAVITY_MPS2,
     CameraImage,
@@ -299,6 +301,20 @@ def test_broken_input_costs_centimetres_at_most(kind: str) -> None:
         assert np.isfinite(e.position_covariance).all()
     if kind in ("black image", "late scan", "nan imu"):
         assert estimates[-1].diagnostics["skipped"] >= 1.0
+
+
+def test_returns_of_long_ago_are_not_extended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The LIDAR is silent from the scan at 0.6 s on; that of 0.5 s is fresh for three periods."""
+    asked: list[tuple[int, bool]] = []
+
+    def note(self: VisualFrontEnd, *args: Any, extend: bool = True) -> bool:
+        asked.append((args[3], extend))
+        return False
+
+    monkeypatch.setattr(VisualFrontEnd, "add_keyframe", note)
+    fly([dataclasses.replace(o, scans=()) if o.tick > 350 else o for o in FLIGHT])
+    assert [extend for tick, extend in asked if tick <= 480] == [True] * 8
+    assert [extend for tick, extend in asked if tick > 480] == [False] * 4
 
 
 def test_corrections_reach_control_without_a_jump() -> None:

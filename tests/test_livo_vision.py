@@ -211,6 +211,22 @@ def test_keyframes_are_bounded_and_their_clones_go_with_them() -> None:
         assert clone.translation[0] == 0.5 * keyframe.tick / 60
 
 
+def test_a_plane_is_extended_only_on_demand() -> None:
+    """22 m up, returns from a patch of 7 m right below: few features have a plane of their own."""
+    rng = np.random.default_rng(8)
+    recent = RecentReturns(scans=1, per_scan=20_000)
+    recent.add(
+        np.column_stack([rng.uniform(-3.5, 3.5, (20_000, 2)), rng.normal(0.0, 0.01, 20_000)])
+    )
+    pose = imu_pose((0, 0, 22), (0, 0, 0))
+    image = grey_levels(view(pose @ IMU_FROM_CAMERA))
+    vision, eskf = front_end(), filter_at(pose)
+    assert not vision.add_keyframe(eskf, image, recent, 0, extend=False)
+    assert not vision.keyframes and not eskf.clones
+    assert vision.add_keyframe(eskf, image, recent, 0)
+    assert vision.keyframes[0].valid.sum() > 60
+
+
 def test_the_surest_and_the_best_overlapping_keyframes_are_chosen() -> None:
     candidates = [
         Overlap(0, 50, 0.40, 1.0),
