@@ -17,6 +17,17 @@ from sim.frames import Pose
 
 Array = NDArray[np.float64]
 
+LEAST_CONTRAST = 2.5
+"""standard deviation of each channel's levels below which an image shows nothing but noise"""
+
+
+def picture_trouble(pixels: NDArray[np.uint8], before: NDArray[np.uint8]) -> str:
+    """Why not to believe some pixels (h, w, 3) of an image, those of the one ``before`` known, in
+    words; "": nothing is wrong. Noise never repeats."""
+    if float(pixels.reshape(-1, 3).std(axis=0).max()) < LEAST_CONTRAST:
+        return "no contrast"
+    return "the same as the one before" if np.array_equal(pixels, before) else ""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PoseTrack:

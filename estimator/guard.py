@@ -17,10 +17,9 @@ import numpy as np
 from numba import njit, types
 from numpy.typing import NDArray
 
+from estimator.api import picture_trouble
 from sim.api import CameraImage, ImuSample, LidarScan, Observation, SensorRig
 
-_LEAST_CONTRAST = 2.5
-"""standard deviation of each channel's levels below which an image shows nothing but noise"""
 _STRIDE = 8
 """between the pixels that are looked at"""
 _CLUTTER_M = 10.0
@@ -160,10 +159,8 @@ class InputGuard:
         if rgb.shape != self._shape or rgb.dtype != np.uint8:
             return None, f"{rgb.dtype} of shape {rgb.shape} instead of uint8 {self._shape}"
         pixels = np.ascontiguousarray(rgb[::_STRIDE, ::_STRIDE])
-        if float(pixels.reshape(-1, 3).std(axis=0).max()) < _LEAST_CONTRAST:
-            return None, "no contrast"
-        if np.array_equal(pixels, self._pixels):
-            return None, "the same as the one before"
+        if trouble := picture_trouble(pixels, self._pixels):
+            return None, trouble
         self._pixels = pixels
         return image, ""
 

@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import Estimate
+from estimator.api import Estimate, picture_trouble
 from landing.haze import Haze, darkest_light, estimate_haze
-from sim.api import CameraIntrinsics, Observation, SensorRig
+from sim.api import CameraImage, CameraIntrinsics, Observation, SensorRig
 from sim.frames import Pose, interpolate_pose
 
 Array = NDArray[np.float64]
@@ -30,6 +30,8 @@ _SPACING = 0.2
 _WIDER = 1.25
 """times as far apart they are where there are too many"""
 _LOWEST_M = 3.0
+_STRIDE = 8
+"""between the pixels that tell whether a picture is one"""
 _MOST_PX = 480
 _SHRUNK = (1.0, 0.7, 0.5)
 """sides that are tried, relative to the wanted one, where no picture shows all of the square"""
@@ -61,6 +63,10 @@ class KeptPictures:
         self._track: deque[tuple[float, Pose]] = deque(maxlen=_TRACK)
         self._kept: list[_Kept] = []
         self._newest: _Kept | None = None
+        self._newest_s = -np.inf
+        """stamp of the newest picture that was believed"""
+        self._pixels: Picture = np.zeros(0, np.uint8)
+        """some of it"""
         self._haze: Haze | None = None
         """as the kept pictures have it; None: to be estimated"""
 
@@ -72,7 +78,7 @@ class KeptPictures:
         self._track.append((estimate.time_s, estimate.odom_from_body))
         if not estimate.healthy:
             return
-        for image in obs.images:
+        for image in self._believed(obs.images):
             pose = self._pose_at(image.time_s)
             if pose is None:
                 continue
@@ -83,6 +89,21 @@ class KeptPictures:
             low = kept.height_m < _LOWEST_M
             if not low and (not self._kept or self._apart(self._kept[-1], kept)):
                 self._keep(kept)
+
+    def _believed(self, images: tuple[CameraImage, ...]) -> list[CameraImage]:
+        """Those that show something, something new, and come in order: what is black or frozen is
+        no ground, and of two that are swapped neither tells where it was taken."""
+        times = [image.time_s for image in images]
+        if times != sorted(times):
+            return []
+        found = []
+        for image in images:
+            pixels = np.ascontiguousarray(image.rgb[::_STRIDE, ::_STRIDE])
+            if image.time_s <= self._newest_s or picture_trouble(pixels, self._pixels):
+                continue
+            self._newest_s, self._pixels = image.time_s, pixels
+            found.append(image)
+        return found
 
     def _pose_at(self, time_s: float) -> Pose | None:
         """odom_from_body between the causal estimates around an exposure; None for one from before

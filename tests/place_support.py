@@ -35,11 +35,15 @@ def small_rig() -> SensorRig:
 
 
 def plain(name: str) -> Paint:
-    return lambda x, y: np.broadcast_to(np.array(COLOURS[name], float), (*x.shape, 3))
+    """One colour, mottled: a picture without contrast is not believed."""
+    return lambda x, y: np.array(COLOURS[name], float) + 8.0 * np.sin(2.1 * x + 1.7 * y)[..., None]
 
 
-def photograph(rig: SensorRig, world_from_body: Pose, paint: Paint, time_s: float) -> CameraImage:
-    """What the camera, without distortion, sees of level ground at z = 0."""
+def photograph(
+    rig: SensorRig, world_from_body: Pose, paint: Paint, time_s: float, noise: float = 1.0
+) -> CameraImage:
+    """What the camera, without distortion, sees of level ground at z = 0, with noise (levels),
+    since a picture that repeats is not believed."""
     camera = world_from_body @ rig.body_from_camera
     col, row = np.meshgrid(np.arange(rig.camera.width), np.arange(rig.camera.height))
     beams = np.stack([(col - rig.camera.cx) / rig.camera.fx,
@@ -47,8 +51,10 @@ def photograph(rig: SensorRig, world_from_body: Pose, paint: Paint, time_s: floa
     ways = beams @ camera.rotation.T
     reach = -camera.translation[2] / ways[..., 2]
     x, y = (camera.translation[i] + reach * ways[..., i] for i in (0, 1))
-    rgb = np.round(np.clip(paint(x, y), 0, 255)).astype(np.uint8)
-    return CameraImage(tick=round(600 * time_s), time_s=time_s, rgb=rgb)
+    tick = round(600 * time_s)
+    levels = paint(x, y) + np.random.default_rng(tick).normal(0.0, noise, (*x.shape, 3))
+    rgb = np.round(np.clip(levels, 0, 255)).astype(np.uint8)
+    return CameraImage(tick=tick, time_s=time_s, rgb=rgb)
 
 
 class ByColour:

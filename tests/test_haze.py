@@ -104,7 +104,7 @@ def _climbed(haze: Haze) -> KeptPictures:
             light = (_ground(x, y) / 255.0) ** 2.2 * np.exp(-haze.extinction * away)[..., None]
             return 255.0 * (light + haze.veil(away)[..., None]) ** (1.0 / 2.2)
 
-        image = photograph(rig, pose, hazy, float(step))
+        image = photograph(rig, pose, hazy, float(step), noise=0.0)
         pictures.take_in(make_obs(600 * step, images=(image,)), make_estimate(600 * step, pose))
     return pictures
 

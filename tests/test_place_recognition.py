@@ -146,8 +146,12 @@ def test_a_smaller_square_where_the_whole_one_is_not_shown() -> None:
 def test_kept_pictures_are_few_and_apart() -> None:
     rig = small_rig()
     pictures = KeptPictures(rig, 5)
-    source = np.zeros((rig.camera.height, rig.camera.width, 3), np.uint8)
-    for step in range(60):  # 1 m a step at 20 m: one in four is kept
+    rng = np.random.default_rng(7)
+    sources = [
+        rng.integers(0, 255, (rig.camera.height, rig.camera.width, 3)).astype(np.uint8)
+        for _ in range(60)
+    ]
+    for step, source in enumerate(sources):  # 1 m a step at 20 m: one in four is kept
         pose = Pose(np.eye(3), np.array([float(step), 0.0, 20.0]))
         image = photograph(rig, pose, plain("lawn"), step / 10.0)
         obs = make_obs(60 * step, images=(dataclasses.replace(image, rgb=source),))
@@ -157,7 +161,30 @@ def test_kept_pictures_are_few_and_apart() -> None:
     places = sorted(kept.odom_from_camera.translation[0] for kept in pictures._kept)
     assert places[0] == 0.0 and 16.0 not in places
     assert np.diff(places).min() >= 8.0 and places[-1] >= 40.0
-    assert all(kept.rgb is not source for kept in pictures._kept)
+    assert all(kept.rgb is not source for kept in pictures._kept for source in sources)
+
+
+def test_what_is_black_frozen_or_out_of_order_is_no_ground() -> None:
+    """5 m a step at 20 m; at odd steps something is wrong."""
+    rig = small_rig()
+    pictures = KeptPictures(rig, 8)
+    images = []
+    for step in range(10):
+        pose = Pose(np.eye(3), np.array([5.0 * step, 0.0, 20.0]))
+        images.append(photograph(rig, pose, plain("lawn"), 1.0 + step / 10.0))
+    images[1] = dataclasses.replace(images[1], rgb=np.zeros_like(images[1].rgb))
+    images[3] = dataclasses.replace(images[3], rgb=images[2].rgb)
+    images[5] = dataclasses.replace(images[5], time_s=images[4].time_s)
+    for step in range(6):
+        pose = Pose(np.eye(3), np.array([5.0 * step, 0.0, 20.0]))
+        estimate = make_estimate(600 + 60 * step, pose)
+        pictures.take_in(make_obs(600 + 60 * step, images=(images[step],)), estimate)
+    assert [kept.time_s for kept in pictures._kept] == [1.0, 1.2, 1.4]
+    swapped = (images[7], images[6])
+    pictures.take_in(make_obs(1080, images=swapped), make_estimate(1080, pose))
+    assert len(pictures) == 3
+    pictures.take_in(make_obs(1140, images=(images[8],)), make_estimate(1140, pose))
+    assert pictures._newest is not None and pictures._newest.time_s == 1.8
 
 
 def test_an_exposure_is_placed_where_the_vehicle_was() -> None:
