@@ -55,8 +55,6 @@ class Haze:
 
     def removed(self, rgb: Picture, distances_m: Array) -> Picture:
         """(H, W, 3) as it would be in clear air, from how far each pixel (H, W) looks."""
-        if self.extinction == 0.0:
-            return rgb
         clear = np.maximum(np.exp(-self.extinction * distances_m), _LEAST_CLEAR)[..., None]
         light = (_LIGHT[rgb] - self.veil(distances_m)[..., None]) / clear
         return np.asarray(np.rint(255.0 * np.clip(light, 0.0, 1.0) ** (1.0 / _GAMMA)), np.uint8)

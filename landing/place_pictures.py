@@ -192,8 +192,9 @@ class KeptPictures:
         where, _ = project(self._rig.camera, kept.odom_from_camera.inverse().apply(points))
         x, y = (np.ascontiguousarray(where[..., axis], np.float32) for axis in (0, 1))
         found = cv2.remap(kept.rgb, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        away = np.linalg.norm(points - kept.odom_from_camera.translation, axis=-1)
-        found = self.haze.removed(np.asarray(found, np.uint8), away)
+        if self.haze.extinction > 0.0:
+            away = np.linalg.norm(points - kept.odom_from_camera.translation, axis=-1)
+            found = self.haze.removed(np.asarray(found, np.uint8), away)
         if count != pixels:
             found = cv2.resize(found, (pixels, pixels), interpolation=cv2.INTER_AREA)
         return np.asarray(found, np.uint8)
