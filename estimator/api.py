@@ -24,7 +24,8 @@ LEAST_CONTRAST = 2.5
 def picture_trouble(pixels: NDArray[np.uint8], before: NDArray[np.uint8]) -> str:
     """Why not to believe some pixels (h, w, 3) of an image, those of the one ``before`` known, in
     words; "": nothing is wrong. Noise never repeats."""
-    if float(pixels.reshape(-1, 3).std(axis=0).max()) < LEAST_CONTRAST:
+    channels = np.ascontiguousarray(pixels.reshape(-1, 3).T)  # in a row each, a third of the time
+    if float(channels.std(axis=1).max()) < LEAST_CONTRAST:
         return "no contrast"
     return "the same as the one before" if np.array_equal(pixels, before) else ""
 

@@ -11,6 +11,7 @@ Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 _KNOT_EVERY = 64
+_BLOCK = 256
 
 
 @numba.njit(cache=True)
@@ -135,31 +136,42 @@ def sample_colours(
     rows, cols = image.shape[0], image.shape[1]
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     k1, k2, p1, p2, k3 = intrinsics[4], intrinsics[5], intrinsics[6], intrinsics[7], intrinsics[8]
-    for i in range(window[0], window[1]):
-        r = ranges[i]
-        if r <= 0.0 or skipped[0] <= i < skipped[1] or not np.isnan(colours[i, 0]):
-            continue
-        x = origins[i, 0] + r * beams[i, 0]
-        y = origins[i, 1] + r * beams[i, 1]
-        z = origins[i, 2] + r * beams[i, 2]
-        zc = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + translation[2]
-        if not zc > 0.05:
-            continue
-        per_z = 1.0 / zc
-        u = per_z * (rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0])
-        v = per_z * (rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1])
-        q = u * u + v * v
-        if q > 4.0:
-            continue
-        radial = 1.0 + q * (k1 + q * (k2 + q * k3))
-        ud = u * radial + 2.0 * p1 * u * v + p2 * (q + 2.0 * u * u)
-        vd = v * radial + p1 * (q + 2.0 * v * v) + 2.0 * p2 * u * v
-        col = fx * ud + cx + 0.5
-        row = fy * vd + cy + 0.5
-        if 0.0 <= col < cols and 0.0 <= row < rows:
-            pixel = image[np.uintp(row), np.uintp(col)]
-            for k in range(3):
-                colours[i, k] = pixel[k]
+    # First where, then what, block by block: the processor fetches many pixels at a time if no
+    # arithmetic stands between them. A row of ``image`` by itself would be an object that counts
+    # its references.
+    row_of, col_of = np.empty(_BLOCK, np.int32), np.empty(_BLOCK, np.int32)
+    for block in range(window[0], window[1], _BLOCK):
+        end = min(block + _BLOCK, window[1])
+        for i in range(block, end):
+            row_of[i - block] = -1
+            r = ranges[i]
+            if r <= 0.0 or skipped[0] <= i < skipped[1] or not np.isnan(colours[i, 0]):
+                continue
+            x = origins[i, 0] + r * beams[i, 0]
+            y = origins[i, 1] + r * beams[i, 1]
+            z = origins[i, 2] + r * beams[i, 2]
+            zc = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + translation[2]
+            if not zc > 0.05:
+                continue
+            per_z = 1.0 / zc
+            u = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0]
+            v = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1]
+            u, v = per_z * u, per_z * v
+            q = u * u + v * v
+            if q > 4.0:
+                continue
+            radial = 1.0 + q * (k1 + q * (k2 + q * k3))
+            ud = u * radial + 2.0 * p1 * u * v + p2 * (q + 2.0 * u * u)
+            vd = v * radial + p1 * (q + 2.0 * v * v) + 2.0 * p2 * u * v
+            col = fx * ud + cx + 0.5
+            row = fy * vd + cy + 0.5
+            if 0.0 <= col < cols and 0.0 <= row < rows:
+                row_of[i - block], col_of[i - block] = np.int32(row), np.int32(col)
+        for i in range(block, end):
+            if row_of[i - block] >= 0:
+                row, col = np.uintp(row_of[i - block]), np.uintp(col_of[i - block])
+                for k in range(3):
+                    colours[i, k] = image[row, col, k]
 
 
 @numba.njit(cache=True, error_model="numpy")

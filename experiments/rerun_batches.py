@@ -21,6 +21,7 @@ _MOTION_STYLE = {
     "tilt_deg": (255, 110, 150),
     "wind_mps": (150, 150, 160),
 }
+_XYZW = [1, 2, 3, 0]
 _ROTOR_STYLE = ((240, 120, 90), (250, 200, 90), (110, 200, 130), (110, 160, 250))
 
 
@@ -59,7 +60,7 @@ class PoseBatch:
     def add(self, time_s: float, world_from_body: Pose) -> None:
         self._times.append(time_s)
         self._positions.append(world_from_body.translation)
-        self._quats_xyzw.append(np.roll(quat_wxyz_from_matrix(world_from_body.rotation), -1))
+        self._quats_xyzw.append(quat_wxyz_from_matrix(world_from_body.rotation)[_XYZW])
 
     def send(self, stream: rr.RecordingStream) -> None:
         if not self._times:
