@@ -51,7 +51,7 @@ from sim.api import (
     SensorNeeds,
     SensorRig,
 )
-from sim.frames import Pose, quat_wxyz_from_matrix, so3_exp, so3_log
+from sim.frames import Pose, cross, quat_wxyz_from_matrix, so3_exp, so3_log
 
 Array = NDArray[np.float64]
 
@@ -71,9 +71,10 @@ _LIFTING_THRUST = 0.85
 """of the weight: before so much static thrust the vehicle cannot have left the ground"""
 _IDLE_MARGIN = 1.2
 """of the idle speed: below it the rotors carry nothing"""
-_INFLATION, _FLOOR_M = 1.8, 0.005
+_INFLATION, _FLOOR = 1.8, 0.005**2 * np.eye(3)
 """of the covariance handed out: what a landmark or a voxel has wrong repeats from image to image
 and scan to scan, which the filter takes for fresh noise"""
+_GRAVITY: Array = np.array([0.0, 0.0, GRAVITY_MPS2])
 
 
 class Livo:
@@ -395,12 +396,11 @@ class Livo:
         rotation = head.rotation @ so3_exp(self._offset[:3])
         rate_imu = self._gyro - head.gyro_bias
         pose = Pose(rotation, head.position + self._offset[3:6]) @ self._imu_from_body
-        lever = np.cross(rate_imu, self._imu_from_body.translation)
-        acceleration = rotation @ (self._force - head.accel_bias)
-        acceleration = acceleration - np.array([0.0, 0.0, GRAVITY_MPS2])
+        lever = cross(rate_imu, self._imu_from_body.translation)
+        acceleration = rotation @ (self._force - head.accel_bias) - _GRAVITY
         cov = self._head_covariance
         # what is shown is off the best belief by the offset that fades
-        shown = _INFLATION * cov[3:6, 3:6] + _FLOOR_M**2 * np.eye(3)
+        shown = _INFLATION * cov[3:6, 3:6] + _FLOOR
         shown += np.outer(self._offset[3:6], self._offset[3:6])
         body_from_imu = self._rig.body_from_imu.rotation
         return Estimate(

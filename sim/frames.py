@@ -62,6 +62,13 @@ def skew(vector: Array) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+def cross(first: Array, second: Array) -> Array:
+    """``np.cross`` of two vectors (3,), to the bit, without what it costs on so few numbers."""
+    a, b, c = first.tolist()
+    x, y, z = second.tolist()
+    return np.array([b * z - c * y, c * x - a * z, a * y - b * x])
+
+
 def so3_exp(rotation_vector: Array) -> Array:
     """Rotation matrix of a rotation vector (3,) in radians (Rodrigues)."""
     # Scalars throughout: numpy on arrays of three costs several times as much.

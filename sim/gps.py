@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.api import GpsFix, GpsParams
+from sim.frames import cross
 from sim.noise import GaussMarkov, random_stream
 
 Array = NDArray[np.float64]
@@ -97,7 +98,7 @@ class GpsSensor:
         lever = rotation @ self._antenna
         white = self._rng.standard_normal((2, 3))
         measured = position + lever + self._wander.step() + self._model.white_m * white[0]
-        speed = velocity + rotation @ np.cross(rates, self._antenna)
+        speed = velocity + rotation @ cross(rates, self._antenna)
         speed = speed + self._model.velocity_sigma_mps * white[1]
         for array in (measured, speed):
             array.setflags(write=False)

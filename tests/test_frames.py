@@ -6,6 +6,7 @@ import pytest
 from sim.frames import (
     BODY_FROM_DOWNWARD_OPTICAL,
     Pose,
+    cross,
     interpolate_pose,
     matrices_from_quats_wxyz,
     matrix_from_quat_wxyz,
@@ -27,6 +28,12 @@ def rng() -> np.random.Generator:
 
 def random_pose(rng: np.random.Generator) -> Pose:
     return Pose(so3_exp(rng.normal(size=3)), rng.normal(size=3))
+
+
+def test_cross_is_numpys_to_the_bit(rng: np.random.Generator) -> None:
+    for scale in 10.0 ** rng.uniform(-8.0, 8.0, size=200):
+        first, second = rng.normal(size=3), scale * rng.normal(size=3)
+        assert np.array_equal(cross(first, second), np.cross(first, second))
 
 
 def test_exp_log_round_trip_including_half_turns(rng: np.random.Generator) -> None:

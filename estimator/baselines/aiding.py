@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from estimator.eskf import Eskf
 from estimator.imu_propagation import POSITION, ROTATION, VELOCITY
 from sim.api import BarometerSample, GpsFix
-from sim.frames import skew, wrap_angle
+from sim.frames import cross, skew, wrap_angle
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def update_heading(eskf: Eskf, field_imu: Array, azimuth: float, sigma: float) -
 def update_velocity(eskf: Eskf, fix: GpsFix, lever_imu: Array, rate_imu: Array) -> float:
     """The velocity of an antenna at ``lever_imu`` (3,) under the rate (3,) rad/s."""
     state = eskf.state
-    swing = np.cross(rate_imu, lever_imu)
+    swing = cross(rate_imu, lever_imu)
     jacobian = np.hstack([-state.rotation @ skew(swing), np.eye(3)])
     residual = fix.velocity_world - state.velocity - state.rotation @ swing
     variance = max(fix.sigma_velocity_mps, 1e-3) ** 2

@@ -18,7 +18,7 @@ from estimator.eskf import Eskf
 from estimator.imu_propagation import ImuBuffer, NavState, propagate_nominal
 from estimator.stillness import Stillness
 from sim.api import GRAVITY_MPS2, ImuSample, LidarScan, Observation, SensorRig
-from sim.frames import Pose, quat_wxyz_from_matrix, so3_exp, so3_log
+from sim.frames import Pose, cross, quat_wxyz_from_matrix, so3_exp, so3_log
 
 Array = NDArray[np.float64]
 
@@ -215,7 +215,7 @@ class InertialFilter:
             world_from_odom=world_from_odom,
             velocity_odom=head.velocity
             + self._jump[6:]
-            + rotation @ np.cross(rate, offset.translation),
+            + rotation @ cross(rate, offset.translation),
             angular_velocity_body=to_body @ rate,
             acceleration_odom=force - np.array([0.0, 0.0, GRAVITY_MPS2]),
             position_covariance=position_covariance,
