@@ -54,7 +54,7 @@ def scan_points_odom(
     in_lidar = (scan.directions[hits] * scan.ranges[hits, None]).astype(np.float64)
     in_body = body_from_lidar.apply(in_lidar)
     quats, positions = _quats_at(track, times)
-    return _turned(quats, in_body) + positions
+    return (_turned(quats, in_body.T) + positions).T
 
 
 def height_colours(heights_m: Array) -> NDArray[np.uint8]:
@@ -66,32 +66,24 @@ def height_colours(heights_m: Array) -> NDArray[np.uint8]:
 def poses_at(track: PoseTrack, times: Array) -> tuple[Array, Array]:
     """Rotations (N, 3, 3) and positions (N, 3) at ``times``; poses at the ends hold beyond them."""
     quats, positions = _quats_at(track, times)
-    return matrices_from_quats_wxyz(quats), positions
+    return matrices_from_quats_wxyz(quats.T), positions.T
 
 
 def _quats_at(track: PoseTrack, times: Array) -> tuple[Array, Array]:
-    """Unit quaternions wxyz (N, 4) and positions (N, 3), as `poses_at`."""
-    if len(track.times_s) == 1:
-        shape = len(times), 1
-        return np.tile(track.quats_wxyz, shape), np.tile(track.positions_odom, shape)
-    after = np.clip(np.searchsorted(track.times_s, times), 1, len(track.times_s) - 1)
-    start, end = track.times_s[after - 1], track.times_s[after]
-    share = np.clip((times - start) / (end - start), 0.0, 1.0)[:, None]
-    first, second = track.quats_wxyz[after - 1], track.quats_wxyz[after]
-    second = np.where(np.sum(first * second, axis=1, keepdims=True) < 0.0, -second, second)
-    quats = (1.0 - share) * first + share * second
-    quats /= np.sqrt(np.einsum("ni,ni->n", quats, quats))[:, None]
-    positions = (1.0 - share) * track.positions_odom[after - 1]
-    return quats, positions + share * track.positions_odom[after]
+    """Unit quaternions wxyz (4, N) and positions (3, N), as `poses_at`."""
+    quats = track.quats_wxyz
+    turned_over = np.einsum("mi,mi->m", quats[1:], quats[:-1]) < 0.0
+    signs = np.where(np.cumsum([False, *turned_over]) % 2, -1.0, 1.0)
+    columns = (*(quats * signs[:, None]).T, *track.positions_odom.T)
+    between = np.array([np.interp(times, track.times_s, column) for column in columns])
+    return between[:4] / np.sqrt(np.sum(between[:4] ** 2, axis=0)), between[4:]
 
 
 def _turned(quats_wxyz: Array, vectors: Array) -> Array:
-    """(N, 3) vectors turned by (N, 4) unit quaternions: v + 2 w (r x v) + 2 r x (r x v)."""
-    w, x, y, z = np.ascontiguousarray(quats_wxyz.T)
-    a, b, c = np.ascontiguousarray(vectors.T)
+    """(3, N) vectors turned by (4, N) unit quaternions: v + 2 w (r x v) + 2 r x (r x v)."""
+    w, x, y, z = quats_wxyz
+    a, b, c = vectors
     i, j, k = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
-    out = np.empty_like(vectors)
-    out[:, 0] = a + w * i + y * k - z * j
-    out[:, 1] = b + w * j + z * i - x * k
-    out[:, 2] = c + w * k + x * j - y * i
-    return out
+    return np.array(
+        [a + w * i + y * k - z * j, b + w * j + z * i - x * k, c + w * k + x * j - y * i]
+    )

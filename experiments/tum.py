@@ -25,8 +25,8 @@ class TumWriter:
         self._rows: list[str] = []
 
     def add(self, time_s: float, world_from_body: Pose) -> None:
-        x, y, z = world_from_body.translation
-        qw, qx, qy, qz = quat_wxyz_from_matrix(world_from_body.rotation)
+        x, y, z = world_from_body.translation.tolist()
+        qw, qx, qy, qz = quat_wxyz_from_matrix(world_from_body.rotation).tolist()
         self._rows.append(
             f"{time_s:.9f} {x:.9f} {y:.9f} {z:.9f} {qx:.9f} {qy:.9f} {qz:.9f} {qw:.9f}\n"
         )
