@@ -73,10 +73,10 @@ def bench_loop(
 @bench.command("workers")
 @click.option("--scene", default="crossroad", show_default=True)
 @click.option("--estimator", default="livo", show_default=True)
-@click.option("--workers", type=click.IntRange(min=2), default=2, show_default=True)
-@click.option("--runs", type=click.IntRange(min=2), default=6, show_default=True,
+@click.option("--workers", type=click.IntRange(2, 1024), default=2, show_default=True)
+@click.option("--runs", type=click.IntRange(2, 240), default=6, show_default=True,
               help="Flights of each campaign.")  # fmt: skip
-@click.option("--rounds", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--rounds", type=click.IntRange(1, 100), default=1, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def bench_workers(
     scene: str, estimator: str, workers: int, runs: int, rounds: int, as_json: bool
@@ -110,7 +110,7 @@ def bench_workers(
 @click.option("--scene", default="crossroad", show_default=True)
 @click.option("--preset", default="horizon", show_default=True, help="horizon, avia or mid360.")
 @click.option("--seed", type=int, default=0, show_default=True)
-@click.option("--rounds", type=click.IntRange(min=1), default=7, show_default=True)
+@click.option("--rounds", type=click.IntRange(1, 100), default=7, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def bench_lidar(scene: str, preset: str, seed: int, rounds: int, as_json: bool) -> int:
     """Rays per second of the LIDAR sensor and of bare ray casters, same rays, one thread each.
@@ -132,11 +132,11 @@ def bench_lidar(scene: str, preset: str, seed: int, rounds: int, as_json: bool) 
 @bench.command("landing")
 @click.option("--scene", default="crossroad", show_default=True)
 @click.option("--seed", type=int, default=0, show_default=True)
-@click.option("--rounds", type=click.IntRange(min=1), default=9, show_default=True)
+@click.option("--rounds", type=click.IntRange(1, 100), default=9, show_default=True)
 @click.option("--reference/--no-reference", default=True, help="Time the other version too.")
 @click.option("--network", type=click.Path(path_type=Path), default=None,
               help="Recognises places.  [the one that comes with touchdown]")  # fmt: skip
-@click.option("--threads", type=click.IntRange(min=1), default=2, show_default=True,
+@click.option("--threads", type=click.IntRange(1, 1024), default=2, show_default=True,
               help="Of the processor, for the network.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def bench_landing(
@@ -188,7 +188,7 @@ def bench_landing(
 @click.argument("scenes", nargs=-1)
 @click.option("--seeds", default="0-24", show_default=True, help="Such as 0-24 or 100,101.")
 @click.option("--scorer", type=click.Choice(["risk", "paper"]), default=None, help="  [risk]")
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True)
 @click.option("--fit", "fit_model", is_flag=True, help="Fit landing.risk_weights to these places.")
 @click.option("--pictures", type=click.Path(path_type=Path), default=None, metavar="DIR",
               help="Draw the steps to each site (Fig. 11 of the paper) into DIR.")  # fmt: skip
@@ -235,8 +235,8 @@ def bench_selector(
 @click.argument("scenes", nargs=-1)
 @click.option("--estimator", default="livo", show_default=True)
 @click.option("--seeds", default="0-1", show_default=True, help="Such as 0-4 or 100,101.")
-@click.option("--minutes", type=click.IntRange(min=2), default=5, show_default=True)
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--minutes", type=click.IntRange(2, 1440), default=5, show_default=True)
+@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True)
 @click.option("--plot", type=click.Path(path_type=Path), default=None, help="PNG or JPG.")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")

@@ -70,7 +70,7 @@ def campaign() -> int:
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR",
               help="The campaign's directory; one that exists is gone on with.")  # fmt: skip
-@click.option("--jobs", type=click.IntRange(min=1), help="Flights at a time.  [cores]")
+@click.option("--jobs", type=click.IntRange(1, 1024), help="Flights at a time.  [cores]")
 @click.option("--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True)
 @click.option("--ray-address", metavar="ADDRESS", help="Of a Ray cluster.  [a local one]")
 @click.option("--shard", type=ShardType(), help="Fly the I-th of N parts, on one of N machines.")
