@@ -21,6 +21,11 @@ LEAST_CONTRAST = 2.5
 """standard deviation of each channel's levels below which an image shows nothing but noise"""
 
 
+def some_pixels(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Enough of an image (H, W, 3) for `picture_trouble`, a copy."""
+    return np.ascontiguousarray(rgb[::8, ::8])
+
+
 def picture_trouble(pixels: NDArray[np.uint8], before: NDArray[np.uint8]) -> str:
     """Why not to believe some pixels (h, w, 3) of an image, those of the one ``before`` known, in
     words; "": nothing is wrong. Noise never repeats."""

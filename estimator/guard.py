@@ -17,11 +17,9 @@ import numpy as np
 from numba import njit, types
 from numpy.typing import NDArray
 
-from estimator.api import picture_trouble
+from estimator.api import picture_trouble, some_pixels
 from sim.api import CameraImage, ImuSample, LidarScan, Observation, SensorRig
 
-_STRIDE = 8
-"""between the pixels that are looked at"""
 _CLUTTER_M = 10.0
 """within which rain and fog are taken for targets"""
 _CLUTTER_LEVEL, _LONE_LEVEL = 6, 15
@@ -158,7 +156,7 @@ class InputGuard:
         rgb = image.rgb
         if rgb.shape != self._shape or rgb.dtype != np.uint8:
             return None, f"{rgb.dtype} of shape {rgb.shape} instead of uint8 {self._shape}"
-        pixels = np.ascontiguousarray(rgb[::_STRIDE, ::_STRIDE])
+        pixels = some_pixels(rgb)
         if trouble := picture_trouble(pixels, self._pixels):
             return None, trouble
         self._pixels = pixels

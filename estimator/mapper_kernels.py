@@ -12,6 +12,7 @@ Float32 = NDArray[np.float32]
 
 _KNOT_EVERY = 64
 _BLOCK = 256
+"""pulses whose pixels are found before any is fetched"""
 
 
 @numba.njit(cache=True)

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import Estimate, picture_trouble
+from estimator.api import Estimate, picture_trouble, some_pixels
 from landing.haze import Haze, darkest_light, estimate_haze
 from sim.api import CameraImage, CameraIntrinsics, Observation, SensorRig
 from sim.frames import Pose, interpolate_pose
@@ -30,8 +30,6 @@ _SPACING = 0.2
 _WIDER = 1.25
 """times as far apart they are where there are too many"""
 _LOWEST_M = 3.0
-_STRIDE = 8
-"""between the pixels that tell whether a picture is one"""
 _MOST_PX = 480
 _SHRUNK = (1.0, 0.7, 0.5)
 """sides that are tried, relative to the wanted one, where no picture shows all of the square"""
@@ -98,7 +96,7 @@ class KeptPictures:
             return []
         found = []
         for image in images:
-            pixels = np.ascontiguousarray(image.rgb[::_STRIDE, ::_STRIDE])
+            pixels = some_pixels(image.rgb)
             if image.time_s <= self._newest_s or picture_trouble(pixels, self._pixels):
                 continue
             self._newest_s, self._pixels = image.time_s, pixels
