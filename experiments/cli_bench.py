@@ -250,8 +250,8 @@ def bench_endurance(
     overrides: tuple[str, ...],
     as_json: bool,
 ) -> int:
-    """Long surveys: position error, the estimator's time per scan and the process's memory in each
-    minute. SCENES: crossroad, lake, houses and forest, unless given.
+    """Long surveys: position error, time per scan (the estimator's, the whole process's) and memory
+    in each minute. SCENES: crossroad, lake, houses and forest, unless given.
 
     Example: touchdown bench endurance forest --seeds 0 --minutes 10
     """

@@ -64,7 +64,7 @@ _SECTIONS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ),
     "commanded_site": (("summary", "landings", "outcomes"), ("fig12",)),
     "real_sites": (("summary", "landings", "outcomes"), ()),
-    "landing": (("summary", "landings", "outcomes"), ("fig9b",)),
+    "landing": (("summary", "paths", "landings", "outcomes"), ("fig9b",)),
 }
 """Of the report of each campaign, the sections and the pictures that are taken over."""
 

@@ -23,6 +23,8 @@ from sim.frames import rotation_from_yaw
 Array = NDArray[np.float64]
 Sample = tuple[Array, Array, Array]
 
+_MANY_LEGS = 20
+"""from so many on, the shares of the time that a turn may take shrink as the legs grow in number"""
 _MAX_SURVEY_ACCEL = 6.0
 _ZERO = np.zeros(3)
 
@@ -163,7 +165,8 @@ def survey_trajectory(start: Array, yaw: float, params: SurveyParams) -> Piecewi
             "the survey needs at least one leg, and leg_length_m, leg_spacing_m and duration_s "
             "above 0"
         )
-    candidates = [_survey(start, yaw, params, share) for share in np.linspace(0.02, 0.40, 77)]
+    shares = np.linspace(0.02, 0.40, 77) * min(1.0, _MANY_LEGS / params.legs)
+    candidates = [_survey(start, yaw, params, share) for share in shares]
     rated = [(*peaks(c, per_segment=24), c) for c in candidates if c is not None]
     _, acceleration, best = min(rated, key=lambda r: r[0] * r[1], default=(0.0, np.inf, None))
     if best is None:

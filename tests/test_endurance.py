@@ -11,6 +11,7 @@ import pytest
 from experiments.config import UsageError
 from experiments.endurance import _Minutes, endurance_config, plot, row
 from experiments.timing import StageClock
+from landing.trajectory import peaks, survey_trajectory
 from sim.frames import Pose
 
 
@@ -23,16 +24,19 @@ def event(time_s: float, error_m: float) -> tuple[SimpleNamespace, None, SimpleN
 
 
 def test_each_minute_has_its_own_time_and_error() -> None:
-    clock = StageClock(lambda: 0.0)
-    minutes = _Minutes(clock)
+    clock, spent_s = StageClock(lambda: 0.0), [7.0]
+    minutes = _Minutes(clock, lambda: spent_s[0])
     for second in range(1, 121):
         # 0.02 s of work each second in the first minute, 0.05 s in the second
         clock.add("estimator", 0.02 if second <= 60 else 0.05)
+        spent_s[0] += 0.1 if second <= 60 else 0.2  # by all threads
         minutes.tick(*event(float(second), 0.1 if second <= 60 else 0.3))
     first, second_ = minutes.rows
     assert (first["until_s"], second_["until_s"]) == (60.0, 120.0)
     assert first["estimator_ms"] == pytest.approx(2.0)  # of ten scans a second
     assert second_["estimator_ms"] == pytest.approx(5.0)
+    assert first["process_ms"] == pytest.approx(10.0)
+    assert second_["process_ms"] == pytest.approx(20.0)
     assert first["error_mean_m"] == pytest.approx(0.1)
     assert second_["error_mean_m"] == pytest.approx(0.3)
     assert 10.0 < first["resident_mb"] < 1e5
@@ -50,15 +54,25 @@ def test_a_long_survey_stays_in_the_field_of_a_short_one() -> None:
                          overrides=["nowhere=1"])  # fmt: skip
 
 
+@pytest.mark.parametrize("minutes", [2, 5, 10, 30])
+def test_a_survey_of_any_length_can_be_flown_at_much_the_same_pace(minutes: int) -> None:
+    config = endurance_config(scene="crossroad", estimator="livo", seed=0, minutes=minutes)
+    path = survey_trajectory(np.zeros(3), 0.0, config.survey)
+    assert path.breaks_s[-1] == pytest.approx(60.0 * minutes - 15.0)
+    speed, acceleration = peaks(path)
+    assert 7.0 < speed < 9.0
+    assert 3.5 < acceleration < 5.5
+
+
 def test_row_and_plot(tmp_path: Path) -> None:
     flight = {
         "scene": "lake", "seed": 0, "outcome": "COMPLETED", "sim_s": 301.0,
         "error_mean_m": 0.0312, "error_max_m": 0.1, "nees_median": 2.0,
-        "minutes": [{"until_s": 60.0, "estimator_ms": 20.0, "resident_mb": 900.0,
-                     "error_mean_m": 0.02}] * 2,
-        "last_over_first": {"estimator_ms": 1.01, "resident_mb": 1.002},
+        "minutes": [{"until_s": 60.0, "estimator_ms": 20.0, "process_ms": 60.0,
+                     "resident_mb": 900.0, "error_mean_m": 0.02}] * 2,
+        "last_over_first": {"estimator_ms": 1.01, "process_ms": 1.03, "resident_mb": 1.002},
     }  # fmt: skip
-    assert "error 0.031 m" in row(flight) and "memory 1.002" in row(flight)
+    assert "error 0.031 m" in row(flight) and "process 1.03, memory 1.002" in row(flight)
     plot([flight], tmp_path / "long.png")
     assert (tmp_path / "long.png").read_bytes()[:4] == b"\x89PNG"
     with pytest.raises(UsageError, match="cannot write the plot"):

@@ -13,6 +13,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from experiments.reporting.flights import (
@@ -301,7 +302,9 @@ def _paint_bars(
     positive = [height for height in heights if height > 0.0]
     if positive and max(positive) > 20.0 * min(positive):
         axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_locator(NullLocator())
         axes.set_ylim(bottom=0.5 * min(positive))
     axes.set_xticks(range(len(scenes)), scenes)
     axes.grid(axis="x", visible=False)

@@ -95,6 +95,7 @@ def _paint_panel(axes: Axes, offsets: Mapping[str, Array], span_m: float) -> Non
     axes.set_xlim(-span_m, span_m)
     axes.set_ylim(-span_m, span_m)
     axes.set_aspect("equal")
+    axes.locator_params(nbins=6)
     axes.grid(color=GRID)
     axes.set_xlabel("x, east (m)")
     axes.set_ylabel("y, north (m)")
