@@ -25,6 +25,7 @@ Sample = tuple[Array, Array, Array]
 
 _MANY_LEGS = 20
 """from so many on, the shares of the time that a turn may take shrink as the legs grow in number"""
+_MOST_LEGS = 10_000
 _MAX_SURVEY_ACCEL = 6.0
 _ZERO = np.zeros(3)
 
@@ -165,14 +166,15 @@ def survey_trajectory(start: Array, yaw: float, params: SurveyParams) -> Piecewi
             "the survey needs at least one leg, and leg_length_m, leg_spacing_m and duration_s "
             "above 0"
         )
+    if params.legs > _MOST_LEGS:
+        raise ValueError(f"survey.legs = {params.legs} must be {_MOST_LEGS} at most")
     shares = np.linspace(0.02, 0.40, 77) * min(1.0, _MANY_LEGS / params.legs)
-    candidates = [_survey(start, yaw, params, share) for share in shares]
-    rated = [(*peaks(c, per_segment=24), c) for c in candidates if c is not None]
-    _, acceleration, best = min(rated, key=lambda r: r[0] * r[1], default=(0.0, np.inf, None))
-    if best is None:
-        raise ValueError(
-            f"a survey of {params.legs} legs leaves no time for its turns; give fewer survey.legs"
-        )
+    # Legs out and back are all alike: of many, the first four tell what all of them ask for.
+    rated_legs = params.legs if params.legs <= _MANY_LEGS else 4
+    candidates = [(share, _survey(start, yaw, params, share, rated_legs)) for share in shares]
+    rated = [(*peaks(c, per_segment=24), share) for share, c in candidates if c is not None]
+    # The smallest share leaves legs of any number more than half of the time: one always remains.
+    _, acceleration, best = min(rated, key=lambda r: r[0] * r[1])
     if acceleration > _MAX_SURVEY_ACCEL:
         # Flown in k times the time, a path has 1 / k^2 of the acceleration.
         least_s = params.duration_s * math.sqrt(acceleration / _MAX_SURVEY_ACCEL)
@@ -180,14 +182,17 @@ def survey_trajectory(start: Array, yaw: float, params: SurveyParams) -> Piecewi
             f"a survey of {params.legs} legs of {params.leg_length_m:g} m does not fit into "
             f"{params.duration_s:g} s; raise survey.duration_s to {math.ceil(least_s)} or more"
         )
-    return best
+    path = _survey(start, yaw, params, best, params.legs)
+    assert path is not None
+    return path
 
 
 def _survey(
-    start: Array, yaw: float, params: SurveyParams, turn_share: float
+    start: Array, yaw: float, params: SurveyParams, turn_share: float, first_legs: int
 ) -> PiecewiseTrajectory | None:
-    """A survey whose turns each take the given share of the duration, speeding up and slowing down
-    half of that; None where these leave no time, or the legs no room to speed up."""
+    """The first legs of a survey whose turns each take the given share of the duration, speeding up
+    and slowing down half of that; None where these leave no time, or the legs no room to speed up.
+    """
     total, legs, length = params.duration_s, params.legs, params.leg_length_m
     turn, ramp = turn_share * total, 0.5 * turn_share * total
     # A ramp between rest and the leg's speed covers half of what the leg's speed would.
@@ -207,17 +212,17 @@ def _survey(
         )
 
     states, durations = [state(0.0, 0, 0.0)], []
-    for leg in range(legs):
+    for leg in range(first_legs):
         sign = 1.0 if leg % 2 == 0 else -1.0
         origin = 0.0 if leg % 2 == 0 else length
         skip_in = room if leg == 0 else 0.0
-        skip_out = room if leg == legs - 1 else 0.0
+        skip_out = room if leg == first_legs - 1 else 0.0
         durations.append(ramp if leg == 0 else turn)
         states.append(state(origin + sign * skip_in, leg, sign * speed))
         durations.append((length - skip_in - skip_out) / speed)
         states.append(state(origin + sign * (length - skip_out), leg, sign * speed))
     durations.append(ramp)
-    states.append(state(origin + sign * length, legs - 1, 0.0))
+    states.append(state(origin + sign * length, first_legs - 1, 0.0))
     return through(states, durations)
 
 

@@ -78,7 +78,7 @@ def test_every_parameter_of_every_group_has_a_key() -> None:
         ("livo.camera_hz=7", ["livo.camera_hz", "30 Hz"]),
         ("control.control_hz=100", ["control.control_hz", "200"]),
         ("survey.legs=5", ["does not fit into 36 s", "to 50 or more", "--set survey.legs=5"]),
-        ("survey.legs=40", ["40 legs leaves no time for its turns", "fewer survey.legs"]),
+        ("survey.legs=40", ["40 legs of 50 m does not fit into 36 s", "to 414 or more"]),
     ],
 )
 def test_mistakes_are_told_in_one_line(override: str, words: list[str]) -> None:

@@ -145,7 +145,12 @@ def test_survey_of_other_sizes(legs: int, duration: float) -> None:
 
 @pytest.mark.parametrize(
     "params",
-    [SurveyParams(duration_s=12.0), SurveyParams(legs=0), SurveyParams(leg_length_m=-1.0)],
+    [
+        SurveyParams(duration_s=12.0),
+        SurveyParams(legs=0),
+        SurveyParams(legs=10**9, duration_s=1e12),
+        SurveyParams(leg_length_m=-1.0),
+    ],
 )
 def test_impossible_surveys_are_refused(params: SurveyParams) -> None:
     with pytest.raises(ValueError, match="survey"):
