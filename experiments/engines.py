@@ -253,8 +253,10 @@ class LocalEngine:
 
     name = "local"
 
-    def __init__(self, jobs: int) -> None:
+    def __init__(self, jobs: int, slots: threading.Semaphore | None = None) -> None:
+        """A run is begun when one of the ``slots`` is free, which others may take too."""
         self.jobs = jobs
+        self._slots = slots or threading.Semaphore(jobs)
 
     def run(self, tasks: Sequence[Task], limits: Limits, tell: Callable[[Event], None]) -> None:
         stop = threading.Event()
@@ -267,7 +269,11 @@ class LocalEngine:
             supervisor = Supervisor(limits, local_environment(), os.getcwd(), stop)
             try:
                 while not stop.is_set():
-                    supervisor.complete(waiting.get_nowait(), events.put)
+                    if self._slots.acquire(timeout=_POLL_S):
+                        try:
+                            supervisor.complete(waiting.get_nowait(), events.put)
+                        finally:
+                            self._slots.release()
             except queue.Empty:
                 pass
             except BaseException as error:

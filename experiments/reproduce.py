@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import importlib.util
 import json
+import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,6 +19,7 @@ from experiments.campaign_session import Watcher
 from experiments.cli_base import system_message
 from experiments.config import UsageError
 from experiments.engines import EngineStoppedError
+from experiments.reproduce_beside import Beside, tell
 from experiments.reproduce_parts import PARTS, Done, Job, Notes, Part, part_named
 from experiments.reproduce_plans import Extent
 
@@ -92,18 +94,32 @@ def reproduce(
     with _locked(out):
         todo = [part for part in wanted if not _is_done(part, out, extent)]
         _sign(out, quick=quick)
-        for number, part in enumerate(wanted, start=1):
-            head = f"[{number}/{len(wanted)}] {part.name}"
+        heads = {p.name: f"[{n}/{len(wanted)}] {p.name}" for n, p in enumerate(wanted, start=1)}
+        for part in wanted:
             if part not in todo:
-                notes(f"{head}: done already")
-                continue
-            notes(f"{head}: {part.title}, for {', '.join(part.shows)}")
-            job = Job(
-                folder=out / part.name, extent=extent, jobs=jobs, notes=notes, watcher=watcher()
-            )
-            state = _do(part, job)
-            told = state.error or state.why
-            notes(f"{head}: {f'FAILED: {told}' if told else 'done'} after {state.wall_s:.0f} s")
+                notes(f"{heads[part.name]}: done already")
+        slots = threading.Semaphore(jobs)
+        aside = _aside(todo, jobs)
+        with Beside(slots, notes) as beside:
+            if aside:
+                beside.start(_do_aside, out, extent, {name: heads[name] for name in aside})
+            for part in todo:
+                if part.name in aside:
+                    continue
+                if part.flies:
+                    beside.check()
+                else:
+                    beside.wait()
+                job = Job(
+                    folder=out / part.name,
+                    extent=extent,
+                    jobs=jobs,
+                    notes=notes,
+                    watcher=watcher(),
+                    slots=slots,
+                )
+                _do(part, job, heads[part.name])
+            beside.wait()
         done = Reproduction(
             out, quick, read_states(out), skipped, time.perf_counter() - started
         )  # fmt: skip
@@ -112,10 +128,24 @@ def reproduce(
     return done
 
 
-def _do(part: Part, job: Job) -> PartState:
-    """Runs a part and writes its state down."""
+def _aside(todo: Sequence[Part], jobs: int) -> tuple[str, ...]:
+    """Names of the parts that are done while others fly."""
+    if jobs == 1 or not any(part.flies for part in todo):
+        return ()
+    return tuple(part.name for part in todo if part.beside)
+
+
+def _do_aside(out: Path, extent: Extent, heads: Mapping[str, str]) -> None:
+    """In the process beside: the parts named, one after the other."""
+    for name, head in heads.items():
+        _do(part_named(name), Job(folder=out / name, extent=extent, jobs=1, notes=tell), head)
+
+
+def _do(part: Part, job: Job, head: str) -> None:
+    """Runs a part and writes its state down; ``head`` begins what is noted of it."""
     from experiments.flight import git_revision
 
+    job.notes(f"{head}: {part.title}, for {', '.join(part.shows)}")
     started = time.perf_counter()
     job.folder.mkdir(parents=True, exist_ok=True)
     done, error = Done({}), ""
@@ -142,7 +172,8 @@ def _do(part: Part, job: Job) -> PartState:
     )
     tree = {name: getattr(state, name) for name in PartState.__slots__}
     write_text(job.folder / STATE, json.dumps(tree, indent=1) + "\n")
-    return state
+    told = state.error or state.why
+    job.notes(f"{head}: {f'FAILED: {told}' if told else 'done'} after {state.wall_s:.0f} s")
 
 
 def read_states(out: Path) -> dict[str, PartState]:

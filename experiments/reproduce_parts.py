@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -42,6 +43,8 @@ class Job:
     jobs: int = field(default_factory=default_jobs)
     notes: Notes = lambda _note: None
     watcher: Watcher = field(default_factory=Watcher)
+    slots: threading.Semaphore | None = None
+    """one is taken for each flight"""
 
     @property
     def edition(self) -> Edition:
@@ -68,6 +71,9 @@ class Part:
     run: Callable[[Job], Done]
     core_seconds: Callable[[Extent], float]
     """roughly, on one core"""
+    beside: bool = False
+    """measures no time, and may be done while flights are flown"""
+    flies: bool = False
     needs_torch: bool = False
 
 
@@ -147,16 +153,6 @@ def _sites(job: Job) -> Done:
     return Done({"scorer": found["scorer"], "places": places}, why)
 
 
-def _speed(job: Job) -> Done:
-    """Table 7."""
-    from experiments.bench_landing import bench_landing
-
-    job.notes("surveying crossroad, then choosing a site over and over")
-    reference = importlib.util.find_spec("skimage") is not None
-    rounds, threads = job.edition.rounds, job.jobs
-    return Done(bench_landing(rounds=rounds, threads=threads, reference=reference))
-
-
 # ---------------------------------------------------------------------------------------- flights
 
 
@@ -166,7 +162,7 @@ def _campaign(name: str, job: Job) -> Done:
     figures = fly_campaign(
         plan_of(name, quick=job.extent.quick),
         job.folder / FLIGHTS,
-        make_engine("local", job.jobs),
+        make_engine("local", job.jobs, slots=job.slots),
         watcher=job.watcher,
     )
     kept = ("name", "mode", "runs", "finished", "crashed", "remaining", "outcomes", "errors")
@@ -177,6 +173,19 @@ def _campaign(name: str, job: Job) -> Done:
     elif not figures["as_expected"]:
         why = "not all flights are as the campaign's file expects"
     return Done({key: figures[key] for key in kept}, why)
+
+
+# ----------------------------------------------------------------------------------------- speed
+
+
+def _speed(job: Job) -> Done:
+    """Table 7."""
+    from experiments.bench_landing import bench_landing
+
+    job.notes("surveying crossroad, then choosing a site over and over")
+    reference = importlib.util.find_spec("skimage") is not None
+    rounds, threads = job.edition.rounds, job.jobs
+    return Done(bench_landing(rounds=rounds, threads=threads, reference=reference))
 
 
 # ------------------------------------------------------------------------------------ recognition
@@ -211,6 +220,7 @@ def _campaign_part(name: str, title: str, *shows: str) -> Part:
         settings=lambda extent: {"flights": digest(plan_of(name, quick=extent.quick))},
         run=partial(_campaign, name),
         core_seconds=lambda extent: core_seconds(plan_of(name, quick=extent.quick)),
+        flies=True,
     )
 
 
@@ -234,6 +244,7 @@ PARTS: tuple[Part, ...] = (
         settings=lambda extent: {"poses": extent.edition.poses},
         run=_calibration,
         core_seconds=_always(60.0),
+        beside=True,
     ),
     Part(
         name="edges",
@@ -242,6 +253,7 @@ PARTS: tuple[Part, ...] = (
         settings=lambda _extent: {"seed": 0},
         run=_edges,
         core_seconds=_always(40.0),
+        beside=True,
     ),
     Part(
         name="world",
@@ -250,14 +262,7 @@ PARTS: tuple[Part, ...] = (
         settings=lambda _extent: {"seed": 0},
         run=_world,
         core_seconds=_always(30.0),
-    ),
-    Part(
-        name="speed",
-        title="Time of a choice of site",
-        shows=("Table 7",),
-        settings=lambda extent: {"rounds": extent.edition.rounds},
-        run=_speed,
-        core_seconds=_always(20.0),
+        beside=True,
     ),
     Part(
         name="sites",
@@ -266,11 +271,20 @@ PARTS: tuple[Part, ...] = (
         settings=lambda _extent: {"seed": 0},
         run=_sites,
         core_seconds=_always(80.0),
+        beside=True,
     ),
     _campaign_part("positioning", "Positioning", "Table 1", "Table 2", "Fig. 9 a", "Fig. 10"),
     _campaign_part("commanded_site", "Landings on one spot", "Table 5", "Fig. 12"),
     _campaign_part("real_sites", "Landings on five kinds of sites", "Table 6"),
     _campaign_part("landing", "Landings over four scenes", "Fig. 9 b"),
+    Part(
+        name="speed",
+        title="Time of a choice of site",
+        shows=("Table 7",),
+        settings=lambda extent: {"rounds": extent.edition.rounds},
+        run=_speed,
+        core_seconds=_always(20.0),
+    ),
     Part(
         name="recognition",
         title="Place recognition",
@@ -281,7 +295,7 @@ PARTS: tuple[Part, ...] = (
         needs_torch=True,
     ),
 )
-"""In the order of doing: what is short comes first."""
+"""In the order of doing: what may be beside flights, flights, what is timed with nothing beside."""
 
 
 def part_named(name: str) -> Part:
