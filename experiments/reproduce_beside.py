@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
@@ -10,6 +11,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any
 
@@ -19,13 +21,14 @@ from experiments.engines import SINGLE_THREAD
 
 Notes = Callable[[str], None]
 
-_told: Any = None
-"""in the process beside: the queue to who reads what it notes"""
+_teller: Connection | None = None
+"""in the process beside: where it sends what it notes"""
 
 
 def tell(note: str) -> None:
     """Of the process beside, to the ``notes`` of its `Beside`."""
-    _told.put(note)
+    assert _teller is not None
+    _teller.send(note)
 
 
 class Beside:
@@ -42,15 +45,16 @@ class Beside:
     def start(self, work: Callable[..., None], *arguments: Any) -> None:
         """``work`` and its arguments must be picklable; it may `tell`."""
         fresh = multiprocessing.get_context("spawn")
-        self._told = fresh.SimpleQueue()
+        told, teller = fresh.Pipe(duplex=False)
         self._pool: Executor = ProcessPoolExecutor(
-            1, fresh, initializer=_begin, initargs=(os.getpid(), self._told)
+            1, fresh, initializer=_begin, initargs=(os.getpid(), teller)
         )
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
         self._slots.acquire()
         self._work = self._pool.submit(work, *arguments)
         self._work.add_done_callback(lambda _work: self._slots.release())
+        teller.close()  # the other process has its own: when that is gone, reading ends
+        self._reader = threading.Thread(target=self._read, args=(told,), daemon=True)
+        self._reader.start()
 
     def wait(self) -> None:
         """Until the work is done. Raises what it raised; UsageError when its process was killed."""
@@ -81,19 +85,19 @@ class Beside:
             for process in multiprocessing.active_children():
                 process.terminate()
         self._pool.shutdown(cancel_futures=True)
-        self._told.put(None)
         self._reader.join()
 
-    def _read(self) -> None:
-        while (note := self._told.get()) is not None:
-            self._notes(note)
+    def _read(self, told: Connection) -> None:
+        with told, contextlib.suppress(EOFError, OSError):
+            while True:
+                self._notes(told.recv())
 
 
-def _begin(parent: int, told: Any) -> None:
+def _begin(parent: int, teller: Connection) -> None:
     """Without its parent the process is gone, and Ctrl-C is for the parent."""
-    global _told
+    global _teller
     die_with_parent(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # what is half-written is taken away
     os.environ.update(SINGLE_THREAD)
-    _told = told
+    _teller = teller

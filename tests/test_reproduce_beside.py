@@ -104,34 +104,32 @@ def test_flights_wait_for_slots_and_come_out_the_same(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def beside_in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The parts of a fake world are not to be had in another process."""
+def beside_in_a_thread(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The parts of a fake world are not to be had in another process. What it would tell."""
+    notes: list[str] = []
 
-    def pool(jobs: int, _fresh: Any, initializer: Any, initargs: Any) -> ThreadPoolExecutor:
-        return ThreadPoolExecutor(jobs, initializer=initializer, initargs=initargs)
+    def pool(jobs: int, _fresh: Any, **_beginning: Any) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(jobs)
 
     monkeypatch.setattr(reproduce_beside, "ProcessPoolExecutor", pool)
-    monkeypatch.setattr(
-        reproduce_beside,
-        "_begin",
-        lambda _parent, told: monkeypatch.setattr(reproduce_beside, "_told", told),
-    )
+    monkeypatch.setattr(reproduce_beside, "_begin", lambda *_: None)
+    monkeypatch.setattr(reproduce, "tell", notes.append)
+    return notes
 
 
-@pytest.mark.usefixtures("no_report", "beside_in_a_thread")
+@pytest.mark.usefixtures("no_report")
 def test_parts_beside_flights_are_done_once_and_before_what_is_timed(
-    world: World, tmp_path: Path
+    world: World, tmp_path: Path, beside_in_a_thread: list[str]
 ) -> None:
-    notes: list[str] = []
-    done = reproduce.reproduce(tmp_path, quick=True, jobs=2, notes=notes.append)
+    done = reproduce.reproduce(tmp_path, quick=True, jobs=2)
     assert done.good and len(done.states) == 10
     for what in ("calibration", "edges", "sites", "speed", "training"):
         assert world.count(what) == 1, what
     drawn = max(world.calls.index(what) for what in ("calibration", "edges", "scene", "sites"))
     flown = max(n for n, what in enumerate(world.calls) if what.endswith("-s0"))
     assert max(drawn, flown) < world.calls.index("speed") < world.calls.index("training")
-    assert sum(note.startswith("[1/10] calibration: ") for note in notes) == 2
-    again = reproduce.reproduce(tmp_path, quick=True, jobs=2, notes=notes.append)
+    assert sum(note.startswith("[1/10] calibration: ") for note in beside_in_a_thread) == 2
+    again = reproduce.reproduce(tmp_path, quick=True, jobs=2)
     assert again.good and world.count("calibration") == 1
 
 
