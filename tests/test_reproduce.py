@@ -63,7 +63,7 @@ def test_quick_flights_are_some_of_all_flights(name: str, flights: int) -> None:
 def test_quick_fits_into_twenty_minutes_of_two_cores() -> None:
     """By the measured cost of each kind of flight; a fifth is left for what waits for others."""
     minutes = sum(part["core_minutes"] for part in reproduce.overview(quick=True, jobs=2))
-    alone = {"calibration", "edges", "world", "speed"}
+    alone = {"landing", "speed", "recognition"}
     waiting = sum(
         part.core_seconds(Extent(quick=True)) / 60.0 for part in PARTS if part.name in alone
     )
