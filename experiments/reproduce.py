@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import importlib.util
 import json
+import shutil
 import threading
 import time
 import traceback
@@ -148,6 +149,8 @@ def _do(part: Part, job: Job, head: str) -> None:
     job.notes(f"{head}: {part.title}, for {', '.join(part.shows)}")
     started = time.perf_counter()
     job.folder.mkdir(parents=True, exist_ok=True)
+    for partial in job.folder.glob(".*.partial-*"):
+        shutil.rmtree(partial, ignore_errors=True)  # of one that was killed: others are locked out
     done, error = Done({}), ""
     try:
         done = part.run(job)
