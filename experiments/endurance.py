@@ -172,7 +172,7 @@ def plot(flights: Sequence[dict[str, Any]], path: Path) -> None:
         axes.set_xlabel("minute of flight")
         axes.set_ylim(0.0, 1.08 * axes.dataLim.y1)
         axes.grid(alpha=0.3)
-    figure.axes[0].legend(fontsize=8)
+    figure.axes[0].legend(fontsize=8, loc="lower right")
     try:
         figure.savefig(path)
     except (OSError, ValueError) as error:
