@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import Estimate
-from sim.api import FORBID_EXTRA, Command
+from touchdown.estimator.api import Estimate
+from touchdown.sim.api import FORBID_EXTRA, Command
 
 Array = NDArray[np.float64]
 

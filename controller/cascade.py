@@ -6,13 +6,13 @@ import numpy as np
 from numba import njit, types
 from numpy.typing import NDArray
 
-from controller.api import ControlParams, Setpoint
-from controller.disturbance import DisturbanceObserver
-from controller.gains import cascade_gains
-from controller.mixer import Mixer, MotorLead
-from controller.pid import VectorPid
-from estimator.api import Estimate
-from sim.api import GRAVITY_MPS2, Command, VehicleModel
+from touchdown.controller.api import ControlParams, Setpoint
+from touchdown.controller.disturbance import DisturbanceObserver
+from touchdown.controller.gains import cascade_gains
+from touchdown.controller.mixer import Mixer, MotorLead
+from touchdown.controller.pid import VectorPid
+from touchdown.estimator.api import Estimate
+from touchdown.sim.api import GRAVITY_MPS2, Command, VehicleModel
 
 Array = NDArray[np.float64]
 

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.api import ControlParams
-from controller.gains import CascadeGains, cascade_gains
-from controller.mixer import lead_coefficients
-from sim.api import GRAVITY_MPS2, VehicleModel
+from touchdown.controller.api import ControlParams
+from touchdown.controller.gains import CascadeGains, cascade_gains
+from touchdown.controller.mixer import lead_coefficients
+from touchdown.sim.api import GRAVITY_MPS2, VehicleModel
 
 Array = NDArray[np.float64]
 System = Any

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sim.api import GRAVITY_MPS2, VehicleModel
+from touchdown.sim.api import GRAVITY_MPS2, VehicleModel
 
 Array = NDArray[np.float64]
 

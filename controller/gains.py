@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.api import ControlParams
-from controller.pid import PidGains
+from touchdown.controller.api import ControlParams
+from touchdown.controller.pid import PidGains
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sim.api import VehicleModel
+from touchdown.sim.api import VehicleModel
 
 Array = NDArray[np.float64]
 

@@ -57,7 +57,7 @@ def help_of_commands() -> str:
     """Markdown with what ``--help`` of every command prints."""
     import click
 
-    from experiments.cli import cli
+    from touchdown.experiments.cli.main import cli
 
     def sections(command: click.Command, name: str, parent: click.Context | None) -> Iterator[str]:
         context = click.Context(

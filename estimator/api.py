@@ -12,8 +12,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.api import FORBID_EXTRA, CameraIntrinsics, Observation, SensorNeeds
-from sim.frames import Pose
+from touchdown.sim.api import FORBID_EXTRA, CameraIntrinsics, Observation, SensorNeeds
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 
@@ -224,7 +224,7 @@ class MapperParams:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LivoParams:
-    """LIDAR-inertial-visual odometry (``estimator/livo.py``)."""
+    """LIDAR-inertial-visual odometry (``estimator/livo/estimator.py``)."""
 
     __pydantic_config__ = FORBID_EXTRA
 

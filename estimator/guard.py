@@ -17,8 +17,8 @@ import numpy as np
 from numba import njit, types
 from numpy.typing import NDArray
 
-from estimator.api import picture_trouble, some_pixels
-from sim.api import CameraImage, ImuSample, LidarScan, Observation, SensorRig
+from touchdown.estimator.api import picture_trouble, some_pixels
+from touchdown.sim.api import CameraImage, ImuSample, LidarScan, Observation, SensorRig
 
 _CLUTTER_M = 10.0
 """within which rain and fog are taken for targets"""

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from estimator.api import Estimate
-from sim.api import Observation, SensorNeeds, SensorRig, Truth
-from sim.frames import Pose
+from touchdown.estimator.api import Estimate
+from touchdown.sim.api import Observation, SensorNeeds, SensorRig, Truth
+from touchdown.sim.frames import Pose
 
 _POSITION_VARIANCE_M2 = 1e-8
 _ROTATION_VARIANCE_RAD2 = 1e-10

@@ -1,7 +1,1 @@
-"""Wiring, the one main loop, referee, recordings and the command line."""
-
-import os
-
-# Matrices of an estimator are small, and sums over two threads differ in their last bits from sums
-# over one: a flight by itself is to be the flight of a campaign. Read when NumPy is loaded.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+"""How the parts are joined: wiring, the loop, referee, records, reports, command line."""

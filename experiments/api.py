@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
-from sim.api import FORBID_EXTRA
+from touchdown.sim.api import FORBID_EXTRA
 
 
 class Outcome(StrEnum):
@@ -60,3 +62,18 @@ class RigErrorParams:
     """relative, of each focal length"""
     center_sigma_px: float = 0.0
     """of either coordinate of the principal point"""
+
+
+def is_good(result: dict[str, Any]) -> bool:
+    """Landed on safe ground, of a safe class where places were recognised; for a survey alone:
+    flown to its end."""
+    if result["outcome"] == "COMPLETED":
+        return True
+    return result["outcome"] == "LANDED" and bool(ground_was_safe(result["landing"] or {}))
+
+
+def ground_was_safe(landing: Mapping[str, Any]) -> bool | None:
+    """By what the flight is judged on; None where the result does not say."""
+    by_class = landing.get("judged_on") == "geometry and class"
+    found = landing.get("safe" if by_class else "safe_geometry")
+    return found if isinstance(found, bool) else None

@@ -87,8 +87,9 @@ def fly_all(
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
-    from experiments.build import find_estimator
-    from experiments.config import UsageError, load_config
+    from touchdown.experiments.config.loading import load_config
+    from touchdown.experiments.errors import UsageError
+    from touchdown.experiments.flight.wiring import find_estimator
 
     if mode not in ("fly", "land"):
         raise UsageError(f"mode = '{mode}' must be 'fly' or 'land'")
@@ -123,11 +124,13 @@ def _one_thread() -> None:
 
 
 def _fly_one(task: tuple[str, str, str]) -> dict[str, Any]:
-    from experiments.campaign import config_sha
-    from experiments.campaign_rows import CRASHED, make_row
-    from experiments.cli_base import guarded_fly, rendering_backend
-    from experiments.config import Config, UsageError
-    from experiments.outside_estimator import OutsideError
+    from touchdown.experiments.campaign.plan import config_sha
+    from touchdown.experiments.campaign.results_table import CRASHED, make_row
+    from touchdown.experiments.config.schema import Config
+    from touchdown.experiments.errors import UsageError
+    from touchdown.experiments.external.wrapper import OutsideError
+    from touchdown.experiments.flight.platform import rendering_backend
+    from touchdown.experiments.flight.run import guarded_fly
 
     os.environ.setdefault("MUJOCO_GL", rendering_backend())
     text, out, mode = task
@@ -156,7 +159,7 @@ def assert_position_error(
 
     The message names each flight that does not. Raises ValueError without any flight.
     """
-    from experiments.reporting.flights import is_bad, number
+    from touchdown.experiments.reporting.flights import is_bad, number
 
     flights = list(rows)
     if not flights:

@@ -9,9 +9,9 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.api import Setpoint
-from estimator.api import Estimate, MapView
-from sim.api import FORBID_EXTRA, Observation, SensorNeeds
+from touchdown.controller.api import Setpoint
+from touchdown.estimator.api import Estimate, MapView
+from touchdown.sim.api import FORBID_EXTRA, Observation, SensorNeeds
 
 Array = NDArray[np.float64]
 
@@ -82,7 +82,7 @@ class Selection:
     allowed: NDArray[np.bool_]
     """cells that the selector would land on"""
     probability: NDArray[np.float32]
-    """of a touchdown that is safe by geometry, as `landing.risk` believes"""
+    """of a touchdown that is safe by geometry, as `landing.selection.risk` believes"""
     cluster: NDArray[np.int32]
     """number of the cluster (Eq. 19) that a cell belongs to, -1 outside"""
     modes: NDArray[np.int32]
@@ -190,8 +190,8 @@ class LandingParams:
         11.87, -1.83, -1.21, -0.2, -0.2, -0.2, -5.49, -0.2, -0.2, -1.06, -1.30,
     )  # fmt: skip
     """log-odds of a safe touchdown: constant; slope, step, object, spread, neighbour, confinement,
-    sparsity and age (``landing.risk_features``); the worst of slope, step and neighbour, and what
-    that has beyond 0.8. Fitted by ``touchdown bench selector --fit``"""
+    sparsity and age (``landing.selection.risk_features``); the worst of slope, step and neighbour,
+    and what that has beyond 0.8. Fitted by ``touchdown bench selector --fit``"""
     emergency: Literal["", "battery"] = ""
     """``battery``: land within ``emergency_s`` on the least bad site; empty: no emergency"""
     emergency_s: float = 45.0

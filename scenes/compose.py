@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import LowSun, Scene
-from scenes.draft import SceneDraft
-from scenes.foreign import read_mjcf
-from scenes.light import lower_own_sun, sun_at
-from scenes.registry import scene_generator
+from touchdown.scenes.api import LowSun, Scene
+from touchdown.scenes.authoring.draft import SceneDraft
+from touchdown.scenes.authoring.light import lower_own_sun, sun_at
+from touchdown.scenes.importers.mjcf import read_mjcf
+from touchdown.scenes.registry import scene_generator
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from scenes.api import Scene
-from scenes.compose import VEHICLE_BODY, compose_spec
+from touchdown.scenes.api import Scene
+from touchdown.scenes.compose import VEHICLE_BODY, compose_spec
 
 ASSETS = "assets"
 

@@ -6,20 +6,20 @@ import difflib
 import importlib
 from collections.abc import Callable
 
-from scenes.draft import SceneDraft
+from touchdown.scenes.authoring.draft import SceneDraft
 
 _GENERATORS = {
-    "footbridge": "scenes.footbridge.generate",
-    "rooftop_parking": "scenes.rooftop_parking.generate",
-    "cottage": "scenes.cottage.generate",
-    "crossroad": "scenes.crossroad.generate",
-    "forest": "scenes.forest.generate",
-    "turf": "scenes.turf.generate",
-    "flat": "scenes.flat.generate",
-    "houses": "scenes.houses.generate",
-    "lake": "scenes.lake.generate",
-    "pools": "scenes.pools.generate",
-    "open_water": "scenes.open_water.generate",
+    "footbridge": "touchdown.scenes.places.footbridge.generate",
+    "rooftop_parking": "touchdown.scenes.places.rooftop_parking.generate",
+    "cottage": "touchdown.scenes.places.cottage.generate",
+    "crossroad": "touchdown.scenes.places.crossroad.generate",
+    "forest": "touchdown.scenes.places.forest.generate",
+    "turf": "touchdown.scenes.places.turf.generate",
+    "flat": "touchdown.scenes.places.flat.generate",
+    "houses": "touchdown.scenes.places.houses.generate",
+    "lake": "touchdown.scenes.places.lake.generate",
+    "pools": "touchdown.scenes.places.pools.generate",
+    "open_water": "touchdown.scenes.places.open_water.generate",
 }
 
 

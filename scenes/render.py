@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import Scene
+from touchdown.scenes.api import Scene
 
 Picture = NDArray[np.uint8]
 """(H, W, 3) RGB"""

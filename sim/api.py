@@ -12,20 +12,20 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.fault_types import FAULT_KINDS as FAULT_KINDS
-from sim.fault_types import Fault as Fault
-from sim.fault_types import FaultParams as FaultParams
-from sim.frames import Pose
-from sim.nav_types import FORBID_EXTRA as FORBID_EXTRA
-from sim.nav_types import BarometerParams as BarometerParams
-from sim.nav_types import BarometerSample as BarometerSample
-from sim.nav_types import GpsFix as GpsFix
-from sim.nav_types import GpsParams as GpsParams
-from sim.nav_types import MagnetometerParams as MagnetometerParams
-from sim.nav_types import MagnetometerSample as MagnetometerSample
-from sim.nav_types import NavParams as NavParams
-from sim.nav_types import RangefinderParams as RangefinderParams
-from sim.nav_types import RangefinderSample as RangefinderSample
+from touchdown.sim.faults.types import FAULT_KINDS as FAULT_KINDS
+from touchdown.sim.faults.types import Fault as Fault
+from touchdown.sim.faults.types import FaultParams as FaultParams
+from touchdown.sim.frames import Pose
+from touchdown.sim.navigation.types import FORBID_EXTRA as FORBID_EXTRA
+from touchdown.sim.navigation.types import BarometerParams as BarometerParams
+from touchdown.sim.navigation.types import BarometerSample as BarometerSample
+from touchdown.sim.navigation.types import GpsFix as GpsFix
+from touchdown.sim.navigation.types import GpsParams as GpsParams
+from touchdown.sim.navigation.types import MagnetometerParams as MagnetometerParams
+from touchdown.sim.navigation.types import MagnetometerSample as MagnetometerSample
+from touchdown.sim.navigation.types import NavParams as NavParams
+from touchdown.sim.navigation.types import RangefinderParams as RangefinderParams
+from touchdown.sim.navigation.types import RangefinderSample as RangefinderSample
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim.api import SensorNeeds, SimParams
+from touchdown.sim.api import SensorNeeds, SimParams
 
 MIN_TICK_HZ = 500
 """The feet are 30 ms stiff; slower physics would not resolve a touchdown."""

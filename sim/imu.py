@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sim.api import GRAVITY_MPS2, ImuParams, ImuSample
+from touchdown.sim.api import GRAVITY_MPS2, ImuParams, ImuSample
 
 Array = NDArray[np.float64]
 

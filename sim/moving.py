@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scenes.api import MovingBody, Scene
+from touchdown.scenes.api import MovingBody, Scene
 
 Array = NDArray[np.float64]
 

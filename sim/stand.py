@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import Scene
-from sim.api import CameraIntrinsics, CameraParams, LidarParams, LidarScan, SimParams
-from sim.camera import CameraSensor
-from sim.frames import Pose, quat_wxyz_from_matrix
-from sim.lidar import LidarSensor
-from sim.vehicle import sensor_poses
+from touchdown.scenes.api import Scene
+from touchdown.sim.airframe.vehicle import sensor_poses
+from touchdown.sim.api import CameraIntrinsics, CameraParams, LidarParams, LidarScan, SimParams
+from touchdown.sim.camera.sensor import CameraSensor
+from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
+from touchdown.sim.lidar.sensor import LidarSensor
 
 Array = NDArray[np.float64]
 

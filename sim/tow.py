@@ -13,13 +13,25 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import Scene
-from sim.api import GRAVITY_MPS2, CameraImage, CameraParams, LidarParams, LidarScan, SimParams
-from sim.camera import CameraSensor
-from sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix, rotation_from_yaw
-from sim.lidar import LidarSensor
-from sim.moving import MovingBodies
-from sim.vehicle import sensor_poses
+from touchdown.scenes.api import Scene
+from touchdown.sim.airframe.vehicle import sensor_poses
+from touchdown.sim.api import (
+    GRAVITY_MPS2,
+    CameraImage,
+    CameraParams,
+    LidarParams,
+    LidarScan,
+    SimParams,
+)
+from touchdown.sim.camera.sensor import CameraSensor
+from touchdown.sim.frames import (
+    Pose,
+    matrix_from_quat_wxyz,
+    quat_wxyz_from_matrix,
+    rotation_from_yaw,
+)
+from touchdown.sim.lidar.sensor import LidarSensor
+from touchdown.sim.moving import MovingBodies
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sim.api import WindParams
+from touchdown.sim.api import WindParams
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,19 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import Scene
-from sim.api import (
+from touchdown.scenes.api import Scene
+from touchdown.sim.airframe.battery import Battery
+from touchdown.sim.airframe.contacts import ContactSensor
+from touchdown.sim.airframe.ground_probe import GroundProbe
+from touchdown.sim.airframe.physics import prepare_physics, settle_on_ground
+from touchdown.sim.airframe.rotors import Rotors
+from touchdown.sim.airframe.vehicle import (
+    rotor_geometry,
+    sensor_poses,
+    vehicle_body_id,
+    vehicle_model,
+)
+from touchdown.sim.api import (
     GRAVITY_MPS2,
     CameraImage,
     CameraParams,
@@ -28,25 +39,19 @@ from sim.api import (
     Truth,
     WindParams,
 )
-from sim.battery import Battery
-from sim.camera import CAMERA_NAME, CameraSensor, Snapshot
-from sim.clock import check_rates, image_period_ticks, readout_ticks
-from sim.contacts import ContactSensor
-from sim.delivery import DeliveryQueue, make_executor
-from sim.disturbances import Disturbances
-from sim.faults import FaultInjector
-from sim.frames import Pose, matrix_from_quat_wxyz
-from sim.ground import GroundProbe
-from sim.imu import ImuSensor
-from sim.lidar import LidarSensor
-from sim.livox import pattern
-from sim.moving import MovingBodies
-from sim.navigation import NavSensors
-from sim.physics import prepare_physics, settle_on_ground
-from sim.rotors import Rotors
-from sim.vehicle import rotor_geometry, sensor_poses, vehicle_body_id, vehicle_model
-from sim.weather import Weather
-from sim.wind import Wind
+from touchdown.sim.camera.sensor import CAMERA_NAME, CameraSensor, Snapshot
+from touchdown.sim.clock import check_rates, image_period_ticks, readout_ticks
+from touchdown.sim.delivery import DeliveryQueue, make_executor
+from touchdown.sim.faults.disturbances import Disturbances
+from touchdown.sim.faults.injector import FaultInjector
+from touchdown.sim.faults.weather import Weather
+from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
+from touchdown.sim.imu import ImuSensor
+from touchdown.sim.lidar.patterns.livox import pattern
+from touchdown.sim.lidar.sensor import LidarSensor
+from touchdown.sim.moving import MovingBodies
+from touchdown.sim.navigation.channels import NavSensors
+from touchdown.sim.wind import Wind
 
 Array = NDArray[np.float64]
 

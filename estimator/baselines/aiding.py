@@ -1,8 +1,7 @@
 """Measurements of the small sensors as updates of the error-state filter.
 
-Error coordinates as in ``estimator.imu_propagation``: rotation (right perturbation), position,
-velocity, biases. The odometry frame has the axes of the world.
-"""
+Error coordinates as in ``estimator.filtering.imu_propagation``: rotation (right perturbation),
+position, velocity, biases. The odometry frame has the axes of the world."""
 
 from __future__ import annotations
 
@@ -12,10 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.eskf import Eskf
-from estimator.imu_propagation import POSITION, ROTATION, VELOCITY
-from sim.api import BarometerSample, GpsFix
-from sim.frames import cross, skew, wrap_angle
+from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.imu_propagation import POSITION, ROTATION, VELOCITY
+from touchdown.sim.api import BarometerSample, GpsFix
+from touchdown.sim.frames import cross, skew, wrap_angle
 
 Array = NDArray[np.float64]
 

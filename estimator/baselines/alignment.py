@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.api import GRAVITY_MPS2, MagnetometerParams, Observation, SensorRig
-from sim.frames import Pose
+from touchdown.sim.api import GRAVITY_MPS2, MagnetometerParams, Observation, SensorRig
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 

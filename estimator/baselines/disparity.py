@@ -10,9 +10,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import StereoParams
-from estimator.baselines.corner_flow import follow
-from sim.frames import Pose
+from touchdown.estimator.api import StereoParams
+from touchdown.estimator.baselines.corner_flow import follow
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
-from sim.api import (
+from touchdown.sim.api import (
     BarometerSample,
     CameraImage,
     GpsFix,

@@ -13,12 +13,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import Estimate, GpsEstimatorParams
-from estimator.baselines.aiding import update_velocity
-from estimator.baselines.navigator import Navigator
-from estimator.baselines.world_anchor import FollowingAnchor, WanderingAnchor
-from sim.api import GpsFix, Observation, SensorNeeds, SensorRig
-from sim.frames import Pose
+from touchdown.estimator.api import Estimate, GpsEstimatorParams
+from touchdown.estimator.baselines.aiding import update_velocity
+from touchdown.estimator.baselines.navigator import Navigator
+from touchdown.estimator.baselines.world_anchor import FollowingAnchor, WanderingAnchor
+from touchdown.sim.api import GpsFix, Observation, SensorNeeds, SensorRig
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 

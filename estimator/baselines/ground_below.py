@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.imu_propagation import NavState
-from sim.api import RangefinderSample, SensorRig
+from touchdown.estimator.filtering.imu_propagation import NavState
+from touchdown.sim.api import RangefinderSample, SensorRig
 
 Array = NDArray[np.float64]
 

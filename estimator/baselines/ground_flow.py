@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.baselines.aiding import update
-from estimator.eskf import Eskf
-from estimator.imu_propagation import STATE_DIM
-from sim.api import CameraIntrinsics
-from sim.frames import skew
+from touchdown.estimator.baselines.aiding import update
+from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.imu_propagation import STATE_DIM
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.frames import skew
 
 Array = NDArray[np.float64]
 

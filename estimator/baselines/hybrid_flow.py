@@ -12,20 +12,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import Estimate, HybridFlowParams
-from estimator.baselines.gps import SatelliteAiding
-from estimator.baselines.ground_below import GroundBelow
-from estimator.baselines.ground_flow import (
+from touchdown.estimator.api import Estimate, HybridFlowParams
+from touchdown.estimator.baselines.gps import SatelliteAiding
+from touchdown.estimator.baselines.ground_below import GroundBelow
+from touchdown.estimator.baselines.ground_flow import (
     Displacement,
     pixels_of,
     solve_displacement,
     update_with_displacement,
 )
-from estimator.baselines.navigator import Grey, Navigator
-from estimator.baselines.phase_correlation import Shift, phase_shift
-from estimator.baselines.world_anchor import WanderingAnchor
-from sim.api import CameraImage, CameraIntrinsics, Observation, SensorNeeds, SensorRig
-from sim.frames import BODY_FROM_DOWNWARD_OPTICAL
+from touchdown.estimator.baselines.navigator import Grey, Navigator
+from touchdown.estimator.baselines.phase_correlation import Shift, phase_shift
+from touchdown.estimator.baselines.world_anchor import WanderingAnchor
+from touchdown.sim.api import CameraImage, CameraIntrinsics, Observation, SensorNeeds, SensorRig
+from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL
 
 Array = NDArray[np.float64]
 

@@ -10,17 +10,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import Estimate
-from estimator.baselines.aiding import BaroHeight, heading_of, update_heading
-from estimator.baselines.alignment import Alignment, field_azimuth
-from estimator.baselines.epochs import Epoch, EpochQueue
-from estimator.eskf import Eskf
-from estimator.guard import InputGuard
-from estimator.imu_propagation import ROTATION
-from estimator.livo import _undistortion_maps
-from estimator.paper.inertial import InertialFilter
-from sim.api import MagnetometerSample, Observation, SensorNeeds, SensorRig
-from sim.frames import Pose
+from touchdown.estimator.api import Estimate
+from touchdown.estimator.baselines.aiding import BaroHeight, heading_of, update_heading
+from touchdown.estimator.baselines.alignment import Alignment, field_azimuth
+from touchdown.estimator.baselines.epochs import Epoch, EpochQueue
+from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.imu_propagation import ROTATION
+from touchdown.estimator.guard import InputGuard
+from touchdown.estimator.livo.estimator import _undistortion_maps
+from touchdown.estimator.paper.inertial import InertialFilter
+from touchdown.sim.api import MagnetometerSample, Observation, SensorNeeds, SensorRig
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]

@@ -10,19 +10,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import Estimate, OpticalFlowParams
-from estimator.baselines.corner_flow import follow
-from estimator.baselines.ground_below import GroundBelow
-from estimator.baselines.ground_flow import (
+from touchdown.estimator.api import Estimate, OpticalFlowParams
+from touchdown.estimator.baselines.corner_flow import follow
+from touchdown.estimator.baselines.ground_below import GroundBelow
+from touchdown.estimator.baselines.ground_flow import (
     level_directions,
     pixels_of,
     solve_displacement,
     update_with_displacement,
 )
-from estimator.baselines.navigator import Grey, Navigator
-from estimator.keyframes import detect_features
-from sim.api import CameraImage, Observation, SensorNeeds, SensorRig
-from sim.frames import Pose
+from touchdown.estimator.baselines.navigator import Grey, Navigator
+from touchdown.estimator.filtering.keyframes import detect_features
+from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import Estimate, StereoParams
-from estimator.baselines.corner_flow import follow
-from estimator.baselines.disparity import GroundHeight, disparities, inverse_depths
-from estimator.baselines.navigator import Grey, Navigator
-from estimator.imu_propagation import STATE_DIM
-from estimator.keyframes import bearing_rays, detect_features
-from estimator.visual import reprojection_information
-from sim.api import CameraImage, Observation, SensorNeeds, SensorRig
-from sim.frames import Pose
+from touchdown.estimator.api import Estimate, StereoParams
+from touchdown.estimator.baselines.corner_flow import follow
+from touchdown.estimator.baselines.disparity import GroundHeight, disparities, inverse_depths
+from touchdown.estimator.baselines.navigator import Grey, Navigator
+from touchdown.estimator.filtering.imu_propagation import STATE_DIM
+from touchdown.estimator.filtering.keyframes import bearing_rays, detect_features
+from touchdown.estimator.livo.visual import reprojection_information
+from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from estimator.api import Chessboard
-from estimator.calibration.normals import difference_of_normals, voxel_means
+from touchdown.estimator.api import Chessboard
+from touchdown.estimator.calibration.normals import difference_of_normals, voxel_means
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -8,15 +8,19 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import CalibrationResult, CalibrationView, Chessboard
-from estimator.calibration.board_plane import BoardPlane, find_board
-from estimator.calibration.chessboard import (
+from touchdown.estimator.api import CalibrationResult, CalibrationView, Chessboard
+from touchdown.estimator.calibration.board_plane import BoardPlane, find_board
+from touchdown.estimator.calibration.chessboard import (
     LENS_PARAMETERS,
     camera_planes,
     find_corners,
     fit_camera,
 )
-from estimator.calibration.extrinsics import FEWEST_VIEWS, agreeing_views, solve_extrinsics
+from touchdown.estimator.calibration.extrinsics import (
+    FEWEST_VIEWS,
+    agreeing_views,
+    solve_extrinsics,
+)
 
 Array = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import Chessboard
-from sim.api import CameraIntrinsics
-from sim.frames import skew, so3_exp, so3_right_jacobian
+from touchdown.estimator.api import Chessboard
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.frames import skew, so3_exp, so3_right_jacobian
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.calibration.board_plane import BoardPlane
-from estimator.calibration.chessboard import CameraPlanes
-from sim.frames import Pose, so3_exp
+from touchdown.estimator.calibration.board_plane import BoardPlane
+from touchdown.estimator.calibration.chessboard import CameraPlanes
+from touchdown.sim.frames import Pose, so3_exp
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -13,8 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sim.api import CameraIntrinsics
-from sim.frames import Pose, so3_exp, so3_log
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

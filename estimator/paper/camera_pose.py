@@ -6,19 +6,25 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import PaperParams
-from estimator.keyframes import bearing_rays, most_redundant
-from estimator.landmark_depth import RecentReturns
-from estimator.lidar_update import floored
-from estimator.paper.closures import Closures
-from estimator.paper.depth_field import DepthField
-from estimator.paper.inertial import InertialFilter
-from estimator.paper.landmarks import Features, LandmarkDetector
-from estimator.paper.pnp import CameraPose, solve_pnp
-from estimator.paper.visual_map import LandmarkSet, MapKeyframe, Sightings, VisualMap, no_sightings
-from estimator.paper.window import adjust_window
-from sim.api import CameraImage, SensorRig
-from sim.frames import Pose, skew
+from touchdown.estimator.api import PaperParams
+from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
+from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.livo.lidar_update import floored
+from touchdown.estimator.paper.closures import Closures
+from touchdown.estimator.paper.depth_field import DepthField
+from touchdown.estimator.paper.inertial import InertialFilter
+from touchdown.estimator.paper.landmarks import Features, LandmarkDetector
+from touchdown.estimator.paper.pnp import CameraPose, solve_pnp
+from touchdown.estimator.paper.visual_map import (
+    LandmarkSet,
+    MapKeyframe,
+    Sightings,
+    VisualMap,
+    no_sightings,
+)
+from touchdown.estimator.paper.window import adjust_window
+from touchdown.sim.api import CameraImage, SensorRig
+from touchdown.sim.frames import Pose, skew
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.paper.dictionary import InvertedIndex, Vocabulary
-from estimator.paper.landmarks import BRISK, SIFT
-from estimator.paper.pose_graph import Edge, PoseGraph
-from estimator.paper.visual_map import MapKeyframe
-from sim.frames import Pose, rotation_from_yaw, so3_log
+from touchdown.estimator.paper.dictionary import InvertedIndex, Vocabulary
+from touchdown.estimator.paper.landmarks import BRISK, SIFT
+from touchdown.estimator.paper.pose_graph import Edge, PoseGraph
+from touchdown.estimator.paper.visual_map import MapKeyframe
+from touchdown.sim.frames import Pose, rotation_from_yaw, so3_log
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

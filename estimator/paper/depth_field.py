@@ -7,17 +7,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from estimator.landmark_depth import RecentReturns
-from estimator.paper.edges import EdgeDetector
-from estimator.paper.geodesic import (
+from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.paper.geodesic import (
     colour_smoothness,
     geodesic_depth,
     geodesic_lengths,
     geodesic_transform,
 )
-from estimator.paper.projection import inside_image, project
-from sim.api import CameraIntrinsics
-from sim.frames import Pose
+from touchdown.estimator.paper.projection import inside_image, project
+from touchdown.estimator.paper.structured_edges.detector import EdgeDetector
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.paper.landmarks import BRISK_BYTES, SIFT, SIFT_BYTES
+from touchdown.estimator.paper.landmarks import BRISK_BYTES, SIFT, SIFT_BYTES
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

@@ -8,17 +8,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import Estimate, PaperParams, PoseTrack
-from estimator.guard import InputGuard
-from estimator.landmark_depth import RecentReturns
-from estimator.livo import _undistortion_maps
-from estimator.paper.camera_pose import CameraPositioning
-from estimator.paper.depth_field import half_size_energy
-from estimator.paper.edges import edge_detector
-from estimator.paper.inertial import InertialFilter
-from estimator.paper.lidar_pose import LidarPositioning
-from estimator.paper.projection import nearest_image
-from sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
+from touchdown.estimator.api import Estimate, PaperParams, PoseTrack
+from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.guard import InputGuard
+from touchdown.estimator.livo.estimator import _undistortion_maps
+from touchdown.estimator.paper.camera_pose import CameraPositioning
+from touchdown.estimator.paper.depth_field import half_size_energy
+from touchdown.estimator.paper.inertial import InertialFilter
+from touchdown.estimator.paper.lidar_pose import LidarPositioning
+from touchdown.estimator.paper.projection import nearest_image
+from touchdown.estimator.paper.structured_edges.detector import edge_detector
+from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 
 Array = NDArray[np.float64]
 

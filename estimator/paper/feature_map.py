@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from estimator.plane_map import _EMPTY, _pack, _slot
+from touchdown.estimator.filtering.plane_map import _EMPTY, _pack, _slot
 
 Array = NDArray[np.float64]
 

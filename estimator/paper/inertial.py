@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import Estimate, PoseTrack
-from estimator.deskew import deskew
-from estimator.eskf import Eskf
-from estimator.imu_propagation import ImuBuffer, NavState, propagate_nominal
-from estimator.stillness import Stillness
-from sim.api import GRAVITY_MPS2, ImuSample, LidarScan, Observation, SensorRig
-from sim.frames import Pose, cross, quat_wxyz_from_matrix, so3_exp, so3_log
+from touchdown.estimator.api import Estimate, PoseTrack
+from touchdown.estimator.filtering.deskew import deskew
+from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState, propagate_nominal
+from touchdown.estimator.filtering.zero_velocity import Stillness
+from touchdown.sim.api import GRAVITY_MPS2, ImuSample, LidarScan, Observation, SensorRig
+from touchdown.sim.frames import Pose, cross, quat_wxyz_from_matrix, so3_exp, so3_log
 
 Array = NDArray[np.float64]
 

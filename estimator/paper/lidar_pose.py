@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import PaperParams
-from estimator.landmark_depth import RecentReturns
-from estimator.lidar_update import floored, lateral_strength
-from estimator.paper.depth_field import scan_colour_smoothness
-from estimator.paper.feature_map import FeatureMap
-from estimator.paper.inertial import InertialFilter
-from estimator.paper.projection import lidar_to_camera
-from estimator.paper.registration import ScanPose, register_scan
-from estimator.paper.smoothness import (
+from touchdown.estimator.api import PaperParams
+from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.livo.lidar_update import floored, lateral_strength
+from touchdown.estimator.paper.depth_field import scan_colour_smoothness
+from touchdown.estimator.paper.feature_map import FeatureMap
+from touchdown.estimator.paper.inertial import InertialFilter
+from touchdown.estimator.paper.projection import lidar_to_camera
+from touchdown.estimator.paper.registration import ScanPose, register_scan
+from touchdown.estimator.paper.smoothness import (
     FeaturePoints,
     fused_smoothness,
     lidar_smoothness,
     sort_out_features,
 )
-from sim.api import CameraIntrinsics, LidarScan, SensorRig
+from touchdown.sim.api import CameraIntrinsics, LidarScan, SensorRig
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]

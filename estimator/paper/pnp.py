@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.visual import reprojection_information
-from sim.api import CameraIntrinsics
-from sim.frames import Pose, so3_exp, so3_log
+from touchdown.estimator.livo.visual import reprojection_information
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
-from sim.frames import Pose, so3_exp, so3_log
+from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

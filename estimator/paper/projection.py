@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.api import CameraImage
-from sim.frames import Pose
+from touchdown.sim.api import CameraImage
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from estimator.paper.feature_map import FeatureMap
-from estimator.plane_map import smallest_eigen
-from sim.frames import Pose, so3_exp, so3_log
+from touchdown.estimator.filtering.plane_map import smallest_eigen
+from touchdown.estimator.paper.feature_map import FeatureMap
+from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.api import PaperParams
-from estimator.paper.depth_field import half_size_energy
-from estimator.paper.edges import edge_detector
-from estimator.paper.lidar_pose import scan_features
-from estimator.paper.projection import inside_image, lidar_to_camera, project
-from sim.api import LidarScan, SensorRig
+from touchdown.estimator.api import PaperParams
+from touchdown.estimator.paper.depth_field import half_size_energy
+from touchdown.estimator.paper.lidar_pose import scan_features
+from touchdown.estimator.paper.projection import inside_image, lidar_to_camera, project
+from touchdown.estimator.paper.structured_edges.detector import edge_detector
+from touchdown.sim.api import LidarScan, SensorRig
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.paper.landmarks import Features
-from estimator.paper.matching import match_near
-from estimator.paper.projection import inside_image, project
-from sim.api import CameraIntrinsics
-from sim.frames import Pose
+from touchdown.estimator.paper.landmarks import Features
+from touchdown.estimator.paper.matching import match_near
+from touchdown.estimator.paper.projection import inside_image, project
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

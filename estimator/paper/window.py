@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.keyframes import bearing_rays
-from estimator.paper.bundle import BundleProblem, adjust
-from estimator.paper.visual_map import MapKeyframe, Sightings
-from sim.api import CameraIntrinsics
-from sim.frames import Pose
+from touchdown.estimator.filtering.keyframes import bearing_rays
+from touchdown.estimator.paper.bundle import BundleProblem, adjust
+from touchdown.estimator.paper.visual_map import MapKeyframe, Sightings
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 

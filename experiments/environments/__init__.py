@@ -3,16 +3,16 @@
 Importing this package registers ``Touchdown-v0`` with Gymnasium where that is installed::
 
     import gymnasium
-    import experiments.environments
+    import touchdown.experiments.environments
 
     env = gymnasium.make("Touchdown-v0", scene="crossroad")
 
 or, in one step, ``gymnasium.make("experiments.environments:Touchdown-v0")``. With dm_env::
 
-    from experiments.environments.dm_environment import TouchdownEnvironment
+    from touchdown.experiments.environments.dm_environment import TouchdownEnvironment
 
-Both need the extra ``rl``. What is sensed, done and rewarded: `experiments.environments.task`.
-"""
+Both need the extra ``rl``. What is sensed, done and rewarded:
+`experiments.environments.landing_task`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def register() -> None:
     if ENVIRONMENT_ID not in gymnasium.registry:
         gymnasium.register(
             id=ENVIRONMENT_ID,
-            entry_point="experiments.environments.gymnasium_env:TouchdownEnv",
+            entry_point="touchdown.experiments.environments.gymnasium_env:TouchdownEnv",
         )
 
 

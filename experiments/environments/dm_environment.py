@@ -9,13 +9,13 @@ import numpy as np
 from dm_env import specs
 from numpy.typing import NDArray
 
-from experiments.environments.task import LandingTask, TaskOptions
+from touchdown.experiments.environments.landing_task import LandingTask, TaskOptions
 
 
 class TouchdownEnvironment(dm_env.Environment):
-    """Takes the fields of `experiments.environments.task.TaskOptions` and a ``seed``, which decides
-    the layout of the scene and all that is drawn afterwards. Discount 0 at an end, 1 at a cut-off.
-    """
+    """Takes the fields of `experiments.environments.landing_task.TaskOptions` and a ``seed``, which
+    decides the layout of the scene and all that is drawn afterwards. Discount 0 at an end, 1 at a
+    cut-off."""
 
     def __init__(self, seed: int = 0, **options: Any) -> None:
         self._task = LandingTask(TaskOptions(**options))

@@ -8,14 +8,14 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.environments.task import LandingTask, TaskOptions
+from touchdown.experiments.environments.landing_task import LandingTask, TaskOptions
 
 Observation = dict[str, NDArray[Any]]
 
 
 class TouchdownEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     """``gymnasium.make("Touchdown-v0", **options)`` with the fields of
-    `experiments.environments.task.TaskOptions`.
+    `experiments.environments.landing_task.TaskOptions`.
 
     ``reset(seed=n)`` builds layout n of the scene and makes all that follows repeatable; a reset
     without seed keeps the layout and draws another start, wind and sensor errors.

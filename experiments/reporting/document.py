@@ -11,12 +11,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from experiments.campaign_dir import write_text
-from experiments.expectations import Verdict
-from experiments.reporting import published
-from experiments.reporting.distance import add_errors_by_distance, distance_tables
-from experiments.reporting.figures import Picture, all_pictures
-from experiments.reporting.flights import (
+from touchdown.experiments.campaign.expectations import Verdict
+from touchdown.experiments.io.run_directory import run_directory, write_text
+from touchdown.experiments.reporting import published
+from touchdown.experiments.reporting.drift import add_errors_by_distance, distance_tables
+from touchdown.experiments.reporting.figures import Picture, all_pictures
+from touchdown.experiments.reporting.flights import (
     Row,
     add_path_deviations,
     is_bad,
@@ -24,10 +24,11 @@ from experiments.reporting.flights import (
     outcome_counts,
     scenes_of,
 )
-from experiments.reporting.landing_figure import landing_pictures
-from experiments.reporting.landings import landing_tables, landing_words
-from experiments.reporting.statistics import INTERVAL
-from experiments.reporting.tables import (
+from touchdown.experiments.reporting.landing_figure import landing_pictures
+from touchdown.experiments.reporting.landings import landing_tables, landing_words
+from touchdown.experiments.reporting.narrative import leading_words, published_words, summary_words
+from touchdown.experiments.reporting.statistics import INTERVAL
+from touchdown.experiments.reporting.tables import (
     Cell,
     Table,
     axis_tables,
@@ -37,8 +38,6 @@ from experiments.reporting.tables import (
     time_table,
     trajectory_tables,
 )
-from experiments.reporting.words import leading_words, published_words, summary_words
-from experiments.run_directory import run_directory
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +215,7 @@ def page(report: Report) -> str:
     """One self-contained HTML file: nothing is loaded from anywhere."""
     import jinja2
 
-    source = resources.files("experiments.reporting").joinpath("report.html.j2")
+    source = resources.files("touchdown.experiments.reporting").joinpath("report.html.j2")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     environment.filters["code"] = _code
     template = environment.from_string(source.read_text(encoding="utf-8"))

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from experiments.reporting.flights import (
+from touchdown.experiments.reporting.flights import (
     Row,
     Trajectory,
     airborne,
@@ -26,9 +26,9 @@ from experiments.reporting.flights import (
     scenes_of,
     values,
 )
-from experiments.reporting.published import ANALYSED_SCENE
-from experiments.reporting.statistics import Estimate, mean_interval
-from experiments.reporting.tables import AXES
+from touchdown.experiments.reporting.published import ANALYSED_SCENE
+from touchdown.experiments.reporting.statistics import Estimate, mean_interval
+from touchdown.experiments.reporting.tables import AXES
 
 INK, FAINT, GRID, PAPER = "#1b1f27", "#6a7280", "#d9dde3", "#fefefe"
 """Drawn with these; on a page they become its own colours by `on_page`."""

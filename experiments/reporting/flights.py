@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.campaign_rows import RUNS, is_campaign, load_rows
-from experiments.tum import read_tum
-from sim.frames import matrices_from_quats_wxyz
+from touchdown.experiments.campaign.results_table import RUNS, is_campaign, load_rows
+from touchdown.experiments.io.tum import read_tum
+from touchdown.sim.frames import matrices_from_quats_wxyz
 
 Array = NDArray[np.float64]
 Row = Mapping[str, Any]

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
-from experiments.reporting.figures import FAINT, GRID, INK, Picture, colour_of, draw
-from experiments.reporting.flights import Row, cell, methods_of
-from experiments.reporting.landings import landed_of, landings_of, offset_xy
+from touchdown.experiments.reporting.figures import FAINT, GRID, INK, Picture, colour_of, draw
+from touchdown.experiments.reporting.flights import Row, cell, methods_of
+from touchdown.experiments.reporting.landings import landed_of, landings_of, offset_xy
 
 Array = NDArray[np.float64]
 

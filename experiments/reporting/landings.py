@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from experiments.reporting import published
-from experiments.reporting.flights import (
+from touchdown.experiments.reporting import published
+from touchdown.experiments.reporting.flights import (
     Row,
     cell,
     judged_by_class,
@@ -18,8 +18,8 @@ from experiments.reporting.flights import (
     touched_safe_ground,
     values,
 )
-from experiments.reporting.statistics import Estimate, mean_interval, share_interval
-from experiments.reporting.tables import (
+from touchdown.experiments.reporting.statistics import Estimate, mean_interval, share_interval
+from touchdown.experiments.reporting.tables import (
     MISSING,
     Cell,
     Table,
@@ -30,7 +30,7 @@ from experiments.reporting.tables import (
     name_cell,
     published_cell,
 )
-from scenes.api import RISKY_CLASSES, SAFE_CLASSES
+from touchdown.scenes.api import RISKY_CLASSES, SAFE_CLASSES
 
 LANDED = "LANDED"
 _MEASURES: tuple[tuple[str, str, str, Any], ...] = (

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from experiments.reporting import published
-from experiments.reporting.flights import (
+from touchdown.experiments.reporting import published
+from touchdown.experiments.reporting.flights import (
     Row,
     cell,
     is_bad,
@@ -17,11 +17,7 @@ from experiments.reporting.flights import (
     scenes_of,
     values,
 )
-from experiments.reporting.statistics import (
-    Estimate,
-    mean_interval,
-    variance_interval,
-)
+from touchdown.experiments.reporting.statistics import Estimate, mean_interval, variance_interval
 
 MISSING = "–"
 STAGES = ("world", "estimator", "mapper", "lander", "controller", "recorder", "referee")

@@ -7,11 +7,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import Surface
-from scenes.builder import GEOM, Builder, quat_z, turned
-from scenes.noise import fractal_noise
-from scenes.props.meshes import MeshData, box, polygon
-from scenes.textures import Colour, to_picture
+from touchdown.scenes.api import Surface
+from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.textures import Colour, to_picture
+from touchdown.scenes.props.meshes import MeshData, box, polygon
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import Surface
-from scenes.builder import GEOM, Builder, quat_z, turned
-from scenes.props.meshes import MeshData, cylinder_y, polygon
-from scenes.textures import Colour
+from touchdown.scenes.api import Surface
+from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.textures import Colour
+from touchdown.scenes.props.meshes import MeshData, cylinder_y, polygon
 
 Array = NDArray[np.float64]
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import Surface
-from scenes.builder import GEOM, Builder, quat_z, turned
-from scenes.props.houses import gable_roof_mesh, wall_mesh
-from scenes.props.meshes import MeshData, box, polygon
-from scenes.props.street import STEEL, WOOD
-from scenes.props.wires import add_post, add_wire
-from scenes.textures import planks
+from touchdown.scenes.api import Surface
+from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.textures import planks
+from touchdown.scenes.props.houses import gable_roof_mesh, wall_mesh
+from touchdown.scenes.props.meshes import MeshData, box, polygon
+from touchdown.scenes.props.street import STEEL, WOOD
+from touchdown.scenes.props.wires import add_post, add_wire
 
 Array = NDArray[np.float64]
 

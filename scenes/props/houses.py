@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import Surface
-from scenes.builder import GEOM, Builder, quat_z, turned
-from scenes.props.meshes import MeshData, box, polygon
-from scenes.textures import Colour, facade_bay, flat_roof, roof_tiles
+from touchdown.scenes.api import Surface
+from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.textures import Colour, facade_bay, flat_roof, roof_tiles
+from touchdown.scenes.props.meshes import MeshData, box, polygon
 
 Array = NDArray[np.float64]
 

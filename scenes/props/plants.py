@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import Surface
-from scenes.builder import GEOM, Builder, quat_z, turned
-from scenes.props.meshes import blob
-from scenes.textures import Colour, foliage, hedge_or_soil_tint
+from touchdown.scenes.api import Surface
+from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.textures import Colour, foliage, hedge_or_soil_tint
+from touchdown.scenes.props.meshes import blob
 
 Array = NDArray[np.float64]
 

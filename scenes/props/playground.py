@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import Surface
-from scenes.builder import GEOM, Builder, quat_z
-from scenes.props.garden import CLOTH, place_mesh
-from scenes.props.meshes import box, polygon
-from scenes.props.street import WOOD
-from scenes.props.wires import add_post, add_wire
+from touchdown.scenes.api import Surface
+from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.props.garden import CLOTH, place_mesh
+from touchdown.scenes.props.meshes import box, polygon
+from touchdown.scenes.props.street import WOOD
+from touchdown.scenes.props.wires import add_post, add_wire
 
 Array = NDArray[np.float64]
 

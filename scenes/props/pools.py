@@ -9,15 +9,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import Surface
-from scenes.builder import GEOM, Builder, quat_z, turned
-from scenes.lot import Lot
-from scenes.noise import fractal_noise, tileable_noise
-from scenes.props.garden import CLOTH, drum, place_mesh
-from scenes.props.meshes import MeshData, box, polygon
-from scenes.props.street import KERB, WOOD
-from scenes.props.wires import add_post
-from scenes.textures import Picture, to_picture
+from touchdown.scenes.api import Surface
+from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.lot import Lot
+from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
+from touchdown.scenes.authoring.textures import Picture, to_picture
+from touchdown.scenes.props.garden import CLOTH, drum, place_mesh
+from touchdown.scenes.props.meshes import MeshData, box, polygon
+from touchdown.scenes.props.street import KERB, WOOD
+from touchdown.scenes.props.wires import add_post
 
 Array = NDArray[np.float64]
 

@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import Surface
-from scenes.builder import GEOM, Builder, quat_z
-from scenes.noise import fractal_noise
-from scenes.props.garden import drum, place_mesh, plank_material
-from scenes.props.meshes import MeshData, blob, box, polygon
-from scenes.props.street import WOOD
-from scenes.props.wires import add_post, add_wire
-from scenes.textures import Picture, to_picture
+from touchdown.scenes.api import Surface
+from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.textures import Picture, to_picture
+from touchdown.scenes.props.garden import drum, place_mesh, plank_material
+from touchdown.scenes.props.meshes import MeshData, blob, box, polygon
+from touchdown.scenes.props.street import WOOD
+from touchdown.scenes.props.wires import add_post, add_wire
 
 Array = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.noise import fractal_noise
-from scenes.props.meshes import MeshData, wrapped
-from scenes.textures import TILE_PX, Colour, Picture, to_picture
+from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.textures import TILE_PX, Colour, Picture, to_picture
+from touchdown.scenes.props.meshes import MeshData, wrapped
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import Surface
-from scenes.builder import GEOM, Builder, quat_z
-from scenes.props.street import STEEL
+from touchdown.scenes.api import Surface
+from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.props.street import STEEL
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.api import Surface
-from scenes.builder import GEOM, Builder, quat_z
-from scenes.props.plants import HEDGE, TRUNK
-from scenes.props.tree_shapes import bark, canopy_mesh, conifer_mesh, lathe, needles
-from scenes.textures import Colour, foliage, hedge_or_soil_tint
+from touchdown.scenes.api import Surface
+from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.textures import Colour, foliage, hedge_or_soil_tint
+from touchdown.scenes.props.plants import HEDGE, TRUNK
+from touchdown.scenes.props.tree_shapes import bark, canopy_mesh, conifer_mesh, lathe, needles
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,1 @@
+"""Filter, propagation, map of planes and keyframes that estimators share."""

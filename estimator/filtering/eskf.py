@@ -1,0 +1,200 @@
+"""Error-state iterated Kalman filter on the manifold, with keyframe poses cloned into its state.
+
+Measurements enter in information form over the few error coordinates that they touch: with
+``A = sum h^T h / var`` and ``b = sum h^T r / var`` the posterior of ``n`` coordinates costs one
+solve of the touched size, whatever the number of residuals. This is the measurement-compressed
+iterated update of FAST-LIO (Xu and Zhang 2021, Eqs. 18-20) in its information form; clones follow
+Roumeliotis and Burdick 2002 ("Stochastic cloning").
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.filtering.imu_propagation import (
+    ACCEL_BIAS,
+    GYRO_BIAS,
+    POSITION,
+    ROTATION,
+    STATE_DIM,
+    VELOCITY,
+    ImuBuffer,
+    NavState,
+    exp_so3_each,
+    integrate,
+    transition,
+)
+from touchdown.sim.api import GRAVITY_MPS2
+from touchdown.sim.frames import Pose, so3_exp, so3_log
+
+Array = NDArray[np.float64]
+CLONE_DIM = 6
+
+
+class Eskf:
+    """``state`` and ``clones`` are the mean; ``covariance`` (B + 6K, B + 6K) their errors.
+
+    The first B = 15 + C error coordinates are those of the navigation state and of its C numbers of
+    calibration, which do not change by themselves; the error of clone k is (rotation right
+    perturbation, position) at rows B + 6k. ``variances`` (B,) are those at the start.
+    """
+
+    def __init__(self, state: NavState, variances: Array) -> None:
+        self.state = state
+        self.base = len(variances)
+        self.learns = np.ones(len(state.calibration), np.bool_)
+        """(C,) which numbers of the calibration measurements correct; the doubt of the others still
+        counts in what they say of the rest (Schmidt's "consider" filter)"""
+        self.rate = np.zeros(3)
+        """(3,) rad/s, turn rate in the IMU's frame at the state's tick"""
+        if len(state.calibration) != self.base - STATE_DIM:
+            raise ValueError(
+                f"Eskf: {self.base} variances do not fit {len(state.calibration)} numbers of "
+                f"calibration; give {STATE_DIM + len(state.calibration)}"
+            )
+        self.loose = False
+        """whether measurements speak of the present pose alone: clones and calibration are taken
+        for certain"""
+        self.covariance: Array = np.diag(np.asarray(variances, dtype=np.float64))
+        self.clones: list[Pose] = []
+
+    # ------------------------------------------------------------------------ propagation
+
+    def propagate(self, buffer: ImuBuffer, count: int) -> tuple[Array, Array, Array]:
+        """Advances over the buffer's oldest ``count`` samples, which stay in the buffer.
+
+        Returns ticks (N + 1,), rotations (N + 1, 3, 3), positions (N + 1, 3) of the way there.
+        """
+        ticks, gyro, force, _ = buffer.samples(count)
+        state = self.state
+        gyro, force = gyro - state.gyro_bias, force - state.accel_bias
+        rotations, positions, velocities = integrate(
+            state.rotation, state.position, state.velocity, gyro, force, buffer.step_s, GRAVITY_MPS2
+        )
+        total, noise = transition(rotations, gyro, force, buffer.step_s, buffer.densities)
+        cov = self.covariance
+        cov[:STATE_DIM, :STATE_DIM] = total @ cov[:STATE_DIM, :STATE_DIM] @ total.T + noise
+        cov[:STATE_DIM, STATE_DIM:] = total @ cov[:STATE_DIM, STATE_DIM:]
+        cov[STATE_DIM:, :STATE_DIM] = cov[:STATE_DIM, STATE_DIM:].T
+        if count:
+            self.rate = gyro[-1]
+        all_ticks = np.concatenate(([state.tick], ticks))
+        self.state = NavState(
+            int(ticks[-1]) if count else state.tick,
+            rotations[-1],
+            positions[-1],
+            velocities[-1],
+            state.gyro_bias,
+            state.accel_bias,
+            state.calibration,
+        )
+        return all_ticks, rotations, positions
+
+    @property
+    def motion(self) -> Array:
+        """(6,) turn rate in the IMU's frame, rad/s, and velocity in the odometry frame, m/s."""
+        return np.concatenate([self.rate, self.state.velocity])
+
+    # ------------------------------------------------------------------------ clones
+
+    def clone_indices(self, k: int) -> NDArray[np.int64]:
+        """The six error coordinates of clone ``k``."""
+        start = self.base + CLONE_DIM * k
+        return np.arange(start, start + CLONE_DIM)
+
+    def add_clone(self, own_variances: Array | None = None) -> None:
+        """Remembers the present pose as another clone, fully correlated with the state.
+
+        ``own_variances`` (6,), rad^2 and m^2: errors that whatever is remembered with this pose has
+        in common, which are none of the state's.
+        """
+        size = len(self.covariance)
+        grown = np.empty((size + CLONE_DIM, size + CLONE_DIM))
+        grown[:size, :size] = self.covariance
+        grown[size:, :size] = self.covariance[:CLONE_DIM]
+        grown[:size, size:] = self.covariance[:, :CLONE_DIM]
+        grown[size:, size:] = self.covariance[:CLONE_DIM, :CLONE_DIM]
+        if own_variances is not None:
+            own = np.arange(size, size + CLONE_DIM)
+            grown[own, own] += own_variances
+        self.covariance = grown
+        self.clones.append(self.state.pose)
+
+    def remove_clone(self, k: int) -> None:
+        """Marginalises clone ``k``: its rows and columns go."""
+        gone = self.clone_indices(k)
+        self.covariance = np.delete(np.delete(self.covariance, gone, axis=0), gone, axis=1)
+        del self.clones[k]
+
+    # ------------------------------------------------------------------------ update
+
+    def admitted(self, information: Array, vector: Array) -> tuple[Array, Array]:
+        """A measurement of ``touched`` coordinates as the filter is to take it."""
+        if not self.loose:
+            return information, vector
+        information, vector = information.copy(), vector.copy()
+        information[CLONE_DIM:], information[:, CLONE_DIM:], vector[CLONE_DIM:] = 0.0, 0.0, 0.0
+        return information, vector
+
+    def gain(self, touched: NDArray[np.int64], information: Array, vector: Array) -> Array:
+        """Error-state correction (B + 6K,) of the prior mean by ``A``, ``b`` on ``touched``."""
+        local = self.covariance[np.ix_(touched, touched)]
+        solved = np.linalg.solve(np.eye(len(touched)) + information @ local, vector)
+        delta: Array = self.covariance[:, touched] @ solved
+        delta[STATE_DIM : self.base] *= self.learns
+        return delta
+
+    def absorb(self, touched: NDArray[np.int64], information: Array) -> None:
+        """Covariance after the update; ``P - P_t (I + A P_tt)^-1 A P_t^T``."""
+        columns = self.covariance[:, touched]
+        local = columns[touched]
+        middle = np.linalg.solve(np.eye(len(touched)) + information @ local, information)
+        middle = 0.5 * (middle + middle.T)
+        # the same product from both sides keeps the matrix symmetric to rounding
+        held = np.flatnonzero(~self.learns) + STATE_DIM
+        kept = self.covariance[np.ix_(held, held)]
+        self.covariance = self.covariance - (columns @ middle) @ columns.T
+        self.covariance = 0.5 * (self.covariance + self.covariance.T)
+        self.covariance[np.ix_(held, held)] = kept
+
+    def boxplus(
+        self, state: NavState, clones: list[Pose], delta: Array
+    ) -> tuple[NavState, list[Pose]]:
+        """The mean ``(state, clones)`` moved by an error-state vector."""
+        moved = NavState(
+            state.tick,
+            state.rotation @ so3_exp(delta[ROTATION]),
+            state.position + delta[POSITION],
+            state.velocity + delta[VELOCITY],
+            state.gyro_bias + delta[GYRO_BIAS],
+            state.accel_bias + delta[ACCEL_BIAS],
+            state.calibration + delta[STATE_DIM : self.base],
+        )
+        parts = delta[self.base :].reshape(-1, CLONE_DIM)
+        turns = exp_so3_each(np.ascontiguousarray(parts[:, :3]))
+        new_clones = [
+            Pose(clone.rotation @ turns[k], clone.translation + parts[k, 3:])
+            for k, clone in enumerate(clones)
+        ]
+        return moved, new_clones
+
+    def deviation(self, state: NavState, clones: list[Pose], touched_clones: list[int]) -> Array:
+        """Error coordinates (6 + C + 6m,) of the present mean relative to a prior mean: pose first,
+        then the calibration and the given clones."""
+        parts = [
+            so3_log(state.rotation.T @ self.state.rotation),
+            self.state.position - state.position,
+            self.state.calibration - state.calibration,
+        ]
+        for k in touched_clones:
+            parts.append(so3_log(clones[k].rotation.T @ self.clones[k].rotation))
+            parts.append(self.clones[k].translation - clones[k].translation)
+        return np.concatenate(parts)
+
+    def touched(self, clones: list[int]) -> NDArray[np.int64]:
+        """Error coordinates of pose, calibration and the given clones, (6 + C + 6m,)."""
+        shared = np.arange(STATE_DIM, self.base)
+        return np.concatenate(
+            [np.arange(CLONE_DIM), shared, *(self.clone_indices(k) for k in clones)]
+        )

@@ -1,0 +1,371 @@
+"""A bounded voxel-hash map of planes: running moments of the returns in each voxel.
+
+Voxel planes with a covariance follow the idea of VoxelMap (Yuan et al. 2022); here the moments are
+kept (ten numbers a voxel), so that voxels can be merged exactly where a surface lies close to a
+voxel's face and each side would hold only one half of its noise. A voxel also remembers from where
+it was first seen (returns that came later were brought to agree with those), and which anchor it
+hangs on (``estimator/livo/anchors.py``).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from touchdown.sim.frames import Pose
+
+Array = NDArray[np.float64]
+
+_EMPTY = np.int64(-1)
+_OFFSET = 1 << 20
+_MOMENTS = 10
+"""count, sum of (x, y, z), sums of xx, xy, xz, yy, yz, zz about the voxel's centre"""
+_NO_ANCHOR = -1
+
+
+@njit(cache=True)
+def _pack(ix: int, iy: int, iz: int) -> np.int64:
+    return (
+        (np.int64(ix + _OFFSET) << np.int64(42))
+        | (np.int64(iy + _OFFSET) << np.int64(21))
+        | np.int64(iz + _OFFSET)
+    )
+
+
+@njit(cache=True)
+def _slot(keys: NDArray[np.int64], key: np.int64) -> int:
+    """Slot that holds ``key``, or the empty slot where it belongs (linear probing)."""
+    mask = keys.shape[0] - 1
+    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
+    slot = np.int64(mixed >> np.uint64(33)) & mask
+    while keys[slot] != _EMPTY and keys[slot] != key:
+        slot = (slot + 1) & mask
+    return slot
+
+
+@njit(cache=True)
+def insert_points(
+    keys: NDArray[np.int64],
+    moments: Array,
+    owners: NDArray[np.int16],
+    seen_from: Array,
+    used: int,
+    points: Array,
+    sensor: Array,
+    owner: int,
+    rotations: Array,
+    translations: Array,
+    changes: Array,
+    voxel: float,
+    max_count: int,
+) -> int:
+    """Adds (N, 3) points seen from ``sensor`` (3,); returns the number of used slots.
+
+    New voxels belong to anchor ``owner``. Where a voxel has an anchor k, points are first brought
+    to its terms: beams turned by ``changes`` (K, 6), then ``rotations`` (K, 3, 3) and
+    ``translations`` (K, 3); see ``Anchors.kept_from_now``.
+
+    A voxel that has seen ``max_count`` points is left as it is: its oldest points carry the least
+    drift, and the cost of a scan stays constant. When the table is 70 % full, new voxels are
+    refused.
+    """
+    limit = int(0.7 * keys.shape[0])
+    p = np.empty(3)
+    for i in range(points.shape[0]):
+        ix = int(np.floor(points[i, 0] / voxel))
+        iy = int(np.floor(points[i, 1] / voxel))
+        iz = int(np.floor(points[i, 2] / voxel))
+        key = _pack(ix, iy, iz)
+        slot = _slot(keys, key)
+        if keys[slot] == _EMPTY:
+            if used >= limit:
+                continue
+            keys[slot] = key
+            owners[slot] = owner
+            seen_from[slot] = sensor
+            used += 1
+        m = moments[slot]
+        if m[0] >= max_count:
+            continue
+        p[:] = points[i]
+        k = owners[slot]
+        if k >= 0:
+            w = changes[k]
+            bx, by, bz = p[0] - sensor[0], p[1] - sensor[1], p[2] - sensor[2]
+            qx = p[0] + w[1] * bz - w[2] * by + w[3]
+            qy = p[1] + w[2] * bx - w[0] * bz + w[4]
+            qz = p[2] + w[0] * by - w[1] * bx + w[5]
+            turn = rotations[k]
+            for a in range(3):
+                p[a] = turn[a, 0] * qx + turn[a, 1] * qy + turn[a, 2] * qz + translations[k, a]
+        x = p[0] - (ix + 0.5) * voxel
+        y = p[1] - (iy + 0.5) * voxel
+        z = p[2] - (iz + 0.5) * voxel
+        m[0] += 1.0
+        m[1] += x
+        m[2] += y
+        m[3] += z
+        m[4] += x * x
+        m[5] += x * y
+        m[6] += x * z
+        m[7] += y * y
+        m[8] += y * z
+        m[9] += z * z
+    return used
+
+
+@njit(cache=True)
+def hand_over(
+    keys: NDArray[np.int64],
+    moments: Array,
+    owners: NDArray[np.int16],
+    gone: int,
+    heir: int,
+    rotation: Array,
+    translation: Array,
+    voxel: float,
+) -> None:
+    """Voxels of anchor ``gone`` go to ``heir``, moved by (rotation, translation), millimetres: by
+    what that does to their middle. Anchors behind ``gone`` move up by one."""
+    mask = (np.int64(1) << np.int64(21)) - 1
+    d = np.empty(3)
+    for slot in range(keys.shape[0]):
+        k = owners[slot]
+        if keys[slot] == _EMPTY or k < gone:
+            continue
+        if k == gone:
+            m = moments[slot]
+            n = m[0]
+            key = keys[slot]
+            index = ((key >> 42) & mask, (key >> 21) & mask, key & mask)
+            at = np.empty(3)
+            for a in range(3):
+                at[a] = (index[a] - _OFFSET + 0.5) * voxel + (m[1 + a] / n if n > 0 else 0.0)
+            for a in range(3):
+                d[a] = translation[a] - at[a]
+                for b in range(3):
+                    d[a] += rotation[a, b] * at[b]
+            m[4] += 2.0 * d[0] * m[1] + n * d[0] * d[0]
+            m[5] += d[0] * m[2] + d[1] * m[1] + n * d[0] * d[1]
+            m[6] += d[0] * m[3] + d[2] * m[1] + n * d[0] * d[2]
+            m[7] += 2.0 * d[1] * m[2] + n * d[1] * d[1]
+            m[8] += d[1] * m[3] + d[2] * m[2] + n * d[1] * d[2]
+            m[9] += 2.0 * d[2] * m[3] + n * d[2] * d[2]
+            for a in range(3):
+                m[1 + a] += n * d[a]
+            k = heir
+        owners[slot] = k - 1 if k > gone else k
+
+
+@njit(cache=True)
+def smallest_eigen(cov: Array) -> tuple[float, float, float, float, float, float]:
+    """Eigenvalues (ascending) and the unit eigenvector of the smallest, of a symmetric 3x3.
+
+    Closed form (Smith 1961); the vector is the largest cross product of two rows of C - l I.
+    """
+    a, b, c = cov[0, 0], cov[1, 1], cov[2, 2]
+    d, e, f = cov[0, 1], cov[0, 2], cov[1, 2]
+    q = (a + b + c) / 3.0
+    p2 = (a - q) ** 2 + (b - q) ** 2 + (c - q) ** 2 + 2.0 * (d * d + e * e + f * f)
+    p = np.sqrt(p2 / 6.0)
+    if p < 1e-12:
+        return q, q, q, 0.0, 0.0, 1.0
+    ra, rb, rc, rd, re, rf = (a - q) / p, (b - q) / p, (c - q) / p, d / p, e / p, f / p
+    half_det = 0.5 * (
+        ra * (rb * rc - rf * rf) - rd * (rd * rc - rf * re) + re * (rd * rf - rb * re)
+    )
+    phi = np.arccos(min(1.0, max(-1.0, half_det))) / 3.0
+    high = q + 2.0 * p * np.cos(phi)
+    low = q + 2.0 * p * np.cos(phi + 2.0 * np.pi / 3.0)
+    mid = 3.0 * q - high - low
+    a, b, c = a - low, b - low, c - low
+    best, nx, ny, nz = -1.0, 0.0, 0.0, 1.0
+    for k in range(3):
+        if k == 0:
+            cx, cy, cz = d * f - e * b, e * d - a * f, a * b - d * d
+        elif k == 1:
+            cx, cy, cz = d * c - e * f, e * e - a * c, a * f - d * e
+        else:
+            cx, cy, cz = b * c - f * f, f * e - d * c, d * f - b * e
+        norm2 = cx * cx + cy * cy + cz * cz
+        if norm2 > best:
+            best, nx, ny, nz = norm2, cx, cy, cz
+    if best < 1e-30:
+        return low, mid, high, 0.0, 0.0, 1.0
+    scale = 1.0 / np.sqrt(best)
+    return low, mid, high, nx * scale, ny * scale, nz * scale
+
+
+@njit(cache=True)
+def _gather(
+    keys: NDArray[np.int64],
+    moments: Array,
+    x: float,
+    y: float,
+    z: float,
+    voxel: float,
+    margin: float,
+    total: Array,
+) -> tuple[float, float, float]:
+    """Moments about the centre of the voxel of (x, y, z), merged with the neighbours whose face is
+    within ``margin``, into ``total`` (11,), and last the slot that gave most. Returns that
+    centre."""
+    cell = (np.floor(x / voxel), np.floor(y / voxel), np.floor(z / voxel))
+    centre = ((cell[0] + 0.5) * voxel, (cell[1] + 0.5) * voxel, (cell[2] + 0.5) * voxel)
+    side = np.zeros(3, dtype=np.int64)
+    at = (x - centre[0], y - centre[1], z - centre[2])
+    for k in range(3):
+        if at[k] > 0.5 * voxel - margin:
+            side[k] = 1
+        elif at[k] < margin - 0.5 * voxel:
+            side[k] = -1
+    total[:] = 0.0
+    most = 0.0
+    for corner in range(8):
+        step = np.zeros(3, dtype=np.int64)
+        wanted = True
+        for k in range(3):
+            if (corner >> k) & 1:
+                step[k] = side[k]
+                wanted = wanted and side[k] != 0
+        if not wanted:
+            continue
+        key = _pack(int(cell[0]) + step[0], int(cell[1]) + step[1], int(cell[2]) + step[2])
+        slot = _slot(keys, key)
+        if keys[slot] == _EMPTY:
+            continue
+        m = moments[slot]
+        if m[0] > most:
+            most = m[0]
+            total[_MOMENTS] = slot
+        n, sx, sy, sz = m[0], step[0] * voxel, step[1] * voxel, step[2] * voxel
+        total[0] += n
+        total[1] += m[1] + n * sx
+        total[2] += m[2] + n * sy
+        total[3] += m[3] + n * sz
+        total[4] += m[4] + 2.0 * sx * m[1] + n * sx * sx
+        total[5] += m[5] + sx * m[2] + sy * m[1] + n * sx * sy
+        total[6] += m[6] + sx * m[3] + sz * m[1] + n * sx * sz
+        total[7] += m[7] + 2.0 * sy * m[2] + n * sy * sy
+        total[8] += m[8] + sy * m[3] + sz * m[2] + n * sy * sz
+        total[9] += m[9] + 2.0 * sz * m[3] + n * sz * sz
+    return centre
+
+
+@njit(cache=True)
+def match_planes(
+    keys: NDArray[np.int64],
+    moments: Array,
+    owners: NDArray[np.int16],
+    seen_from: Array,
+    points: Array,
+    voxel: float,
+    margin: float,
+    min_count: int,
+    max_thickness: float,
+) -> tuple[NDArray[np.bool_], Array, Array, Array, Array, NDArray[np.int16]]:
+    """The plane of the voxel of each of (N, 3) points.
+
+    Returns found (N,), unit normals (N, 3), plane points (N, 3), and variances (N, 3): of the
+    plane's height at the point, m^2, its thickness (what single returns scatter) and its own
+    uncertainty; and of the normal about either axis, rad^2. Then from where it was first seen
+    (N, 3), and the anchors (N,).
+    A voxel is planar if its smallest standard deviation is below ``max_thickness`` and three times
+    below the next one.
+    """
+    count = points.shape[0]
+    found = np.zeros(count, dtype=np.bool_)
+    normals = np.zeros((count, 3))
+    anchors = np.zeros((count, 3))
+    variances = np.zeros((count, 3))
+    sensors = np.zeros((count, 3))
+    anchor_of = np.full(count, _NO_ANCHOR, dtype=np.int16)
+    total = np.zeros(_MOMENTS + 1)
+    cov = np.zeros((3, 3))
+    for i in range(count):
+        cx, cy, cz = _gather(
+            keys, moments, points[i, 0], points[i, 1], points[i, 2], voxel, margin, total
+        )
+        n = total[0]
+        if n < min_count:
+            continue
+        mx, my, mz = total[1] / n, total[2] / n, total[3] / n
+        cov[0, 0] = total[4] / n - mx * mx
+        cov[0, 1] = total[5] / n - mx * my
+        cov[0, 2] = total[6] / n - mx * mz
+        cov[1, 1] = total[7] / n - my * my
+        cov[1, 2] = total[8] / n - my * mz
+        cov[2, 2] = total[9] / n - mz * mz
+        low, mid, _, nx, ny, nz = smallest_eigen(cov)
+        low = max(low, 1e-6)
+        if low > max_thickness * max_thickness or mid < 9.0 * low:
+            continue
+        dx = points[i, 0] - cx - mx
+        dy = points[i, 1] - cy - my
+        dz = points[i, 2] - cz - mz
+        along = dx * nx + dy * ny + dz * nz
+        reach2 = dx * dx + dy * dy + dz * dz - along * along
+        found[i] = True
+        normals[i, 0], normals[i, 1], normals[i, 2] = nx, ny, nz
+        anchors[i, 0], anchors[i, 1], anchors[i, 2] = cx + mx, cy + my, cz + mz
+        variances[i, 0] = low
+        variances[i, 1] = low / n * (1.0 + reach2 / mid)
+        variances[i, 2] = low / (n * mid)
+        slot = int(total[_MOMENTS])
+        sensors[i] = seen_from[slot]
+        anchor_of[i] = owners[slot]
+    return found, normals, anchors, variances, sensors, anchor_of
+
+
+class PlaneMap:
+    """Planes of everything that was seen, odom frame; memory fixed by ``capacity`` (a power of 2).
+
+    ``voxel_m``: side; ``max_points``: a voxel stops learning after so many returns.
+    """
+
+    def __init__(self, voxel_m: float, capacity: int = 1 << 17, max_points: int = 150) -> None:
+        if capacity & (capacity - 1):
+            raise ValueError(f"PlaneMap: capacity {capacity} must be a power of two")
+        self.voxel_m = voxel_m
+        self.max_points = max_points
+        self.used = 0
+        self._keys = np.full(capacity, _EMPTY, dtype=np.int64)
+        self._moments = np.zeros((capacity, _MOMENTS))
+        self._owners = np.full(capacity, _NO_ANCHOR, dtype=np.int16)
+        self._seen_from = np.zeros((capacity, 3))
+
+    def insert(
+        self,
+        points_odom: Array,
+        sensor_odom: Array | None = None,
+        owner: int = _NO_ANCHOR,
+        terms: tuple[Array, Array, Array] | None = None,
+    ) -> None:
+        """Adds (N, 3) points seen from ``sensor_odom`` (3,). ``owner`` and ``terms``: see
+        ``insert_points``; without them the voxels hang on nothing."""
+        if terms is None:
+            terms = np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 6))
+        sensor = np.zeros(3) if sensor_odom is None else sensor_odom
+        self.used = insert_points(
+            self._keys, self._moments, self._owners, self._seen_from, self.used,
+            points_odom, sensor, owner, *terms, self.voxel_m, self.max_points,
+        )  # fmt: skip
+
+    def bequeath(self, gone: int, heir: int, move: Pose) -> None:
+        """Anchor ``gone`` ends: see ``hand_over``."""
+        hand_over(
+            self._keys, self._moments, self._owners, gone, heir, move.rotation, move.translation,
+            self.voxel_m,
+        )  # fmt: skip
+
+    def match(
+        self, points_odom: Array, min_count: int = 8, max_thickness_m: float = 0.05
+    ) -> tuple[NDArray[np.bool_], Array, Array, Array, Array, NDArray[np.int16]]:
+        """See ``match_planes``. What is thicker is leaves: their height changes with the angle that
+        they are seen at."""
+        margin = 0.12 * self.voxel_m
+        return match_planes(
+            self._keys, self._moments, self._owners, self._seen_from,
+            points_odom, self.voxel_m, margin, min_count, max_thickness_m,
+        )  # fmt: skip

@@ -1,0 +1,92 @@
+"""What the filter may conclude while the vehicle stands on the ground with its rotors slow."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.imu_propagation import (
+    ACCEL_BIAS,
+    GYRO_BIAS,
+    POSITION,
+    ROTATION,
+    VELOCITY,
+    NavState,
+)
+from touchdown.sim.api import GRAVITY_MPS2
+from touchdown.sim.frames import so3_log
+
+Array = NDArray[np.float64]
+
+_RATE_LIMIT = 2e-3
+"""rad/s, of the mean rate once the gyroscope bias is known"""
+_FORCE_LIMIT = 0.03
+"""m/s^2, between mean specific force and gravity once the accelerometer bias is known"""
+_SHAKE_LIMIT = 0.1
+"""m/s^2, standard deviation of the specific force: a settling or bumped vehicle is not still"""
+_VELOCITY_SIGMA = 5e-3
+_POSITION_SIGMA = 2e-3
+_ROTATION_SIGMA = 1e-3
+_RATE_SIGMA = 1e-3
+"""rad/s, beside the gyroscope's noise. These four are wider than one update needs, because a light
+vehicle in the wind creeps on its feet, and that repeats from update to update."""
+
+
+class Stillness:
+    """Zero-velocity, zero-rate and unmoved-pose updates (Foxlin 2005), for as long as it stands."""
+
+    def __init__(self, gyro_density: float, step_s: float, attitude_known: bool = True) -> None:
+        """``attitude_known``: whether the attitude at the first moment of rest is worth holding."""
+        self._attitude_known = attitude_known
+        self._gyro_density = gyro_density
+        self._step_s = step_s
+        self._anchor: NavState | None = None
+
+    def holds(self, eskf: Eskf, gyro: Array, force: Array, resting: NDArray[np.bool_]) -> bool:
+        """Whether (N, 3) samples, all taken with the rotors too slow to lift, show no motion: mean
+        rate and force within four standard deviations of what standing gives."""
+        if len(gyro) < 6 or not bool(resting.all()):
+            return False
+        state, variances = eskf.state, np.diag(eskf.covariance)
+        rate = gyro.mean(axis=0) - state.gyro_bias
+        pull = force.mean(axis=0) - state.accel_bias
+        pull = pull - GRAVITY_MPS2 * state.rotation[2]
+        rate_limit = _RATE_LIMIT + 4.0 * np.sqrt(variances[GYRO_BIAS].max())
+        force_sigma2 = variances[ACCEL_BIAS].max() + GRAVITY_MPS2**2 * variances[ROTATION].max()
+        force_limit = _FORCE_LIMIT + 4.0 * np.sqrt(force_sigma2)
+        return bool(
+            np.abs(rate).max() < rate_limit
+            and np.abs(pull).max() < force_limit
+            and force.std(axis=0).max() < _SHAKE_LIMIT
+        )
+
+    def update(self, eskf: Eskf, gyro: Array, force: Array, resting: NDArray[np.bool_]) -> bool:
+        """Applies the updates if ``holds``; returns whether it did."""
+        if not self.holds(eskf, gyro, force, resting):
+            self._anchor = None
+            return False
+        if self._anchor is None:
+            self._anchor = eskf.state
+        anchor, state = self._anchor, eskf.state
+        duration = len(gyro) * self._step_s
+        residual = np.concatenate(
+            [
+                so3_log(state.rotation.T @ anchor.rotation),
+                anchor.position - state.position,
+                -state.velocity,
+                gyro.mean(axis=0) - state.gyro_bias,
+            ]
+        )
+        gyro_variance = self._gyro_density**2 / duration + _RATE_SIGMA**2
+        variances = np.repeat(
+            [_ROTATION_SIGMA**2, _POSITION_SIGMA**2, _VELOCITY_SIGMA**2, gyro_variance], 3
+        )
+        touched = np.r_[ROTATION, POSITION, VELOCITY, GYRO_BIAS]
+        if not self._attitude_known:
+            variances[ROTATION] = np.inf
+        information = np.diag(1.0 / variances)
+        delta = eskf.gain(touched, information, residual / variances)
+        eskf.state, eskf.clones = eskf.boxplus(state, eskf.clones, delta)
+        eskf.absorb(touched, information)
+        return True

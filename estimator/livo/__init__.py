@@ -1,0 +1,1 @@
+"""Tightly coupled LIDAR-inertial-visual odometry."""

@@ -1,0 +1,80 @@
+"""Which remembered pose each part of the map hangs on.
+
+The map is made with the filter's own poses, so that its errors are theirs. Every voxel therefore
+belongs to a clone of the filter: it moves along when the clone's estimate does, and a scan matched
+with it measures the present pose against that clone, not against the world.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.livo.online_calibration import MOUNT_DIM
+from touchdown.sim.frames import Pose
+
+Array = NDArray[np.float64]
+
+
+class Anchors:
+    """For each clone of the filter, in the same order, its pose and the calibration when it was
+    made: voxels are kept as they would have been made with these."""
+
+    def __init__(self) -> None:
+        self._poses: list[Pose] = []
+        self._calibrations: list[Array] = []
+
+    def __len__(self) -> int:
+        return len(self._poses)
+
+    def add(self, pose: Pose, calibration: Array) -> None:
+        """A clone was added; ``calibration`` (C,), C = 0 or 10."""
+        self._poses.append(pose)
+        self._calibrations.append(_mount_part(calibration))
+
+    def remove(self, k: int) -> None:
+        """Clone ``k`` was removed."""
+        del self._poses[k], self._calibrations[k]
+
+    def now_from_kept(self, clones: list[Pose]) -> tuple[Array, Array]:
+        """Rotations (K, 3, 3) and translations (K, 3) that take kept voxels to where the filter
+        now believes them."""
+        moves = [clone @ kept.inverse() for clone, kept in zip(clones, self._poses, strict=True)]
+        return _stack(moves)
+
+    def kept_from_now(
+        self, clones: list[Pose], calibration: Array, imu_rotation: Array
+    ) -> tuple[Array, Array, Array]:
+        """The way back for returns just measured: rotations (K, 3, 3), translations (K, 3) and
+        mount corrections (K, 6): a turn of the beam and a shift, odom frame, to be applied first.
+        ``imu_rotation`` (3, 3): odom_from_imu of the scan."""
+        moves = [kept @ clone.inverse() for clone, kept in zip(clones, self._poses, strict=True)]
+        mount = _mount_part(calibration)
+        changes = np.array([(c - mount).reshape(2, 3) for c in self._calibrations])
+        changes = changes.reshape(-1, 2, 3) @ imu_rotation.T
+        return *_stack(moves), changes.reshape(-1, MOUNT_DIM)
+
+    def mount_changes(self, calibration: Array) -> Array:
+        """(K, 6): by how much turn and shift of the mount differ from when the clone was made."""
+        mount = _mount_part(calibration)
+        return np.array([mount - c for c in self._calibrations]).reshape(-1, MOUNT_DIM)
+
+    def bequest(self, k: int, clones: list[Pose]) -> tuple[int, Pose]:
+        """Who inherits the voxels of clone ``k``, the nearest other one, and how they move then, so
+        that they stay where the filter now believes them. At least two clones must be there."""
+        positions = np.array([clone.translation for clone in clones])
+        gap = np.linalg.norm(positions - positions[k], axis=1)
+        gap[k] = np.inf
+        heir = int(np.argmin(gap))
+        there = self._poses[heir] @ clones[heir].inverse()
+        return heir, there @ clones[k] @ self._poses[k].inverse()
+
+
+def _mount_part(calibration: Array) -> Array:
+    return calibration[:MOUNT_DIM] if len(calibration) else np.zeros(MOUNT_DIM)
+
+
+def _stack(poses: list[Pose]) -> tuple[Array, Array]:
+    rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
+    translations = np.array([pose.translation for pose in poses]).reshape(-1, 3)
+    return rotations, translations

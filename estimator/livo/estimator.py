@@ -1,0 +1,449 @@
+"""LIDAR-inertial-visual odometry: a tightly coupled estimator for flight over ground.
+
+One error-state filter carries pose, velocity, IMU biases and the poses of remembered keyframes.
+Scans measure height, roll and pitch against a map of planes (and sideways motion where walls and
+slopes allow); images measure x, y and yaw against landmarks of keyframes whose depth the LIDAR
+gave. Order, LIDAR before vision, and the sequential update follow FAST-LIVO (Zheng et al. 2022);
+that landmarks hang on cloned keyframe poses, not on a map taken for certain, is what lets a
+later view of the same ground close the loop.
+
+Scans and images arrive late. The filter lives at measurement time; the estimate handed out is its
+state carried over the buffered IMU samples to now.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import Estimate, LivoParams, PoseTrack
+from touchdown.estimator.filtering.deskew import clear_of_blind_zone, deskew, thin_out
+from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.imu_propagation import (
+    STATE_DIM,
+    ImuBuffer,
+    NavState,
+    integrate,
+    propagate_nominal,
+    transition,
+)
+from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.filtering.plane_map import PlaneMap
+from touchdown.estimator.filtering.zero_velocity import Stillness
+from touchdown.estimator.guard import InputGuard
+from touchdown.estimator.livo.anchored_update import update_with_scan
+from touchdown.estimator.livo.anchors import Anchors
+from touchdown.estimator.livo.lidar_update import DegeneracyWatch, LidarReport
+from touchdown.estimator.livo.online_calibration import (
+    CLOCK,
+    calibration_diagnostics,
+    corrected_mount,
+    prior_sigmas,
+)
+from touchdown.estimator.livo.patch_tracker import grey_levels
+from touchdown.estimator.livo.visual import VisualFrontEnd, VisualReport
+from touchdown.sim.api import (
+    GRAVITY_MPS2,
+    CameraImage,
+    LidarScan,
+    Observation,
+    SensorNeeds,
+    SensorRig,
+)
+from touchdown.sim.frames import Pose, cross, quat_wxyz_from_matrix, so3_exp, so3_log
+
+Array = NDArray[np.float64]
+
+_START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)
+"""rad, m, m/s: the take-off pose is known, but the legs settle"""
+_FEWEST_RETURNS = 50
+"""in a scan worth using"""
+_FRESH_SCANS = 3
+"""periods of a scan, after which the last one no longer tells the ground around"""
+_LAST_FEW = 4
+"""keyframes that are no closure to look back to"""
+_ANCHOR_REACH = 0.5
+"""of the height: so far from the newest keyframe the map needs another pose to hang on"""
+_HISTORY = 128
+"""IMU steps of past poses kept for deskewing"""
+_LIFTING_THRUST = 0.85
+"""of the weight: before so much static thrust the vehicle cannot have left the ground"""
+_IDLE_MARGIN = 1.2
+"""of the idle speed: below it the rotors carry nothing"""
+_INFLATION, _FLOOR = 1.8, 0.005**2 * np.eye(3)
+"""of the covariance handed out: what a landmark or a voxel has wrong repeats from image to image
+and scan to scan, which the filter takes for fresh noise"""
+_GRAVITY: Array = np.array([0.0, 0.0, GRAVITY_MPS2])
+
+
+class Livo:
+    """``update`` once a control step; see the module's text. Deterministic: ``seed`` is unused
+    because nothing here is drawn at random."""
+
+    def __init__(self, rig: SensorRig, params: LivoParams | None = None, seed: int = 0) -> None:
+        self._rig = rig
+        self._params = params = params or LivoParams()
+        camera_hz = params.camera_hz if params.use_vision else 0
+        self.needs = SensorNeeds(camera_hz=camera_hz, lidar=True)
+        self._guard = InputGuard(rig, camera_hz)
+        self._events: list[str] = []
+        step_s = rig.imu_ticks / rig.tick_hz
+        self._buffer = ImuBuffer(rig.imu, step_s)
+        self._imu_from_body = rig.body_from_imu.inverse()
+        self._imu_from_lidar = self._imu_from_body @ rig.body_from_lidar
+        start = rig.world_from_body_start @ rig.body_from_imu
+        zero = np.zeros(3)
+        rig_sigmas = prior_sigmas(params)
+        state = NavState(
+            0, start.rotation, start.translation, zero, zero, zero, np.zeros(len(rig_sigmas))
+        )
+        bias_sigmas = np.repeat([rig.imu.gyro_bias_sigma, rig.imu.accel_bias_sigma], 3)
+        self._eskf = Eskf(state, np.concatenate([_START_SIGMAS, bias_sigmas, rig_sigmas]) ** 2)
+        self._eskf.loose = params.loose
+        self._teach(False)
+        self._anchors = Anchors()
+        self._head = state
+        self._head_covariance = self._eskf.covariance[:STATE_DIM, :STATE_DIM].copy()
+        self._stillness = Stillness(rig.imu.gyro_density, step_s)
+        self._map = PlaneMap(params.voxel_m, params.map_voxels, params.voxel_points)
+        self._recent = RecentReturns()
+        self._vision = VisualFrontEnd(
+            rig.camera,
+            self._imu_from_body @ rig.body_from_camera,
+            max_keyframes=params.keyframes,
+            look_back=params.look_back,
+            features=params.features,
+            sigma_px=params.pixel_sigma,
+            open_ticks=2 * rig.tick_hz,
+            lidar_in_camera=(rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
+            oldest=None if params.use_closures else _LAST_FEW,
+            depth_sigma_m=params.depth_sigma_m,
+            height_sigma_m=params.anchor_height_m,
+            on_change=self._follow_clones,
+        )
+        self._weak_sigmas: tuple[float, float] | None = None
+        if params.use_degeneracy:
+            self._weak_sigmas = float(np.radians(params.weak_sigma_deg)), params.weak_sigma_m
+        self._degeneracy = DegeneracyWatch()
+        self._undistort = _undistortion_maps(rig)
+        self._history_ticks = np.zeros(1, dtype=np.int64)
+        self._history_rotations = state.rotation[None]
+        self._history_positions = state.position[None]
+        self._gyro, self._force = np.zeros(3), np.zeros(3)
+        self._offset = np.zeros(9)
+        self._vision_tick, self._scan_tick = 0, 0
+        self._lifted = False
+        self._last_height = 0.0
+        self._diagnostics: dict[str, float] = {"skipped": 0.0}
+        self._scan_track: PoseTrack | None = None
+
+    # ------------------------------------------------------------------------ the cycle
+
+    def update(self, obs: Observation) -> Estimate:
+        """Takes what has arrived and returns the belief about ``obs.tick``."""
+        self._scan_track = None
+        obs = self._guard.screen(obs)
+        self._events = list(self._guard.events)
+        self._diagnostics["skipped"] += self._guard.refused
+        resting = self._resting(obs.rotor_speed_radps)
+        for sample in obs.imu:
+            self._gyro, self._force = sample.angular_velocity, sample.specific_force
+            self._buffer.push(sample.tick, self._gyro, self._force, resting)
+            self._head = propagate_nominal(
+                self._head,
+                np.array([sample.tick]),
+                self._gyro[None],
+                self._force[None],
+                self._buffer.step_s,
+            )
+        measured = False
+        images = obs.images if self._params.use_vision else ()
+        arrivals: list[LidarScan | CameraImage] = [*obs.scans, *images]
+        arrivals.sort(key=lambda m: (_tick_of(m), isinstance(m, CameraImage)))
+        for message in arrivals:
+            measured |= self._take(message)
+        lag = self._rig.compute_latency_ticks + self._rig.lidar_scan_ticks
+        if obs.tick - self._eskf.state.tick > lag + self._rig.lidar_scan_ticks:
+            self._advance(obs.tick - lag)
+            measured = True
+        if measured:
+            self._recompute_head()
+        return self._estimate(obs)
+
+    def _resting(self, rotor_speed: Array) -> bool:
+        """Whether the rotors tell that the vehicle stands on the ground. In flight a sinking
+        vehicle needs less speed than its static thrust says, so that after the first lift-off only
+        idling rotors count."""
+        vehicle = self._rig.vehicle
+        thrust = vehicle.thrust_coefficient * float(rotor_speed @ rotor_speed)
+        self._lifted |= thrust > _LIFTING_THRUST * vehicle.mass_kg * GRAVITY_MPS2
+        slow = bool(np.all(rotor_speed <= _IDLE_MARGIN * vehicle.rotor_speed_min))
+        return slow or not self._lifted
+
+    def _take(self, message: LidarScan | CameraImage) -> bool:
+        tick = _tick_of(message)
+        if tick < self._eskf.state.tick or tick > self._head.tick:
+            self._diagnostics["skipped"] += 1.0
+            self._events.append(f"{_name_of(message)} {tick} refused: it came too late")
+            return False
+        self._advance(tick)
+        if isinstance(message, LidarScan):
+            self._take_scan(message)
+        else:
+            self._take_image(message)
+        return True
+
+    def _advance(self, tick: int) -> None:
+        """Carries the filter to ``tick`` over buffered samples."""
+        count = self._buffer.until(tick)
+        if count == 0:
+            return
+        _, gyro, force, resting = self._buffer.samples(count)
+        ticks, rotations, positions = self._eskf.propagate(self._buffer, count)
+        self._history_ticks = np.concatenate([self._history_ticks, ticks[1:]])[-_HISTORY:]
+        self._history_rotations = np.concatenate([self._history_rotations, rotations[1:]])
+        self._history_positions = np.concatenate([self._history_positions, positions[1:]])
+        self._history_rotations = self._history_rotations[-_HISTORY:]
+        self._history_positions = self._history_positions[-_HISTORY:]
+        still = self._stillness.update(self._eskf, gyro, force, resting)
+        self._diagnostics["still"] = float(still)
+        if still:
+            self._correct_history()
+        self._buffer.drop(count)
+
+    def _correct_history(self) -> None:
+        """Moves the remembered poses rigidly, so that the newest is the filter's."""
+        state = self._eskf.state
+        turn = state.rotation @ self._history_rotations[-1].T
+        offset = self._history_positions - self._history_positions[-1]
+        self._history_positions = offset @ turn.T + state.position
+        self._history_rotations = turn @ self._history_rotations
+
+    # ------------------------------------------------------------------------ measurements
+
+    def _take_scan(self, scan: LidarScan) -> None:
+        first = int(np.searchsorted(self._history_ticks, scan.start_tick))
+        if (
+            first + 1 >= len(self._history_ticks)
+            or self._history_ticks[first] != scan.start_tick
+            or self._history_ticks[-1] != scan.end_tick
+        ):
+            self._diagnostics["skipped"] += 1.0
+            return
+        mount = self._imu_from_lidar
+        if len(self._eskf.state.calibration):
+            mount = corrected_mount(mount, self._eskf.state.calibration)
+        points, beams = deskew(
+            scan.directions, scan.ranges, scan.time_offsets, mount.rotation, mount.translation,
+            self._history_rotations[first:], self._history_positions[first:],
+            self._buffer.step_s, self._rig.lidar.min_range_m, self._rig.lidar.max_range_m,
+        )  # fmt: skip
+        lidar = self._rig.lidar
+        points, beams = clear_of_blind_zone(points, beams, lidar.min_range_m, lidar.range_sigma_m)
+        report = LidarReport(matched=0, rms_m=0.0, lateral_strength=np.zeros(3))
+        if len(points) >= _FEWEST_RETURNS:
+            report = self._update_with_points(points, beams)
+            self._events += self._degeneracy.events(report)
+        self._correct_history()
+        self._learn(points, mount.translation, scan.end_tick)
+        self._scan_tick = scan.end_tick
+        self._scan_track = self._track_over(first)
+        self._diagnostics |= {
+            "scan_returns": float(len(points)),
+            "lidar_matched": float(report.matched),
+            "lidar_rms_m": report.rms_m,
+            "lidar_lateral_weakest": float(report.lateral_strength[0]),
+            "lidar_lateral_middle": float(report.lateral_strength[1]),
+            "lidar_weak_translation": float(report.weak_translation),
+            "lidar_weak_rotation": float(report.weak_rotation),
+            "map_voxels": float(self._map.used),
+        }
+
+    def _update_with_points(self, points: Array, beams: Array) -> LidarReport:
+        params = self._params
+        reach = float(np.median(np.linalg.norm(beams, axis=1)))
+        self._last_height = reach
+        self._teach(reach >= params.calibrate_above_m)
+        if not params.use_lidar:
+            return LidarReport(matched=0, rms_m=0.0, lateral_strength=np.zeros(3))
+        # the footprint is about 1.75 x 0.5 of the height: so many even cells cover it
+        cell = np.sqrt(1.75 * 0.5 / params.scan_points) * reach
+        chosen = thin_out(points, float(cell), 15)[: 2 * params.scan_points]
+        tilt, yaw = np.radians([params.scan_tilt_sigma_deg, params.scan_yaw_sigma_deg])
+        aside, height = params.scan_lateral_sigma_m, params.scan_height_sigma_m
+        return update_with_scan(
+            self._eskf,
+            self._map,
+            self._anchors,
+            points[chosen],
+            beams[chosen],
+            range_sigma_m=self._rig.lidar.range_sigma_m,
+            angle_sigma_rad=float(np.radians(self._rig.lidar.angle_sigma_deg)),
+            floor_sigmas=np.array([tilt, tilt, yaw, aside, aside, height]),
+            weak_sigmas=self._weak_sigmas,
+        )
+
+    def _learn(self, points: Array, lidar_position: Array, tick: int) -> None:
+        """Adds (N, 3) points of the scan just used, IMU frame, to the map."""
+        state = self._eskf.state
+        if len(points) >= _FEWEST_RETURNS and self._lacks_anchor(tick):
+            self._vision.add_anchor(self._eskf, self._last_height, tick)
+        odom_points = points @ state.rotation.T + state.position
+        sensor = state.rotation @ lidar_position + state.position
+        terms = None
+        if len(self._anchors):
+            terms = self._anchors.kept_from_now(
+                self._eskf.clones, state.calibration, state.rotation
+            )
+        # close to the ground a scan would fill a voxel from one corner of it: spread what it learns
+        spread = thin_out(points, 0.12 * self._params.voxel_m, 16)
+        self._map.insert(odom_points[spread], sensor, len(self._anchors) - 1, terms)
+        self._recent.add(odom_points)
+
+    def _lacks_anchor(self, tick: int) -> bool:
+        """Whether the map would grow far from the newest clone, as it does where images fail."""
+        if not self._eskf.clones:
+            return True
+        if tick - self._vision_tick <= self._rig.tick_hz // 2:
+            return False
+        gap = self._eskf.state.position - self._eskf.clones[-1].translation
+        return float(np.linalg.norm(gap)) > _ANCHOR_REACH * max(self._last_height, 2.0)
+
+    def _follow_clones(self, gone: int | None) -> None:
+        """Keeps the map's anchors in step with the filter's clones."""
+        eskf = self._eskf
+        if gone is None:
+            self._anchors.add(eskf.clones[-1], eskf.state.calibration)
+            return
+        heir, move = self._anchors.bequest(gone, eskf.clones)
+        self._map.bequeath(gone, heir, move)
+        self._anchors.remove(gone)
+
+    def _take_image(self, image: CameraImage) -> None:
+        rgb = image.rgb
+        if self._undistort is not None:
+            flat = cv2.remap(rgb, self._undistort[0], self._undistort[1], cv2.INTER_LINEAR)
+            rgb = np.asarray(flat, dtype=np.uint8)
+        levels = grey_levels(rgb)
+        self._vision.measure_open_keyframes(self._eskf, self._recent, image.tick)
+        # what a keyframe has wrong repeats from image to image, and would be taken for the rig's
+        self._teach(False)
+        report = self._vision.update(self._eskf, levels)
+        if report.used:
+            self._vision_tick = image.tick
+            self._correct_history()
+        elif self._vision.keyframes:
+            self._diagnostics["skipped"] += 1.0
+        if self._vision.wants_keyframe(report, image.tick):
+            # returns of long ago lie at one side of the picture, maybe on a roof there
+            fresh = image.tick - self._scan_tick <= _FRESH_SCANS * self._rig.lidar_scan_ticks
+            self._vision.add_keyframe(self._eskf, levels, self._recent, image.tick, extend=fresh)
+        self._diagnostics |= _visual_diagnostics(report, len(self._vision.keyframes))
+        self._diagnostics |= calibration_diagnostics(self._eskf.state.calibration)
+
+    def _teach(self, mount_and_lens: bool) -> None:
+        """Whether the next measurement corrects these; the camera's clock, which nothing else looks
+        like, it always does."""
+        self._eskf.learns[:] = mount_and_lens
+        self._eskf.learns[CLOCK:] = True
+
+    def _track_over(self, first: int) -> PoseTrack:
+        imu_from_body = self._imu_from_body
+        rotations = self._history_rotations[first:] @ imu_from_body.rotation
+        positions = self._history_positions[first:] + (
+            self._history_rotations[first:] @ imu_from_body.translation
+        )
+        return PoseTrack(
+            times_s=self._history_ticks[first:] / self._rig.tick_hz,
+            positions_odom=positions,
+            quats_wxyz=np.array([quat_wxyz_from_matrix(r) for r in rotations]),
+        )
+
+    # ------------------------------------------------------------------------ the estimate
+
+    def _recompute_head(self) -> None:
+        """Carries the corrected filter to now; what jumps is kept as an offset that fades."""
+        old = self._head
+        ticks, gyro, force, _ = self._buffer.samples(self._buffer.count)
+        self._head = propagate_nominal(self._eskf.state, ticks, gyro, force, self._buffer.step_s)
+        self._head_covariance = self._covariance_of_now(gyro, force)
+        shown = old.rotation @ so3_exp(self._offset[:3])
+        self._offset = np.concatenate(
+            [
+                so3_log(self._head.rotation.T @ shown),
+                old.position + self._offset[3:6] - self._head.position,
+                old.velocity + self._offset[6:9] - self._head.velocity,
+            ]
+        )
+
+    def _covariance_of_now(self, gyro: Array, force: Array) -> Array:
+        """(15, 15) of the head: the filter's, carried over the buffered samples."""
+        state, step_s = self._eskf.state, self._buffer.step_s
+        covariance = self._eskf.covariance[:STATE_DIM, :STATE_DIM]
+        if len(gyro) == 0:
+            return covariance.copy()
+        gyro, force = gyro - state.gyro_bias, force - state.accel_bias
+        rotations, _, _ = integrate(
+            state.rotation, state.position, state.velocity, gyro, force, step_s, GRAVITY_MPS2
+        )
+        total, noise = transition(rotations, gyro, force, step_s, self._buffer.densities)
+        return np.asarray(total @ covariance @ total.T + noise)
+
+    def _estimate(self, obs: Observation) -> Estimate:
+        head = self._head
+        self._offset = self._offset * np.exp(-self._buffer.step_s / self._params.blend_s)
+        rotation = head.rotation @ so3_exp(self._offset[:3])
+        rate_imu = self._gyro - head.gyro_bias
+        pose = Pose(rotation, head.position + self._offset[3:6]) @ self._imu_from_body
+        lever = cross(rate_imu, self._imu_from_body.translation)
+        acceleration = rotation @ (self._force - head.accel_bias) - _GRAVITY
+        cov = self._head_covariance
+        # what is shown is off the best belief by the offset that fades
+        shown = _INFLATION * cov[3:6, 3:6] + _FLOOR
+        shown += np.outer(self._offset[3:6], self._offset[3:6])
+        body_from_imu = self._rig.body_from_imu.rotation
+        return Estimate(
+            tick=obs.tick,
+            time_s=obs.time_s,
+            odom_from_body=pose,
+            world_from_odom=Pose.identity(),
+            velocity_odom=head.velocity + self._offset[6:9] + rotation @ lever,
+            angular_velocity_body=body_from_imu @ rate_imu,
+            acceleration_odom=acceleration,
+            position_covariance=shown,
+            rotation_covariance=body_from_imu @ cov[:3, :3] @ body_from_imu.T,
+            healthy=bool(np.trace(shown) < 1.0),
+            scan_track=self._scan_track,
+            diagnostics=dict(self._diagnostics),
+            events=tuple(self._events),
+        )
+
+
+def _tick_of(message: LidarScan | CameraImage) -> int:
+    return message.end_tick if isinstance(message, LidarScan) else message.tick
+
+
+def _name_of(message: LidarScan | CameraImage) -> str:
+    return "scan" if isinstance(message, LidarScan) else "image"
+
+
+def _visual_diagnostics(report: VisualReport, keyframes: int) -> dict[str, float]:
+    return {
+        "features_tracked": float(report.used),
+        "visual_rms_px": report.rms_px,
+        "looked_back": float(report.looked_back),
+        "overlap": report.best_share,
+        "keyframes": float(keyframes),
+    }
+
+
+def _undistortion_maps(rig: SensorRig) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
+    """Remapping to a pinhole with the same K, or None for a lens without distortion."""
+    camera = rig.camera
+    if not np.any(camera.distortion):
+        return None
+    size = (camera.width, camera.height)
+    matrix = camera.matrix()
+    maps = cv2.initUndistortRectifyMap(matrix, camera.distortion, None, matrix, size, cv2.CV_32FC1)
+    return np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)

@@ -1,0 +1,1 @@
+"""The coloured elevation map, one mapper for every estimator."""

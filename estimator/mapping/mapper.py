@@ -1,0 +1,294 @@
+"""The one mapper behind every estimator: scans and images in, a coloured elevation map out.
+
+Points are placed by the pose of their own instant, coloured from the image nearest in time and
+averaged per cell in the odom frame (the coloured point cloud map of Zou, Sun, Kong 2024, section
+3.3, kept as a grid so that memory does not grow with the flight).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import Estimate, GridMap, MapperParams, MapView, PoseTrack
+from touchdown.estimator.guard import InputGuard
+from touchdown.estimator.mapping import kernels
+from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
+from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+_TRACK_LENGTH = 256
+"""buffered poses: 1.28 s of control steps, more than a scan plus its delivery"""
+_GROUND_BLOCK_M = 4.0
+_CAMERA_HZ = 10
+_IMAGES_KEPT = 3
+
+
+class _Grid:
+    """Arrays of one ``GridMap`` plus the colour count; row = y, column = x."""
+
+    def __init__(self, origin_xy_m: Array, cell_m: float, cells: int) -> None:
+        self.cell_m = cell_m
+        self.origin_xy_m = origin_xy_m
+        shape = (cells, cells)
+        self.layers: dict[str, Float32] = {
+            name: np.full(shape, np.nan, np.float32)
+            for name in ("height", "std", "low", "high", "intensity")
+        }
+        for name in ("count", "rgb_count", "missing"):
+            self.layers[name] = np.zeros(shape, np.float32)
+        self.layers["rgb"] = np.full((*shape, 3), np.nan, np.float32)
+        self.layers["last_seen"] = np.full(shape, -np.inf, np.float32)
+
+    def view(self) -> GridMap:
+        read_only = {}
+        for name, layer in self.layers.items():
+            read_only[name] = layer.view()
+            read_only[name].flags.writeable = False
+        return GridMap(
+            origin_xy_m=self.origin_xy_m.copy(),
+            cell_m=self.cell_m,
+            count=read_only["count"],
+            height_m=read_only["height"],
+            height_std_m=read_only["std"],
+            min_height_m=read_only["low"],
+            max_height_m=read_only["high"],
+            rgb=read_only["rgb"],
+            intensity=read_only["intensity"],
+            missing=read_only["missing"],
+            last_seen_s=read_only["last_seen"],
+        )
+
+    def height_near(self, xy: Array) -> float:
+        """Mean height of the known cells among the 3 x 3 around ``xy``; NaN if there are none."""
+        col, row = np.floor((xy - self.origin_xy_m) / self.cell_m).astype(int)
+        patch = self.layers["height"][
+            max(row - 1, 0) : max(row + 2, 0), max(col - 1, 0) : max(col + 2, 0)
+        ]
+        known = patch[np.isfinite(patch)]
+        return float(known.mean()) if known.size else float("nan")
+
+    def moved_to(self, origin_xy_m: Array) -> _Grid:
+        """A grid with its corner at ``origin_xy_m`` (a whole number of cells away) that keeps what
+        both have in common."""
+        cells = self.layers["count"].shape[0]
+        moved = _Grid(origin_xy_m, self.cell_m, cells)
+        dc, dr = np.rint((origin_xy_m - self.origin_xy_m) / self.cell_m).astype(int)
+        if abs(dc) >= cells or abs(dr) >= cells:
+            return moved
+        old = (slice(max(dr, 0), cells + min(dr, 0)), slice(max(dc, 0), cells + min(dc, 0)))
+        new = (slice(max(-dr, 0), cells + min(-dr, 0)), slice(max(-dc, 0), cells + min(-dc, 0)))
+        for name, layer in self.layers.items():
+            moved.layers[name][new] = layer[old]
+        return moved
+
+
+@dataclass(frozen=True, slots=True)
+class _PosedImage:
+    image: CameraImage
+    camera_from_odom: Pose
+
+
+class GridMapper:
+    """Implements ``estimator.api.Mapper`` on two elevation grids: a coarse one around the take-off
+    spot, and a fine one under the vehicle once it is low."""
+
+    needs = SensorNeeds(camera_hz=_CAMERA_HZ, lidar=True)
+
+    def __init__(self, rig: SensorRig, params: MapperParams) -> None:
+        self._rig = rig
+        self._params = params
+        self._takeoff_ground = (
+            float(rig.world_from_body_start.translation[2]) - rig.vehicle.leg_height_m
+        )
+        centre = rig.world_from_body_start.translation[:2]
+        cells = round(params.extent_m / params.cell_m)
+        corner = np.floor((centre - 0.5 * params.extent_m) / params.cell_m) * params.cell_m
+        self._coarse = _Grid(corner, params.cell_m, cells)
+        blocks = int(np.ceil(params.extent_m / _GROUND_BLOCK_M))
+        self._ground_level = np.full((blocks, blocks), np.nan, np.float32)
+        self._fine: _Grid | None = None
+        self._fine_active = False
+        self._track: deque[tuple[float, Array, Array]] = deque(maxlen=_TRACK_LENGTH)
+        self._images: deque[_PosedImage] = deque(maxlen=_IMAGES_KEPT)
+        camera = rig.camera
+        self._intrinsics = np.concatenate(
+            [[camera.fx, camera.fy, camera.cx, camera.cy], np.asarray(camera.distortion, float)]
+        )
+        self._guard = InputGuard(rig, inertial=False)
+        self._view = MapView(version=0, coarse=self._coarse.view(), fine=None)
+
+    def update(self, obs: Observation, estimate: Estimate) -> MapView:
+        """Integrates the scans of ``obs``; costs nothing where there are none."""
+        obs = self._guard.screen(obs)
+        self._remember(estimate)
+        for image in obs.images:
+            odom_from_body = self._pose_at(image.time_s, estimate)
+            odom_from_camera = odom_from_body @ self._rig.body_from_camera
+            self._images.append(_PosedImage(image, odom_from_camera.inverse()))
+        if obs.scans:
+            self._place_fine_grid(estimate)
+            for scan in obs.scans:
+                self._integrate(scan, estimate)
+            self._view = MapView(
+                version=self._view.version + len(obs.scans),
+                coarse=self._view.coarse,
+                fine=self._fine.view() if self._fine is not None and self._fine_active else None,
+            )
+        return self._view
+
+    def _remember(self, estimate: Estimate) -> None:
+        if self._track and estimate.time_s <= self._track[-1][0]:
+            return
+        pose = estimate.odom_from_body
+        quat = quat_wxyz_from_matrix(pose.rotation)
+        if math.isfinite(sum(pose.translation.tolist()) + sum(quat.tolist())):
+            self._track.append((estimate.time_s, pose.translation.copy(), quat))
+
+    def _track_spanning(self, start_s: float, end_s: float, estimate: Estimate) -> PoseTrack | None:
+        """The estimator's own track if it spans the interval, else the causal poses around it."""
+        slack = 1.5 / self._rig.tick_hz
+        track = estimate.scan_track
+        if (
+            track is not None
+            and track.times_s.size >= 2
+            and track.times_s[0] <= start_s + slack
+            and track.times_s[-1] >= end_s - slack
+        ):
+            return track
+        if len(self._track) < 2:
+            return None
+        entries: list[tuple[float, Array, Array]] = []
+        for entry in reversed(self._track):  # what is asked for lies not far behind the newest
+            if entry[0] >= end_s:
+                entries = [entry]
+                continue
+            entries.append(entry)
+            if entry[0] <= start_s and len(entries) > 1:
+                break
+        entries.reverse()
+        if len(entries) < 2:
+            entries = [self._track[0], self._track[1]]
+        return PoseTrack(
+            times_s=np.array([entry[0] for entry in entries]),
+            positions_odom=np.array([entry[1] for entry in entries]),
+            quats_wxyz=np.array([entry[2] for entry in entries]),
+        )
+
+    def _pose_at(self, time_s: float, estimate: Estimate) -> Pose:
+        track = self._track_spanning(time_s, time_s, estimate)
+        if track is None:
+            return estimate.odom_from_body
+        index = int(np.clip(np.searchsorted(track.times_s, time_s) - 1, 0, track.times_s.size - 2))
+        span = track.times_s[index + 1] - track.times_s[index]
+        f = float(np.clip((time_s - track.times_s[index]) / span, 0.0, 1.0))
+        first, second = track.quats_wxyz[index], track.quats_wxyz[index + 1]
+        quat = (1.0 - f) * first + f * (second if first @ second >= 0.0 else -second)
+        position = (1.0 - f) * track.positions_odom[index] + f * track.positions_odom[index + 1]
+        return Pose(matrix_from_quat_wxyz(quat), position)
+
+    def _place_fine_grid(self, estimate: Estimate) -> None:
+        """Switches the fine grid on below ``fine_below_m`` and keeps it under the vehicle."""
+        position = estimate.odom_from_body.translation
+        if not np.isfinite(position).all():
+            return
+        ground = self._coarse.height_near(position[:2])
+        if np.isnan(ground):
+            ground = self._takeoff_ground
+        params = self._params
+        self._fine_active = position[2] - ground < params.fine_below_m
+        if not self._fine_active:
+            return
+        cell, extent = params.fine_cell_m, params.fine_extent_m
+        corner = np.round((position[:2] - 0.5 * extent) / cell) * cell
+        if self._fine is None:
+            self._fine = _Grid(corner, cell, round(extent / cell))
+            return
+        centre = self._fine.origin_xy_m + 0.5 * extent
+        if np.max(np.abs(position[:2] - centre)) > params.fine_recentre_m:
+            self._fine = self._fine.moved_to(corner)
+
+    def _integrate(self, scan: LidarScan, estimate: Estimate) -> None:
+        track = self._track_spanning(scan.start_time_s, scan.end_time_s, estimate)
+        if track is None:
+            return
+        n = scan.ranges.shape[0]
+        origins, beams = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
+        kernels.deskew(
+            scan.directions,
+            scan.time_offsets,
+            scan.start_time_s,
+            np.ascontiguousarray(track.times_s, dtype=np.float64),
+            np.ascontiguousarray(track.positions_odom, dtype=np.float64),
+            np.ascontiguousarray(track.quats_wxyz, dtype=np.float64),
+            np.ascontiguousarray(self._rig.body_from_lidar.rotation),
+            np.ascontiguousarray(self._rig.body_from_lidar.translation),
+            origins,
+            beams,
+        )
+        colours = self._colour(scan, origins, beams)
+        spots = self._missing_spots(scan, origins, beams)
+        self._accumulate(self._coarse, scan, origins, beams, colours, spots)
+        if self._fine is not None and self._fine_active:
+            self._accumulate(self._fine, scan, origins, beams, colours, spots)
+
+    def _colour(self, scan: LidarScan, origins: Float32, beams: Float32) -> Float32:
+        """(N, 3) float32, from the image nearest in time, then from the others in reach."""
+        colours = np.full((scan.ranges.shape[0], 3), np.nan, np.float32)
+        duration = scan.end_time_s - scan.start_time_s
+        near = [
+            posed
+            for posed in self._images
+            if scan.start_time_s - duration - 1e-6
+            <= posed.image.time_s
+            <= scan.end_time_s + duration + 1e-6
+        ]
+        near.sort(key=lambda posed: posed.image.time_s)
+        offsets = np.array([posed.image.time_s - scan.start_time_s for posed in near])
+        count = scan.ranges.shape[0]
+        middles = np.searchsorted(scan.time_offsets, 0.5 * (offsets[:-1] + offsets[1:])).tolist()
+        nearest = list(itertools.pairwise([0, *middles, count]))
+        first = [(own, (0, 0), posed) for own, posed in zip(nearest, near, strict=False)]
+        then = [((0, count), own, posed) for own, _, posed in reversed(first)]
+        for window, skipped, posed in first + (then if len(near) > 1 else []):
+            kernels.sample_colours(
+                origins, beams, scan.ranges, window, skipped, posed.image.rgb,
+                posed.camera_from_odom.rotation, posed.camera_from_odom.translation,
+                self._intrinsics, colours,
+            )  # fmt: skip
+        return colours
+
+    def _missing_spots(self, scan: LidarScan, origins: Float32, beams: Float32) -> Float32:
+        corner = self._coarse.origin_xy_m
+        where = (corner[0], corner[1], _GROUND_BLOCK_M, self._ground_level)
+        kernels.update_ground_level(origins, beams, scan.ranges, *where)
+        spots = np.empty((scan.ranges.shape[0], 2), np.float32)
+        found = kernels.locate_missing(
+            origins, beams, scan.ranges, self._params.missing_min_reach_m,
+            self._params.missing_max_reach_m, self._takeoff_ground, *where, spots,
+        )  # fmt: skip
+        return spots[:found]
+
+    def _accumulate(
+        self, grid: _Grid, scan: LidarScan, origins: Float32, beams: Float32, colours: Float32,
+        spots: Float32,
+    ) -> None:  # fmt: skip
+        x0, y0 = float(grid.origin_xy_m[0]), float(grid.origin_xy_m[1])
+        cap = self._params.count_cap
+        layers = grid.layers
+        kernels.accumulate_returns(
+            origins, beams, scan.ranges, colours, scan.intensity, scan.end_time_s, cap,
+            self._params.extreme_memory_s, x0, y0, grid.cell_m, layers["count"], layers["height"],
+            layers["std"], layers["low"], layers["high"], layers["rgb"], layers["rgb_count"],
+            layers["intensity"], layers["missing"], layers["last_seen"],
+        )  # fmt: skip
+        kernels.accumulate_missing(
+            spots, x0, y0, grid.cell_m, cap, layers["count"], layers["missing"]
+        )

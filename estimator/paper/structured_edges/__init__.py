@@ -1,0 +1,1 @@
+"""The structured edge detector: random forest, its file, the image of edge energy."""

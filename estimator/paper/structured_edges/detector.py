@@ -1,0 +1,96 @@
+"""Edge energy of an image: how likely each pixel lies on a boundary, in [0, 1]."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.paper.structured_edges.model import SHIPPED_MODEL, check_model
+
+Rgb = NDArray[np.uint8]
+Float32 = NDArray[np.float32]
+
+RIM = 8
+"""pixels, even, that the structured detector sees beyond the picture's border"""
+
+
+class EdgeDetector(Protocol):
+    """(H, W, 3) uint8 RGB -> (H, W) float32 energy in [0, 1]; deterministic."""
+
+    def __call__(self, rgb: Rgb) -> Float32: ...
+
+
+class GradientEdges:
+    """Energy from colour gradients at two scales; no learned model.
+
+    The largest Sobel magnitude over the channels, of the image and of its blurred form (which sees
+    soft boundaries and forgets texture), combined by their geometric mean so that only what stands
+    out at both counts. ``full_gradient``: grey levels per pixel that give energy 1. A fixed scale
+    keeps the energy of a picture of grass low, which a scale by the picture's own maximum would
+    not.
+    """
+
+    def __init__(self, full_gradient: float = 40.0, blur_sigma: float = 2.0) -> None:
+        self._full_gradient = full_gradient
+        self._blur_sigma = blur_sigma
+
+    def __call__(self, rgb: Rgb) -> Float32:
+        fine = _gradient(cv2.GaussianBlur(rgb, (3, 3), 0.8))
+        coarse = _gradient(cv2.GaussianBlur(rgb, (0, 0), self._blur_sigma))
+        # a step loses about blur_sigma of its slope at the coarse scale
+        energy = np.sqrt(fine * coarse * self._blur_sigma) / self._full_gradient
+        return np.minimum(energy, np.float32(1.0)).astype(np.float32)
+
+
+def _gradient(rgb: NDArray[np.generic]) -> Float32:
+    """Largest gradient over the channels (H, W), grey levels per pixel."""
+    strongest = np.zeros(rgb.shape[:2], dtype=np.float32)
+    for channel in cv2.split(np.asarray(rgb, dtype=np.uint8)):
+        dx, dy = cv2.spatialGradient(channel)
+        magnitude = cv2.magnitude(dx.astype(np.float32), dy.astype(np.float32))
+        strongest = np.maximum(strongest, magnitude)
+    # a Sobel kernel sums up eight times the slope
+    return np.asarray(0.125 * strongest, dtype=np.float32)
+
+
+class StructuredEdges:
+    """The structured edge detector (Dollar and Zitnick 2015) by OpenCV's ``ximgproc``.
+
+    ``model_path``: a model in OpenCV's gzipped YAML form, such as ``touchdown edges train`` writes.
+    ``full_energy``: share of votes that counts as energy 1; trees that disagree by a pixel about
+    where a certain boundary lies spread their votes, so that none gets them all. Raises
+    FileNotFoundError if there is no such file and ValueError if it is damaged or no model.
+    """
+
+    def __init__(self, model_path: Path | str = SHIPPED_MODEL, full_energy: float = 0.4) -> None:
+        self._full_energy = np.float32(full_energy)
+        path = Path(model_path)
+        check_model(path)
+        try:
+            self._detector = cv2.ximgproc.createStructuredEdgeDetection(str(path))
+        except cv2.error as error:
+            raise ValueError(
+                f"structured edge model '{path}' is not one that OpenCV can read: "
+                f"{str(error).splitlines()[0]}"
+            ) from None
+
+    def __call__(self, rgb: Rgb) -> Float32:
+        # the outermost patches overlap less and would give weaker edges: mirror the rim
+        height, width = rgb.shape[:2]
+        below, right = RIM + height % 2, RIM + width % 2
+        framed = cv2.copyMakeBorder(rgb, RIM, below, RIM, right, cv2.BORDER_REFLECT)
+        energy = self._detector.detectEdges(framed.astype(np.float32) / np.float32(255.0))
+        inner = np.asarray(energy, np.float32)[RIM : RIM + height, RIM : RIM + width]
+        return np.clip(inner / self._full_energy, 0.0, 1.0)
+
+
+def edge_detector(model: str) -> EdgeDetector:
+    """The detector by name: ``shipped`` for the model that comes with the project, ``gradient`` for
+    edges without a model, otherwise the path of a model."""
+    if model == "gradient":
+        return GradientEdges()
+    return StructuredEdges(SHIPPED_MODEL if model == "shipped" else model)

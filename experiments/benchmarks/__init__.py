@@ -1,0 +1,1 @@
+"""`touchdown bench`: speed and accuracy beside peers and bounds."""

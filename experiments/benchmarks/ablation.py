@@ -1,0 +1,87 @@
+"""What each part of an estimator is worth: the same log with the part left out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from touchdown.experiments.benchmarks.odometry import logged_survey, measure
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.flight.replay import LoggedRun, open_run, replay_config
+
+VARIANTS: dict[str, tuple[str, dict[str, bool]]] = {
+    "livo: tight, all on": ("livo", {}),
+    "livo: LIDAR only": ("livo", {"use_vision": False}),
+    "livo: vision only": ("livo", {"use_lidar": False}),
+    "livo: loose": ("livo", {"loose": True}),
+    "livo: no degeneracy handling": ("livo", {"use_degeneracy": False}),
+    "livo: no closures": ("livo", {"use_closures": False}),
+    "paper: all on": ("paper", {}),
+    "paper: LIDAR only": ("paper", {"use_camera_pose": False}),
+    "paper: camera only": ("paper", {"use_lidar_pose": False}),
+    "paper: no f_c": ("paper", {"use_colour_smoothness": False}),
+    "paper: no bundle": ("paper", {"use_bundle": False}),
+    "paper: no closures": ("paper", {"use_closures": False}),
+}
+"""Name of a variant: its estimator, and the parameters that it changes."""
+
+Tell = Callable[[str], None]
+
+
+def changes(variant: str) -> tuple[str, ...]:
+    """The ``KEY=VALUE`` texts of a variant."""
+    estimator, values = VARIANTS[variant]
+    return tuple(f"{estimator}.{name}={str(value).lower()}" for name, value in values.items())
+
+
+def ablate_log(logged: LoggedRun, seconds: float | None, tell: Tell) -> dict[str, Any]:
+    """``{"error_m", "lost_s", "cpu_ms"}`` by variant."""
+    end_s = math.inf if seconds is None else logged.from_s + seconds
+    rows: dict[str, Any] = {}
+    for variant, (estimator, _) in VARIANTS.items():
+        tell(variant)
+        config = replay_config(logged.path, estimator, changes(variant), fresh=True)
+        measured = measure(logged, config, end_s)
+        rows[variant] = {
+            "error_m": measured.error_m,
+            "lost_s": measured.lost_s,
+            "cpu_ms": measured.cpu_ms,
+        }
+    return rows
+
+
+def ablate(
+    scenes: Sequence[str],
+    *,
+    seed: int,
+    runs: Path,
+    seconds: float | None = None,
+    tell: Tell = lambda _text: None,
+) -> dict[str, Any]:
+    """``{SCENE: {VARIANT: figures}}``, open loop: the vehicle flew on ``livo`` with all its parts,
+    and goes there whatever a variant believes. Raises UsageError as `open_run`."""
+    if not scenes:
+        raise UsageError("name at least one scene")
+    found: dict[str, Any] = {}
+    for scene in scenes:
+        tell(f"{scene}: the log")
+        run = logged_survey(scene, seed, runs, tell)
+        found[scene] = ablate_log(open_run(run), seconds, tell)
+    return found
+
+
+def ablation_table(found: dict[str, Any]) -> str:
+    """Markdown, a column a scene: mean error in metres; what was lost says when."""
+    scenes = list(found)
+    lines = ["| variant | " + " | ".join(scenes) + " |", "|---|" + "---|" * len(scenes)]
+    for variant in VARIANTS:
+        cells = [_cell(found[scene][variant]) for scene in scenes]
+        lines.append(f"| {variant} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _cell(row: dict[str, Any]) -> str:
+    lost = row["lost_s"]
+    return f"{row['error_m']:.3f}" if lost is None else f"lost at {lost:.0f} s"

@@ -1,0 +1,73 @@
+"""Speed of the whole loop, measured on real flights with everything on."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from touchdown.experiments.benchmarks.jit_warmup import compiled_before
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.config.schema import Config
+
+SHORT_SURVEY = (
+    "survey.legs=2",
+    "survey.leg_length_m=25.0",
+    "survey.leg_spacing_m=15.0",
+    "survey.duration_s=14.0",
+)
+"""of flights that measure speed, settings by dotted keys"""
+
+
+def bench_config(*, scene: str, estimator: str, seed: int, full: bool) -> Config:
+    """A landing with recording; unless ``full``, after a short survey. Raises UsageError."""
+    overrides = () if full else SHORT_SURVEY
+    return load_config(None, overrides, scene=scene, estimator=estimator, seed=seed, record=True)
+
+
+def overhead_config(*, scene: str, seed: int, full: bool) -> Config:
+    """The flight of `measure_loop_overhead`: one thread, truth for the estimator, and the survey
+    alone, unless ``full``. Raises UsageError."""
+    overrides = ["sim.threads=1", "landing.survey_only=true"]
+    overrides += [] if full else list(SHORT_SURVEY)
+    return load_config(None, overrides, scene=scene, estimator="oracle", seed=seed, record=True)
+
+
+def measure_loop_overhead(config: Config) -> dict[str, Any]:
+    """`experiments.benchmarks.loop_overhead.measure_on_one_core` into a directory that is thrown
+    away."""
+    from touchdown.experiments.benchmarks.loop_overhead import measure_on_one_core
+
+    with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
+        return measure_on_one_core(config, Path(folder) / "run")
+
+
+def measure_loop(
+    config: Config, fly: Callable[[Config, Path], dict[str, Any]]
+) -> dict[str, dict[str, Any]]:
+    """Flies into a directory that is thrown away; once more if kernels were compiled in the air.
+
+    ``result`` is the flight's result; ``figures`` holds ``real_time_factor``, ``stage_ms`` (wall
+    milliseconds per 0.1 s of flight, one LIDAR scan), ``stage_share`` of the wall time, and
+    ``recording_mb``.
+    """
+    with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
+        out = Path(folder) / "run"
+        result = compiled_before(lambda: fly(config, out))
+        recording_mb = (out / "flight.rrd").stat().st_size / 1e6
+    timing = result["timing"]
+    per_scan_ms = 100.0 / timing["real_time_factor"]
+    stages = timing["stage_ms"]
+    figures = {
+        "scene": result["scene"],
+        "estimator": result["estimator"],
+        "outcome": result["outcome"],
+        "sim_s": timing["sim_s"],
+        "wall_s": timing["wall_s"],
+        "real_time_factor": timing["real_time_factor"],
+        "stage_ms": stages,
+        "stage_share": {name: ms / per_scan_ms for name, ms in stages.items()},
+        "recording_mb": recording_mb,
+    }
+    return {"result": result, "figures": figures}

@@ -1,0 +1,317 @@
+"""Positioning on equal scans: ``livo`` and ``paper`` beside KISS-ICP and small_gicp.
+
+One survey per scene is flown with ``livo`` in the loop and its sensors are logged. Everybody then
+gets that log: the estimators as in a flight, causally and over the whole span from lift-off to the
+end of the survey; the peers its scans (see `experiments.benchmarks.odometry_baselines`), each with
+the best setting of its grid. Errors are evo's: APE of the translation, nothing aligned."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.experiments.benchmarks.odometry_baselines import (
+    GRIDS,
+    PeerTrack,
+    ScanPoints,
+    require_peers,
+    run_peer,
+    settings,
+)
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.flight.metrics import PositioningError
+from touchdown.experiments.flight.replay import (
+    CpuClock,
+    LoggedRun,
+    check_needs,
+    open_run,
+    replay_config,
+    run_estimator,
+    seen_by,
+)
+from touchdown.sim.frames import Pose, interpolate_pose
+
+Array = NDArray[np.float64]
+Tell = Callable[[str], None]
+
+SCENES = ("crossroad", "lake", "houses", "forest")
+ESTIMATORS = ("livo", "paper")
+_SURVEY_BELOW_M = 0.5
+"""The survey begins where the vehicle first is so near to its greatest height."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One estimator over one log."""
+
+    error_m: float
+    """by evo"""
+    own_error_m: float
+    """by `experiments.flight.metrics.PositioningError` on the same rows"""
+    cpu_ms: float
+    """of one core per 0.1 s of data"""
+    lost_s: float | None
+    """when it was further off than a flight may be; the error is that until then"""
+
+
+def flight_config(scene: str, seed: int, overrides: Sequence[str] = ()) -> Config:
+    """The survey that is logged. Raises UsageError."""
+    return load_config(
+        None, list(overrides), scene=scene, seed=seed, estimator="livo", record=False,
+        survey_only=True, log_sensors=True,
+    )  # fmt: skip
+
+
+def bench_scene(logged: LoggedRun, seconds: float | None, tell: Tell) -> dict[str, Any]:
+    """Errors and costs of all methods over one log, of its first ``seconds`` after lift-off where
+    these are given: ``error_m``, ``cpu_ms``, ``own_difference_m``, ``lost_s`` by method, and
+    ``settings`` with every setting of the peers and its error."""
+    end_s = math.inf if seconds is None else logged.from_s + seconds
+    found: dict[str, Any] = {
+        "error_m": {}, "cpu_ms": {}, "own_difference_m": {}, "lost_s": {}, "best": {},
+        "settings": {},
+    }  # fmt: skip
+    for name in ESTIMATORS:
+        tell(f"{name}")
+        measured = measure(logged, replay_config(logged.path, name, fresh=True), end_s)
+        found["error_m"][name] = measured.error_m
+        found["own_difference_m"][name] = abs(measured.error_m - measured.own_error_m)
+        found["cpu_ms"][name] = measured.cpu_ms
+        found["lost_s"][name] = measured.lost_s
+    scans = logged_scans(logged, end_s)
+    truth = TruePath(logged)
+    for peer in GRIDS:
+        rows = []
+        for setting in settings(peer):
+            tell(f"{peer} {setting}")
+            track = run_peer(
+                peer, setting, scans, truth.at, logged.sensors.rig.body_from_lidar, truth.survey_s()
+            )
+            rows.append(_peer_row(track, truth))
+        best = min(rows, key=_badness)
+        found["error_m"][peer] = best["error_m"]
+        found["cpu_ms"][peer] = best["cpu_ms"]
+        found["lost_s"][peer] = best["lost_s"]
+        found["best"][peer] = best["setting"]
+        found["settings"][peer] = rows
+    return found
+
+
+def measure(logged: LoggedRun, config: Config, end_s: float = math.inf) -> Measured:
+    """Replays a log into the estimator of ``config`` until ``end_s``. Raises UsageError when the
+    log lacks what it needs."""
+    from touchdown.experiments.flight.wiring import build_estimator
+
+    estimator = build_estimator(config, logged.sensors.rig)
+    check_needs(config.estimator, estimator.needs, logged.sensors)
+    clock, own = CpuClock(), PositioningError()
+    times: list[float] = []
+    believed: list[Array] = []
+    true: list[Array] = []
+    lost_s, data_s = None, 0.0
+    for obs, estimate in run_estimator(estimator, seen_by(estimator.needs, logged.sensors), clock):
+        data_s = obs.time_s
+        if obs.time_s >= end_s:
+            break
+        pose = logged.truth.get(obs.tick)
+        if pose is None or not logged.judged(obs.tick):
+            continue
+        position = estimate.world_from_body.translation
+        distance = float(np.linalg.norm(position - pose.translation))
+        if not distance <= config.referee.divergence_m:
+            lost_s = obs.time_s
+            break
+        own.add(estimate.world_from_body, pose)
+        times.append(obs.time_s)
+        believed.append(position)
+        true.append(pose.translation)
+    cpu_ms = 1e3 * clock.seconds() / max(data_s / 0.1, 1e-9)
+    error_m = evo_error(times, true, believed)
+    return Measured(error_m, own.summary()["mean"] or math.nan, cpu_ms, lost_s)
+
+
+# ------------------------------------------------------------------------------------- evo
+
+
+def evo_error(times_s: Sequence[float], true: Sequence[Array], believed: Sequence[Array]) -> float:
+    """evo's mean APE of positions (N, 3) at times (N,), translation part, not aligned."""
+    from evo.core import metrics
+    from evo.core.trajectory import PoseTrajectory3D
+    from evo.main_ape import ape
+
+    if len(times_s) < 2:
+        return math.nan
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(times_s), 1))  # wxyz; rotations play no part
+    reference, estimate = (
+        PoseTrajectory3D(np.asarray(rows), upright, np.asarray(times_s))
+        for rows in (true, believed)
+    )
+    relation = metrics.PoseRelation.translation_part
+    return float(ape(reference, estimate, relation, align=False).stats["mean"])
+
+
+def evo_of_run(run: Path) -> float:
+    """What ``evo_ape tum truth.tum estimate.tum`` says of a run directory between lift-off and the
+    end of the survey: mean, metres."""
+    from evo.core import metrics, sync
+    from evo.main_ape import ape
+    from evo.tools import file_interface
+
+    logged = span_of(run)
+    paths = [
+        file_interface.read_tum_trajectory_file(str(run / f"{name}.tum"))
+        for name in ("truth", "estimate")
+    ]
+    reference, estimate = sync.associate_trajectories(*paths, max_diff=1e-3)
+    for path in (reference, estimate):
+        path.reduce_to_time_range(*logged)
+    relation = metrics.PoseRelation.translation_part
+    return float(ape(reference, estimate, relation, align=False).stats["mean"])
+
+
+def span_of(run: Path) -> tuple[float, float]:
+    """Lift-off and end of the survey of a run directory, s."""
+    import json
+
+    begin, end = json.loads((run / "result.json").read_text(encoding="utf-8"))["span_s"]
+    return float(begin), math.inf if end is None else float(end)
+
+
+# ------------------------------------------------------------------------------------- the log
+
+
+class TruePath:
+    """True poses of a run at any time, between its logged ones."""
+
+    def __init__(self, logged: LoggedRun) -> None:
+        self._hz = logged.sensors.rig.tick_hz
+        self._ticks = np.array(sorted(logged.truth))
+        self._poses = [logged.truth[tick] for tick in self._ticks.tolist()]
+        self._end_s = logged.to_s
+
+    def at(self, time_s: float) -> Pose:
+        tick = time_s * self._hz
+        last = len(self._ticks) - 2
+        row = int(np.clip(np.searchsorted(self._ticks, tick, side="right") - 1, 0, last))
+        before, after = self._ticks[row : row + 2]
+        share = float((tick - before) / (after - before))
+        return interpolate_pose(self._poses[row], self._poses[row + 1], share)
+
+    def survey_s(self) -> float:
+        """When the vehicle first is at the height of the survey."""
+        heights = np.array([pose.translation[2] for pose in self._poses])
+        there = heights > heights.max() - _SURVEY_BELOW_M
+        return float(self._ticks[np.argmax(there)] / self._hz)
+
+
+def logged_scans(logged: LoggedRun, end_s: float) -> list[ScanPoints]:
+    """The returns of the scans between lift-off and ``end_s`` or the end of the survey."""
+    scans: list[ScanPoints] = []
+    for obs in logged.sensors.observations(images=False):
+        for scan in obs.scans:
+            if scan.start_time_s < logged.from_s or scan.end_time_s >= min(end_s, logged.to_s):
+                continue
+            back = scan.ranges > 0.0
+            span_s = scan.end_time_s - scan.start_time_s
+            shares = (scan.time_offsets[back] / span_s).astype(np.float32)
+            points = scan.points[back]
+            scans.append(ScanPoints(points, shares, scan.start_time_s, scan.end_time_s))
+        if obs.time_s > end_s + 1.0:
+            break
+    return scans
+
+
+def _badness(row: dict[str, Any]) -> tuple[float, float]:
+    """Whoever is lost is worse than whoever is not, the sooner the worse."""
+    lost_s = row["lost_s"]
+    return (-math.inf if lost_s is None else -lost_s, row["error_m"])
+
+
+def _peer_row(track: PeerTrack, truth: TruePath) -> dict[str, Any]:
+    true = [truth.at(time_s).translation for time_s in track.times_s]
+    return {
+        "setting": track.setting,
+        "error_m": evo_error(track.times_s, true, track.positions),
+        "cpu_ms": 1e3 * track.cpu_s / max(track.data_s / 0.1, 1e-9),
+        "lost_s": track.lost_s,
+    }
+
+
+# ------------------------------------------------------------------------------------- together
+
+
+def bench_estimator(
+    scenes: Sequence[str],
+    *,
+    seed: int,
+    runs: Path,
+    seconds: float | None = None,
+    tell: Tell = lambda _text: None,
+) -> dict[str, Any]:
+    """Flies what ``runs`` does not hold yet, one directory ``SCENE-SEED`` each, and compares.
+
+    ``error_m.SCENE.METHOD``, ``ratio.peer.SCENE`` (the better peer over ``livo``) with their
+    ``geometric_mean``, ``ms_per_0.1s.METHOD`` (mean over scenes), ``evo_difference_m.SCENE`` (evo
+    on the flight's files less the flight's own figure) and the details by scene. Raises UsageError.
+    """
+    require_peers()
+    found: dict[str, dict[str, Any]] = {}
+    difference: dict[str, float] = {}
+    for scene in scenes:
+        tell_of = partial(_tell_of, tell, scene)
+        run = logged_survey(scene, seed, runs, tell_of)
+        logged = open_run(run)
+        difference[scene] = evo_of_run(run) - float(logged.result["position_error_m"]["mean"])
+        found[scene] = bench_scene(logged, seconds, tell_of)
+    return {
+        "seed": seed,
+        "seconds": seconds,
+        **summary(found),
+        "evo_difference_m": difference,
+        "scenes": found,
+    }
+
+
+def summary(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """The figures over scenes from those of each, as `bench_scene` gives them."""
+    ratios = {}
+    for scene, figures in found.items():
+        errors, lost = figures["error_m"], figures["lost_s"]
+        rivals = [peer for peer in GRIDS if lost[peer] is None] or list(GRIDS)
+        ratios[scene] = min(errors[peer] for peer in rivals) / errors["livo"]
+    mean = math.exp(float(np.mean([math.log(ratio) for ratio in ratios.values()])))
+    methods = (*ESTIMATORS, *GRIDS)
+    return {
+        "error_m": {scene: figures["error_m"] for scene, figures in found.items()},
+        "ratio": {"peer": {**ratios, "geometric_mean": mean}},
+        "ms_per_0.1s": {
+            name: float(np.mean([figures["cpu_ms"][name] for figures in found.values()]))
+            for name in methods
+        },
+    }
+
+
+def _tell_of(tell: Tell, scene: str, text: str) -> None:
+    tell(f"{scene}: {text}")
+
+
+def logged_survey(scene: str, seed: int, runs: Path, tell: Tell) -> Path:
+    """The run directory of a survey with sensor log below ``runs``, flown unless it is there."""
+    from touchdown.experiments.flight.platform import limit_threads
+    from touchdown.experiments.flight.run import fly
+    from touchdown.experiments.io.sensor_log import FILE_NAME
+
+    limit_threads()
+    run = runs / f"{Path(scene).stem}-{seed}"
+    if not (run / FILE_NAME).is_file():
+        config = flight_config(scene, seed)
+        fly(config, run, lambda time_s, phase, _note: tell(f"flying, {time_s:.0f} s, {phase}"))
+    return run

@@ -1,0 +1,205 @@
+"""LIDAR odometry of others on logged scans: KISS-ICP and small_gicp, each over a grid of settings.
+
+Both see the scans alone and start at the true pose of their first scan. A constant-velocity model
+predicts and, where a setting says so, unbends each scan by its points' own times; the pose then
+belongs to the scan's end, else to its middle, the instant that a rigid scan fits best.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.experiments.errors import UsageError
+from touchdown.sim.frames import Pose, so3_log
+
+Array = NDArray[np.float64]
+
+LOST_M = 10.0
+"""A run is broken off once the odometry is so far from the truth: nothing more can be learned."""
+
+GRIDS: dict[str, dict[str, tuple[Any, ...]]] = {
+    "kiss_icp": {
+        "voxel_m": (0.5, 1.0, 2.0),
+        "initial_threshold_m": (0.5, 2.0),
+        "deskew": (True, False),
+        "start": ("lift-off", "survey"),
+    },
+    "small_gicp": {
+        "downsampling_m": (0.25, 0.5, 1.0),
+        "voxel_m": (0.5, 1.0, 2.0),
+        "deskew": (True, False),
+        "start": ("lift-off", "survey"),
+    },
+}
+"""The settings that are tried, all combinations. ``start``: where the odometry begins; from there
+on its errors count, so that a method that cannot follow the climb is not judged by it. What is not
+named is the packages' default."""
+
+MAP_SCANS = 1000
+"""small_gicp's map forgets voxels that so many scans did not touch: longer than a survey, so that
+ground seen again is still known"""
+_MOST_ITERATIONS = 100
+"""of KISS-ICP on a scan; its default is 500, to which only scans go that do not converge"""
+_LEAST_RETURNS, _LEAST_POINTS = 100, 20
+"""of a scan, and of it after downsampling, to be of use at all: near the ground there are few"""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanPoints:
+    """The returns of one scan: (N, 3) float32 metres, LIDAR frame; (N,) float32 share of the scan's
+    span, 0 to 1; and its span in seconds."""
+
+    points: NDArray[np.float32]
+    shares: NDArray[np.float32]
+    start_s: float
+    end_s: float
+
+
+@dataclass(slots=True)
+class PeerTrack:
+    """What a setting made of the scans: times (N,) s and positions (N, 3) of the BODY, world."""
+
+    peer: str
+    setting: dict[str, Any]
+    times_s: list[float] = field(default_factory=list)
+    positions: list[Array] = field(default_factory=list)
+    cpu_s: float = 0.0
+    data_s: float = 0.0
+    """seconds of scans that it took the processor time for"""
+    lost_s: float | None = None
+    """when it was broken off"""
+
+
+class Odometry(Protocol):
+    """Poses of scans relative to the first one."""
+
+    def register(self, points: Array, shares: Array) -> Array:
+        """The (4, 4) pose ``first_from_scan`` of (N, 3) points with times (N,) in 0 to 1."""
+        ...
+
+
+def require_peers() -> None:
+    """Raises UsageError unless the packages are there."""
+    try:
+        import evo  # noqa: F401
+        import kiss_icp  # noqa: F401
+        import small_gicp  # noqa: F401
+    except ImportError as error:
+        raise UsageError(
+            f"{error.name} is not installed; pip install 'touchdown[bench]' adds what others made"
+        ) from error
+
+
+def settings(peer: str) -> Iterator[dict[str, Any]]:
+    """Every combination of a peer's grid."""
+    grid = GRIDS[peer]
+    for values in itertools.product(*grid.values()):
+        yield dict(zip(grid, values, strict=True))
+
+
+class KissIcp:
+    """KISS-ICP (Vizzo et al. 2023) by its package, one thread."""
+
+    def __init__(self, voxel_m: float, initial_threshold_m: float, deskew: bool) -> None:
+        from kiss_icp.config import KISSConfig
+        from kiss_icp.kiss_icp import KissICP
+
+        config = KISSConfig()
+        config.data.deskew = deskew
+        config.mapping.voxel_size = voxel_m
+        config.registration.max_num_threads = 1
+        config.registration.max_num_iterations = _MOST_ITERATIONS
+        config.adaptive_threshold.initial_threshold = initial_threshold_m
+        self._odometry = KissICP(config)
+
+    def register(self, points: Array, shares: Array) -> Array:
+        # It divides by the span of the times, and aborts where that is nothing.
+        self._odometry.register_frame(points, shares if np.ptp(shares) > 0.0 else np.zeros(0))
+        return np.asarray(self._odometry.last_pose)
+
+
+class SmallGicp:
+    """Scan-to-map VGICP of small_gicp (Koide 2024), one thread: each scan against a map of
+    Gaussian voxels."""
+
+    def __init__(self, downsampling_m: float, voxel_m: float, deskew: bool) -> None:
+        import small_gicp
+
+        self._lib = small_gicp
+        self._downsampling, self._deskew = downsampling_m, deskew
+        self._map = small_gicp.GaussianVoxelMap(voxel_m)
+        self._map.set_lru(horizon=MAP_SCANS, clear_cycle=10)
+        self._pose, self._step = np.eye(4), np.eye(4)
+
+    def register(self, points: Array, shares: Array) -> Array:
+        if self._deskew:
+            points = unbend(points, shares, self._step)
+        cloud = self._lib.voxelgrid_sampling(points, self._downsampling, num_threads=1)
+        if cloud.size() < _LEAST_POINTS:
+            self._pose = self._pose @ self._step
+            return self._pose
+        self._lib.estimate_covariances(cloud, num_neighbors=10, num_threads=1)
+        if self._map.size():
+            guess = self._pose @ self._step
+            found = self._lib.align(self._map, cloud, guess, num_threads=1)
+            pose = np.asarray(found.T_target_source)
+            self._step = np.linalg.inv(self._pose) @ pose
+            self._pose = pose
+        self._map.insert(cloud, self._pose)
+        return self._pose
+
+
+ODOMETRY: dict[str, Callable[..., Odometry]] = {"kiss_icp": KissIcp, "small_gicp": SmallGicp}
+
+
+def unbend(points: Array, shares: Array, step: Array) -> Array:
+    """(N, 3) points as if all were seen at the scan's end, for a motion ``step`` (4, 4,
+    previous_from_this scan) at constant velocity; small angles."""
+    missing = (shares - 1.0)[:, None]
+    turn = so3_log(step[:3, :3])
+    return np.asarray(points + missing * (step[:3, 3] + np.cross(turn, points)))
+
+
+def run_peer(
+    peer: str,
+    setting: dict[str, Any],
+    scans: Sequence[ScanPoints],
+    true_pose: Callable[[float], Pose],
+    body_from_lidar: Pose,
+    survey_s: float,
+) -> PeerTrack:
+    """One setting over scans from the lift-off on. ``true_pose(time_s)`` is ``world_from_body``: it
+    gives the start, and says when to break off. ``survey_s``: when the survey begins."""
+    track = PeerTrack(peer, setting)
+    own = {name: value for name, value in setting.items() if name != "start"}
+    odometry = ODOMETRY[peer](**own)
+    lidar_from_body = body_from_lidar.inverse()
+    world_from_first: Pose | None = None
+    for scan in scans:
+        time_s = scan.end_s if setting["deskew"] else 0.5 * (scan.start_s + scan.end_s)
+        true = true_pose(time_s)
+        if world_from_first is None:
+            early = setting["start"] == "survey" and scan.start_s < survey_s
+            if early or len(scan.points) < _LEAST_RETURNS:
+                continue
+            world_from_first = true @ body_from_lidar
+        points, shares = scan.points.astype(np.float64), scan.shares.astype(np.float64)
+        began = time.process_time()
+        pose = odometry.register(points, shares)
+        track.cpu_s += time.process_time() - began
+        track.data_s += scan.end_s - scan.start_s
+        first_from_scan = Pose(pose[:3, :3], pose[:3, 3])
+        believed = world_from_first @ first_from_scan @ lidar_from_body
+        track.times_s.append(time_s)
+        track.positions.append(believed.translation)
+        if not np.linalg.norm(believed.translation - true.translation) <= LOST_M:
+            track.lost_s = time_s
+            break
+    return track

@@ -1,0 +1,166 @@
+"""A survey with sensors at planned poses: no physics, no control, no estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from touchdown.estimator.api import (
+    Estimate,
+    Mapper,
+    MapView,
+    PoseTrack,
+)
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.flight.wiring import build_scene, make_world
+from touchdown.landing.api import Selection
+from touchdown.scenes.api import Scene
+from touchdown.sim.api import Observation, SensorRig
+from touchdown.sim.frames import Pose
+
+if TYPE_CHECKING:
+    from touchdown.sim.tow import SensorTow
+
+
+@dataclass(slots=True)
+class TowedSurvey:
+    """The configured sensors on the planned survey, at its true poses, and what serves them."""
+
+    rig: SensorRig
+    tow: SensorTow
+    mapper: Mapper
+    path: Any
+    """``landing.mission.trajectory.PiecewiseTrajectory`` of the survey, world frame, yaw ``yaw``"""
+    yaw: float
+    select: Callable[[MapView, Estimate], Selection]
+    """as the lander chooses at the end of its survey"""
+
+
+def build_towed_survey(config: Config, scene: Scene) -> TowedSurvey:
+    """A survey without a flight. Raises ValueError as `build_flight`."""
+    from touchdown.estimator.mapping.mapper import GridMapper
+    from touchdown.landing.mission.trajectory import survey_trajectory
+    from touchdown.landing.selection.selector import select_sites
+    from touchdown.sim.frames import yaw_from_rotation
+    from touchdown.sim.tow import SensorTow
+
+    world = make_world(config, scene)
+    rig = world.rig
+    world.close()
+    start = rig.world_from_body_start
+    yaw = yaw_from_rotation(start.rotation)
+    above = start.translation + np.array([0.0, 0.0, config.survey.height_m])
+    above[2] -= rig.vehicle.leg_height_m
+    return TowedSurvey(
+        rig=rig,
+        tow=SensorTow(
+            scene, sim=config.sim, camera=config.camera, lidar=config.lidar, seed=config.seed
+        ),
+        mapper=GridMapper(rig, config.mapper),
+        path=survey_trajectory(above, yaw, config.survey),
+        yaw=yaw,
+        select=partial(
+            select_sites,
+            params=config.landing,
+            footprint_radius_m=rig.vehicle.footprint_radius_m,
+        ),
+    )
+
+
+SCAN_PERIOD_S = 0.1
+"""of a flight"""
+LOOK_PERIOD_S = 0.3
+"""between the scans of a towed survey: each third one of a flight"""
+_PICTURE_EVERY = 2
+"""looks"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Surveyed:
+    """One place as a survey mapped it, what was chosen there, and the true ground."""
+
+    scene: Scene
+    survey: TowedSurvey
+    map_view: MapView
+    estimate: Estimate
+    """at the end of the survey"""
+    selection: Selection
+
+
+Watch = Callable[[SensorRig, Observation, Estimate], None]
+"""Called with everything that a towed survey sees."""
+
+
+def tow_survey(
+    config: Config, period_s: float = LOOK_PERIOD_S, watch: Watch | None = None
+) -> Surveyed:
+    """Maps the configured scene along the survey and selects. Raises ValueError as `build_scene`.
+
+    A scan every ``period_s``, at least the duration of one scan; with every second one a picture.
+    """
+    scene = build_scene(config)
+    survey = build_towed_survey(config, scene)
+    *_, (estimate, view) = observe(survey, survey.path, start_s=0.0, period_s=period_s, watch=watch)
+    selection = survey.select(view, estimate)
+    return Surveyed(
+        scene=scene, survey=survey, map_view=view, estimate=estimate, selection=selection
+    )
+
+
+def observe(
+    survey: TowedSurvey,
+    path: Any,
+    *,
+    start_s: float,
+    period_s: float,
+    watch: Watch | None = None,
+) -> Iterator[tuple[Estimate, MapView]]:
+    """Tows the sensors along ``path`` from ``start_s`` on and yields after every scan. The camera
+    is free again at the end."""
+    rig = survey.rig
+    period = max(round(period_s * rig.tick_hz), rig.lidar_scan_ticks)
+    first = round(start_s * rig.tick_hz)
+    try:
+        starts = range(first, first + round(path.duration_s * rig.tick_hz), period)
+        for number, start in enumerate(starts):
+            picture = number % _PICTURE_EVERY == 0
+            look = survey.tow.look(start, path, start_s, survey.yaw, picture=picture)
+            end = start + rig.lidar_scan_ticks
+            obs = Observation(
+                tick=end,
+                time_s=end / rig.tick_hz,
+                scans=(look.scan,),
+                images=() if look.image is None else (look.image,),
+                rotor_speed_radps=np.zeros(4),
+                battery_fraction=1.0,
+            )
+            track = PoseTrack(
+                times_s=look.times_s,
+                positions_odom=look.positions_world,
+                quats_wxyz=look.quats_wxyz,
+            )
+            estimate = _true_estimate(obs, look.world_from_body, track)
+            if watch is not None:
+                watch(rig, obs, estimate)
+            yield estimate, survey.mapper.update(obs, estimate)
+    finally:
+        survey.tow.close()
+
+
+def _true_estimate(obs: Observation, pose: Pose, track: PoseTrack) -> Estimate:
+    return Estimate(
+        tick=obs.tick,
+        time_s=obs.time_s,
+        odom_from_body=pose,
+        world_from_odom=Pose.identity(),
+        velocity_odom=np.zeros(3),
+        angular_velocity_body=np.zeros(3),
+        acceleration_odom=np.zeros(3),
+        position_covariance=np.zeros((3, 3)),
+        rotation_covariance=np.zeros((3, 3)),
+        scan_track=track,
+    )

@@ -1,0 +1,78 @@
+"""The steps of the paper's Table 7 one by one, each timed: what ``landing.selection.selector`` does
+before it looks at single sites."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import GridMap
+from touchdown.landing.api import LandingParams
+from touchdown.landing.selection import costmap
+from touchdown.landing.selection.clustering import bandwidths, quick_shift
+from touchdown.landing.selection.landable import ground_planes
+from touchdown.landing.selection.terrain import observed_terrain
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+STAGES = ("down_sampling", "flatness", "smoothness", "distance", "clustering")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Staged:
+    """Costs and clusters on the observed part of a map, and what each step took."""
+
+    origin_xy_m: Array
+    cell_m: float
+    total: Float32
+    """C_sum (Eq. 13), (rows, cols), NaN unknown"""
+    modes: NDArray[np.int32]
+    """(K, 2) row, col"""
+    seconds: dict[str, float]
+    """by ``STAGES``"""
+
+
+class StageTimer:
+    """Seconds from one ``lap`` to the next."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.seconds[name] = now - self._last
+        self._last = now
+
+
+def staged_selection(
+    grid: GridMap, position_odom: Array, params: LandingParams, footprint_radius_m: float
+) -> Staged:
+    """Map to modes. ``position_odom`` (3,): the vehicle's. ValueError: nothing was mapped."""
+    timer = StageTimer()
+    terrain = observed_terrain(grid)
+    if terrain is None:
+        raise ValueError("the map is empty: there is nothing to select from")
+    timer.lap("down_sampling")
+    planes = ground_planes(terrain, params)
+    flat = costmap.flatness_term(terrain, planes, params)
+    timer.lap("flatness")
+    smooth, _ = costmap.smoothness_term(terrain, params)
+    timer.lap("smoothness")
+    near = costmap.distance(terrain, position_odom, np.inf)
+    timer.lap("distance")
+    total = costmap.weighted_sum(smooth, flat, near, params)
+    bandwidth, radius = bandwidths(footprint_radius_m / terrain.cell_m)
+    clusters = quick_shift(total, bandwidth_cells=bandwidth, radius_cells=radius)
+    timer.lap("clustering")
+    return Staged(
+        origin_xy_m=terrain.origin_xy_m,
+        cell_m=terrain.cell_m,
+        total=total,
+        modes=clusters.modes,
+        seconds=timer.seconds,
+    )

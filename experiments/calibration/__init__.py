@@ -1,0 +1,1 @@
+"""`touchdown calibrate`: rendered chessboard views, evaluation, figures."""

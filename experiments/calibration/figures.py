@@ -1,0 +1,135 @@
+"""What a calibration saw, as pictures: the boards with their corners, returns over the picture, and
+the coloured cloud of one view (the paper's Fig. 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import CalibrationResult, CalibrationView, Chessboard
+from touchdown.experiments.scene_tools.views import Picture, write_picture
+from touchdown.sim.frames import Pose, so3_exp
+
+Array = NDArray[np.float64]
+
+_COLUMNS, _GAP = 4, 6
+_SMALL = (424, 240)
+_OVERLAY_STEP = 5
+"""Of so many returns one is drawn; no divisor of the LIDAR's six lasers, which take turns."""
+_CLOUD_SIZE = (1200, 800)
+_CLOUD_FOCAL = 1150.0
+_UNSEEN = (70, 70, 74)
+_BACKGROUND = 18
+_BEHIND_M = 0.8
+_NEAR_SHARE = 0.85
+"""of the median depth: what is nearer, the board, is drawn with larger dots, so that the floor does
+not shine through"""
+
+
+def write_pictures(
+    folder: Path, views: Sequence[CalibrationView], result: CalibrationResult, board: Chessboard
+) -> None:
+    """Writes boards.png, overlay.png and cloud.png. Raises UsageError where that cannot be."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_picture(folder / "boards.png", boards_picture(views, result, board))
+    shown = max(result.used, key=lambda number: _showing(result.board_points[number]))
+    write_picture(folder / "overlay.png", overlay_picture(views[shown], result))
+    write_picture(folder / "cloud.png", cloud_picture(views[shown], result, result.corners[shown]))
+
+
+def boards_picture(
+    views: Sequence[CalibrationView], result: CalibrationResult, board: Chessboard
+) -> Picture:
+    """All views with the corners that were found."""
+    tiles = []
+    for number, view in enumerate(views):
+        tile = view.rgb[:, :, ::-1].copy()
+        if number in result.corners:
+            corners = result.corners[number].astype(np.float32).reshape(-1, 1, 2)
+            cv2.drawChessboardCorners(tile, (board.columns, board.rows), corners, True)
+        small = cv2.resize(tile, _SMALL, interpolation=cv2.INTER_AREA)
+        text = str(number + 1) if number in result.used else f"{number + 1}: not used"
+        cv2.putText(small, text, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 2)
+        tiles.append(small)
+    rows = -(-len(tiles) // _COLUMNS)
+    width, height = _SMALL[0] + _GAP, _SMALL[1] + _GAP
+    sheet = np.full((rows * height + _GAP, _COLUMNS * width + _GAP, 3), 255, np.uint8)
+    for place, shown in enumerate(tiles):
+        top, left = _GAP + place // _COLUMNS * height, _GAP + place % _COLUMNS * width
+        sheet[top : top + _SMALL[1], left : left + _SMALL[0]] = shown
+    return np.ascontiguousarray(sheet[:, :, ::-1])
+
+
+def overlay_picture(view: CalibrationView, result: CalibrationResult) -> Picture:
+    """The camera's picture with the returns of the LIDAR, near red and far blue: a board's edge in
+    the returns must lie on its edge in the picture."""
+    picture = view.rgb.copy()
+    points = view.points[::_OVERLAY_STEP]
+    in_camera = result.camera_from_lidar.apply(points)
+    low, high = np.percentile(in_camera[:, 2], [1.0, 99.0])
+    share = np.clip((high - in_camera[:, 2]) / (high - low), 0.12, 0.95)
+    tint = cv2.applyColorMap((255.0 * share).astype(np.uint8), cv2.COLORMAP_TURBO)
+    _dot(picture, _pixels(points, result), tint.reshape(-1, 3)[:, ::-1], 1)
+    return picture
+
+
+def cloud_picture(view: CalibrationView, result: CalibrationResult, corners: Array) -> Picture:
+    """The returns in the colours of the picture, looked at from beside the camera: the squares
+    must lie flat and undistorted on the board."""
+    in_camera = result.camera_from_lidar.apply(view.points)
+    pixels = np.rint(_pixels(view.points, result)).astype(np.int64)
+    rows, cols = view.rgb.shape[:2]
+    seen = ((pixels >= 0) & (pixels < [cols, rows])).all(axis=1)
+    colour = np.empty((len(pixels), 3), np.uint8)
+    colour[:] = _UNSEEN
+    colour[seen] = view.rgb[pixels[seen, 1], pixels[seen, 0]]
+    eye = _beside(in_camera, pixels, corners)
+    placed = eye.apply(in_camera)
+    width, height = _CLOUD_SIZE
+    ahead = placed[:, 2] > 0.3
+    spots = _CLOUD_FOCAL * placed[ahead, :2] / placed[ahead, 2:] + [0.5 * width, 0.4 * height]
+    depth = placed[ahead, 2]
+    order = np.argsort(-depth, kind="stable")  # what is nearer hides what is further
+    picture = np.full((height, width, 3), _BACKGROUND, np.uint8)
+    near = depth[order] < _NEAR_SHARE * np.median(depth)
+    for rows_of, side in ((order[~near], 2), (order[near], 4)):
+        _dot(picture, spots[rows_of], colour[ahead][rows_of], side)
+    return picture
+
+
+def _showing(points: Array) -> float:
+    """How much of a board the LIDAR saw, foreshortened as it was."""
+    middle = points.mean(axis=0)
+    normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
+    return len(points) * float(abs(normal @ middle) / np.linalg.norm(middle))
+
+
+def _beside(in_camera: Array, pixels: NDArray[np.int64], corners: Array) -> Pose:
+    """eye_from_camera of an eye turned about the board's middle by 25 degrees and stepped back."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    on_board = ((pixels >= low) & (pixels <= high)).all(axis=1)
+    middle = np.median(in_camera[on_board], axis=0)
+    rotation = so3_exp(np.deg2rad([-15.0, 20.0, 0.0]))
+    distance = float(np.linalg.norm(middle)) + _BEHIND_M
+    return Pose(rotation, np.array([0.0, 0.0, distance]) - rotation @ middle)
+
+
+def _pixels(points: Array, result: CalibrationResult) -> Array:
+    """(N, 2) of LIDAR points (N, 3) by the calibration (Eqs. 1 and 2)."""
+    k = result.camera
+    in_camera = result.camera_from_lidar.apply(points)
+    projected = cv2.projectPoints(in_camera, np.zeros(3), np.zeros(3), k.matrix(), k.distortion)[0]
+    return np.asarray(projected, np.float64).reshape(-1, 2)
+
+
+def _dot(picture: Picture, pixels: Array, colours: NDArray[np.uint8], side: int) -> None:
+    """Draws squares of ``side`` pixels; later ones cover earlier ones."""
+    place = np.rint(pixels).astype(np.int64)
+    for down, across in np.ndindex(side, side):
+        col, row = place[:, 0] + across, place[:, 1] + down
+        inside = (col >= 0) & (row >= 0) & (col < picture.shape[1]) & (row < picture.shape[0])
+        picture[row[inside], col[inside]] = colours[inside]

@@ -1,0 +1,1 @@
+"""Many flights: plan, executors, directory, result table."""

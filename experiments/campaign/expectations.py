@@ -1,0 +1,146 @@
+"""Whether the runs of a campaign came to what its file expects of them (``[[expect]]``)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from touchdown.experiments.api import Outcome, ground_was_safe
+from touchdown.experiments.campaign.directory import read_plan_file
+from touchdown.experiments.campaign.results_table import CRASHED, refresh
+
+_FELL = (Outcome.TIPPED, Outcome.COLLIDED)
+
+
+@dataclass(slots=True)
+class Verdict:
+    """On one ``[[expect]]``. ``failures``: why a run is not as expected, by its name."""
+
+    name: str
+    runs: int = 0
+    finished: int = 0
+    expected: str = ""
+    outcomes: dict[str, int] = field(default_factory=dict)
+    largest_error_m: float | None = None
+    failures: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def word(self) -> str:
+        if self.failures:
+            return f"{len(self.failures)} not as expected"
+        if self.finished < self.runs:
+            return f"{self.runs - self.finished} to go"
+        return "as expected"
+
+
+def judge_campaign(directory: Path) -> list[Verdict]:
+    """One verdict for every expectation, in the order of the file; none where nothing is expected.
+    Raises UsageError when ``directory`` is no campaign."""
+    document = read_plan_file(directory)
+    expectations = document.get("expect") or []
+    if not expectations:
+        return []
+    rows = {row["run_id"]: row for row in refresh(directory)}
+    return [judge(expectation, document["runs"], rows) for expectation in expectations]
+
+
+def judge(
+    expectation: Mapping[str, Any],
+    runs: Sequence[Mapping[str, Any]],
+    rows: Mapping[str, Mapping[str, Any]],
+) -> Verdict:
+    """``runs`` as in ``campaign.json``, ``rows`` by name."""
+    when = expectation["when"]
+    verdict = Verdict(expectation["name"] or _label(when), expected=expected_words(expectation))
+    for run in runs:
+        if not all(run["values"].get(key) in wanted for key, wanted in when.items()):
+            continue
+        verdict.runs += 1
+        row = rows.get(run["run_id"])
+        if row is None:
+            continue
+        verdict.finished += 1
+        outcome = row["outcome"]
+        verdict.outcomes[outcome] = verdict.outcomes.get(outcome, 0) + 1
+        error = row.get("position_error_m.max")
+        if error is not None:
+            verdict.largest_error_m = max(error, verdict.largest_error_m or 0.0)
+        if reason := unexpected(expectation, row):
+            verdict.failures[run["run_id"]] = reason
+    return verdict
+
+
+def unexpected(expectation: Mapping[str, Any], row: Mapping[str, Any]) -> str:
+    """What about a run is not as expected, in words; "" if all of it is."""
+    outcome, limit = row["outcome"], expectation["position_error_m_max"]
+    if outcome == CRASHED:
+        return f"crashed: {row['reason']}"
+    reasons = []
+    if expectation["outcome"] and outcome not in expectation["outcome"]:
+        reasons.append(f"{outcome} ({row['reason']})")
+    if not expectation["unsafe"] and touched_unsafely(row):
+        reasons.append("unsafe touchdown")
+    error = row.get("position_error_m.max")
+    if limit is not None and (error is None or error > limit):
+        found = "unknown" if error is None else f"{error:.2f} m"
+        reasons.append(f"position error {found}, at most {limit:g} m expected")
+    return ", ".join(reasons)
+
+
+def touched_unsafely(row: Mapping[str, Any]) -> bool:
+    """Whether a flight touched ground that is not known to be safe, or fell when it touched."""
+    if row.get("landing.touchdown_xy_m") is None:
+        return row["outcome"] in _FELL
+    found = {name: row.get(f"landing.{name}") for name in ("judged_on", "safe", "safe_geometry")}
+    return row["outcome"] in _FELL or ground_was_safe(found) is not True
+
+
+def expected_words(expectation: Mapping[str, Any]) -> str:
+    """``LANDED or ABORTED, error at most 0.3 m, no unsafe touchdown``."""
+    parts = [" or ".join(expectation["outcome"]) or "any outcome"]
+    if expectation["position_error_m_max"] is not None:
+        parts.append(f"error at most {expectation['position_error_m_max']:g} m")
+    if not expectation["unsafe"]:
+        parts.append("no unsafe touchdown")
+    return ", ".join(parts)
+
+
+def as_json(verdicts: Sequence[Verdict]) -> list[dict[str, Any]]:
+    return [{**asdict(verdict), "verdict": verdict.word} for verdict in verdicts]
+
+
+def verdict_of(plain: Mapping[str, Any]) -> Verdict:
+    """Back from `as_json`."""
+    return Verdict(**{key: value for key, value in plain.items() if key != "verdict"})
+
+
+def lines(verdicts: Sequence[Verdict]) -> list[str]:
+    """The verdicts as text, a line each, and below it a line for each run that is not as expected;
+    with a heading, unless there are none."""
+    if not verdicts:
+        return []
+    width = max(len(verdict.name) for verdict in verdicts)
+    found = ["expectations:"]
+    for verdict in verdicts:
+        counts = ", ".join(f"{name} {count}" for name, count in sorted(verdict.outcomes.items()))
+        error = verdict.largest_error_m
+        worst = "" if error is None else f", error up to {error:.2f} m"
+        found.append(f"  {verdict.name:{width}}  {verdict.word}: {counts or 'nothing yet'}{worst}")
+        found += [f"    {run_id}: {reason}" for run_id, reason in verdict.failures.items()]
+    return found
+
+
+def all_as_expected(verdicts: Sequence[Verdict]) -> bool:
+    """Of the runs so far."""
+    return not any(verdict.failures for verdict in verdicts)
+
+
+def _label(when: Mapping[str, Sequence[Any]]) -> str:
+    """What an expectation without a name is called."""
+    parts = []
+    for values in when.values():
+        texts = (" ".join(map(str, v)) if isinstance(v, list) else str(v) for v in values)
+        parts.append("/".join(text or "none" for text in texts))
+    return ", ".join(parts) or "all runs"

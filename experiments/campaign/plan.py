@@ -1,0 +1,373 @@
+"""What a campaign flies: a TOML file turned into a list of runs, each with its configuration."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from touchdown.experiments.api import Outcome
+from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.config.loading import (
+    OPTION_KEYS,
+    config_of,
+    is_key,
+    known_keys,
+    read_tree,
+)
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.config.seeds import parse_seeds
+from touchdown.experiments.errors import UsageError, nearest
+
+AXES: Mapping[str, str] = {
+    "scene": "scene",
+    "estimator": "estimator",
+    "seed": "seed",
+    "wind_kmh": OPTION_KEYS["wind_kmh"],
+}
+"""Short names of axes and the keys that they set; any other key is an axis by its own name."""
+
+_LABELS = {"wind_kmh": "w", "faults.events": ""}
+"""What values of an axis are headed with in the names of runs, where that is not its last name."""
+
+_OWN_KEYS = {
+    "scene": "an axis: [axes] scene",
+    "estimator": "an axis: [axes] estimator",
+    "seed": "an axis: [axes] seeds",
+    "record": "set for the whole campaign: record",
+    "landing.survey_only": "set for the whole campaign: mode",
+}
+"""Keys of a flight that a campaign sets by other means."""
+
+MOST_RUNS = 100_000
+"""of one campaign: its plan is one file"""
+
+_STRICT = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class Limits(BaseModel):
+    """What one run may take before it is ended and recorded as crashed."""
+
+    model_config = _STRICT
+
+    run_timeout_s: float = Field(default=1800.0, gt=0)
+    """wall time"""
+    memory_gb: float = Field(default=6.0, gt=0)
+    """resident memory of the worker"""
+    retries: int = Field(default=1, ge=0)
+    """more attempts at a run that crashed; an outcome, however bad, is never retried"""
+
+
+class Override(BaseModel):
+    """Keys for some of the runs: those whose axes have one of the values in ``when``."""
+
+    model_config = _STRICT
+
+    when: dict[str, Any]
+    set: dict[str, Any]
+
+
+class Skip(BaseModel):
+    """Runs that are not flown: those whose axes have one of the values in ``when``."""
+
+    model_config = _STRICT
+
+    when: dict[str, Any]
+
+
+class Expect(BaseModel):
+    """What the runs in ``when`` are to come to; all of them without it."""
+
+    model_config = _STRICT
+
+    name: str = ""
+    when: dict[str, Any] = Field(default_factory=dict)
+    outcome: list[str] = Field(default_factory=list)
+    """any of these; none: any outcome but a crash of the program"""
+    position_error_m_max: float | None = Field(default=None, gt=0)
+    """largest position error up to the end of the survey"""
+    unsafe: bool = False
+    """whether touching down on unsafe ground, or not on the legs, is as expected"""
+
+
+class CampaignFile(BaseModel):
+    """The schema of a campaign's TOML file."""
+
+    model_config = _STRICT
+
+    name: str = Field(min_length=1)
+    mode: Literal["fly", "land"] = "fly"
+    record: Literal["failures", "all", "none"] = "failures"
+    """of which runs the Rerun recording is kept"""
+    axes: dict[str, Any]
+    base: dict[str, Any] = Field(default_factory=dict)
+    override: list[Override] = Field(default_factory=list)
+    skip: list[Skip] = Field(default_factory=list)
+    expect: list[Expect] = Field(default_factory=list)
+    limits: Limits = Field(default_factory=Limits)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlannedRun:
+    """``values`` are the dotted keys that differ from the defaults; ``config_sha`` names the whole
+    resolved configuration, recording and threads aside."""
+
+    run_id: str
+    values: Mapping[str, Any]
+    config_sha: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Plan:
+    """All runs in the order of flying: every scene and method of one seed before the next seed, so
+    that a campaign that is stopped early has compared all of them."""
+
+    name: str
+    mode: str
+    record: str
+    limits: Limits
+    runs: tuple[PlannedRun, ...]
+    text: str
+    """the file as given"""
+    expect: tuple[Mapping[str, Any], ...] = ()
+    """what runs are to come to: the keys of ``Expect``, ``when`` by dotted keys of runs' values"""
+
+
+def load_plan(file: Path) -> Plan:
+    """Reads, checks and unrolls a campaign's TOML file.
+
+    Every configuration is validated here, so that a mistake shows before the first flight.
+    Raises UsageError, one line.
+    """
+    tree = read_tree(file)
+    if file.suffix != ".toml":
+        raise UsageError(f"'{file}' is no TOML file; a campaign is described in FILE.toml")
+    spec = _parse(tree, str(file))
+    axes = _axes(spec.axes, str(file))
+    base = dict(flatten(spec.base))
+    _check_settable(base, axes, f"[base] of {file}")
+    overrides = [_override(entry, axes, f"[[override]] {number} of {file}")
+                 for number, entry in enumerate(spec.override, start=1)]  # fmt: skip
+    _check_names(axes, str(file))
+    runs = _runs(spec, axes, base, overrides, str(file))
+    expect = [_expectation(entry, axes, f"[[expect]] {number} of {file}")
+              for number, entry in enumerate(spec.expect, start=1)]  # fmt: skip
+    return Plan(
+        name=spec.name,
+        mode=spec.mode,
+        record=spec.record,
+        limits=spec.limits,
+        runs=tuple(runs),
+        text=file.read_text(encoding="utf-8"),
+        expect=tuple(expect),
+    )
+
+
+def config_for(values: Mapping[str, Any], source: str) -> Config:
+    """The configuration of a run's ``values``. Raises UsageError naming ``source``."""
+    return config_of(values, dict.fromkeys(values, source))
+
+
+def config_sha(config: Config, but: Sequence[str] = ("record", "sim.threads")) -> str:
+    """Twelve hexadecimal digits that name a configuration but for some of its keys: by default
+    those that do not change a flight."""
+    tree = {k: v for k, v in flatten(json.loads(config.model_dump_json())) if k not in but}
+    text = json.dumps(tree, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def in_shard(run_id: str, shard: tuple[int, int]) -> bool:
+    """Whether a run belongs to shard (i, n), i from 1: decided by a hash of its name, so that it
+    stays in its shard when the campaign grows."""
+    index, count = shard
+    digest = hashlib.sha256(run_id.encode()).digest()
+    return int.from_bytes(digest[:8], "big") % count == index - 1
+
+
+# ---------------------------------------------------------------------------------------- parsing
+
+
+def _parse(tree: Mapping[str, Any], source: str) -> CampaignFile:
+    try:
+        return CampaignFile.model_validate(tree)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        if first["type"] == "extra_forbidden":
+            known = _siblings(first["loc"])
+            raise UsageError(
+                f"unknown key '{key}' in {source}"
+                f"{nearest(str(first['loc'][-1]), known) or '; known: ' + ', '.join(known)}"
+            ) from None
+        if first["type"] == "missing":
+            raise UsageError(f"{source} lacks '{key}'") from None
+        message = first["msg"][:1].lower() + first["msg"][1:]
+        raise UsageError(f"{key} in {source} is wrong: {message}") from None
+
+
+def _siblings(location: tuple[int | str, ...]) -> list[str]:
+    """Fields of the table that an unknown key stands in."""
+    groups: dict[Any, type[BaseModel]] = {
+        "limits": Limits, "override": Override, "skip": Skip, "expect": Expect,
+    }  # fmt: skip
+    model = groups.get(location[0], CampaignFile) if len(location) > 1 else CampaignFile
+    return list(model.model_fields)
+
+
+def _axes(tree: Mapping[str, Any], source: str) -> dict[str, list[Any]]:
+    """Values by axis, keys as in ``AXES`` or of the configuration; the seed comes first."""
+    axes: dict[str, list[Any]] = {"seed": [0], "scene": [], "estimator": ["livo"]}
+    given = dict(flatten(tree))
+    if "seeds" in given:
+        if "seed" in given:
+            raise UsageError(f"[axes] of {source} has both seed and seeds; give one of them")
+        given["seed"] = parse_seeds(given.pop("seeds"), f"seeds in {source}:", MOST_RUNS)
+    if "scene" not in given:
+        raise UsageError(f"[axes] of {source} lacks scene, such as scene = ['crossroad']")
+    for key, values in given.items():
+        settable = is_key(key) and key not in _OWN_KEYS
+        if key not in AXES and not settable:
+            hint = nearest(key, [*AXES, "seeds", *known_keys()])
+            raise UsageError(f"unknown axis '{key}' in {source}{hint}")
+        if not isinstance(values, list) or not values:
+            raise UsageError(f"axis '{key}' in {source} must be a list of one or more values")
+        twice = [v for n, v in enumerate(values) if v in values[:n]]
+        if twice:
+            raise UsageError(f"axis '{key}' in {source} names {twice[0]} twice")
+        axes[key] = values
+    for seed in axes["seed"]:
+        if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+            raise UsageError(f"seed {seed!r} in {source} must be a whole number from 0 up")
+    return axes
+
+
+def _override(
+    entry: Override, axes: Mapping[str, list[Any]], source: str
+) -> tuple[dict[str, list[Any]], dict[str, Any]]:
+    when = _when(entry.when, axes, source)
+    settings = dict(flatten(entry.set))
+    _check_settable(settings, axes, source)
+    return when, settings
+
+
+def _when(
+    tree: Mapping[str, Any], axes: Mapping[str, list[Any]], source: str
+) -> dict[str, list[Any]]:
+    """Wanted values by axis."""
+    when: dict[str, list[Any]] = {}
+    for key, wanted in flatten(tree):
+        if key not in axes:
+            hint = nearest(key, axes) or "; axes: " + ", ".join(axes)
+            raise UsageError(f"unknown axis '{key}' in when of {source}{hint}")
+        when[key] = wanted if isinstance(wanted, list) else [wanted]
+    return when
+
+
+def _expectation(entry: Expect, axes: Mapping[str, list[Any]], source: str) -> dict[str, Any]:
+    when = _when(entry.when, axes, source)
+    for axis, wanted in when.items():
+        missing = [value for value in wanted if value not in axes[axis]]
+        if missing:
+            raise UsageError(f"{missing[0]!r} in when of {source} is no value of the axis '{axis}'")
+    for outcome in entry.outcome:
+        if outcome not in list(Outcome):
+            hint = nearest(outcome, list(Outcome)) or "; known: " + ", ".join(Outcome)
+            raise UsageError(f"unknown outcome '{outcome}' in {source}{hint}")
+    return entry.model_dump(mode="json") | {
+        "when": {AXES.get(axis, axis): wanted for axis, wanted in when.items()}
+    }
+
+
+def _check_settable(values: Iterable[str], axes: Iterable[str], source: str) -> None:
+    taken = {AXES.get(axis, axis) for axis in axes}
+    for key in values:
+        if key in _OWN_KEYS:
+            raise UsageError(f"'{key}' in {source} is {_OWN_KEYS[key]}")
+        if key in taken:
+            raise UsageError(f"'{key}' in {source} is an axis already; leave one of them out")
+
+
+def _check_names(axes: Mapping[str, list[Any]], source: str) -> None:
+    """Scenes and estimators exist, as far as can be told without building them."""
+    from touchdown.experiments.flight.wiring import check_estimator, check_scene_name
+
+    for axis in ("scene", "estimator"):
+        for name in axes[axis]:
+            if not isinstance(name, str):
+                raise UsageError(f"{axis} {name!r} in {source} must be text")
+    for name in axes["estimator"]:
+        check_estimator(name)
+    for name in axes["scene"]:
+        check_scene_name(name, f" in {source}")
+
+
+# -------------------------------------------------------------------------------------- unrolling
+
+
+def _runs(
+    spec: CampaignFile,
+    axes: Mapping[str, list[Any]],
+    base: Mapping[str, Any],
+    overrides: Sequence[tuple[dict[str, list[Any]], dict[str, Any]]],
+    source: str,
+) -> list[PlannedRun]:
+    checked: dict[str, Config] = {}
+    runs = []
+    skipped = [_when(entry.when, axes, f"[[skip]] {number} of {source}")
+               for number, entry in enumerate(spec.skip, start=1)]  # fmt: skip
+    count = math.prod(map(len, axes.values()))
+    if count > MOST_RUNS:
+        raise UsageError(
+            f"[axes] of {source} span {count} runs, more than {MOST_RUNS}; split the campaign"
+        )
+    for point in itertools.product(*axes.values()):
+        place = dict(zip(axes, point, strict=True))
+        if any(all(place[axis] in wanted for axis, wanted in when.items()) for when in skipped):
+            continue
+        values: dict[str, Any] = {"sim.threads": 1, **base}
+        for when, settings in overrides:
+            if all(place[axis] in wanted for axis, wanted in when.items()):
+                values |= settings
+        values |= {AXES.get(axis, axis): value for axis, value in place.items()}
+        values["record"] = spec.record == "all"
+        values["landing.survey_only"] = spec.mode == "fly"
+        # Seeds share all the rest: it is validated once.
+        rest = json.dumps({k: v for k, v in values.items() if k != "seed"}, default=str)
+        if rest not in checked:
+            checked[rest] = config_for(values, source)
+        config = checked[rest].model_copy(update={"seed": values["seed"]})
+        runs.append(
+            PlannedRun(run_id=_run_id(place, axes), values=values, config_sha=config_sha(config))
+        )
+    if not runs:
+        raise UsageError(f"[[skip]] of {source} leaves nothing to fly")
+    names = Counter(run.run_id for run in runs)
+    name, count = names.most_common(1)[0]
+    if count > 1:
+        raise UsageError(f"{count} runs of {source} would both be called '{name}'; rename a scene")
+    return runs
+
+
+def _run_id(place: Mapping[str, Any], axes: Mapping[str, list[Any]]) -> str:
+    """``crossroad-gps-s3``, then every further axis that has several values."""
+    parts = [Path(place["scene"]).stem, place["estimator"], f"s{place['seed']}"]
+    for axis, value in place.items():
+        if axis not in ("scene", "estimator", "seed") and len(axes[axis]) > 1:
+            label = _LABELS.get(axis, axis.rpartition(".")[2])
+            parts.append(f"{label}{_slug(value) or 'none'}")
+    return "-".join(re.sub(r"[^\w.+-]+", ".", part) for part in parts)
+
+
+def _slug(value: Any) -> str:
+    if isinstance(value, list):
+        return "_".join(_slug(item) for item in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)

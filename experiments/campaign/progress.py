@@ -1,0 +1,168 @@
+"""A campaign as it goes, on stderr: a bar with the time left on a terminal, else a line a run."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from statistics import fmean
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Table
+
+from touchdown.experiments.campaign import expectations
+from touchdown.experiments.campaign.executor import Event
+from touchdown.experiments.campaign.session import Watcher
+from touchdown.experiments.campaign.worker import Task
+from touchdown.experiments.terminal import make_console
+
+
+class TimeLeft:
+    """Predicts from the runs so far. Methods differ in cost: each has its own mean."""
+
+    def __init__(self, todo: Sequence[Task], jobs: int) -> None:
+        self._kind = {task.run_id: str(task.values.get("estimator")) for task in todo}
+        self._open = set(self._kind)
+        self._jobs = max(1, min(jobs, len(todo)))
+        self._started: dict[str, float] = {}
+        self._took: defaultdict[str, list[float]] = defaultdict(list)
+
+    def start(self, run_id: str, now_s: float) -> None:
+        self._started[run_id] = now_s
+
+    def end(self, run_id: str, now_s: float) -> float:
+        """Seconds that the run took."""
+        took = now_s - self._started.get(run_id, now_s)
+        self._open.discard(run_id)
+        self._took[self._kind[run_id]].append(took)
+        return took
+
+    def left_s(self, now_s: float) -> float | None:
+        """Seconds until all is done, None before the first run has ended."""
+        means = {kind: fmean(seconds) for kind, seconds in self._took.items()}
+        if not means:
+            return None
+        usual = fmean(means.values())
+        work = 0.0
+        for run_id in self._open:
+            flown = now_s - self._started[run_id] if run_id in self._started else 0.0
+            work += max(0.0, means.get(self._kind[run_id], usual) - flown)
+        return work / self._jobs
+
+
+class Display(Watcher):
+    """The bar, or the lines."""
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True, highlight=False)
+        self._live = self._console.is_terminal
+        self._counts = {"finished": 0, "failed": 0, "bad": 0}
+        self._progress: Progress | None = None
+
+    def start(self, todo: Sequence[Task], done: int, jobs: int) -> None:
+        self._total, self._number = done + len(todo), done
+        self._time_left = TimeLeft(todo, jobs)
+        note = f"{done} of {self._total} runs are there already; " if done else ""
+        self._say(f"{note}flying {len(todo)} on {min(jobs, max(1, len(todo)))} workers")
+        if self._live and todo:
+            self._progress = Progress(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TextColumn("{task.fields[left]}"),
+                console=self._console,
+                transient=True,
+            )
+            self._bar = self._progress.add_task("", total=self._total, completed=done, left="")
+            self._progress.start()
+
+    def see(self, event: Event) -> None:
+        now, run_id, kind = time.monotonic(), event["run_id"], event["event"]
+        if kind == "started":
+            self._time_left.start(run_id, now)
+        elif kind in ("finished", "failed"):
+            self._number += 1
+            self._counts[kind] += 1
+            took = self._time_left.end(run_id, now)
+            good = event.get("good", False)
+            self._counts["bad"] += kind == "finished" and not good
+            text = event.get("outcome") or f"CRASHED: {event['error']}"
+            if not (self._live and good):
+                self._say(f"[{self._number}/{self._total}] {run_id}  {text}  {took:.0f} s")
+        elif kind == "retry":
+            self._say(f"{run_id}: {event['error']}; once more")
+        elif kind == "unrecorded":
+            self._say(f"{run_id}: no recording: {event['error']}")
+        if self._progress is not None:
+            left = self._time_left.left_s(now)
+            counts = self._counts
+            self._progress.update(
+                self._bar,
+                completed=self._number,
+                description=f"{counts['bad']} bad, {counts['failed']} crashed",
+                left="" if left is None else f"{_clock(left)} left",
+            )
+
+    def end(self) -> None:
+        if self._progress is not None:
+            self._progress.stop()
+            self._progress = None
+
+    def _say(self, text: str) -> None:
+        if self._live:
+            self._console.print(escape(text))
+        else:
+            print(text, file=sys.stderr, flush=True)
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+
+
+def print_summary(figures: Mapping[str, Any]) -> None:
+    """How far a campaign is and what it took."""
+    console = make_console()
+    console.print(
+        f"{figures['name']}: {figures['finished']} of {figures['runs']} runs finished, "
+        f"{figures['crashed']} crashed, {figures['remaining']} to go, "
+        f"{_clock(figures['wall_s'])} so far"
+    )
+    if figures["outcomes"]:
+        counts = ", ".join(f"{name} {count}" for name, count in figures["outcomes"].items())
+        console.print(f"outcomes: {counts}")
+    if figures["flying"]:
+        console.print(f"in the air: {', '.join(figures['flying'])}", soft_wrap=True)
+    if figures["estimators"]:
+        console.print(_cost_table(figures["estimators"]))
+    for run_id, error in figures["errors"].items():
+        console.print(f"crashed: {run_id}: {escape(error or '')}", soft_wrap=True)
+    for line in expectations.lines([expectations.verdict_of(v) for v in figures["expectations"]]):
+        console.print(escape(line), soft_wrap=True)
+    console.print(f"table: {figures['results']}", soft_wrap=True)
+
+
+def _cost_table(estimators: Mapping[str, Any]) -> Table:
+    """The stages that matter; the others together. `--json` has them all."""
+    shown = ("set_up", "world", "estimator", "mapper")
+    title = "a run on average, and where its time went"
+    table = Table(title=title, title_justify="left", box=None)
+    table.add_column("estimator", no_wrap=True)
+    for title in ("runs", "wall s", "cpu s", "set-up", "sensors", "estimator", "mapper", "rest"):
+        table.add_column(title, justify="right", no_wrap=True)
+    for name, cost in estimators.items():
+        runs = max(1, cost["runs"])
+        shares = [cost["stage_share"].get(stage, 0.0) for stage in shown]
+        table.add_row(
+            name,
+            str(cost["runs"]),
+            f"{cost['wall_s'] / runs:.1f}",
+            f"{cost['cpu_s'] / runs:.1f}",
+            *(f"{share:.0%}" for share in (*shares, 1.0 - sum(shares))),
+        )
+    return table

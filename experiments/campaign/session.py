@@ -1,0 +1,239 @@
+"""Flying a campaign: what is left to do, who does it, and what it came to."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from touchdown.experiments.campaign import expectations
+from touchdown.experiments.campaign.directory import (
+    Shard,
+    add_session,
+    check_outside_code,
+    clear_partial,
+    flying_now,
+    locked,
+    read_plan_file,
+    settle_plan,
+)
+from touchdown.experiments.campaign.executor import Engine, EngineStoppedError, Event, LocalEngine
+from touchdown.experiments.campaign.plan import Plan, in_shard
+from touchdown.experiments.campaign.results_table import (
+    CRASHED,
+    FAILED,
+    RESULTS_FILE,
+    RUNS,
+    finished_ids,
+    refresh,
+)
+from touchdown.experiments.campaign.worker import PARTIAL, REAL_RUNNER, Task, wants_recording
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.results import load_run
+from touchdown.experiments.io.run_directory import utc_now
+
+_SECONDS_PER_SCAN = 0.1
+
+
+class Watcher:
+    """Is told of a campaign as it goes; the base class keeps quiet."""
+
+    def start(self, todo: Sequence[Task], done: int, jobs: int) -> None:
+        """Before the first run; ``done`` runs were finished earlier."""
+
+    def see(self, event: Event) -> None:
+        """What `experiments.campaign.executor` reports."""
+
+    def end(self) -> None:
+        """After the last run, or when the campaign is stopped."""
+
+
+def fly_campaign(
+    plan: Plan,
+    directory: Path,
+    engine: Engine,
+    *,
+    shard: Shard | None = None,
+    watcher: Watcher | None = None,
+    runner: str = REAL_RUNNER,
+) -> dict[str, Any]:
+    """Flies what ``directory`` lacks of a plan, and returns `summary`.
+
+    Finished runs are never repeated; runs that crashed are tried again. Stopping it at any moment,
+    by whatever means, and calling it again gives the rows of an undisturbed campaign. ``shard``
+    (i, n) flies the i-th of n parts, i from 1. Raises UsageError for a directory that is in use,
+    that belongs to another campaign, or whose disk is full; for an outside estimator that is not to
+    be had, or whose code is not that of the finished runs.
+    """
+    from touchdown.experiments.flight.wiring import find_estimator
+    from touchdown.experiments.io.provenance import git_revision
+
+    watcher = watcher or Watcher()
+    real = runner == REAL_RUNNER
+    if real:
+        for name in {str(run.values["estimator"]): None for run in plan.runs}:
+            find_estimator(name)
+    with locked(directory, shard):
+        if real:
+            check_outside_code(plan, directory)
+        plan = settle_plan(plan, directory, git_revision())
+        todo, done = _left(plan, directory, shard, runner)
+        session: dict[str, Any] = {
+            "started_utc": utc_now(),
+            "host": socket.gethostname(),
+            "engine": engine.name,
+            "jobs": engine.jobs,
+            "shard": None if shard is None else f"{shard[0]}/{shard[1]}",
+        }
+        started = time.perf_counter()
+        watcher.start(todo, done, engine.jobs)
+        try:
+            if todo:
+                engine.run(todo, plan.limits, watcher.see)
+        except EngineStoppedError as error:
+            raise UsageError(
+                f"--out {directory}: {error}; make room, then give the same command again"
+            ) from error
+        finally:
+            watcher.end()
+            _sweep(directory, todo, whole=shard is None)
+            session |= {"finished_utc": utc_now(), "wall_s": time.perf_counter() - started}
+            session["runs"] = len(finished_ids(directory) & {task.run_id for task in todo})
+            if todo:
+                add_session(directory, session, not _missing(plan, directory))
+        return summary(directory)
+
+
+def _left(plan: Plan, directory: Path, shard: Shard | None, runner: str) -> tuple[list[Task], int]:
+    """Tasks that remain of this shard, and the number of those that do not."""
+    finished = finished_ids(directory)
+    mine = [run for run in plan.runs if shard is None or in_shard(run.run_id, shard)]
+    todo = []
+    for run in mine:
+        clear_partial(directory, run.run_id)
+        task = Task(
+            run_id=run.run_id,
+            values=run.values,
+            directory=str(directory.resolve()),
+            record_failures=plan.record == "failures",
+            runner=runner,
+        )
+        if run.run_id not in finished or _lacks_recording(task):
+            todo.append(task)
+    return todo, len(mine) - len(todo)
+
+
+def _lacks_recording(task: Task) -> bool:
+    if not task.record_failures:
+        return False
+    run_dir = Path(task.directory) / RUNS / task.run_id
+    return wants_recording(task, run_dir, load_run(run_dir / "result.json"))
+
+
+def _sweep(directory: Path, todo: Sequence[Task], *, whole: bool) -> None:
+    for task in todo:
+        clear_partial(directory, task.run_id)
+    if whole:
+        shutil.rmtree(directory / PARTIAL, ignore_errors=True)
+
+
+def _missing(plan: Plan, directory: Path) -> int:
+    crashed = {path.stem for path in (directory / FAILED).glob("*.json")}
+    return len({run.run_id for run in plan.runs} - finished_ids(directory) - crashed)
+
+
+# ---------------------------------------------------------------------------------------- summary
+
+
+def summary(directory: Path) -> dict[str, Any]:
+    """How far a campaign is, and what it took.
+
+    ``estimators`` gives processor and wall seconds of the finished runs of each, and the share of
+    their wall time by stage: ``set_up`` is loading, building and writing, ``rest`` the loop itself.
+    ``expectations`` are `experiments.campaign.expectations.Verdict`, ``as_expected`` sums them up.
+    Raises UsageError when ``directory`` is no campaign.
+    """
+    document = read_plan_file(directory)
+    verdicts = expectations.judge_campaign(directory)
+    planned = {run["run_id"] for run in document["runs"]}
+    rows = [row for row in refresh(directory) if row["run_id"] in planned]
+    crashed = [row for row in rows if row["outcome"] == CRASHED]
+    outcomes: defaultdict[str, int] = defaultdict(int)
+    for row in rows:
+        outcomes[row["outcome"]] += 1
+    return {
+        "name": document["name"],
+        "mode": document["mode"],
+        "directory": str(directory),
+        "results": str(directory / RESULTS_FILE),
+        "runs": len(planned),
+        "finished": len(rows) - len(crashed),
+        "crashed": len(crashed),
+        "remaining": len(planned) - len(rows),
+        "flying": flying_now(directory),
+        "outcomes": dict(sorted(outcomes.items())),
+        "errors": {row["run_id"]: row["reason"] for row in crashed},
+        "wall_s": sum(session["wall_s"] for session in document["sessions"]),
+        "estimators": _costs([row for row in rows if row["outcome"] != CRASHED]),
+        "git_revisions": sorted({row["git_revision"] for row in rows if row["git_revision"]}),
+        "expectations": expectations.as_json(verdicts),
+        "as_expected": expectations.all_as_expected(verdicts),
+    }
+
+
+def _costs(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """By estimator, in the order of their names."""
+    found: dict[str, Any] = {}
+    for name in sorted({row["estimator"] for row in rows}):
+        mine = [row for row in rows if row["estimator"] == name and row["wall_s"] is not None]
+        wall = sum(row["wall_s"] for row in mine)
+        found[name] = {
+            "runs": len(mine),
+            "wall_s": wall,
+            "cpu_s": sum(row["cpu_s"] or 0.0 for row in mine),
+            "stage_share": _stage_shares(mine, wall) if wall > 0 else {},
+        }
+    return found
+
+
+def _stage_shares(rows: Sequence[Mapping[str, Any]], wall_s: float) -> dict[str, float]:
+    prefix = "timing.stage_ms."
+    seconds: defaultdict[str, float] = defaultdict(float)
+    for row in rows:
+        loop_s, sim_s = row["timing.wall_s"] or 0.0, row["timing.sim_s"] or 0.0
+        seconds["set_up"] += row["wall_s"] - loop_s
+        seconds["rest"] += loop_s
+        for key, ms in row.items():
+            if key.startswith(prefix) and ms is not None:
+                spent = 1e-3 * ms * sim_s / _SECONDS_PER_SCAN
+                seconds[key.removeprefix(prefix)] += spent
+                seconds["rest"] -= spent
+    return {name: value / wall_s for name, value in sorted(seconds.items())}
+
+
+def default_jobs() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def make_engine(
+    name: str,
+    jobs: int | None,
+    address: str | None = None,
+    slots: threading.Semaphore | None = None,
+) -> Engine:
+    """The engine of that name: ``local``, whose runs wait for one of the ``slots``, or ``ray``,
+    whose cluster is at ``address``. Raises UsageError when it cannot be had."""
+    if name == "ray":
+        from touchdown.experiments.campaign.executor_ray import RayEngine
+
+        return RayEngine(jobs, address)
+    if address is not None:
+        raise UsageError("--ray-address goes with --engine ray")
+    return LocalEngine(jobs or default_jobs(), slots)

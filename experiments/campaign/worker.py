@@ -1,0 +1,221 @@
+"""One run of a campaign, in a process of its own: flies it and puts its directory into place.
+
+A worker reads tasks from stdin and answers on stdout, one JSON object a line each. It is started by
+`experiments.campaign.executor.Supervisor` on the machine where it flies, and dies with it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import datetime
+import errno
+import faulthandler
+import importlib
+import json
+import os
+import shutil
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from touchdown.experiments.api import is_good
+from touchdown.experiments.campaign.plan import config_for, config_sha
+from touchdown.experiments.campaign.results_table import (
+    FAILED,
+    ROW_FILE,
+    RUNS,
+    is_whole,
+    make_row,
+    write_table,
+)
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.flight.run import guarded_fly
+
+PARTIAL = ".partial"
+"""Folder of a campaign's directory in which runs are flown; those of dead processes are swept."""
+
+RECORDING = "flight.rrd"
+_NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+_PR_SET_PDEATHSIG = 1
+
+REAL_RUNNER = "touchdown.experiments.campaign.worker:fly"
+
+Tell = Callable[[dict[str, Any]], None]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Task:
+    """A run to be flown, as text that any worker understands."""
+
+    run_id: str
+    values: Mapping[str, Any]
+    """dotted keys of the configuration"""
+    directory: str
+    """absolute, of the campaign"""
+    record_failures: bool = False
+    """fly a run with a bad outcome once more, for its recording"""
+    runner: str = REAL_RUNNER
+    """MODULE:FUNCTION that takes a configuration and an output directory, fills it and returns the
+    result"""
+
+    def dump(self) -> str:
+        return json.dumps(asdict(self))
+
+
+def execute(task: Task, tell: Tell) -> None:
+    """Flies a task unless that is done already, and reports ``finished`` through ``tell``.
+
+    The run directory appears under ``runs/`` whole, with its row, or not at all. Raises whatever
+    the flight raises.
+    """
+    run_dir = Path(task.directory) / RUNS / task.run_id
+    config = config_for(task.values, f"run {task.run_id}")
+    if is_whole(run_dir):
+        result = json.loads((run_dir / "result.json").read_text(encoding="utf-8"))
+    else:
+        result = _fly_into_place(task, config, run_dir)
+    (Path(task.directory) / FAILED / f"{task.run_id}.json").unlink(missing_ok=True)
+    tell({"event": "finished", "outcome": result["outcome"], "good": is_good(result)})
+    if wants_recording(task, run_dir, result):
+        _add_recording(task, config, run_dir)
+
+
+def wants_recording(task: Task, run_dir: Path, result: Mapping[str, Any]) -> bool:
+    """Whether a finished run is to be flown again for its recording."""
+    missing = not (run_dir / RECORDING).exists()
+    return task.record_failures and missing and not is_good(dict(result))
+
+
+def _fly_into_place(task: Task, config: Config, run_dir: Path) -> dict[str, Any]:
+    """The row is written into the directory before it is moved, so that neither is without the
+    other."""
+    started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    wall, cpu = time.perf_counter(), time.process_time()
+    staging = _staging(task)
+    try:
+        out = staging / task.run_id
+        result = _runner(task)(config, out)
+        row = make_row(
+            result,
+            task.run_id,
+            "fly" if config.landing.survey_only else "land",
+            config_sha(config),
+            wall_s=time.perf_counter() - wall,
+            cpu_s=time.process_time() - cpu,
+            started_utc=started,
+        )
+        write_table([row], out / ROW_FILE)
+        run_dir.parent.mkdir(exist_ok=True)
+        _move(out, run_dir)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    return result
+
+
+def _move(out: Path, run_dir: Path) -> None:
+    try:
+        os.rename(out, run_dir)
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+            raise
+        if is_whole(run_dir):
+            return  # another shard was first, with the same flight
+        shutil.rmtree(run_dir)
+        os.rename(out, run_dir)
+
+
+def _add_recording(task: Task, config: Config, run_dir: Path) -> None:
+    """The same flight once more: it is the same to the bit, and now it is recorded."""
+    staging = _staging(task)
+    try:
+        out = staging / task.run_id
+        _runner(task)(config.model_copy(update={"record": True}), out)
+        for name in ("truth.tum", "estimate.tum"):
+            if (out / name).read_bytes() != (run_dir / name).read_bytes():
+                raise RuntimeError(f"run {task.run_id} did not repeat itself: {name} differs")
+        os.replace(out / RECORDING, run_dir / RECORDING)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _staging(task: Task) -> Path:
+    path = Path(task.directory) / PARTIAL / f"{task.run_id}.{os.getpid()}"
+    shutil.rmtree(path, ignore_errors=True)
+    path.mkdir(parents=True)
+    return path
+
+
+def _runner(task: Task) -> Callable[[Config, Path], dict[str, Any]]:
+    module, _, function = task.runner.partition(":")
+    runner: Callable[[Config, Path], dict[str, Any]] = getattr(
+        importlib.import_module(module), function
+    )
+    return runner
+
+
+def fly(config: Config, out: Path) -> dict[str, Any]:
+    """The runner of every real campaign."""
+    return guarded_fly(config, out, lambda _time_s, _phase, _note: None)
+
+
+# ----------------------------------------------------------------------------------------- worker
+
+
+def serve() -> None:
+    """The life of a worker: flies what it is told until stdin ends."""
+    die_with_parent(int(os.environ.get("TOUCHDOWN_SUPERVISOR", os.getppid())))
+    faulthandler.enable()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the supervisor decides
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what libraries print does not get among the answers
+
+    def tell(message: dict[str, Any]) -> None:
+        answers.write(json.dumps(message) + "\n")
+        answers.flush()
+
+    tell({"event": "ready"})
+    for line in sys.stdin:
+        _forget_random_state()
+        try:
+            execute(Task(**json.loads(line)), tell)
+        except Exception as error:
+            tell(_told(error))
+        else:
+            tell({"event": "idle"})
+
+
+def _told(error: Exception) -> dict[str, Any]:
+    kind = "error"
+    cause = error.__cause__ or error
+    if isinstance(cause, OSError) and cause.errno in _NO_SPACE:
+        kind = "disk"
+    elif isinstance(error, UsageError):
+        kind = "input"
+    text = " ".join(str(error).split())
+    return {
+        "event": "error",
+        "kind": kind,
+        "error": text if kind == "input" else f"{type(error).__name__}: {text}",
+        "traceback": "".join(traceback.format_exception(error)),
+    }
+
+
+def _forget_random_state() -> None:
+    """A run must not depend on the runs before it: OpenCV's generator starts afresh."""
+    if "cv2" in sys.modules:
+        sys.modules["cv2"].setRNGSeed(0)
+
+
+def die_with_parent(parent: int) -> None:
+    """Linux kills this process when the thread that started it, of process ``parent``, ends."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if hasattr(libc, "prctl"):
+        libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)  # it was dead before

@@ -1,0 +1,1 @@
+"""`touchdown dataset`, `train`, `evaluate`, `quantize`, `classify`: the ground classifier."""

@@ -1,0 +1,158 @@
+"""`touchdown classify`: the kind of ground all over a photograph, drawn over it."""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.experiments.classification.optional_import import recognition
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.images import read_picture, write_png
+
+Picture = NDArray[np.uint8]
+
+LAND_COLOURS = {
+    "lawn": (120, 200, 80),
+    "field": (230, 200, 90),
+    "path": (235, 160, 200),
+    "road": (110, 110, 125),
+    "building": (205, 80, 60),
+    "water": (50, 110, 225),
+    "trees": (20, 100, 50),
+}
+UNSURE = "unsure"
+_UNSURE_RGB = (255, 255, 255)
+_COVER = 0.5
+"""share of a class's colour in the picture"""
+_LEGEND_PX = 34
+
+
+def classify_pictures(
+    files: Sequence[Path],
+    out: Path,
+    classifier: Any,
+    window_px: int | None,
+    least: float,
+    notes: Any,
+) -> list[dict[str, Any]]:
+    """Writes ``out``/NAME-classes.png for each file; shares of each class in it.
+
+    ``window_px``: side of the square that is classified, by default a quarter of the picture's
+    shorter side, at least the network's own size; windows overlap by three quarters. Pixels whose
+    best class is less probable than ``least`` are left ``unsure``. Raises UsageError, before
+    anything is written, where a file is no picture or two would be written to one file.
+    """
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out: '{out}' is a file; name a folder")
+    targets = [out / f"{file.stem}-classes.png" for file in files]
+    if len(set(targets)) < len(targets):
+        raise UsageError("two of the pictures have the same name: classify them one by one")
+    for file in files:
+        _window(read_picture(file), window_px, classifier.facts.image_size)
+    out.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for file, target in zip(files, targets, strict=True):
+        notes(f"classifying {file}")
+        picture = read_picture(file)
+        window = _window(picture, window_px, classifier.facts.image_size)
+        chance = class_chances(picture, classifier, window)
+        write_png(target, class_picture(picture, chance, classifier.facts.classes, least))
+        rows.append({
+            "picture": str(file),
+            "classes": str(target),
+            "window_px": window,
+            "shares": _shares(chance, classifier.facts.classes, least),
+        })  # fmt: skip
+    return rows
+
+
+def _window(picture: Picture, window_px: int | None, size: int) -> int:
+    shorter = min(picture.shape[:2])
+    window = window_px or min(shorter, max(size, shorter // 4))
+    if window > shorter:
+        raise UsageError(
+            f"--window: {window} pixels do not fit into a picture of "
+            f"{picture.shape[1]} x {picture.shape[0]}"
+        )
+    return window
+
+
+def class_chances(picture: Picture, classifier: Any, window: int) -> NDArray[np.float32]:
+    """(H, W, C) probability of each class at each pixel."""
+    size = classifier.facts.image_size
+    way = cv2.INTER_AREA if window >= size else cv2.INTER_LINEAR
+    engine = recognition("engine")
+
+    def classify(windows: Picture) -> NDArray[np.float64]:
+        scaled = [cv2.resize(w, (size, size), interpolation=way) for w in windows]
+        chances: NDArray[np.float64] = engine.chances(classifier, np.stack(scaled))
+        return chances
+
+    found: NDArray[np.float32] = recognition("windows").class_map(
+        picture, window, max(1, window // 4), classify
+    )
+    return found
+
+
+def class_colours(classes: Sequence[str]) -> dict[str, tuple[int, int, int]]:
+    """RGB of each class: fixed for D_Land, around the colour wheel for other schemes."""
+    if set(classes) == set(LAND_COLOURS):
+        return {name: LAND_COLOURS[name] for name in classes}
+    wheel = {}
+    for number, name in enumerate(classes):
+        hue, value = number / len(classes), 0.95 if number % 2 else 0.65
+        red, green, blue = colorsys.hsv_to_rgb(hue, 0.75, value)
+        wheel[name] = (round(255 * red), round(255 * green), round(255 * blue))
+    return wheel
+
+
+def _numbers(chance: NDArray[np.float32], least: float) -> NDArray[np.int64]:
+    """(H, W) class at each pixel; the number of classes where it is unsure."""
+    best = chance.argmax(axis=2)
+    return np.where(chance.max(axis=2) >= least, best, chance.shape[2])
+
+
+def _shares(chance: NDArray[np.float32], classes: Sequence[str], least: float) -> dict[str, float]:
+    numbers = _numbers(chance, least)
+    counts = np.bincount(numbers.ravel(), minlength=len(classes) + 1) / numbers.size
+    names = (*classes, UNSURE)
+    return {name: float(share) for name, share in zip(names, counts, strict=True) if share > 0}
+
+
+def class_picture(
+    picture: Picture, chance: NDArray[np.float32], classes: Sequence[str], least: float
+) -> Picture:
+    """(H + legend, W, 3): the picture in the colours of its classes, white where unsure."""
+    colours = class_colours(classes) | {UNSURE: _UNSURE_RGB}
+    palette = np.array(list(colours.values()), np.float32)
+    numbers = _numbers(chance, least)
+    mixed = (1.0 - _COVER) * picture + _COVER * palette[numbers]
+    shares = np.bincount(numbers.ravel(), minlength=len(colours)) / numbers.size
+    shown = [name for name, share in zip(colours, shares, strict=True) if share >= 0.002]
+    legend = _legend([(n, colours[n], shares[list(colours).index(n)]) for n in shown],
+                     picture.shape[1])  # fmt: skip
+    return np.vstack([np.round(mixed).astype(np.uint8), legend])
+
+
+def _legend(rows: Sequence[tuple[str, tuple[int, int, int], float]], width: int) -> Picture:
+    """A line of names in as many bands as they need."""
+    scale, gap = 0.5, 14
+    bands = [np.full((_LEGEND_PX, width, 3), 24, np.uint8)]
+    left = gap
+    for name, colour, share in rows:
+        text = f"{name} {share:.0%}"
+        wide = 30 + cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0] + gap
+        if left + wide > width and left > gap:
+            bands.append(np.full((_LEGEND_PX, width, 3), 24, np.uint8))
+            left = gap
+        cv2.rectangle(bands[-1], (left, 9), (left + 18, 25), colour, -1)
+        cv2.putText(bands[-1], text, (left + 24, 22), cv2.FONT_HERSHEY_SIMPLEX, scale,
+                    (235, 235, 235), 1, cv2.LINE_AA)  # fmt: skip
+        left += wide
+    return np.vstack(bands)

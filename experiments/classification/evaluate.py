@@ -1,0 +1,142 @@
+"""`touchdown evaluate`: how good a network is on pictures that it was not trained on, and what it
+costs."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from touchdown.experiments.classification.image_folders import (
+    Entry,
+    entries_of,
+    load_pictures,
+    read_catalogue,
+)
+from touchdown.experiments.classification.optional_import import recognition
+from touchdown.experiments.classification.splits import HELD_OUT_SCENES
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.reporting.statistics import share_interval
+from touchdown.landing.api import LabelledPictures
+
+Progress = Callable[[int, int, str], None]
+_BATCH = 32
+_REPEATS = 30
+
+
+def load_classifier(network: Path, engine: str, threads: int) -> Any:
+    """A network's file in an engine. Raises UsageError where the engine is not installed."""
+    try:
+        return recognition("footprint").load_classifier(network, engine, threads)
+    except ImportError as error:
+        raise UsageError(
+            f"the engine '{engine}' needs {error.name}: install it with "
+            "pip install 'touchdown[train]'"
+        ) from error
+
+
+def shipped_network() -> Path:
+    """The one that comes with the project. Raises UsageError where none does."""
+    file: Path = recognition("onboard").SHIPPED
+    if not file.is_file():
+        raise UsageError(
+            "no network comes with touchdown: give --network, a file of `touchdown train`"
+        )
+    return file
+
+
+def evaluate_network(
+    network: Path,
+    data: Sequence[str],
+    split: str,
+    engine: str,
+    threads: int,
+    measure: bool,
+    progress: Progress,
+    miss_costs: Sequence[tuple[str, float]] = (),
+) -> dict[str, Any]:
+    """Scores on the pictures of ``split``, altogether, by data set and by scene; ROM, RAM and run
+    time. ``miss_costs``: in place of the file's.
+
+    Raises UsageError and ValueError for bad input.
+    """
+    classifier = load_classifier(network, engine, threads)
+    if miss_costs:
+        classifier.facts = replace(classifier.facts, miss_costs=tuple(miss_costs))
+    facts = classifier.facts
+    catalogues = [read_catalogue(argument, facts.labels) for argument in data]
+    pictures = load_pictures(catalogues, split, facts.labels, facts.image_size, progress)
+    scores = all_scores(classifier, pictures, progress)
+    report: dict[str, Any] = {
+        "network": facts.network,
+        "labels": facts.labels,
+        "split": split,
+        "engine": engine,
+        "image_size": facts.image_size,
+        "classes": list(facts.classes),
+        "miss_costs": dict(facts.miss_costs),
+        "rom_mb": network.stat().st_size / 1e6,
+        **_judged(scores, pictures.labels, facts),
+        "by_source": {
+            name: _judged(scores[of], pictures.labels[of], facts)
+            for number, name in enumerate(pictures.sources)
+            for of in [pictures.source == number]
+        },
+        "by_scene": _by_scene(scores, pictures.labels, entries_of(catalogues, split), facts),
+    }
+    if measure:
+        report |= footprint(network, engine)
+    return report
+
+
+def _by_scene(
+    scores: Any, labels: Any, entries: Sequence[Entry], facts: Any
+) -> dict[str, dict[str, Any]]:
+    """Of rendered pictures: of each scene, and of those that are trained on and never trained on
+    together."""
+    of_picture = np.array([entry.scene for entry in entries])
+    names = sorted(set(of_picture.tolist()) - {""})
+    groups = {name: of_picture == name for name in names}
+    if len(names) > 1:
+        held_out = np.isin(of_picture, HELD_OUT_SCENES)
+        groups["scenes trained on"] = ~held_out & (of_picture != "")
+        groups["scenes never trained on"] = held_out
+    return {name: _judged(scores[of], labels[of], facts) for name, of in groups.items() if of.any()}
+
+
+def all_scores(classifier: Any, pictures: LabelledPictures, progress: Progress) -> Any:
+    parts, count = [], len(pictures.labels)
+    for first in range(0, count, _BATCH):
+        parts.append(classifier.scores(pictures.images[first : first + _BATCH]))
+        progress(min(first + _BATCH, count), count, "classifying")
+    return np.concatenate(parts)
+
+
+def _judged(scores: Any, labels: Any, facts: Any) -> dict[str, Any]:
+    found: dict[str, Any] = recognition("scores").summary(scores, labels, facts.classes)
+    interval = share_interval(found["hits"], found["pictures"])
+    found["top1_interval"] = [interval.low, interval.high]
+    if facts.labels == "d_land":
+        decision = recognition("decision")
+        found["decision"] = decision.decision_summary(scores, labels, facts.limits)
+    return found
+
+
+def footprint(network: Path, engine: str) -> dict[str, float]:
+    """Peak memory and time a picture on one thread, in a process of its own."""
+    command = [
+        sys.executable,
+        "-m",
+        "touchdown.landing.classification.footprint",
+        str(network),
+        engine,
+    ]
+    done = subprocess.run([*command, str(_REPEATS)], capture_output=True, text=True, check=True)
+    found: dict[str, float] = json.loads(done.stdout)
+    return found

@@ -1,0 +1,168 @@
+"""Folders of labelled pictures, read for training: rendered patches, UC Merced, AID, Places365, and
+plain folders named as the classes."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from touchdown.experiments.classification.optional_import import recognition
+from touchdown.experiments.classification.render_dataset import COLUMNS, MANIFEST
+from touchdown.experiments.classification.splits import SPLITS, split_of_file, split_of_ucmerced
+from touchdown.experiments.errors import UsageError, nearest
+from touchdown.experiments.io.images import read_picture, squared
+from touchdown.landing.api import LabelledPictures
+
+_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
+RENDERED = "rendered"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One picture of a data set, not read yet."""
+
+    file: Path
+    label: int
+    """index into the classes of the scheme"""
+    split: str
+    source: str
+    """kind of data set"""
+    scene: str = ""
+    """of a rendered picture"""
+
+
+@dataclass(frozen=True, slots=True)
+class Catalogue:
+    """What a folder holds under one scheme."""
+
+    source: str
+    entries: tuple[Entry, ...]
+    left_out: int
+    """pictures whose class the scheme leaves out"""
+
+
+def read_catalogue(argument: str, scheme: str) -> Catalogue:
+    """The pictures of ``[KIND=]DIR``; without KIND the names of its folders tell the kind.
+
+    KIND: rendered, ucmerced, aid, places365, d_land. Raises UsageError: no such folder, no
+    pictures, a folder that is no class, a manifest of something else.
+    """
+    labels = recognition("labels")
+    kinds = (RENDERED, *labels.SOURCES)
+    kind, _, rest = argument.rpartition("=")
+    folder = Path(rest)
+    if kind and kind not in kinds:
+        raise UsageError(
+            f"--data: unknown kind '{kind}'{nearest(kind, kinds)}; known: {', '.join(kinds)}"
+        )
+    if not folder.is_dir():
+        raise UsageError(f"--data: '{folder}' is no folder")
+    if kind == RENDERED or (not kind and _is_rendered(folder)):
+        return _rendered(folder, scheme, labels)
+    folders = sorted(path.name for path in folder.iterdir() if path.is_dir())
+    if not folders:
+        raise UsageError(f"--data: '{folder}' is empty: it has no folder for any class")
+    try:
+        kind = kind or labels.kind_of_folders(folders)
+        meanings = labels.meanings(kind, folders)
+    except ValueError as error:
+        raise UsageError(f"--data: '{folder}': {error}") from error
+    return _of_folders(folder, kind, meanings, scheme)
+
+
+def _is_rendered(folder: Path) -> bool:
+    manifest = folder / MANIFEST
+    if not manifest.is_file():
+        return False
+    with manifest.open(encoding="utf-8", newline="") as file:
+        return next(csv.reader(file), []) == list(COLUMNS)
+
+
+def _rendered(folder: Path, scheme: str, labels: Any) -> Catalogue:
+    if not _is_rendered(folder):
+        raise UsageError(
+            f"--data: '{folder}' has no {MANIFEST} of `touchdown dataset render` in it"
+        )
+    classes = labels.SCHEMES[scheme]
+    entries, left_out = [], 0
+    with (folder / MANIFEST).open(encoding="utf-8", newline="") as file:
+        for number, row in enumerate(csv.DictReader(file), start=2):
+            if row[scheme] == "":
+                left_out += 1
+            elif row[scheme] not in classes or row["split"] not in SPLITS:
+                raise UsageError(
+                    f"--data: '{folder / MANIFEST}', line {number}: unknown class or split"
+                )
+            else:
+                label = classes.index(row[scheme])
+                picture, split = folder / row["file"], row["split"]
+                entries.append(Entry(picture, label, split, RENDERED, row["scene"]))
+    return _checked(Catalogue(RENDERED, tuple(entries), left_out), folder)
+
+
+def _of_folders(folder: Path, kind: str, meanings: dict[str, Any], scheme: str) -> Catalogue:
+    entries, left_out = [], 0
+    for name, meaning in sorted(meanings.items()):
+        files = sorted(
+            path for path in (folder / name).iterdir() if path.suffix.lower() in _SUFFIXES
+        )
+        label = meaning.label(scheme)
+        if label < 0:
+            left_out += len(files)
+            continue
+        for file in files:
+            relative = f"{name}/{file.name}"
+            try:
+                split = (
+                    split_of_ucmerced(file.name) if kind == "ucmerced" else split_of_file(relative)
+                )
+            except ValueError as error:
+                raise UsageError(f"--data: {error}") from error
+            entries.append(Entry(file, label, split, kind))
+    return _checked(Catalogue(kind, tuple(entries), left_out), folder)
+
+
+def _checked(catalogue: Catalogue, folder: Path) -> Catalogue:
+    if not catalogue.entries:
+        raise UsageError(f"--data: '{folder}' is empty: it holds no picture of any class")
+    return catalogue
+
+
+def load_pictures(
+    catalogues: Sequence[Catalogue],
+    split: str,
+    scheme: str,
+    pixels: int,
+    progress: Callable[[int, int, str], None] = lambda done, total, note: None,
+) -> LabelledPictures:
+    """All pictures of a split, ``pixels`` across, in the order of the catalogues.
+
+    Raises UsageError as ``read_picture``, or where there is no picture in the split.
+    """
+    entries = entries_of(catalogues, split)
+    if not entries:
+        raise UsageError(f"--data: no picture is in the split '{split}': give more data")
+    images = np.empty((len(entries), pixels, pixels, 3), np.uint8)
+    for number, entry in enumerate(entries):
+        images[number] = squared(read_picture(entry.file), pixels)
+        progress(number + 1, len(entries), f"reading ({split})")
+    sources = tuple(dict.fromkeys(entry.source for entry in entries))
+    return LabelledPictures(
+        images=images,
+        labels=np.array([entry.label for entry in entries], np.int64),
+        classes=recognition("labels").SCHEMES[scheme],
+        source=np.array([sources.index(entry.source) for entry in entries], np.int64),
+        sources=sources,
+    )
+
+
+def entries_of(catalogues: Sequence[Catalogue], split: str) -> list[Entry]:
+    """Of one split, in the order of the pictures that ``load_pictures`` gives."""
+    return [
+        entry for catalogue in catalogues for entry in catalogue.entries if entry.split == split
+    ]

@@ -1,0 +1,272 @@
+"""Square patches of scenes seen from the air, and the kind of ground each shows.
+
+A patch is what the vehicle's camera sees of a square of ground; its class is that of most of it, by
+the true segmentation. Light, blur and noise are drawn for each patch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+from zlib import crc32
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.experiments.classification.colour_randomization import material_picture, recoloured
+from touchdown.experiments.classification.image_types import Counts, Int32, Picture
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.flight.wiring import build_scene
+from touchdown.experiments.scene_tools.aerial_views import (
+    aerial_camera,
+    look_anywhere,
+    paint_ground,
+)
+from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
+
+if TYPE_CHECKING:
+    from touchdown.sim.aerial import AerialView
+
+Array = NDArray[np.float64]
+
+HEIGHTS_M = (5.0, 60.0)
+SIDES_M = (3.2, 25.6)
+"""of the square of ground, drawn by its logarithm; flights look at 6.4 m"""
+LEAST_SHARE, LEAST_MIDDLE = 0.6, 0.95
+"""of a patch that shows its class, and of the middle of it, where a vehicle would stand: less, and
+two answers are right"""
+_MIDDLE = 0.4
+"""width of the middle"""
+_LEAST_PX = 48
+_DRAWN = 192
+"""squares that are tried in one picture"""
+_PER_VIEW, _PER_CLASS = 4, 2
+"""patches of one picture at most, and of one class among them"""
+_MOST_VIEWS = 2
+"""pictures for every patch that is wanted, before a place is given up"""
+_NOTHING = -1
+_FULL = -1
+"""in place of the number of patches taken of a class: no more are wanted"""
+
+
+@dataclass(frozen=True, slots=True)
+class Patch:
+    """One labelled picture."""
+
+    rgb: Picture
+    """(S, S, 3)"""
+    land_class: str
+    share: float
+    """of its pixels that show ``land_class``"""
+    height_m: float
+    """of the camera over the ground in the middle, along the optical axis"""
+    side_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Square:
+    """Of the half-size class picture: its first row and column, its side, and what it shows."""
+
+    row: int
+    col: int
+    side: int
+    land_class: int
+    share: float
+    depth_m: float
+
+
+def place_patches(
+    name: str, seed: int, count: int, pixels: int, variation: int, new_colours: float = 0.0
+) -> list[Patch]:
+    """Up to ``count`` patches of ``pixels`` across of a scene's ``seed``; rare classes first.
+
+    A pure function of its arguments; ``variation`` changes poses, squares and light. In a share of
+    ``new_colours`` of the pictures materials have colours that the scene does not give them. Fewer
+    come back where a place does not show enough ground of one class. Raises UsageError for bad
+    names.
+    """
+    config = load_config(None, ("camera.noise_sigma=0", "camera.samples=4"), scene=name, seed=seed)
+    scene = build_scene(config)
+    rng = np.random.default_rng([seed, variation, crc32(b"patches"), crc32(name.encode())])
+    colours = np.random.default_rng([seed, variation, crc32(b"colours"), crc32(name.encode())])
+    classes = geom_classes(scene)
+    camera = aerial_camera(config, scene)
+    matrix = camera.intrinsics.matrix()
+    found: list[Patch] = []
+    taken = np.zeros(len(LAND_CLASSES), np.int64)
+    try:
+        for number in range(_MOST_VIEWS * count):
+            view, _, _ = look_anywhere(camera, scene, rng, number, HEIGHTS_M)
+            shown = class_picture(view, scene, classes, matrix)
+            if new_colours > 0.0 and colours.uniform() < new_colours:
+                materials = material_picture(scene, view.geom_id[::2, ::2], shown)
+                view = replace(view, rgb=recoloured(view.rgb, materials, colours))
+            # while there is time, a class that has its share waits for the others
+            open_to = np.where(taken < _share(count, number), taken, _FULL)
+            squares = list(_squares(view, shown, matrix, open_to, rng))
+            for square in _rarest(squares, open_to, min(_PER_VIEW, count - len(found))):
+                taken[square.land_class] += 1
+                found.append(_cut(view, square, matrix, pixels, rng))
+            if len(found) == count:
+                break
+    finally:
+        camera.close()
+    return found
+
+
+def _share(count: int, view: int) -> int:
+    """Patches of one class that are taken up to this picture: a fifth, then any number."""
+    return max(1, count // 5) if view < count else count
+
+
+def geom_classes(scene: Scene) -> Int32:
+    """(G,) land class id of every geom, or ``OTHER_CLASS_ID``."""
+    table = np.full(scene.model.ngeom, OTHER_CLASS_ID, np.int32)
+    for geom in range(scene.model.ngeom):
+        surface = scene.surfaces.get(scene.model.geom(geom).name)
+        if surface is not None and surface.land_class in LAND_CLASSES:
+            table[geom] = LAND_CLASSES.index(surface.land_class)
+    return table
+
+
+def class_picture(view: AerialView, scene: Scene, classes: Int32, matrix: Array) -> Int32:
+    """(H/2, W/2) land class ids of a view, `OTHER_CLASS_ID` for other things, -1 for nothing."""
+    geom_id = view.geom_id[::2, ::2]
+    picture = np.where(geom_id >= 0, classes[geom_id], _NOTHING).astype(np.int32)
+    if scene.ground is not None:
+        paint_ground(picture, view, scene, matrix)
+    return picture
+
+
+def _squares(
+    view: AerialView, picture: Int32, matrix: Array, taken: Counts, rng: np.random.Generator
+) -> Iterator[_Square]:
+    """Those among squares drawn at random that show one class of ground."""
+    rows, cols = picture.shape
+    sums = _integral(picture)
+    half_focal = 0.5 * float(matrix[0, 0])
+    for row, col in _middles(picture, taken, rng):
+        side_m = float(np.exp(rng.uniform(*np.log(SIDES_M))))
+        depth = float(view.depth_m[2 * row, 2 * col])
+        if not np.isfinite(depth):
+            continue
+        side = round(side_m * half_focal / depth)
+        top, left = row - side // 2, col - side // 2
+        inside = top >= 0 and left >= 0 and top + side <= rows and left + side <= cols
+        if not inside or side < _LEAST_PX // 2 or _counts(sums, top, left, side)[_NOTHING] > 0:
+            continue
+        land_class, share = _majority(sums, top, left, side)
+        middle = max(1, round(_MIDDLE * side))
+        offset = (side - middle) // 2
+        same, middle_share = _majority(sums, top + offset, left + offset, middle)
+        clear = share >= LEAST_SHARE and middle_share >= LEAST_MIDDLE
+        if same == land_class and clear:
+            yield _Square(top, left, side, land_class, share, depth)
+
+
+def _middles(picture: Int32, taken: Counts, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
+    """Pixels drawn at random, as many of each class in the picture that is not full."""
+    flat = picture.ravel()
+    order = np.argsort(flat, kind="stable")
+    starts = np.searchsorted(flat[order], np.arange(len(LAND_CLASSES) + 1))
+    shown = [c for c in np.flatnonzero(np.diff(starts)) if taken[c] >= 0]
+    for number in range(_DRAWN if shown else 0):
+        first, beyond = starts[shown[number % len(shown)]], starts[shown[number % len(shown)] + 1]
+        row, col = divmod(int(order[rng.integers(first, beyond)]), picture.shape[1])
+        yield row, col
+
+
+def _integral(picture: Int32) -> NDArray[np.int32]:
+    """(classes + 1, H + 1, W + 1) sums over all rows before and all columns before; the last one
+    counts pixels that show nothing, beyond the rim of the place."""
+    rows, cols = picture.shape
+    sums = np.zeros((len(LAND_CLASSES) + 1, rows + 1, cols + 1), np.int32)
+    for number in (*range(len(LAND_CLASSES)), _NOTHING):
+        sums[number] = cv2.integral((picture == number).astype(np.uint8))
+    return sums
+
+
+def _counts(sums: NDArray[np.int32], top: int, left: int, side: int) -> NDArray[np.int32]:
+    """(classes + 1,) pixels of each in a square."""
+    below, right = top + side, left + side
+    return sums[:, below, right] - sums[:, top, right] - sums[:, below, left] + sums[:, top, left]
+
+
+def _majority(sums: NDArray[np.int32], top: int, left: int, side: int) -> tuple[int, float]:
+    """The commonest land class of a square and its share of all pixels in it."""
+    counts = _counts(sums, top, left, side)[:_NOTHING]
+    best = int(counts.argmax())
+    return best, float(counts[best]) / side**2
+
+
+def _rarest(squares: list[_Square], taken: Counts, most: int) -> list[_Square]:
+    """Up to ``most`` squares whose middles lie outside one another, of what is rarest so far."""
+    counts = taken.copy()
+    of_view = np.zeros_like(counts)
+    chosen: list[_Square] = []
+    while len(chosen) < most:
+        left = [
+            s for s in squares
+            if taken[s.land_class] >= 0
+            and of_view[s.land_class] < _PER_CLASS
+            and all(_apart(s, c) for c in chosen)
+        ]  # fmt: skip
+        if not left:
+            break
+        best = min(left, key=lambda s: int(counts[s.land_class]))
+        counts[best.land_class] += 1
+        of_view[best.land_class] += 1
+        chosen.append(best)
+    return chosen
+
+
+def _apart(a: _Square, b: _Square) -> bool:
+    down = a.row + a.side / 2 - b.row - b.side / 2
+    across = a.col + a.side / 2 - b.col - b.side / 2
+    return max(abs(down), abs(across)) >= max(a.side, b.side) / 2
+
+
+def _cut(
+    view: AerialView, square: _Square, matrix: Array, pixels: int, rng: np.random.Generator
+) -> Patch:
+    top, left, side = 2 * square.row, 2 * square.col, 2 * square.side
+    crop = varied(view.rgb[top : top + side, left : left + side], rng)
+    way = cv2.INTER_AREA if side >= pixels else cv2.INTER_LINEAR
+    return Patch(
+        rgb=np.asarray(cv2.resize(crop, (pixels, pixels), interpolation=way), np.uint8),
+        land_class=LAND_CLASSES[square.land_class],
+        share=square.share,
+        height_m=square.depth_m,
+        side_m=side * square.depth_m / float(matrix[0, 0]),
+    )
+
+
+def varied(rgb: Picture, rng: np.random.Generator) -> Picture:
+    """(H, W, 3) in another light, through another lens: exposure, white balance, haze, motion and
+    focus blur, noise. The same number of draws for every picture, but for the noise."""
+    exposure, warmth = 2.0 ** rng.uniform(-0.9, 0.6), rng.normal(0.0, 0.06)
+    tint, haze = rng.normal(0.0, 0.03), max(0.0, rng.uniform(-0.3, 0.15))
+    motion_px, direction = max(0.0, rng.uniform(-6.0, 5.0)), rng.uniform(0.0, np.pi)
+    focus_px, noise = rng.uniform(0.0, 1.1), float(np.exp(rng.uniform(np.log(0.5), np.log(6.0))))
+    gains = exposure * np.array([1.0 + warmth, 1.0 + tint, 1.0 - warmth])
+    linear = (rgb.astype(np.float32) / 255.0) ** 2.2 * gains.astype(np.float32)
+    light = 255.0 * np.minimum(linear, 1.0) ** (1.0 / 2.2)
+    light = (1.0 - haze) * light + haze * 200.0
+    if motion_px > 1.0:
+        light = cv2.filter2D(light, -1, _streak(motion_px, direction))
+    if focus_px > 0.3:
+        light = cv2.GaussianBlur(light, (0, 0), focus_px)
+    grain = rng.normal(0.0, noise, light.shape)
+    return np.asarray(np.clip(np.round(light + grain), 0.0, 255.0), np.uint8)
+
+
+def _streak(length_px: float, direction: float) -> NDArray[np.float32]:
+    """A kernel that sums to 1: a line of ``length_px`` through its middle."""
+    reach = int(np.ceil(length_px / 2))
+    down, across = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    along = across * np.cos(direction) + down * np.sin(direction)
+    beside = -across * np.sin(direction) + down * np.cos(direction)
+    kernel = np.clip(1.0 - np.abs(beside), 0.0, 1.0) * (np.abs(along) <= length_px / 2)
+    return np.asarray(kernel / kernel.sum(), np.float32)

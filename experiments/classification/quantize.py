@@ -1,0 +1,62 @@
+"""`touchdown quantize`: a network's file with smaller weights, and limits that suit it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from touchdown.experiments.classification.evaluate import Progress, all_scores, load_classifier
+from touchdown.experiments.classification.image_folders import load_pictures, read_catalogue
+from touchdown.experiments.classification.optional_import import recognition
+from touchdown.experiments.errors import UsageError
+
+
+def quantize_network(
+    network: Path,
+    out: Path,
+    data: Sequence[str],
+    weight_type: str,
+    pictures: int,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Writes ``out`` and its checksum; top-1 on the validation pictures before and after.
+
+    ``pictures``: of the training split, spread evenly, that give the ranges of int8 activations.
+    Raises UsageError and ValueError for bad input, before anything is written.
+    """
+    if out.suffix != ".onnx" or out.is_dir():
+        raise UsageError(
+            f"--out: '{out}' is no name of a network's file: give one that ends in .onnx"
+        )
+    if out.resolve() == network.resolve():
+        raise UsageError(f"--out: '{out}' is the network itself: give another name")
+    variants = recognition("learning.variants")
+    before = load_classifier(network, "onnx", 1)
+    facts = before.facts
+    catalogues = [read_catalogue(argument, facts.labels) for argument in data]
+    train, val = (
+        load_pictures(catalogues, split, facts.labels, facts.image_size, progress)
+        for split in ("train", "val")
+    )
+    spread = np.linspace(0, len(train.labels) - 1, min(pictures, len(train.labels))).astype(int)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    variants.write_variant(network, out, weight_type, train.images[spread])
+    scores = all_scores(load_classifier(out, "onnx", 1), val, progress)
+    if facts.labels == "d_land":
+        limits = recognition("decision").fitted_limits(scores, val.labels)
+        facts = dataclasses.replace(facts, limits=limits)
+        variants.with_facts(out, facts)
+    own = all_scores(before, val, progress)
+    return {
+        "network_file": str(out),
+        "weight_type": weight_type,
+        "bytes": out.stat().st_size,
+        "pictures": len(val.labels),
+        "top1_before": float((own.argmax(axis=1) == val.labels).mean()),
+        "top1": float((scores.argmax(axis=1) == val.labels).mean()),
+        "limits": facts.properties() if facts.labels == "d_land" else None,
+    }

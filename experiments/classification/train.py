@@ -1,0 +1,133 @@
+"""`touchdown train`: pictures in, a network's file and its learning curves out."""
+
+from __future__ import annotations
+
+import csv
+import ctypes
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from touchdown.experiments.classification.image_folders import load_pictures, read_catalogue
+from touchdown.experiments.classification.optional_import import recognition
+from touchdown.experiments.errors import UsageError
+
+CURVES, RECORDING, REPORT, NETWORK = "curves.csv", "curves.rrd", "training.json", "network.onnx"
+Progress = Callable[[int, int, str], None]
+_M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4
+"""of glibc's mallopt"""
+
+
+def train_network(
+    data: Sequence[str],
+    out: Path,
+    options: Mapping[str, Any],
+    device: str,
+    progress: Progress,
+    notes: Callable[[str], None],
+    *,
+    start: Path | None = None,
+    compiled: bool = False,
+) -> dict[str, Any]:
+    """Trains until it ends by itself; a training in ``out`` that was stopped goes on.
+
+    ``options``: fields of ``landing.classification.learning.training.TrainParams``. Raises
+    UsageError for bad input, before anything is written."""
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out: '{out}' is a file; name a folder")
+    training, registry = recognition("learning.training"), recognition("networks.registry")
+    export = recognition("learning.export")
+    params = training.TrainParams(**options)
+    registry.check_network(params.network, params.image_size)
+    facts = recognition("weights").NetworkFacts(
+        network=params.network,
+        labels=params.labels,
+        image_size=params.image_size,
+        classes=recognition("labels").SCHEMES[params.labels],
+        miss_costs=params.miss_costs,
+    )
+    chosen = training.chosen_device(device)
+    if chosen.type == "cpu":
+        keep_freed_memory()
+    catalogues = [read_catalogue(argument, params.labels) for argument in data]
+    train, val = (
+        load_pictures(catalogues, split, params.labels, params.image_size, progress)
+        for split in ("train", "val")
+    )
+    out.mkdir(parents=True, exist_ok=True)
+    trainer = training.Trainer(params, train, val, out, chosen, start=start, compiled=compiled)
+    if trainer.history:
+        notes(f"going on after epoch {len(trainer.history)}")
+    while not trainer.finished:
+        row = trainer.run_epoch(progress)
+        write_curves(out / CURVES, trainer.history)
+        notes(
+            "epoch {epoch:3.0f}  loss {train_loss:.3f}  validation: loss {val_loss:.3f}  "
+            "F1 {val_macro_f1:.3f}  top-1 {val_top1:.3f}".format(**row)
+        )
+    best = trainer.best()
+    weighed = recognition("engine").weighed(best.scores, facts)
+    if params.labels == "d_land":
+        limits = recognition("decision").fitted_limits(weighed, val.labels)
+        facts = replace(facts, limits=limits)
+    export.export_network(out / NETWORK, best.network, best.temperature, facts)
+    record_curves(out / RECORDING, best.history)
+    found = recognition("scores").summary(weighed, val.labels, val.classes)
+    report = {
+        "network_file": str(out / NETWORK),
+        "parameters": asdict(params),
+        "device": str(chosen),
+        "pictures": {"train": len(train.labels), "val": len(val.labels)},
+        "left_out": sum(catalogue.left_out for catalogue in catalogues),
+        "epochs": len(best.history),
+        "best_epoch": best.best_epoch + 1,
+        "temperature": best.temperature,
+        "limits": asdict(facts.limits) if params.labels == "d_land" else None,
+        "validation": best.history[best.best_epoch],
+        "written": {name: found[name] for name in ("loss", "macro_f1", "recall", "top1", "ece")},
+        "bytes": (out / NETWORK).stat().st_size,
+    }
+    (out / REPORT).write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    return report
+
+
+def keep_freed_memory() -> None:
+    """Has this process keep what it frees, from now on.
+
+    Every step of a training needs as much as the last. glibc gives large blocks back to the system
+    and gets them again, zeroed page by page, which took a third of the time on a processor.
+    """
+    if sys.platform == "linux":
+        mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # other C libraries lack it
+        if mallopt is not None:
+            mallopt(_M_MMAP_MAX, 0)
+            mallopt(_M_TRIM_THRESHOLD, -1)
+
+
+def write_curves(path: Path, history: Sequence[Mapping[str, float]]) -> None:
+    """One row an epoch."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(history[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({key: f"{value:.6g}" for key, value in row.items()} for row in history)
+
+
+def record_curves(path: Path, history: Sequence[Mapping[str, float]]) -> None:
+    """The same for the Rerun viewer: `touchdown view FILE`."""
+    import rerun as rr
+
+    stream = rr.RecordingStream("touchdown training", recording_id=str(path.parent.name))
+    stream.save(path)
+    epochs = [int(row["epoch"]) for row in history]
+    for name in history[0]:
+        if name != "epoch":
+            group = "loss" if name.endswith("loss") else name
+            stream.send_columns(
+                f"{group}/{name}",
+                [rr.TimeColumn("epoch", sequence=epochs)],
+                rr.Scalars.columns(scalars=[row[name] for row in history]),
+            )
+    stream.flush()

@@ -1,0 +1,286 @@
+"""Commands that measure speed: ``touchdown bench ...``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from touchdown.experiments.api import is_good
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, CommandGroup
+from touchdown.experiments.cli.console import print_overhead, print_stages
+from touchdown.experiments.errors import usage_errors
+from touchdown.experiments.terminal import end_progress, make_progress
+
+
+@click.group(cls=CommandGroup)
+def bench() -> int:
+    """Measure speed.
+
+    Example: touchdown bench loop
+    """
+    return EXIT_DONE
+
+
+@bench.command("loop")
+@click.option("--scene", default="crossroad", show_default=True)
+@click.option("--estimator", default="livo", show_default=True)
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--full", is_flag=True, help="The whole survey instead of a short one.")
+@click.option("--ratio/--no-ratio", default=True, help="Measure ratio.bare too.  [ratio]")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+def bench_loop(
+    scene: str, estimator: str, seed: int, full: bool, ratio: bool, as_json: bool, quiet: bool
+) -> int:
+    """Fly with everything on, recording too: real-time factor and the share of each stage.
+
+    ratio.bare is what the loop costs on one core, estimator and lander left out, over the same
+    physics steps, rays and pixels computed by MuJoCo, Embree and OpenGL alone: a second flight,
+    the survey on true poses, with the bare computation beside it scan by scan.
+
+    Example: touchdown bench loop --json
+    """
+    from touchdown.experiments.benchmarks.loop import (
+        bench_config,
+        measure_loop,
+        measure_loop_overhead,
+        overhead_config,
+    )
+
+    config = bench_config(scene=scene, estimator=estimator, seed=seed, full=full)
+    result = _usage_errors_until_airborne(measure_loop, config, quiet)
+    figures = result["figures"]
+    if ratio:
+        overhead = measure_loop_overhead(overhead_config(scene=scene, seed=seed, full=full))
+        figures |= {"ratio": {"bare": overhead.pop("ratio")}, "overhead": overhead}
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+    else:
+        print_stages(result["result"])
+        if ratio:
+            print_overhead(figures["ratio"]["bare"], figures["overhead"])
+    return EXIT_DONE if is_good(result["result"]) else EXIT_FAILED
+
+
+@bench.command("workers")
+@click.option("--scene", default="crossroad", show_default=True)
+@click.option("--estimator", default="livo", show_default=True)
+@click.option("--workers", type=click.IntRange(2, 1024), default=2, show_default=True)
+@click.option("--runs", type=click.IntRange(2, 240), default=6, show_default=True,
+              help="Flights of each campaign.")  # fmt: skip
+@click.option("--rounds", type=click.IntRange(1, 100), default=1, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def bench_workers(
+    scene: str, estimator: str, workers: int, runs: int, rounds: int, as_json: bool
+) -> int:
+    """The same campaign of short landings by one single-threaded worker and by several.
+
+    ratio.one is how many times as many flights they end in a second, their start included.
+
+    Example: touchdown bench workers --json
+    """
+    from touchdown.experiments.benchmarks.scaling import measure_workers
+
+    figures = usage_errors(
+        lambda: measure_workers(
+            scene=scene,
+            estimator=estimator,
+            workers=workers,
+            runs=runs,
+            rounds=rounds,
+            report=lambda line: click.echo(line, err=as_json),
+        )
+    )
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+    else:
+        click.echo(f"ratio.one {figures['ratio']['one']:.2f} with {workers} workers")
+    return EXIT_DONE
+
+
+@bench.command("lidar")
+@click.option("--scene", default="crossroad", show_default=True)
+@click.option("--preset", default="horizon", show_default=True, help="horizon, avia or mid360.")
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--rounds", type=click.IntRange(1, 100), default=7, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def bench_lidar(scene: str, preset: str, seed: int, rounds: int, as_json: bool) -> int:
+    """Rays per second of the LIDAR sensor and of bare ray casters, same rays, one thread each.
+
+    Example: touchdown bench lidar --json
+    """
+    from touchdown.experiments.benchmarks.lidar import bench_lidar as measure
+
+    figures = usage_errors(lambda: measure(scene=scene, seed=seed, preset=preset, rounds=rounds))
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+    else:
+        for name, rate in figures["rays_per_s"].items():
+            beside = f"  sensor {figures['ratio'][name]:.2f}x" if name in figures["ratio"] else ""
+            click.echo(f"{name:13} {rate / 1e6:7.2f} million rays/s{beside}")
+    return EXIT_DONE
+
+
+@bench.command("landing")
+@click.option("--scene", default="crossroad", show_default=True)
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--rounds", type=click.IntRange(1, 100), default=9, show_default=True)
+@click.option("--reference/--no-reference", default=True, help="Time the other version too.")
+@click.option("--network", type=click.Path(path_type=Path), default=None,
+              help="Recognises places.  [the one that comes with touchdown]")  # fmt: skip
+@click.option("--threads", type=click.IntRange(1, 1024), default=2, show_default=True,
+              help="Of the processor, for the network.")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def bench_landing(
+    scene: str,
+    seed: int,
+    rounds: int,
+    reference: bool,
+    network: Path | None,
+    threads: int,
+    as_json: bool,
+) -> int:
+    """Choosing a landing site on the map of a whole survey: milliseconds of each step (Table 7 of
+    the paper) beside the same steps by Open3D, SciPy and scikit-image, one thread each.
+
+    ``selection`` is all that the lander does for one decision, the check of the ground included.
+    With a network: ten patches of 128 x 128 to their classes, and a whole decision with it.
+
+    Example: touchdown bench landing --json
+    """
+    from touchdown.experiments.benchmarks.site_selection_time import bench_landing as measure
+
+    figures = usage_errors(
+        lambda: measure(
+            scene=scene,
+            seed=seed,
+            rounds=rounds,
+            reference=reference,
+            network=network,
+            threads=threads,
+        )
+    )
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+        return EXIT_DONE
+    beside = figures.get("reference_ms", {})
+    for name, milliseconds in figures["stage_ms"].items():
+        other = f"{beside[name]:9.1f}" if name in beside else ""
+        click.echo(f"{name:14}{milliseconds:8.2f} ms{other}")
+    if "place_ms" in figures:
+        asked, ms = figures["place_asked"], figures["place_ms"]
+        click.echo(f"{'ten patches':14}{ms['ten_patches']:8.2f} ms on {threads} threads")
+        click.echo(f"{'with places':14}{ms['selection']:8.2f} ms ({asked} sites asked about)")
+    if reference:
+        click.echo(f"ratio.reference {figures['ratio']['reference']:.1f}")
+    return EXIT_DONE
+
+
+@bench.command("selector")
+@click.argument("scenes", nargs=-1)
+@click.option("--seeds", default="0-24", show_default=True, help="Such as 0-24 or 100,101.")
+@click.option("--scorer", type=click.Choice(["risk", "paper"]), default=None, help="  [risk]")
+@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True)
+@click.option("--fit", "fit_model", is_flag=True, help="Fit landing.risk_weights to these places.")
+@click.option("--pictures", type=click.Path(path_type=Path), default=None, metavar="DIR",
+              help="Draw the steps to each site (Fig. 11 of the paper) into DIR.")  # fmt: skip
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def bench_selector(
+    scenes: tuple[str, ...],
+    seeds: str,
+    scorer: str | None,
+    jobs: int,
+    fit_model: bool,
+    pictures: Path | None,
+    overrides: tuple[str, ...],
+    as_json: bool,
+) -> int:
+    """Choose sites without flying and compare them with the true maps: precision, recall, regret
+    and calibration. The sensors are towed along the survey at its planned poses. SCENES: all that
+    have something to choose, unless given.
+
+    Example: touchdown bench selector crossroad lake --seeds 0-4
+    """
+    from touchdown.experiments.benchmarks import site_selection as selector_check
+
+    figures = usage_errors(
+        lambda: selector_check.run(
+            scenes or selector_check.SCENES,
+            seeds=seeds,
+            scorer=scorer,
+            jobs=jobs,
+            fit_model=fit_model,
+            overrides=overrides,
+            report=lambda place: click.echo(selector_check.row(place), err=as_json),
+            pictures=pictures,
+        )
+    )
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+    else:
+        click.echo(selector_check.text(figures))
+    return EXIT_DONE
+
+
+@bench.command("endurance")
+@click.argument("scenes", nargs=-1)
+@click.option("--estimator", default="livo", show_default=True)
+@click.option("--seeds", default="0-1", show_default=True, help="Such as 0-4 or 100,101.")
+@click.option("--minutes", type=click.IntRange(2, 1440), default=5, show_default=True)
+@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True)
+@click.option("--plot", type=click.Path(path_type=Path), default=None, help="PNG or JPG.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def bench_endurance(
+    scenes: tuple[str, ...],
+    estimator: str,
+    seeds: str,
+    minutes: int,
+    jobs: int,
+    plot: Path | None,
+    overrides: tuple[str, ...],
+    as_json: bool,
+) -> int:
+    """Long surveys: position error, time per scan (the estimator's, the whole process's) and memory
+    in each minute. SCENES: crossroad, lake, houses and forest, unless given.
+
+    Example: touchdown bench endurance forest --seeds 0 --minutes 10
+    """
+    from touchdown.experiments.benchmarks import endurance
+    from touchdown.experiments.config.seeds import parse_seeds
+
+    def run() -> list[dict[str, Any]]:
+        configs = [
+            endurance.endurance_config(
+                scene=scene, estimator=estimator, seed=seed, minutes=minutes, overrides=overrides
+            )
+            for scene in scenes or ("crossroad", "lake", "houses", "forest")
+            for seed in parse_seeds(seeds, "--seeds")
+        ]
+        flights = endurance.measure(
+            configs, jobs, lambda flight: click.echo(endurance.row(flight), err=as_json)
+        )
+        if plot is not None:
+            endurance.plot(flights, plot)
+        return flights
+
+    flights = usage_errors(run)
+    if as_json:
+        click.echo(json.dumps({"flights": flights}, indent=2))
+    return EXIT_DONE
+
+
+def _usage_errors_until_airborne(
+    measure: Callable[..., dict[str, Any]], config: Any, quiet: bool
+) -> dict[str, Any]:
+    from touchdown.experiments.flight.run import guarded_fly
+
+    progress = make_progress(quiet)
+    measured = measure(config, lambda cfg, out: guarded_fly(cfg, out, progress))
+    end_progress(quiet)
+    return measured

@@ -1,0 +1,107 @@
+"""``touchdown bench estimator``."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import click
+
+from touchdown.experiments.cli.common import EXIT_DONE
+from touchdown.experiments.errors import usage_errors
+
+
+@click.command("estimator")
+@click.argument("scenes", nargs=-1)
+@click.option("--ablate", is_flag=True, help="What each part is worth, instead of peers.")
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seconds", type=float, help="Of each log after lift-off.  [all]")
+@click.option(
+    "--runs",
+    type=click.Path(path_type=Path),
+    help="Keep the logged surveys here, and use those that are there.  [a temporary folder]",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+def bench_estimator(
+    scenes: tuple[str, ...],
+    ablate: bool,
+    seed: int,
+    seconds: float | None,
+    runs: Path | None,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Positioning error and cost on equal scans, beside KISS-ICP and small_gicp.
+
+    One survey per scene (crossroad, lake, houses and forest unless named) is flown with livo, and
+    its log goes through livo, paper and the peers, these over a grid of settings of which the best
+    counts. With --ablate the log goes through livo and paper with one part after the other left
+    out. All of it is open loop.
+
+    Example: touchdown bench estimator crossroad --seconds 20 --runs runs/logged
+    """
+    from touchdown.experiments.benchmarks import odometry as bench
+    from touchdown.experiments.benchmarks.ablation import ablate as run_ablation
+    from touchdown.experiments.benchmarks.ablation import ablation_table
+
+    _check(seconds)
+    chosen = scenes or bench.SCENES
+    tell = _quiet if quiet else _to_stderr
+    with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
+        where: dict[str, Any] = {"seed": seed, "runs": runs or Path(folder), "seconds": seconds}
+        if ablate:
+            table = usage_errors(lambda: run_ablation(chosen, tell=tell, **where))
+            text = json.dumps({"seed": seed, "seconds": seconds, "ablation": table}, indent=2)
+            click.echo(text if as_json else ablation_table(table))
+            return EXIT_DONE
+        figures = usage_errors(lambda: bench.bench_estimator(chosen, tell=tell, **where))
+    click.echo(json.dumps(figures, indent=2) if as_json else _table(figures))
+    return EXIT_DONE
+
+
+def _check(seconds: float | None) -> None:
+    from touchdown.experiments.errors import UsageError
+
+    if seconds is not None and not seconds > 0.0:
+        raise UsageError(f"--seconds {seconds:g} must be positive")
+
+
+def _quiet(_text: str) -> None:
+    pass
+
+
+def _to_stderr(text: str) -> None:
+    if sys.stderr.isatty():
+        print(f"\r\x1b[K{text}"[:160], end="", file=sys.stderr, flush=True)
+
+
+def _table(figures: dict[str, Any]) -> str:
+    methods = list(figures["ms_per_0.1s"])
+    lines = ["| scene | " + " | ".join(methods) + " | best peer / livo |"]
+    lines.append("|---|" + "---|" * (len(methods) + 1))
+    for scene, errors in figures["error_m"].items():
+        lost = figures["scenes"][scene]["lost_s"]
+        cells = [_error(errors[name], lost[name]) for name in methods]
+        cells.append(f"{figures['ratio']['peer'][scene]:.1f}")
+        lines.append(f"| {scene} | " + " | ".join(cells) + " |")
+    costs = [f"{figures['ms_per_0.1s'][name]:.1f}" for name in methods]
+    lines.append("| ms per 0.1 s | " + " | ".join(costs) + " | |")
+    mean = figures["ratio"]["peer"]["geometric_mean"]
+    worst = max(abs(value) for value in figures["evo_difference_m"].values())
+    lines.append(
+        f"\nmean error in metres by evo, not aligned; geometric mean of the ratio {mean:.1f}"
+    )
+    lines.append(f"evo and our own figure of the flights differ by at most {1e3 * worst:.3f} mm")
+    for scene, details in figures["scenes"].items():
+        for peer, setting in details["best"].items():
+            text = ", ".join(f"{name} {value}" for name, value in setting.items())
+            lines.append(f"{scene}: best of {peer}: {text}")
+    return "\n".join(lines)
+
+
+def _error(error_m: float, lost_s: float | None) -> str:
+    return f"{error_m:.3f}" if lost_s is None else f"{error_m:.2f} until lost at {lost_s:.0f} s"

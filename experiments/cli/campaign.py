@@ -1,0 +1,183 @@
+"""Commands for many flights: ``touchdown campaign ...`` and ``touchdown query``."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, CommandGroup
+
+
+class ShardType(click.ParamType):
+    """``I/N``: the I-th of N parts, from 1."""
+
+    name = "I/N"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, int]:
+        if isinstance(value, tuple):
+            return value
+        found = re.fullmatch(r"(\d+)/(\d+)", str(value))
+        if not found or not 1 <= int(found[1]) <= int(found[2]):
+            self.fail(f"'{value}' is not of the form I/N, such as 1/4 to 4/4", param, ctx)
+        return int(found[1]), int(found[2])
+
+
+class CampaignGroup(CommandGroup):
+    """``campaign FILE.toml`` flies, ``campaign status DIR`` looks."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if not args:
+            raise click.UsageError("missing argument 'FILE.toml', or 'status DIR'", ctx)
+        if args[0].startswith("-") and args[0] not in ctx.help_option_names:
+            args = ["--", *args]  # options of the flight, before the file
+        return super().parse_args(ctx, args)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in self.commands and _is_flight(args):
+            return "", fly_file, args
+        return super().resolve_command(ctx, args)
+
+    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        fly_file.format_help(ctx, formatter)
+        formatter.write_paragraph()
+        formatter.write_text("See also `touchdown campaign status DIR`.")
+
+
+def _is_flight(args: list[str]) -> bool:
+    return args[0].startswith("-") or bool(re.search(r"[./]", args[0])) or "--out" in args
+
+
+@click.group(cls=CampaignGroup)
+def campaign() -> int:
+    """Fly scenes x estimators x seeds x winds.
+
+    Example: touchdown campaign configs/positioning.toml --out runs/positioning
+    """
+    return EXIT_DONE
+
+
+@click.command("campaign")
+@click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
+@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR",
+              help="The campaign's directory; one that exists is gone on with.")  # fmt: skip
+@click.option("--jobs", type=click.IntRange(1, 1024), help="Flights at a time.  [cores]")
+@click.option("--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True)
+@click.option("--ray-address", metavar="ADDRESS", help="Of a Ray cluster.  [a local one]")
+@click.option("--shard", type=ShardType(), help="Fly the I-th of N parts, on one of N machines.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
+@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+def fly_file(
+    file: Path,
+    out: Path,
+    jobs: int | None,
+    engine: str,
+    ray_address: str | None,
+    shard: tuple[int, int] | None,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Fly all runs of FILE.toml: scenes x estimators x seeds x winds, in parallel.
+
+    Every run becomes a directory below DIR/runs, and a row of DIR/results.parquet. Stop it at any
+    time: the same command goes on where it was. Exit code 0 means every run came to an outcome, and
+    to what the file expects, 1 that some did not, 2 bad input.
+
+    Example: touchdown campaign configs/positioning.toml --out runs/positioning --jobs 2
+    """
+    from touchdown.experiments.campaign.plan import load_plan
+    from touchdown.experiments.campaign.progress import Display, print_summary
+    from touchdown.experiments.campaign.session import Watcher, fly_campaign, make_engine
+
+    plan = load_plan(file)
+    flown_by = make_engine(engine, jobs, ray_address)
+    watcher = Watcher() if quiet else Display()
+    try:
+        figures = fly_campaign(plan, out, flown_by, shard=shard, watcher=watcher)
+    except KeyboardInterrupt:
+        print(
+            "touchdown: stopped; finished runs are kept, and the same command goes on with the "
+            f"rest (see 'touchdown campaign status {out}')",
+            file=sys.stderr,
+        )
+        return EXIT_INTERRUPTED
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+    else:
+        print_summary(figures)
+    return EXIT_FAILED if figures["crashed"] or not figures["as_expected"] else EXIT_DONE
+
+
+@campaign.command("status")
+@click.argument("directory", type=click.Path(path_type=Path), metavar="DIR")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def status(directory: Path, as_json: bool) -> int:
+    """Print how far the campaign in DIR is, and where its time went. It may be flying meanwhile.
+    Exit code 1 means that runs came to something else than its file expects.
+
+    Example: touchdown campaign status runs/positioning
+    """
+    from touchdown.experiments.campaign.progress import print_summary
+    from touchdown.experiments.campaign.session import summary
+
+    figures = summary(directory)
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+    else:
+        print_summary(figures)
+    return EXIT_DONE if figures["as_expected"] else EXIT_FAILED
+
+
+@click.command()
+@click.argument("directory", type=click.Path(path_type=Path), metavar="DIR")
+@click.argument("sql")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print comma-separated values.")
+def query(directory: Path, sql: str, as_json: bool, as_csv: bool) -> int:
+    """Run SQL over the runs in DIR, a campaign or any directory of runs. The table is `runs`.
+
+    Names with a dot are quoted: "position_error_m.mean". `describe runs` lists them all.
+
+    Example: touchdown query runs/positioning 'select estimator, avg("position_error_m.mean") from
+    runs group by all'
+    """
+    from touchdown.experiments.campaign.results_table import run_sql
+    from touchdown.experiments.errors import UsageError
+
+    if as_json and as_csv:
+        raise UsageError("--json and --csv exclude each other; give one of them")
+    columns, rows = run_sql(directory, sql)
+    if as_json:
+        objects = [dict(zip(columns, row, strict=True)) for row in rows]
+        click.echo(json.dumps({"columns": columns, "rows": objects}, indent=2, default=str))
+    elif as_csv:
+        writer = csv.writer(sys.stdout, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(rows)
+    else:
+        _print_rows(columns, rows)
+    return EXIT_DONE
+
+
+def _print_rows(columns: list[str], rows: list[tuple[Any, ...]]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    from touchdown.experiments.terminal import make_console
+
+    table = Table()
+    for title in columns:
+        table.add_column(escape(title))
+    for row in rows:
+        cells = (f"{v:.6g}" if isinstance(v, float) else "" if v is None else str(v) for v in row)
+        table.add_row(*map(escape, cells))
+    make_console().print(table)

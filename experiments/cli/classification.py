@@ -1,0 +1,413 @@
+"""Place recognition: ``touchdown dataset``, ``train``, ``evaluate``, ``classify``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from touchdown.experiments.classification.optional_import import recognition
+from touchdown.experiments.cli.common import EXIT_DONE, CommandGroup
+from touchdown.experiments.errors import usage_errors
+
+SCHEMES = ("d_land", "d_scene")
+"""The keys of `landing.classification.labels.SCHEMES`, here so that help is instant."""
+
+
+class MissCostType(click.ParamType):
+    """``water=10`` to ("water", 10.0); whether there is such a class is known with the labels."""
+
+    name = "cost"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, float]:
+        if isinstance(value, tuple):
+            return value
+        name, equals, number = str(value).partition("=")
+        try:
+            cost = float(number)
+        except ValueError:
+            cost = float("nan")
+        if not (equals and cost > 0.0 and cost < float("inf")):
+            self.fail(f"'{value}': give a class and a number above 0, such as water=10", param, ctx)
+        return name.strip(), cost
+
+
+_DATA = click.option(
+    "--data",
+    multiple=True,
+    required=True,
+    metavar="[KIND=]DIR",
+    help="Of `touchdown dataset render`, UC Merced, AID, Places365, or folders named as the "
+    "classes of D_Land. May be repeated.",
+)
+
+
+def _miss_cost(default: str) -> Callable[[Any], Any]:
+    return click.option(
+        "--miss-cost",
+        "miss_costs",
+        type=MissCostType(),
+        multiple=True,
+        metavar="CLASS=K",
+        help="How many times as bad as any other mistake it is to take CLASS for something else, "
+        f"such as water=10. May be repeated.  {default}",
+    )
+
+
+_ENGINE = click.option(
+    "--engine", type=click.Choice(("onnx", "torch")), default="onnx", show_default=True
+)
+_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+_QUIET = click.option("--quiet", is_flag=True, help="No progress on stderr.")
+
+
+@click.group(cls=CommandGroup)
+def dataset() -> int:
+    """Pictures of ground to learn from.
+
+    Example: touchdown dataset render --out patches --images 4000
+    """
+    return EXIT_DONE
+
+
+@dataset.command("render")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="A new folder.")
+@click.option("--images", type=click.IntRange(1, 10_000_000), default=4000, show_default=True)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True,
+              help="Other places, other light; never a place of a seed below 1000.")  # fmt: skip
+@click.option("--scene", "scenes", multiple=True, metavar="NAME",
+              help="Only this scene. May be repeated.  [all]")  # fmt: skip
+@click.option("--size", "pixels", type=click.IntRange(32, 480), default=128, show_default=True,
+              help="Pixels across.")  # fmt: skip
+@click.option("--per-place", type=click.IntRange(1), default=40, show_default=True,
+              help="Patches of each scene's seed.")  # fmt: skip
+@click.option("--new-colours", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
+              help="Share of views in which roads, paving, roofs … have other colours than "
+              "the scene gives them.")  # fmt: skip
+@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True,
+              help="Processes; the pictures do not depend on it.")  # fmt: skip
+@_JSON
+@_QUIET
+def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int:
+    """Render patches of the scenes as the vehicle's camera sees them, labelled by what they show.
+
+    Heights from 5 to 60 m, squares of ground from 3 to 26 m, light, blur and noise varied. Writes
+    PNG files by place, manifest.csv with both labels and the split, and a contact sheet.
+
+    Example: touchdown dataset render --out patches --images 4000 --jobs 2
+    """
+    from touchdown.experiments.classification.render_dataset import render_dataset
+    from touchdown.experiments.terminal import progress_bar
+
+    with progress_bar(quiet) as progress:
+        done = usage_errors(lambda: render_dataset(out, progress=progress, **options))
+    if as_json:
+        click.echo(json.dumps(done, indent=2))
+    else:
+        for kind in ("classes", "splits"):
+            click.echo("  ".join(f"{name} {count}" for name, count in done[kind].items()))
+        click.echo(f"written: {done['directory']} ({done['images']} pictures)")
+    return EXIT_DONE
+
+
+@click.command()
+@click.option("--network", default="resnet50_cbam", show_default=True,
+              help="resnet18, resnet34, resnet50, resnet101, resnet50_cbam, resnext50, vgg19, "
+              "mobilenet_v3_large or inception_v4.")  # fmt: skip
+@click.option("--labels", type=click.Choice(SCHEMES), default="d_land", show_default=True)
+@_DATA
+@click.option("--out", type=click.Path(path_type=Path), required=True,
+              help="Folder; a training in it that was stopped goes on.")  # fmt: skip
+@click.option("--start-from", "start", type=click.Path(path_type=Path), metavar="PATH",
+              help="Folder of another training, or a network's file: begin with its "
+              "weights.  [fresh ones]")  # fmt: skip
+@click.option("--start-share", type=click.FloatRange(0.0, 1.0, max_open=True), default=0.0,
+              show_default=True,
+              help="Of the weights that --start-from gives, in those that come out: such a mean "
+              "may know other ground better than either.")  # fmt: skip
+@click.option("--epochs", type=click.IntRange(1), default=30, show_default=True)
+@click.option("--image-size", type=click.IntRange(32, 512), default=96, show_default=True,
+              help="Pixels across that the network sees.")  # fmt: skip
+@click.option("--first-size", type=click.IntRange(32, 512),
+              help="Of the first epochs; pictures grow from it.  [--image-size]")  # fmt: skip
+@click.option("--batch-size", type=click.IntRange(2), default=64, show_default=True)
+@click.option("--learning-rate", type=click.FloatRange(0.0, min_open=True), default=1e-3,
+              show_default=True)  # fmt: skip
+@click.option("--weight-decay", type=click.FloatRange(0.0), default=0.05, show_default=True)
+@click.option("--variation", type=click.FloatRange(0.0, 2.0), default=1.0, show_default=True,
+              help="How strongly zoom, light, colour and noise vary in pictures.")  # fmt: skip
+@click.option("--markings", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
+              help="Share of pictures that get painted lines, as of lanes and bays.")  # fmt: skip
+@click.option("--blending", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
+              help="How strongly pictures are blended with one another.")  # fmt: skip
+@_miss_cost("[1 each]")
+@click.option("--patience", type=click.IntRange(1), default=8, show_default=True,
+              help="Epochs without a better validation before it ends.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
+@click.option("--threads", type=click.IntRange(1), help="Of the processor.  [all]")
+@click.option("--compile", "compiled", is_flag=True,
+              help="Compile the network: slow at each new size of pictures, then faster. "
+              "Needs a C++ compiler.")  # fmt: skip
+@_JSON
+@_QUIET
+def train(
+    data: tuple[str, ...],
+    out: Path,
+    start: Path | None,
+    device: str,
+    threads: int | None,
+    compiled: bool,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> int:
+    """Train a network to tell kinds of ground apart.
+
+    Writes network.onnx (float16 weights) and its checksum, curves.csv, curves.rrd for the Rerun
+    viewer, training.json, and after every epoch a checkpoint: the same command goes on from it.
+    Ends early when the validation pictures are not recognised better any more.
+
+    Example: touchdown train --data patches --out trained --epochs 20
+    """
+    from touchdown.experiments.classification.train import train_network
+    from touchdown.experiments.terminal import make_notes, progress_bar
+
+    _use_threads(threads)
+    with progress_bar(quiet) as progress:
+        report = usage_errors(
+            lambda: train_network(
+                data,
+                out,
+                options,
+                device,
+                progress,
+                make_notes(quiet),
+                start=start,
+                compiled=compiled,
+            )
+        )
+    if as_json:
+        click.echo(json.dumps(report, indent=2))
+    else:
+        best = report["validation"]
+        click.echo(
+            f"best epoch {report['best_epoch']} of {report['epochs']}: validation top-1 "
+            f"{best['val_top1']:.3f}, macro F1 {best['val_macro_f1']:.3f}\n"
+            f"written, validation top-1 {report['written']['top1']:.3f}: "
+            f"{report['network_file']} ({report['bytes'] / 1e6:.1f} MB)"
+        )
+    return EXIT_DONE
+
+
+def _use_threads(threads: int | None) -> None:
+    if threads is not None:
+        usage_errors(lambda: _torch().set_num_threads(threads))
+
+
+def _torch() -> Any:
+
+    recognition("learning.training")
+    import torch
+
+    return torch
+
+
+@click.command()
+@click.argument("network", required=False, type=click.Path(path_type=Path))
+@_DATA
+@click.option("--split", type=click.Choice(("train", "val", "test")), default="test",
+              show_default=True)  # fmt: skip
+@_ENGINE
+@_miss_cost("[those of the file, which its limits are fitted to]")
+@click.option("--threads", type=click.IntRange(1), default=1, show_default=True)
+@click.option("--cost/--no-cost", "measure", default=True, show_default=True,
+              help="Measure RAM and run time in a process of its own.")  # fmt: skip
+@_JSON
+@_QUIET
+def evaluate(network: Path | None, as_json: bool, quiet: bool, **options: Any) -> int:
+    """Score NETWORK, a file of `touchdown train`, on pictures that it was not trained on.
+
+    Without NETWORK: the one that comes with touchdown.
+
+    Loss, macro F1, recall, top-1 with its interval, calibration error (ECE), confusion matrix; size
+    of the file (ROM), peak memory (RAM) and time a picture.
+
+    Example: touchdown evaluate trained/network.onnx --data patches
+    """
+    from touchdown.experiments.classification.evaluate import evaluate_network, shipped_network
+    from touchdown.experiments.terminal import progress_bar
+
+    with progress_bar(quiet) as progress:
+        report = usage_errors(
+            lambda: evaluate_network(network or shipped_network(), progress=progress, **options)
+        )
+    if as_json:
+        click.echo(json.dumps(report, indent=2))
+    else:
+        print_evaluation(report)
+    return EXIT_DONE
+
+
+@click.command()
+@click.argument("network", required=False, type=click.Path(path_type=Path))
+@click.option("--type", "weight_type", type=click.Choice(("float16", "bfloat16", "int8")),
+              default="int8", show_default=True, help="Of the weights.")  # fmt: skip
+@_DATA
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="A file *.onnx.")
+@click.option("--pictures", type=click.IntRange(1), default=256, show_default=True,
+              help="Of the training split, that give the ranges of int8 activations.")  # fmt: skip
+@_JSON
+@_QUIET
+def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **options: Any) -> int:
+    """Write NETWORK, a file of `touchdown train`, with smaller weights.
+
+    Without NETWORK: the one that comes with touchdown.
+
+    int8 computes in int8 too; bfloat16 and float16 are kept so and computed in float32. The limits
+    at which ground counts as safe are fitted anew to the validation pictures. `touchdown evaluate`
+    measures what comes out.
+
+    Example: touchdown quantize trained/network.onnx --data patches --out network-int8.onnx
+    """
+    from touchdown.experiments.classification.evaluate import shipped_network
+    from touchdown.experiments.classification.quantize import quantize_network
+    from touchdown.experiments.terminal import progress_bar
+
+    with progress_bar(quiet) as progress:
+        report = usage_errors(
+            lambda: quantize_network(
+                network or shipped_network(), out, progress=progress, **options
+            )
+        )
+    if as_json:
+        click.echo(json.dumps(report, indent=2))
+    else:
+        click.echo(
+            f"validation top-1 {report['top1_before']:.4f} before, {report['top1']:.4f} after\n"
+            f"written, validation top-1 {report['written']['top1']:.3f}: "
+            f"{report['network_file']} ({report['bytes'] / 1e6:.1f} MB)"
+        )
+    return EXIT_DONE
+
+
+@click.command()
+@click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--network", type=click.Path(path_type=Path),
+              help="A file of `touchdown train`.  [the one that comes with touchdown]")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), default=Path("classes"), show_default=True,
+              help="Folder for NAME-classes.png.")  # fmt: skip
+@click.option("--window", "window_px", type=click.IntRange(16),
+              help="Side of the classified square.  [a quarter of the picture]")  # fmt: skip
+@click.option("--least", type=click.FloatRange(0.0, 1.0), default=0.5, show_default=True,
+              help="Probability below which ground is called unsure.")  # fmt: skip
+@_ENGINE
+@click.option("--threads", type=click.IntRange(1), default=1, show_default=True)
+@_JSON
+@_QUIET
+def classify(
+    images: tuple[Path, ...],
+    network: Path | None,
+    out: Path,
+    window_px: int | None,
+    least: float,
+    engine: str,
+    threads: int,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Draw what kinds of ground photographs from the air show.
+
+    A window slides over each picture; what overlapping windows say is averaged.
+
+    Example: touchdown classify photograph.jpg --network trained/network.onnx
+    """
+    from touchdown.experiments.classification.class_map import classify_pictures
+    from touchdown.experiments.classification.evaluate import load_classifier, shipped_network
+    from touchdown.experiments.terminal import make_notes
+
+    rows = usage_errors(
+        lambda: classify_pictures(
+            images, out, load_classifier(network or shipped_network(), engine, threads),
+            window_px, least,
+            make_notes(quiet),
+        )
+    )  # fmt: skip
+    if as_json:
+        click.echo(json.dumps({"pictures": rows}, indent=2))
+    else:
+        for row in rows:
+            shares = "  ".join(f"{name} {share:.0%}" for name, share in row["shares"].items())
+            click.echo(f"{row['classes']}: {shares}")
+    return EXIT_DONE
+
+
+def print_evaluation(report: Mapping[str, Any]) -> None:
+    """Tables: overall and by data set, recall of each class, confusion matrix."""
+    from rich.table import Table
+
+    from touchdown.experiments.terminal import make_console
+
+    console = make_console()
+    table = Table(
+        title=f"{report['network']}, {report['labels']}, {report['split']}", title_justify="left"
+    )
+    for heading in ("pictures of", "n", "loss", "macro F1", "recall", "top-1", "95 %", "ECE"):
+        table.add_column(heading, justify="left" if heading == "pictures of" else "right")
+    rows = {"all": report} | (report["by_source"] if len(report["by_source"]) > 1 else {})
+    rows |= report["by_scene"]
+    for name, row in rows.items():
+        low, high = row["top1_interval"]
+        numbers = [f"{row[key]:.3f}" for key in ("loss", "macro_f1", "recall", "top1")]
+        table.add_row(
+            name, str(row["pictures"]), *numbers, f"{low:.3f}-{high:.3f}", f"{row['ece']:.3f}"
+        )
+    console.print(table)
+    console.print(_confusion_table(report))
+    if "decision" in report:
+        console.print(_decision_words(report["decision"]))
+    cost = [f"ROM {report['rom_mb']:.1f} MB"]
+    if "image_ms" in report:
+        cost += [
+            f"peak RAM {report['peak_ram_mb']:.0f} MB",
+            f"{report['image_ms']:.1f} ms a picture on one thread ({report['engine']})",
+        ]
+    console.print(", ".join(cost))
+
+
+def _decision_words(decision: Mapping[str, Any]) -> str:
+    """Mistakes that would hurt, beside good sites that would be lost."""
+    parts = []
+    for kind, wrong, words in (
+        ("unsafe", "unsafe_taken_for_safe", "pictures of unsafe ground taken for safe"),
+        ("safe", "safe_refused", "of safe ground refused"),
+    ):
+        count, of = decision[wrong], decision[kind]
+        share = f" ({count / of:.2%})" if of else ""
+        parts.append(f"{count} of {of} {words}{share}")
+    return f"at {decision['least_probability']:.3f}: {', '.join(parts)}"
+
+
+def _confusion_table(report: Mapping[str, Any]) -> Any:
+    """Classes that occur, or that something was taken for."""
+    from rich.table import Table
+
+    counts = np.array(report["confusion"])
+    shown = np.flatnonzero(counts.sum(axis=0) + counts.sum(axis=1))
+    table = Table(title="what it is, and what it was taken for", title_justify="left")
+    table.add_column("")
+    for number in shown:
+        table.add_column(report["classes"][number], justify="right")
+    table.add_column("recall", justify="right")
+    for number in shown:
+        name = report["classes"][number]
+        recall = report["recall_of"].get(name)
+        cells = [str(count) if count else "·" for count in counts[number, shown]]
+        table.add_row(name, *cells, "" if recall is None else f"{recall:.3f}")
+    return table

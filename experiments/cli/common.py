@@ -1,0 +1,23 @@
+"""What the commands of the command line share."""
+
+from __future__ import annotations
+
+import click
+
+EXIT_DONE, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
+
+
+class CommandGroup(click.Group):
+    """Names the nearest command for an unknown one."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
+            from touchdown.experiments.errors import nearest
+
+            known = self.list_commands(ctx)
+            raise click.UsageError(
+                f"unknown command '{args[0]}'{nearest(args[0], known)}; known: {', '.join(known)}"
+            )
+        return super().resolve_command(ctx, args)

@@ -1,0 +1,256 @@
+"""What people read on a terminal: progress, tables, one-line errors."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from touchdown.experiments.io.results import lookup
+from touchdown.experiments.terminal import make_console
+
+_ROWS = (
+    ("outcome", "outcome", "{}"),
+    ("reason", "reason", "{}"),
+    ("position error, mean", "position_error_m.mean", "{:.3f} m"),
+    ("position error, max", "position_error_m.max", "{:.3f} m"),
+    ("heading error", "position_error_m.yaw_deg", "{:.3f} deg"),
+    ("tracking error E_tra", "trajectory_error_m", "{:.3f} m"),
+    ("offset from the site d_L", "landing.target_offset_m", "{:.3f} m"),
+    ("ground slope", "landing.slope_deg", "{:.2f} deg"),
+    ("vertical speed", "landing.vertical_speed_mps", "{:.3f} m/s"),
+    ("horizontal speed", "landing.horizontal_speed_mps", "{:.3f} m/s"),
+    ("tilt at touchdown", "landing.tilt_deg", "{:.2f} deg"),
+    ("kind of ground", "landing.class_true", "{}"),
+    ("taken for", "landing.class_predicted", "{}"),
+    ("safe geometry", "landing.safe_geometry", "{}"),
+    ("map levelness error", "map.levelness_error_deg.mean", "{:.2f} deg"),
+    ("simulated time", "timing.sim_s", "{:.1f} s"),
+    ("real-time factor", "timing.real_time_factor", "{:.2f}"),
+)
+_LAST_EVENTS = 5
+_STAGE_ORDER = ("world", "estimator", "mapper", "lander", "controller", "recorder", "referee")
+
+
+def print_result(result: Mapping[str, Any], out_dir: Path | None, good: bool) -> None:
+    """The table of a flight, and where its recording is."""
+    from rich.table import Table
+
+    console = make_console()
+    title = "{scene}, {estimator}, seed {seed}, wind {wind_kmh:g} km/h".format(**result)
+    table = Table(title=title, show_header=False, title_justify="left", min_width=52)
+    table.add_column(style="dim")
+    table.add_column(justify="right")
+    for label, path, form in _ROWS:
+        value = lookup(result, path)
+        if value is None or value == "":
+            continue
+        if isinstance(value, bool):
+            value = "yes" if value else "no"
+        text = form.format(value)
+        if path == "outcome":
+            text = f"[bold {'green' if good else 'red'}]{text}[/]"
+        table.add_row(label, text)
+    if remark := _remark(result):
+        table.add_row("remark", remark)
+    console.print(table)
+    for line in _last_words(result):
+        console.print(line, soft_wrap=True, markup=False)
+    if out_dir is not None:
+        console.print(f"run directory: {out_dir}", soft_wrap=True)
+        if (out_dir / "flight.rrd").exists():
+            console.print(f"recording:     {out_dir / 'flight.rrd'}", soft_wrap=True)
+            program = "touchdown" if shutil.which("touchdown") else sys.argv[0]
+            console.print(f"look at it:    {program} view {out_dir}", soft_wrap=True)
+
+
+def _remark(result: Mapping[str, Any]) -> str:
+    """On a touchdown that counts by geometry alone, where the kind of ground is a risky one."""
+    from touchdown.scenes.api import RISKY_CLASSES
+
+    kind = lookup(result, "landing.class_true")
+    if kind not in RISKY_CLASSES or result.get("place_recognition") != "off":
+        return ""
+    return f"a {kind} is risky ground; place recognition was off"
+
+
+def _last_words(result: Mapping[str, Any]) -> list[str]:
+    """Of a flight whose estimate was lost: what its estimator had to tell last."""
+    events = result.get("events") or []
+    if result["outcome"] != "DIVERGED" or not events:
+        return []
+    count, kept = result.get("event_count", len(events)), len(events)
+    which = "the last" if count <= kept else f"the last of the first {kept}"
+    lines = [f"{event['time_s']:6.1f} s  {event['text']}" for event in events[-_LAST_EVENTS:]]
+    return [f"{which} of {count} events that {result['estimator']} told:", *lines]
+
+
+def print_stages(result: Mapping[str, Any]) -> None:
+    """Real-time factor and where the time of a flight went."""
+    from rich.table import Table
+
+    timing = result["timing"]
+    stages: dict[str, float] = dict(timing["stage_ms"])
+    total = 100.0 / timing["real_time_factor"]
+    table = Table(
+        title=f"{result['scene']}, {result['estimator']}, per 0.1 s of flight", min_width=46
+    )
+    table.add_column("stage")
+    table.add_column("ms", justify="right")
+    table.add_column("share", justify="right")
+    order = [name for name in _STAGE_ORDER if name in stages]
+    order += [name for name in stages if name not in order]
+    for name in order:
+        table.add_row(name, f"{stages[name]:.1f}", f"{stages[name] / total:.0%}")
+    rest = total - sum(stages.values())
+    table.add_row("rest of the loop", f"{rest:.1f}", f"{rest / total:.0%}")
+    table.add_section()
+    table.add_row("all", f"{total:.1f}", "100%")
+    console = make_console()
+    console.print(table)
+    console.print(f"real-time factor {timing['real_time_factor']:.2f} ({timing['sim_s']:.1f} s)")
+
+
+def print_overhead(ratio: float, overhead: Mapping[str, Any]) -> None:
+    """What the loop costs on one core beyond physics, rays and pixels, largest first."""
+    from rich.table import Table
+
+    bare, loop = overhead["bare_ms"], overhead["loop_ms"]
+    table = Table(title="one core, per 0.1 s of flight, processor time", min_width=46)
+    table.add_column("part")
+    table.add_column("ms", justify="right")
+    table.add_column("of bare", justify="right")
+    for name in ("physics", "rays", "pixels", "all"):
+        table.add_row(f"bare {name}", f"{bare[name]:.1f}", f"{bare[name] / bare['all']:.0%}")
+    table.add_section()
+    for name, ms in sorted(overhead["excess_ms"].items(), key=lambda item: -item[1]):
+        table.add_row(name.replace("_", " "), f"{ms:.1f}", f"{ms / bare['all']:.0%}")
+    table.add_section()
+    table.add_row("loop without estimator and lander", f"{loop['all']:.1f}", f"{ratio:.0%}")
+    console = make_console()
+    console.print(table)
+    console.print(f"overhead: {ratio:.2f} x bare")
+
+
+def print_margins(rows: list[dict[str, Any]]) -> None:
+    from rich.table import Table
+
+    table = Table(title="loop margins", title_justify="left")
+    table.add_column("loop", no_wrap=True)
+    for title in ("gain (dB)", "phase (deg)", "crossover (rad/s)"):
+        table.add_column(title, justify="right", no_wrap=True)
+    for row in rows:
+        table.add_row(
+            row["name"],
+            f"{row['gain_margin_db']:.1f}",
+            f"{row['phase_margin_deg']:.0f}",
+            f"{row['crossover_rad_s']:.2f}",
+        )
+    make_console().print(table)
+
+
+def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
+    """One row a scene: seeds that build, how much the two most alike differ, safe ground."""
+    from rich.table import Table
+
+    table = Table(title="seeds of each scene", title_justify="left")
+    table.add_column("scene", no_wrap=True)
+    for title in ("built", "closest", "height", "class", "grey", "safe ground", "s a seed"):
+        table.add_column(title, justify="right", no_wrap=True)
+    notes = []
+    for row in rows:
+        pair = row["closest"] or {"seeds": [], "height_m": 0.0, "class_share": 0.0, "grey": 0.0}
+        low, middle = row["safe_share_min"] or 0.0, row["safe_share_median"] or 0.0
+        table.add_row(
+            row["scene"],
+            f"{row['built']} of {row['built'] + len(row['failed'])}",
+            ", ".join(str(seed) for seed in pair["seeds"]) + ("" if row["differ"] else " SAME"),
+            f"{pair['height_m']:.2f} m",
+            f"{pair['class_share']:.1%}",
+            f"{pair['grey']:.1f}",
+            f"{low:.1%}, {middle:.1%}",
+            f"{row['seconds_per_seed']:.1f}",
+        )
+        if row["without_safe_site"]:
+            seeds = ", ".join(str(seed) for seed in row["without_safe_site"])
+            notes.append(f"{row['scene']}: no safe site where the survey looks in seeds {seeds}")
+        notes += [f"{row['scene']} seed {seed}: {why}" for seed, why in row["failed"].items()]
+    console = make_console()
+    console.print(table)
+    console.print(
+        "closest: the two most alike seeds, their mean absolute difference in height, share of "
+        "cells of another class, mean absolute difference of the pictures from above (of 255); "
+        "safe ground: least and median share of the area seen",
+        style="dim",
+    )
+    for note in notes:
+        console.print(note, soft_wrap=True)
+
+
+def print_place(row: Mapping[str, Any]) -> None:
+    """What a file's place offers a survey, why it cannot be flown, and what may not be meant."""
+    from rich.console import Console
+    from rich.table import Table
+
+    facts, good = row["facts"], not row["problems"]
+    x, y = facts["takeoff_xy_m"]
+    table = Table(title=row["place"], show_header=False, title_justify="left", min_width=52)
+    table.add_column(style="dim")
+    table.add_column(justify="right")
+    verdict = "[bold green]yes[/]" if good else "[bold red]no[/]"
+    for label, text in (
+        ("can be flown", verdict),
+        ("take-off", f"{x:.1f}, {y:.1f} m, heading {facts['takeoff_yaw_deg']:.0f} deg"),
+        ("ground there", f"{facts['takeoff_geom']} ({facts['takeoff_class']})"),
+        ("above what is around", f"{facts['takeoff_above_m'] + 0.0:.1f} m"),
+        ("may be landed on again", "yes" if facts["takeoff_safe"] else "no"),
+        ("ground under the legs", f"{facts['legs_share']:.0%}"),
+        ("under what is seen", f"{facts['seen_share']:.0%}"),
+        ("highest below the legs", f"{facts['highest_m'] + 0.0:.1f} m"),
+        ("safe ground", f"{facts['safe_share']:.0%} of what is seen"),
+        ("safe but for its class", f"{facts['safe_geometry_share'] - facts['safe_share']:.0%}"),
+        ("geoms without a class", ", ".join(facts["without_class"]) or "none"),
+    ):
+        table.add_row(label, text)
+    console = Console(highlight=False)
+    console.print(table)
+    for kind in ("problems", "remarks"):
+        for sentence in row[kind]:
+            console.print(f"{kind[:-1]}: {sentence}", soft_wrap=True, markup=False)
+
+
+def print_calibration(report: Mapping[str, Any]) -> None:
+    """Errors of a calibration beside what it says of them itself."""
+    from rich.table import Table
+
+    error, sigma = report["error"], report["stated_sigma"]
+    views, agreed = report["views"], report["consistency"]["consistent"]
+    table = Table(
+        title=f"{views['used']} of {views['given']} views used", title_justify="left", min_width=52
+    )
+    table.add_column("", style="dim")
+    table.add_column("error", justify="right")
+    table.add_column("stated sigma", justify="right")
+    table.add_row(
+        "rotation of the LIDAR",
+        f"{error['rotation_deg']:.4f} deg",
+        f"{math.hypot(*sigma['rotation_deg']):.4f} deg",
+    )
+    table.add_row(
+        "its place",
+        f"{1e3 * error['translation_m']:.2f} mm",
+        f"{1e3 * math.hypot(*sigma['translation_m']):.2f} mm",
+    )
+    for (name, percent), spread in zip(
+        error["camera_percent"].items(), sigma["camera_px"], strict=True
+    ):
+        table.add_row(name, f"{percent:+.3f} %", f"{spread:.2f} px")
+    console = make_console()
+    console.print(table)
+    for number, why in views["refused"].items():
+        console.print(f"view {int(number) + 1} not used: {why}", soft_wrap=True)
+    console.print(f"error and covariance agree: {'yes' if agreed else 'no'}")
+    console.print(f"written: {report['file']}", soft_wrap=True)

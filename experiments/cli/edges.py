@@ -1,0 +1,122 @@
+"""``touchdown edges``: the structured edge detector of the estimator `paper`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from touchdown.experiments.cli.common import EXIT_DONE, CommandGroup
+from touchdown.experiments.errors import usage_errors
+from touchdown.experiments.terminal import make_notes
+
+
+@click.group(cls=CommandGroup)
+def edges() -> None:
+    """Train the edge detector of the estimator `paper`, score it, and draw what it sees.
+
+    Example: touchdown edges evaluate
+    """
+
+
+@edges.command("train")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("edges.yml.gz"),
+              show_default=True, help="The model, *.yml.gz; flights take it by "
+              "--set paper.edge_model=FILE.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True,
+              help="Varies the places, the poses and the forest.")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+def edges_train(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
+    """Render pictures of the scenes with their true boundaries and grow a structured forest.
+
+    Takes about six minutes of one core. The same seed gives the same file.
+
+    Example: touchdown edges train --out edges.yml.gz
+    """
+    from touchdown.experiments.edges.train import train
+
+    report = usage_errors(lambda: train(out, seed, make_notes(quiet)))
+    if as_json:
+        click.echo(json.dumps(report, indent=2))
+    else:
+        click.echo(
+            f"{report['pictures']} pictures in {report['render_s']:.0f} s; {report['trees']} trees "
+            f"with {report['leaves']} leaves in {report['train_s']:.0f} s\n"
+            f"written: {report['file']} ({report['bytes'] / 1e6:.2f} MB)"
+        )
+    return EXIT_DONE
+
+
+@edges.command("evaluate")
+@click.option("--model", default="shipped", show_default=True,
+              help="`shipped`, `gradient`, or a file of `touchdown edges train`.")  # fmt: skip
+@click.option("--seeds", type=click.IntRange(1), default=5, show_default=True)
+@click.option("--plot", type=click.Path(path_type=Path), help="Precision over recall, JPG or PNG.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+def edges_evaluate(model: str, seeds: int, plot: Path | None, as_json: bool, quiet: bool) -> int:
+    """Score the detector beside Canny on scenes and seeds that it was not trained on.
+
+    Canny gets the blur and the threshold that suit these very pictures best.
+
+    Example: touchdown edges evaluate --seeds 3 --plot edges.png
+    """
+    from touchdown.experiments.edges.figures import plot_curves
+    from touchdown.experiments.edges.train import evaluate
+
+    report = usage_errors(lambda: evaluate(model, seeds, make_notes(quiet)))
+    if plot is not None:
+        plot_curves(plot, report)
+    if as_json:
+        click.echo(json.dumps(report, indent=2))
+    else:
+        print_scores(report)
+    return EXIT_DONE
+
+
+@edges.command("picture")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("edge-pictures"),
+              show_default=True, help="Folder for edges.jpg and smoothness.jpg.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--model", default="shipped", show_default=True)
+@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+def edges_picture(out: Path, seed: int, model: str, quiet: bool) -> int:
+    """Draw the edge energy beside Canny and the truth, and what the estimator makes of it.
+
+    Example: touchdown edges picture --out edge-pictures
+    """
+    from touchdown.experiments.edges.figures import draw_pictures
+
+    for path in usage_errors(lambda: draw_pictures(out, seed, model, make_notes(quiet))):
+        click.echo(str(path))
+    return EXIT_DONE
+
+
+def print_scores(report: Mapping[str, Any]) -> None:
+    from rich.table import Table
+
+    from touchdown.experiments.edges.figures import DETECTOR_LABELS
+    from touchdown.experiments.terminal import make_console
+
+    scenes = list(next(iter(report["scenes"].values())))
+    table = Table(title=f"{report['pictures']} pictures", title_justify="left")
+    table.add_column("", style="dim")
+    heads = ("ODS", "OIS", "AP", "precision", "recall", *(f"ODS {scene}" for scene in scenes))
+    for head in heads:
+        table.add_column(head, justify="right")
+    for name, row in report["detectors"].items():
+        figures = [*row.values(), *report["scenes"][name].values()]
+        table.add_row(DETECTOR_LABELS.get(name, name), *(f"{figure:.3f}" for figure in figures))
+    setting = report["canny_setting"]
+    console = make_console()
+    console.print(table)
+    console.print(
+        f"Canny at its best: blur {setting['sigma_px']:.1f} px, threshold "
+        f"{setting['threshold']:.0f}"
+    )
+    console.print(f"ODS above Canny's: {report['ods_above_canny']:+.3f}")
+    console.print(f"one picture: {report['detect_ms']:.1f} ms of one core")

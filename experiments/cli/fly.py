@@ -1,0 +1,173 @@
+"""The commands `touchdown land` and `touchdown fly`."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from touchdown.experiments.api import is_good
+from touchdown.experiments.cli.common import (
+    EXIT_DONE,
+    EXIT_FAILED,
+)
+from touchdown.experiments.cli.console import print_result
+from touchdown.experiments.cli.replay import run_replay
+from touchdown.experiments.terminal import end_progress, make_progress
+
+
+class SiteType(click.ParamType):
+    """``X,Y`` in metres, world frame."""
+
+    name = "X,Y"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float]:
+        if isinstance(value, tuple):
+            return value
+        try:
+            x, y = (float(part) for part in str(value).split(","))
+        except ValueError:
+            self.fail(f"'{value}' is not of the form X,Y in metres, such as 12.5,-3", param, ctx)
+        if not (math.isfinite(x) and math.isfinite(y)):
+            self.fail(f"'{value}' must be two finite numbers", param, ctx)
+        return x, y
+
+
+_Command = Callable[..., int]
+_FLIGHT_OPTIONS = (
+    click.option(
+        "--estimator",
+        metavar="NAME",
+        help="livo, paper, gps, optical_flow, hybrid_flow, stereo, oracle, or MODULE:FUNCTION.",
+    ),
+    click.option("--seed", type=int, help="Varies the place, the wind and all noise.  [0]"),
+    click.option("--wind-kmh", type=float, help="Mean wind speed at 6 m.  [12]"),
+    click.option(
+        "--calibration",
+        metavar="FILE",
+        help="Of `touchdown calibrate`: what the estimator is told of camera and LIDAR.",
+    ),
+    click.option(
+        "--config",
+        "config_file",
+        type=click.Path(path_type=Path),
+        help="A TOML file, or the config.json of an earlier run.",
+    ),
+    click.option(
+        "--set",
+        "overrides",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help="Any key of the configuration, such as survey.height_m=20. May be repeated.",
+    ),
+    click.option(
+        "--fault",
+        multiple=True,
+        metavar="KIND@START[+DURATION]",
+        help="A fault at START seconds, such as lidar_dropout@20+1 or fog@0. May be repeated.",
+    ),
+    click.option(
+        "--out",
+        type=click.Path(path_type=Path),
+        help="Run directory.  [runs/SCENE-ESTIMATOR-SEED]",
+    ),
+    click.option("--force", is_flag=True, help="Replace a run whose sensors.mcap would be lost."),
+    click.option("--record/--no-record", default=None, help="Write flight.rrd.  [record]"),
+    click.option(
+        "--log-sensors",
+        is_flag=True,
+        default=None,
+        help="Write sensors.mcap, all that sensors said, for --replay and other tools.",
+    ),
+    click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object."),
+    click.option("--quiet", is_flag=True, help="No progress on stderr."),
+)
+
+
+_CONFIG_OPTIONS = ("scene", "estimator", "seed", "wind_kmh", "record", "calibration", "log_sensors")
+"""Those of them that `experiments.config.loading.load_config` takes."""
+
+
+def _flight_options(command: _Command) -> _Command:
+    for option in reversed(_FLIGHT_OPTIONS):
+        command = option(command)
+    return command
+
+
+@click.command()
+@click.argument("scene")
+@_flight_options
+@click.option("--site", type=SiteType(), help="Land here (metres, world frame), do not choose.")
+@click.option(
+    "--emergency",
+    type=click.Choice(["battery"]),
+    help="Down within landing.emergency_s of the survey's end, on the least bad site in reach.",
+)
+def land(site: tuple[float, float] | None, emergency: str | None, **options: Any) -> int:
+    """Take off, survey, map, choose a landing site and land on it.
+
+    SCENE is a name (see `touchdown scenes list`) or the path of an MJCF file. Exit code 0 means
+    landed on safe ground, 1 any other outcome, 2 bad input.
+
+    Example: touchdown land crossroad --seed 3 --wind-kmh 20 --set landing.second_look=false
+    """
+    return _run_flight(options, site=site, emergency=emergency)
+
+
+@click.command()
+@click.argument("scene", required=False)
+@_flight_options
+@click.option(
+    "--replay",
+    "replayed",
+    metavar="RUN",
+    type=click.Path(path_type=Path),
+    help="A run directory with sensors.mcap: those sensors instead of a flight.",
+)
+@click.pass_context
+def fly(context: click.Context, replayed: Path | None, **options: Any) -> int:
+    """Fly the survey alone and report the positioning error.
+
+    With --replay, logged sensors go through an estimator without the simulator; RUN tells the
+    scene, and the result lands in runs/SCENE-ESTIMATOR-SEED-replay unless --out says otherwise.
+
+    Example: touchdown fly crossroad --estimator oracle --set survey.height_m=20
+    """
+    if replayed is not None:
+        return run_replay(replayed, options)
+    if options["scene"] is None:
+        raise click.MissingParameter(ctx=context, param_hint="'SCENE'", param_type="argument")
+    return _run_flight(options, survey_only=True)
+
+
+def _run_flight(options: dict[str, Any], **more: Any) -> int:
+    from touchdown.experiments.config.loading import load_config
+    from touchdown.experiments.flight.run import guarded_fly
+    from touchdown.experiments.io.run_directory import check_log_kept
+
+    quiet, out = options["quiet"], options["out"]
+    config = load_config(
+        options["config_file"],
+        options["overrides"],
+        **{key: options[key] for key in _CONFIG_OPTIONS},
+        fault=options["fault"] or None,
+        **more,
+    )
+    if out is None:
+        stem = Path(config.scene).stem
+        out = Path("runs") / f"{stem}-{config.estimator.replace(':', '.')}-{config.seed}"
+    check_log_kept(out, logs=config.log.sensors, force=options["force"])
+    result = guarded_fly(config, out, make_progress(quiet))
+    end_progress(quiet)
+    good = is_good(result)
+    if options["as_json"]:
+        click.echo(json.dumps({**result, "run_dir": str(out)}, indent=2))
+    else:
+        print_result(result, out, good)
+    return EXIT_DONE if good else EXIT_FAILED

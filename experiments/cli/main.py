@@ -1,0 +1,163 @@
+"""The command line. Heavy modules are imported inside the commands, so that help is instant."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import click
+
+from touchdown.experiments.cli.bench import bench
+from touchdown.experiments.cli.bench_odometry import bench_estimator
+from touchdown.experiments.cli.calibrate import calibrate
+from touchdown.experiments.cli.campaign import campaign, query
+from touchdown.experiments.cli.classification import classify, dataset, evaluate, quantize, train
+from touchdown.experiments.cli.common import (
+    EXIT_DONE,
+    EXIT_INTERRUPTED,
+    EXIT_USAGE,
+    CommandGroup,
+)
+from touchdown.experiments.cli.control import control
+from touchdown.experiments.cli.edges import edges
+from touchdown.experiments.cli.export import export
+from touchdown.experiments.cli.fly import fly, land
+from touchdown.experiments.cli.replay import check_estimator
+from touchdown.experiments.cli.report import regress, report
+from touchdown.experiments.cli.reproduce import reproduce
+from touchdown.experiments.cli.scenes import scenes
+from touchdown.experiments.cli.view import view
+from touchdown.experiments.errors import system_message
+from touchdown.experiments.flight.platform import rendering_backend
+from touchdown.experiments.terminal import end_progress, error_line
+
+
+@click.group(cls=CommandGroup, invoke_without_command=True)
+@click.version_option(package_name="touchdown", prog_name="touchdown")
+@click.pass_context
+def cli(context: click.Context) -> int:
+    """Fly, map, choose a site and land a simulated quadrotor without GPS.
+
+    Example: touchdown land crossroad
+    """
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help())
+    return EXIT_DONE
+
+
+cli.add_command(land)
+cli.add_command(fly)
+cli.add_command(view)
+cli.add_command(report)
+cli.add_command(regress)
+cli.add_command(reproduce)
+cli.add_command(scenes)
+cli.add_command(bench)
+bench.add_command(bench_estimator)
+cli.add_command(check_estimator)
+cli.add_command(calibrate)
+cli.add_command(campaign)
+cli.add_command(query)
+cli.add_command(edges)
+cli.add_command(export)
+cli.add_command(control)
+for _command in (dataset, train, evaluate, quantize, classify):
+    cli.add_command(_command)
+
+
+# ------------------------------------------------------------------------------------------ entry
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs a command and returns its exit code; bad input is one line on stderr."""
+    os.environ.setdefault("MUJOCO_GL", rendering_backend())
+    # What it could not write of a recording is told by `experiments.recording.rerun_recorder`, in
+    # one line.
+    os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=off")
+    warnings.formatwarning = _one_line_warning
+    # Of numba, about a library that it does without; nothing here has several threads.
+    warnings.filterwarnings("ignore", message=".*TBB threading layer")
+    signal.signal(signal.SIGTERM, _interrupt)
+    for word in sys.argv[1:] if arguments is None else arguments:
+        if not word.isascii() and any("\ud800" <= letter <= "\udfff" for letter in word):
+            return _fail(f"'{word}' is no text in UTF-8; rename the file, or mend the word")
+    try:
+        code = cli.main(
+            args=None if arguments is None else list(arguments),
+            prog_name="touchdown",
+            standalone_mode=False,
+        )
+        if sys.stdout is not None:
+            sys.stdout.flush()  # what fails here is told below, and not at the interpreter's end
+    except click.exceptions.NoArgsIsHelpError as error:
+        return _fail(_missing_command(error))
+    except click.ClickException as error:
+        return _fail(_click_message(error))
+    except (click.Abort, KeyboardInterrupt):
+        end_progress(quiet=False)
+        print("touchdown: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except SystemExit:
+        # So click ends where the reader of a pipe has left, which is no failure of ours.
+        if not type(sys.stdout).__name__.endswith("PacifyFlushWrapper"):
+            raise
+        return EXIT_DONE
+    except BrokenPipeError:
+        _let_go_of_stdout()
+        return EXIT_DONE
+    except ValueError as error:
+        from touchdown.experiments.errors import UsageError
+
+        if not isinstance(error, UsageError):
+            raise
+        return _fail(str(error))
+    except OSError as error:
+        message = system_message(error)
+        if message is None:
+            raise
+        _let_go_of_stdout()
+        return _fail(message)
+    return int(code or 0)
+
+
+def _one_line_warning(message: Warning | str, *_where: Any, **_more: Any) -> str:
+    return f"touchdown: warning: {message}\n"
+
+
+def _interrupt(_signal: int, _frame: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def _let_go_of_stdout() -> None:
+    """What could not be written is dropped, lest the interpreter try it again at its end."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  nothing is left to close it
+        sys.__stdout__ = sys.stdout  # type: ignore[misc]
+
+
+def _fail(message: str) -> int:
+    end_progress(quiet=False)
+    print(error_line(message), file=sys.stderr)
+    return EXIT_USAGE
+
+
+def _missing_command(error: click.exceptions.NoArgsIsHelpError) -> str:
+    context = error.ctx
+    if context is None or not isinstance(context.command, click.Group):
+        return _click_message(error)
+    known = ", ".join(context.command.list_commands(context))
+    return f"'{context.command_path}' needs a command: {known}"
+
+
+def _click_message(error: click.ClickException) -> str:
+    """Click's message in the style of ours, with the way to the help of the command."""
+    message = error.format_message().rstrip(".")
+    message = message[:1].lower() + message[1:]
+    context = getattr(error, "ctx", None)
+    return f"{message}; see '{context.command_path} --help'" if context else message

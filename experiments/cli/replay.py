@@ -1,0 +1,142 @@
+"""``touchdown fly --replay`` and ``touchdown check-estimator``."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import click
+
+from touchdown.experiments.api import is_good
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED
+from touchdown.experiments.errors import usage_errors
+
+_FLOWN = {
+    "seed": "--seed",
+    "wind_kmh": "--wind-kmh",
+    "calibration": "--calibration",
+    "config_file": "--config",
+    "record": "--record",
+    "fault": "--fault",
+    "log_sensors": "--log-sensors",
+}
+"""Options that decide a flight and mean nothing once it is over."""
+
+
+def run_replay(run: Path, options: dict[str, Any]) -> int:
+    """Logged sensors of ``run`` through an estimator; ``options`` are those of ``fly``."""
+    from touchdown.experiments.cli.console import print_result
+    from touchdown.experiments.errors import UsageError
+    from touchdown.experiments.flight.replay import replay, replay_config
+    from touchdown.experiments.io.run_directory import check_log_kept
+    from touchdown.experiments.terminal import end_progress, make_progress
+
+    for name, option in _FLOWN.items():
+        if options.get(name) not in (None, (), False):
+            raise UsageError(f"{option} does not go with --replay: the flight is over")
+    config = replay_config(run, options["estimator"], options["overrides"])
+    scene, quiet = options["scene"], options["quiet"]
+    if scene is not None and scene != config.scene:
+        raise UsageError(f"'{run}' was flown over {config.scene}, not {scene}")
+    out = options["out"]
+    if out is None:
+        stem = Path(config.scene).stem
+        name = config.estimator.replace(":", ".")
+        out = Path("runs") / f"{stem}-{name}-{config.seed}-replay"
+    if out.resolve() != run.resolve():  # which is told as such
+        check_log_kept(out, logs=False, force=options["force"])
+    result = replay(run, config, out, make_progress(quiet))
+    end_progress(quiet)
+    good = is_good(result)
+    if options["as_json"]:
+        click.echo(json.dumps({**result, "run_dir": str(out)}, indent=2))
+    else:
+        print_result(result, out, good)
+        click.echo(f"replayed open loop, judged {result['judged_hz']:g} times a second")
+    return EXIT_DONE if good else EXIT_FAILED
+
+
+@click.command("check-estimator")
+@click.argument("name")
+@click.option(
+    "--replay",
+    "run",
+    metavar="RUN",
+    type=click.Path(path_type=Path),
+    help="Messages of a run with sensors.mcap instead of made-up ones.",
+)
+@click.option("--seconds", type=float, default=3.0, show_default=True, help="Of messages.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="May be repeated.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def check_estimator(
+    name: str, run: Path | None, seconds: float, overrides: tuple[str, ...], as_json: bool
+) -> int:
+    """Check that an estimator keeps the contract of a flight, without flying.
+
+    NAME is MODULE:FUNCTION of your own, or one of ours. Exit code 0: nothing is wrong; 1: a rule is
+    broken, each with its reason.
+
+    Example: touchdown check-estimator my_lab.vio:build
+    """
+    from touchdown.experiments.errors import UsageError
+    from touchdown.experiments.external.conformance import RULES
+
+    if not seconds > 0.0:
+        raise UsageError(f"--seconds {seconds:g} must be positive")
+    violations = _checked(name, run, seconds, overrides)
+    if as_json:
+        rows = [{"rule": v.rule, "reason": v.reason, "trace": v.trace} for v in violations]
+        click.echo(json.dumps({"estimator": name, "violations": rows}, indent=2))
+    else:
+        for violation in violations:
+            click.echo(str(violation))
+            if violation.trace:
+                click.echo(textwrap.indent(violation.trace.rstrip(), "    "))
+        broken = len(violations)
+        click.echo(f"{name}: {broken} of {len(RULES)} rules broken" if broken else f"{name}: good")
+    return EXIT_FAILED if violations else EXIT_DONE
+
+
+def _checked(name: str, run: Path | None, seconds: float, overrides: tuple[str, ...]) -> list[Any]:
+    from touchdown.experiments.config.loading import load_config
+    from touchdown.experiments.external import conformance as contract
+    from touchdown.experiments.external.wrapper import OutsideError
+    from touchdown.experiments.flight.platform import limit_threads
+    from touchdown.experiments.flight.replay import check_needs, open_run, replay_config, seen_by
+    from touchdown.experiments.flight.wiring import build_estimator
+
+    limit_threads()
+    if run is None:
+        config = load_config(None, overrides, estimator=name)
+        build = usage_errors(lambda: _build_function(config))
+        return contract.check_estimator(build, params=config.outside, seconds=seconds)
+    logged = open_run(run)
+    config = replay_config(run, name, overrides)
+    build = usage_errors(lambda: _build_function(config))
+    rig, observations = logged.sensors.rig, []
+    try:
+        needs = build_estimator(config, rig).needs
+    except OutsideError:
+        # It does not get as far as messages; the contract says why.
+        return contract.check_estimator(build, rig=rig, params=config.outside, seconds=seconds)
+    check_needs(name, needs, logged.sensors)
+    for obs in seen_by(needs, logged.sensors):
+        observations.append(obs)
+        if obs.time_s >= seconds:
+            break
+    return contract.check_estimator(
+        build, rig=rig, params=config.outside, observations=observations
+    )
+
+
+def _build_function(config: Any) -> Any:
+    """``build(params, rig)`` of the configured estimator. Raises UsageError where there is none."""
+    from touchdown.experiments.external.loading import is_outside, outside_builder
+    from touchdown.experiments.flight.wiring import build_estimator, check_estimator
+
+    check_estimator(config.estimator)
+    if is_outside(config.estimator):
+        return outside_builder(config.estimator)
+    return lambda _params, rig: build_estimator(config, rig)

@@ -1,0 +1,150 @@
+"""Commands that read finished flights: ``touchdown report`` and ``touchdown regress``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED
+
+
+@click.command()
+@click.argument("directory", type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Write the full report there.  [DIRECTORY/report for a campaign]",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def report(directory: Path, out: Path | None, as_json: bool) -> int:
+    """Report on all flights at or below DIRECTORY.
+
+    Of a campaign, or with --out: the paper's tables and figures, measured beside published, as
+    report.html (one file, no network needed), report.md and report.json. Of any other directory: a
+    Markdown table of its runs, and a line on how they ended. Exit code 1 means that runs of a
+    campaign came to something else than its file expects.
+
+    Example: touchdown report campaigns/positioning
+    """
+    from touchdown.experiments.campaign.results_table import is_campaign
+
+    if out is None and not is_campaign(directory):
+        return _print_table(directory, as_json)
+    return _write_report(directory, out or directory / "report", as_json)
+
+
+def _print_table(directory: Path, as_json: bool) -> int:
+    from touchdown.experiments.reporting.run_table import (
+        LANDING_COLUMNS,
+        load_runs,
+        markdown_table,
+        summary,
+        summary_line,
+    )
+
+    rows = load_runs(directory)
+    totals = summary(rows)
+    if as_json:
+        click.echo(json.dumps({"summary": totals, "runs": rows}, indent=2))
+    else:
+        click.echo(markdown_table(rows, LANDING_COLUMNS))
+        click.echo(f"\n{summary_line(totals)}")
+    return EXIT_DONE
+
+
+def _write_report(directory: Path, out: Path, as_json: bool) -> int:
+    from touchdown.experiments.campaign.expectations import all_as_expected, judge_campaign, lines
+    from touchdown.experiments.campaign.results_table import is_campaign
+    from touchdown.experiments.errors import UsageError
+    from touchdown.experiments.reporting.document import as_json as figures
+    from touchdown.experiments.reporting.document import make_report, write_report
+    from touchdown.experiments.reporting.flights import campaign_text, load_flights
+
+    rows = load_flights(directory)
+    verdicts = judge_campaign(directory) if is_campaign(directory) else []
+    made = make_report(
+        rows,
+        title=f"Touchdown: {directory.resolve().name}",
+        configuration=campaign_text(directory),
+        verdicts=verdicts,
+    )
+    try:
+        written = write_report(made, rows, out)
+    except OSError as error:
+        raise UsageError(f"--out {out}: cannot be written: {error.strerror}") from error
+    if as_json:
+        files = {kind: str(path) for kind, path in written.items()}
+        click.echo(json.dumps({**figures(made, rows), "files": files}, indent=2))
+        return EXIT_DONE if all_as_expected(verdicts) else EXIT_FAILED
+    for section in made.sections[:2]:
+        click.echo(f"{section.title}\n")
+        click.echo("\n".join(f"- {line}" for line in section.words) + "\n")
+    if verdicts:
+        click.echo("\n".join(lines(verdicts)) + "\n")
+    for path in written.values():
+        click.echo(f"written: {path}")
+    return EXIT_DONE if all_as_expected(verdicts) else EXIT_FAILED
+
+
+@click.command()
+@click.argument("directory", type=click.Path(path_type=Path))
+@click.option(
+    "--baseline",
+    required=True,
+    metavar="F.json",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Flights to compare with, written by --update.",
+)
+@click.option("--update", is_flag=True, help="Make the flights of DIRECTORY the baseline.")
+@click.option(
+    "--margin",
+    type=click.FloatRange(min=0.0),
+    default=0.0,
+    show_default=True,
+    help="Share by which errors may grow: 0.1 asks for more than 10 % worse.",
+)
+@click.option(
+    "--require-power",
+    is_flag=True,
+    help="Exit 1 also where a scene and method has too few equal seeds to find any change.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def regress(
+    directory: Path,
+    baseline: Path,
+    update: bool,
+    margin: float,
+    require_power: bool,
+    as_json: bool,
+) -> int:
+    """Exit 1 when the position error of DIRECTORY's flights is worse than the baseline's.
+
+    Compares each scene and method: a paired test on equal seeds, a bootstrap where seeds differ,
+    corrected over all of them, so that chance alone fails at most 5 comparisons of 100. Flights
+    that came to an error in the baseline and come to none now are worse without a test, and so is
+    a directory with nothing to compare.
+
+    Example: touchdown regress campaigns/positioning --baseline baseline.json
+    """
+    from touchdown.experiments.reporting.flights import load_flights
+    from touchdown.experiments.reporting.regression.baseline import read_baseline, write_baseline
+    from touchdown.experiments.reporting.regression.compare import compare
+    from touchdown.experiments.reporting.regression.verdict import table_lines, verdict_words
+
+    rows = load_flights(directory)
+    if update:
+        write_baseline(rows, baseline)
+        if as_json:
+            click.echo(json.dumps({"baseline": str(baseline), "flights": len(rows)}))
+        else:
+            click.echo(f"written: {baseline}, {len(rows)} flights")
+        return EXIT_DONE
+    found = compare(rows, read_baseline(baseline), margin)
+    if as_json:
+        click.echo(json.dumps({**found.as_json(), "words": verdict_words(found)}, indent=2))
+    else:
+        table = [*table_lines(found), ""] if found.cells else []
+        click.echo("\n".join([*table, *verdict_words(found)]))
+    return EXIT_FAILED if found.failed(require_power) else EXIT_DONE

@@ -1,0 +1,104 @@
+"""``touchdown reproduce``: the paper's tables and figures, from one command."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
+
+
+@click.command()
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR",
+              help="Directory, needed but for --list; an earlier one is gone on with.")  # fmt: skip
+@click.option("--quick", is_flag=True, help="Few flights and one small network.")
+@click.option("--jobs", type=click.IntRange(1, 1024), help="Flights at a time.  [cores]")
+@click.option("--skip", multiple=True, metavar="PART",
+              help="Leave a part out, such as recognition. May be repeated.")  # fmt: skip
+@click.option("--photographs", multiple=True, metavar="[KIND=]DIR",
+              help="Labelled photographs to learn from and test on beside rendered "
+              "pictures, as --data of touchdown train. May be repeated.")  # fmt: skip
+@click.option("--list", "only_list", is_flag=True,
+              help="Print the parts, what each shows and about how long it takes.")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+def reproduce(
+    out: Path | None,
+    quick: bool,
+    jobs: int | None,
+    skip: tuple[str, ...],
+    photographs: tuple[str, ...],
+    only_list: bool,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Do everything that the paper did, and set every table and figure of it beside ours.
+
+    Calibrates, flies the campaigns of positioning and landing, trains networks, and writes
+    DIR/report: report.html (one file, no network needed), report.md and report.json. Stop it at any
+    time: the same command goes on where it was, and a quick one becomes whole without --quick. Exit
+    code 1 means that a part failed its purpose, 2 bad input.
+
+    Example: touchdown reproduce --out runs/reproduction --quick
+    """
+    from touchdown.experiments.campaign.progress import Display
+    from touchdown.experiments.campaign.session import Watcher, default_jobs
+    from touchdown.experiments.reproduce.report import figures_of
+    from touchdown.experiments.reproduce.run import overview
+    from touchdown.experiments.reproduce.run import reproduce as run
+    from touchdown.experiments.reproduce.state import REPORT
+    from touchdown.experiments.terminal import make_notes
+
+    jobs = jobs or default_jobs()
+    if only_list:
+        _print_list(overview(quick=quick, jobs=jobs, skip=skip), as_json)
+        return EXIT_DONE
+    if out is None:
+        raise click.UsageError("missing option '--out'", click.get_current_context())
+    try:
+        done = run(
+            out,
+            quick=quick,
+            jobs=jobs,
+            skip=skip,
+            photographs=photographs,
+            notes=make_notes(quiet),
+            watcher=Watcher if quiet else Display,
+        )
+    except KeyboardInterrupt:
+        print(
+            "touchdown: stopped; what is done is kept, and the same command goes on with the rest",
+            file=sys.stderr,
+        )
+        return EXIT_INTERRUPTED
+    figures = figures_of(done, out / REPORT)
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+    else:
+        _print_parts(figures)
+    return EXIT_DONE if done.good else EXIT_FAILED
+
+
+def _print_list(parts: Sequence[Mapping[str, Any]], as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps({"parts": parts}, indent=2))
+        return
+    for part in parts:
+        minutes = part["core_minutes"]
+        click.echo(f"{part['part']:15} {minutes:8.1f} min of one core   {', '.join(part['shows'])}")
+    click.echo(f"{'together':15} {sum(p['core_minutes'] for p in parts):8.1f} min of one core")
+
+
+def _print_parts(figures: Mapping[str, Any]) -> None:
+    for part in figures["parts"]:
+        word = "done" if part["good"] else f"FAILED: {part['why']}"
+        click.echo(f"{part['part']:15} {part['edition']:6} {part['wall_s']:8.0f} s  {word}")
+    for name in figures["skipped"]:
+        click.echo(f"{name:15} left out")
+    for path in figures["files"].values():
+        click.echo(f"written: {path}")

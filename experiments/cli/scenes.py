@@ -1,0 +1,222 @@
+"""Commands about the places to land in: ``touchdown scenes ...``."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import click
+
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, CommandGroup
+from touchdown.experiments.cli.console import print_place, print_scene_check
+from touchdown.experiments.errors import usage_errors
+from touchdown.experiments.terminal import make_notes
+
+VIEW_NAMES = (
+    "above",
+    "oblique",
+    "camera",
+    "depth",
+    "lidar",
+    "height",
+    "slope",
+    "class",
+    "safe",
+)
+"""The keys of `experiments.scene_tools.views.VIEWS`, here so that help is instant."""
+
+
+@click.group(cls=CommandGroup)
+def scenes() -> int:
+    """The places to land in: names, pictures, MJCF.
+
+    Example: touchdown scenes list
+    """
+    return EXIT_DONE
+
+
+@scenes.command("list")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def scenes_list(as_json: bool) -> int:
+    """Print the names of the scenes.
+
+    Example: touchdown scenes list
+    """
+    from touchdown.scenes.registry import scene_names
+
+    names = scene_names()
+    click.echo(json.dumps({"scenes": names}) if as_json else "\n".join(names))
+    return EXIT_DONE
+
+
+@scenes.command("render")
+@click.argument("scene", required=False)
+@click.option("--all", "every_scene", is_flag=True, help="Every view of every scene.")
+@click.option("--all-views", is_flag=True, help="Every view of SCENE.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="PNG file, or directory for several.  [SCENE-VIEW.png, SCENE-SEED, scenes-SEED]",
+)
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option(
+    "--view",
+    type=click.Choice(VIEW_NAMES),
+    default="above",
+    show_default=True,
+    help="From above or from a corner; what camera, its depth and one second of LIDAR (coloured by "
+    "intensity) show from 30 m above the take-off; the true height, slope, class and safe ground.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+def scenes_render(
+    scene: str | None,
+    every_scene: bool,
+    all_views: bool,
+    out: Path | None,
+    seed: int,
+    view: str,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Write a picture of a scene, or all pictures of one or of every scene.
+
+    --all writes DIR/SCENE/VIEW.png and DIR/contact_sheet.png; --all-views writes DIR/VIEW.png.
+
+    Example: touchdown scenes render crossroad --view oblique --out crossroad.png
+    """
+    if every_scene == (scene is not None):
+        raise click.UsageError("give either SCENE or --all")
+    from touchdown.experiments.scene_tools import render as scene_tools
+
+    if every_scene:
+        folder = out or Path(f"scenes-{seed}")
+        notes = make_notes(quiet)
+        sheet = scene_tools.render_every_scene(seed, folder, notes)
+        done = {"directory": str(folder), "contact_sheet": str(sheet)}
+    elif scene is not None and all_views:
+        folder = out or Path(f"{Path(scene).stem}-{seed}")
+        scene_tools.render_all_views(scene, seed, folder)
+        done = {"directory": str(folder)}
+    else:
+        target = out or Path(f"{Path(scene or '').stem}-{view}.png")
+        scene_tools.render_view(scene or "", seed, view, target)
+        done = {"picture": str(target)}
+    click.echo(json.dumps(done) if as_json else "\n".join(done.values()))
+    return EXIT_DONE
+
+
+@scenes.command("check")
+@click.argument("names", nargs=-1, metavar="[SCENE]...")
+@click.option("--seeds", type=click.IntRange(1), default=25, show_default=True,
+              help="Of a named scene; a file has none.")  # fmt: skip
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE",
+              help="Of a file's survey, such as survey.legs=1. May be repeated.")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+def scenes_check(
+    names: tuple[str, ...], seeds: int, overrides: tuple[str, ...], as_json: bool, quiet: bool
+) -> int:
+    """Build many seeds of scenes (all, unless named): do they differ, do they offer safe ground?
+
+    Exit code 1 when a seed does not build or two seeds of a scene are the same place. A seed that
+    offers no safe site where the survey looks is named.
+
+    Of an MJCF file: can it be flown? The take-off spot, the ground under the survey, the share of
+    safe ground, geoms without a class. Exit code 1 when it cannot, with the reason.
+
+    Example: touchdown scenes check crossroad --seeds 5
+    """
+    from touchdown.experiments.scene_tools.flyability import check_place
+    from touchdown.experiments.scene_tools.seed_check import check_scenes, passed
+    from touchdown.scenes.registry import scene_names
+
+    known = scene_names()
+    chosen = names or tuple(known)
+    places = [check_place(name, overrides) for name in chosen if name not in known]
+    rows = check_scenes([n for n in chosen if n in known], seeds, make_notes(quiet))
+    if as_json:
+        click.echo(json.dumps({"scenes": rows, "places": places}, indent=2))
+    else:
+        for place in places:
+            print_place(place)
+        if rows:
+            print_scene_check(rows)
+    good = passed(rows) and not any(place["problems"] for place in places)
+    return EXIT_DONE if good else EXIT_FAILED
+
+
+@scenes.command("export")
+@click.argument("scene")
+@click.option("--out", type=click.Path(path_type=Path), help="Directory.  [SCENE-SEED]")
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int:
+    """Write a scene's MJCF with its assets, to open in MuJoCo's own viewer.
+
+    Example: touchdown scenes export crossroad --out crossroad &&
+    python -m mujoco.viewer --mjcf=crossroad/scene.xml
+    """
+    from touchdown.experiments.scene_tools.render import export_place
+
+    target = out or Path(f"{Path(scene).stem}-{seed}")
+    model_file = export_place(scene, seed, target)
+    click.echo(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
+    return EXIT_DONE
+
+
+@scenes.command("import-dem")
+@click.argument("dem", type=click.Path(path_type=Path))
+@click.argument("out", type=click.Path(path_type=Path))
+@click.option(
+    "--ortho",
+    type=click.Path(path_type=Path),
+    help="Aerial picture of the same extent, or a GeoTIFF.  [relief in colours]",
+)
+@click.option("--cell", "cell_m", type=float, metavar="M", help="Node spacing.  [the model's]")
+@click.option("--window", "window_m", type=float, default=200.0, show_default=True, metavar="M",
+              help="Side of the square that is cut out.")  # fmt: skip
+@click.option("--centre", nargs=2, type=float, metavar="E N",
+              help="Its centre, metres from the south-west corner.  [the middle]")  # fmt: skip
+@click.option("--class", "land_class", default="field", show_default=True,
+              help="Land class of the ground.")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def scenes_import_dem(
+    dem: Path,
+    out: Path,
+    ortho: Path | None,
+    cell_m: float | None,
+    window_m: float,
+    centre: tuple[float, float] | None,
+    land_class: str,
+    as_json: bool,
+) -> int:
+    """Make a scene of DEM, a GeoTIFF of heights, in the new folder OUT.
+
+    Example: touchdown scenes import-dem hill.tif --ortho hill.png hill &&
+    touchdown land hill/scene.xml
+    """
+
+    model_file, notes = usage_errors(
+        lambda: import_dem(
+            dem, out, ortho=ortho, cell_m=cell_m, window_m=window_m, centre_m=centre,
+            land_class=land_class,
+        )
+    )  # fmt: skip
+    for note in notes:
+        click.echo(f"touchdown: {note}", err=True)
+    click.echo(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
+    return EXIT_DONE
+
+
+def import_dem(tif: Path, out: Path, **options: Any) -> tuple[Path, list[str]]:
+    """A scene of an elevation model, as `scenes.importers.dem.import_dem`: the MJCF file, and what
+    the user should know of it."""
+    from touchdown.scenes.importers.dem import import_dem as import_model
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        path = import_model(tif, out, **options)
+    return path, [str(warning.message) for warning in caught]

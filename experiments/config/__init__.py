@@ -1,0 +1,1 @@
+"""The configuration: schema, loading, checks across keys. Imports no simulator."""

@@ -1,0 +1,212 @@
+"""Builds a configuration from files and options.
+
+Order of precedence, lowest first: the defaults of the ``*Params`` dataclasses in the ``api.py``
+files, a TOML file (or the ``config.json`` of an earlier run), ``--set a.b=c``, explicit options.
+Every mistake is a ``UsageError`` with one line: what is wrong, where, what would be right.
+"""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import json
+import math
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from touchdown.experiments.config.checks import (
+    _check_faults,
+    _check_map,
+    _check_ranges,
+    _check_rates,
+    _check_survey,
+)
+from touchdown.experiments.config.external_table import wrong_outside_key
+from touchdown.experiments.config.keys import flatten, is_outside_key
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.errors import UsageError, nearest
+
+OPTION_KEYS: Mapping[str, str] = {
+    "scene": "scene",
+    "seed": "seed",
+    "estimator": "estimator",
+    "calibration": "calibration",
+    "record": "record",
+    "log_sensors": "log.sensors",
+    "wind_kmh": "wind.mean_kmh",
+    "site": "landing.site_xy_m",
+    "emergency": "landing.emergency",
+    "survey_only": "landing.survey_only",
+    "fault": "faults.events",
+}
+"""Explicit options of ``load_config`` and the keys that they set."""
+
+
+def load_config(
+    file: Path | None = None,
+    overrides: list[str] | tuple[str, ...] = (),
+    take: Callable[[str], bool] = lambda _key: True,
+    **options: Any,
+) -> Config:
+    """Builds the configuration of a flight.
+
+    ``file`` is a TOML file or a ``config.json``; ``overrides`` are ``a.b=c`` strings whose values
+    are TOML (bare words count as text); ``options`` are the names in ``OPTION_KEYS``, where None
+    means not given. ``take`` says of each key of the file whether it counts. Raises ``UsageError``.
+    """
+    values: dict[str, Any] = {}
+    sources: dict[str, str] = {}
+    if file is not None:
+        for key, value in flatten(read_tree(file)):
+            if take(key):
+                values[key], sources[key] = value, str(file)
+    for text in overrides:
+        key, value = _parse_override(text)
+        values[key], sources[key] = value, f"--set {text}"
+    for name, value in options.items():
+        if value is not None:
+            key = OPTION_KEYS[name]
+            values[key] = list(value) if isinstance(value, tuple) else value
+            sources[key] = f"--{name.replace('_', '-')}"
+    return config_of(values, sources)
+
+
+def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
+    """The configuration that sets ``values``, by dotted key; ``sources`` says where each comes
+    from. Raises ``UsageError``."""
+    for key, value in values.items():
+        _check_key(key, sources[key])
+        _check_finite(key, value, sources[key])
+    if found := wrong_outside_key(values, values.get("estimator", "livo")):
+        key, reason = found
+        raise UsageError(f"{key} in {sources.get(key, 'the configuration')} {reason}")
+    config = _validate(values, sources)
+    _check_ranges(config, sources)
+    _check_rates(config)
+    _check_map(config)
+    _check_faults(config, sources)
+    _check_survey(config, sources)
+    return config
+
+
+def dump_config(config: Config) -> str:
+    """JSON text that ``load_config`` reads back to an equal configuration."""
+    return config.model_dump_json(indent=2) + "\n"
+
+
+@functools.cache
+def known_keys() -> tuple[str, ...]:
+    """Every dotted key of the schema, in its order."""
+    return tuple(key for key, _ in flatten(json.loads(Config().model_dump_json())))
+
+
+def is_key(key: str) -> bool:
+    """Whether a dotted key may be set."""
+    return key in known_keys() or is_outside_key(key)
+
+
+def read_tree(file: Path) -> dict[str, Any]:
+    """The tables of a TOML or JSON file. Raises ``UsageError``."""
+    if not file.is_file():
+        raise UsageError(f"configuration file '{file}' does not exist")
+    try:
+        text = file.read_text(encoding="utf-8")
+        data = json.loads(text) if file.suffix == ".json" else tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
+        kind = "JSON" if file.suffix == ".json" else "TOML"
+        raise UsageError(f"'{file}' is not valid {kind}: {_one_line(error)}") from None
+    except (UnicodeDecodeError, OSError) as error:
+        raise UsageError(f"'{file}' cannot be read as text: {_one_line(error)}") from None
+    except RecursionError:
+        raise UsageError(f"'{file}' is nested too deeply for a configuration") from None
+    if not isinstance(data, dict):
+        raise UsageError(f"'{file}' must hold one object of keys and values")
+    return data
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _parse_override(text: str) -> tuple[str, Any]:
+    key, equals, raw = text.partition("=")
+    key = key.strip()
+    if not equals or not re.fullmatch(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*", key):
+        raise UsageError(f"--set '{text}' is not of the form key=value, such as wind.mean_kmh=20")
+    try:
+        return key, tomllib.loads(f"value = {raw.strip()}")["value"]
+    except (tomllib.TOMLDecodeError, KeyError, RecursionError):
+        return key, raw.strip()
+
+
+def _check_key(key: str, source: str) -> None:
+    keys = known_keys()
+    if is_key(key):
+        return
+    if key == "outside":
+        keys = ("outside.gain",)
+    inside = [known for known in keys if known.startswith(f"{key}.")]
+    if inside:
+        raise UsageError(
+            f"'{key}' in {source} is a group, set one of its keys, such as '{inside[0]}'"
+        )
+    group, _, rest = key.partition(".")
+    if rest and difflib.get_close_matches(group, ["outside"], cutoff=0.7):
+        keys = (*keys, f"outside.{rest}")
+    hint = nearest(key, keys) or _same_last_name(key, keys)
+    raise UsageError(f"unknown key '{key}' in {source}{hint or f'; groups: {_groups()}'}")
+
+
+def _same_last_name(key: str, keys: tuple[str, ...]) -> str:
+    """The hint for a key whose group is wrong or missing: ``mean_kmh`` for ``wind.mean_kmh``."""
+    name = key.split(".")[-1]
+    matches = difflib.get_close_matches(name, [k.split(".")[-1] for k in keys], n=1, cutoff=0.5)
+    full = [known for known in keys if matches and known.split(".")[-1] == matches[0]]
+    return f" (did you mean '{full[0]}'?)" if full else ""
+
+
+def _groups() -> str:
+    return ", ".join(Config.model_fields)
+
+
+def _check_finite(key: str, value: Any, source: str) -> None:
+    numbers = value if isinstance(value, list) else [value]
+    for number in numbers:
+        if isinstance(number, float) and not math.isfinite(number):
+            raise UsageError(f"{key} = {number} in {source} must be a finite number")
+
+
+def _validate(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
+    tree: dict[str, Any] = {}
+    for key, value in values.items():
+        if key == "faults.events" and isinstance(value, str):
+            value = [value]
+        *groups, name = key.split(".")
+        node = tree
+        for group in groups:
+            node = node.setdefault(group, {})
+        node[name] = value
+    try:
+        # JSON, because strict validation of JSON takes arrays for tuples and whole numbers for
+        # floats but neither text for numbers nor numbers for booleans.
+        return Config.model_validate_json(json.dumps(tree, default=str), strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        location = [str(part) for part in first["loc"] if not str(part).isdigit()]
+        key = next(
+            (
+                ".".join(location[:n])
+                for n in range(len(location), 0, -1)
+                if ".".join(location[:n]) in values
+            ),
+            ".".join(location),
+        )
+        message = first["msg"][:1].lower() + first["msg"][1:]
+        given = json.dumps(values.get(key), default=str)
+        where = sources.get(key, "the configuration")
+        raise UsageError(f"{key} = {given} in {where} is wrong: {message}") from None

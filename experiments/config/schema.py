@@ -1,0 +1,123 @@
+"""The configuration: its schema is the code, files and options override it.
+
+Order of precedence, lowest first: the defaults of the ``*Params`` dataclasses in the ``api.py``
+files, a TOML file (or the ``config.json`` of an earlier run), ``--set a.b=c``, explicit options.
+Every mistake is a ``UsageError`` with one line: what is wrong, where, what would be right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from touchdown.controller.api import ControlParams
+from touchdown.estimator.api import (
+    GpsEstimatorParams,
+    HybridFlowParams,
+    LivoParams,
+    MapperParams,
+    OpticalFlowParams,
+    PaperParams,
+    StereoParams,
+)
+from touchdown.experiments.api import BiasParams, RefereeParams, RigErrorParams
+from touchdown.landing.api import LandingParams, SurveyParams
+from touchdown.sim.api import (
+    FORBID_EXTRA,
+    BarometerParams,
+    CameraParams,
+    FaultParams,
+    GpsParams,
+    ImuParams,
+    LidarParams,
+    MagnetometerParams,
+    NavParams,
+    RangefinderParams,
+    SimParams,
+    WindParams,
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LogParams:
+    """What a run directory keeps, and how densely."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    trajectory_hz: float = 50.0
+    """rows a second in the .tum files"""
+    camera_hz: float = 2.0
+    """most images a second in the recording"""
+    jpeg_quality: int = 70
+    scan_hz: float = 5.0
+    """most LIDAR scans a second in the recording"""
+    scan_points: int = 2500
+    """most points of a recorded scan"""
+    map_period_s: float = 2.5
+    """between two updates of the recorded map"""
+    texture_pixels: int = 1600
+    """longer side of the ground texture in the recording"""
+    sensors: bool = False
+    """write ``sensors.mcap``: every message that reached the estimator, for replay"""
+
+
+class Config(BaseModel):
+    """Everything that decides a flight; written as ``config.json`` beside its results."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    scene: str = "crossroad"
+    seed: int = 0
+    scene_seed: int | None = None
+    """seed of the place alone, for flights over one place in other winds and noises; None: ``seed``
+    decides that too"""
+    estimator: str = "livo"
+    outside: dict[str, Any] = Field(default_factory=dict)
+    """what an estimator of somebody's own, MODULE:FUNCTION, is built with: any keys"""
+    calibration: str | None = None
+    """path of a file of `touchdown calibrate` that estimators are told instead of the rig's own
+    calibration with the errors of ``rig_error``"""
+    record: bool = True
+    """write the Rerun recording (trajectories, map and costmap are always written)"""
+    sim: SimParams = Field(default_factory=SimParams)
+    wind: WindParams = Field(default_factory=WindParams)
+    lidar: LidarParams = Field(default_factory=LidarParams)
+    camera: CameraParams = Field(default_factory=CameraParams)
+    imu: ImuParams = Field(default_factory=ImuParams)
+    gps: GpsParams = Field(default_factory=GpsParams)
+    barometer: BarometerParams = Field(default_factory=BarometerParams)
+    magnetometer: MagnetometerParams = Field(default_factory=MagnetometerParams)
+    rangefinder: RangefinderParams = Field(default_factory=RangefinderParams)
+    faults: FaultParams = Field(default_factory=FaultParams)
+    mapper: MapperParams = Field(default_factory=MapperParams)
+    livo: LivoParams = Field(default_factory=LivoParams)
+    paper: PaperParams = Field(default_factory=PaperParams)
+    gps_estimator: GpsEstimatorParams = Field(default_factory=GpsEstimatorParams)
+    optical_flow: OpticalFlowParams = Field(default_factory=OpticalFlowParams)
+    hybrid_flow: HybridFlowParams = Field(default_factory=HybridFlowParams)
+    stereo_vo: StereoParams = Field(default_factory=StereoParams)
+    control: ControlParams = Field(default_factory=ControlParams)
+    survey: SurveyParams = Field(default_factory=SurveyParams)
+    landing: LandingParams = Field(default_factory=LandingParams)
+    referee: RefereeParams = Field(default_factory=RefereeParams)
+    bias: BiasParams = Field(default_factory=BiasParams)
+    rig_error: RigErrorParams = Field(default_factory=RigErrorParams)
+    log: LogParams = Field(default_factory=LogParams)
+
+    @property
+    def nav(self) -> NavParams:
+        """The small sensors together, as the world takes them."""
+        return NavParams(
+            gps=self.gps,
+            barometer=self.barometer,
+            magnetometer=self.magnetometer,
+            rangefinder=self.rangefinder,
+        )
+
+
+# ------------------------------------------------------------------------------------- reading
+
+
+# ----------------------------------------------------------------------------------- validation

@@ -1,0 +1,1 @@
+"""Map images, axes and contact sheets. Knows nothing of flights."""

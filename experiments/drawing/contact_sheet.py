@@ -1,0 +1,57 @@
+"""Many scenes at a glance: one row of small pictures for each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Picture = NDArray[np.uint8]
+
+SHEET_VIEWS = ("above", "oblique", "camera", "depth", "lidar", "height", "class", "safe")
+_ROW_PIXELS = 230
+_GAP_PIXELS = 8
+_TITLE_PIXELS = 34
+_PAPER, _INK = 255, (30, 30, 30)
+
+
+def thumbnails(pictures: Mapping[str, Picture]) -> dict[str, Picture]:
+    """The views of one scene that the sheet shows, small, so that many scenes fit into memory."""
+    return {view: _fit(pictures[view]) for view in SHEET_VIEWS}
+
+
+def contact_sheet(scenes: Mapping[str, Mapping[str, Picture]]) -> Picture:
+    """(H, W, 3) RGB: by scene name its `thumbnails`; columns line up, the top row names them."""
+    widths = [max(views[view].shape[1] for views in scenes.values()) for view in SHEET_VIEWS]
+    width = sum(widths) + _GAP_PIXELS * (len(widths) + 1)
+    header = np.full((_TITLE_PIXELS, width, 3), _PAPER, np.uint8)
+    left = _GAP_PIXELS
+    for view, column in zip(SHEET_VIEWS, widths, strict=True):
+        _write(header, view, left, 0.55)
+        left += column + _GAP_PIXELS
+    bands = [header]
+    for name, views in scenes.items():
+        band = np.full((_TITLE_PIXELS + _ROW_PIXELS + _GAP_PIXELS, width, 3), _PAPER, np.uint8)
+        _write(band, name, _GAP_PIXELS, 0.75)
+        left = _GAP_PIXELS
+        for view, column in zip(SHEET_VIEWS, widths, strict=True):
+            small = views[view]
+            top = _TITLE_PIXELS + (_ROW_PIXELS - small.shape[0]) // 2
+            band[top : top + small.shape[0], left : left + small.shape[1]] = small
+            left += column + _GAP_PIXELS
+        bands.append(band)
+    return np.vstack(bands)
+
+
+def _fit(picture: Picture) -> Picture:
+    """At most a row high and twice as wide."""
+    rows, cols = picture.shape[:2]
+    scale = min(_ROW_PIXELS / rows, 2.0 * _ROW_PIXELS / cols)
+    size = (round(cols * scale), round(rows * scale))
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _write(band: Picture, text: str, left: int, scale: float) -> None:
+    cv2.putText(band, text, (left, 25), cv2.FONT_HERSHEY_SIMPLEX, scale, _INK, 1, cv2.LINE_AA)

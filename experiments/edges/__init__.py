@@ -1,0 +1,1 @@
+"""`touchdown edges`: training data, training and scores of the edge detector."""

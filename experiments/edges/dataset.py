@@ -1,0 +1,160 @@
+"""Pictures of scenes from survey heights with their true boundaries.
+
+A boundary separates what a person would call different things: the classes painted into the ground,
+objects by their geom, crowns and bushes as one kind, and places where depth jumps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+from zlib import crc32
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from touchdown.estimator.paper.structured_edges.forest import segment_edges
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.flight.wiring import build_scene
+from touchdown.experiments.scene_tools.aerial_views import (
+    _STEEPEST,
+    _STEP_M,
+    aerial_camera,
+    look_anywhere,
+    paint_ground,
+)
+from touchdown.scenes.api import LAND_CLASSES, Scene
+from touchdown.sim.frames import Pose
+
+if TYPE_CHECKING:
+    from touchdown.sim.aerial import AerialView
+
+Array = NDArray[np.float64]
+Int32 = NDArray[np.int32]
+
+_CROWN_STEP_M = 2.0
+_SMALLEST_PX = 12
+"""segments below this many half-size pixels go to what surrounds them"""
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeView:
+    """One picture at half size, which is the size at which the estimator looks for edges."""
+
+    rgb: NDArray[np.uint8]
+    """(H, W, 3)"""
+    segments: Int32
+    """(H, W) number of the segment of each pixel"""
+    scene: str
+    seed: int
+    world_from_body: Pose
+    time_s: float
+
+
+def edge_views(
+    scenes: Sequence[str],
+    seeds: Sequence[int],
+    views: int,
+    progress: Callable[[str], None] = lambda note: None,
+) -> Iterator[EdgeView]:
+    """``views`` pictures of every scene and seed, all noise on; a pure function of its arguments.
+
+    Camera poses: anywhere over the place, 8 to 40 m above the ground (low heights as often as great
+    ones, by their logarithm), any heading, tilted as by wind. Raises UsageError for bad names.
+    """
+    for name in scenes:
+        for seed in seeds:
+            config = load_config(None, (), scene=name, seed=seed)
+            scene = build_scene(config)
+            progress(f"{name}, seed {seed}")
+            yield from _scene_views(config, scene, views)
+
+
+def _scene_views(config: Config, scene: Scene, views: int) -> Iterator[EdgeView]:
+    rng = np.random.default_rng([config.seed, crc32(b"edge views"), crc32(scene.name.encode())])
+    camera = aerial_camera(config, scene)
+    kinds = surface_kinds(scene)
+    try:
+        for number in range(views):
+            view, pose, time_s = look_anywhere(camera, scene, rng, number)
+            segments = segments_of(view, scene, kinds, camera.intrinsics.matrix())
+            half = cv2.resize(view.rgb, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+            yield EdgeView(
+                np.asarray(half, np.uint8), segments, scene.name, scene.seed, pose, time_s
+            )
+    finally:
+        camera.close()
+
+
+def surface_kinds(scene: Scene) -> Int32:
+    """(G,) a number for every geom: vegetation is one kind, every other geom one of its own."""
+    model = scene.model
+    kinds = np.arange(model.ngeom, dtype=np.int32) + len(LAND_CLASSES)
+    for geom in range(model.ngeom):
+        surface = scene.surfaces.get(model.geom(geom).name)
+        if surface is not None and surface.land_class == "trees":
+            kinds[geom] = LAND_CLASSES.index("trees")
+    return kinds
+
+
+def segments_of(view: AerialView, scene: Scene, kinds: Int32, matrix: Array) -> Int32:
+    """(H/2, W/2) int32 segments of a view: connected pixels, every other one in both directions, of
+    one kind without a jump of depth."""
+    geom_id, depth = view.geom_id[::2, ::2], view.depth_m[::2, ::2]
+    kind = np.where(geom_id >= 0, kinds[geom_id], -1).astype(np.int32)
+    if scene.ground is not None:
+        paint_ground(kind, view, scene, matrix)
+    segments = connected(kind, *_depth_jumps(depth, kind, 0.5 * float(matrix[0, 0])))
+    return without_specks(segments, _SMALLEST_PX)
+
+
+def _depth_jumps(
+    depth: NDArray[np.float32], kind: Int32, focal_px: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Whether depth jumps towards the right (H, W - 1) and towards the lower (H - 1, W) pixel."""
+    finite = np.minimum(depth, np.float32(1e4))
+    step = np.maximum(_STEP_M, _STEEPEST * finite / focal_px)
+    crown = kind == LAND_CLASSES.index("trees")
+    jumps = []
+    for axis in (1, 0):
+        least = np.where(crown, np.maximum(step, _CROWN_STEP_M), step)
+        nearer = np.minimum(*(np.take(least, _but(depth.shape[axis], end), axis) for end in (0, 1)))
+        jumps.append(np.abs(np.diff(finite, axis=axis)) > nearer)
+    return jumps[0], jumps[1]
+
+
+def _but(count: int, last: int) -> NDArray[np.int64]:
+    """All indices but the first (0) or the last (1)."""
+    return np.arange(count - 1) + (1 - last)
+
+
+def connected(kind: Int32, jump_right: NDArray[np.bool_], jump_down: NDArray[np.bool_]) -> Int32:
+    """(H, W) numbers, from 0, of the sets of 4-connected pixels of one kind between which there is
+    no jump."""
+    height, width = kind.shape
+    # a grid twice as fine, in which the link between two pixels is a pixel that may be missing
+    fine = np.zeros((2 * height - 1, 2 * width - 1), np.uint8)
+    fine[::2, ::2] = 1
+    fine[::2, 1::2] = (kind[:, 1:] == kind[:, :-1]) & ~jump_right
+    fine[1::2, ::2] = (kind[1:] == kind[:-1]) & ~jump_down
+    labels = cv2.connectedComponents(fine, connectivity=4, ltype=cv2.CV_32S)[1]
+    return np.ascontiguousarray(labels[::2, ::2] - 1, dtype=np.int32)
+
+
+def without_specks(segments: Int32, smallest: int) -> Int32:
+    """Pixels of segments smaller than ``smallest`` pixels take the nearest larger segment."""
+    large = np.bincount(segments.ravel()) >= smallest
+    if not large.any():
+        return segments
+    keep = large[segments]
+    nearest = ndimage.distance_transform_edt(~keep, return_distances=False, return_indices=True)
+    return np.ascontiguousarray(segments[nearest[0], nearest[1]], dtype=np.int32)
+
+
+def boundaries(segments: Int32) -> NDArray[np.bool_]:
+    """(H, W): pixels whose right or lower neighbour belongs to another segment."""
+    return segment_edges(segments)

@@ -1,0 +1,227 @@
+"""Edges as pictures: energy beside Canny and the truth, and what the estimator makes of it (the
+paper's Fig. 4); precision over recall; the table of scores."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.paper.structured_edges.detector import edge_detector
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.edges.dataset import EdgeView, boundaries, edge_views
+from touchdown.experiments.edges.train import CANNY_THRESHOLDS, canny_masks
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.flight.wiring import build_scene, make_world
+from touchdown.scenes.api import Scene
+from touchdown.sim.frames import Pose
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Picture = NDArray[np.uint8]
+
+_SHOWN = (("houses", 6), ("houses", 10), ("pools", 1))
+"""scene of those held out, and number of its picture; of the first, the scan is shown too"""
+_SHOWN_VIEWS = 12
+_CANNY_SIGMA, _CANNY_LEVEL = 2.0, 3
+_ENERGY_GAIN = 1.0
+_CAPTION_PX = 30
+_GAP = 4
+_INK, _PAPER = (235, 235, 235), 24
+_EDGE_RGB, _PLANAR_RGB = (255, 96, 32), (60, 220, 235)
+DETECTOR_LABELS = {
+    "shipped": "structured edges",
+    "gradient": "gradient edges",
+    "canny": "Canny at its best",
+}
+
+
+def draw_pictures(
+    folder: Path, seed: int, model: str, notes: Callable[[str], None]
+) -> tuple[Path, Path]:
+    """Writes edges.jpg and smoothness.jpg. Raises UsageError where that cannot be."""
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--out: '{folder}' is a file; name a folder")
+    detector = edge_detector(model)
+    folder.mkdir(parents=True, exist_ok=True)
+    comparison, smoothness = folder / "edges.jpg", folder / "smoothness.jpg"
+    views = [
+        view
+        for name in dict.fromkeys(scene for scene, _ in _SHOWN)
+        for number, view in enumerate(edge_views([name], [seed], _SHOWN_VIEWS, notes))
+        if (name, number) in _SHOWN
+    ]
+    _write(comparison, comparison_picture(detector, views))
+    notes("scan and image of one moment")
+    _write(smoothness, smoothness_picture(views[0], model))
+    return comparison, smoothness
+
+
+def comparison_picture(
+    detector: Callable[[Picture], Float32], views: Sequence[EdgeView]
+) -> Picture:
+    """A row for each view: picture, truth, energy, Canny."""
+    rows = []
+    for place, view in enumerate(views):
+        canny = canny_masks(view.rgb, _CANNY_SIGMA)[_CANNY_LEVEL]
+        tiles = [
+            view.rgb,
+            _line_drawing(boundaries(view.segments)),
+            energy_colours(detector(view.rgb)),
+            _line_drawing(canny),
+        ]
+        if place == 0:
+            words = ("camera", "true boundaries", "structured edges", _canny_words())
+            tiles = [_captioned(tile, text) for tile, text in zip(tiles, words, strict=True)]
+        rows.append(_beside(tiles))
+    return _below(rows)
+
+
+def smoothness_picture(shown: EdgeView, model: str) -> Picture:
+    """Image, energy, f_c of the returns of one scan, and the points chosen by it."""
+    config = load_config(None, (f"paper.edge_model={model}",), scene=shown.scene, seed=shown.seed)
+    scene = build_scene(config)
+    view, found = still_features(config, scene, shown.world_from_body, shown.time_s)
+    energy = np.asarray(cv2.resize(energy_colours(found.energy), view.rgb.shape[1::-1]), np.uint8)
+    dim = (0.35 * view.rgb).astype(np.uint8)
+    known = np.isfinite(found.f_c)
+    low, high = np.percentile(np.log(found.f_c[known] + 1e-3), [2.0, 98.0])
+    share = (np.log(found.f_c[known] + 1e-3) - low) / max(high - low, 1e-6)
+    tint = cv2.applyColorMap(
+        (255.0 * np.clip(share, 0.0, 1.0)).astype(np.uint8), cv2.COLORMAP_TURBO
+    ).reshape(-1, 3)[:, ::-1]
+    smooth, chosen = dim.copy(), dim.copy()
+    _dots(smooth, found.pixels[known], tint, 1)
+    for mask, colour, radius in ((found.planar, _PLANAR_RGB, 2), (found.edge, _EDGE_RGB, 3)):
+        _dots(
+            chosen,
+            found.pixels[mask],
+            np.tile(np.array(colour, np.uint8), (int(mask.sum()), 1)),
+            radius,
+        )
+    counts = (
+        f"{int(found.edge.sum())} edge (orange), {int(found.planar.sum())} planar (cyan) points"
+    )
+    return _below(
+        [
+            _beside([_captioned(view.rgb, "camera"), _captioned(energy, "edge energy")]),
+            _beside(
+                [
+                    _captioned(smooth, "geodesic f_c of one scan: blue smooth, red across edges"),
+                    _captioned(chosen, counts),
+                ]
+            ),
+        ]
+    )
+
+
+def energy_colours(energy: Float32) -> Picture:
+    """(H, W, 3): black where there is no edge, then violet, orange, and pale yellow."""
+    level = (255.0 * np.clip(_ENERGY_GAIN * energy, 0.0, 1.0)).astype(np.uint8)
+    return np.ascontiguousarray(cv2.applyColorMap(level, cv2.COLORMAP_INFERNO)[..., ::-1])
+
+
+def plot_curves(path: Path, report: Mapping[str, Any]) -> None:
+    """Precision over recall with lines of equal F. Raises UsageError where that cannot be."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 5.6), dpi=130)
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    recall = np.linspace(0.01, 1.0, 200)
+    for f in np.arange(0.2, 1.0, 0.1):
+        with np.errstate(divide="ignore"):
+            precision = np.where(2 * recall > f, f * recall / (2 * recall - f), np.nan)
+        precision = np.where(precision <= 1.0, precision, np.nan)
+        axes.plot(recall, precision, color="0.85", lw=0.8, zorder=0)
+        axes.text(0.985, f * 0.985 / (2 * 0.985 - f), f"F {f:.1f}", color="0.6", fontsize=7,
+                  ha="right", va="bottom")  # fmt: skip
+    for name, colour in zip(report["curves"], ("#c2410c", "#64748b", "#1d4ed8"), strict=True):
+        curve, row = report["curves"][name], report["detectors"][name]
+        axes.plot(curve["recall"], curve["precision"], color=colour, lw=2.2,
+                  label=f"{DETECTOR_LABELS.get(name, name)}: ODS {row['ods']:.3f}")  # fmt: skip
+        axes.plot(row["recall"], row["precision"], "o", color=colour, ms=7, mec="white")
+    axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="recall", ylabel="precision")
+    axes.set_title(f"{report['pictures']} pictures of places never trained on", fontsize=10)
+    axes.legend(loc="lower left", frameon=False)
+    figure.tight_layout()
+    try:
+        figure.savefig(path)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"--plot: '{path}' cannot be written: {error}") from error
+
+
+def _line_drawing(mask: NDArray[np.bool_]) -> Picture:
+    return np.repeat((230 * mask).astype(np.uint8)[:, :, None], 3, axis=2)
+
+
+def _captioned(tile: Picture, text: str) -> Picture:
+    strip = np.full((_CAPTION_PX, tile.shape[1], 3), _PAPER, np.uint8)
+    cv2.putText(strip, text, (10, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _INK, 1, cv2.LINE_AA)
+    return np.vstack([strip, tile])
+
+
+def _beside(tiles: list[Picture]) -> Picture:
+    bar = np.full((tiles[0].shape[0], _GAP, 3), _PAPER, np.uint8)
+    parts = [part for tile in tiles for part in (tile, bar)]
+    return np.hstack(parts[:-1])
+
+
+def _below(rows: list[Picture]) -> Picture:
+    bar = np.full((_GAP, rows[0].shape[1], 3), _PAPER, np.uint8)
+    parts = [part for row in rows for part in (row, bar)]
+    return np.vstack(parts[:-1])
+
+
+def _dots(picture: Picture, pixels: Array, colours: NDArray[np.uint8], radius: int) -> None:
+    for (u, v), colour in zip(pixels, colours, strict=True):
+        centre = (round(float(u)), round(float(v)))
+        cv2.circle(picture, centre, radius, tuple(map(int, colour)), -1, cv2.LINE_AA)
+
+
+def _write(path: Path, picture: Picture) -> None:
+    bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    for quality in (88, 80, 70, 60):
+        done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        if done and len(data) <= 300_000:
+            break
+    try:
+        path.write_bytes(data.tobytes())
+    except OSError as error:
+        raise UsageError(f"--out: '{path}' cannot be written: {error}") from error
+
+
+if TYPE_CHECKING:
+    from touchdown.estimator.paper.still_scan import StillFeatures
+    from touchdown.sim.aerial import AerialView
+
+
+def still_features(
+    config: Config, scene: Scene, world_from_body: Pose, time_s: float
+) -> tuple[AerialView, StillFeatures]:
+    """What camera and LIDAR see from a pose, and what `paper` makes of one scan of it."""
+    from touchdown.estimator.paper.still_scan import features_of_still_scan
+    from touchdown.sim.aerial import AerialCamera, still_scan
+
+    world = make_world(config, scene)
+    rig = world.rig
+    world.close()
+    camera = AerialCamera(scene, config.camera, config.seed)
+    try:
+        view = camera.look(world_from_body, time_s, 0)
+    finally:
+        camera.close()
+    start = round(time_s * config.sim.tick_hz)
+    ticks = start + config.sim.lidar_scan_ticks * np.arange(2)
+    scan = still_scan(scene, config.lidar, config.seed, world_from_body, ticks, config.sim.tick_hz)
+    return view, features_of_still_scan(scan, view.rgb, rig, config.paper)
+
+
+def _canny_words() -> str:
+    return f"Canny, blur {_CANNY_SIGMA:.0f} px, threshold {CANNY_THRESHOLDS[_CANNY_LEVEL]:.0f}"

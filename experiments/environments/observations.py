@@ -1,0 +1,143 @@
+"""From the world's messages to the arrays that a policy sees."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.sim.api import Observation, SensorNeeds, SensorRig, Truth
+
+Array = NDArray[np.float64]
+
+CAMERA_HZ = 10
+_FAR_M = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """An array of an observation: shape, dtype, and limits that it is clipped to."""
+
+    shape: tuple[int, ...]
+    low: NDArray[Any]
+    high: NDArray[Any]
+
+    @property
+    def dtype(self) -> Any:
+        return self.low.dtype
+
+
+SENSORS: Mapping[str, SensorNeeds] = {
+    "imu": SensorNeeds(),
+    "rangefinder": SensorNeeds(rangefinder=True),
+    "barometer": SensorNeeds(barometer=True),
+    "magnetometer": SensorNeeds(magnetometer=True),
+    "rotors": SensorNeeds(),
+    "gps": SensorNeeds(gps=True),
+    "camera": SensorNeeds(camera_hz=CAMERA_HZ),
+}
+"""By name: what the world has to simulate for it."""
+
+_GYRO_LIMIT, _ACCEL_LIMIT = float(np.radians(2000.0)), 24.0 * 9.81
+"""Full scale of a BMI088."""
+_LIMITS: Mapping[str, tuple[float, Array]] = {
+    "imu": (-1.0, np.array([_GYRO_LIMIT] * 3 + [_ACCEL_LIMIT] * 3)),
+    "rangefinder": (0.0, np.array([_FAR_M])),
+    "barometer": (-1.0, np.array([_FAR_M])),
+    "magnetometer": (-1.0, np.full(3, 100.0)),
+    "rotors": (0.0, np.full(4, 2.0)),
+    "gps": (-1.0, np.array([1e4] * 3 + [100.0] * 3)),
+    "state": (-1.0, np.array([1e4] * 3 + [100.0] * 3 + [1.0] * 9 + [100.0] * 3 + [_FAR_M])),
+}
+"""By name: the low limit as a factor of the high one, and the high limit of every number."""
+
+
+def sensor_needs(sensors: tuple[str, ...]) -> SensorNeeds:
+    """The union of what the named sensors need."""
+    needs = SensorNeeds()
+    for name in sensors:
+        needs |= SENSORS[name]
+    return needs
+
+
+class Senses:
+    """Keeps the newest of every sensor and makes observations out of it."""
+
+    def __init__(
+        self, sensors: tuple[str, ...], privileged: bool, camera_pixels: tuple[int, int]
+    ) -> None:
+        names = (*dict.fromkeys(sensors), *(("state",) if privileged else ()))
+        width, height = camera_pixels
+        self.bounds: dict[str, Bounds] = {
+            name: _picture_bounds(width, height) if name == "camera" else _number_bounds(name)
+            for name in names
+        }
+
+    def begin(self, rig: SensorRig) -> None:
+        """Forgets the last episode."""
+        self._pad = rig.world_from_body_start.translation
+        self._full_speed = rig.vehicle.rotor_speed_max
+        self._latest: dict[str, NDArray[Any]] = {
+            name: np.zeros(b.shape) for name, b in self.bounds.items()
+        }
+        self._imu: list[Array] = []
+        self._first_altitude: float | None = None
+
+    def take(self, obs: Observation) -> None:
+        """Everything that arrived."""
+        latest = self._latest
+        self._imu += [np.concatenate([s.angular_velocity, s.specific_force]) for s in obs.imu]
+        latest["rotors"] = obs.rotor_speed_radps / self._full_speed
+        if obs.rangefinder:
+            latest["rangefinder"] = np.array([obs.rangefinder[-1].range_m])
+        if obs.barometer:
+            altitude = obs.barometer[-1].altitude_m
+            if self._first_altitude is None:
+                self._first_altitude = altitude
+            latest["barometer"] = np.array([altitude - self._first_altitude])
+        if obs.magnetometer:
+            latest["magnetometer"] = obs.magnetometer[-1].field_body_ut
+        if obs.gps:
+            fix = obs.gps[-1]
+            latest["gps"] = np.concatenate([fix.position_world - self._pad, fix.velocity_world])
+        if obs.images:
+            latest["camera"] = obs.images[-1].rgb
+
+    def observation(
+        self, truth: Truth, home: Array, height_over_ground_m: float
+    ) -> dict[str, NDArray[Any]]:
+        """New arrays within ``bounds``; the IMU's mean begins anew."""
+        if self._imu:
+            self._latest["imu"] = np.mean(self._imu, axis=0)
+            self._imu.clear()
+        if "state" in self.bounds:
+            pose = truth.world_from_body
+            self._latest["state"] = np.concatenate(
+                [
+                    pose.translation - home,
+                    truth.velocity_world,
+                    pose.rotation.ravel(),
+                    truth.angular_velocity_body,
+                    [height_over_ground_m],
+                ]
+            )
+        return {
+            name: np.clip(self._latest[name], bounds.low, bounds.high).astype(bounds.dtype)
+            for name, bounds in self.bounds.items()
+        }
+
+
+def _number_bounds(name: str) -> Bounds:
+    factor, high = _LIMITS[name]
+    high = high.astype(np.float32)
+    return Bounds(shape=high.shape, low=np.float32(factor) * high, high=high)
+
+
+def _picture_bounds(width: int, height: int) -> Bounds:
+    shape = (height, width, 3)
+    return Bounds(
+        shape=shape, low=np.zeros(shape, np.uint8), high=np.full(shape, 255, dtype=np.uint8)
+    )

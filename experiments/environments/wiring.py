@@ -1,0 +1,66 @@
+"""World and autopilot of an environment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.controller.api import Controller
+from touchdown.estimator.api import (
+    Estimator,
+)
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.flight.wiring import make_world
+from touchdown.scenes.api import Scene
+from touchdown.sim.api import SensorNeeds
+
+
+@dataclass(slots=True)
+class Practice:
+    """A vehicle in the air over a scene, for a pilot from elsewhere: ``controller``, told the truth
+    by ``estimator``, holds it until the pilot takes over. ``draw()`` is what a camera of
+    ``view_pixels`` (width, height) on the vehicle sees now, (H, W, 3) uint8."""
+
+    scene: Scene
+    world: Any
+    """``sim.world.MujocoWorld``, whose ``start_in_air`` begins an episode"""
+    estimator: Estimator
+    controller: Controller
+    step_s: float
+    """of one control step"""
+    draw: Callable[[], NDArray[np.uint8]]
+    close: Callable[[], None]
+
+
+def build_practice(
+    config: Config, scene: Scene, needs: SensorNeeds, view_pixels: tuple[int, int]
+) -> Practice:
+    """World and autopilot of ``config``, sensing what ``needs`` asks for."""
+    from touchdown.controller.cascade import CascadeController
+    from touchdown.estimator.oracle import Oracle
+    from touchdown.sim.api import CameraParams
+    from touchdown.sim.camera.sensor import CameraSensor
+
+    world = make_world(config, scene)
+    world.require(needs)
+    width, height = view_pixels
+    lens = CameraParams(noise_sigma=0.0, samples=4, width=width, height=height)
+    view = CameraSensor(scene, lens, config.seed)
+
+    def close() -> None:
+        view.close()
+        world.close()
+
+    return Practice(
+        scene=scene,
+        world=world,
+        estimator=Oracle(world.truth, world.rig),
+        controller=CascadeController(world.rig.vehicle, config.control),
+        step_s=config.sim.control_ticks / config.sim.tick_hz,
+        draw=lambda: view.render(world.snapshot(), 0),
+        close=close,
+    )

@@ -1,0 +1,214 @@
+"""Clouds of a flight as PLY: its map, or every return of the LIDAR in the colours of the camera."""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+from typing import BinaryIO
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import PoseTrack
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.export.flown_run import LIBRARY, Exported, ExportOptions, FlownRun
+from touchdown.experiments.io.sensor_log_reader import SensorLogReader
+from touchdown.experiments.io.tum import tum_rows
+from touchdown.experiments.recording.scan_deskew import poses_at
+from touchdown.sim.api import CameraImage, CameraIntrinsics, LidarScan
+from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
+
+Array = NDArray[np.float64]
+Colours = NDArray[np.uint8]
+
+_HEADER_BYTES = 400
+_KEPT_S = 2.0
+"""Poses are kept for so long: a scan that arrives later than this after its beginning is left
+out."""
+_KEPT_IMAGES = 4
+_MAX_COLOUR_AGE_S = 0.5
+"""A return is coloured by an image no further away in time."""
+_VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3), ("intensity", "<f4")])
+
+
+def write_cloud(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:
+    """Binary little-endian PLY, world frame: x, y, z (m), red, green, blue and, of scans, intensity
+    (0..255)."""
+    if options.points == "map":
+        return _write_map(flown, path)
+    return _write_scans(flown, path, options)
+
+
+def _write_map(flown: FlownRun, path: Path) -> Exported:
+    data = flown.file("map.ply").read_bytes()
+    head, end, body = data.partition(b"end_header\n")
+    lines = head.decode("ascii", errors="replace").splitlines()
+    counts = [int(line.split()[2]) for line in lines if line.startswith("element vertex ")]
+    if lines[:2] != ["ply", "format binary_little_endian 1.0"] or len(counts) != 1:
+        raise UsageError(f"'{flown.path / 'map.ply'}' is no map of a flight")
+    lines.insert(2, f"comment {LIBRARY}: map, world frame, metres")
+    path.write_bytes("\n".join(lines).encode() + b"\n" + end + body)
+    return Exported(path, {"points": counts[0]})
+
+
+# -------------------------------------------------------------------------------------------- scans
+
+
+def _write_scans(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:
+    log = SensorLogReader(flown.sensors())
+    rig = log.rig
+    track = _Track(flown.file(f"{options.poses}.tum"))
+    images: deque[CameraImage] = deque(maxlen=_KEPT_IMAGES)
+    late = 0
+    with path.open("wb") as file:
+        cloud = _PlyFile(file, f"returns placed by the {options.poses}, world frame, metres")
+        for obs in log:
+            images.extend(obs.images)
+            for scan in obs.scans:
+                around = track.around(scan)
+                if around is None:
+                    late += 1
+                    continue
+                points, intensity = _placed(scan, around, rig.body_from_lidar, options.every)
+                colours = _grey(intensity)
+                _paint(points, colours, scan, images, track, rig.body_from_camera, rig.camera)
+                cloud.add(points, colours, intensity)
+        cloud.finish()
+    done = Exported(path, {"points": cloud.count})
+    if late:
+        done.notes.append(f"left out {late} scans that the trajectory does not span")
+    return done
+
+
+class _Track:
+    """A trajectory, read as far as it is needed; the last seconds of it are kept."""
+
+    def __init__(self, path: Path) -> None:
+        self._rows = tum_rows(path)
+        self._kept: deque[tuple[float, Pose]] = deque()
+
+    def around(self, scan: LidarScan) -> PoseTrack | None:
+        """Poses that span a scan; None where there are none."""
+        return self._between(scan.start_time_s, scan.end_time_s)
+
+    def at(self, time_s: float) -> tuple[Array, Array] | None:
+        """Rotation (3, 3) and position (3,)."""
+        span = self._between(time_s, time_s)
+        if span is None:
+            return None
+        rotations, positions = poses_at(span, np.array([time_s]))
+        return rotations[0], positions[0]
+
+    def _between(self, first_s: float, last_s: float) -> PoseTrack | None:
+        kept = self._kept
+        while not kept or kept[-1][0] < last_s:
+            row = next(self._rows, None)
+            if row is None:
+                break
+            if not kept or row[0] > kept[-1][0]:
+                kept.append(row)
+        while kept and kept[0][0] < kept[-1][0] - _KEPT_S:
+            kept.popleft()
+        if not kept or first_s < kept[0][0] or last_s > kept[-1][0] or first_s > last_s:
+            return None
+        times = np.array([time_s for time_s, _ in kept])
+        start = max(int(np.searchsorted(times, first_s, "right")) - 1, 0)
+        stop = int(np.searchsorted(times, last_s)) + 1
+        poses = [kept[number][1] for number in range(start, stop)]
+        return PoseTrack(
+            times_s=times[start:stop],
+            positions_odom=np.array([pose.translation for pose in poses]),
+            quats_wxyz=np.array([quat_wxyz_from_matrix(pose.rotation) for pose in poses]),
+        )
+
+
+def _placed(
+    scan: LidarScan, track: PoseTrack, body_from_lidar: Pose, every: int
+) -> tuple[Array, NDArray[np.float32]]:
+    """(N, 3) world points of a scan's returns, each from the pose of its own instant, and (N,)
+    intensities."""
+    hits = np.flatnonzero((scan.ranges > 0.0) & np.isfinite(scan.ranges))[::every]
+    times = scan.start_time_s + scan.time_offsets[hits].astype(np.float64)
+    in_lidar = (scan.directions[hits] * scan.ranges[hits, None]).astype(np.float64)
+    rotations, positions = poses_at(track, times)
+    points = np.einsum("nij,nj->ni", rotations, body_from_lidar.apply(in_lidar)) + positions
+    return points, scan.intensity[hits].astype(np.float32)
+
+
+def _grey(intensity: NDArray[np.float32]) -> Colours:
+    """(N, 3) of returns that no image shows: the brighter, the more came back."""
+    level = (30.0 + 1.5 * np.minimum(intensity, 100.0)).astype(np.uint8)
+    return np.repeat(level[:, None], 3, axis=1)
+
+
+def _paint(
+    points: Array,
+    colours: Colours,
+    scan: LidarScan,
+    images: deque[CameraImage],
+    track: _Track,
+    body_from_camera: Pose,
+    camera: CameraIntrinsics,
+) -> None:
+    """Gives points that the image nearest in time shows its colours."""
+    middle = 0.5 * (scan.start_time_s + scan.end_time_s)
+    near = [image for image in images if abs(image.time_s - middle) <= _MAX_COLOUR_AGE_S]
+    if not near:
+        return
+    image = min(near, key=lambda each: abs(each.time_s - middle))
+    placed = track.at(image.time_s)
+    if placed is None:
+        return
+    camera_from_world = (Pose(*placed) @ body_from_camera).inverse()
+    pixels, seen = project(camera_from_world.apply(points), camera)
+    column, row = np.rint(pixels[seen]).astype(int).T
+    colours[seen] = image.rgb[row, column]
+
+
+def project(points: Array, camera: CameraIntrinsics) -> tuple[Array, NDArray[np.bool_]]:
+    """Pixels (N, 2) of (N, 3) points in the camera's frame, and which of them it sees, (N,). What
+    hides behind something else counts as seen: LIDAR and camera look from the same place."""
+    ahead = points[:, 2] > 0.01
+    depth = np.where(ahead, points[:, 2], 1.0)
+    plane = points[:, :2] / depth[:, None]
+    half = np.array([camera.width / camera.fx, camera.height / camera.fy])
+    # Beyond its picture a lens model may fold back into it.
+    ahead &= (np.abs(plane) < half).all(axis=1)
+    pixels = np.full((len(points), 2), -1.0)
+    if ahead.any():
+        inside = np.ascontiguousarray(np.column_stack([plane[ahead], np.ones(ahead.sum())]))
+        found, _ = cv2.projectPoints(
+            inside, np.zeros(3), np.zeros(3), camera.matrix(), camera.distortion
+        )
+        pixels[ahead] = found.reshape(-1, 2)
+    limit = np.array([camera.width - 0.5, camera.height - 0.5])
+    return pixels, ahead & (pixels > -0.5).all(axis=1) & (pixels < limit).all(axis=1)
+
+
+class _PlyFile:
+    """Vertices one after the other; the header, of fixed length, tells their number at the end."""
+
+    def __init__(self, file: BinaryIO, comment: str) -> None:
+        self._file, self._comment = file, comment
+        self.count = 0
+        file.write(b" " * _HEADER_BYTES)
+
+    def add(self, points: Array, colours: Colours, intensity: NDArray[np.float32]) -> None:
+        rows = np.empty(len(points), dtype=_VERTEX)
+        rows["xyz"], rows["rgb"], rows["intensity"] = points, colours, intensity
+        self._file.write(rows.tobytes())
+        self.count += len(rows)
+
+    def finish(self) -> None:
+        head = (
+            f"ply\nformat binary_little_endian 1.0\ncomment {LIBRARY}: {self._comment}\n"
+            f"element vertex {self.count}\n"
+            "property float x\nproperty float y\nproperty float z\n"
+            "property uchar red\nproperty uchar green\nproperty uchar blue\n"
+            "property float intensity\ncomment "
+        )
+        end = "\nend_header\n"
+        padding = "." * (_HEADER_BYTES - len(head) - len(end))
+        self._file.seek(0)
+        self._file.write((head + padding + end).encode("ascii"))

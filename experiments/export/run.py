@@ -1,0 +1,100 @@
+"""Writes a finished run in another format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.export.flown_run import (
+    LIBRARY,
+    Exported,
+    ExportOptions,
+    FlownRun,
+    open_flown,
+)
+from touchdown.experiments.export.tables import _COLUMNS, write_csv, write_tum
+from touchdown.experiments.io.run_directory import whole_file
+
+FORMATS = ("mcap", "ply", "tum", "csv")
+_OWN_FILES = (
+    "sensors.mcap", "map.ply", "truth.tum", "estimate.tum", "reference.tum", "odometry.tum",
+    "result.json", "config.json", "flight.rrd", "costmap.png",
+)  # fmt: skip
+
+
+def export(run: Path, kind: str, out: Path | None, options: ExportOptions) -> Exported:
+    """Writes ``run`` as one file of format ``kind``, at once or not at all; an earlier export of
+    that name is replaced.
+
+    ``out``: by default beside the run directory. Raises UsageError before anything is written for
+    what is no run, or lacks what the format needs, and for an ``out`` that is something else.
+    """
+    flown = open_flown(run)
+    if out is None:
+        named = run if run.name not in ("", "..") else run.resolve()
+        which = f"-{options.poses}" if kind == "tum" else ""
+        out = named.with_name(f"{named.name}{which}.{kind}")
+    check_out_file(out, kind, run)
+    _check_inputs(flown, kind, options)
+    try:
+        with whole_file(out) as partial:
+            done = _write(flown, kind, partial, options)
+    except OSError as error:
+        raise UsageError(f"--out {out}: cannot be written: {error.strerror or error}") from error
+    done.out = out
+    done.facts["bytes"] = out.stat().st_size
+    return done
+
+
+def _check_inputs(flown: FlownRun, kind: str, options: ExportOptions) -> None:
+    """Raises UsageError where the run lacks what the format needs."""
+    if kind == "ply" and options.points == "map":
+        flown.file("map.ply")
+        return
+    if kind in ("mcap", "ply"):
+        flown.sensors()
+    names = ("truth", "estimate") if kind == "mcap" else (options.poses,)
+    for name in ("truth",) if kind == "csv" else names:
+        flown.file(f"{name}.tum")
+
+
+def _write(flown: FlownRun, kind: str, path: Path, options: ExportOptions) -> Exported:
+    if kind == "mcap":
+        from touchdown.experiments.export.ros2_bag import write_bag
+
+        return write_bag(flown, path, options)
+    if kind == "ply":
+        from touchdown.experiments.export.point_cloud import write_cloud
+
+        return write_cloud(flown, path, options)
+    return write_tum(flown, path, options) if kind == "tum" else write_csv(flown, path, options)
+
+
+def check_out_file(out: Path, kind: str, run: Path) -> None:
+    """Raises UsageError unless ``out`` is new or an earlier export of that kind."""
+    if out.is_dir():
+        raise UsageError(f"--out {out}: is a directory; name a file")
+    if out.name in _OWN_FILES and out.resolve().parent == run.resolve():
+        raise UsageError(f"--out {out}: is a file of the run itself; name another file")
+    if out.exists() and not _is_export(out, kind):
+        raise UsageError(
+            f"--out {out}: holds something that is no earlier export; name another file"
+        )
+
+
+def _is_export(path: Path, kind: str) -> bool:
+    try:
+        with path.open("rb") as file:
+            head = file.read(400)
+    except OSError as error:
+        raise UsageError(f"--out {path}: cannot be read: {error.strerror}") from error
+    if kind == "mcap":
+        return head.startswith(b"\x89MCAP") and LIBRARY.encode() in head
+    if kind == "ply":
+        return head.startswith(b"ply\n") and f"comment {LIBRARY}".encode() in head
+    if kind == "csv":
+        return head.startswith(",".join(_COLUMNS[:3]).encode())
+    try:
+        return len([float(word) for word in head.partition(b"\n")[0].split()]) == 8
+    except ValueError:
+        return False

@@ -1,0 +1,1 @@
+"""Estimators of users: loading, wrapping, conformance checks."""

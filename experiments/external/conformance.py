@@ -1,0 +1,365 @@
+"""The contract of an estimator, checked from outside: what a flight will count on.
+
+`check_estimator` runs an estimator over a few seconds of sensor messages, made up or logged, and
+tells every rule that it breaks and why. No flight and no simulator are needed.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import traceback
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import Estimate, Estimator
+from touchdown.experiments.external.conformance_motion import MotionCheck
+from touchdown.experiments.external.estimate_checks import (
+    meaningless,
+    no_number,
+    not_finite,
+    told,
+    wrong_estimator,
+    wrong_shape,
+)
+from touchdown.experiments.external.loading import Build, wrong_signature
+from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
+from touchdown.sim.api import Observation, SensorRig
+from touchdown.sim.frames import Pose, so3_log
+
+Array = NDArray[np.float64]
+
+RULES = {
+    "builds": "build(params, rig) returns an object with needs and update",
+    "answers": "update returns an Estimate and does not raise",
+    "shapes": "every field has its shape and meaning: rotations are rotations, covariances are",
+    "finite": "every number is finite",
+    "time": "an estimate is for the time of its observation, so that time never goes back",
+    "inputs": "observations and rig are left as they were",
+    "deterministic": "the same messages give the same estimates to the bit",
+    "frames": "the first estimate is near the take-off pose: world ENU, body FLU",
+    "continuity": "odom_from_body does not jump",
+    "motion": "velocity_odom and angular_velocity_body are those of odom_from_body",
+    "missing data": "a second without scans, or without images, is survived",
+}
+"""What is checked, by name."""
+
+START_DISTANCE_M, START_ANGLE_DEG = 5.0, 20.0
+"""from the take-off pose: what a receiver's first fix may be off, not what a mistaken frame is"""
+JUMP_M, JUMP_DEG = 0.5, 10.0
+"""of ``odom_from_body`` between two control steps, beyond what its own velocity explains"""
+TURN_RAD = 0.5
+"""of the made-up flight: without it degrees could not be told from radians"""
+_GAP = (0.4, 0.75)
+"""share of the stream between which data is missing"""
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """A broken rule, a key of `RULES`, and how it was seen."""
+
+    rule: str
+    reason: str
+    trace: str = field(default="", compare=False)
+    """the traceback of what was raised, where that is how it was seen"""
+
+    def __str__(self) -> str:
+        return f"{self.rule}: {self.reason}"
+
+
+def check_estimator(
+    build: Build,
+    *,
+    rig: SensorRig | None = None,
+    observations: Sequence[Observation] | None = None,
+    params: dict[str, Any] | None = None,
+    seconds: float = 3.0,
+) -> list[Violation]:
+    """The first violation of every rule that ``build``'s estimator breaks; an empty list is a pass.
+
+    Without ``observations``, ``seconds`` of made-up messages are used, with all that the estimator
+    says it needs; with them, ``rig`` must be what they were taken with. The estimator is built and
+    run up to four times.
+    """
+    if observations is not None and rig is None:
+        raise ValueError("observations need the rig that they were taken with")
+    rig = rig or synthetic_rig()
+    check = _Check(build, rig, params or {})
+    estimator = check.built()
+    if estimator is None:
+        return check.violations
+    needs = estimator.needs
+    stream = observations or tuple(SyntheticStream(rig, needs, seconds, turn_rad=TURN_RAD))
+    first = check.run(estimator, stream)
+    if not check.broke("answers"):
+        check.repeat(stream, first)
+        if needs.lidar:
+            check.without("scans", stream)
+        if needs.camera_hz:
+            check.without("images", stream)
+    return check.violations
+
+
+class _Check:
+    """One estimator under examination."""
+
+    def __init__(self, build: Build, rig: SensorRig, params: dict[str, Any]) -> None:
+        self._build, self._rig, self._params = build, rig, params
+        self.violations: list[Violation] = []
+
+    def broke(self, rule: str) -> bool:
+        return any(violation.rule == rule for violation in self.violations)
+
+    def _note(self, rule: str, reason: str, trace: str = "") -> None:
+        if not self.broke(rule):
+            self.violations.append(Violation(rule, reason, trace))
+
+    def built(self) -> Estimator | None:
+        """A new estimator, or None with the reason noted."""
+        before = _digest(self._rig)
+        reason = wrong_signature(self._build)
+        if reason:
+            self._note("builds", reason)
+            return None
+        try:
+            estimator = self._build(copy.deepcopy(self._params), self._rig)
+        except Exception as error:  # whatever it is, the author wants to read it
+            self._note("builds", f"build raised {told(error)}", _trace(error))
+            return None
+        reason = wrong_estimator(estimator, self._rig)
+        if reason:
+            self._note("builds", reason)
+            return None
+        if _digest(self._rig) != before:
+            self._note("inputs", "build modified the rig")
+        return estimator
+
+    def run(self, estimator: Estimator, stream: Sequence[Observation]) -> list[bytes]:
+        """One pass with every rule of a single pass; digests of the estimates."""
+        digests: list[bytes] = []
+        previous: tuple[Observation, Estimate] | None = None
+        rig_before, motion = _digest(self._rig), MotionCheck()
+        kept: list[tuple[Observation, list[tuple[str, bytes]]]] = []
+        for original in stream:
+            obs = copy.deepcopy(original)
+            kept.append((obs, _digests(obs)))
+            estimate = self._answer(estimator, obs)
+            if estimate is None:
+                break
+            self._judge(obs, estimate, previous)
+            if not any(self.broke(rule) for rule in ("shapes", "finite", "time")):
+                motion.add(estimate)
+            previous = (obs, estimate)
+            digests.append(_digest(estimate))
+            if len(kept) > 200:  # a second: whoever writes later than that is not caught
+                self._compare(kept.pop(0), obs.time_s)
+        for pair in kept:
+            self._compare(pair, pair[0].time_s)
+        reason = motion.reason()
+        if reason:
+            self._note("motion", reason)
+        if _digest(self._rig) != rig_before:
+            self._note("inputs", "update modified the rig")
+        return digests
+
+    def _answer(self, estimator: Estimator, obs: Observation) -> Estimate | None:
+        try:
+            estimate = estimator.update(obs)
+        except Exception as error:
+            reason = f"at {obs.time_s:.3f} s update raised {told(error)}"
+            self._note("answers", reason, _trace(error))
+            return None
+        if not isinstance(estimate, Estimate):
+            kind = type(estimate).__name__
+            self._note("answers", f"at {obs.time_s:.3f} s update returned {kind}, not Estimate")
+            return None
+        return estimate
+
+    def _compare(self, pair: tuple[Observation, list[tuple[str, bytes]]], now_s: float) -> None:
+        obs, before = pair
+        for (name, old), (_, new) in zip(before, _digests(obs), strict=True):
+            if old != new:
+                self._note("inputs", f"the observation of {obs.time_s:.3f} s had '{name}' modified")
+
+    # ------------------------------------------------------------------------ one estimate
+
+    def _judge(
+        self, obs: Observation, estimate: Estimate, previous: tuple[Observation, Estimate] | None
+    ) -> None:
+        reason = no_number(estimate)
+        if reason:
+            self._note("shapes", f"at {obs.time_s:.3f} s {reason}")
+            return
+        self._judge_time(obs, estimate, None if previous is None else previous[1])
+        reason = wrong_shape(estimate)
+        if reason:
+            self._note("shapes", f"at {obs.time_s:.3f} s {reason}")
+            return
+        name = _not_finite(estimate)
+        if name:
+            self._note("finite", f"at {obs.time_s:.3f} s {name} is not finite")
+            return
+        reason = meaningless(estimate)
+        if reason:
+            self._note("shapes", f"at {obs.time_s:.3f} s {reason}")
+            return
+        if previous is None:
+            self._judge_start(estimate)
+        elif not self.broke("finite") and not self.broke("shapes"):
+            self._judge_step(obs, estimate, previous)
+
+    def _judge_time(self, obs: Observation, estimate: Estimate, last: Estimate | None) -> None:
+        if last is not None and estimate.time_s < last.time_s:
+            self._note(
+                "time",
+                f"after an estimate for {last.time_s:.3f} s came one for {estimate.time_s:.3f} s",
+            )
+        elif (estimate.tick, estimate.time_s) != (obs.tick, obs.time_s):
+            self._note(
+                "time",
+                f"the estimate for the observation of tick {obs.tick} ({obs.time_s:.3f} s) says "
+                f"tick {estimate.tick} ({estimate.time_s:.3f} s)",
+            )
+
+    def _judge_start(self, estimate: Estimate) -> None:
+        start = self._rig.world_from_body_start
+        distance, angle_deg = _between(start, estimate.world_from_body)
+        if distance > START_DISTANCE_M:
+            self._note("frames", f"the first estimate is {distance:.1f} m from the take-off place")
+        elif angle_deg > START_ANGLE_DEG:
+            self._note(
+                "frames",
+                f"the first estimate is turned by {angle_deg:.0f} degrees from the take-off "
+                "attitude; odom_from_body maps the body (x forward, y left, z up)",
+            )
+
+    def _judge_step(
+        self, obs: Observation, estimate: Estimate, previous: tuple[Observation, Estimate]
+    ) -> None:
+        before, last = previous
+        distance, angle_deg = _between(last.odom_from_body, estimate.odom_from_body)
+        step_s = obs.time_s - before.time_s
+        distance -= step_s * float(np.linalg.norm(estimate.velocity_odom))
+        angle_deg -= step_s * float(np.degrees(np.linalg.norm(estimate.angular_velocity_body)))
+        if distance > JUMP_M or angle_deg > JUMP_DEG:
+            self._note(
+                "continuity",
+                f"at {obs.time_s:.3f} s odom_from_body jumped by {max(distance, 0.0):.2f} m and "
+                f"{max(angle_deg, 0.0):.0f} degrees; let corrections in over time",
+            )
+
+    # ------------------------------------------------------------------------ more passes
+
+    def repeat(self, stream: Sequence[Observation], first: list[bytes]) -> None:
+        """A second estimator over the same messages, while others draw random numbers too."""
+        estimator = self.built()
+        if estimator is None:
+            return
+        # The global stream is the one that two estimators would share by mistake.
+        state = np.random.get_state()  # noqa: NPY002
+        np.random.seed(20240229)  # noqa: NPY002
+        try:
+            for obs, digest in zip(stream, first, strict=False):
+                estimate = self._answer(estimator, copy.deepcopy(obs))
+                if estimate is None:
+                    return
+                if _digest(estimate) != digest:
+                    self._note("deterministic", f"two runs differ from {obs.time_s:.3f} s on")
+                    return
+        finally:
+            np.random.set_state(state)  # noqa: NPY002
+
+    def without(self, field: str, stream: Sequence[Observation]) -> None:
+        """A pass in the middle of which ``field`` of the observations is empty."""
+        estimator = self.built()
+        if estimator is None:
+            return
+        for obs in _with_gap(field, stream):
+            try:
+                estimate = estimator.update(obs)
+            except Exception as error:
+                self._note(
+                    "missing data",
+                    f"without {field}, at {obs.time_s:.3f} s, update raised {told(error)}",
+                    _trace(error),
+                )
+                return
+            if not isinstance(estimate, Estimate):
+                kind = type(estimate).__name__
+                self._note(
+                    "missing data",
+                    f"without {field}, at {obs.time_s:.3f} s, update returned {kind}, not Estimate",
+                )
+                return
+            known = self.broke("shapes") or self.broke("finite")
+            if not known and (wrong_shape(estimate) or _not_finite(estimate)):
+                self._note(
+                    "missing data",
+                    f"without {field}, at {obs.time_s:.3f} s, the estimate is not finite",
+                )
+                return
+
+
+def _with_gap(field: str, stream: Sequence[Observation]) -> Iterator[Observation]:
+    first, last = (int(share * len(stream)) for share in _GAP)
+    for number, obs in enumerate(stream):
+        nothing: dict[str, Any] = {field: ()} if first <= number < last else {}
+        yield dataclasses.replace(copy.deepcopy(obs), **nothing)
+
+
+def _between(first: Pose, second: Pose) -> tuple[float, float]:
+    """Metres and degrees."""
+    distance = float(np.linalg.norm(second.translation - first.translation))
+    angle = float(np.linalg.norm(so3_log(first.rotation.T @ second.rotation)))
+    return distance, float(np.degrees(angle))
+
+
+def _trace(error: Exception) -> str:
+    """The traceback of an exception, without the frame of the caller here."""
+    first = error.__traceback__.tb_next if error.__traceback__ is not None else None
+    return "".join(traceback.format_exception(type(error), error, first))
+
+
+def _not_finite(estimate: Estimate) -> str:
+    """The name of the first part that is not finite, or nothing."""
+    told_too = ((f"diagnostics['{name}']", value) for name, value in estimate.diagnostics.items())
+    return not_finite(estimate) or next(
+        (name for name, value in told_too if not np.all(np.isfinite(value))), ""
+    )
+
+
+# ------------------------------------------------------------------------------------ digests
+
+
+def _digests(obs: Observation) -> list[tuple[str, bytes]]:
+    names = [field.name for field in dataclasses.fields(obs)]
+    return [(name, _digest(getattr(obs, name))) for name in names]
+
+
+def _digest(value: Any) -> bytes:
+    """Equal for values that are equal to the bit."""
+    return b"".join(_pieces(value))
+
+
+def _pieces(value: Any) -> Iterable[bytes]:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        for field in dataclasses.fields(value):
+            yield from _pieces(getattr(value, field.name))
+    elif isinstance(value, np.ndarray):
+        data = np.ascontiguousarray(value)
+        yield f"{data.dtype}{data.shape}{crc32(data.view(np.uint8).data)}".encode()
+    elif isinstance(value, tuple | list):
+        yield str(len(value)).encode()
+        for item in value:
+            yield from _pieces(item)
+    elif hasattr(value, "items"):
+        for name, item in value.items():
+            yield str(name).encode()
+            yield from _pieces(item)
+    else:
+        yield repr(value).encode()

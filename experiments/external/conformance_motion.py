@@ -1,0 +1,100 @@
+"""Whether an estimator's velocities are those of its own poses: units, signs, frames.
+
+Corrections move a pose without any velocity, so that a single one proves nothing: over most seconds
+in which something moves, velocity and motion must agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import Estimate
+from touchdown.sim.frames import so3_log
+
+Array = NDArray[np.float64]
+
+WINDOW_S = 1.0
+_STRIDE_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class _Limits:
+    """A window counts where pose or velocity says ``least``; they agree within ``floor`` and
+    ``share`` of the larger."""
+
+    least: float
+    floor: float
+    share: float
+
+
+_POSITION = _Limits(least=0.5, floor=0.3, share=0.25)
+"""metres"""
+_ATTITUDE = _Limits(least=np.deg2rad(10.0), floor=np.deg2rad(5.0), share=0.25)
+"""radians"""
+
+
+class MotionCheck:
+    """Collects estimates, one a control step, whose shapes and numbers are right."""
+
+    def __init__(self) -> None:
+        self._times: list[float] = []
+        self._rows: list[Array] = []
+        self._last: Estimate | None = None
+
+    def add(self, estimate: Estimate) -> None:
+        """Notes the steps (12,) of position and attitude, and what the velocities make of them."""
+        last, self._last = self._last, estimate
+        if last is None:
+            return
+        step_s = estimate.time_s - last.time_s
+        before, now = last.odom_from_body, estimate.odom_from_body
+        velocity = 0.5 * (last.velocity_odom + estimate.velocity_odom)
+        # Small turns in the body's frame add up, whatever the whole turn is.
+        turn = so3_log(before.rotation.T @ now.rotation)
+        rates = estimate.angular_velocity_body
+        moved = now.translation - before.translation
+        self._times.append(estimate.time_s)
+        self._rows.append(np.concatenate([moved, velocity * step_s, turn, rates * step_s]))
+
+    def reason(self) -> str:
+        """What does not agree, or nothing; nothing, too, of less than a second."""
+        if not self._times or self._times[-1] - self._times[0] < WINDOW_S:
+            return ""
+        times = np.array(self._times)
+        sums = np.vstack([np.zeros(12), np.cumsum(self._rows, axis=0)])
+        starts = np.arange(times[0], times[-1] - WINDOW_S, _STRIDE_S)
+        first = np.searchsorted(times, starts)
+        windows = sums[np.searchsorted(times, starts + WINDOW_S)] - sums[first]
+        found = _disagreement(windows[:, :3], windows[:, 3:6], _POSITION)
+        if found is not None:
+            moved, said = windows[found, :3], windows[found, 3:6]
+            return (
+                f"in the second from {starts[found]:.1f} s odom_from_body moved by {_told(moved)} "
+                f"m, but velocity_odom adds up to {_told(said)} m; it is in m/s, in the odom frame"
+            )
+        found = _disagreement(windows[:, 6:9], windows[:, 9:], _ATTITUDE)
+        if found is not None:
+            turned, said = np.rad2deg(windows[found, 6:9]), np.rad2deg(windows[found, 9:])
+            return (
+                f"in the second from {starts[found]:.1f} s odom_from_body turned by "
+                f"{_told(turned)} degrees, but angular_velocity_body adds up to {_told(said)} "
+                "degrees; it is in rad/s, in the body frame"
+            )
+        return ""
+
+
+def _disagreement(moved: Array, said: Array, limits: _Limits) -> int | None:
+    """The worst of (N, 3) and (N, 3) where most that count disagree, else None."""
+    larger = np.maximum(np.linalg.norm(moved, axis=1), np.linalg.norm(said, axis=1))
+    off = np.linalg.norm(moved - said, axis=1) - limits.floor - limits.share * larger
+    counts = larger > limits.least
+    if not counts.any() or np.mean(off[counts] > 0.0) <= 0.5:
+        return None
+    return int(np.argmax(np.where(counts, off, -np.inf)))
+
+
+def _told(vector: Array) -> str:
+    return "(" + ", ".join(f"{value:.2f}" for value in vector) + ")"

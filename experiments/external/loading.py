@@ -1,0 +1,216 @@
+"""Estimators that somebody brings: from MODULE:FUNCTION to the function, and the code behind it.
+
+Where a name leads nowhere, one line says what is missing and what to do about it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import inspect
+import os
+import pkgutil
+import re
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from touchdown.estimator.api import Estimator
+from touchdown.experiments.errors import UsageError, nearest
+from touchdown.experiments.external.estimate_checks import told
+from touchdown.sim.api import SensorRig
+
+Build = Callable[[dict[str, Any], SensorRig], Estimator]
+
+_NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
+_AT_IMPORT: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()
+"""Hashes of the code behind modules, when they were imported."""
+
+
+def is_outside(name: str) -> bool:
+    """Whether an estimator's name is MODULE:FUNCTION."""
+    return ":" in name
+
+
+def outside_builder(name: str) -> Build:
+    """``my_lab.vio:build`` -> the function ``build`` of the module ``my_lab.vio``.
+
+    Modules are also looked for in the current directory, after all other places, so that what lies
+    there hides nothing. Raises UsageError.
+    """
+    module, function = outside_module(name), name.partition(":")[2]
+    build: Any = getattr(module, function, None)
+    if build is None:
+        own = {key: getattr(value, "__module__", "") for key, value in vars(module).items()}
+        known = [key for key, home in own.items() if home == module.__name__]
+        hint = nearest(function, known) or (f"; it has {', '.join(known[:6])}" if known else "")
+        raise UsageError(
+            f"estimator '{name}': {module.__name__} has no function '{function}'{hint}"
+        )
+    if not callable(build):
+        raise UsageError(f"estimator '{name}': {function} is no function")
+    return build  # type: ignore[no-any-return]
+
+
+def check_outside(name: str) -> None:
+    """Raises UsageError unless the builder is there and takes (params, rig)."""
+    reason = wrong_signature(outside_builder(name))
+    if reason:
+        raise UsageError(f"estimator '{name}': {reason}")
+
+
+def wrong_signature(build: Callable[..., Any]) -> str:
+    """What is wrong with the arguments that ``build`` takes, or nothing."""
+    try:
+        signature = inspect.signature(build)
+    except (TypeError, ValueError):
+        return ""  # of a function that is not written in Python; calling it tells
+    try:
+        signature.bind({}, None)
+    except TypeError:
+        name = getattr(build, "__name__", "build")
+        return f"{name}({', '.join(signature.parameters)}) must take (params, rig)"
+    return ""
+
+
+# ------------------------------------------------------------------------------------- the module
+
+
+def outside_module(name: str) -> ModuleType:
+    """The module of MODULE:FUNCTION, imported. Raises UsageError."""
+    if not _NAME.fullmatch(name):
+        raise UsageError(
+            f"estimator '{name}' is not of the form MODULE:FUNCTION, such as my_lab.vio:build"
+        )
+    module_name = name.partition(":")[0]
+    _look_here()
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        reason = _missing(module_name, error)
+        raise UsageError(f"estimator '{name}': {reason}") from error
+    except SyntaxError as error:
+        where = f"{_short(error.filename or module_name)}:{error.lineno or 0}"
+        raise UsageError(f"estimator '{name}': syntax error in {where}: {error.msg}") from error
+    except (Exception, SystemExit) as error:
+        where = location(error, module_name)
+        raise UsageError(
+            f"estimator '{name}': importing {module_name} raised {told(error)}{where}"
+        ) from error
+    if module not in _AT_IMPORT:
+        _AT_IMPORT[module] = _hash(module)
+    return module
+
+
+def _look_here() -> None:
+    """Puts the current directory at the end of where modules are looked for."""
+    try:
+        here = os.getcwd()
+    except OSError:
+        return  # it was removed
+    if not {here, ""} & set(sys.path):
+        sys.path.append(here)
+    importlib.invalidate_caches()
+
+
+def _missing(module_name: str, error: ModuleNotFoundError) -> str:
+    """What to tell of a module that was not found: the one that was named, or one that it wants."""
+    missing, top = error.name or "", module_name.partition(".")[0]
+    parent, _, last = missing.rpartition(".")
+    if f"{module_name}.".startswith(f"{missing}.") and not parent:
+        folder = f"{top}/" if "." in module_name else f"{top}.py"
+        return (
+            f"there is no module '{top}' here or among what is installed; run from the folder that "
+            f"holds {folder}, or install its project with pip install -e"
+        )
+    if f"{module_name}.".startswith(f"{missing}."):
+        places = list(getattr(sys.modules.get(parent), "__path__", ()))
+        known = [found.name for found in pkgutil.iter_modules(places)]
+        hint = nearest(last, known) or (f"; it has {', '.join(known[:6])}" if known else "")
+        where = f" ({_short(places[0])})" if places else ""
+        return f"'{parent}'{where} has no module '{last}'{hint}{_hidden(top, places)}"
+    what = "is not there" if missing.partition(".")[0] == top else "is not installed"
+    return f"{_importer(error) or module_name} imports {missing or told(error)}, which {what}"
+
+
+def _hidden(top: str, places: list[str]) -> str:
+    """A hint where a folder here has the name of a package that is found before it."""
+    here = Path.cwd() / top
+    if not here.is_dir() or any(Path(place).resolve().is_relative_to(here) for place in places):
+        return ""
+    return f"; {top}/ of the current directory is hidden by it, give yours another name"
+
+
+def _importer(error: BaseException) -> str:
+    """The module whose import failed."""
+    names = [str(frame.f_globals.get("__name__", ""))
+             for frame, _ in traceback.walk_tb(error.__traceback__)]  # fmt: skip
+    others = [name for name in names if not name.startswith("importlib") and name != __name__]
+    return others[-1] if others else ""
+
+
+# --------------------------------------------------------------------------------------- the code
+
+
+def location(error: BaseException, module_name: str) -> str:
+    """`` (my_lab/vio.py:12)``: the last line of the estimator's own code that an exception passed
+    through; nothing where there is none."""
+    top, found = module_name.partition(".")[0], ""
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        if str(frame.f_globals.get("__name__", "")).partition(".")[0] == top:
+            found = f" ({_short(frame.f_code.co_filename)}:{line})"
+    return found
+
+
+def flown_code(name: str) -> dict[str, str]:
+    """``estimator_sha`` of a result: twelve hexadecimal digits that name the code of an outside
+    estimator as it was imported. Of others nothing: ``git_revision`` tells theirs."""
+    return {"estimator_sha": _AT_IMPORT[outside_module(name)]} if is_outside(name) else {}
+
+
+def code_now(name: str) -> str:
+    """The same of the code as it lies there now. Raises UsageError."""
+    return _hash(outside_module(name))
+
+
+def _hash(module: ModuleType) -> str:
+    """Of the module's file; of a package, of every Python file of its topmost folder too."""
+    root, own = _root(module), getattr(module, "__file__", None)
+    files = {Path(own)} if own else set()
+    if root is not None and root.is_dir():
+        parts = {path: path.relative_to(root).parts for path in root.rglob("*.py")}
+        files |= {path for path, way in parts.items() if not any(p.startswith(".") for p in way)}
+    digest = hashlib.sha256()
+    base = root or Path()
+    for file in sorted(files):
+        try:
+            content = file.read_bytes()
+        except OSError:
+            continue  # of an archive, or removed since
+        name = file.relative_to(base).as_posix() if file.is_relative_to(base) else file.name
+        digest.update(f"{name} {len(content)} ".encode())
+        digest.update(content)
+    return digest.hexdigest()[:12]
+
+
+def _root(module: ModuleType) -> Path | None:
+    """The topmost folder of the package that a module is in; None of a module by itself."""
+    top = sys.modules.get(module.__name__.partition(".")[0])
+    places = [Path(place) for place in getattr(top, "__path__", ())]
+    own = getattr(module, "__file__", None)
+    if own is not None:
+        # A package without __init__.py may lie in several places.
+        places = [place for place in places if Path(own).is_relative_to(place)]
+    return places[0] if places else None
+
+
+def _short(path: str) -> str:
+    """As seen from here, where it lies below."""
+    try:
+        return Path(path).relative_to(Path.cwd()).as_posix()
+    except (ValueError, OSError):
+        return path

@@ -1,0 +1,62 @@
+"""An outside estimator in flight: what it does wrong is told in one line, where it does it."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any
+
+from touchdown.estimator.api import Estimate
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.external.estimate_checks import told, wrong_estimate, wrong_estimator
+from touchdown.experiments.external.loading import location, outside_builder, wrong_signature
+from touchdown.sim.api import Observation, SensorNeeds, SensorRig
+
+
+class OutsideError(UsageError):
+    """What an estimator that somebody brings did wrong, in one line."""
+
+
+class OutsideEstimator:
+    """Passes observations on to the estimator that ``name``, MODULE:FUNCTION, builds of ``params``
+    and ``rig``, and looks at what it returns.
+
+    Raises OutsideError for whatever it raises, in building and in every update, and for an estimate
+    that a flight cannot go on with; UsageError where the function is not there.
+    """
+
+    needs: SensorNeeds
+
+    def __init__(self, name: str, params: Mapping[str, Any], rig: SensorRig) -> None:
+        build = outside_builder(name)
+        self._name = name
+        reason = wrong_signature(build)
+        if reason:
+            raise self._error(reason)
+        try:
+            inner: Any = build(copy.deepcopy(dict(params)), rig)
+        except (Exception, SystemExit) as error:  # it is somebody else's code
+            raise self._error(f"build raised {told(error)}", error) from error
+        reason = wrong_estimator(inner, rig)
+        if reason:
+            raise self._error(reason)
+        self.needs = inner.needs
+        self._update = inner.update
+
+    def update(self, obs: Observation) -> Estimate:
+        try:
+            estimate: Estimate = self._update(obs)
+        except (Exception, SystemExit) as error:
+            what = f"at {obs.time_s:.3f} s update raised {told(error)}"
+            raise self._error(what, error) from error
+        reason = wrong_estimate(estimate)
+        if reason:
+            raise self._error(f"at {obs.time_s:.3f} s update returned {reason}")
+        return estimate
+
+    def _error(self, what: str, error: BaseException | None = None) -> OutsideError:
+        where = "" if error is None else location(error, self._name.partition(":")[0])
+        return OutsideError(
+            f"estimator '{self._name}': {what}{where}; "
+            f"`touchdown check-estimator {self._name}` tells more"
+        )

@@ -1,0 +1,1 @@
+"""One flight: wiring, loop, referee, metrics, result; replay of a sensor log."""

@@ -1,0 +1,33 @@
+"""What the machine offers a flight: display, rendering backend, threads."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+
+
+def has_display() -> bool:
+    """Whether the environment names an X11 or Wayland display."""
+    names = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+    return any(os.environ.get(name) for name in names)
+
+
+def rendering_backend() -> str:
+    """The first of EGL and OSMesa whose library loads here, else GLFW, which needs a display."""
+    for backend, library in (("egl", "libEGL.so.1"), ("osmesa", "libOSMesa.so.8")):
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            continue
+        return backend
+    return "glfw"
+
+
+def limit_threads() -> None:
+    """Keeps OpenCV and numba on the calling thread: two cores are shared with the sensors' worker,
+    and one flight must not depend on how many threads a library finds."""
+    import cv2
+    import numba
+
+    cv2.setNumThreads(1)
+    numba.set_num_threads(1)

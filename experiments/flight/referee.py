@@ -1,0 +1,228 @@
+"""Judges a flight by the truth: when it is over, how it ended, and how good it was."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import Estimate
+from touchdown.experiments.api import Outcome, RefereeParams
+from touchdown.experiments.flight.metrics import (
+    Consistency,
+    PositioningError,
+    TouchdownWindow,
+    TrajectoryDeviation,
+)
+from touchdown.landing.api import LanderView, Phase
+from touchdown.scenes.api import SAFE_CLASSES
+from touchdown.sim.api import Truth
+from touchdown.sim.frames import Pose, tilt_from_rotation
+
+Array = NDArray[np.float64]
+
+_DESCENDING = frozenset({Phase.DESCEND, Phase.TOUCHDOWN, Phase.RETURN, Phase.DONE})
+_LIFT_OFF_HEIGHT_M = 0.1
+_NEES_HZ = 10.0
+_REST_S = 0.5
+_REST_SPEED_MPS = 0.05
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FlightResult:
+    """What one flight came to; ``landing`` is None when nothing was touched."""
+
+    outcome: Outcome
+    reason: str
+    sim_s: float
+    survey_s: float
+    span_s: tuple[float | None, float | None]
+    """lift-off and end of the survey, between which positions are judged"""
+    position_error: PositioningError
+    deviation: TrajectoryDeviation
+    consistency: Consistency
+    landing: dict[str, Any] | None
+
+
+class Referee:
+    """``judge_ground(xy)`` looks the true ground up; ``on_survey_end`` is called once;
+    ``by_class``: whether the class of the ground counts, which the result says."""
+
+    def __init__(
+        self,
+        params: RefereeParams,
+        *,
+        survey_only: bool,
+        steps_per_s: float,
+        judge_ground: Callable[[Array], Any],
+        moving_geoms: frozenset[str] = frozenset(),
+        on_survey_end: Callable[[], None] = lambda: None,
+        by_class: bool = False,
+    ) -> None:
+        self._params = params
+        self._upright_cosine = math.cos(math.radians(params.tip_tilt_deg))
+        self._survey_only = survey_only
+        self._judge_ground = judge_ground
+        self._moving_geoms = moving_geoms
+        self._on_survey_end = on_survey_end
+        self._judged_on = "geometry and class" if by_class else "geometry"
+        self._position_error = PositioningError()
+        self._deviation = TrajectoryDeviation()
+        self._consistency = Consistency()
+        self._steps_per_sample = max(1, round(steps_per_s / _NEES_HZ))
+        self._touchdown = TouchdownWindow(steps_per_s)
+        self._start_height: float | None = None
+        self._lift_off_s: float | None = None
+        self._survey_from_s: float | None = None
+        self._survey_to_s: float | None = None
+        self._rest_since_s: float | None = None
+        self._reason = ""
+        self._last: tuple[Truth, LanderView] | None = None
+
+    def judge(self, truth: Truth, estimate: Estimate, view: LanderView) -> Outcome | None:
+        """Called every control step; an outcome ends the flight."""
+        self._last = (truth, view)
+        believed = estimate.world_from_body
+        self._follow_phases(truth, view)
+        if self._lift_off_s is not None and self._survey_to_s is None:
+            self._position_error.add(believed, truth.world_from_body)
+            self._deviation.add(truth, view.reference_world)
+            if self._position_error.count % self._steps_per_sample == 0:
+                self._consistency.add(
+                    believed.translation,
+                    truth.world_from_body.translation,
+                    estimate.position_covariance,
+                )
+        self._follow_touchdown(truth, view)
+        return (
+            self._judge_estimate(truth, believed)
+            or self._judge_attitude(truth)
+            or self._judge_contacts(truth, view)
+            or self._judge_end(truth, view)
+        )
+
+    def result(self, outcome: Outcome) -> FlightResult:
+        if self._last is None:
+            raise RuntimeError("result() before the first judge()")
+        truth, view = self._last
+        survey_s = 0.0
+        if self._survey_from_s is not None:
+            survey_s = (self._survey_to_s or truth.time_s) - self._survey_from_s
+        return FlightResult(
+            outcome=outcome,
+            reason=self._reason or ("" if outcome is Outcome.COMPLETED else view.note),
+            sim_s=truth.time_s,
+            survey_s=survey_s,
+            span_s=(self._lift_off_s, self._survey_to_s),
+            position_error=self._position_error,
+            deviation=self._deviation,
+            consistency=self._consistency,
+            landing=self._landing(view),
+        )
+
+    def _follow_phases(self, truth: Truth, view: LanderView) -> None:
+        height = float(truth.world_from_body.translation[2])
+        if self._start_height is None:
+            self._start_height = height
+        if self._lift_off_s is None and height > self._start_height + _LIFT_OFF_HEIGHT_M:
+            self._lift_off_s = truth.time_s
+        if (view.no_site or view.aborted) and not self._reason:
+            self._reason = view.note  # why it gave up, not what it did afterwards
+        if self._survey_from_s is None and view.phase == Phase.SURVEY:
+            self._survey_from_s = truth.time_s
+        left_survey = self._survey_from_s is not None and view.phase != Phase.SURVEY
+        if left_survey and self._survey_to_s is None:
+            self._survey_to_s = truth.time_s
+            self._on_survey_end()
+
+    def _follow_touchdown(self, truth: Truth, view: LanderView) -> None:
+        if self._lift_off_s is None:
+            return
+        touchdown = self._touchdown
+        if touchdown.contact_xy is not None:
+            touchdown.add_after(truth)
+        elif truth.contacts and view.phase in _DESCENDING:
+            touchdown.first_contact(truth)
+            touchdown.add_after(truth)
+        else:
+            touchdown.add_before(truth)
+
+    def _judge_estimate(self, truth: Truth, believed: Pose) -> Outcome | None:
+        true = truth.world_from_body
+        distance = math.dist(believed.translation.tolist(), true.translation.tolist())
+        if distance <= self._params.divergence_m:
+            return None
+        self._reason = f"the estimate is {distance:.1f} m off"  # or not a number
+        return Outcome.DIVERGED
+
+    def _judge_attitude(self, truth: Truth) -> Outcome | None:
+        rotation = truth.world_from_body.rotation
+        if rotation[2, 2] >= self._upright_cosine:
+            return None
+        tilt_deg = math.degrees(tilt_from_rotation(rotation))
+        self._reason = f"tilted by {tilt_deg:.0f} degrees"
+        return Outcome.TIPPED
+
+    def _judge_contacts(self, truth: Truth, view: LanderView) -> Outcome | None:
+        if self._lift_off_s is None or truth.time_s < self._lift_off_s + 1.0:
+            return None
+        for contact in truth.contacts:
+            with_moving = contact.other in self._moving_geoms
+            if contact.part != "leg" or with_moving or view.phase not in _DESCENDING:
+                self._reason = f"{contact.part} touched {contact.other} in {view.phase}"
+                return Outcome.COLLIDED
+        return None
+
+    def _judge_end(self, truth: Truth, view: LanderView) -> Outcome | None:
+        over = self._survey_to_s is not None or view.phase == Phase.DONE
+        if over and self._lift_off_s is None and not view.aborted:
+            self._reason = "never took off"
+            return Outcome.GROUNDED
+        if view.phase == Phase.DONE:
+            if self._survey_only:
+                return Outcome.ABORTED if view.aborted else Outcome.COMPLETED
+            if self._at_rest(truth):
+                if view.no_site:
+                    return Outcome.NO_SITE
+                return Outcome.ABORTED if view.aborted else Outcome.LANDED
+        if truth.time_s >= self._params.timeout_s:
+            self._reason = f"still {view.phase} after {truth.time_s:.0f} s"
+            return Outcome.TIMEOUT
+        return None
+
+    def _at_rest(self, truth: Truth) -> bool:
+        speed = float(np.linalg.norm(truth.velocity_world))
+        if speed > _REST_SPEED_MPS or not truth.contacts:
+            self._rest_since_s = None
+            return False
+        if self._rest_since_s is None:
+            self._rest_since_s = truth.time_s
+        return truth.time_s - self._rest_since_s >= _REST_S
+
+    def _landing(self, view: LanderView) -> dict[str, Any] | None:
+        contact_xy = self._touchdown.contact_xy
+        if contact_xy is None:
+            return None
+        verdict = self._judge_ground(contact_xy)
+        site = view.committed_site_world
+        offset = None if site is None else float(np.linalg.norm(contact_xy - site[:2]))
+        return {
+            "site_xy_m": None if site is None else site[:2].tolist(),
+            "touchdown_xy_m": contact_xy.tolist(),
+            "touchdown_time_s": self._touchdown.contact_time_s,
+            "target_offset_m": offset,
+            "slope_deg": verdict.slope_deg,
+            **self._touchdown.summary(),
+            "obstacle_distance_m": verdict.obstacle_distance_m,
+            "class_predicted": view.site_class,
+            "class_probability": view.site_class_probability,
+            "class_true": verdict.land_class,
+            "safe_geometry": verdict.safe_geometry,
+            "safe_class": verdict.land_class in SAFE_CLASSES,
+            "safe": verdict.safe,
+            "judged_on": self._judged_on,
+        }

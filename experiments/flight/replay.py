@@ -1,0 +1,307 @@
+"""Logged sensors through an estimator, without the simulator.
+
+A replay is open loop: the vehicle flew on another estimator, or on the same one with other
+parameters, and goes where it went then, whatever is believed now.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import Estimate, Estimator
+from touchdown.experiments.api import Outcome
+from touchdown.experiments.config.keys import is_outside_key
+from touchdown.experiments.config.loading import dump_config, is_key, load_config, read_tree
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.external.loading import flown_code
+from touchdown.experiments.flight.metrics import PositioningError
+from touchdown.experiments.io.sensor_log_reader import SensorLogReader
+from touchdown.experiments.io.tum import TumWriter, read_tum
+from touchdown.sim.api import Observation, SensorNeeds
+from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str, str], None]
+
+_LIFT_OFF_HEIGHT_M = 0.1
+_FLOWN = (
+    "scene", "seed", "calibration", "record", "sim", "wind", "lidar", "camera", "imu", "gps",
+    "barometer", "magnetometer", "rangefinder", "faults", "mapper", "control", "survey", "landing",
+    "rig_error", "referee",
+)  # fmt: skip
+"""Keys that decided the flight and that a replay cannot change."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedRun:
+    """What a replay needs of a run directory."""
+
+    path: Path
+    sensors: SensorLogReader
+    truth: dict[int, Pose]
+    """``world_from_body`` by tick, at the rate of ``truth.tum``"""
+    result: dict[str, Any]
+    from_s: float
+    """lift-off"""
+    to_s: float
+    """the end of the survey"""
+
+    def judged(self, tick: int) -> bool:
+        """Whether positions at ``tick`` count."""
+        time_s = tick / self.sensors.rig.tick_hz
+        # as the referee: the step of the lift-off counts, that of the survey's end no more
+        return self.from_s <= time_s < self.to_s
+
+
+def open_run(run: Path) -> LoggedRun:
+    """Opens a run directory that was flown with a sensor log. Raises UsageError."""
+    for name in ("result.json", "truth.tum"):
+        if not (run / name).is_file():
+            raise UsageError(f"'{run}' is no run directory: it has no {name}")
+    from touchdown.experiments.io.sensor_log import FILE_NAME
+
+    sensors = SensorLogReader(run / FILE_NAME)
+    try:
+        result = json.loads((run / "result.json").read_text(encoding="utf-8"))
+        times, positions, quats = read_tum(run / "truth.tum")
+    except (ValueError, OSError) as error:
+        raise UsageError(f"'{run}' cannot be read: {error}") from error
+    ticks = np.rint(times * sensors.rig.tick_hz).astype(int).tolist()
+    truth = {
+        tick: Pose(matrix_from_quat_wxyz(quat), position)
+        for tick, position, quat in zip(ticks, positions, quats, strict=True)
+    }
+    lift_off, survey_end = result.get("span_s") or (None, None)
+    if lift_off is None:
+        above = positions[:, 2] > positions[0, 2] + _LIFT_OFF_HEIGHT_M
+        lift_off = float(times[np.argmax(above)]) if above.any() else np.inf
+    if survey_end is None:
+        survey_end = np.inf
+    return LoggedRun(run, sensors, truth, result, float(lift_off), float(survey_end))
+
+
+def replay_config(
+    run: Path, estimator: str | None = None, overrides: tuple[str, ...] = (), fresh: bool = False
+) -> Config:
+    """The configuration of a run, with another estimator or other parameters of it. ``fresh``:
+    estimators with today's defaults instead of the run's parameters. Of a run of an earlier version
+    whose estimators had parameters that are gone, these are left out, with a warning; so are, with
+    none, those of an outside estimator when another takes its place. Raises UsageError for a key
+    that decided the flight."""
+    if not (run / "config.json").is_file():
+        raise UsageError(f"'{run}' is no run directory: it has no config.json")
+    for text in overrides:
+        key = text.partition("=")[0].strip()
+        if key.partition(".")[0] in _FLOWN:
+            raise UsageError(f"--set {key}: the flight is over; a replay changes estimators only")
+    gone: list[str] = []
+    same = estimator in (None, read_tree(run / "config.json").get("estimator"))
+
+    def take(key: str) -> bool:
+        if key.partition(".")[0] in _FLOWN or key == "estimator":
+            return True
+        if not is_key(key):
+            gone.append(key)
+        return not fresh and is_key(key) and (same or not is_outside_key(key))
+
+    config = load_config(run / "config.json", overrides, take, estimator=estimator)
+    if gone and not fresh:
+        warnings.warn(f"'{run}' has parameters that are gone: {', '.join(gone)}", stacklevel=2)
+    return config
+
+
+def check_needs(name: str, needs: SensorNeeds, reader: SensorLogReader) -> None:
+    """Raises UsageError naming what the estimator needs and the log has not."""
+    missing = [
+        field.name
+        for field in dataclasses.fields(needs)
+        if field.name != "camera_hz"
+        and getattr(needs, field.name)
+        and not getattr(reader.sensed, field.name)
+    ]
+    if needs.camera_hz > reader.sensed.camera_hz:
+        have = f"{reader.sensed.camera_hz} Hz" if reader.sensed.camera_hz else "none"
+        missing.insert(0, f"images at {needs.camera_hz} Hz (it has {have})")
+    if missing:
+        raise UsageError(
+            f"'{reader.path}' lacks what {name} needs: {', '.join(missing)}; "
+            f"log a flight of an estimator that asks for it"
+        )
+
+
+def seen_by(needs: SensorNeeds, reader: SensorLogReader) -> Iterator[Observation]:
+    """The log's observations with what a flight of an estimator with these ``needs`` would have
+    simulated, and nothing more."""
+    wanted = needs | reader.shared
+    clock_hz = reader.rig.tick_hz // reader.rig.camera_ticks
+    thinned = bool(wanted.camera_hz) and reader.sensed.camera_hz % wanted.camera_hz == 0
+    period = reader.rig.camera_ticks * (clock_hz // wanted.camera_hz) if thinned else 1
+    dropped: dict[str, Any] = {
+        ("scans" if field.name == "lidar" else field.name): ()
+        for field in dataclasses.fields(wanted)
+        if field.name not in ("camera_hz", "stereo") and not getattr(wanted, field.name)
+    }
+    for obs in reader:
+        images = obs.images if wanted.camera_hz else ()
+        images = tuple(image for image in images if image.tick % period == 0)
+        if not wanted.stereo:
+            images = tuple(dataclasses.replace(image, right_rgb=None) for image in images)
+        yield dataclasses.replace(obs, images=images, **dropped)
+
+
+class CpuClock:
+    """Processor time of an estimator, in whatever thread, beside that of whoever feeds it."""
+
+    def __init__(self) -> None:
+        self._process = time.process_time()
+        self._elsewhere = 0.0
+        self._mark = time.thread_time()
+
+    def enter(self) -> None:
+        """The estimator is about to be called."""
+        self._elsewhere += time.thread_time() - self._mark
+
+    def leave(self) -> None:
+        self._mark = time.thread_time()
+
+    def seconds(self) -> float:
+        """Of all threads so far, less what this thread spent outside of the estimator."""
+        outside = self._elsewhere + time.thread_time() - self._mark
+        return time.process_time() - self._process - outside
+
+
+def run_estimator(
+    estimator: Estimator, observations: Iterable[Observation], clock: CpuClock | None = None
+) -> Iterator[tuple[Observation, Estimate]]:
+    """Each observation with what ``estimator`` made of it."""
+    clock = clock or CpuClock()
+    for obs in observations:
+        clock.enter()
+        estimate = estimator.update(obs)
+        clock.leave()
+        yield obs, estimate
+
+
+def replay(
+    run: Path, config: Config, out_dir: Path | None = None, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Replays ``run`` into the estimator of ``config`` (see `replay_config`); returns what becomes
+    ``result.json`` in ``out_dir``.
+
+    Errors are judged at the rows of the run's ``truth.tum`` (``judged_hz``) between lift-off and
+    the end of the survey. ``estimate.tum`` is the same to the byte in every replay; only
+    ``timing`` differs. Raises UsageError before anything is written.
+    """
+    from touchdown.experiments.flight.platform import limit_threads
+    from touchdown.experiments.flight.wiring import build_estimator
+    from touchdown.experiments.io.run_directory import check_out_dir, run_directory
+
+    logged = open_run(run)
+    if out_dir is not None:
+        check_out_dir(out_dir)
+        if out_dir.resolve() == run.resolve():
+            raise UsageError(f"--out {out_dir} is the run that is replayed; name another directory")
+    limit_threads()
+    estimator = build_estimator(config, logged.sensors.rig)
+    check_needs(config.estimator, estimator.needs, logged.sensors)
+    if out_dir is None:
+        return _replay(logged, estimator, config, None, progress)
+    with run_directory(out_dir) as partial:
+        writer = TumWriter(partial / "estimate.tum")
+        try:
+            result = _replay(logged, estimator, config, writer, progress)
+        finally:
+            writer.close()
+        shutil.copy(run / "truth.tum", partial / "truth.tum")
+        (partial / "config.json").write_text(dump_config(config), encoding="utf-8")
+        (partial / "result.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    return result
+
+
+def _replay(
+    logged: LoggedRun,
+    estimator: Estimator,
+    config: Config,
+    writer: TumWriter | None,
+    progress: Progress | None,
+) -> dict[str, Any]:
+    error, clock, started = PositioningError(), CpuClock(), time.perf_counter()
+    outcome, reason, last_s = Outcome.COMPLETED, "", 0.0
+    observations = seen_by(estimator.needs, logged.sensors)
+    for obs, estimate in run_estimator(estimator, observations, clock):
+        true = logged.truth.get(obs.tick)
+        if true is None:
+            continue
+        believed, last_s = estimate.world_from_body, obs.time_s
+        if writer is not None:
+            writer.add(estimate.time_s, believed)
+        if logged.judged(obs.tick):
+            error.add(believed, true)
+        distance = float(np.linalg.norm(believed.translation - true.translation))
+        if not distance <= config.referee.divergence_m:
+            outcome, reason = Outcome.DIVERGED, f"the estimate is {distance:.1f} m off"
+            break
+        if progress is not None:
+            progress(obs.time_s, "REPLAY", "")
+    if outcome is Outcome.COMPLETED and not np.isfinite(logged.from_s):
+        outcome, reason = Outcome.GROUNDED, "the flight that was logged never took off"
+    wall_s = time.perf_counter() - started
+    scans = max(last_s / 0.1, 1e-9)
+    return _result(
+        logged, config, outcome, reason, error,
+        timing={
+            "wall_s": wall_s,
+            "sim_s": last_s,
+            "real_time_factor": last_s / wall_s,
+            "stage_ms": {"estimator": 1e3 * clock.seconds() / scans},
+        },
+    )  # fmt: skip
+
+
+def _result(
+    logged: LoggedRun,
+    config: Config,
+    outcome: Outcome,
+    reason: str,
+    error: PositioningError,
+    timing: dict[str, Any],
+) -> dict[str, Any]:
+    from touchdown.experiments.io.provenance import git_revision, plain_json, versions
+
+    result = {
+        "outcome": str(outcome),
+        "reason": reason,
+        "scene": config.scene,
+        "seed": config.seed,
+        "estimator": config.estimator,
+        **flown_code(config.estimator),
+        "wind_kmh": config.wind.mean_kmh,
+        "replay_of": str(logged.path),
+        "flown_by": logged.result.get("estimator"),
+        "judged_hz": logged_hz(logged),
+        "position_error_m": error.summary(),
+        "landing": None,
+        "timing": timing,
+        "versions": versions(),
+        "git_revision": git_revision(),
+    }
+    return plain_json(result)
+
+
+def logged_hz(logged: LoggedRun) -> float:
+    """Rows of true poses a second."""
+    ticks = sorted(logged.truth)
+    span = ticks[-1] - ticks[0]
+    return logged.sensors.rig.tick_hz * (len(ticks) - 1) / span if span else 0.0

@@ -1,0 +1,1 @@
+"""Files and formats. Nothing here flies."""

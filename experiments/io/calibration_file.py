@@ -1,0 +1,180 @@
+"""Calibrations as JSON files, which flights load."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from touchdown.estimator.api import CalibrationResult
+from touchdown.experiments.errors import UsageError, nearest
+from touchdown.experiments.io.run_directory import whole_file
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+
+_STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+_MAX_QUAT_ERROR = 1e-3
+
+Vector3 = tuple[float, float, float]
+Vector4 = tuple[float, float, float, float]
+Vector5 = tuple[float, float, float, float, float]
+Pixels = Annotated[int, Field(gt=0)]
+Focal = Annotated[float, Field(gt=0.0)]
+
+
+class CameraPart(BaseModel):
+    """K without skew, and OpenCV's distortion k1, k2, p1, p2, k3."""
+
+    model_config = _STRICT
+
+    width: Pixels
+    height: Pixels
+    fx: Focal
+    fy: Focal
+    cx: float
+    cy: float
+    distortion: Vector5
+
+
+class ExtrinsicPart(BaseModel):
+    """p_camera = R p_lidar + t"""
+
+    model_config = _STRICT
+
+    rotation_quat_wxyz: Vector4
+    translation_m: Vector3
+
+
+class CovariancePart(BaseModel):
+    """What the calibration says of its own errors."""
+
+    model_config = _STRICT
+
+    camera: list[list[float]]
+    """(9, 9) of fx, fy, cx, cy (pixels), k1, k2, p1, p2, k3"""
+    camera_from_lidar: list[list[float]]
+    """(6, 6) of a small rotation (rad) applied on the left, then of the translation (m)"""
+
+
+class ResidualPart(BaseModel):
+    """Root mean squares."""
+
+    model_config = _STRICT
+
+    reprojection_rms_px: float
+    plane_rms_m: float
+
+
+class CalibrationFile(BaseModel):
+    """The whole file. Of these, a flight needs ``camera`` and ``camera_from_lidar``."""
+
+    model_config = _STRICT
+
+    camera: CameraPart
+    camera_from_lidar: ExtrinsicPart
+    covariance: CovariancePart | None = None
+    residuals: ResidualPart | None = None
+    views_used: int | None = None
+
+    def intrinsics(self) -> CameraIntrinsics:
+        """As an estimator is told them."""
+        part = self.camera.model_dump(exclude={"distortion"})
+        return CameraIntrinsics(**part, distortion=np.array(self.camera.distortion))
+
+    def lidar_pose(self) -> Pose:
+        """camera_from_lidar"""
+        part = self.camera_from_lidar
+        return Pose(
+            matrix_from_quat_wxyz(np.array(part.rotation_quat_wxyz)), np.array(part.translation_m)
+        )
+
+
+def write_calibration(path: Path, result: CalibrationResult) -> None:
+    """Writes a calibration. Raises OSError where that cannot be."""
+    k, pose = result.camera, result.camera_from_lidar
+    content = CalibrationFile(
+        camera=CameraPart(
+            width=k.width,
+            height=k.height,
+            fx=k.fx,
+            fy=k.fy,
+            cx=k.cx,
+            cy=k.cy,
+            distortion=_numbers(k.distortion),
+        ),
+        camera_from_lidar=ExtrinsicPart(
+            rotation_quat_wxyz=_numbers(quat_wxyz_from_matrix(pose.rotation)),
+            translation_m=_numbers(pose.translation),
+        ),
+        covariance=CovariancePart(
+            camera=result.camera_covariance.tolist(),
+            camera_from_lidar=result.extrinsic_covariance.tolist(),
+        ),
+        residuals=ResidualPart(
+            reprojection_rms_px=result.reprojection_rms_px, plane_rms_m=result.plane_rms_m
+        ),
+        views_used=len(result.used),
+    )
+    with whole_file(path) as partial:
+        partial.write_text(content.model_dump_json(indent=2) + "\n", encoding="utf-8")
+
+
+def read_calibration(path: Path) -> CalibrationFile:
+    """Raises UsageError, one line: the file is not there or not readable, a key is missing, unknown
+    or of the wrong kind."""
+    if not path.is_file():
+        raise UsageError(
+            f"calibration file '{path}' does not exist; make one with `touchdown calibrate`"
+        )
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise UsageError(f"'{path}' is not valid JSON: {error}") from None
+    except (UnicodeDecodeError, OSError) as error:
+        raise UsageError(f"'{path}' cannot be read as text: {error}") from None
+    except RecursionError:
+        raise UsageError(f"'{path}' is nested too deeply for a calibration") from None
+    if not isinstance(tree, dict):
+        raise UsageError(f"'{path}' must hold one JSON object with camera and camera_from_lidar")
+    try:
+        content = CalibrationFile.model_validate_json(json.dumps(tree), strict=True)
+    except ValidationError as error:
+        raise UsageError(f"'{path}': {_first_mistake(error)}") from None
+    quat = np.array(content.camera_from_lidar.rotation_quat_wxyz)
+    if abs(float(np.linalg.norm(quat)) - 1.0) > _MAX_QUAT_ERROR:
+        raise UsageError(
+            f"'{path}': camera_from_lidar.rotation_quat_wxyz = {quat.tolist()} must have length 1"
+        )
+    return content
+
+
+def _numbers(values: Any) -> Any:
+    return tuple(float(value) for value in np.ravel(values))
+
+
+_WORDS: dict[str, Callable[[str], str]] = {
+    "missing": lambda key: f"the key '{key}' is missing",
+    "extra_forbidden": lambda key: f"unknown key '{key}'{nearest(key, _known_keys())}",
+}
+
+
+def _first_mistake(error: ValidationError) -> str:
+    first = error.errors(include_url=False)[0]
+    key = ".".join(str(part) for part in first["loc"])
+    message = first["msg"][:1].lower() + first["msg"][1:]
+    return _WORDS.get(first["type"], lambda key: f"{key} is wrong: {message}")(key)
+
+
+def _known_keys() -> list[str]:
+    groups: dict[str, type[BaseModel]] = {
+        "camera": CameraPart,
+        "camera_from_lidar": ExtrinsicPart,
+        "covariance": CovariancePart,
+        "residuals": ResidualPart,
+    }
+    inner = [f"{name}.{key}" for name, part in groups.items() for key in part.model_fields]
+    return [*CalibrationFile.model_fields, *inner]

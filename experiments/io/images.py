@@ -1,0 +1,51 @@
+"""Pictures read from files of people's own, and written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.run_directory import whole_file
+
+Picture = NDArray[np.uint8]
+
+
+def read_picture(path: Path) -> Picture:
+    """(H, W, 3) uint8 RGB. A fourth channel, transparency, is dropped.
+
+    Raises UsageError for a file that is no picture, and for a grey or a 16-bit one: colour is half
+    of what tells ground apart, and what the levels of 16 bits mean differs from camera to camera.
+    """
+    if not path.is_file():
+        raise UsageError(f"'{path}' does not exist")
+    picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if picture is None:
+        raise UsageError(f"'{path}' is no picture that can be read")
+    if picture.dtype != np.uint8:
+        bits = 8 * picture.dtype.itemsize
+        raise UsageError(f"'{path}' has {bits} bits a channel: convert it to 8-bit RGB")
+    if picture.ndim != 3 or picture.shape[2] not in (3, 4):
+        raise UsageError(f"'{path}' is grey: place recognition needs colour, 8-bit RGB")
+    return np.ascontiguousarray(picture[..., 2::-1])
+
+
+def squared(picture: Picture, pixels: int) -> Picture:
+    """(pixels, pixels, 3): the largest square in the middle, scaled."""
+    side = min(picture.shape[:2])
+    top, left = (picture.shape[0] - side) // 2, (picture.shape[1] - side) // 2
+    square = picture[top : top + side, left : left + side]
+    way = cv2.INTER_AREA if side >= pixels else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(square, (pixels, pixels), interpolation=way), np.uint8)
+
+
+def write_png(path: Path, rgb: Picture) -> None:
+    """Writes (H, W, 3) RGB; the same picture gives the same bytes. Raises OSError."""
+    done, data = cv2.imencode(".png", rgb[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6])
+    if not done:
+        raise OSError(f"'{path}' cannot be written")
+    with whole_file(path) as partial:
+        partial.write_bytes(data.tobytes())

@@ -1,0 +1,201 @@
+"""Reads what `experiments.io.sensor_log` wrote: the observations of a flight, bit-equal."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import struct
+from collections import defaultdict, deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from mcap.records import Channel, Message, Metadata
+from mcap.stream_reader import StreamReader
+from numpy.typing import NDArray
+
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io import ros2_messages as ros
+from touchdown.experiments.io.dataclass_json import from_plain
+from touchdown.experiments.io.sensor_log import (
+    FORMAT,
+    IMAGE_TOPICS,
+    METADATA,
+    OBSERVATION_TOPIC,
+    SCAN_TOPIC,
+)
+from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
+
+_WANTED = frozenset({OBSERVATION_TOPIC, SCAN_TOPIC, *IMAGE_TOPICS})
+
+
+@dataclass(frozen=True, slots=True)
+class PackedImage:
+    """One exposure at ``tick``, as PNG."""
+
+    tick: int
+    png: memoryview
+    right_png: memoryview | None
+
+
+class SensorLogReader:
+    """A log at ``path``. Iterating gives its observations in order, every time from the beginning;
+    nothing but the present one is kept.
+
+    Raises UsageError if the file is missing, broken or none of ours.
+    """
+
+    rig: SensorRig
+    """as the estimator of the flight was told"""
+    sensed: SensorNeeds
+    """all that was simulated in the flight, hence in the log"""
+    shared: SensorNeeds
+    """the part of it that others than the flight's estimator asked for"""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        if not path.is_file():
+            raise UsageError(
+                f"'{path}' does not exist; fly with --log-sensors to record what sensors said"
+            )
+        facts = self._metadata()
+        if facts.get("format") != FORMAT:
+            raise UsageError(
+                f"'{path}' is a sensor log of format {facts.get('format')}, not {FORMAT}; "
+                "fly again with --log-sensors"
+            )
+        with _damage_told(path):
+            self.rig = from_plain(SensorRig, json.loads(facts["rig"]))
+            self.sensed = from_plain(SensorNeeds, json.loads(facts["sensed"]))
+            self.shared = from_plain(SensorNeeds, json.loads(facts["shared"]))
+
+    def __iter__(self) -> Iterator[Observation]:
+        return self.observations()
+
+    def packed(self) -> Iterator[tuple[Observation, tuple[PackedImage, ...]]]:
+        """From the beginning; images apart, as the PNG files that they were logged as."""
+        arrived: defaultdict[str, deque[bytes]] = defaultdict(deque)
+        left, right = (arrived[topic] for topic in IMAGE_TOPICS)
+        for topic, data in self._messages():
+            if topic != OBSERVATION_TOPIC:
+                arrived[topic].append(data)
+                continue
+            plain = json.loads(ros.text_of(data))
+            images = tuple(
+                PackedImage(
+                    tick=tick,
+                    png=ros.image_data(left.popleft()),
+                    right_png=ros.image_data(right.popleft()) if stereo else None,
+                )
+                for tick, _time_s, stereo in plain.pop("images", [])
+            )
+            yield _observation(plain, arrived), images
+
+    def observations(self, images: bool = True) -> Iterator[Observation]:
+        """From the beginning; without images in half the time, for who needs none."""
+        arrived: defaultdict[str, deque[bytes]] = defaultdict(deque)
+        for topic, data in self._messages():
+            if topic == OBSERVATION_TOPIC:
+                with _damage_told(self.path):
+                    plain = json.loads(ros.text_of(data))
+                    obs = _observation(plain if images else plain | {"images": []}, arrived)
+                yield obs
+            elif images or topic not in IMAGE_TOPICS:
+                arrived[topic].append(data)
+
+    def _metadata(self) -> dict[str, str]:
+        for record in self._records():
+            if isinstance(record, Metadata) and record.name == METADATA:
+                return record.metadata
+            if isinstance(record, Message):
+                break
+        raise UsageError(f"'{self.path}' is an MCAP file, but no sensor log of a flight")
+
+    def _messages(self) -> Iterator[tuple[str, bytes]]:
+        """In the order of writing, which the order by time does not promise."""
+        topics: dict[int, str] = {}
+        for record in self._records():
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Message) and topics.get(record.channel_id) in _WANTED:
+                yield topics[record.channel_id], record.data
+
+    def _records(self) -> Iterator[Any]:
+        with self.path.open("rb") as file:
+            try:
+                yield from StreamReader(file).records
+            except Exception as error:  # decompressors have errors of their own
+                detail = str(error) or type(error).__name__
+                raise UsageError(f"'{self.path}' is no complete MCAP file: {detail}") from error
+
+
+@contextlib.contextmanager
+def _damage_told(path: Path) -> Iterator[None]:
+    """What does not fit together in a file that can be read is a UsageError, too."""
+    try:
+        yield
+    except UsageError:
+        raise
+    except (ValueError, LookupError, TypeError, struct.error) as error:
+        detail = f"{type(error).__name__}: {error}"
+        raise UsageError(f"'{path}' is damaged ({detail}); fly again with --log-sensors") from error
+
+
+def _observation(plain: dict[str, Any], arrived: defaultdict[str, deque[bytes]]) -> Observation:
+    scans, images = plain.pop("scans", []), plain.pop("images", [])
+    return dataclasses.replace(
+        from_plain(Observation, plain),
+        scans=tuple(_scan(head, arrived[SCAN_TOPIC].popleft()) for head in scans),
+        images=tuple(_image(head, arrived) for head in images),
+    )
+
+
+def _scan(head: list[Any], message: bytes) -> LidarScan:
+    data = np.frombuffer(ros.bytes_of(message), dtype=np.uint8)
+    count = int(data[:4].view("<u4")[0])
+    planes = data[4 : 4 + 20 * count].reshape(5, 4, count)
+    columns = np.ascontiguousarray(planes.transpose(0, 2, 1)).view("<f4")[..., 0]
+    start_tick, end_tick, start_time_s, end_time_s = head
+    return LidarScan(
+        start_tick=start_tick,
+        end_tick=end_tick,
+        start_time_s=start_time_s,
+        end_time_s=end_time_s,
+        directions=_frozen(np.ascontiguousarray(columns[:3].T)),
+        ranges=_frozen(columns[3].copy()),
+        time_offsets=_frozen(columns[4].copy()),
+        intensity=_frozen(data[4 + 20 * count :].copy()),
+    )
+
+
+def _image(head: list[Any], arrived: defaultdict[str, deque[bytes]]) -> CameraImage:
+    tick, time_s, stereo = head
+    left, right = (arrived[topic] for topic in IMAGE_TOPICS)
+    return CameraImage(
+        tick=tick,
+        time_s=time_s,
+        rgb=_picture(left.popleft()),
+        right_rgb=_picture(right.popleft()) if stereo else None,
+    )
+
+
+def _picture(message: bytes) -> NDArray[np.uint8]:
+    return unpack_image(ros.image_data(message))
+
+
+def unpack_image(png: memoryview) -> NDArray[np.uint8]:
+    """(H, W, 3) RGB of a PNG file. Raises UsageError where it is none."""
+    file = np.frombuffer(png, dtype=np.uint8)
+    bgr = cv2.imdecode(file, cv2.IMREAD_COLOR)
+    if bgr is None:
+        raise UsageError("a picture in the sensor log is damaged; fly again with --log-sensors")
+    return _frozen(np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8))
+
+
+def _frozen(array: NDArray[Any]) -> NDArray[Any]:
+    array.setflags(write=False)
+    return array

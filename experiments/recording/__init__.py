@@ -1,0 +1,1 @@
+"""What a flight writes while it flies."""

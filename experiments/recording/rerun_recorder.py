@@ -1,0 +1,349 @@
+"""The Rerun recording of a flight: entity tree = frame tree, SI units, timeline ``sim_time``.
+
+Cost and size are bounded: everything is thinned to the rates of ``config.log``, scalars, poses and
+paths go in batches, static geometry is logged once, the map goes in tiles and only those that
+changed.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections import deque
+from pathlib import Path
+
+import cv2
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from touchdown.controller.api import Setpoint
+from touchdown.estimator.api import Estimate, MapView
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.drawing.map_images import costmap_picture, map_points
+from touchdown.experiments.recording.map_tiles import MapTiles
+from touchdown.experiments.recording.rerun_batches import (
+    PathBatch,
+    PoseBatch,
+    ScalarBatch,
+    log_styles,
+)
+from touchdown.experiments.recording.rerun_blueprint import TIMELINE, flight_blueprint
+from touchdown.experiments.recording.rerun_scene import log_moving, log_scene, log_vehicle
+from touchdown.experiments.recording.scan_deskew import OdomTrack, height_colours, scan_points_odom
+from touchdown.landing.api import Candidate, LanderView
+from touchdown.scenes.api import Scene
+from touchdown.sim.api import CameraImage, Command, LidarScan, Observation, SensorRig, Truth
+from touchdown.sim.frames import Pose, tilt_from_rotation
+
+Array = NDArray[np.float64]
+
+_POSE_HZ = 20.0
+_SCALAR_HZ = 10.0
+_PATH_HZ = 5.0
+_FLUSH_S = 2.0
+_MAP_POINT_M = 0.11
+_SPAN_M = 75.0
+_RING_M, _POLE_M = 1.5, 12.0
+_RGB_ACCEPTED, _RGB_REFUSED, _RGB_CHOSEN = (120, 230, 255), (255, 90, 90), (90, 255, 90)
+
+
+class Every:
+    """``due`` is true at most ``hz`` times a second of simulated time."""
+
+    def __init__(self, hz: float) -> None:
+        self._period_s = 1.0 / hz
+        self._next_s = -np.inf
+
+    def due(self, time_s: float) -> bool:
+        if time_s < self._next_s - 1e-6:
+            return False
+        self._next_s = time_s + self._period_s
+        return True
+
+
+_FOOTER, _FOOTER_BYTES = b"RRF2FOOT", 64
+"""at the end of a recording that is whole"""
+
+
+class RerunLog:
+    """A ``Recorder`` that writes one ``.rrd`` file with a blueprint in it. ``close`` raises OSError
+    where it could not be written to its end."""
+
+    def __init__(self, path: Path, scene: Scene, rig: SensorRig, config: Config) -> None:
+        self._scene = scene
+        self._rig = rig
+        self._params = config.log
+        self._stream = rr.RecordingStream(
+            "touchdown", recording_id=f"{config.scene}-{config.estimator}-{config.seed}"
+        )
+        middle = scene.takeoff_xy_m + _survey_middle(scene, config)
+        self._path = path
+        self._stream.save(path, default_blueprint=flight_blueprint(middle, _SPAN_M))
+        self._poses, self._paths = PoseBatch(), PathBatch()
+        self._scalars = ScalarBatch()
+        self._tiles = MapTiles()
+        self._track = OdomTrack()
+        self._pose_due, self._scalar_due = Every(_POSE_HZ), Every(_SCALAR_HZ)
+        self._path_due, self._flush_due = Every(_PATH_HZ), Every(1.0 / _FLUSH_S)
+        self._scan_due = Every(self._params.scan_hz)
+        self._camera_due = Every(self._params.camera_hz)
+        self._map_due = Every(1.0 / self._params.map_period_s)
+        self._faults = deque(sorted(_fault_times(config)))
+        self._seen_text = ("", "")
+        self._seen_site: Array = np.full(3, np.nan)
+        self._seen_costmap: object = None
+        self._seen_candidates: object = ()
+        self._last: tuple[Truth, Estimate, MapView] | None = None
+        self._log_static()
+
+    def tick(
+        self,
+        truth: Truth,
+        obs: Observation,
+        estimate: Estimate,
+        map_view: MapView,
+        lander_view: LanderView,
+        setpoint: Setpoint,
+        command: Command,
+    ) -> None:
+        time_s = truth.time_s
+        self._last = (truth, estimate, map_view)
+        self._track.add(estimate)
+        if self._pose_due.due(time_s):
+            self._poses.add(time_s, truth.world_from_body)
+        if self._path_due.due(time_s):
+            self._paths.add(
+                time_s,
+                true=truth.world_from_body.translation,
+                estimated=estimate.world_from_body.translation,
+                reference=lander_view.reference_world,
+            )
+        if self._scalar_due.due(time_s):
+            self._add_scalars(truth, estimate, lander_view, command)
+        self._log_sensors(obs, estimate)
+        if self._map_due.due(time_s):
+            self._log_map(time_s, estimate, map_view)
+        self._log_decisions(time_s, estimate, lander_view)
+        self._log_events(time_s, estimate)
+        if self._flush_due.due(time_s):
+            self._flush()
+
+    def close(self) -> None:
+        if self._last is not None:
+            truth, estimate, map_view = self._last
+            self._log_map(truth.time_s, estimate, map_view, everything=True)
+        self._flush()
+        self._stream.flush()
+        self._stream.disconnect()
+        # Its writer has a thread of its own and tells nobody of a full disk.
+        with self._path.open("rb") as file:
+            file.seek(max(0, os.fstat(file.fileno()).st_size - _FOOTER_BYTES))
+            if _FOOTER not in file.read():
+                raise OSError(errno.EIO, os.strerror(errno.EIO), str(self._path))
+
+    # --------------------------------------------------------------------------------- static
+
+    def _log_static(self) -> None:
+        stream, rig = self._stream, self._rig
+        stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        log_scene(stream, self._scene, self._params.texture_pixels)
+        log_vehicle(stream, self._scene)
+        for name, pose in (
+            ("camera", rig.body_from_camera),
+            ("lidar", rig.body_from_lidar),
+        ):
+            stream.log(f"world/vehicle/{name}", _transform(pose), static=True)
+        camera = rig.camera
+        stream.log(
+            "world/vehicle/camera",
+            rr.Pinhole(
+                image_from_camera=camera.matrix(),
+                resolution=[camera.width, camera.height],
+                image_plane_distance=5.0,
+                color=(255, 220, 120),
+            ),
+            static=True,
+        )
+        marker = rr.Points3D(
+            [[0.0, 0.0, 0.0]],
+            radii=rr.Radius.ui_points([5.0]),
+            colors=[(255, 240, 120)],
+        )
+        stream.log("world/vehicle/marker", marker, static=True)
+        log_styles(stream)
+
+    # -------------------------------------------------------------------------------- channels
+
+    def _add_scalars(
+        self,
+        truth: Truth,
+        estimate: Estimate,
+        lander_view: LanderView,
+        command: Command,
+    ) -> None:
+        position = truth.world_from_body.translation
+        error = estimate.world_from_body.translation - position
+        tracking = position - lander_view.reference_world
+        rows = {f"plots/error/{axis}": error[i] for i, axis in enumerate("xyz")}
+        rows |= {f"plots/tracking/{axis}": tracking[i] for i, axis in enumerate("xyz")}
+        rows |= {
+            "plots/motion/height_m": position[2],
+            "plots/motion/speed_mps": np.linalg.norm(truth.velocity_world),
+            "plots/motion/tilt_deg": np.degrees(tilt_from_rotation(truth.world_from_body.rotation)),
+            "plots/motion/wind_mps": np.linalg.norm(truth.wind_world),
+        }
+        rows |= {f"plots/rotors/{i}": speed for i, speed in enumerate(command.rotor_speed_radps)}
+        rows |= {
+            f"plots/estimator/{name.replace('/', '_')}": value
+            for name, value in estimate.diagnostics.items()
+        }
+        self._scalars.add(truth.time_s, {path: float(value) for path, value in rows.items()})
+
+    def _log_sensors(self, obs: Observation, estimate: Estimate) -> None:
+        for image in obs.images:
+            if self._camera_due.due(image.time_s):
+                self._log_image(image)
+        for scan in obs.scans:
+            if self._scan_due.due(scan.end_time_s):
+                self._log_scan(scan, estimate)
+
+    def _log_image(self, image: CameraImage) -> None:
+        options = [cv2.IMWRITE_JPEG_QUALITY, self._params.jpeg_quality]
+        done, data = cv2.imencode(".jpg", cv2.cvtColor(image.rgb, cv2.COLOR_RGB2BGR), options)
+        if done:
+            self._stream.set_time(TIMELINE, duration=image.time_s)
+            self._stream.log(
+                "world/vehicle/camera/image",
+                rr.EncodedImage(contents=data.tobytes(), media_type="image/jpeg"),
+            )
+
+    def _log_scan(self, scan: LidarScan, estimate: Estimate) -> None:
+        track = estimate.scan_track or self._track.around(scan)
+        points = scan_points_odom(scan, track, self._rig.body_from_lidar, self._params.scan_points)
+        pose = estimate.world_from_odom
+        points = points @ pose.rotation.T + pose.translation
+        self._stream.set_time(TIMELINE, duration=scan.end_time_s)
+        self._stream.log(
+            "world/scan",
+            rr.Points3D(
+                points.astype(np.float32),
+                colors=height_colours(points[:, 2]),
+                radii=[0.08],
+            ),
+        )
+
+    def _log_map(
+        self,
+        time_s: float,
+        estimate: Estimate,
+        map_view: MapView,
+        *,
+        everything: bool = False,
+    ) -> None:
+        self._stream.set_time(TIMELINE, duration=time_s)
+        log_moving(self._stream, self._scene, time_s)
+        self._stream.log("world/map", _transform(estimate.world_from_odom))
+        grid = map_view.coarse
+        for rows, cols in self._tiles.changed(grid, everything=everything):
+            points, colours = map_points(grid, rows, cols)
+            self._stream.log(
+                f"world/map/tile_{rows.start}_{cols.start}",
+                rr.Points3D(points, colors=colours, radii=[_MAP_POINT_M]),
+            )
+
+    def _log_decisions(self, time_s: float, estimate: Estimate, view: LanderView) -> None:
+        text = (str(view.phase), view.note)
+        if text != self._seen_text:
+            self._seen_text = text
+            level = "WARN" if view.no_site or view.aborted else "INFO"
+            self._stream.set_time(TIMELINE, duration=time_s)
+            self._stream.log("log/phase", rr.TextLog(": ".join(filter(None, text)), level=level))
+        if view.site_world is not None and not np.array_equal(view.site_world, self._seen_site):
+            self._seen_site = view.site_world.copy()
+            self._stream.set_time(TIMELINE, duration=time_s)
+            self._stream.log("world/site", _site_lines(view.site_world))
+        if view.costmap is not None and view.costmap is not self._seen_costmap:
+            self._seen_costmap = view.costmap
+            self._log_costmap(time_s, estimate, view)
+        if view.candidates and view.candidates is not self._seen_candidates:
+            self._seen_candidates = view.candidates
+            self._stream.set_time(TIMELINE, duration=time_s)
+            self._stream.log("world/map/candidates", _candidate_points(view.candidates))
+
+    def _log_events(self, time_s: float, estimate: Estimate) -> None:
+        """The estimator's own words, and the faults that were put in its way."""
+        for text in estimate.events:
+            self._stream.set_time(TIMELINE, duration=time_s)
+            self._stream.log("log/estimator", rr.TextLog(text, level="WARN"))
+        while self._faults and time_s >= self._faults[0][0]:
+            start_s, text = self._faults.popleft()
+            self._stream.set_time(TIMELINE, duration=start_s)
+            self._stream.log("log/faults", rr.TextLog(text, level="ERROR"))
+
+    def _log_costmap(self, time_s: float, estimate: Estimate, view: LanderView) -> None:
+        if view.costmap is None:
+            return
+        site = view.site_world
+        site_odom = None if site is None else estimate.world_from_odom.inverse().apply(site)
+        picture = costmap_picture(view.costmap, view.candidates, site_odom)
+        done, data = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+        if done:
+            self._stream.set_time(TIMELINE, duration=time_s)
+            self._stream.log(
+                "costmap/total",
+                rr.EncodedImage(contents=data.tobytes(), media_type="image/png"),
+            )
+
+    def _flush(self) -> None:
+        for batch in (self._poses, self._paths, self._scalars):
+            batch.send(self._stream)
+
+
+def _fault_times(config: Config) -> list[tuple[float, str]]:
+    """When each fault of the schedule begins and ends."""
+    found = []
+    for fault in config.faults.schedule():
+        found.append((fault.start_s, f"fault {fault.text} begins"))
+        if fault.duration_s is not None:
+            found.append((fault.start_s + fault.duration_s, f"fault {fault.text} ends"))
+    return found
+
+
+def _survey_middle(scene: Scene, config: Config) -> Array:
+    """(2,) from the take-off spot to the middle of the surveyed area, world axes."""
+    half = 0.5 * np.array(
+        [
+            config.survey.leg_length_m,
+            config.survey.leg_spacing_m * (config.survey.legs - 1),
+        ]
+    )
+    cos, sin = np.cos(scene.takeoff_yaw), np.sin(scene.takeoff_yaw)
+    return np.array([cos * half[0] - sin * half[1], sin * half[0] + cos * half[1]])
+
+
+def _transform(pose: Pose) -> rr.Transform3D:
+    return rr.Transform3D(translation=pose.translation, mat3x3=pose.rotation)
+
+
+def _site_lines(site_world: Array) -> rr.LineStrips3D:
+    """A ring of the radius that must be clear, and a pole to find it by."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 37)
+    ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
+    pole = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, _POLE_M]])
+    return rr.LineStrips3D(
+        [site_world + _RING_M * ring + np.array([0.0, 0.0, 0.2]), site_world + pole],
+        colors=[_RGB_CHOSEN],
+        radii=rr.Radius.ui_points([2.0, 0.8]),
+    )
+
+
+def _candidate_points(candidates: tuple[Candidate, ...]) -> rr.Points3D:
+    lift = np.array([0.0, 0.0, 0.5])
+    return rr.Points3D(
+        np.array([candidate.position_odom + lift for candidate in candidates]),
+        colors=[_RGB_ACCEPTED if c.accepted else _RGB_REFUSED for c in candidates],
+        radii=[0.6],
+        labels=[f"{c.score:.2f} {c.reason}" for c in candidates],
+        show_labels=False,
+    )

@@ -1,0 +1,1 @@
+"""`touchdown regress`: baseline, comparison, verdict."""

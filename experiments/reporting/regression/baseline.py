@@ -1,0 +1,141 @@
+"""Flights to compare with: what `touchdown regress` keeps of a campaign."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.run_directory import write_text
+from touchdown.experiments.reporting.flights import Row, is_bad, number
+
+FORMAT = "touchdown-baseline-1"
+METRIC = "position_error_m.mean"
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One flight. ``error_m`` is None where it never came to a figure."""
+
+    seed: int
+    error_m: float | None
+    outcome: str
+    bad: bool
+
+
+Key = tuple[str, str, str]
+"""scene, method, variant"""
+Cells = Mapping[Key, Mapping[int, Trial]]
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """``config_sha`` is one hash over the configurations of all flights."""
+
+    cells: Cells
+    git_revision: str | None
+    config_sha: str
+
+
+def cell_name(key: Key) -> str:
+    scene, method, variant = key
+    return f"{scene}, {method}" + (f" ({variant})" if variant else "")
+
+
+def cells_of(rows: Iterable[Row]) -> dict[Key, dict[int, Trial]]:
+    """Flights by cell and seed. Raises UsageError when a cell has a seed twice."""
+    cells: dict[Key, dict[int, Trial]] = {}
+    for row in rows:
+        key = (row["scene"], row["estimator"], _variant(row))
+        trials = cells.setdefault(key, {})
+        seed = int(row["seed"])
+        if seed in trials:
+            raise UsageError(
+                f"{cell_name(key)} was flown twice with seed {seed} ('{row['run_id']}' is one of "
+                "the runs); keep one of them"
+            )
+        trials[seed] = Trial(seed, number(row, METRIC), str(row["outcome"]), is_bad(row))
+    return cells
+
+
+def _variant(row: Row) -> str:
+    """What else tells runs of a campaign apart: landings, and the axes that end a run's name."""
+    name = str(row["run_id"]).rpartition("/")[2]
+    start = f"{Path(row['scene']).stem}-{row['estimator']}-s{row['seed']}-"
+    parts = ["land"] if row["mode"] == "land" else []
+    if name.startswith(start):
+        parts.append(name.removeprefix(start))
+    return " ".join(parts)
+
+
+def configuration_sha(rows: Iterable[Row]) -> str:
+    """One hash over the configurations of all flights, in no particular order."""
+    shas = sorted({str(row.get("config_sha")) for row in rows})
+    return hashlib.sha256(" ".join(shas).encode()).hexdigest()[:12]
+
+
+def write_baseline(rows: Sequence[Row], path: Path) -> None:
+    """Writes the flights of ``rows`` as a baseline, at once. Raises UsageError, and leaves a file
+    alone that is none."""
+    if path.exists():
+        read_baseline(path)
+    cells = cells_of(rows)
+    revisions = sorted({str(row["git_revision"]) for row in rows if row.get("git_revision")})
+    tree = {
+        "format": FORMAT,
+        "metric": METRIC,
+        "git_revision": ", ".join(revisions) or None,
+        "config_sha": configuration_sha(rows),
+        "cells": [
+            {
+                "scene": scene,
+                "estimator": method,
+                "variant": variant,
+                "flights": [asdict(trials[seed]) for seed in sorted(trials)],
+            }
+            for (scene, method, variant), trials in sorted(cells.items())
+        ],
+    }
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, json.dumps(tree, indent=1) + "\n")
+    except OSError as error:
+        raise UsageError(f"--baseline {path}: cannot be written: {error.strerror}") from error
+
+
+def read_baseline(path: Path) -> Baseline:
+    """Raises UsageError when there is none or it is none."""
+    if not path.is_file():
+        raise UsageError(f"baseline '{path}' does not exist; write it with --update")
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+        if tree["format"] != FORMAT:
+            raise ValueError(f"its format is {tree['format']!r}, not {FORMAT!r}")
+        cells = {
+            (str(c["scene"]), str(c["estimator"]), str(c["variant"])): {
+                int(f["seed"]): _trial(f) for f in c["flights"]
+            }
+            for c in tree["cells"]
+        }
+        return Baseline(cells, tree["git_revision"], str(tree["config_sha"]))
+    except (OSError, ValueError, TypeError, LookupError) as error:
+        reason = f"'{error.args[0]}' is missing" if isinstance(error, KeyError) else str(error)
+        reason = " ".join(reason.split())
+        raise UsageError(
+            f"'{path}' is no baseline of `touchdown regress`: {reason}; write one with --update "
+            "to another name"
+        ) from None
+
+
+def _trial(tree: Mapping[str, Any]) -> Trial:
+    error = tree["error_m"]
+    if error is not None:
+        error = float(error)
+        if not (math.isfinite(error) and error >= 0.0):
+            raise ValueError(f"error_m = {error} is no error")
+    return Trial(int(tree["seed"]), error, str(tree["outcome"]), bool(tree["bad"]))

@@ -1,0 +1,1 @@
+"""`touchdown reproduce`: every table and figure of the paper, part by part."""

@@ -1,0 +1,166 @@
+"""How much of everything a reproduction does, whole or quick, and what its flights cost."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.util
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from touchdown.experiments.campaign.plan import Plan, PlannedRun, load_plan
+from touchdown.experiments.reporting.published import ANALYSED_SCENE
+from touchdown.experiments.reporting.published_networks import NETWORK_NAMES
+
+PLANS = Path(__file__).parent / "plans"
+PAPER_SCENES = ("crossroad", "lake", "houses", "forest")
+_QUICK_SITES = ("rooftop_parking", "footbridge")
+
+CORE_SECONDS: Mapping[tuple[str, str], float] = {
+    ("fly", "gps"): 7.0,
+    ("fly", "optical_flow"): 15.0,
+    ("fly", "hybrid_flow"): 15.0,
+    ("fly", "stereo"): 25.0,
+    ("fly", "paper"): 66.0,
+    ("fly", "livo"): 42.0,
+    ("land", "gps"): 44.0,
+    ("land", "optical_flow"): 44.0,
+    ("land", "hybrid_flow"): 55.0,
+    ("land", "paper"): 104.0,
+    ("land", "livo"): 70.0,
+}
+"""of one flight on one core of the machine that this project is measured on"""
+
+
+@dataclass(frozen=True, slots=True)
+class Recognition:
+    """A data set that is rendered, and the networks that learn from it."""
+
+    images: int
+    pixels: int
+    per_place: int
+    scenes: tuple[str, ...]
+    """none: all"""
+    networks: tuple[str, ...]
+    labels: tuple[str, ...]
+    image_size: int
+    epochs: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Extent:
+    """How much of a reproduction is asked for."""
+
+    quick: bool
+    photographs: tuple[str, ...] = ()
+    """further labelled pictures for place recognition, as ``--data`` of `touchdown train`"""
+
+    @property
+    def edition(self) -> Edition:
+        return edition(quick=self.quick)
+
+
+@dataclass(frozen=True, slots=True)
+class Edition:
+    name: str
+    poses: int
+    """of the chessboard"""
+    rounds: int
+    """of timing a choice of site"""
+    recognition: Recognition
+
+
+WHOLE = Edition(
+    name="whole",
+    poses=12,
+    rounds=9,
+    recognition=Recognition(
+        images=4000,
+        pixels=128,
+        per_place=40,
+        scenes=(),
+        networks=tuple(NETWORK_NAMES),
+        labels=("d_scene", "d_land"),
+        image_size=96,
+        epochs=6,
+    ),
+)
+# Of another name: what a processor had time for and what a GPU had are never in one table.
+WHOLE_ON_GPU = replace(
+    WHOLE,
+    name="whole-gpu",
+    recognition=replace(WHOLE.recognition, images=12000, image_size=128, epochs=30),
+)
+# Five seeds of each scene are the fewest that give all three splits.
+QUICK = Edition(
+    name="quick",
+    poses=12,
+    rounds=5,
+    recognition=Recognition(
+        images=200,
+        pixels=64,
+        per_place=8,
+        scenes=("crossroad", "lake", "houses", "forest", "cottage"),
+        networks=("resnet18",),
+        labels=("d_land",),
+        image_size=64,
+        epochs=6,
+    ),
+)
+
+
+def edition(*, quick: bool) -> Edition:
+    if quick:
+        return QUICK
+    return WHOLE_ON_GPU if _gpu() else WHOLE
+
+
+@functools.cache
+def _gpu() -> bool:
+    if importlib.util.find_spec("torch") is None:
+        return False
+    import torch
+
+    return bool(torch.cuda.is_available())
+
+
+_QUICK_RUNS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
+    "positioning": lambda run: run["scene"] == ANALYSED_SCENE,
+    "landing": lambda run: run["scene"] == ANALYSED_SCENE,
+    "real_sites": lambda run: run["scene"] in _QUICK_SITES,
+    "commanded_site": lambda run: True,
+}
+"""Of the first seed of each campaign, the runs that the quick edition flies."""
+
+
+def plan_of(campaign: str, *, quick: bool) -> Plan:
+    """A campaign as its file says; of it, for the quick edition, a part of the first seed's runs.
+
+    The whole edition has all runs of the quick one, by the same names: it goes on where that ended.
+    """
+    plan = load_plan(PLANS / f"{campaign}.toml")
+    if not quick:
+        return plan
+    wanted = _QUICK_RUNS[campaign]
+    first = min(run.values["seed"] for run in plan.runs)
+    runs = [run for run in plan.runs if run.values["seed"] == first and wanted(run.values)]
+    # The longest first, so that the last to end do so at much the same time.
+    runs.sort(key=lambda run: -_cost(plan.mode, run))
+    return replace(plan, runs=tuple(runs), record="none")
+
+
+def digest(plan: Plan) -> str:
+    """Twelve hexadecimal digits that name the flights of a plan."""
+    text = "\n".join(sorted(f"{run.run_id} {run.config_sha}" for run in plan.runs))
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def core_seconds(plan: Plan) -> float:
+    """What the flights of a plan take on one core, from `CORE_SECONDS`."""
+    return sum(_cost(plan.mode, run) for run in plan.runs)
+
+
+def _cost(mode: str, run: PlannedRun) -> float:
+    return CORE_SECONDS.get((mode, run.values["estimator"]), max(CORE_SECONDS.values()))

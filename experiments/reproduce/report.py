@@ -1,0 +1,320 @@
+"""The report of a reproduction: the paper's tables and figures in its order, ours beside them."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.reporting.document import (
+    Report,
+    Section,
+    condition_words,
+    make_report,
+    tiles,
+    write_report,
+)
+from touchdown.experiments.reporting.figures import Picture
+from touchdown.experiments.reporting.flights import load_flights
+from touchdown.experiments.reporting.published_networks import NETWORK_NAMES
+from touchdown.experiments.reporting.tables import MISSING, Cell, Table
+from touchdown.experiments.reproduce.networks import PICTURES
+from touchdown.experiments.reproduce.steps import FLIGHTS, PARTS, VEHICLE, Part
+from touchdown.experiments.reproduce.tables import (
+    calibration_table,
+    network_tables,
+    rig_table,
+    site_table,
+    speed_table,
+)
+
+if TYPE_CHECKING:
+    from touchdown.experiments.reproduce.state import PartState, Reproduction
+
+Figures = Mapping[str, Any]
+
+ITEMS: tuple[tuple[str, str], ...] = (
+    ("Fig. 2", "a coloured cloud of camera and LIDAR"),
+    ("Fig. 4", "edge energy of a picture, and how smooth returns are by it"),
+    ("Fig. 5", "pictures of the kinds of ground"),
+    ("Fig. 7", "the vehicle"),
+    ("Fig. 8", "the simulated vehicle and four scenes"),
+    ("Table 1", "scan time, density and levelness of the maps"),
+    ("Fig. 9 a", "trajectories of surveys"),
+    ("Table 2", "mean and variance of the deviation from the path, by method"),
+    ("Fig. 10", "paths by method, and errors by axis"),
+    ("Fig. 9 b", "trajectories of landings"),
+    ("Table 3", "scores of networks under two label schemes"),
+    ("Table 4", "cost of networks, and scores on the test pictures"),
+    ("Table 5", "landings on a designated spot, by method"),
+    ("Fig. 12", "where they touched down"),
+    ("Fig. 11", "the steps to a site on five kinds of sites"),
+    ("Table 6", "landings on five kinds of sites"),
+    ("Table 7", "time of each step of choosing a site"),
+)
+"""What the paper shows, by what; its Figs. 1, 3 and 6 are drawings of ideas."""
+
+_SECTIONS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "positioning": (
+        ("summary", "published", "accuracy", "axes", "map", "paths", "outcomes", "consistency"),
+        ("fig9a", "fig10a", "fig10b", "fig10_estimate"),
+    ),
+    "commanded_site": (("summary", "landings", "outcomes"), ("fig12",)),
+    "real_sites": (("summary", "landings", "outcomes"), ()),
+    "landing": (("summary", "paths", "landings", "outcomes"), ("fig9b",)),
+}
+"""Of the report of each campaign, the sections and the pictures that are taken over."""
+
+_NOT_SAID = "No flight was to land"
+
+
+def write_reproduction(done: Reproduction, out: Path) -> dict[str, Path]:
+    """Writes report.html, report.md, report.json and figures/. Raises UsageError where that cannot
+    be."""
+    report, rows = make_reproduction(done)
+    try:
+        return write_report(report, rows, out)
+    except OSError as error:
+        raise UsageError(f"--out {out}: cannot be written: {error.strerror}") from error
+
+
+def make_reproduction(done: Reproduction) -> tuple[Report, list[dict[str, Any]]]:
+    """The report, and the rows of all flights in it."""
+    rows: list[dict[str, Any]] = []
+    sections = []
+    for part in PARTS:
+        state = done.states.get(part.name)
+        if state is not None:
+            sections.append(_section(part, state, done.out / part.name, rows))
+    summary = Section("summary", "In words", _summary_words(done), [], [])
+    items = Section("items", "What the paper shows, and where it is here", [], [_items(done)], [])
+    ends = [Section("conditions", "Conditions", condition_words(rows), [], [])] if rows else []
+    good = sum(state.good for state in done.states.values())
+    heads = [("parts done", f"{good} of {len(PARTS)}"), *(tiles(rows) if rows else [])]
+    name = "quick edition" if done.quick else "whole edition"
+    title = f"Touchdown: the paper reproduced, {name}"
+    return Report(title, heads, [summary, items, *sections, *ends], ""), rows
+
+
+# ------------------------------------------------------------------------------------------- words
+
+
+def _summary_words(done: Reproduction) -> list[str]:
+    lines = []
+    if done.quick:
+        lines.append(
+            "Quick edition: the first seed of each campaign and not all of its scenes, so most "
+            "figures have no interval; a single flight proves little. `touchdown reproduce` "
+            "without `--quick`, into the same directory, flies the rest."
+        )
+    for part in PARTS:
+        state = done.states.get(part.name)
+        what = f"`{part.name}` ({', '.join(part.shows)})"
+        if state is None:
+            why = "by `--skip`" if part.name in done.skipped else "not done yet"
+            lines.append(f"{what} is left out, {why}.")
+        elif state.error:
+            lines.append(f"{what} could not be ended: {state.error}.")
+        elif state.why:
+            lines.append(f"{what} failed its purpose: {state.why}.")
+    if done.states and all(s.good for s in done.states.values()) and len(done.states) == len(PARTS):
+        lines.append("All parts are done, and did what they are for.")
+    return lines
+
+
+def _items(done: Reproduction) -> Table:
+    rows = []
+    for item, what in ITEMS:
+        part = next(part for part in PARTS if item in part.shows)
+        state = done.states.get(part.name)
+        word = "left out" if state is None else _verdict(state)
+        where = part.title if state is not None else MISSING
+        rows.append([Cell(item, kind="name"), Cell(what, kind="name"), Cell(where), Cell(word)])
+    header = ["of the paper", "what it shows", "section here", "state"]
+    notes = ["Its Figs. 1, 3 and 6 are drawings of ideas: there is nothing to measure in them."]
+    return Table("items", "Item by item", header, rows, notes)
+
+
+def _verdict(state: PartState) -> str:
+    if state.error:
+        return "not ended"
+    return f"{'done' if state.good else 'failed its purpose'} ({state.edition})"
+
+
+# ---------------------------------------------------------------------------------------- sections
+
+
+def _section(
+    part: Part, state: PartState, folder: Path, rows: list[dict[str, Any]]
+) -> Section:  # fmt: skip
+    """A part's; the flights of a campaign are added to ``rows``."""
+    words = [f"For {', '.join(part.shows)}, by the part `{part.name}`, {state.edition} edition."]
+    if state.why or state.error:
+        words.append(f"Not as it should be: {state.error or state.why}.")
+    section = Section(part.name, part.title, words, [], [])
+    if state.error and not state.figures:
+        return section
+    if part.name in _SECTIONS:
+        _add_campaign(section, folder / FLIGHTS, rows)
+    else:
+        _FILLERS[part.name](section, state.figures, folder)
+    return section
+
+
+def _add_campaign(section: Section, flights: Path, rows: list[dict[str, Any]]) -> None:
+    try:
+        own = load_flights(flights)
+    except UsageError as error:
+        section.words.append(f"There is nothing to show: {error}.")
+        return
+    rows += own
+    keys, pictures = _SECTIONS[section.key]
+    made = make_report(own, title=section.title)
+    for found in made.sections:
+        if found.key not in keys:
+            continue
+        section.words.extend(w for w in found.words if not w.startswith(_NOT_SAID))
+        section.tables.extend(
+            replace(table, key=f"{section.key}_{table.key}") for table in found.tables
+        )
+        section.pictures.extend(p for p in found.pictures if p.name in pictures)
+
+
+def _fill_calibration(section: Section, figures: Figures, folder: Path) -> None:
+    section.tables.append(calibration_table(figures))
+    section.words.append(
+        "The truth is what the simulation gave camera and LIDAR; the paper prints no errors of its "
+        "calibration."
+    )
+    home = folder / PICTURES
+    section.pictures.extend([
+        raster("fig2", "Fig. 2: the cloud in the colours of the picture",
+               "One view of the chessboard from beside the camera: its squares lie flat and "
+               "undistorted on the board where the calibration is right.", home / "cloud.png"),
+        raster("fig2_boards", "The views that it was calibrated with",
+               "Corners as they were found.", home / "boards.png"),
+    ])  # fmt: skip
+
+
+def _fill_edges(section: Section, _figures: Figures, folder: Path) -> None:
+    home = folder / PICTURES
+    section.pictures.extend([
+        raster("fig4", "Fig. 4: edge energy and local smoothness",
+               "A picture, the energy of its structured edges, f_c of the returns of one scan, and "
+               "the points that are chosen by it.", home / "smoothness.jpg"),
+        raster("fig4_edges", "The detector beside Canny and the truth",
+               "On scenes that it was not trained on.", home / "edges.jpg"),
+    ])  # fmt: skip
+
+
+def _fill_world(section: Section, figures: Figures, folder: Path) -> None:
+    section.tables.append(rig_table(figures))
+    home = folder / PICTURES
+    section.pictures.append(
+        raster("fig7", "Fig. 7: the vehicle",
+               "Battery above, LIDAR, camera and computer below; the paper's is a real one.",
+               home / VEHICLE)
+    )  # fmt: skip
+    section.pictures.extend(
+        raster(f"fig8_{scene}", f"Fig. 8: {scene}", "Seed 0, from the south-west.",
+               home / f"{scene}.jpg")
+        for scene in figures["scenes"]
+    )  # fmt: skip
+
+
+def _fill_sites(section: Section, figures: Figures, folder: Path) -> None:
+    section.tables.append(site_table(figures))
+    section.words.append(
+        f"Sensors are towed along the survey at its planned poses; the scorer is "
+        f"`{figures['scorer']}`."
+    )
+    section.pictures.extend(
+        raster(f"fig11_{place['scene']}", f"Fig. 11: {place['scene']}",
+               "The map in colour, every cost, their sum, the clusters, and the candidates (blue) "
+               "with the site (red).", folder / PICTURES / f"site_{place['scene']}.jpg")
+        for place in figures["places"]
+    )  # fmt: skip
+
+
+def _fill_speed(section: Section, figures: Figures, _folder: Path) -> None:
+    section.tables.append(speed_table(figures))
+
+
+def _fill_recognition(section: Section, figures: Figures, folder: Path) -> None:
+    size = figures["size"]
+    networks, schemes = len(size["networks"]), len(size["labels"])
+    names = [Path(argument.rpartition("=")[2]).name for argument in size["photographs"]]
+    also = f" and the photographs of {' and '.join(names)}" if names else ""
+    section.words.append(
+        f"{size['images']} rendered pictures of {size['pixels']} pixels{also}; networks see "
+        f"{size['image_size']} and learn for at most {size['epochs']} epochs. The paper's pictures "
+        "are photographs of UC Merced, AID and Places365, 81 970 for validation and 5000 for the "
+        "test: scores on other pictures stand beside them, but are of another task."
+    )
+    if networks < len(NETWORK_NAMES):
+        section.words.append(
+            f"The paper trains {len(NETWORK_NAMES)} networks under two label schemes; here it is "
+            f"{networks} under {schemes}, briefly and small: that the chain works is shown, not "
+            "how good networks get."
+        )
+    section.tables.extend(network_tables(figures["networks"]))
+    section.pictures.append(
+        raster("fig5", "Fig. 5: kinds of ground", "Ten rendered pictures of each class of D_Land.",
+               folder / figures["folder"] / PICTURES / "contact_sheet.png")
+    )  # fmt: skip
+
+
+_FILLERS: Mapping[str, Callable[[Section, Figures, Path], None]] = {
+    "calibration": _fill_calibration,
+    "edges": _fill_edges,
+    "world": _fill_world,
+    "sites": _fill_sites,
+    "speed": _fill_speed,
+    "recognition": _fill_recognition,
+}
+
+
+def raster(name: str, title: str, caption: str, file: Path) -> Picture:
+    """A photograph-like picture as an SVG that holds it, so that a page needs no other file."""
+    from touchdown.experiments.benchmarks.site_selection_figures import jpeg
+    from touchdown.experiments.io.images import read_picture
+
+    picture = read_picture(file)
+    height, width = picture.shape[:2]
+    data = base64.b64encode(jpeg(picture)).decode("ascii")
+    svg = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{0.75 * width:g}pt" '
+        f'height="{0.75 * height:g}pt" viewBox="0 0 {width} {height}">'
+        f'<image width="{width}" height="{height}" href="data:image/jpeg;base64,{data}"/></svg>'
+    )
+    return Picture(name, title, caption, svg)
+
+
+# -------------------------------------------------------------------------------------------- json
+
+
+def figures_of(done: Reproduction, report: Path) -> dict[str, Any]:
+    """For ``--json``: what each part came to, and the files of the ``report``."""
+    parts = [
+        {
+            "part": name,
+            "edition": state.edition,
+            "good": state.good,
+            "why": state.error or state.why,
+            "wall_s": state.wall_s,
+            "figures": state.figures,
+        }
+        for name, state in done.states.items()
+    ]
+    return {
+        "directory": str(done.out),
+        "edition": "quick" if done.quick else "whole",
+        "good": done.good,
+        "skipped": list(done.skipped),
+        "wall_s": done.wall_s,
+        "parts": parts,
+        "files": {kind: str(report / f"report.{kind}") for kind in ("html", "md", "json")},
+    }

@@ -1,0 +1,213 @@
+"""`touchdown reproduce`: every table and figure of the paper from one command, part by part."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import importlib.util
+import json
+import shutil
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from touchdown.experiments.campaign.executor import EngineStoppedError
+from touchdown.experiments.campaign.session import Watcher
+from touchdown.experiments.errors import UsageError, system_message
+from touchdown.experiments.io.run_directory import utc_now, write_text
+from touchdown.experiments.reproduce.background_worker import Beside, tell
+from touchdown.experiments.reproduce.plans import Extent
+from touchdown.experiments.reproduce.state import (
+    _LOCK,
+    ERROR,
+    MARK,
+    REPORT,
+    STATE,
+    PartState,
+    Reproduction,
+    _is_done,
+    read_states,
+)
+from touchdown.experiments.reproduce.steps import PARTS, Done, Job, Notes, Part, part_named
+
+_QUICK, _WHOLE = '"edition": "quick"', '"edition": "whole"'
+_OF_THE_MACHINE = (OSError, EngineStoppedError)
+"""what stops everything, since the next part would meet it too"""
+
+
+def reproduce(
+    out: Path,
+    *,
+    quick: bool,
+    jobs: int,
+    skip: Sequence[str] = (),
+    photographs: Sequence[str] = (),
+    notes: Notes = lambda _note: None,
+    watcher: Callable[[], Watcher] = Watcher,
+) -> Reproduction:
+    """Does what ``out`` lacks of the quick or the whole edition and writes ``out/report``.
+
+    Parts that are done are not repeated. A part that goes wrong is told in its state and in the
+    report, and the others go on; what stops the machine (a full disk) stops all. Raises UsageError.
+    """
+    from touchdown.experiments.reproduce.report import write_reproduction
+
+    skipped = tuple(part_named(name).name for name in skip)
+    wanted = [part for part in PARTS if part.name not in skipped]
+    if not wanted:
+        raise UsageError("--skip leaves nothing to do")
+    started = time.perf_counter()
+    extent = Extent(quick=quick, photographs=tuple(photographs))
+    _check_libraries([part for part in wanted if not _is_done(part, out, extent)])
+    with _locked(out):
+        todo = [part for part in wanted if not _is_done(part, out, extent)]
+        _sign(out, quick=quick)
+        heads = {p.name: f"[{n}/{len(wanted)}] {p.name}" for n, p in enumerate(wanted, start=1)}
+        for part in wanted:
+            if part not in todo:
+                notes(f"{heads[part.name]}: done already")
+        slots = threading.Semaphore(jobs)
+        aside = _aside(todo, jobs)
+        with Beside(slots, notes) as beside:
+            if aside:
+                beside.start(_do_aside, out, extent, {name: heads[name] for name in aside})
+            for part in todo:
+                if part.name in aside:
+                    continue
+                if part.flies:
+                    beside.check()
+                else:
+                    beside.wait()
+                job = Job(
+                    folder=out / part.name,
+                    extent=extent,
+                    jobs=jobs,
+                    notes=notes,
+                    watcher=watcher(),
+                    slots=slots,
+                )
+                _do(part, job, heads[part.name])
+            beside.wait()
+        done = Reproduction(
+            out, quick, read_states(out), skipped, time.perf_counter() - started
+        )  # fmt: skip
+        notes("writing the report")
+        write_reproduction(done, out / REPORT)
+    return done
+
+
+def _aside(todo: Sequence[Part], jobs: int) -> tuple[str, ...]:
+    """Names of the parts that are done while others fly."""
+    if jobs == 1 or not any(part.flies for part in todo):
+        return ()
+    return tuple(part.name for part in todo if part.beside)
+
+
+def _do_aside(out: Path, extent: Extent, heads: Mapping[str, str]) -> None:
+    """In the process beside: the parts named, one after the other."""
+    for name, head in heads.items():
+        _do(part_named(name), Job(folder=out / name, extent=extent, jobs=1, notes=tell), head)
+
+
+def _do(part: Part, job: Job, head: str) -> None:
+    """Runs a part and writes its state down; ``head`` begins what is noted of it."""
+    from touchdown.experiments.io.provenance import git_revision
+
+    job.notes(f"{head}: {part.title}, for {', '.join(part.shows)}")
+    started = time.perf_counter()
+    job.folder.mkdir(parents=True, exist_ok=True)
+    for partial in job.folder.glob(".*.partial-*"):
+        shutil.rmtree(partial, ignore_errors=True)  # of one that was killed: others are locked out
+    done, error = Done({}), ""
+    try:
+        done = part.run(job)
+    except Exception as problem:
+        if isinstance(problem, UsageError) and isinstance(problem.__cause__, _OF_THE_MACHINE):
+            raise
+        if isinstance(problem, OSError) and (message := system_message(problem)):
+            raise UsageError(f"--out {job.folder}: {message}") from problem
+        kind = "" if isinstance(problem, UsageError) else f"{type(problem).__name__}: "
+        error = " ".join(f"{kind}{problem}".split())
+        write_text(job.folder / ERROR, traceback.format_exc())
+    state = PartState(
+        part=part.name,
+        edition=job.edition.name,
+        settings=part.settings(job.extent),
+        figures=done.figures,
+        why=done.why,
+        error=error,
+        wall_s=time.perf_counter() - started,
+        finished_utc=utc_now(),
+        git_revision=git_revision(),
+    )
+    tree = {name: getattr(state, name) for name in PartState.__slots__}
+    write_text(job.folder / STATE, json.dumps(tree, indent=1) + "\n")
+    told = state.error or state.why
+    job.notes(f"{head}: {f'FAILED: {told}' if told else 'done'} after {state.wall_s:.0f} s")
+
+
+def _check_libraries(todo: Sequence[Part]) -> None:
+    needed = [part.name for part in todo if part.needs_torch]
+    missing = [name for name in ("torch", "onnx") if importlib.util.find_spec(name) is None]
+    if needed and missing:
+        raise UsageError(
+            f"the part {needed[0]} needs {missing[0]}: install it with pip install "
+            f"'touchdown[train]', or leave the part out with --skip {needed[0]}"
+        )
+
+
+def _sign(out: Path, *, quick: bool) -> None:
+    """Marks the directory as a reproduction, so that nothing else is ever overwritten. A quick one
+    may become whole, but not the other way round: it would leave flights out that are there."""
+    mark = out / MARK
+    if quick and mark.is_file() and _WHOLE in mark.read_text(encoding="utf-8", errors="replace"):
+        raise UsageError(
+            f"'{out}' was begun without --quick; go on without it, or name another --out"
+        )
+    write_text(mark, f"{{{_QUICK if quick else _WHOLE}}}\n")
+
+
+@contextlib.contextmanager
+def _locked(out: Path) -> Iterator[None]:
+    """Makes the directory and keeps others out. Raises UsageError for one of something else."""
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out {out}: is a file; name a new directory")
+    ours = (out / MARK).is_file()
+    if out.is_dir() and not ours and any(not p.name.startswith(".") for p in out.iterdir()):
+        raise UsageError(
+            f"--out {out}: holds something that is no reproduction; name another directory"
+        )
+    with contextlib.ExitStack() as held:
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            file = held.enter_context((out / _LOCK).open("a"))
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UsageError(
+                f"'{out}' is being worked on by another reproduction; wait for it, or name "
+                "another --out"
+            ) from None
+        except OSError as error:
+            raise UsageError(f"--out {out}: {error.strerror}") from error
+        yield
+
+
+# ------------------------------------------------------------------------------------------ plans
+
+
+def overview(*, quick: bool, jobs: int, skip: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """Each part, what it shows and about how long it takes with ``jobs`` processes."""
+    skipped = {part_named(name).name for name in skip}
+    return [
+        {
+            "part": part.name,
+            "title": part.title,
+            "shows": list(part.shows),
+            "core_minutes": part.core_seconds(Extent(quick=quick)) / 60.0,
+        }
+        for part in PARTS
+        if part.name not in skipped
+    ]

@@ -1,0 +1,308 @@
+"""The parts of a reproduction: each fills a directory and says whether it did what it is for.
+
+Heavy modules are imported by the part that needs them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from touchdown.experiments.campaign.session import Watcher, default_jobs
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.run_directory import run_directory
+from touchdown.experiments.reporting.published import SITES
+from touchdown.experiments.reproduce.networks import PICTURES, train_and_score
+from touchdown.experiments.reproduce.plans import (
+    PAPER_SCENES,
+    Edition,
+    Extent,
+    core_seconds,
+    digest,
+    plan_of,
+)
+
+FLIGHTS = "flights"
+VEHICLE = "vehicle.jpg"
+
+Notes = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """What a part is given: its own directory, how much to do, and whom to tell."""
+
+    folder: Path
+    extent: Extent
+    jobs: int = field(default_factory=default_jobs)
+    notes: Notes = lambda _note: None
+    watcher: Watcher = field(default_factory=Watcher)
+    slots: threading.Semaphore | None = None
+    """one is taken for each flight"""
+
+    @property
+    def edition(self) -> Edition:
+        return self.extent.edition
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """``figures`` are for the report; ``why`` says in what the part failed its purpose, empty where
+    it did not."""
+
+    figures: dict[str, Any]
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    name: str
+    title: str
+    shows: tuple[str, ...]
+    """tables and figures of the paper"""
+    settings: Callable[[Extent], dict[str, Any]]
+    """what decides its result"""
+    run: Callable[[Job], Done]
+    core_seconds: Callable[[Extent], float]
+    """roughly, on one core"""
+    beside: bool = False
+    """measures no time, and may be done while flights are flown"""
+    flies: bool = False
+    needs_torch: bool = False
+
+
+# ------------------------------------------------------------------------------- sensors, pictures
+
+
+def _calibration(job: Job) -> Done:
+    from touchdown.experiments.calibration.evaluate import run_calibration
+
+    with run_directory(job.folder / PICTURES) as partial_folder:
+        report = run_calibration(
+            load_config(seed=0),
+            job.edition.poses,
+            partial_folder / "calibration.json",
+            partial_folder,
+            job.notes,
+        )
+    del report["file"]
+    agreed = report["consistency"]["consistent"]
+    return Done(report, "" if agreed else "its errors are beyond what it says of them")
+
+
+def _edges(job: Job) -> Done:
+    from touchdown.experiments.edges.figures import draw_pictures
+
+    with run_directory(job.folder / PICTURES) as partial_folder:
+        files = draw_pictures(partial_folder, 0, "shipped", job.notes)
+    return Done({"pictures": [file.name for file in files]})
+
+
+def _world(job: Job) -> Done:
+    """Figs. 7 and 8: the vehicle, and the paper's four scenes."""
+    from touchdown.experiments.scene_tools.render import load_place, render_view, vehicle_portrait
+    from touchdown.experiments.scene_tools.views import write_picture
+
+    config = load_config(scene=PAPER_SCENES[0], seed=0)
+    with run_directory(job.folder / PICTURES) as partial_folder:
+        job.notes("drawing the vehicle")
+        picture, vehicle = vehicle_portrait(load_place(config))
+        write_picture(partial_folder / VEHICLE, picture)
+        for scene in PAPER_SCENES:
+            job.notes(f"drawing {scene}")
+            render_view(scene, 0, "oblique", partial_folder / f"{scene}.jpg")
+    tick_hz = config.sim.tick_hz
+    return Done({
+        "mass_kg": vehicle.mass_kg,
+        "footprint_radius_m": vehicle.footprint_radius_m,
+        "lidar": config.lidar.preset,
+        "lidar_scan_hz": tick_hz / config.sim.lidar_scan_ticks,
+        "camera_px": [config.camera.width, config.camera.height],
+        "camera_deg": [config.camera.fov_x_deg, config.camera.fov_y_deg],
+        "imu_hz": tick_hz / config.sim.imu_ticks,
+        "scenes": list(PAPER_SCENES),
+    })  # fmt: skip
+
+
+def _sites(job: Job) -> Done:
+    """Fig. 11: the steps from a map to a site, over the paper's five kinds of sites."""
+    from touchdown.experiments.benchmarks import site_selection as selector_check
+
+    with run_directory(job.folder / PICTURES) as partial_folder:
+        found = selector_check.run(
+            tuple(SITES),
+            seeds="0",
+            scorer=None,
+            jobs=min(job.jobs, len(SITES)),
+            fit_model=False,
+            overrides=(),
+            report=lambda place: job.notes(selector_check.row(place)),
+            pictures=partial_folder,
+        )
+    kept = ("scene", "seed", "chosen_safe", "accepted", "accepted_safe")
+    places = [{key: place[key] for key in kept} for place in found["places"]]
+    unsafe = [place["scene"] for place in places if place["chosen_safe"] is False]
+    why = f"the site chosen on {', '.join(unsafe)} is unsafe by the true map" if unsafe else ""
+    return Done({"scorer": found["scorer"], "places": places}, why)
+
+
+# ---------------------------------------------------------------------------------------- flights
+
+
+def _campaign(name: str, job: Job) -> Done:
+    from touchdown.experiments.campaign.session import fly_campaign, make_engine
+
+    figures = fly_campaign(
+        plan_of(name, quick=job.extent.quick),
+        job.folder / FLIGHTS,
+        make_engine("local", job.jobs, slots=job.slots),
+        watcher=job.watcher,
+    )
+    kept = ("name", "mode", "runs", "finished", "crashed", "remaining", "outcomes", "errors")
+    why = ""
+    if figures["crashed"] or figures["remaining"]:
+        lost = figures["crashed"] + figures["remaining"]
+        why = f"{lost} of {figures['runs']} flights came to no outcome"
+    elif not figures["as_expected"]:
+        why = "not all flights are as the campaign's file expects"
+    return Done({key: figures[key] for key in kept}, why)
+
+
+# ----------------------------------------------------------------------------------------- speed
+
+
+def _speed(job: Job) -> Done:
+    """Table 7."""
+    from touchdown.experiments.benchmarks.site_selection_time import bench_landing
+
+    job.notes("surveying crossroad, then choosing a site over and over")
+    reference = importlib.util.find_spec("skimage") is not None
+    rounds, threads = job.edition.rounds, job.jobs
+    return Done(bench_landing(rounds=rounds, threads=threads, reference=reference))
+
+
+# ------------------------------------------------------------------------------------ recognition
+
+
+def _recognition(job: Job) -> Done:
+    settings = _recognition_settings(job.extent)
+    scores = train_and_score(
+        job.folder / job.edition.name,
+        job.edition.recognition,
+        job.extent.photographs,
+        settings,
+        job.jobs,
+        job.notes,
+    )
+    return Done({"size": settings, "folder": job.edition.name, "networks": scores})
+
+
+def _recognition_settings(extent: Extent) -> dict[str, Any]:
+    photographs = list(extent.photographs)
+    return dataclasses.asdict(extent.edition.recognition) | {"photographs": photographs}
+
+
+# ------------------------------------------------------------------------------------------- list
+
+
+def _campaign_part(name: str, title: str, *shows: str) -> Part:
+    return Part(
+        name=name,
+        title=title,
+        shows=shows,
+        settings=lambda extent: {"flights": digest(plan_of(name, quick=extent.quick))},
+        run=partial(_campaign, name),
+        core_seconds=lambda extent: core_seconds(plan_of(name, quick=extent.quick)),
+        flies=True,
+    )
+
+
+def _always(seconds: float) -> Callable[[Extent], float]:
+    return lambda _extent: seconds
+
+
+def _recognition_seconds(extent: Extent) -> float:
+    """Six pictures rendered a second; a core learns from 90 a second with ResNet18 at 64 pixels,
+    from 25 with the networks of the whole edition on average."""
+    size = extent.edition.recognition
+    passes = size.images * size.epochs * len(size.networks) * len(size.labels)
+    return size.images / 6.0 + passes / (90.0 if extent.quick else 25.0)
+
+
+PARTS: tuple[Part, ...] = (
+    Part(
+        name="calibration",
+        title="Camera and LIDAR, calibrated",
+        shows=("Fig. 2",),
+        settings=lambda extent: {"poses": extent.edition.poses},
+        run=_calibration,
+        core_seconds=_always(60.0),
+        beside=True,
+    ),
+    Part(
+        name="edges",
+        title="Edge energy and smoothness",
+        shows=("Fig. 4",),
+        settings=lambda _extent: {"seed": 0},
+        run=_edges,
+        core_seconds=_always(40.0),
+        beside=True,
+    ),
+    Part(
+        name="world",
+        title="Vehicle and scenes",
+        shows=("Fig. 7", "Fig. 8"),
+        settings=lambda _extent: {"seed": 0},
+        run=_world,
+        core_seconds=_always(30.0),
+        beside=True,
+    ),
+    Part(
+        name="sites",
+        title="From the map to the site",
+        shows=("Fig. 11",),
+        settings=lambda _extent: {"seed": 0},
+        run=_sites,
+        core_seconds=_always(80.0),
+        beside=True,
+    ),
+    _campaign_part("positioning", "Positioning", "Table 1", "Table 2", "Fig. 9 a", "Fig. 10"),
+    _campaign_part("commanded_site", "Landings on one spot", "Table 5", "Fig. 12"),
+    _campaign_part("real_sites", "Landings on five kinds of sites", "Table 6"),
+    _campaign_part("landing", "Landings over four scenes", "Fig. 9 b"),
+    Part(
+        name="speed",
+        title="Time of a choice of site",
+        shows=("Table 7",),
+        settings=lambda extent: {"rounds": extent.edition.rounds},
+        run=_speed,
+        core_seconds=_always(20.0),
+    ),
+    Part(
+        name="recognition",
+        title="Place recognition",
+        shows=("Fig. 5", "Table 3", "Table 4"),
+        settings=_recognition_settings,
+        run=_recognition,
+        core_seconds=_recognition_seconds,
+        needs_torch=True,
+    ),
+)
+"""In the order of doing: what may be beside flights, flights, what is timed with nothing beside."""
+
+
+def part_named(name: str) -> Part:
+    """Raises UsageError for an unknown name."""
+    from touchdown.experiments.errors import nearest
+
+    known = [part.name for part in PARTS]
+    if name not in known:
+        raise UsageError(f"unknown part '{name}'{nearest(name, known)}; known: {', '.join(known)}")
+    return PARTS[known.index(name)]

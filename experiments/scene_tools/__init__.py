@@ -1,0 +1,1 @@
+"""Renderings and checks of scenes."""

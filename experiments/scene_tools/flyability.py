@@ -1,0 +1,84 @@
+"""Can a place of a file be flown over, and if not, why?"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.scene_tools.render import load_place
+from touchdown.experiments.scene_tools.survey_facts import place_facts, survey_facts
+from touchdown.landing.api import SurveyParams
+
+ENOUGH_SHARE = 0.95
+"""of the survey with ground below"""
+STEP_M = 1.0
+"""a take-off spot that is higher or lower than this above the ground around is remarked on"""
+CLEARANCE_M = 2.0
+"""between the legs and what stands below them"""
+_ODD_TAKEOFF = ("building", "trees", "water")
+
+
+def check_place(file: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """Builds the place of an MJCF file once and looks at what the configured survey needs of it.
+
+    ``place``: the file; ``problems``: why it cannot be flown, one sentence each; ``remarks``: what
+    may not be meant; ``facts``: `scenes.truth.place_facts.PlaceFacts` and what
+    `scenes.truth.survey_facts.SurveyFacts` says of safe ground. Raises UsageError for a file that
+    cannot be read."""
+    config = load_config(None, list(overrides), scene=file)
+    scene = load_place(config)
+    facts = {
+        **dataclasses.asdict(place_facts(config, scene)),
+        **dataclasses.asdict(survey_facts(config, scene)),
+    }
+    return {
+        "place": file,
+        "problems": _problems(facts, config),
+        "remarks": _remarks(facts),
+        "facts": facts,
+    }
+
+
+def _problems(facts: dict[str, Any], config: Config) -> list[str]:
+    survey, found = config.survey, []
+    if facts["legs_share"] < ENOUGH_SHARE:
+        found.append(
+            f"there is ground under {facts['legs_share']:.0%} of the survey, {_size(survey)} ahead "
+            "and to the left of the take-off; enlarge it, move or turn the site 'takeoff', or make "
+            "the survey smaller (survey.leg_length_m, survey.legs, survey.leg_spacing_m)"
+        )
+    if facts["highest_m"] > survey.height_m - CLEARANCE_M:
+        found.append(
+            f"something below the survey is {facts['highest_m']:.1f} m higher than the take-off, "
+            f"and the legs are flown at {survey.height_m:g} m; raise survey.height_m"
+        )
+    if not facts["safe_sites"]:
+        found.append(
+            "no safe ground where the survey looks: none is level, free and of a safe class "
+            "(lawn, field, path)"
+        )
+    return found
+
+
+def _remarks(facts: dict[str, Any]) -> list[str]:
+    found = []
+    above, land_class = facts["takeoff_above_m"], facts["takeoff_class"]
+    if abs(above) > STEP_M or land_class in _ODD_TAKEOFF:
+        found.append(
+            f"the take-off is on '{facts['takeoff_geom']}' ({land_class}), {abs(above):.1f} m "
+            f"{'above' if above >= 0.0 else 'below'} the ground around it; heights of the survey "
+            "count from there"
+        )
+    if facts["legs_share"] >= ENOUGH_SHARE > facts["seen_share"]:
+        found.append(
+            f"there is ground under {facts['seen_share']:.0%} of what LIDAR and camera see: beyond "
+            "its edge an estimator has nothing to hold on to"
+        )
+    return found
+
+
+def _size(survey: SurveyParams) -> str:
+    return f"{survey.leg_length_m:g} x {(survey.legs - 1) * survey.leg_spacing_m:g} m"

@@ -1,0 +1,97 @@
+"""Pictures of scenes, and scenes as MJCF for other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.drawing.contact_sheet import contact_sheet, thumbnails
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.flight.wiring import build_scene
+from touchdown.experiments.scene_tools.views import VIEWS, Picture, SceneViews, write_picture
+from touchdown.scenes.api import Scene
+from touchdown.scenes.export import export_scene
+from touchdown.scenes.registry import scene_names
+from touchdown.sim.api import VehicleModel
+
+CONTACT_SHEET = "contact_sheet.png"
+PICTURE_SUFFIXES = (".png", ".jpg")
+
+
+def render_view(name: str, seed: int, view: str, out: Path) -> None:
+    """Writes one view (`experiments.scene_tools.views.VIEWS`) of a scene, a map with ticks around
+    it. Raises UsageError before anything is written."""
+    if out.suffix.lower() not in PICTURE_SUFFIXES:
+        raise UsageError(f"--out {out} must end in {' or '.join(PICTURE_SUFFIXES)}")
+    views = _views(name, seed)
+    picture = views.draw(view)
+    _make_folder(out.parent)
+    write_picture(out, views.framed(view, picture))
+
+
+def render_all_views(name: str, seed: int, out_dir: Path) -> dict[str, Picture]:
+    """Writes every view of a scene to ``out_dir/VIEW.png``, maps with ticks around them, and
+    returns them by name, without ticks. Raises as `render_view`."""
+    views = _views(name, seed)
+    _make_folder(out_dir)
+    pictures: dict[str, Picture] = {}
+    for view in VIEWS:
+        pictures[view] = views.draw(view)
+        write_picture(out_dir / f"{view}.png", views.framed(view, pictures[view]))
+    return pictures
+
+
+def render_every_scene(seed: int, out: Path, progress: Callable[[str], None]) -> Path:
+    """Writes every view of every named scene to ``out/SCENE/VIEW.png`` and the contact sheet of
+    them all, whose path is returned. ``progress`` is called with each name."""
+    sheet = {}
+    for name in scene_names():
+        progress(name)
+        sheet[name] = thumbnails(render_all_views(name, seed, out / name))
+    path = out / CONTACT_SHEET
+    write_picture(path, contact_sheet(sheet))
+    return path
+
+
+def export_place(name: str, seed: int, out: Path) -> Path:
+    """Writes ``scene.xml`` and its assets into a new or empty directory and returns the file.
+    Raises UsageError before anything is written."""
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError(f"--out {out} exists; name a new directory")
+    scene = load_place(load_config(scene=name, seed=seed))
+    _make_folder(out)
+    return export_scene(scene, out)
+
+
+def load_place(config: Config) -> Scene:
+    """The scene of a configuration; what is wrong with its name or file is a UsageError, and what
+    goes wrong after that is not."""
+    try:
+        return build_scene(config)
+    except (ValueError, OSError) as error:
+        raise UsageError(str(error)) from error
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"--out: folder '{folder}' cannot be made: {error.strerror}") from error
+
+
+def _views(name: str, seed: int) -> SceneViews:
+    config = load_config(scene=name, seed=seed)
+    return SceneViews(load_place(config), config)
+
+
+def vehicle_portrait(scene: Scene) -> tuple[NDArray[np.uint8], VehicleModel]:
+    """(H, W, 3) RGB of the vehicle on the ground, and what its controller knows of it."""
+    from touchdown.scenes.render import vehicle_picture
+    from touchdown.sim.airframe.vehicle import vehicle_model
+
+    return vehicle_picture(scene), vehicle_model(scene.model)

@@ -1,0 +1,69 @@
+"""What one network costs: run as a program, in a process of its own, it prints one JSON object.
+
+python -m landing.classification.footprint FILE ENGINE REPEATS
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from touchdown.landing.classification.engine import Classifier, OnnxClassifier
+
+ENGINES = ("onnx", "torch")
+_WARM_UP = 3
+
+
+def load_classifier(path: Path, engine: str, threads: int = 1) -> Classifier:
+    """A network's file in ``onnx`` (ONNX Runtime) or ``torch``.
+
+    Raises ValueError, FileNotFoundError as `landing.classification.weights.read_network`,
+    ImportError without the engine."""
+    if engine == "onnx":
+        return OnnxClassifier(path, threads)
+    if engine != "torch":
+        raise ValueError(f"unknown engine '{engine}': give one of {', '.join(ENGINES)}")
+    import torch
+
+    from touchdown.landing.classification.learning.export import TorchClassifier
+
+    torch.set_num_threads(threads)
+    return TorchClassifier(path)
+
+
+def measured(path: Path, engine: str, repeats: int) -> dict[str, float]:
+    """Milliseconds for one picture, median of ``repeats`` on one thread, and the most memory that
+    this process has had, MB of 1e6 bytes."""
+    begin = time.perf_counter()
+    classifier = load_classifier(path, engine)
+    loaded = time.perf_counter()
+    size = classifier.facts.image_size
+    picture = np.random.default_rng(0).integers(0, 256, (1, size, size, 3), dtype=np.uint8)
+    times = []
+    for _ in range(_WARM_UP + repeats):
+        start = time.perf_counter()
+        classifier.scores(picture)
+        times.append(time.perf_counter() - start)
+    return {
+        "load_s": loaded - begin,
+        "image_ms": 1e3 * statistics.median(times[_WARM_UP:]),
+        "peak_ram_mb": _peak_memory_mb(),
+    }
+
+
+def _peak_memory_mb() -> float:
+    """High-water mark of this process. ``getrusage`` would count what the parent had before it
+    started this program."""
+    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
+        if line.startswith("VmHWM:"):
+            return float(line.split()[1]) * 1024 / 1e6
+    return float("nan")
+
+
+if __name__ == "__main__":
+    print(json.dumps(measured(Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]))))

@@ -1,0 +1,196 @@
+"""The two label schemes, and what the classes of public data sets are called in them.
+
+Mappings were fixed before any network was trained. A class goes to what most of its area shows; a
+class that shows two things about equally goes to the one that is less safe to land on, or, where
+neither is a kind of ground, is left out.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from touchdown.landing.classification import places365 as places
+from touchdown.scenes.api import LAND_CLASSES
+
+D_LAND: tuple[str, ...] = LAND_CLASSES
+"""the paper's seven classes by landing difficulty"""
+
+D_SCENE: tuple[str, ...] = (
+    "airport", "bareland", "baseballfield", "beach", "bridge", "center", "church", "commercial",
+    "denseresidential", "desert", "farmland", "forest", "industrial", "meadow",
+    "mediumresidential", "mountain", "park", "parking", "playground", "pond", "port",
+    "railwaystation", "resort", "river", "school", "sparseresidential", "square", "stadium",
+    "storagetanks", "viaduct",
+)  # fmt: skip
+"""the thirty classes of AID (Xia et al., IEEE TGRS 2017)"""
+
+SCHEMES: dict[str, tuple[str, ...]] = {"d_land": D_LAND, "d_scene": D_SCENE}
+NO_LABEL = -1
+"""of a picture whose class is left out of a scheme"""
+
+
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """What a class of a data set is called in each scheme; None: left out."""
+
+    d_land: str | None
+    d_scene: str | None
+
+    def label(self, scheme: str) -> int:
+        """Index into ``SCHEMES[scheme]``, or ``NO_LABEL``."""
+        name: str | None = getattr(self, scheme)
+        return NO_LABEL if name is None else SCHEMES[scheme].index(name)
+
+
+def _table(text: str) -> dict[str, Meaning]:
+    """Rows of class, D_Land, D_Scene; ``-`` leaves the class out."""
+    rows = [line.split() for line in text.strip().splitlines()]
+    return {
+        name: Meaning(*(None if cell == "-" else cell for cell in cells)) for name, *cells in rows
+    }
+
+
+UC_MERCED = _table("""
+agricultural        field     farmland
+airplane            -         airport
+baseballdiamond     field     baseballfield
+beach               water     beach
+buildings           building  commercial
+chaparral           trees     bareland
+denseresidential    building  denseresidential
+forest              trees     forest
+freeway             road      viaduct
+golfcourse          lawn      park
+harbor              water     port
+intersection        road      viaduct
+mediumresidential   building  mediumresidential
+mobilehomepark      building  denseresidential
+overpass            road      viaduct
+parkinglot          road      parking
+river               water     river
+runway              road      airport
+sparseresidential   building  sparseresidential
+storagetanks        building  storagetanks
+tenniscourt         -         playground
+""")
+"""Yang and Newsam (2010), 21 classes. An apron full of aircraft and a fenced court among gardens
+are no kind of ground. Surf fills most of the beaches; chaparral is shrubs. AID's only roads are
+viaducts."""
+
+AID = _table("""
+airport             road      airport
+bareland            field     bareland
+baseballfield       field     baseballfield
+beach               water     beach
+bridge              water     bridge
+center              building  center
+church              building  church
+commercial          building  commercial
+denseresidential    building  denseresidential
+desert              field     desert
+farmland            field     farmland
+forest              trees     forest
+industrial          building  industrial
+meadow              lawn      meadow
+mediumresidential   building  mediumresidential
+mountain            -         mountain
+park                -         park
+parking             road      parking
+playground          field     playground
+pond                water     pond
+port                water     port
+railwaystation      building  railwaystation
+resort              building  resort
+river               water     river
+school              building  school
+sparseresidential   building  sparseresidential
+square              path      square
+stadium             building  stadium
+storagetanks        building  storagetanks
+viaduct             road      viaduct
+""")
+"""A park is lawn, trees and ponds in equal parts; mountains are rock, snow or forest."""
+
+PLACES365 = _table(places.OUTDOOR) | dict.fromkeys(places.INDOOR.split(), Meaning(None, None))
+"""Zhou et al. (2018), 365 classes. Everything indoors is left out, by the data set's own list, and
+so are outdoor scenes that show no one kind of ground."""
+
+LAND_FOLDERS = {name: Meaning(name, None) for name in D_LAND}
+"""plain folders named as the classes of D_Land"""
+
+SOURCES: dict[str, Mapping[str, Meaning]] = {
+    "d_land": LAND_FOLDERS,
+    "ucmerced": UC_MERCED,
+    "aid": AID,
+    "places365": PLACES365,
+}
+"""by kind of data set: its classes; names are compared by letters and digits alone"""
+
+_RENDERED = {
+    "crossroad": ("commercial", {"road": "viaduct", "lawn": "park", "field": "farmland",
+                                 "trees": "park"}),
+    "lake": ("resort", {"water": "pond", "lawn": "meadow", "field": "beach", "trees": "forest"}),
+    "houses": ("mediumresidential", {}),
+    "forest": ("forest", {"lawn": "meadow", "water": "river"}),
+    "turf": ("playground", {"trees": "park", "building": "stadium"}),
+    "rooftop_parking": ("parking", {"building": "commercial", "trees": "commercial"}),
+    "cottage": ("sparseresidential", {"field": "farmland", "trees": "forest"}),
+    "footbridge": ("park", {"path": "bridge", "water": "river", "road": "viaduct"}),
+    "pools": ("resort", {"field": "playground"}),
+    "flat": ("meadow", {"field": "farmland"}),
+    "open_water": ("pond", {"path": "port", "building": "port"}),
+}  # fmt: skip
+"""by rendered scene: the AID class of the place, and of parts of it that look otherwise"""
+
+
+def rendered_meaning(scene: str, land_class: str) -> Meaning:
+    """Of a rendered patch of ``land_class``; a place without a name has no D_Scene class."""
+    if scene not in _RENDERED:
+        return Meaning(land_class, None)
+    place, parts = _RENDERED[scene]
+    return Meaning(land_class, parts.get(land_class, place))
+
+
+def check_scheme(scheme: str) -> tuple[str, ...]:
+    """The classes of a scheme. Raises ValueError for an unknown one."""
+    if scheme not in SCHEMES:
+        raise ValueError(f"unknown labels '{scheme}': give one of {', '.join(SCHEMES)}")
+    return SCHEMES[scheme]
+
+
+def plain_name(name: str) -> str:
+    """Letters and digits of a folder's or a class's name, small."""
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+def meanings(kind: str, folders: Sequence[str]) -> dict[str, Meaning]:
+    """What each folder of a data set of ``kind`` (a key of ``SOURCES``) shows.
+
+    Raises ValueError for a folder that is no class of it, with the nearest one.
+    """
+    known = {plain_name(name): meaning for name, meaning in SOURCES[kind].items()}
+    for folder in folders:
+        if plain_name(folder) not in known:
+            near = difflib.get_close_matches(plain_name(folder), known, n=1, cutoff=0.5)
+            hint = f"; did you mean '{near[0]}'?" if near else ""
+            raise ValueError(f"'{folder}' is no class of {kind}{hint}")
+    return {folder: known[plain_name(folder)] for folder in folders}
+
+
+def kind_of_folders(folders: Sequence[str]) -> str:
+    """The data set whose classes ``folders`` are: the one that knows most of them, of equals the
+    one named first in ``SOURCES``. Raises ValueError where none knows half of them."""
+    names = {plain_name(folder) for folder in folders}
+    counts = {
+        kind: len(names & {plain_name(name) for name in table}) for kind, table in SOURCES.items()
+    }
+    best = max(counts, key=lambda kind: counts[kind])
+    if not names or 2 * counts[best] < len(names):
+        raise ValueError(
+            f"the folders ({', '.join(sorted(folders)[:4])}, ...) are not the classes of any of "
+            f"{', '.join(SOURCES)}"
+        )
+    return best

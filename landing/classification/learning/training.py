@@ -1,0 +1,370 @@
+"""Training a network on labelled pictures: AdamW, cosine schedule, averaged weights, early stop."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from touchdown.landing.api import LabelledPictures
+from touchdown.landing.classification import scores
+from touchdown.landing.classification.learning import checkpoint
+from touchdown.landing.classification.learning.augment import as_input, augmented, blended
+from touchdown.landing.classification.networks.registry import (
+    FIXED_SIZE,
+    build_network,
+    check_network,
+)
+
+Progress = Callable[[int, int, str], None]
+_AVERAGE = 0.998
+"""of the weights of before that the averaged weights keep at each step"""
+_LARGEST_GRADIENT = 1.0
+_WARM_UP = 0.05
+"""share of all steps in which the learning rate rises from nothing"""
+_BETTER = 1e-4
+"""macro F1 that an epoch must gain to count as better"""
+_MAY_CHANGE = ("epochs", "patience", "start_share", "miss_costs")
+"""parameters of a training that goes on: its schedule is as long as it is told to be now, and what
+becomes of its weights is decided at the end"""
+_SIZES, _SIZE_STEP = 4, 16
+"""Growing pictures have this many sizes, which are multiples of so many pixels"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrainParams:
+    network: str = "resnet50_cbam"
+    labels: str = "d_land"
+    image_size: int = 96
+    first_size: int | None = None
+    """pixels across of the first epochs' pictures, which grow to ``image_size`` (Tan and Le, ICML
+    2021, section 4.2); None: all alike"""
+    epochs: int = 30
+    batch_size: int = 64
+    learning_rate: float = 1e-3
+    weight_decay: float = 0.05
+    label_smoothing: float = 0.05
+    variation: float = 1.0
+    """strength of what is changed in pictures (`augment.augmented`)"""
+    markings: float = 0.0
+    """share of pictures with lines painted on them (`augment.marked`)"""
+    blending: float = 0.0
+    """strength of `augment.blended`, up to 1; 0: pictures are not blended"""
+    start_share: float = 0.0
+    """of the weights that the training began with in those that it ends with: between the two may
+    lie what knows other ground better than either (Wortsman et al., CVPR 2022, Eq. 1)"""
+    miss_costs: tuple[tuple[str, float], ...] = ()
+    """as ``NetworkFacts.miss_costs``: what is trained is the same, not what is made of it"""
+    patience: int = 8
+    """epochs without a better macro F1 on the validation pictures before training ends"""
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """A network at its best epoch."""
+
+    network: nn.Module
+    temperature: float
+    history: list[dict[str, float]]
+    best_epoch: int
+    scores: NDArray[np.float32]
+    """(N, C) calibrated, of the validation pictures"""
+
+
+def chosen_device(name: str) -> torch.device:
+    """``auto``: a GPU where there is one. Raises ValueError for a device that is not here."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if name not in ("cpu", "cuda"):
+        raise ValueError(f"unknown device '{name}': give auto, cpu or cuda")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ValueError("device 'cuda': torch finds no GPU here; give auto or cpu")
+    return torch.device(name)
+
+
+class Trainer:
+    """Training that can be stopped after any epoch and goes on where it was.
+
+    Every random number is keyed by seed, epoch and step, so that a training that was interrupted
+    ends with the same weights, to the bit on a CPU.
+    Raises ValueError: unknown network, too small pictures, a folder of another training.
+    """
+
+    def __init__(
+        self,
+        params: TrainParams,
+        train: LabelledPictures,
+        val: LabelledPictures,
+        folder: Path,
+        device: torch.device,
+        *,
+        start: Path | None = None,
+        compiled: bool = False,
+    ) -> None:
+        """``start``: what this one begins with, the best weights in the folder of another training
+        of this network or those in a network's file. ``compiled``: by `torch.compile`, which takes
+        a minute for every size of pictures."""
+        check_network(params.network, params.image_size)
+        check_growth(params)
+        if params.start_share and start is None:
+            raise ValueError("start_share: there are no weights to begin with; name some")
+        self.params, self._train, self._val, self._start = params, train, val, start
+        self._folder, self._device = folder, device
+        self.steps = max(1, math.ceil(len(train.labels) / params.batch_size))
+        torch.manual_seed(params.seed)
+        self.network = build_network(params.network, len(train.classes), params.image_size)
+        if start is not None:
+            self._load_start(self.network, start)
+        self.network.to(device)
+        # as tensor cores want them, and the vector units of a processor
+        nn.utils.convert_conv2d_weight_memory_format(self.network, torch.channels_last)
+        self._compiled = torch.compile(self.network, dynamic=False) if compiled else None
+        self._average = copy.deepcopy(self.network).eval().requires_grad_(False)
+        self._optimizer = _optimizer(self.network, params)
+        self._scaler = torch.amp.GradScaler(device.type, enabled=_precision(device) is torch.half)
+        self.history: list[dict[str, float]] = []
+        self.best_epoch = -1
+        self._identity = asdict(params) | {
+            "data": _fingerprint(train, val),
+            "start": None if start is None else checkpoint.fingerprint(start),
+        }
+        for name in _MAY_CHANGE:
+            del self._identity[name]
+        checkpoint.restore(self, folder, self._identity)
+
+    @property
+    def finished(self) -> bool:
+        done = len(self.history)
+        if done >= self.params.epochs:
+            return True
+        # pictures that still grow make the network better at what it is validated on
+        grown = size_of_epoch(self.params, done) == self.params.image_size
+        return grown and done - 1 - self.best_epoch >= self.params.patience
+
+    def state(self) -> dict[str, Any]:
+        """All that the next epoch depends on."""
+        return {
+            "identity": self._identity,
+            "network": self.network.state_dict(),
+            "average": self._average.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "scaler": self._scaler.state_dict(),
+            "history": self.history,
+            "best_epoch": self.best_epoch,
+        }
+
+    def take_state(self, state: dict[str, Any]) -> None:
+        self.network.load_state_dict(state["network"])
+        self._average.load_state_dict(state["average"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self._scaler.load_state_dict(state["scaler"])
+        self.history, self.best_epoch = state["history"], state["best_epoch"]
+
+    def run_epoch(self, progress: Progress) -> dict[str, float]:
+        """Trains for one epoch, validates the averaged weights, writes the checkpoint."""
+        epoch = len(self.history)
+        draws = balanced_order(self._train, self.params.seed, epoch)
+        # dropout draws from torch's own generator
+        torch.manual_seed(self._key("dropout", epoch))
+        generator = torch.Generator().manual_seed(self._key("augment", epoch))
+        self.network.train()
+        total = 0.0
+        for step in range(self.steps):
+            # Two pictures at least: of one, batch norm may find nothing to divide by.
+            first = min(step * self.params.batch_size, max(0, len(draws) - 2))
+            batch = draws[first : (step + 1) * self.params.batch_size]
+            total += self._step(epoch * self.steps + step, batch, generator)
+            progress(step + 1, self.steps, f"epoch {epoch + 1} of {self.params.epochs}")
+        with _autocast(self._device):
+            seen = predict(self._average, self._val.images, self._device)
+        found = scores.summary(
+            seen,
+            self._val.labels,
+            self._val.classes,
+        )
+        row = {
+            "epoch": epoch + 1,
+            "learning_rate": self._rate((epoch + 1) * self.steps - 1),
+            "train_loss": total / self.steps,
+            **{f"val_{key}": found[key] for key in ("loss", "macro_f1", "recall", "top1", "ece")},
+        }
+        best = max((r["val_macro_f1"] for r in self.history), default=-1.0)
+        self.history.append(row)
+        if row["val_macro_f1"] > best + _BETTER:
+            self.best_epoch = epoch
+            checkpoint.write_best(self._folder, self._average.state_dict())
+        checkpoint.write_last(self._folder, self.state())
+        return row
+
+    def best(self) -> Trained:
+        """The averaged weights of the best epoch, or what is between those and the ones it began
+        with, with the temperature that suits them."""
+        network = copy.deepcopy(self._average)
+        network.load_state_dict(checkpoint.read_best(self._folder))
+        if self._start is not None and self.params.start_share:
+            began = copy.deepcopy(self._average)
+            self._load_start(began, self._start)
+            _follow(network, began, 1.0 - self.params.start_share)
+        found = predict(network, self._val.images, self._device)
+        temperature = scores.fitted_temperature(found, self._val.labels)
+        calibrated = (found / temperature).astype(np.float32)
+        return Trained(network.cpu(), temperature, self.history, self.best_epoch, calibrated)
+
+    def _load_start(self, network: nn.Module, start: Path) -> None:
+        checkpoint.begin_with(network, self.params.network, self._train.classes, start)
+
+    def _step(self, step: int, batch: NDArray[np.int64], generator: torch.Generator) -> float:
+        for group in self._optimizer.param_groups:
+            group["lr"] = self._rate(step)
+        images = as_input(torch.from_numpy(self._train.images[batch]).to(self._device))
+        labels = torch.from_numpy(self._train.labels[batch]).to(self._device)
+        images = augmented(images, generator, self.params.variation, self.params.markings)
+        targets = functional.one_hot(labels, len(self._train.classes)).float()
+        if self.params.blending > 0.0:
+            images, targets = blended(images, targets, generator, self.params.blending)
+        size = size_of_epoch(self.params, step // self.steps)
+        if size < images.shape[-1]:
+            images = functional.interpolate(images, size=(size, size), mode="area")
+        # the last pictures of an epoch are too few to be worth compiling for
+        whole = len(batch) == self.params.batch_size
+        network = self._compiled if self._compiled is not None and whole else self.network
+        with _autocast(self._device):
+            loss = functional.cross_entropy(
+                network(normalised(images)),
+                targets,
+                label_smoothing=self.params.label_smoothing,
+            )
+        self._optimizer.zero_grad(set_to_none=True)
+        self._scaler.scale(loss).backward()
+        self._scaler.unscale_(self._optimizer)
+        nn.utils.clip_grad_norm_(self.network.parameters(), _LARGEST_GRADIENT)
+        self._scaler.step(self._optimizer)
+        self._scaler.update()
+        _follow(self._average, self.network, min(_AVERAGE, (1.0 + step) / (10.0 + step)))
+        return float(loss.detach())
+
+    def _rate(self, step: int) -> float:
+        return self.params.learning_rate * schedule(step, self.params.epochs * self.steps)
+
+    def _key(self, name: str, epoch: int) -> int:
+        sequence = np.random.SeedSequence([self.params.seed, crc32(name.encode()), epoch])
+        return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def check_growth(params: TrainParams) -> None:
+    """Raises ValueError where ``first_size`` is too large, too small for the network, or where the
+    network sees pictures of one size only."""
+    first = params.first_size
+    if first is None:
+        return
+    if first > params.image_size:
+        raise ValueError(
+            f"first_size {first} is more than image_size {params.image_size}: pictures grow"
+        )
+    if params.network in FIXED_SIZE:
+        raise ValueError(f"{params.network} sees pictures of one size only: leave out first_size")
+    check_network(params.network, first)
+
+
+def size_of_epoch(params: TrainParams, epoch: int) -> int:
+    """Pixels across of the pictures that an epoch (from 0) trains on: as long at each of a few
+    sizes, from ``first_size`` to ``image_size``."""
+    if params.first_size is None:
+        return params.image_size
+    stage = min(_SIZES * epoch // params.epochs, _SIZES - 1)
+    span = params.image_size - params.first_size
+    size = params.first_size + span * stage / (_SIZES - 1)
+    return min(params.image_size, max(params.first_size, _SIZE_STEP * round(size / _SIZE_STEP)))
+
+
+def schedule(step: int, steps: int) -> float:
+    """Share of the learning rate: up in a line, then down along half a cosine."""
+    warm = max(1, round(_WARM_UP * steps))
+    if step < warm:
+        return (step + 1) / warm
+    return 0.5 * (1.0 + math.cos(math.pi * (step - warm) / max(1, steps - warm)))
+
+
+def balanced_order(pictures: LabelledPictures, seed: int, epoch: int) -> NDArray[np.int64]:
+    """(N,) pictures of an epoch. One is drawn as often as the inverse root of how many there are
+    of its class in its data set, by one comb over the cumulated weights: as evenly as can be."""
+    group = pictures.labels * len(pictures.sources) + pictures.source
+    weights = 1.0 / np.sqrt(np.bincount(group)[group])
+    count = len(weights)
+    rng = np.random.default_rng([seed, crc32(b"training order"), epoch])
+    edges = np.cumsum(weights) / weights.sum()
+    comb = (np.arange(count) + rng.uniform()) / count
+    chosen = np.minimum(np.searchsorted(edges, comb), count - 1)
+    return np.asarray(rng.permutation(chosen), np.int64)
+
+
+def normalised(images: Tensor) -> Tensor:
+    """Pictures within 0..1 about zero, as the networks were trained on them."""
+    return (images - 0.5) / 0.25
+
+
+def predict(
+    network: nn.Module, images: NDArray[np.uint8], device: torch.device, batch: int = 64
+) -> NDArray[np.float32]:
+    """(N, C) float32 scores of pictures (N, S, S, 3)."""
+    network.eval()
+    parts = []
+    with torch.inference_mode():
+        for first in range(0, len(images), batch):
+            part = torch.from_numpy(images[first : first + batch]).to(device)
+            parts.append(network(normalised(as_input(part))).float().cpu().numpy())
+    return np.concatenate(parts)
+
+
+def _optimizer(network: nn.Module, params: TrainParams) -> torch.optim.AdamW:
+    """Weight decay for matrices and filters, not for biases and norms."""
+    large = [p for p in network.parameters() if p.ndim >= 2]
+    small = [p for p in network.parameters() if p.ndim < 2]
+    groups = [
+        {"params": large, "weight_decay": params.weight_decay},
+        {"params": small, "weight_decay": 0.0},
+    ]
+    return torch.optim.AdamW(groups, lr=params.learning_rate, fused=True)
+
+
+def _precision(device: torch.device) -> torch.dtype | None:
+    """Of mixed precision: bfloat16 where GPU or processor compute in it, float16 on other GPUs,
+    none on other processors."""
+    if device.type != "cuda":
+        able = torch.cpu.get_capabilities()
+        return torch.bfloat16 if able.get("avx512_bf16") or able.get("amx_bf16") else None
+    return torch.bfloat16 if torch.cuda.is_bf16_supported() else torch.half
+
+
+def _autocast(device: torch.device) -> torch.autocast:
+    precision = _precision(device)
+    return torch.autocast(device.type, dtype=precision or torch.bfloat16, enabled=bool(precision))
+
+
+@torch.no_grad()
+def _follow(average: nn.Module, network: nn.Module, keep: float) -> None:
+    """average = keep average + (1 - keep) network, running means of the norms included."""
+    for mean, now in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
+        if mean.is_floating_point():
+            mean.lerp_(now, 1.0 - keep)
+        else:
+            mean.copy_(now)
+
+
+def _fingerprint(*sets: LabelledPictures) -> int:
+    value = 0
+    for pictures in sets:
+        for array in (pictures.images, pictures.labels, pictures.source):
+            value = crc32(np.ascontiguousarray(array).data, value)
+    return value

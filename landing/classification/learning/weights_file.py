@@ -1,0 +1,49 @@
+"""The weights in a network's file, as torch names them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+from onnx import numpy_helper
+from torch import Tensor, nn
+
+from touchdown.landing.classification.weights import NetworkFacts, facts_of, read_network
+
+
+def read_weights(path: Path) -> tuple[NetworkFacts, dict[str, Tensor]]:
+    """What the file says of itself, and every array of numbers in it (float32), by name.
+
+    Raises ValueError, FileNotFoundError as `landing.classification.weights.read_network`,
+    ValueError too for a file that is no network."""
+    content = read_network(path)
+    try:
+        model = onnx.load_from_string(content)
+    except Exception as error:  # protobuf's own class moves between versions
+        raise ValueError(f"'{path}' is no network that can be loaded: {error}") from error
+    facts = facts_of({p.key: p.value for p in model.metadata_props}, path)
+    given = {value.name: numpy_helper.to_array(value) for value in model.graph.initializer}
+    # the exporter gives values that are equal one name, and an Identity for each other
+    for node in model.graph.node:
+        if node.op_type == "Identity" and node.input[0] in given:
+            given[node.output[0]] = given[node.input[0]]
+    return facts, {
+        name: torch.from_numpy(values.astype(np.float32))
+        for name, values in given.items()
+        if values.dtype.kind == "f"
+    }
+
+
+def load_weights(module: nn.Module, given: dict[str, Tensor], prefix: str = "") -> None:
+    """Gives ``module`` the weights that are called as its own, after ``prefix``; counters of the
+    norms are not in a file. Raises ValueError where one is missing, RuntimeError where one has
+    another shape."""
+    state = module.state_dict()
+    for name, own in state.items():
+        if prefix + name in given:
+            state[name] = given[prefix + name]
+        elif own.is_floating_point():
+            raise ValueError(f"the file lacks the weights '{prefix + name}'")
+    module.load_state_dict(state)

@@ -1,0 +1,55 @@
+"""The networks by name. Loads torch when one is built, not before."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from torch import nn
+
+_HOME = "touchdown.landing.classification.networks"
+_BUILDERS = {
+    "resnet18": "resnet:resnet18",
+    "resnet34": "resnet:resnet34",
+    "resnet50": "resnet:resnet50",
+    "resnet101": "resnet:resnet101",
+    "resnet50_cbam": "resnet:resnet50_cbam",
+    "resnext50": "resnet:resnext50",
+    "vgg19": "vgg:vgg19",
+    "mobilenet_v3_large": "mobilenet:mobilenet_v3_large",
+    "inception_v4": "inception:inception_v4",
+}
+_SMALLEST = {"inception_v4": 75}
+"""pixels below which a convolution without padding has nothing left to look at"""
+_SMALLEST_OF_OTHERS = 32
+FIXED_SIZE = ("vgg19",)
+"""whose linear layers are laid out for one size of pictures"""
+
+NETWORKS = tuple(_BUILDERS)
+
+
+def check_network(name: str, image_size: int) -> None:
+    """Raises ValueError for an unknown name or an image size (pixels) that is too small for it."""
+    if name not in _BUILDERS:
+        near = difflib.get_close_matches(name, NETWORKS, n=1, cutoff=0.5)
+        hint = f" did you mean '{near[0]}'?" if near else ""
+        raise ValueError(f"unknown network '{name}':{hint} known: {', '.join(NETWORKS)}")
+    smallest = _SMALLEST.get(name, _SMALLEST_OF_OTHERS)
+    if image_size < smallest:
+        raise ValueError(f"{name} needs pictures of at least {smallest} pixels, not {image_size}")
+
+
+def build_network(name: str, classes: int, image_size: int) -> nn.Module:
+    """A network with fresh weights, (B, 3, image_size, image_size) float32 to (B, classes) scores
+    before the softmax. Weights are drawn from torch's default generator: seed it before.
+
+    Raises ValueError as ``check_network``, ImportError without torch.
+    """
+    check_network(name, image_size)
+    module, _, function = _BUILDERS[name].partition(":")
+    network: nn.Module = getattr(importlib.import_module(f"{_HOME}.{module}"), function)(
+        classes, image_size
+    )
+    return network

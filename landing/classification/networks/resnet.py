@@ -1,0 +1,127 @@
+"""Residual networks: He et al. (CVPR 2016); grouped, Xie et al. (CVPR 2017); with attention.
+
+The stride of a bottleneck is in its 3x3 convolution, as in every network published with weights
+since Goyal et al. (2017).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from torch import Tensor, nn
+
+from touchdown.landing.classification.networks.blocks import ConvNorm, GlobalMean, fresh_weights
+from touchdown.landing.classification.networks.cbam import Cbam
+
+_WIDTHS = (64, 128, 256, 512)
+
+
+class Residual(nn.Module):
+    """relu(shortcut(x) + attention(branch(x)))."""
+
+    def __init__(self, inside: int, branch: nn.Sequential, stride: int, attention: bool) -> None:
+        super().__init__()
+        last = branch[-1]
+        assert isinstance(last, ConvNorm)
+        outside = last.norm.num_features
+        self.branch = branch
+        self.attention = Cbam(outside) if attention else nn.Identity()
+        same = stride == 1 and inside == outside
+        self.shortcut = (
+            nn.Identity() if same else ConvNorm(inside, outside, 1, stride=stride, activation=None)
+        )
+        self.relu = nn.ReLU()
+
+    def forward(self, features: Tensor) -> Tensor:
+        change = self.attention(self.branch(features))
+        rest: Tensor = self.relu(self.shortcut(features) + change)
+        return rest
+
+
+def basic_branch(inside: int, width: int, stride: int) -> nn.Sequential:
+    """Two 3x3 convolutions."""
+    return nn.Sequential(
+        ConvNorm(inside, width, 3, stride=stride, padding=1),
+        ConvNorm(width, width, 3, padding=1, activation=None),
+    )
+
+
+def bottleneck_branch(
+    inside: int, width: int, stride: int, groups: int = 1, group_width: int = 64
+) -> nn.Sequential:
+    """1x1, 3x3 in ``groups`` of ``group_width`` x width / 64 channels, 1x1 to 4 ``width``."""
+    middle = width * group_width // 64 * groups
+    return nn.Sequential(
+        ConvNorm(inside, middle, 1),
+        ConvNorm(middle, middle, 3, stride=stride, padding=1, groups=groups),
+        ConvNorm(middle, 4 * width, 1, activation=None),
+    )
+
+
+def _grouped_branch(inside: int, width: int, stride: int) -> nn.Sequential:
+    return bottleneck_branch(inside, width, stride, groups=32, group_width=4)
+
+
+class ResNet(nn.Sequential):
+    """A stem, four stages of residual blocks, the mean over all pixels, a linear layer."""
+
+    def __init__(
+        self,
+        classes: int,
+        depths: tuple[int, int, int, int],
+        branch: Callable[[int, int, int], nn.Sequential],
+        attention: bool = False,
+    ) -> None:
+        layers: list[nn.Module] = [
+            ConvNorm(3, 64, 7, stride=2, padding=3),
+            nn.MaxPool2d(3, 2, padding=1),
+        ]
+        inside = 64
+        for stage, (width, depth) in enumerate(zip(_WIDTHS, depths, strict=True)):
+            blocks = []
+            for number in range(depth):
+                stride = 2 if number == 0 and stage > 0 else 1
+                block = Residual(inside, branch(inside, width, stride), stride, attention)
+                inside = _channels(block)
+                blocks.append(block)
+            layers.append(nn.Sequential(*blocks))
+        super().__init__(*layers, GlobalMean(), nn.Linear(inside, classes))
+        fresh_weights(self)
+        for layer in self.modules():
+            if isinstance(layer, Residual):
+                # every block begins as its shortcut (Goyal et al. 2017, section 5.1)
+                last = layer.branch[-1]
+                assert isinstance(last, ConvNorm)
+                nn.init.zeros_(last.norm.weight)
+
+
+def _channels(block: Residual) -> int:
+    last = block.branch[-1]
+    assert isinstance(last, ConvNorm)
+    return last.norm.num_features
+
+
+def resnet18(classes: int, image_size: int) -> nn.Module:
+    return ResNet(classes, (2, 2, 2, 2), basic_branch)
+
+
+def resnet34(classes: int, image_size: int) -> nn.Module:
+    return ResNet(classes, (3, 4, 6, 3), basic_branch)
+
+
+def resnet50(classes: int, image_size: int) -> nn.Module:
+    return ResNet(classes, (3, 4, 6, 3), bottleneck_branch)
+
+
+def resnet101(classes: int, image_size: int) -> nn.Module:
+    return ResNet(classes, (3, 4, 23, 3), bottleneck_branch)
+
+
+def resnet50_cbam(classes: int, image_size: int) -> nn.Module:
+    """The paper's network: `landing.classification.networks.cbam` in every residual block."""
+    return ResNet(classes, (3, 4, 6, 3), bottleneck_branch, attention=True)
+
+
+def resnext50(classes: int, image_size: int) -> nn.Module:
+    """32x4d: 32 groups of 4 channels in the first stage."""
+    return ResNet(classes, (3, 4, 6, 3), _grouped_branch)

@@ -1,0 +1,94 @@
+"""How good a classifier is. Scores before the softmax are (N, C), labels (N,) index into C."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Labels = NDArray[np.int64]
+
+_BINS = 15
+
+
+def probabilities(scores: Float32) -> Array:
+    """(N, C) softmax."""
+    shifted = scores.astype(np.float64)
+    exponents = np.exp(shifted - shifted.max(axis=1, keepdims=True))
+    return np.asarray(exponents / exponents.sum(axis=1, keepdims=True))
+
+
+def confusion(labels: Labels, predicted: Labels, classes: int) -> Labels:
+    """(C, C) counts: row is what it is, column what it was taken for."""
+    counts = np.bincount(labels * classes + predicted, minlength=classes**2)
+    return counts.reshape(classes, classes).astype(np.int64)
+
+
+def recalls(counts: Labels) -> Array:
+    """(C,) share of each class that was recognised; NaN where there was none of it."""
+    present = counts.sum(axis=1)
+    return np.where(present > 0, np.diag(counts) / np.maximum(present, 1), np.nan)
+
+
+def f1_scores(counts: Labels) -> Array:
+    """(C,) harmonic mean of recall and precision, 2 TP / (2 TP + FP + FN); NaN where there was
+    none of the class."""
+    hits, present, claimed = np.diag(counts), counts.sum(axis=1), counts.sum(axis=0)
+    return np.where(present > 0, 2.0 * hits / np.maximum(present + claimed, 1), np.nan)
+
+
+def log_loss(scores: Float32, labels: Labels) -> float:
+    """Mean cross-entropy, natural logarithm."""
+    shifted = scores.astype(np.float64)
+    shifted -= shifted.max(axis=1, keepdims=True)
+    total = np.log(np.exp(shifted).sum(axis=1))
+    return float((total - shifted[np.arange(len(labels)), labels]).mean())
+
+
+def calibration_error(scores: Float32, labels: Labels) -> float:
+    """Expected calibration error of the probability of the best class, 15 bins of equal width
+    (Guo et al., ICML 2017)."""
+    from touchdown.landing.selection.risk import calibration  # numba is not loaded for a softmax
+
+    chance = probabilities(scores)
+    correct = chance.argmax(axis=1) == labels
+    return float(calibration(chance.max(axis=1).astype(np.float32), correct, _BINS)[0])
+
+
+def fitted_temperature(scores: Float32, labels: Labels) -> float:
+    """T for which scores / T lose least (Guo et al. 2017), between 0.05 and 20."""
+    from scipy.optimize import minimize_scalar
+
+    found = minimize_scalar(
+        lambda log_t: log_loss((scores / np.exp(log_t)).astype(np.float32), labels),
+        bounds=(np.log(0.05), np.log(20.0)),
+        method="bounded",
+    )
+    return float(np.exp(found.x))
+
+
+def summary(scores: Float32, labels: Labels, classes: Sequence[str]) -> dict[str, Any]:
+    """Loss, macro F1, mean recall and recall of each class (over classes that occur), top-1,
+    calibration error, confusion matrix."""
+    predicted = scores.argmax(axis=1)
+    counts = confusion(labels, predicted, len(classes))
+    recall, hits = recalls(counts), int(np.trace(counts))
+    return {
+        "pictures": len(labels),
+        "loss": log_loss(scores, labels),
+        "macro_f1": float(np.nanmean(f1_scores(counts))),
+        "recall": float(np.nanmean(recall)),
+        "hits": hits,
+        "top1": hits / len(labels),
+        "ece": calibration_error(scores, labels),
+        "recall_of": {
+            name: float(value)
+            for name, value in zip(classes, recall, strict=True)
+            if np.isfinite(value)
+        },
+        "confusion": counts.tolist(),
+    }

@@ -1,0 +1,226 @@
+"""Pictures of the ground that were taken on the way, and squares of ground cut out of them.
+
+A classifier is trained on squares cut out of the camera's pictures, so that is what it gets: not
+the coloured map, whose cells are far coarser. A square is laid level through the ground at a site,
+along the picture's own axes, which takes out the camera's tilt and lens and keeps the resolution.
+Haze, if the pictures taken so far show any, is taken out as well.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import Estimate, picture_trouble, some_pixels
+from touchdown.landing.classification.haze import Haze, darkest_light, estimate_haze
+from touchdown.sim.api import CameraImage, CameraIntrinsics, Observation, SensorRig
+from touchdown.sim.frames import Pose, interpolate_pose
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+_TRACK = 128
+"""poses to find that of an exposure among: at 200 Hz, longer than a picture is on its way"""
+_SPACING = 0.2
+"""of kept pictures, relative to their height"""
+_WIDER = 1.25
+"""times as far apart they are where there are too many"""
+_LOWEST_M = 3.0
+_MOST_PX = 480
+_SHRUNK = (1.0, 0.7, 0.5)
+"""sides that are tried, relative to the wanted one, where no picture shows all of the square"""
+_PER_METRE = 0.01
+"""what a metre more of height counts, beside the tangent of the angle to the vertical"""
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    rgb: Picture
+    time_s: float
+    odom_from_camera: Pose
+    height_m: float
+    """above the ground of the take-off"""
+    darkest: float = 0.0
+    """``landing.classification.haze.darkest_light``, of those that are kept"""
+
+
+class KeptPictures:
+    """At most ``limit`` pictures, a fifth of their height apart if so many are enough, and the
+    newest."""
+
+    def __init__(self, rig: SensorRig, limit: int) -> None:
+        self._rig = rig
+        self._limit = max(limit, 1)
+        self._spacing = _SPACING
+        start = rig.world_from_body_start.translation[2]
+        self._ground_world = float(start) - rig.vehicle.leg_height_m
+        self._track: deque[tuple[float, Pose]] = deque(maxlen=_TRACK)
+        self._kept: list[_Kept] = []
+        self._newest: _Kept | None = None
+        self._newest_s = -np.inf
+        """stamp of the newest picture that was believed"""
+        self._pixels: Picture = np.zeros(0, np.uint8)
+        """some of it"""
+        self._haze: Haze | None = None
+        """as the kept pictures have it; None: to be estimated"""
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def take_in(self, obs: Observation, estimate: Estimate) -> None:
+        """Call once a control step."""
+        self._track.append((estimate.time_s, estimate.odom_from_body))
+        if not estimate.healthy:
+            return
+        for image in self._believed(obs.images):
+            pose = self._pose_at(image.time_s)
+            if pose is None:
+                continue
+            camera = pose @ self._rig.body_from_camera
+            height = float(estimate.world_from_odom.apply(camera.translation)[2])
+            kept = _Kept(image.rgb, image.time_s, camera, height - self._ground_world)
+            self._newest = kept
+            low = kept.height_m < _LOWEST_M
+            if not low and (not self._kept or self._apart(self._kept[-1], kept)):
+                self._keep(kept)
+
+    def _believed(self, images: tuple[CameraImage, ...]) -> list[CameraImage]:
+        """Those that show something, something new, and come in order: what is black or frozen is
+        no ground, and of two that are swapped neither tells where it was taken."""
+        times = [image.time_s for image in images]
+        if times != sorted(times):
+            return []
+        found = []
+        for image in images:
+            pixels = some_pixels(image.rgb)
+            if image.time_s <= self._newest_s or picture_trouble(pixels, self._pixels):
+                continue
+            self._newest_s, self._pixels = image.time_s, pixels
+            found.append(image)
+        return found
+
+    def _pose_at(self, time_s: float) -> Pose | None:
+        """odom_from_body between the causal estimates around an exposure; None for one from before
+        the first of them."""
+        if not self._track or time_s < self._track[0][0]:
+            return None
+        later = self._track[-1]
+        for entry in reversed(self._track):
+            if entry[0] <= time_s:
+                span = later[0] - entry[0]
+                share = (time_s - entry[0]) / span if span > 0.0 else 0.0
+                return interpolate_pose(entry[1], later[1], min(share, 1.0))
+            later = entry
+        return None
+
+    def _apart(self, before: _Kept, picture: _Kept) -> bool:
+        away = picture.odom_from_camera.translation - before.odom_from_camera.translation
+        return float(np.linalg.norm(away)) >= self._spacing * picture.height_m
+
+    def _keep(self, picture: _Kept) -> None:
+        """A copy, since the picture is another's. Where there are too many, they move apart."""
+        self._kept.append(
+            _Kept(
+                picture.rgb.copy(), picture.time_s, picture.odom_from_camera, picture.height_m,
+                darkest_light(picture.rgb),
+            )
+        )  # fmt: skip
+        self._haze = None
+        while len(self._kept) > self._limit:
+            self._spacing *= _WIDER
+            kept = self._kept[:1]
+            for other in self._kept[1:]:
+                if self._apart(kept[-1], other):
+                    kept.append(other)
+            self._kept = kept
+
+    @property
+    def haze(self) -> Haze:
+        """By the pictures kept so far."""
+        if self._haze is None:
+            heights = np.array([kept.height_m for kept in self._kept])
+            self._haze = estimate_haze(heights, np.array([kept.darkest for kept in self._kept]))
+        return self._haze
+
+    def square(
+        self, site_odom: Array, side_m: float, pixels: int, since_s: float = -np.inf
+    ) -> Picture | None:
+        """(pixels, pixels, 3) RGB of the level square of ``side_m`` around ``site_odom`` (3,), out
+        of the picture since ``since_s`` that looks down on it most steeply and from nearest by.
+
+        A smaller square, down to half the side, where no picture shows all of it; None where none
+        shows even that.
+        """
+        pictures = [*self._kept, *([] if self._newest is None else [self._newest])]
+        recent = [kept for kept in pictures if kept.time_s >= since_s]
+        for share in _SHRUNK:
+            best: tuple[float, _Kept] | None = None
+            for kept in recent:
+                rank = self._rank(kept, site_odom, share * side_m)
+                if rank is not None and (best is None or rank < best[0]):
+                    best = rank, kept
+            if best is not None:
+                return self._cut(best[1], site_odom, share * side_m, pixels)
+        return None
+
+    def _rank(self, kept: _Kept, site: Array, side_m: float) -> float | None:
+        """Lower is better; None where the picture does not show all of the square."""
+        camera = self._rig.camera
+        offset = kept.odom_from_camera.translation - site
+        if offset[2] < _LOWEST_M:
+            return None
+        corners = _ground_points(kept.odom_from_camera, site, side_m, np.array([-0.5, 0.5]))
+        pixels, ahead = project(camera, kept.odom_from_camera.inverse().apply(corners))
+        inside = (pixels >= 0.0).all() and (pixels[..., 0] <= camera.width - 1).all()
+        if not (ahead.all() and inside and (pixels[..., 1] <= camera.height - 1).all()):
+            return None
+        return float(np.hypot(offset[0], offset[1]) / offset[2] + _PER_METRE * offset[2])
+
+    def _cut(self, kept: _Kept, site: Array, side_m: float, pixels: int) -> Picture:
+        """At the picture's own resolution, then averaged down to ``pixels``."""
+        depth = float(kept.odom_from_camera.translation[2] - site[2])
+        native = round(side_m * self._rig.camera.fx / depth)
+        count = int(np.clip(native, pixels, max(_MOST_PX, pixels)))
+        steps = (np.arange(count) + 0.5) / count - 0.5
+        points = _ground_points(kept.odom_from_camera, site, side_m, steps)
+        where, _ = project(self._rig.camera, kept.odom_from_camera.inverse().apply(points))
+        x, y = (np.ascontiguousarray(where[..., axis], np.float32) for axis in (0, 1))
+        found = cv2.remap(kept.rgb, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        if self.haze.extinction > 0.0:
+            away = np.linalg.norm(points - kept.odom_from_camera.translation, axis=-1)
+            found = self.haze.removed(np.asarray(found, np.uint8), away)
+        if count != pixels:
+            found = cv2.resize(found, (pixels, pixels), interpolation=cv2.INTER_AREA)
+        return np.asarray(found, np.uint8)
+
+
+def _ground_points(odom_from_camera: Pose, site: Array, side_m: float, steps: Array) -> Array:
+    """(N, N, 3) points of the level square around ``site``: rows down and columns to the right in
+    the picture, at ``steps`` (N,) within -0.5..0.5 of its side."""
+    right, down = odom_from_camera.rotation[:2, 0], odom_from_camera.rotation[:2, 1]
+    right = right / np.linalg.norm(right)
+    across = np.array([-right[1], right[0]])
+    across = across * np.sign(across @ down)
+    col, row = np.meshgrid(side_m * steps, side_m * steps)
+    points = np.empty((*col.shape, 3))
+    points[..., :2] = site[:2] + col[..., None] * right + row[..., None] * across
+    points[..., 2] = site[2]
+    return points
+
+
+def project(camera: CameraIntrinsics, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Pixels (..., 2) of points (..., 3) in the camera's frame by OpenCV's lens model, and which of
+    them lie ahead of the camera."""
+    ahead = points[..., 2] > 1e-6
+    depth = np.where(ahead, points[..., 2], 1.0)
+    x, y = points[..., 0] / depth, points[..., 1] / depth
+    k1, k2, p1, p2, k3 = camera.distortion
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+    v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    return np.stack([camera.fx * u + camera.cx, camera.fy * v + camera.cy], axis=-1), ahead

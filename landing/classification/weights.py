@@ -1,0 +1,117 @@
+"""The file of a trained network: ONNX with float16 weights, and its checksum beside it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from touchdown.landing.classification.decision import Limits
+from touchdown.landing.classification.labels import SCHEMES
+
+SUFFIX = ".onnx"
+INPUT, OUTPUT = "pictures", "scores"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NetworkFacts:
+    """What a file says of the network in it."""
+
+    network: str
+    labels: str
+    """a key of `landing.classification.labels.SCHEMES`"""
+    image_size: int
+    classes: tuple[str, ...]
+    limits: Limits = field(default_factory=Limits)
+    """what an answer must reach to be landed on; fitted with ``d_land`` alone"""
+    miss_costs: tuple[tuple[str, float], ...] = ()
+    """classes, and how many times as bad as any other mistake it is to take one for something
+    else; 1 for those that are left out"""
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for the cost of a class that it does not know, or no cost."""
+        for name, cost in self.miss_costs:
+            if name not in self.classes:
+                raise ValueError(
+                    f"miss cost of '{name}': the classes are {', '.join(self.classes)}"
+                )
+            if not (cost > 0.0 and math.isfinite(cost)):
+                raise ValueError(f"miss cost {cost:g} of '{name}': give a number above 0")
+
+    def properties(self) -> dict[str, str]:
+        """As a file keeps them."""
+        return {
+            "network": self.network,
+            "labels": self.labels,
+            "image_size": str(self.image_size),
+            "classes": " ".join(self.classes),
+            "least_probability": repr(self.limits.least_probability),
+            "least_energy": repr(self.limits.least_energy),
+            "miss_costs": " ".join(f"{name}={cost!r}" for name, cost in self.miss_costs),
+        }
+
+
+def facts_of(properties: Mapping[str, str], path: Path) -> NetworkFacts:
+    """The reverse of ``NetworkFacts.properties``. Raises ValueError where something is missing."""
+    try:
+        facts = NetworkFacts(
+            network=properties["network"],
+            labels=properties["labels"],
+            image_size=int(properties["image_size"]),
+            classes=tuple(properties["classes"].split()),
+            limits=Limits(
+                **{
+                    name: float(properties[name])
+                    for name in ("least_probability", "least_energy")
+                    if name in properties
+                }
+            ),
+            miss_costs=tuple(
+                (name, float(cost))
+                for name, _, cost in (
+                    part.partition("=") for part in properties.get("miss_costs", "").split()
+                )
+            ),
+        )
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"'{path}' does not say what it recognises: {error}") from error
+    if SCHEMES.get(facts.labels) != facts.classes:
+        raise ValueError(f"'{path}' has classes that are not those of '{facts.labels}'")
+    return facts
+
+
+def checksum_file(path: Path) -> Path:
+    return path.with_name(path.name + ".sha256")
+
+
+def write_network(path: Path, content: bytes) -> None:
+    """Writes a network's file and, first, the checksum, in the form of ``sha256sum``."""
+    line = f"{hashlib.sha256(content).hexdigest()}  {path.name}\n"
+    for target, data in ((checksum_file(path), line.encode()), (path, content)):
+        partial = target.with_name(f".{target.name}.partial")
+        partial.write_bytes(data)
+        partial.replace(target)
+
+
+def read_network(path: Path) -> bytes:
+    """The content of a network's file, once its checksum is found right.
+
+    Raises FileNotFoundError where it or its checksum is missing, ValueError where they differ: the
+    file was cut short or changed.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"'{path}' does not exist; name a network, a file {SUFFIX}")
+    if not checksum_file(path).is_file():
+        raise FileNotFoundError(
+            f"'{checksum_file(path)}' is missing: without it '{path.name}' cannot be trusted"
+        )
+    content = path.read_bytes()
+    words = checksum_file(path).read_text(encoding="utf-8", errors="replace").split()
+    if not words or words[0].lower() != hashlib.sha256(content).hexdigest():
+        raise ValueError(
+            f"'{path}' ({len(content)} bytes) does not have the checksum in "
+            f"'{checksum_file(path).name}': it is cut short or changed; copy it again"
+        )
+    return content

@@ -1,0 +1,1 @@
+"""The landing state machine: phases, trajectories, descent, touchdown."""

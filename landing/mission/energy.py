@@ -1,0 +1,53 @@
+"""What flying on costs, in seconds of the battery's remaining flying time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from touchdown.landing.api import LandingParams, SurveyParams
+
+RAMP_S = 3.0
+"""to gain or to lose speed"""
+_LOOK_S = 2.5
+_SWEEP_S = 8.0
+_FINAL_S = 6.0
+"""slowing down above the ground, the last decimetres, motors off"""
+_MARGIN = 1.2
+"""gusts, go-rounds of the reference, and a battery that gives less when it is low"""
+
+
+def travel_time_s(distance_m: float, params: LandingParams) -> float:
+    """From rest to rest by the minimum-jerk segment of ``landing.mission.trajectory``, in which the
+    peak speed is 15/8 of the mean."""
+    return max(1.875 * distance_m / params.cruise_speed_mps, np.sqrt(4.0 * max(distance_m, 0.0)))
+
+
+def landing_time_s(height_m: float, params: LandingParams, *, hurried: bool = False) -> float:
+    """From a hover at ``height_m`` above the site to motors off; ``hurried``: one look alone."""
+    sink = max(height_m - params.commit_height_m, 0.0) / params.descent_speed_mps
+    last = params.commit_height_m / params.final_speed_mps + _FINAL_S
+    looks = _LOOK_S if hurried else 2.0 * _LOOK_S + _SWEEP_S
+    return sink + 2.0 * RAMP_S + last + (looks if params.second_look else 0.0)
+
+
+def return_time_s(away_m: float, height_m: float, params: LandingParams) -> float:
+    """Back to the take-off spot ``away_m`` away and down from ``height_m``."""
+    return _MARGIN * (travel_time_s(away_m, params) + landing_time_s(height_m, params))
+
+
+def search_leg_time_s(survey: SurveyParams, params: LandingParams) -> float:
+    """Another leg and the way to its beginning."""
+    way = travel_time_s(survey.leg_spacing_m, params)
+    return _MARGIN * (way + travel_time_s(survey.leg_length_m, params))
+
+
+def go_around_time_s(height_m: float, params: LandingParams) -> float:
+    """Back up to ``height_m`` and another landing from there."""
+    climb = height_m / params.climb_speed_mps + RAMP_S
+    return _MARGIN * (climb + landing_time_s(height_m, params))
+
+
+def emergency_reach_m(height_m: float, seconds: float, params: LandingParams) -> float:
+    """How far away a site may be that is to be reached and landed on within ``seconds``."""
+    spare = seconds - landing_time_s(height_m, params, hurried=True)
+    return max(spare, 0.0) * params.cruise_speed_mps / 1.875

@@ -1,0 +1,116 @@
+"""The looks at 10 m and at 4 m: is the site what it seemed from above?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import MapView
+from touchdown.landing.api import LandingParams
+from touchdown.landing.selection.landable import (
+    FOOTPRINT_M,
+    assess,
+    explain,
+    fit_footprint,
+    ground_planes,
+)
+from touchdown.landing.selection.terrain import Terrain, distance_to, observed_terrain, pooled
+
+Array = NDArray[np.float64]
+
+_POOL = 2
+"""fine cells merged along each axis: enough returns in each for its mean to be trusted"""
+_MIN_RETURNS = 3.0
+_ENOUGH_ROOM_M = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Look:
+    """Outcome: where to land now (None: go around) and why, in words."""
+
+    position_odom: Array | None
+    reason: str
+
+
+def look_again(
+    map_view: MapView, site_odom: Array, max_shift_m: float, params: LandingParams
+) -> Look:
+    """Examines the fine map around ``site_odom`` (3,). Keeps the site where it is landable, else
+    moves to the landable spot within ``max_shift_m`` that offers most room for the way."""
+    terrain = _fine_window(map_view, site_odom, max_shift_m, params)
+    if terrain is None:
+        return Look(position_odom=None, reason="no fine map of the site")
+    margin = params.low_margin_m
+    planes = ground_planes(terrain, params)
+    landable = assess(terrain, planes, params, margin_m=margin, min_returns=_MIN_RETURNS)
+    row, col = terrain.cell_of(site_odom)
+    if not terrain.contains(row, col):
+        return Look(position_odom=None, reason="the site lies outside the fine map")
+    if landable.mask[row, col]:
+        return _settled(terrain, site_odom[:2], params, "as it seemed")
+    why = explain(terrain, landable, row, col, params, margin)
+    x, y = terrain.offsets_from(site_odom)
+    away = np.hypot(x[None, :], y[:, None])
+    room = np.minimum(distance_to(~landable.mask, terrain.cell_m), _ENOUGH_ROOM_M)
+    merit = np.where(landable.mask & (away <= max_shift_m), room - away, -np.inf)
+    best = int(np.argmax(merit))
+    if not np.isfinite(merit.flat[best]):
+        return Look(position_odom=None, reason=f"not landable from closer: {why}")
+    row, col = divmod(best, terrain.shape[1])
+    return _settled(
+        terrain, terrain.centre_of(row, col), params, f"moved {away[row, col]:.1f} m: {why}"
+    )
+
+
+def ground_under(map_view: MapView, xy_odom: Array, radius_m: float = 0.5) -> float:
+    """Height of the ground at ``xy_odom`` (2,): plane through the cells within ``radius_m``, of
+    the fine map where it is known there, else of the coarse one; NaN if neither is."""
+    for grid in (map_view.fine, map_view.coarse):
+        if grid is None:
+            continue
+        reach = int(np.ceil(1.5 * radius_m / grid.cell_m))
+        col, row = np.floor((xy_odom[:2] - grid.origin_xy_m) / grid.cell_m).astype(int)
+        rows, cols = grid.height_m.shape
+        if not (reach <= row < rows - reach and reach <= col < cols - reach):
+            continue
+        patch = grid.height_m[row - reach : row + reach + 1, col - reach : col + reach + 1]
+        known = np.isfinite(patch)
+        if known.mean() < 0.5:
+            continue
+        offset = (np.arange(-reach, reach + 1) + 0.5) * grid.cell_m
+        x0 = grid.origin_xy_m + np.array([col, row]) * grid.cell_m - xy_odom[:2]
+        xx, yy = np.meshgrid(offset + x0[0], offset + x0[1])
+        design = np.column_stack([np.ones(int(known.sum())), xx[known], yy[known]])
+        return float(np.linalg.lstsq(design, patch[known].astype(np.float64), rcond=None)[0][0])
+    return float("nan")
+
+
+def _fine_window(
+    map_view: MapView, site: Array, max_shift_m: float, params: LandingParams
+) -> Terrain | None:
+    if map_view.fine is None:
+        return None
+    terrain = observed_terrain(map_view.fine)
+    if terrain is None:
+        return None
+    half = max_shift_m + params.clear_radius_m + FOOTPRINT_M
+    window = terrain.window(site, half)
+    if min(window.shape) < 4 * _POOL:
+        return None
+    return pooled(window, _POOL)
+
+
+def _settled(terrain: Terrain, xy: Array, params: LandingParams, how: str) -> Look:
+    plane = fit_footprint(terrain, xy)
+    if plane is None:
+        return Look(position_odom=None, reason="the ground under the site was not seen")
+    if plane.slope_deg > params.max_slope_deg:
+        return Look(position_odom=None, reason=f"slope {plane.slope_deg:.1f} deg from closer")
+    if plane.roughness_m > params.max_step_m:
+        return Look(position_odom=None, reason=f"{plane.roughness_m:.2f} m off its plane")
+    return Look(
+        position_odom=plane.position,
+        reason=f"{how}; slope {plane.slope_deg:.1f} deg, roughness {plane.roughness_m:.2f} m",
+    )

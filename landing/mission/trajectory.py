@@ -1,0 +1,342 @@
+"""Reference trajectories with continuous acceleration.
+
+Everything is a chain of quintic polynomials. A quintic is the curve of least squared jerk between
+two states of position, velocity and acceleration (Flash and Hogan 1985; Mueller, Hehn and D'Andrea
+2015), and it joins its neighbours without a step in acceleration.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from touchdown.landing.api import SurveyParams
+from touchdown.sim.frames import rotation_from_yaw
+
+Array = NDArray[np.float64]
+Sample = tuple[Array, Array, Array]
+
+_MANY_LEGS = 20
+"""from so many on, the shares of the time that a turn may take shrink as the legs grow in number"""
+_MOST_LEGS = 10_000
+_MAX_SURVEY_ACCEL = 6.0
+_ZERO = np.zeros(3)
+
+
+class Trajectory(Protocol):
+    """A position over time, odom frame unless its maker says otherwise."""
+
+    @property
+    def duration_s(self) -> float: ...
+
+    def sample(self, t: float) -> Sample:
+        """Position (3,) m, velocity (3,) m/s, acceleration (3,) m/s^2 at ``t`` seconds."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Position, velocity and acceleration, (3,) each, SI."""
+
+    position: Array
+    velocity: Array = field(default_factory=lambda: np.zeros(3))
+    acceleration: Array = field(default_factory=lambda: np.zeros(3))
+
+
+class PiecewiseTrajectory:
+    """Quintics one after the other.
+
+    Before its start it stands at the first state's position, at rest; after its end it goes on at
+    the last state's velocity, unaccelerated.
+    """
+
+    def __init__(self, durations_s: Array, coefficients: Array) -> None:
+        """``durations_s`` (n,); ``coefficients`` (n, 6, 3), ascending powers of the segment's own
+        time in seconds. Raises ValueError when a duration is not positive."""
+        if durations_s.size == 0 or not np.all(durations_s > 0.0):
+            raise ValueError(f"segment durations must be above 0 s, not {durations_s.tolist()}")
+        self._starts = np.concatenate([[0.0], np.cumsum(durations_s)])
+        self._coefficients = np.ascontiguousarray(coefficients)
+
+    @property
+    def duration_s(self) -> float:
+        return float(self._starts[-1])
+
+    @property
+    def breaks_s(self) -> Array:
+        """(n + 1,) times at which segments meet, from 0 to ``duration_s``."""
+        return self._starts.copy()
+
+    def sample(self, t: float) -> Sample:
+        return _sample(self._starts, self._coefficients, t)
+
+    def then(self, following: PiecewiseTrajectory) -> PiecewiseTrajectory:
+        """This trajectory and then ``following``; the states where they meet are the caller's."""
+        return PiecewiseTrajectory(
+            np.concatenate([np.diff(self._starts), np.diff(following._starts)]),
+            np.concatenate([self._coefficients, following._coefficients]),
+        )
+
+
+@njit(cache=True)
+def _sample(starts: Array, coefficients: Array, t: float) -> Sample:
+    position, velocity, acceleration = np.zeros(3), np.zeros(3), np.zeros(3)
+    last = starts.size - 2
+    index = min(max(int(np.searchsorted(starts, t, side="right")) - 1, 0), last)
+    if t < 0.0:
+        position[:] = coefficients[0, 0]
+        return position, velocity, acceleration
+    beyond = max(t - starts[last + 1], 0.0)
+    local = min(t, starts[last + 1]) - starts[index]
+    for power in range(5, -1, -1):  # Horner's scheme for the value and two derivatives
+        for axis in range(3):
+            acceleration[axis] = acceleration[axis] * local + 2.0 * velocity[axis]
+            velocity[axis] = velocity[axis] * local + position[axis]
+            position[axis] = position[axis] * local + coefficients[index, power, axis]
+    if beyond > 0.0:
+        position += beyond * velocity
+        acceleration[:] = 0.0
+    return position, velocity, acceleration
+
+
+def through(states: list[State], durations_s: list[float]) -> PiecewiseTrajectory:
+    """Minimum-jerk quintics from each state to the next; one duration fewer than states."""
+    pieces = [
+        _quintic(first, second, duration)
+        for first, second, duration in zip(states[:-1], states[1:], durations_s, strict=True)
+    ]
+    return PiecewiseTrajectory(np.array(durations_s), np.stack(pieces))
+
+
+def _quintic(first: State, second: State, duration: float) -> Array:
+    """(6, 3) coefficients of the quintic between two states."""
+    if duration <= 0.0:
+        raise ValueError(f"a segment's duration must be above 0 s, not {duration:g}")
+    t = duration
+    gap = second.position - first.position - first.velocity * t - 0.5 * first.acceleration * t**2
+    gap_velocity = second.velocity - first.velocity - first.acceleration * t
+    gap_acceleration = second.acceleration - first.acceleration
+    return np.stack(
+        [
+            first.position,
+            first.velocity,
+            0.5 * first.acceleration,
+            (10.0 * gap - 4.0 * gap_velocity * t + 0.5 * gap_acceleration * t**2) / t**3,
+            (-15.0 * gap + 7.0 * gap_velocity * t - gap_acceleration * t**2) / t**4,
+            (6.0 * gap - 3.0 * gap_velocity * t + 0.5 * gap_acceleration * t**2) / t**5,
+        ]
+    )
+
+
+def peaks(trajectory: PiecewiseTrajectory, per_segment: int = 64) -> tuple[float, float]:
+    """Largest speed (m/s) and acceleration (m/s^2), from ``per_segment`` samples of each piece."""
+    speed = acceleration = 0.0
+    breaks = trajectory.breaks_s
+    for start, end in pairwise(breaks):
+        for t in np.linspace(start, end, per_segment):
+            _, v, a = trajectory.sample(float(t))
+            speed = max(speed, float(np.sqrt(v @ v)))
+            acceleration = max(acceleration, float(np.sqrt(a @ a)))
+    return speed, acceleration
+
+
+# ------------------------------------------------------------------------------------- survey
+
+
+def survey_trajectory(start: Array, yaw: float, params: SurveyParams) -> PiecewiseTrajectory:
+    """The serpentine: legs along the heading ``yaw`` (rad) joined by minimum-jerk turns.
+
+    Leg i runs between 0 and ``leg_length_m`` along the heading, ``i * leg_spacing_m`` to the left
+    of ``start`` (3,), the first one outward from ``start``. Legs are flown at one speed, which the
+    turns take over and hand on, so a turn swings out beyond the ends of its legs. Rest at both
+    ends. Short turns are hard, long ones leave little time for the legs: the time is shared so that
+    the product of the largest speed and the largest acceleration is smallest.
+    Raises ValueError when ``duration_s`` cannot be met with less than 6 m/s^2, and says how long it
+    takes.
+    """
+    if params.legs < 1 or min(params.leg_length_m, params.leg_spacing_m, params.duration_s) <= 0.0:
+        raise ValueError(
+            "the survey needs at least one leg, and leg_length_m, leg_spacing_m and duration_s "
+            "above 0"
+        )
+    if params.legs > _MOST_LEGS:
+        raise ValueError(f"survey.legs = {params.legs} must be {_MOST_LEGS} at most")
+    shares = np.linspace(0.02, 0.40, 77) * min(1.0, _MANY_LEGS / params.legs)
+    # Legs out and back are all alike: of many, the first four tell what all of them ask for.
+    rated_legs = params.legs if params.legs <= _MANY_LEGS else 4
+    candidates = [(share, _survey(start, yaw, params, share, rated_legs)) for share in shares]
+    rated = [(*peaks(c, per_segment=24), share) for share, c in candidates if c is not None]
+    # The smallest share leaves legs of any number more than half of the time: one always remains.
+    _, acceleration, best = min(rated, key=lambda r: r[0] * r[1])
+    if acceleration > _MAX_SURVEY_ACCEL:
+        # Flown in k times the time, a path has 1 / k^2 of the acceleration.
+        least_s = params.duration_s * math.sqrt(acceleration / _MAX_SURVEY_ACCEL)
+        raise ValueError(
+            f"a survey of {params.legs} legs of {params.leg_length_m:g} m does not fit into "
+            f"{params.duration_s:g} s; raise survey.duration_s to {math.ceil(least_s)} or more"
+        )
+    path = _survey(start, yaw, params, best, params.legs)
+    assert path is not None
+    return path
+
+
+def _survey(
+    start: Array, yaw: float, params: SurveyParams, turn_share: float, first_legs: int
+) -> PiecewiseTrajectory | None:
+    """The first legs of a survey whose turns each take the given share of the duration, speeding up
+    and slowing down half of that; None where these leave no time, or the legs no room to speed up.
+    """
+    total, legs, length = params.duration_s, params.legs, params.leg_length_m
+    turn, ramp = turn_share * total, 0.5 * turn_share * total
+    # A ramp between rest and the leg's speed covers half of what the leg's speed would.
+    time_at_speed = total - (legs - 1) * turn - ramp
+    if time_at_speed <= 0.0:
+        return None
+    speed = legs * length / time_at_speed
+    room = 0.5 * speed * ramp
+    if 2.0 * room >= length:
+        return None
+    world_from_leg = rotation_from_yaw(yaw)
+
+    def state(along: float, leg: int, velocity: float) -> State:
+        offset = np.array([along, leg * params.leg_spacing_m, 0.0])
+        return State(
+            start + world_from_leg @ offset, world_from_leg @ np.array([velocity, 0.0, 0.0])
+        )
+
+    states, durations = [state(0.0, 0, 0.0)], []
+    for leg in range(first_legs):
+        sign = 1.0 if leg % 2 == 0 else -1.0
+        origin = 0.0 if leg % 2 == 0 else length
+        skip_in = room if leg == 0 else 0.0
+        skip_out = room if leg == first_legs - 1 else 0.0
+        durations.append(ramp if leg == 0 else turn)
+        states.append(state(origin + sign * skip_in, leg, sign * speed))
+        durations.append((length - skip_in - skip_out) / speed)
+        states.append(state(origin + sign * (length - skip_out), leg, sign * speed))
+    durations.append(ramp)
+    states.append(state(origin + sign * length, first_legs - 1, 0.0))
+    return through(states, durations)
+
+
+# --------------------------------------------------------------------------- approach and descent
+
+
+def straight_trajectory(
+    position_start: Array,
+    velocity_start: Array,
+    position_end: Array,
+    max_speed: float,
+    max_accel: float,
+    acceleration_start: Array = _ZERO,
+) -> PiecewiseTrajectory:
+    """One minimum-jerk segment to rest at ``position_end`` (3,), as quick as the limits allow.
+
+    The limits (m/s, m/s^2) bound the norms; an initial velocity or acceleration above its limit is
+    taken as the limit, and where no duration meets both the mildest is flown. From rest the way is
+    a straight line.
+    """
+    if max_speed <= 0.0 or max_accel <= 0.0:
+        raise ValueError("max_speed and max_accel must be above 0")
+    first = State(position_start, velocity_start, acceleration_start)
+    last = State(position_end)
+    distance = float(np.linalg.norm(position_end - position_start))
+    initial_speed = float(np.linalg.norm(velocity_start))
+    # Peaks of the rest-to-rest quintic: 15/8 d/T in speed, 10/sqrt(3) d/T^2 in acceleration.
+    duration = max(
+        1.875 * distance / max_speed,
+        np.sqrt(10.0 / np.sqrt(3.0) * distance / max_accel),
+        0.1,
+    )
+    if initial_speed == 0.0 and not np.any(acceleration_start):
+        return through([first, last], [duration])
+    speed_limit = max(max_speed, initial_speed) * (1.0 + 1e-6)
+    accel_limit = max(max_accel, float(np.linalg.norm(acceleration_start))) * (1.0 + 1e-6)
+    shortest = max(0.5 * distance / speed_limit, 0.1)
+    best: tuple[float, PiecewiseTrajectory] | None = None
+    for duration in shortest * 1.05 ** np.arange(120.0):
+        trajectory = through([first, last], [float(duration)])
+        speed, acceleration = peaks(trajectory, per_segment=33)
+        excess = max(speed / speed_limit, acceleration / accel_limit)
+        if excess <= 1.0:
+            return trajectory
+        if best is None or excess < best[0]:
+            best = excess, trajectory
+    assert best is not None
+    return best[1]  # an initial acceleration can make a limit unreachable: the mildest
+
+
+def descent_trajectory(
+    position_start: Array,
+    height_end: float,
+    *,
+    cruise_speed: float = 2.0,
+    touchdown_speed: float = 0.15,
+    max_accel: float = 0.8,
+    vertical_speed_start: float = 0.0,
+) -> PiecewiseTrajectory:
+    """Straight down: speed up, cruise, slow down to ``touchdown_speed``, which then persists.
+
+    The touchdown speed is reached at z = ``height_end`` (m, frame of ``position_start`` (3,)); the
+    trajectory ends there and goes on downward at that speed until the ground is felt.
+    ``vertical_speed_start``: initial velocity along z, negative when already sinking. A height too
+    short for ``cruise_speed`` gives a slower cruise. Raises ValueError when the height is too short
+    to slow down in, or a parameter is not positive.
+    """
+    if min(touchdown_speed, max_accel) <= 0.0 or cruise_speed < touchdown_speed:
+        raise ValueError("a descent needs touchdown_speed and max_accel above 0, cruise above both")
+    height = float(position_start[2]) - height_end
+    initial = -vertical_speed_start
+
+    def ramp_s(change: float) -> float:
+        return max(1.5 * abs(change) / max_accel, 1e-3)  # peak of the quintic speed change: 3/2
+
+    def room(cruise: float) -> float:
+        up = 0.5 * (initial + cruise) * ramp_s(cruise - initial)
+        return height - up - 0.5 * (cruise + touchdown_speed) * ramp_s(cruise - touchdown_speed)
+
+    low, high = touchdown_speed, cruise_speed
+    if room(low) <= 0.0:
+        raise ValueError(
+            f"{height:.2f} m are too short for a descent that ends at {touchdown_speed:g} m/s"
+        )
+    if room(high) <= 0.0:
+        for _ in range(50):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if room(middle) > 0.0 else (low, middle)
+        high = low
+    return _descent(position_start, initial, high, touchdown_speed, room(high), ramp_s)
+
+
+def _descent(
+    position_start: Array,
+    initial: float,
+    cruise: float,
+    touchdown: float,
+    level_m: float,
+    ramp_s: Callable[[float], float],
+) -> PiecewiseTrajectory:
+    """Ramp to ``cruise``, ``level_m`` at it, ramp to ``touchdown`` (m/s, positive downward)."""
+    up = np.array([0.0, 0.0, 1.0])
+    durations, falls = [ramp_s(cruise - initial)], [0.5 * (initial + cruise)]
+    speeds = [initial, cruise]
+    if level_m > 1e-6:
+        durations.append(level_m / cruise)
+        falls.append(cruise)
+        speeds.append(cruise)
+    durations.append(ramp_s(cruise - touchdown))
+    falls.append(0.5 * (cruise + touchdown))
+    speeds.append(touchdown)
+    depths = np.concatenate([[0.0], np.cumsum(np.array(falls) * np.array(durations))])
+    states = [
+        State(position_start - depth * up, -speed * up)
+        for depth, speed in zip(depths, speeds, strict=True)
+    ]
+    return through(states, durations)

@@ -1,0 +1,1 @@
+"""Landing site selection: costmaps, clustering, risk."""

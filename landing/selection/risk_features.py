@@ -1,0 +1,88 @@
+"""What the risk of a touchdown is estimated from: eight rasters, each 0 where nothing speaks
+against landing and about 1 at the limit of the geometric rule.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.landing.api import LandingParams
+from touchdown.landing.selection.landable import FOOTPRINT_M, Defect, LandableMap
+from touchdown.landing.selection.terrain import Terrain, disc_maximum, distance_to, near
+
+Float32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+NAMES = ("slope", "step", "object", "spread", "neighbour", "confinement", "sparsity", "age")
+
+_SLOPE_DISC_M = 0.5
+_SPREAD_LIMIT_M = 0.05
+_NEIGHBOUR_LIMIT_M = 0.25
+_ROOM_M = 2.0
+"""beyond the footprint; more room than this makes no landing safer"""
+_MOST = 2.0
+"""twice a limit is as bad as any more"""
+_AGE_S = 60.0
+_IS_HARD = np.isin(np.arange(len(Defect)), (Defect.UNKNOWN, Defect.MOVING, Defect.WATER))
+"""by defect: no coefficient outweighs these"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RiskFeatures:
+    """``values``: (rows, cols, 8) float32, last axis as ``NAMES``, finite everywhere; ``open``:
+    (rows, cols), the cells whose footprint lies in seen, dry, quiet ground within the map."""
+
+    values: Float32
+    open: Mask
+
+
+def risk_features(
+    terrain: Terrain,
+    landable: LandableMap,
+    params: LandingParams,
+    *,
+    now_s: float,
+    drift_m: float = 0.0,
+) -> RiskFeatures:
+    """Of every cell as a touchdown point.
+
+    ``now_s``: the time that ages are counted to; ``drift_m``: how far gusts may carry the vehicle,
+    taken off the room around the footprint.
+    """
+    cell = terrain.cell_m
+    pad = FOOTPRINT_M / cell
+    hard = _IS_HARD[landable.defect]
+    border = int(np.ceil(pad))
+    inside = np.zeros(terrain.shape, np.bool_)
+    inside[border:-border, border:-border] = True
+    flawed = hard | (landable.defect >= Defect.ROUGH)
+    room = distance_to(flawed, cell)
+    side = 2 * border + 1
+    few = np.reciprocal(1.0 + terrain.count).astype(np.float32)
+    thin = np.asarray(cv2.blur(few, (side, side), borderType=cv2.BORDER_REPLICATE), np.float32)
+    values = np.empty((*terrain.shape, len(NAMES)), np.float32)
+    _scaled(disc_maximum(landable.slope_deg, _SLOPE_DISC_M / cell), 0.0,
+            1.0 / params.max_slope_deg, values[..., 0])  # fmt: skip
+    for index, layer in ((1, landable.step_m), (2, landable.peak_m)):
+        _scaled(disc_maximum(layer, pad), 0.0, 1.0 / params.max_step_m, values[..., index])
+    _scaled(disc_maximum(terrain.std, pad), 0.0, 1.0 / _SPREAD_LIMIT_M, values[..., 3])
+    _scaled(landable.tall_m, 0.0, 1.0 / _NEIGHBOUR_LIMIT_M, values[..., 4])
+    _scaled(room, _ROOM_M + FOOTPRINT_M + drift_m, -1.0 / _ROOM_M, values[..., 5])
+    _scaled(thin, 0.0, 1.0, values[..., 6])
+    _scaled(terrain.last_seen, now_s, -1.0 / _AGE_S, values[..., 7])
+    return RiskFeatures(values=values, open=inside & ~near(hard, pad))
+
+
+@numba.njit(cache=True)
+def _scaled(layer: Float32, zero: float, gain: float, out: Float32) -> None:
+    """(layer - zero) * gain within [0, 2]; 2 where the layer is not a number."""
+    rows, cols = layer.shape
+    for row in range(rows):
+        for col in range(cols):
+            value = (layer[row, col] - zero) * gain
+            out[row, col] = min(max(value, 0.0), _MOST) if value == value else _MOST

@@ -1,0 +1,301 @@
+"""From the map to a list of alternative landing sites, best first (section 4 of the paper)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import Estimate, MapView
+from touchdown.landing.api import Candidate, CostmapView, LandingParams, Selection
+from touchdown.landing.selection.clustering import Clusters, bandwidths, quick_shift
+from touchdown.landing.selection.costmap import compute_costmap
+from touchdown.landing.selection.landable import (
+    LandableMap,
+    assess,
+    explain,
+    fit_footprint,
+    ground_planes,
+)
+from touchdown.landing.selection.risk import safe_probability
+from touchdown.landing.selection.terrain import Terrain, distance_to, observed_terrain
+from touchdown.landing.selection.traffic import near_traffic, surfaces_of_sites, traffic_penalty
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+_AVOID_M = 3.0
+"""a site refused on a closer look is not offered again within this distance"""
+_ENOUGH_ROOM_M = 1.0
+_ROOM_WEIGHT = 0.1
+_PLENTY_M = 3.0
+"""room that counts where sites are ranked by risk"""
+_APART_M = 3.0
+"""alternatives closer than this are no alternatives"""
+
+
+NOTHING_MAPPED = Selection(
+    candidates=(),
+    costmap=None,
+    allowed=np.zeros((0, 0), np.bool_),
+    probability=np.zeros((0, 0), np.float32),
+    cluster=np.zeros((0, 0), np.int32),
+    modes=np.zeros((0, 2), np.int32),
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Judged:
+    """One map with everything that was computed of it; rasters (rows, cols)."""
+
+    terrain: Terrain
+    costmap: CostmapView
+    landable: LandableMap
+    allowed: Mask
+    probability: Float32
+    room_m: Float32
+    """distance to the nearest cell that is not allowed"""
+    margin_m: float
+
+
+def select_sites(
+    map_view: MapView,
+    estimate: Estimate,
+    params: LandingParams,
+    *,
+    footprint_radius_m: float,
+    reach_m: float = np.inf,
+    avoid_odom: Sequence[Array] = (),
+    alike_odom: Sequence[Array] = (),
+    wind_mps: float = 0.0,
+    least_bad: bool = False,
+) -> Selection:
+    """Alternative sites in the observed map: accepted ones first, then by the value that
+    ``params.scorer`` gives them less the penalty of ``landing.selection.traffic``.
+
+    ``reach_m``: how far the energy left allows to fly; ``avoid_odom``: sites already refused;
+    ``alike_odom``: sites whose kind of ground was refused: the surfaces they lie on rank lower;
+    ``wind_mps``: speed of the wind as far as it is known; ``least_bad``: accept the most probable
+    site where none is good enough. ValueError: an unknown scorer.
+    """
+    terrain = observed_terrain(map_view.coarse)
+    if terrain is None:
+        return NOTHING_MAPPED
+    drift_m = params.gust_drift_s * wind_mps
+    judged = _judge(terrain, estimate, reach_m, params, params.map_margin_m, drift_m)
+    for avoid in avoid_odom:
+        x, y = terrain.offsets_from(avoid)
+        np.logical_and(
+            judged.allowed, np.hypot(x[None, :], y[:, None]) > _AVOID_M, out=judged.allowed
+        )
+    driven = near_traffic(terrain, judged.landable)
+    worse = driven | surfaces_of_sites(terrain, alike_odom) if alike_odom else driven
+    value = _value_map(judged, params) - traffic_penalty(worse, params)
+    if least_bad and not judged.allowed.any() and np.isfinite(value).any():
+        judged.allowed.flat[int(np.nanargmax(value))] = True
+    bandwidth, radius = bandwidths(footprint_radius_m / terrain.cell_m)
+    clusters = quick_shift(
+        _cluster_map(judged, params), bandwidth_cells=bandwidth, radius_cells=radius
+    )
+    spots = _best_spots(clusters, value, judged)
+    apart = _APART_M / terrain.cell_m
+    candidates = [
+        _candidate(judged, spot, terrain.centre_of(*spot), params, certain=not least_bad)
+        for spot in _shortlist(spots, value, judged.allowed, params.max_candidates, apart)
+    ]
+    candidates.sort(key=lambda site: not site.accepted)  # stable: best first within both
+    return Selection(
+        candidates=tuple(candidates),
+        costmap=judged.costmap,
+        allowed=judged.allowed,
+        probability=judged.probability,
+        cluster=clusters.label,
+        modes=clusters.modes,
+        driven=driven,
+    )
+
+
+def _cluster_map(judged: _Judged, params: LandingParams) -> Float32:
+    """What Quick Shift climbs: C_sum, or where it is the risk that counts, the probability."""
+    return judged.costmap.total if params.scorer == "paper" else judged.probability
+
+
+def _value_map(judged: _Judged, params: LandingParams) -> Float32:
+    """Rank of a cell as a site; NaN where energy or the map do not reach."""
+    if params.scorer == "paper":
+        return judged.costmap.total
+    energy = np.float32(params.energy_weight) * (1.0 - judged.costmap.distance)
+    room = np.minimum(judged.room_m, _PLENTY_M) * np.float32(_ROOM_WEIGHT / _PLENTY_M)
+    tilt = np.minimum(judged.landable.slope_deg / np.float32(params.max_slope_deg), 1.0)
+    value = judged.probability - energy + room - np.float32(params.level_weight) * tilt
+    return value.astype(np.float32)
+
+
+def check_site(
+    map_view: MapView, estimate: Estimate, params: LandingParams, xy_odom: Array
+) -> tuple[Candidate, CostmapView | None]:
+    """The commanded site ``xy_odom`` (2,) as a candidate: accepted or refused with the reason.
+
+    Someone chose this place, so it needs less room to err than one that the map alone suggests.
+    """
+    terrain = observed_terrain(map_view.coarse)
+    if terrain is None:
+        return _unseen(xy_odom), None
+    judged = _judge(terrain, estimate, np.inf, params, params.low_margin_m, 0.0)
+    spot = terrain.cell_of(xy_odom)
+    if not terrain.contains(*spot):
+        return _unseen(xy_odom), judged.costmap
+    judged.allowed[spot] = judged.landable.mask[spot]
+    return _candidate(judged, spot, xy_odom, params), judged.costmap
+
+
+def _unseen(xy: Array, why: str = "outside what was mapped") -> Candidate:
+    return Candidate(
+        position_odom=np.array([xy[0], xy[1], np.nan]),
+        normal_odom=np.array([0.0, 0.0, 1.0]),
+        score=0.0,
+        flatness=0.0,
+        smoothness=0.0,
+        distance=0.0,
+        slope_deg=float("nan"),
+        roughness_m=float("nan"),
+        clearance_m=0.0,
+        accepted=False,
+        reason=f"refused: {why}",
+    )
+
+
+def _judge(
+    terrain: Terrain,
+    estimate: Estimate,
+    reach_m: float,
+    params: LandingParams,
+    margin_m: float,
+    drift_m: float,
+) -> _Judged:
+    planes = ground_planes(terrain, params)
+    position = estimate.odom_from_body.translation
+    costmap = compute_costmap(terrain, planes, position, reach_m, params)
+    landable = assess(terrain, planes, params, margin_m=margin_m, min_returns=params.min_returns)
+    if params.scorer == "paper":
+        allowed = landable.mask & np.isfinite(costmap.total)
+        believed = allowed.astype(np.float32)
+    elif params.scorer == "risk":
+        now_s = estimate.time_s
+        believed = safe_probability(terrain, landable, params, now_s=now_s, drift_m=drift_m)
+        allowed = (believed >= params.min_safe_probability) & np.isfinite(costmap.distance)
+    else:
+        raise ValueError(f"landing.scorer is {params.scorer!r}: use 'risk' or 'paper'")
+    return _Judged(
+        terrain=terrain,
+        costmap=costmap,
+        landable=landable,
+        allowed=allowed,
+        probability=believed,
+        room_m=distance_to(~allowed, terrain.cell_m),
+        margin_m=margin_m,
+    )
+
+
+def _best_spots(clusters: Clusters, value: Float32, judged: _Judged) -> list[tuple[int, int]]:
+    """One cell per cluster: the allowed one of highest value, room to err counting up to 1 m; the
+    mode itself where nothing in the cluster is allowed."""
+    spots = clusters.modes.copy()
+    room = np.minimum(judged.room_m, _ENOUGH_ROOM_M) / _ENOUGH_ROOM_M
+    cells = np.flatnonzero(judged.allowed & (clusters.label >= 0))
+    merit = value.ravel()[cells] + _ROOM_WEIGHT * room.ravel()[cells]
+    label = clusters.label.ravel()[cells]
+    best = np.full(spots.shape[0], -np.inf, np.float32)
+    np.maximum.at(best, label, merit)
+    winners = np.flatnonzero(merit == best[label])[::-1]  # ties: the first cell is written last
+    rows, cols = np.divmod(cells[winners], value.shape[1])
+    spots[label[winners]] = np.column_stack([rows, cols])
+    return [(int(row), int(col)) for row, col in spots]
+
+
+def _shortlist(
+    spots: list[tuple[int, int]],
+    value: Float32,
+    allowed: NDArray[np.bool_],
+    limit: int,
+    apart_cells: float,
+) -> list[tuple[int, int]]:
+    """The best ``limit`` spots that keep apart; two thirds of the places are for allowed ones, if
+    there are as many, so that refused ones of high value stay visible."""
+    filled = np.nan_to_num(value, nan=-np.inf)
+    by_value = sorted(spots, key=lambda spot: (-float(filled[spot]), spot))
+    chosen: list[tuple[int, int]] = []
+    for wanted, places in ((True, (2 * limit + 2) // 3), (False, limit)):
+        for spot in by_value:
+            if len(chosen) >= places:
+                break
+            if bool(allowed[spot]) is wanted and all(
+                np.hypot(spot[0] - other[0], spot[1] - other[1]) >= apart_cells for other in chosen
+            ):
+                chosen.append(spot)
+    return chosen
+
+
+def _candidate(
+    judged: _Judged,
+    spot: tuple[int, int],
+    xy: Array,
+    params: LandingParams,
+    *,
+    certain: bool = True,
+) -> Candidate:
+    """The site at ``xy`` (2,) in the cell ``spot``. Where it must be ``certain``, the plane through
+    the whole footprint has the last word."""
+    costmap = judged.costmap
+    xy = np.asarray(xy, dtype=np.float64)
+    plane = fit_footprint(judged.terrain, xy)
+    if plane is None:
+        return _unseen(xy, _why_not(judged, spot, params))
+    believed = float(judged.probability[spot])
+    refusal = None
+    if not judged.allowed[spot]:
+        refusal = _why_not(judged, spot, params)
+    elif certain and plane.slope_deg > params.max_slope_deg - params.slope_margin_deg:
+        refusal = f"slope {plane.slope_deg:.1f} deg over the footprint"
+    elif certain and plane.roughness_m > params.max_step_m - params.step_margin_m:
+        refusal = f"{plane.roughness_m:.2f} m off its plane"
+    room = float(judged.room_m[spot])
+    figures = (
+        f"slope {plane.slope_deg:.1f} deg, roughness {plane.roughness_m:.2f} m, "
+        f"clearance {room:.1f} m, C_sum {_value(costmap.total, spot):.2f}"
+    )
+    if params.scorer == "risk":
+        figures += f", safe with probability {believed:.3f}"
+    verdict = "landable" if certain or believed >= params.min_safe_probability else "the least bad"
+    return Candidate(
+        position_odom=plane.position,
+        normal_odom=plane.normal,
+        score=_value(costmap.total, spot),
+        flatness=_value(costmap.flatness, spot),
+        smoothness=_value(costmap.smoothness, spot),
+        distance=_value(costmap.distance, spot),
+        slope_deg=plane.slope_deg,
+        roughness_m=plane.roughness_m,
+        clearance_m=room,
+        accepted=refusal is None,
+        reason=f"{verdict}: {figures}" if refusal is None else f"refused: {refusal}",
+        safe_probability=believed if params.scorer == "risk" else float("nan"),
+    )
+
+
+def _why_not(judged: _Judged, spot: tuple[int, int], params: LandingParams) -> str:
+    landable = judged.landable
+    if not landable.mask[spot]:
+        return explain(judged.terrain, landable, *spot, params, judged.margin_m)
+    believed = float(judged.probability[spot])
+    if believed < params.min_safe_probability and params.scorer == "risk":
+        return f"safe with probability {believed:.2f} (at least {params.min_safe_probability:.2f})"
+    return "seen from closer it was not landable, or out of reach"
+
+
+def _value(layer: Float32, spot: tuple[int, int]) -> float:
+    value = float(layer[spot])
+    return value if np.isfinite(value) else 0.0

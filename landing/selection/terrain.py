@@ -1,0 +1,297 @@
+"""The part of an elevation map that a landing decision looks at, and the local geometry of it.
+
+All rasters are (rows, cols), row = y, column = x, in the odom frame of ``estimator.api.GridMap``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import GridMap
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Terrain:
+    """The observed part of a grid; unseen cells have count 0 and NaN elsewhere."""
+
+    origin_xy_m: Array
+    cell_m: float
+    count: Float32
+    height: Float32
+    std: Float32
+    low: Float32
+    high: Float32
+    rgb: Float32
+    """(rows, cols, 3), 0..255, NaN where uncoloured"""
+    intensity: Float32
+    missing: Float32
+    last_seen: Float32
+    """time of the newest return, s"""
+
+    @property
+    def known(self) -> Mask:
+        return np.isfinite(self.height)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.height.shape  # type: ignore[return-value]
+
+    def cell_of(self, xy: Array) -> tuple[int, int]:
+        """(row, col) of the cell that holds ``xy``; may lie outside."""
+        col, row = np.floor((np.asarray(xy)[:2] - self.origin_xy_m) / self.cell_m).astype(int)
+        return int(row), int(col)
+
+    def contains(self, row: int, col: int) -> bool:
+        return 0 <= row < self.shape[0] and 0 <= col < self.shape[1]
+
+    def centre_of(self, row: int, col: int) -> Array:
+        """(2,) x, y of a cell's centre."""
+        return self.origin_xy_m + (np.array([col, row]) + 0.5) * self.cell_m
+
+    def offsets_from(self, xy: Array) -> tuple[Array, Array]:
+        """x of every column (cols,) and y of every row (rows,) relative to ``xy``."""
+        rows, cols = self.shape
+        x = self.origin_xy_m[0] + (np.arange(cols) + 0.5) * self.cell_m - xy[0]
+        y = self.origin_xy_m[1] + (np.arange(rows) + 0.5) * self.cell_m - xy[1]
+        return x, y
+
+    def window(self, xy: Array, half_width_m: float) -> Terrain:
+        """The square of ``half_width_m`` around ``xy``, clipped to the raster (never empty of
+        rows or columns unless ``xy`` is that far outside)."""
+        row, col = self.cell_of(xy)
+        reach = int(np.ceil(half_width_m / self.cell_m))
+        rows = slice(max(row - reach, 0), max(row + reach + 1, 0))
+        cols = slice(max(col - reach, 0), max(col + reach + 1, 0))
+        corner = self.origin_xy_m + np.array([cols.start, rows.start]) * self.cell_m
+        return Terrain(
+            origin_xy_m=corner,
+            cell_m=self.cell_m,
+            count=self.count[rows, cols],
+            height=self.height[rows, cols],
+            std=self.std[rows, cols],
+            low=self.low[rows, cols],
+            high=self.high[rows, cols],
+            rgb=self.rgb[rows, cols],
+            intensity=self.intensity[rows, cols],
+            missing=self.missing[rows, cols],
+            last_seen=self.last_seen[rows, cols],
+        )
+
+
+def observed_terrain(grid: GridMap) -> Terrain | None:
+    """The bounding box of everything seen (returns or missing pulses), None for an empty map. The
+    layers are views: the mapper goes on writing to them in later control steps."""
+    seen = (grid.count > 0.0) | (grid.missing > 0.0)
+    rows, cols = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+    if rows.size == 0:
+        return None
+    box = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+    return Terrain(
+        origin_xy_m=grid.origin_xy_m + np.array([cols[0], rows[0]]) * grid.cell_m,
+        cell_m=grid.cell_m,
+        count=grid.count[box],
+        height=grid.height_m[box],
+        std=grid.height_std_m[box],
+        low=grid.min_height_m[box],
+        high=grid.max_height_m[box],
+        rgb=grid.rgb[box],
+        intensity=grid.intensity[box],
+        missing=grid.missing[box],
+        last_seen=grid.last_seen_s[box],
+    )
+
+
+def pooled(terrain: Terrain, factor: int) -> Terrain:
+    """Merges ``factor`` x ``factor`` cells into one: weighted mean, total spread, highest return.
+    Rows and columns that fill no whole cell are dropped."""
+    rows, cols = (n // factor for n in terrain.shape)
+
+    def blocks(layer: Float32) -> Float32:
+        cut = layer[: rows * factor, : cols * factor]
+        return cut.reshape(rows, factor, cols, factor, *layer.shape[2:])
+
+    count = blocks(terrain.count)
+    weight = np.where(np.isfinite(blocks(terrain.height)), np.maximum(count, 1e-6), 0.0)
+    total = weight.sum(axis=(1, 3))
+    safe_total = np.where(total > 0.0, total, np.nan)
+    mean = np.nansum(weight * blocks(terrain.height), axis=(1, 3)) / safe_total
+    spread = blocks(terrain.std) ** 2 + (blocks(terrain.height) - mean[:, None, :, None]) ** 2
+    variance = np.nansum(weight * spread, axis=(1, 3)) / safe_total
+    intensity = np.nansum(weight * blocks(terrain.intensity), axis=(1, 3)) / safe_total
+    high = np.where(np.isfinite(blocks(terrain.high)), blocks(terrain.high), -np.inf)
+    top = high.max(axis=(1, 3))
+    low = np.where(np.isfinite(blocks(terrain.low)), blocks(terrain.low), np.inf)
+    bottom = low.min(axis=(1, 3))
+    coloured = np.isfinite(blocks(terrain.rgb))
+    rgb_sum = np.where(coloured, blocks(terrain.rgb), 0.0).sum(axis=(1, 3))
+    rgb_number = coloured.sum(axis=(1, 3))
+    rgb = np.where(rgb_number > 0, rgb_sum / np.maximum(rgb_number, 1), np.nan)
+    return Terrain(
+        origin_xy_m=terrain.origin_xy_m,
+        cell_m=terrain.cell_m * factor,
+        count=count.sum(axis=(1, 3)).astype(np.float32),
+        height=mean.astype(np.float32),
+        std=np.sqrt(variance).astype(np.float32),
+        low=np.where(np.isfinite(bottom), bottom, np.nan).astype(np.float32),
+        high=np.where(np.isfinite(top), top, np.nan).astype(np.float32),
+        rgb=rgb.astype(np.float32),
+        intensity=intensity.astype(np.float32),
+        missing=blocks(terrain.missing).sum(axis=(1, 3)).astype(np.float32),
+        last_seen=blocks(terrain.last_seen).max(axis=(1, 3)),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlaneField:
+    """A plane per cell, least squares over the square window around it; NaN where too few cells
+    of the window are known."""
+
+    angle_rad: Float32
+    """between the plane's normal and the vertical, (rows, cols)"""
+    level: Float32
+    """height of the plane at the cell's centre"""
+
+
+def fit_planes(
+    height: Float32, cell_m: float, half_width_m: float, *, min_share: float = 0.6
+) -> PlaneField:
+    """Least-squares planes by running sums of moments: cost does not depend on the window.
+
+    height: (rows, cols) float32 metres, NaN unknown. A window with less than ``min_share`` of its
+    cells known, or whose known cells lie on a line, gives NaN.
+    """
+    reach = max(round(half_width_m / cell_m), 1)
+    enough = min_share * (2 * reach + 1) ** 2
+    angle, level = (np.full(height.shape, np.nan, np.float32) for _ in range(2))
+    _sliding_planes(height, cell_m, reach, enough, angle, level)
+    return PlaneField(angle_rad=angle, level=level)
+
+
+@numba.njit(cache=True)
+def _add_row(height: Float32, row: int, sign: float, base: float, sums: Array) -> None:
+    """Adds (or takes away) one row to the column sums of n, y, z, yy, yz."""
+    y = float(row)
+    for col in range(height.shape[1]):
+        z = height[row, col] - base
+        if np.isnan(z):
+            continue
+        sums[col, 0] += sign
+        sums[col, 1] += sign * y
+        sums[col, 2] += sign * z
+        sums[col, 3] += sign * y * y
+        sums[col, 4] += sign * y * z
+
+
+@numba.njit(cache=True)
+def _add_column(sums: Array, col: int, sign: float, w: Array) -> None:
+    """Adds (or takes away) one column to the window sums n, x, y, z, xx, xy, yy, xz, yz."""
+    x = float(col)
+    n, y, z = sums[col, 0], sums[col, 1], sums[col, 2]
+    w[0] += sign * n
+    w[1] += sign * x * n
+    w[2] += sign * y
+    w[3] += sign * z
+    w[4] += sign * x * x * n
+    w[5] += sign * x * y
+    w[6] += sign * sums[col, 3]
+    w[7] += sign * x * z
+    w[8] += sign * sums[col, 4]
+
+
+@numba.njit(cache=True)
+def _sliding_planes(
+    height: Float32,
+    cell: float,
+    reach: int,
+    enough: float,
+    angle: Float32,
+    level: Float32,
+) -> None:
+    """Window sums slide along the rows; row and column numbers are the coordinates."""
+    rows, cols = height.shape
+    base = 0.0
+    for value in height.flat:
+        if not np.isnan(value):
+            base = float(value)
+            break
+    sums = np.zeros((cols, 5))
+    for row in range(min(reach, rows)):
+        _add_row(height, row, 1.0, base, sums)
+    for row in range(rows):
+        if row + reach < rows:
+            _add_row(height, row + reach, 1.0, base, sums)
+        if row - reach - 1 >= 0:
+            _add_row(height, row - reach - 1, -1.0, base, sums)
+        w = np.zeros(9)
+        for col in range(min(reach, cols)):
+            _add_column(sums, col, 1.0, w)
+        for col in range(cols):
+            if col + reach < cols:
+                _add_column(sums, col + reach, 1.0, w)
+            if col - reach - 1 >= 0:
+                _add_column(sums, col - reach - 1, -1.0, w)
+            n = w[0]
+            if n < enough or n < 3.0:
+                continue
+            mx, my, mz = w[1] / n, w[2] / n, w[3] / n
+            cxx, cxy, cyy = w[4] / n - mx * mx, w[5] / n - mx * my, w[6] / n - my * my
+            cxz, cyz = w[7] / n - mx * mz, w[8] / n - my * mz
+            determinant = cxx * cyy - cxy * cxy
+            if determinant < 1e-2:
+                continue
+            gx = (cxz * cyy - cyz * cxy) / determinant
+            gy = (cyz * cxx - cxz * cxy) / determinant
+            angle[row, col] = np.arctan(np.sqrt(gx * gx + gy * gy) / cell)
+            level[row, col] = base + mz + gx * (col - mx) + gy * (row - my)
+
+
+def distance_to(mask: Mask, cell_m: float) -> Float32:
+    """Exact Euclidean distance in metres from every cell to the nearest True cell (0 on them;
+    1e6 if there is none)."""
+    if not mask.any():
+        return np.full(mask.shape, 1e6, np.float32)
+    free = (~mask).astype(np.uint8)
+    pixels = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return (pixels * np.float32(cell_m)).astype(np.float32)
+
+
+def disc_maximum(layer: Float32, radius_cells: float) -> Float32:
+    """Maximum over the disc of ``radius_cells`` around each cell, row by row of the disc; unknown
+    (NaN) cells do not take part, -inf where nothing is known."""
+    rows = layer.shape[0]
+    best = np.where(np.isfinite(layer), layer, np.float32(-np.inf))
+    filled = best.copy()
+    by_width: dict[int, list[int]] = {}
+    for dy in range(int(radius_cells) + 1):
+        by_width.setdefault(int(np.sqrt(radius_cells**2 - dy * dy)), []).append(dy)
+    for half, shifts in by_width.items():
+        kernel = np.ones((1, 2 * half + 1), np.uint8)
+        wide = cv2.dilate(filled, kernel, borderType=cv2.BORDER_REPLICATE)
+        for dy in sorted({sign * shift for shift in shifts for sign in (-1, 1)}):
+            if abs(dy) >= rows:
+                continue
+            source = wide[max(dy, 0) : rows + min(dy, 0)]
+            target = best[max(-dy, 0) : rows + min(-dy, 0)]
+            np.maximum(target, source, out=target)
+    return best
+
+
+def near(mask: Mask, radius_cells: float) -> Mask:
+    """Cells whose centre lies within ``radius_cells`` of that of a True cell."""
+    if not mask.any():
+        return np.zeros(mask.shape, np.bool_)
+    reach = int(radius_cells)
+    offset = np.arange(-reach, reach + 1)
+    disc = (offset[:, None] ** 2 + offset[None, :] ** 2 <= radius_cells**2).astype(np.uint8)
+    return (
+        cv2.dilate(mask.astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    )

@@ -1,0 +1,1 @@
+"""What scene generators share: terrain, textures, light, roads, plots."""

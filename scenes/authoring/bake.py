@@ -1,0 +1,71 @@
+"""Sunlight baked into the ground's picture: shadows along the sun, and the dimness under things.
+
+Real-time shadow maps would triple the render time on a software renderer.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.authoring.builder import Caster
+from touchdown.scenes.authoring.terrain import Terrain
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+_SUBPIXEL_BITS = 4
+_SLOPE_STEPS = 3
+"""Steps towards the point where a sun ray meets the slope; each shrinks the error by the slope
+over the sun's own."""
+
+
+def bake_light(
+    casters: list[Caster],
+    terrain: Terrain,
+    sun_direction: Array,
+    pixels: int,
+    ambient: float,
+    hilly: bool = False,
+) -> Float32:
+    """Share of full light on the ground, (pixels, pixels) float32 in (0, 1], row 0 at y_min.
+
+    sun_direction: (3,) unit, the way the light travels. ambient: light left in full shadow.
+    Casters are projected on the level ground at their own foot, or, where the place is ``hilly``,
+    on the slope that the shadow falls on; overlaps multiply.
+    """
+    cell = 2.0 * terrain.half_m / pixels
+    sun = np.ones((pixels, pixels), np.float32)
+    sky = np.ones((pixels // 4, pixels // 4), np.float32)
+    for caster in casters:
+        points = caster.points
+        middle = points[:, :2].mean(axis=0)
+        ground = terrain.point(*middle)
+        height = np.maximum(points[:, 2] - ground, 0.0)
+        lift = float(height.min())
+        shadow = points[:, :2] - height[:, None] * sun_direction[:2] / sun_direction[2]
+        for _ in range(_SLOPE_STEPS if hilly else 0):
+            height = np.maximum(points[:, 2] - terrain.at(shadow), 0.0)
+            shadow = points[:, :2] - height[:, None] * sun_direction[:2] / sun_direction[2]
+        _darken(sun, shadow, terrain.half_m, cell, 1.0 - caster.opacity)
+        # Low things dim the ground around their foot, high crowns hardly do.
+        _darken(sky, points[:, :2], terrain.half_m, 4.0 * cell, 1.0 - 0.55 * np.exp(-lift / 1.5))
+    soft = cv2.GaussianBlur(sun, (0, 0), 0.8)
+    open_sky = cv2.GaussianBlur(sky, (0, 0), 0.35 / (4.0 * cell))
+    open_sky = cv2.resize(open_sky, (pixels, pixels), interpolation=cv2.INTER_LINEAR)
+    light: Float32 = (ambient + (1.0 - ambient) * soft) * (0.45 + 0.55 * open_sky)
+    return light
+
+
+def _darken(layer: Float32, outline: Array, half_m: float, cell: float, factor: float) -> None:
+    """Multiplies the convex hull of ``outline`` (N, 2) metres into ``layer``."""
+    hull = cv2.convexHull(((outline + half_m) / cell - 0.5).astype(np.float32))[:, 0]
+    low = np.clip(np.floor(hull.min(axis=0)).astype(int) - 1, 0, layer.shape[0])
+    high = np.clip(np.ceil(hull.max(axis=0)).astype(int) + 2, 0, layer.shape[0])
+    if (high <= low).any():
+        return
+    mask = np.zeros((high[1] - low[1], high[0] - low[0]), np.uint8)
+    corners = np.round((hull - low) * 2**_SUBPIXEL_BITS).astype(np.int32)
+    cv2.fillConvexPoly(mask, corners, 255, cv2.LINE_AA, _SUBPIXEL_BITS)
+    window = layer[low[1] : high[1], low[0] : high[0]]
+    window *= 1.0 - (1.0 - factor) * (mask.astype(np.float32) / 255.0)

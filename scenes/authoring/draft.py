@@ -1,0 +1,30 @@
+"""What a scene generator hands to `scenes.compose`: a place without the vehicle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import GroundRaster, MovingBody, Surface
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SceneDraft:
+    """An uncompiled scene."""
+
+    spec: Any
+    """mujoco.MjSpec"""
+    takeoff_xy_m: Array
+    """(2,) world"""
+    takeoff_yaw: float
+    bounds_xy_m: Array
+    """(2, 2) [[x_min, y_min], [x_max, y_max]]"""
+    surfaces: dict[str, Surface]
+    """by geom name"""
+    ground: GroundRaster | None
+    moving: tuple[MovingBody, ...] = field(default=())

@@ -1,0 +1,346 @@
+"""The ground's picture: a canvas of materials, markings and stains, shaded texel by texel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import LAND_CLASSES, GroundRaster
+from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+
+TEXELS = 5120
+RASTER_STRIDE = 4
+"""Texels per cell of the class raster."""
+_TILE = 1024
+_BITS = 4
+
+
+class Ground(IntEnum):
+    """Materials of the terrain."""
+
+    LAWN = 0
+    MEADOW = 1
+    SOIL = 2
+    PAVEMENT = 3
+    SIDE_PAVEMENT = 4
+    ASPHALT = 5
+    NEW_ASPHALT = 6
+    GRAVEL = 7
+    PAVERS = 8
+    MULCH = 9
+    CAR_PARK = 10
+    WORN = 11
+    LITTER = 12
+    FERN = 13
+    SAND = 14
+    FAIRWAY = 15
+    GREEN = 16
+    ROUGH = 17
+    PUDDLE = 18
+    DECK = 19
+    PLANKS = 20
+    PITCH = 21
+    CLAY = 22
+    LANE = 23
+    COBBLES = 24
+    RUBBER = 25
+    CROPS = 26
+    BEACH = 27
+    MUD = 28
+    ROOF_DECK = 29
+
+
+# land class, reflectivity at 905 nm, RGB, gains of fine noise, coarse noise, grain, large patches;
+# hue drift over large patches (RGB); 1 where the edge to a neighbour of the same kind is ragged.
+_Row = tuple[str, float, tuple[int, int, int], tuple[float, ...], tuple[int, ...], int]
+_TABLE: dict[Ground, _Row] = {
+    Ground.LAWN: ("lawn", 0.46, (94, 114, 60), (0.17, 0.11, 0.09, 0.06), (5, 2, 1), 1),
+    Ground.MEADOW: ("lawn", 0.44, (114, 119, 70), (0.20, 0.17, 0.10, 0.06), (6, 2, 1), 1),
+    Ground.SOIL: ("field", 0.25, (126, 98, 72), (0.17, 0.11, 0.08, 0.08), (6, 5, 5), 1),
+    Ground.PAVEMENT: ("path", 0.34, (170, 165, 154), (0.04, 0.04, 0.035, 0.03), (2, 1, -2), 0),
+    Ground.SIDE_PAVEMENT: ("path", 0.34, (166, 161, 151), (0.04, 0.04, 0.035, 0.03), (2, 1, -2), 0),
+    Ground.ASPHALT: ("road", 0.14, (97, 97, 99), (0.08, 0.04, 0.085, 0.05), (2, 1, -1), 0),
+    Ground.NEW_ASPHALT: ("road", 0.10, (72, 72, 75), (0.07, 0.03, 0.075, 0.03), (0, 0, 1), 0),
+    Ground.GRAVEL: ("path", 0.33, (176, 163, 138), (0.13, 0.06, 0.13, 0.04), (4, 3, 0), 1),
+    Ground.PAVERS: ("path", 0.30, (160, 122, 102), (0.04, 0.05, 0.04, 0.04), (3, 1, 0), 0),
+    Ground.MULCH: ("field", 0.22, (88, 66, 50), (0.22, 0.08, 0.14, 0.04), (4, 2, 0), 1),
+    Ground.CAR_PARK: ("road", 0.15, (110, 109, 108), (0.08, 0.05, 0.09, 0.05), (2, 2, 1), 0),
+    Ground.WORN: ("lawn", 0.38, (128, 113, 78), (0.16, 0.12, 0.09, 0.07), (8, 5, 0), 1),
+    Ground.LITTER: ("field", 0.34, (98, 82, 60), (0.24, 0.15, 0.14, 0.08), (7, 5, 2), 1),
+    Ground.FERN: ("trees", 0.40, (78, 92, 48), (0.26, 0.18, 0.14, 0.06), (7, 4, 1), 1),
+    Ground.SAND: ("field", 0.48, (214, 196, 156), (0.05, 0.04, 0.05, 0.03), (3, 2, 0), 0),
+    Ground.FAIRWAY: ("lawn", 0.47, (92, 120, 58), (0.11, 0.09, 0.08, 0.05), (5, 2, 1), 0),
+    Ground.GREEN: ("lawn", 0.48, (110, 140, 72), (0.05, 0.05, 0.05, 0.04), (3, 2, 1), 0),
+    Ground.ROUGH: ("lawn", 0.43, (92, 104, 56), (0.23, 0.17, 0.11, 0.06), (8, 3, 1), 1),
+    Ground.PUDDLE: ("water", 0.05, (74, 80, 78), (0.02, 0.02, 0.01, 0.03), (1, 1, 2), 0),
+    Ground.DECK: ("path", 0.42, (206, 196, 176), (0.03, 0.04, 0.03, 0.03), (3, 2, 0), 0),
+    Ground.PLANKS: ("path", 0.36, (158, 122, 88), (0.06, 0.05, 0.05, 0.04), (3, 2, 1), 0),
+    Ground.PITCH: ("lawn", 0.46, (88, 122, 58), (0.12, 0.08, 0.08, 0.05), (5, 2, 1), 0),
+    Ground.CLAY: ("field", 0.30, (176, 98, 68), (0.06, 0.06, 0.07, 0.05), (5, 3, 2), 0),
+    Ground.LANE: ("road", 0.19, (134, 127, 117), (0.13, 0.07, 0.12, 0.05), (4, 3, 1), 1),
+    Ground.COBBLES: ("path", 0.28, (142, 134, 124), (0.06, 0.07, 0.05, 0.05), (4, 2, 0), 0),
+    Ground.RUBBER: ("field", 0.22, (150, 78, 66), (0.03, 0.03, 0.06, 0.03), (2, 1, 0), 0),
+    Ground.CROPS: ("field", 0.36, (108, 92, 62), (0.17, 0.12, 0.10, 0.06), (6, 5, 4), 1),
+    Ground.BEACH: ("field", 0.42, (198, 182, 146), (0.07, 0.06, 0.08, 0.04), (4, 3, 1), 1),
+    Ground.MUD: ("field", 0.16, (96, 84, 66), (0.14, 0.16, 0.06, 0.07), (3, 3, 1), 1),
+    Ground.ROOF_DECK: ("path", 0.21, (134, 133, 130), (0.05, 0.05, 0.06, 0.06), (3, 2, -1), 0),
+}  # fmt: skip
+PAINT_REFLECTIVITY = 0.60
+
+
+@dataclass(kw_only=True, slots=True)
+class Canvas:
+    """Rasters over the square of +-half_m, row 0 at y_min: material ids, marking paint and dark
+    stains (0..255 coverage)."""
+
+    half_m: float
+    material: Bytes = field(default_factory=lambda: np.zeros((TEXELS, TEXELS), np.uint8))
+    paint: Bytes = field(default_factory=lambda: np.zeros((TEXELS, TEXELS), np.uint8))
+    stain: Bytes = field(default_factory=lambda: np.zeros((TEXELS, TEXELS), np.uint8))
+
+    @staticmethod
+    def of_size(half_m: float, texels: int) -> Canvas:
+        """A canvas of (texels, texels) rather than `TEXELS`, a multiple of `RASTER_STRIDE`."""
+        blank = np.zeros((3, texels, texels), np.uint8)
+        return Canvas(half_m=half_m, material=blank[0], paint=blank[1], stain=blank[2])
+
+    @property
+    def texel_m(self) -> float:
+        return 2.0 * self.half_m / len(self.material)
+
+    def texels(self, xy_m: Array) -> NDArray[np.int32]:
+        """(N, 2) world metres to cv2's fixed-point column and row."""
+        grid = (np.asarray(xy_m) + self.half_m) / self.texel_m - 0.5
+        return np.round(grid * 2**_BITS).astype(np.int32)
+
+    def fill(self, outline_m: Array, material: Ground) -> None:
+        """Sets the material of a polygon, (N, 2) world metres."""
+        cv2.fillPoly(self.material, [self.texels(outline_m)], int(material), cv2.LINE_8, _BITS)
+
+    def mark(self, outline_m: Array, cover: int = 255) -> None:
+        """White paint on a polygon."""
+        cv2.fillPoly(self.paint, [self.texels(outline_m)], cover, cv2.LINE_AA, _BITS)
+
+    def soil(self, outline_m: Array, cover: int) -> None:
+        """A dark stain on a polygon."""
+        cv2.fillPoly(self.stain, [self.texels(outline_m)], cover, cv2.LINE_AA, _BITS)
+
+    def trace(self, line_m: Array, width_m: float, cover: int) -> None:
+        """A dark line (a crack, a tar seam, a joint)."""
+        width = max(1, round(width_m / self.texel_m))
+        points = [self.texels(line_m)]
+        cv2.polylines(self.stain, points, False, cover, width, cv2.LINE_AA, _BITS)
+
+    def track(self, line_m: Array, width_m: float, material: Ground) -> None:
+        """A band of a material along a polyline."""
+        width = max(1, round(width_m / self.texel_m))
+        cv2.polylines(self.material, [self.texels(line_m)], False, int(material), width, 8, _BITS)
+
+    def raster(self, geom_name: str) -> GroundRaster:
+        """Classes and reflectivities, sampled at cell centres."""
+        ids = [LAND_CLASSES.index(_TABLE[material][0]) for material in Ground]
+        shine = np.array([_TABLE[material][1] for material in Ground], np.float32)
+        middle = slice(RASTER_STRIDE // 2, None, RASTER_STRIDE)
+        material = self.material[middle, middle]
+        cover = self.paint[middle, middle].astype(np.float32) / 255.0
+        plain = shine[material]
+        return GroundRaster(
+            geom_name=geom_name,
+            origin_xy_m=np.array([-self.half_m, -self.half_m]),
+            cell_m=self.texel_m * RASTER_STRIDE,
+            class_id=np.array(ids, np.uint8)[material],
+            reflectivity=plain + cover * (PAINT_REFLECTIVITY - plain),
+        )
+
+
+def shade_ground(
+    rng: np.random.Generator, canvas: Canvas, light: Float32, pattern_angles: dict[Ground, float]
+) -> Bytes:
+    """The picture, (rows, cols, 3) uint8 as the canvas is, top row = y_max.
+
+    light: (n, n) share of full light, row 0 at y_min (see `scenes.authoring.bake`). pattern_angles:
+    radians by which slabs, mowing stripes and furrows of a material are turned."""
+    count = len(Ground)
+    base = np.array([_TABLE[m][2] for m in Ground], np.float32)
+    gains = np.array([_TABLE[m][3] for m in Ground], np.float32)
+    hues = np.array([_TABLE[m][4] for m in Ground], np.float32)
+    ragged = np.array([_TABLE[m][5] for m in Ground], np.uint8)
+    angles = np.array([pattern_angles.get(m, 0.0) for m in Ground])
+    frames = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(count, 2)
+    fine = tileable_noise(rng, _TILE, 0.55, 10.0)
+    coarse = tileable_noise(rng, _TILE, 1.25, 5.0)
+    patches = fractal_noise(rng, (512, 512), 56.0, 4, 0.6)
+    hue = fractal_noise(rng, (512, 512), 40.0, 3, 0.6)
+    size = canvas.material.shape
+    glow = (light * 255.0).astype(np.uint8)
+    bright = np.asarray(cv2.resize(glow, size, interpolation=cv2.INTER_LINEAR), np.uint8)
+    picture = np.empty((*size, 3), np.uint8)
+    _shade(
+        picture, canvas.material, canvas.paint, canvas.stain, bright, fine, coarse, patches, hue,
+        base, gains, hues, ragged, frames, canvas.texel_m, int(rng.integers(1, 2**31)),
+    )  # fmt: skip
+    return picture
+
+
+@njit(cache=True)
+def _hash(a: int, b: int, salt: int) -> float:
+    """Uniform in [0, 1) from two integers."""
+    value = (a * 73856093) ^ (b * 19349663) ^ (salt * 83492791)
+    value &= 0xFFFFFFFF
+    value = ((value ^ (value >> 15)) * 0x2C1B3C6D) & 0xFFFFFFFF
+    value = ((value ^ (value >> 12)) * 0x297A2D39) & 0xFFFFFFFF
+    value ^= value >> 15
+    return value / 4294967296.0
+
+
+@njit(cache=True)
+def _bilinear(field_: Float32, row: float, col: float) -> float:
+    i, j = int(row), int(col)
+    i, j = min(i, field_.shape[0] - 2), min(j, field_.shape[1] - 2)
+    v, u = row - i, col - j
+    top = field_[i, j] * (1.0 - u) + field_[i, j + 1] * u
+    low = field_[i + 1, j] * (1.0 - u) + field_[i + 1, j + 1] * u
+    return top * (1.0 - v) + low * v
+
+
+@njit(cache=True)
+def _slab(u: float, v: float, length: float, width: float, joint: float, salt: int) -> float:
+    """Relative tone of slabs in running bond with dark joints."""
+    course = np.floor(v / width)
+    shifted = u / length + 0.5 * (int(course) & 1)
+    number = np.floor(shifted)
+    if v - course * width < joint or (shifted - number) * length < joint:
+        return -0.24
+    return 0.13 * (_hash(int(course), int(number), salt) - 0.5)
+
+
+@njit(cache=True)
+def _clump(row: int, col: int, material: int, salt: int) -> float:
+    """Relative tone of tufts, clods and stones: in some cells of 7 texels lies one with a sharp
+    outline, so that there are corners to track at the scale of a camera's pixel."""
+    cell_row, cell_col = row // 7, col // 7
+    pick = _hash(cell_row, cell_col, salt + 7 + material)
+    if pick > 0.26:
+        return 0.0
+    place = _hash(cell_col, cell_row, salt + 13)
+    down = row - cell_row * 7 - 2.0 - 2.0 * place
+    right = col - cell_col * 7 - 2.0 - 2.0 * ((place * 64.0) % 1.0)
+    radius = 1.0 + 5.5 * pick
+    if down * down + (0.6 + pick * 3.4) * right * right > radius * radius:
+        return 0.0
+    return -0.27 if place < 0.60 else 0.25
+
+
+@njit(cache=True)
+def _pattern(material: int, u: float, v: float, salt: int) -> float:
+    """Relative tone of a material's regular pattern at (u, v) metres in its own frame."""
+    if material == 3 or material == 4:
+        return _slab(u, v, 0.8, 0.5, 0.03, salt)
+    if material == 8:
+        return _slab(u, v, 0.4, 0.2, 0.026, salt)
+    if material == 0:
+        return 0.055 if np.sin(2.0 * np.pi * v / 2.6) > 0.0 else -0.055
+    if material == 15:
+        return 0.075 if np.sin(np.pi * v / 5.5) > 0.0 else -0.075
+    if material == 16:
+        return 0.035 if np.sin(np.pi * u / 1.5) * np.sin(np.pi * v / 1.5) > 0.0 else -0.035
+    if material == 14:
+        return 0.03 * np.sin(2.0 * np.pi * v / 0.16)
+    if material == 2:
+        return 0.13 * np.sin(2.0 * np.pi * v / 0.75)
+    if material == 19:
+        return _slab(u, v, 0.6, 0.6, 0.02, salt)
+    if material == 20:
+        return _slab(u, v, 2.4, 0.15, 0.02, salt)
+    if material == 21:
+        return 0.07 if np.sin(np.pi * u / 4.0) > 0.0 else -0.07
+    if material == 24:
+        return 1.3 * _slab(u, v, 0.17, 0.13, 0.022, salt)
+    return 0.0
+
+
+@njit(cache=True)
+def _shade(
+    picture: Bytes,
+    material: Bytes,
+    paint: Bytes,
+    stain: Bytes,
+    bright: Bytes,
+    fine: Float32,
+    coarse: Float32,
+    patches: Float32,
+    hue: Float32,
+    base: Float32,
+    gains: Float32,
+    hues: Float32,
+    ragged: Bytes,
+    frames: Array,
+    texel_m: float,
+    salt: int,
+) -> None:
+    """Fills ``picture`` row by row. All noise is addressed so that nothing repeats in step: the two
+    tiles are turned against each other, and grain is hashed from the texel's number."""
+    rows, cols = material.shape
+    tile = fine.shape[0] - 1
+    to_patch = (patches.shape[0] - 1.001) / rows
+    half = 0.5 * rows * texel_m
+    for row in range(rows):
+        y = (row + 0.5) * texel_m - half
+        out_row = rows - 1 - row
+        for col in range(cols):
+            x = (col + 0.5) * texel_m - half
+            here = material[row, col]
+            a = fine[row & tile, col & tile]
+            b = coarse[int(0.8 * row + 0.6 * col) & tile, int(0.8 * col - 0.6 * row) & tile]
+            if ragged[here]:
+                near_row = min(max(row + int(2.6 * a), 0), rows - 1)
+                near_col = min(max(col + int(2.6 * b), 0), cols - 1)
+                near = material[near_row, near_col]
+                if ragged[near]:
+                    here = near
+            grain = 2.0 * _hash(row, col, salt) - 1.0
+            patch = _bilinear(patches, row * to_patch, col * to_patch)
+            drift = _bilinear(hue, row * to_patch, col * to_patch)
+            c, s = frames[here, 0], frames[here, 1]
+            tone = 1.0 + _pattern(here, c * x + s * y, c * y - s * x, salt)
+            tone += gains[here, 0] * a + gains[here, 1] * b
+            tone += gains[here, 2] * grain + gains[here, 3] * patch
+            if ragged[here]:
+                tone += _clump(row, col, here, salt)
+            dark = stain[row, col] * (1.0 / 255.0)
+            tone *= 1.0 - 0.62 * dark
+            red = base[here, 0] * tone + hues[here, 0] * drift
+            green = base[here, 1] * tone + hues[here, 1] * drift
+            blue = base[here, 2] * tone + hues[here, 2] * drift
+            if here == 26:
+                leaf = np.sin(2.0 * np.pi * (c * y - s * x) / 0.5) + 0.45 * a + 0.45 * b
+                if leaf > 0.25:
+                    lit = tone * (0.8 + 0.35 * min(leaf, 1.2))
+                    red, green, blue = 70.0 * lit, 112.0 * lit, 44.0 * lit
+            if here <= 1 and drift + 0.5 * here > 0.35:
+                bloom = _hash(row, col, salt + 1)
+                if bloom > 0.9988:
+                    red, green = 216.0, 208.0
+                    blue = 90.0 if bloom > 0.9994 else 204.0
+            cover = paint[row, col] * (1.0 / 255.0)
+            if cover > 0.0:
+                cover *= min(max(0.93 + 0.17 * b + 0.16 * a, 0.25), 1.0)
+                white = 222.0 * (1.0 + 0.03 * grain + 0.03 * patch)
+                red += cover * (white - red)
+                green += cover * (white - green)
+                blue += cover * (0.985 * white - blue)
+            glow = bright[row, col] * (1.0 / 255.0)
+            # Skylight is bluer than sunlight.
+            cool = 1.0 + 0.10 * (1.0 - glow)
+            picture[out_row, col, 0] = min(max(red * glow, 0.0), 255.0)
+            picture[out_row, col, 1] = min(max(green * glow, 0.0), 255.0)
+            picture[out_row, col, 2] = min(max(blue * glow * cool, 0.0), 255.0)

@@ -1,0 +1,95 @@
+"""A piece of ground with its own coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.relief import Pad
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Lot:
+    """``u`` metres along ``angle`` and ``v`` metres to its left from ``origin_xy_m``; mirrored
+    lots have ``v`` to the right."""
+
+    origin_xy_m: Array
+    angle: float
+    mirrored: bool = False
+
+    @property
+    def axes(self) -> Array:
+        """(2, 2): unit vectors of u and v as rows."""
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        sign = -1.0 if self.mirrored else 1.0
+        return np.array([[c, s], [-sign * s, sign * c]])
+
+    def points(self, uv_m: Array) -> Array:
+        """(..., 2) lot coordinates -> (..., 2) world."""
+        return self.origin_xy_m + np.asarray(uv_m, np.float64) @ self.axes
+
+    def at(self, u: float, v: float) -> Array:
+        """(2,) world point."""
+        return self.points(np.array([u, v]))
+
+    def coordinates(self, xy_m: Array) -> Array:
+        """(..., 2) world -> (..., 2) lot coordinates."""
+        return (np.asarray(xy_m, np.float64) - self.origin_xy_m) @ self.axes.T
+
+    def rectangle(self, u: tuple[float, float], v: tuple[float, float]) -> Array:
+        """(4, 2) world corners."""
+        return self.points(np.array([[u[0], v[0]], [u[1], v[0]], [u[1], v[1]], [u[0], v[1]]]))
+
+    def ring(self, u: float, v: float, radius: float, steps: int = 32) -> Array:
+        """(steps, 2) world points of a circle."""
+        return self.points(np.array([u, v]) + radius * unit_circle(steps))
+
+    def pad(self, u: float, v: float, half: tuple[float, float], blend_m: float = 3.0) -> Pad:
+        """A level rectangle about (u, v)."""
+        return Pad(
+            centre_xy_m=self.at(u, v),
+            half_size_m=np.array(half),
+            angle=self.angle,
+            blend_m=blend_m,
+        )
+
+    @property
+    def away(self) -> float:
+        """Heading (radians) of v."""
+        return self.angle + (-0.5 if self.mirrored else 0.5) * np.pi
+
+
+def unit_circle(steps: int) -> Array:
+    """(steps, 2) points of the unit circle, counter-clockwise."""
+    turn = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
+    return np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+
+
+def scatter(
+    builder: Builder,
+    lot: Lot,
+    count: int,
+    u: tuple[float, float],
+    v: tuple[float, float],
+    gap_m: float,
+) -> list[Array]:
+    """Up to ``count`` free places in a rectangle of the lot, at least ``gap_m`` clear, claimed."""
+    found: list[Array] = []
+    for _ in range(12 * count):
+        spot = lot.at(builder.rng.uniform(*u), builder.rng.uniform(*v))
+        if len(found) < count and builder.is_free(spot, gap_m):
+            builder.claim(spot, gap_m)
+            found.append(spot)
+    return found
+
+
+def claim_area(builder: Builder, lot: Lot, u: tuple[float, float], v: tuple[float, float]) -> None:
+    """Keeps later random placements off a rectangle of the lot."""
+    for along in np.linspace(*u, int((u[1] - u[0]) / 3.0) + 2):
+        for across in np.linspace(*v, int((v[1] - v[0]) / 3.0) + 2):
+            builder.claim(lot.at(float(along), float(across)), 2.2)

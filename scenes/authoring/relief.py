@@ -1,0 +1,117 @@
+"""The shape of the ground: natural relief, and what people have cut into it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.terrain import Terrain
+
+Array = NDArray[np.float64]
+
+NODES = 193
+TAKEOFF_FLAT_M = 2.0
+TAKEOFF_BLEND_M = 5.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Pad:
+    """A rectangle that the ground is levelled for (a house, a car park, a terrace)."""
+
+    centre_xy_m: Array
+    half_size_m: Array
+    angle: float
+    blend_m: float = 3.0
+
+    def distance(self, xy_m: Array) -> Array:
+        """(..., 2) -> (...) metres to the rectangle, 0 inside."""
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        local = (np.asarray(xy_m) - self.centre_xy_m) @ np.array([[c, -s], [s, c]])
+        outside = np.maximum(np.abs(local) - self.half_size_m, 0.0)
+        return np.hypot(outside[..., 0], outside[..., 1])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Ditch:
+    """A drainage ditch along a segment."""
+
+    start_xy_m: Array
+    end_xy_m: Array
+    depth_m: float
+    half_width_m: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Mound:
+    """A round bell-shaped rise; the steepest slope, at ``radius_m`` from the middle, is
+    0.61 height / radius."""
+
+    centre_xy_m: Array
+    height_m: float
+    radius_m: float
+
+
+def smoothstep(edge0: float, edge1: float, value: Array) -> Array:
+    """Cubic ramp from 0 at ``edge0`` to 1 at ``edge1``."""
+    t = np.clip((value - edge0) / (edge1 - edge0), 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+def segment_distance(xy_m: Array, start_xy_m: Array, end_xy_m: Array) -> Array:
+    """(..., 2) -> (...) metres to the segment."""
+    span = end_xy_m - start_xy_m
+    t = np.clip((xy_m - start_xy_m) @ span / (span @ span), 0.0, 1.0)
+    return np.linalg.norm(xy_m - start_xy_m - t[..., None] * span, axis=-1)
+
+
+def natural_ground(rng: np.random.Generator, nodes: int, half_m: float) -> Array:
+    """(nodes, nodes) metres: long swells, and hummocks of a step's size that come in patches, so
+    that part of the lawns cannot be landed on."""
+    cell = 2.0 * half_m / (nodes - 1)
+    shape = (nodes, nodes)
+    swell = rng.uniform(0.35, 0.6) * fractal_noise(rng, shape, 38.0 / cell, 2, 0.35)
+    hummocks = fractal_noise(rng, shape, 3.2 / cell, 3, 0.6)
+    patches = smoothstep(-0.2, 1.1, fractal_noise(rng, shape, 16.0 / cell, 2).astype(np.float64))
+    roughness = 0.006 + rng.uniform(0.07, 0.11) * patches
+    return np.asarray(swell + roughness * hummocks, np.float64)
+
+
+def dig_ditches(heights: Array, xy: Array, ditches: Iterable[Ditch]) -> Array:
+    """Heights (N, N) at the nodes ``xy`` (N, N, 2) with ``ditches`` cut in."""
+    for ditch in ditches:
+        distance = segment_distance(xy, ditch.start_xy_m, ditch.end_xy_m)
+        heights = heights - ditch.depth_m * (1.0 - smoothstep(0.3, ditch.half_width_m, distance))
+    return heights
+
+
+def raise_mounds(heights: Array, xy: Array, mounds: Iterable[Mound]) -> Array:
+    """Heights (N, N) at the nodes ``xy`` (N, N, 2) with ``mounds`` heaped up."""
+    for mound in mounds:
+        reach = np.linalg.norm(xy - mound.centre_xy_m, axis=-1) / mound.radius_m
+        heights = heights + mound.height_m * np.exp(-0.5 * reach**2)
+    return heights
+
+
+def level_pads(heights: Array, xy: Array, pads: Iterable[Pad]) -> Array:
+    """Heights (N, N) at the nodes ``xy`` (N, N, 2) with each pad level at its mean height, never
+    below 0.05 m."""
+    for pad in pads:
+        distance = pad.distance(xy)
+        inside = distance <= 0.0
+        level = max(float(heights[inside].mean()), 0.05) if inside.any() else 0.2
+        heights = level + (heights - level) * smoothstep(0.4, pad.blend_m, distance)
+    return heights
+
+
+def level_takeoff(heights: Array, half_m: float, takeoff_xy_m: Array) -> Terrain:
+    """The terrain of ``heights`` (N, N) with a level disc of 2 m around the take-off spot, moved
+    up or down so that the height there is 0."""
+    terrain = Terrain(heights_m=heights, half_m=half_m)
+    spot = np.linalg.norm(np.stack(terrain.node_grid(), axis=-1) - takeoff_xy_m, axis=-1)
+    level = float(terrain.at(takeoff_xy_m))
+    heights = level + (heights - level) * smoothstep(TAKEOFF_FLAT_M + 0.5, TAKEOFF_BLEND_M, spot)
+    return Terrain(heights_m=heights - level, half_m=half_m)

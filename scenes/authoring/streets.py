@@ -1,0 +1,165 @@
+"""Curved streets: a centre line from which ground, picture, kerbs and traffic follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from touchdown.scenes.authoring.builder import GEOM, Builder
+from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.props.meshes import MeshData, polygon
+from touchdown.scenes.props.street import KERB
+
+Array = NDArray[np.float64]
+
+STEP_M = 0.5
+KERB_RUN_M = 18.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Street:
+    """A roadway of constant width along a smooth line with `STEP_M` between points, (N, 2)."""
+
+    line_m: Array
+    width_m: float
+    pavement_m: float = 0.0
+
+    @property
+    def length_m(self) -> float:
+        return STEP_M * (len(self.line_m) - 1)
+
+    @property
+    def edge_m(self) -> float:
+        """From the centre line to the outer edge of the pavement."""
+        return 0.5 * self.width_m + self.pavement_m
+
+    def ends_m(self) -> tuple[float, float]:
+        return 0.0, self.length_m
+
+    def heading(self, along_m: float) -> float:
+        index = int(np.clip(along_m / STEP_M, 1, len(self.line_m) - 2))
+        span = self.line_m[index + 1] - self.line_m[index - 1]
+        return float(np.arctan2(span[1], span[0]))
+
+    def point(self, along_m: float, across_m: float) -> Array:
+        """(2,) world, ``across_m`` to the left; the ends go on straight."""
+        inside = float(np.clip(along_m, 0.0, self.length_m))
+        position = inside / STEP_M
+        index = min(int(position), len(self.line_m) - 2)
+        rest = position - index
+        base = (1.0 - rest) * self.line_m[index] + rest * self.line_m[index + 1]
+        angle = self.heading(inside)
+        along = np.array([np.cos(angle), np.sin(angle)])
+        left = np.array([-along[1], along[0]])
+        return base + (along_m - inside) * along + across_m * left
+
+    def nearest(self, xy_m: Array) -> tuple[Array, Array]:
+        """(..., 2) world -> (...) metres to the centre line and (...) metres along it."""
+        distance, index = cKDTree(self.line_m).query(np.asarray(xy_m))
+        return np.asarray(distance), STEP_M * np.asarray(index, np.float64)
+
+    def kerb_distance(self, xy_m: Array) -> Array:
+        """(..., 2) -> (...) metres to the edge of the roadway, negative on it."""
+        return self.nearest(xy_m)[0] - 0.5 * self.width_m
+
+    def offset_line(self, across_m: float, first_m: float = 0.0, last_m: float = 1e9) -> Array:
+        """(K, 2) line beside the centre line."""
+        last = min(last_m, self.length_m)
+        stations = np.linspace(first_m, last, max(2, round((last - first_m) / 1.0) + 1))
+        return np.array([self.point(float(station), across_m) for station in stations])
+
+
+def smooth_line(corners_m: Array, rounds: int = 5) -> Array:
+    """A line through the ends of ``corners_m`` (K, 2) with its corners cut smooth (Chaikin's
+    subdivision), resampled every `STEP_M`."""
+    line = np.asarray(corners_m, np.float64)
+    for _ in range(rounds):
+        first, second = 0.75 * line[:-1] + 0.25 * line[1:], 0.25 * line[:-1] + 0.75 * line[1:]
+        inner = np.stack([first, second], axis=1).reshape(-1, 2)
+        line = np.concatenate([line[:1], inner, line[-1:]])
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    stations = STEP_M * np.arange(int(lengths[-1] / STEP_M) + 1)
+    return np.stack([np.interp(stations, lengths, line[:, axis]) for axis in (0, 1)], axis=-1)
+
+
+def paint_street(
+    canvas: Canvas, street: Street, roadway: Ground = Ground.ASPHALT, pavement: Ground | None = None
+) -> None:
+    """One call for every layer: pavements of crossing streets must not cover roadways, so callers
+    paint all pavements (``pavement`` given) first and then all roadways."""
+    if pavement is not None:
+        canvas.track(street.line_m, 2.0 * street.edge_m, pavement)
+    else:
+        canvas.track(street.line_m, street.width_m, roadway)
+
+
+def paint_dashes(canvas: Canvas, street: Street, first_m: float, last_m: float) -> None:
+    """A broken centre line."""
+    for dash in np.arange(first_m, last_m - 2.0, 6.0):
+        left = street.offset_line(0.06, dash, dash + 3.0)
+        right = street.offset_line(-0.06, dash, dash + 3.0)
+        canvas.mark(np.concatenate([left, right[::-1]]))
+
+
+def place_street_kerb(
+    builder: Builder, street: Street, side: float, openings_m: list[tuple[float, float]], top: float
+) -> None:
+    """Kerb stones along one side (+1: left), 0.16 m wide, ``top`` metres over the
+    ground beside them; without the stretches ``openings_m`` (first, last)."""
+    across = side * (0.5 * street.width_m + 0.08)
+    cuts = sorted(openings_m)
+    stretches, start = [], 0.0
+    for first, last in cuts:
+        if first > start:
+            stretches.append((start, min(first, street.length_m)))
+        start = max(start, last)
+    if start < street.length_m:
+        stretches.append((start, street.length_m))
+    for first, last in stretches:
+        # Contacts are with a mesh's convex hull: only a short run is nearly its own hull.
+        pieces = max(1, int(np.ceil((last - first) / KERB_RUN_M)))
+        for start, end in pairwise(np.linspace(first, last, pieces + 1)):
+            if last - first > 0.4:
+                parts = _kerb_run(builder, street, across, (float(start), float(end)), top)
+                mesh = builder.mesh(builder.unique("street_kerb"), MeshData.join(parts))
+                builder.geom("path_kerb", KERB, type=GEOM.mjGEOM_MESH, meshname=mesh,
+                             rgba=[0.68, 0.67, 0.64, 1])  # fmt: skip
+
+
+def _kerb_run(
+    builder: Builder, street: Street, across: float, span: tuple[float, float], top: float
+) -> list[MeshData]:
+    stations = np.linspace(*span, max(2, round((span[1] - span[0]) / 1.5) + 1))
+    inner = np.array([street.point(float(s), across - 0.08) for s in stations])
+    outer = np.array([street.point(float(s), across + 0.08) for s in stations])
+    beside = np.sign(across) * 0.6 + across
+    ground = builder.terrain.at(np.array([street.point(float(s), beside) for s in stations]))
+    high, low = ground + top, ground - 0.3
+    parts = []
+    no_picture = np.zeros((4, 2))
+    for i, j in pairwise(range(len(stations))):
+        a, b = np.append(inner[i], high[i]), np.append(inner[j], high[j])
+        c, d = np.append(outer[j], high[j]), np.append(outer[i], high[i])
+        parts.append(polygon(np.array([a, b, c, d]), no_picture))
+        for first, second, z0, z1 in ((b, a, low[j], low[i]), (d, c, low[i], low[j])):
+            foot = np.array([[*second[:2], z1], [*first[:2], z0]])
+            parts.append(polygon(np.array([first, second, *foot]), no_picture))
+    return parts
+
+
+def lane_loop(builder: Builder, street: Street, first_m: float, last_m: float) -> Array:
+    """(K, 3) closed path on both lanes, right-hand traffic, turning at ``first_m`` and
+    ``last_m`` along the street."""
+    lane = 0.25 * street.width_m
+    stations = np.linspace(first_m, last_m, max(2, round((last_m - first_m) / 2.0)))
+    turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 7)[1:-1]
+    spots = [(s, -lane) for s in stations]
+    spots += [(last_m + lane * np.cos(a), lane * np.sin(a)) for a in turn]
+    spots += [(s, lane) for s in stations[::-1]]
+    spots += [(first_m - lane * np.cos(a), -lane * np.sin(a)) for a in turn]
+    xy = np.array([street.point(float(along), float(across)) for along, across in spots])
+    return np.column_stack([xy, builder.terrain.at(xy)])

@@ -1,0 +1,1 @@
+"""Scenes from files: MJCF and digital elevation models."""

@@ -1,0 +1,269 @@
+"""Scenes by other people: any MJCF file."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from touchdown.scenes.api import LAND_CLASSES, Surface
+from touchdown.scenes.authoring.draft import SceneDraft
+
+REFLECTIVITY_905NM = {
+    "lawn": 0.45,
+    "field": 0.25,
+    "path": 0.30,
+    "road": 0.15,
+    "building": 0.35,
+    "water": 0.03,
+    "trees": 0.40,
+    "other": 0.30,
+}
+"""Typical diffuse reflectivity at 905 nm by class (vegetation is bright in the near infrared)."""
+DEFAULT_SURFACE = Surface(land_class="other", reflectivity=REFLECTIVITY_905NM["other"])
+_HALF_BOUNDS_M = 80.0
+_SMALL_M, _HUGE_M = 20.0, 20_000.0
+_MAX_GROUND_M = 50.0
+"""Rays from above and the camera's clip planes count on ground near height 0."""
+_OURS = "vehicle/"
+_MOVING_KINDS = (
+    "keys", "sensors", "actuators", "equalities", "tendons", "excludes", "pairs", "tuples",
+    "flexes", "skins", "joints",
+)  # fmt: skip
+"""In an order in which nothing refers to what is gone already."""
+
+_told: set[tuple[str, str]] = set()
+"""Files, and what was told of them."""
+
+
+def surface_of_name(name: str) -> Surface | None:
+    """The surface of a material's or geom's name that begins with a land class (``lawn_2``,
+    ``roadway``; ``water`` also sets the water flag, ``trees`` a porosity of 0.35); else None."""
+    for land_class in LAND_CLASSES:
+        if name.lower().startswith(land_class):
+            return Surface(
+                land_class=land_class,
+                reflectivity=REFLECTIVITY_905NM[land_class],
+                porosity=0.35 if land_class == "trees" else 0.0,
+                water=land_class == "water",
+            )
+    return None
+
+
+def read_mjcf(path: Path) -> SceneDraft:
+    """A place from an MJCF file.
+
+    The take-off spot is the site or body named ``takeoff``, else where a vehicle of ours stands
+    (a file written by `scenes.export`), else the origin. Classes follow from names
+    (`surface_of_name`); other geoms are class ``other`` with reflectivity 0.30, and one warning
+    says so. Joints, actuators and the like are left out: things stand where the file puts them. A
+    file without a light gets a sun. Ground far from height 0 is moved there.
+
+    Raises FileNotFoundError for a missing file or asset, or ValueError for what MuJoCo cannot
+    read and for a take-off spot without ground.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"scene file not found: {path}")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, mujoco.FatalError) as error:
+        raise ValueError(f"{path}: not a valid MJCF file: {_one_line(error)}") from error
+    stand_still(spec, path)
+    model, data = _compiled(spec, path)
+    xy, yaw = _takeoff(model, data)
+    if _remove_vehicle(spec):
+        model, data = _compiled(spec, path)
+    ground = _ground_height(model, data, xy)
+    if abs(ground) > _MAX_GROUND_M:
+        _lift(spec, -ground)
+    if not spec.lights:
+        spec.worldbody.add_light(
+            name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=[-0.4, 0.3, -0.86],
+            diffuse=[0.62, 0.60, 0.55], ambient=[0.20, 0.20, 0.22], castshadow=False,
+        )  # fmt: skip
+    return SceneDraft(
+        spec=spec,
+        takeoff_xy_m=xy,
+        takeoff_yaw=yaw,
+        bounds_xy_m=_bounds(model, data, xy, path),
+        surfaces=_surfaces(spec, path),
+        ground=None,
+    )
+
+
+def stand_still(spec: Any, path: Path) -> None:
+    """Deletes what moves or refers to what moves, and undoes settings that would change the
+    vehicle or hide geoms."""
+    # An exported scene brings our vehicle, which is about to be replaced: not worth a word.
+    joints = [joint for joint in spec.joints if not joint.parent.name.startswith(_OURS)]
+    moving = len(joints) + len(spec.flexes)
+    for kind in _MOVING_KINDS:
+        for element in list(getattr(spec, kind)):
+            spec.delete(element)
+    if moving:
+        _warn_once(
+            path,
+            f"its {moving} joints and soft bodies are left out; nothing in a scene moves by itself",
+        )
+    compiler, option = spec.compiler, spec.option
+    compiler.settotalmass = -1.0
+    compiler.boundmass = compiler.boundinertia = 0.0
+    compiler.discardvisual = compiler.fusestatic = False
+    compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    option.disableflags = option.enableflags = 0
+    spec.memory = spec.njmax = spec.nconmax = -1
+
+
+def _remove_vehicle(spec: Any) -> bool:
+    """Deletes bodies called like ours with what belongs to them. Returns whether there were any."""
+    bodies = [body for body in spec.worldbody.bodies if body.name.startswith(_OURS)]
+    for body in bodies:
+        spec.delete(body)
+    default = spec.find_default(f"{_OURS}main")
+    if default is not None:
+        spec.delete(default)
+    for kind in ("materials", "textures", "meshes", "hfields", "numerics", "texts"):
+        for element in [e for e in getattr(spec, kind) if e.name.startswith(_OURS)]:
+            spec.delete(element)
+    return bool(bodies)
+
+
+def _compiled(spec: Any, path: Path) -> tuple[Any, Any]:
+    """The model, and its data with the poses of time 0."""
+    try:
+        model = spec.copy().compile()
+    except (ValueError, mujoco.FatalError) as error:
+        _blame_asset(spec, path)
+        raise ValueError(f"{path}: not a valid MJCF file: {_one_line(error)}") from error
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return model, data
+
+
+def _blame_asset(spec: Any, path: Path) -> None:
+    """Raises for the first asset whose file is missing or of a kind that MuJoCo cannot read."""
+    for kind, elements, folder, readable in (
+        ("mesh", spec.meshes, spec.meshdir, (".obj", ".stl", ".msh")),
+        ("texture", spec.textures, spec.texturedir, (".png", ".ktx")),
+        ("height field", spec.hfields, spec.meshdir, (".png", ".bin")),
+    ):
+        for element in elements:
+            if not element.file:
+                continue
+            target = Path(spec.modelfiledir) / folder / element.file
+            if not target.is_file():
+                raise FileNotFoundError(
+                    f"{path}: {kind} '{element.name}' needs the file '{element.file}', which is "
+                    f"not in {target.parent}"
+                )
+            if target.suffix.lower() not in readable:
+                raise ValueError(
+                    f"{path}: MuJoCo cannot read '{element.file}' of {kind} '{element.name}'; "
+                    f"convert it to {' or '.join(readable)}"
+                )
+
+
+def _ground_height(model: Any, data: Any, xy_m: np.ndarray) -> float:
+    """World height of the highest surface at (2,) ``xy_m``."""
+    top = float(np.max(data.geom_xpos[:, 2] + model.geom_rbound, initial=0.0)) + 1.0
+    start, down = np.array([*xy_m, top]), np.array([0.0, 0.0, -1.0])
+    hit = np.full(1, -1, np.int32)
+    distance = mujoco.mj_ray(model, data, start, down, None, 1, -1, hit)
+    if distance < 0.0:
+        raise ValueError(
+            f"no ground under the take-off spot {np.round(xy_m, 2).tolist()}: add a floor, or a "
+            "site named 'takeoff' above the ground"
+        )
+    return top - float(distance)
+
+
+def _lift(spec: Any, by_m: float) -> None:
+    """Moves everything of the world up."""
+    world = spec.worldbody
+    offset = np.array([0.0, 0.0, by_m])
+    for element in (*world.geoms, *world.bodies, *world.sites, *world.cameras, *world.lights):
+        if element.frame is not None:
+            continue
+        ends = getattr(element, "fromto", np.full(6, np.nan))
+        if np.isfinite(ends[0]):
+            element.fromto = ends + np.tile(offset, 2)
+        else:
+            element.pos = element.pos + offset
+    for frame in world.frames:
+        if frame.frame is None:
+            frame.pos = frame.pos + offset
+
+
+def _warn_once(path: Path, text: str) -> None:
+    """Once in a process: a file is read again by whoever needs the place."""
+    if (key := (str(path.resolve()), text)) not in _told:
+        _told.add(key)
+        warnings.warn(f"{path}: {text}", stacklevel=4)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _takeoff(model: Any, data: Any) -> tuple[np.ndarray, float]:
+    for kind, name, positions, matrices in (
+        (mujoco.mjtObj.mjOBJ_SITE, "takeoff", data.site_xpos, data.site_xmat),
+        (mujoco.mjtObj.mjOBJ_BODY, "takeoff", data.xpos, data.xmat),
+        (mujoco.mjtObj.mjOBJ_BODY, f"{_OURS}quadrotor", data.xpos, data.xmat),
+    ):
+        index = mujoco.mj_name2id(model, kind, name)
+        if index >= 0:
+            rotation = matrices[index].reshape(3, 3)
+            return positions[index, :2].copy(), float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    return np.zeros(2), 0.0
+
+
+def _surfaces(spec: Any, path: Path) -> dict[str, Surface]:
+    surfaces: dict[str, Surface] = {}
+    unknown: list[str] = []
+    taken = {geom.name for geom in spec.geoms if geom.name}
+    for index, geom in enumerate(spec.geoms):
+        if not geom.name:
+            stem = geom.material or "geom"
+            name = f"{stem}_{index}"
+            while name in taken:
+                name += "_unnamed"
+            geom.name = name
+            taken.add(name)
+        found = surface_of_name(geom.material or "") or surface_of_name(geom.name)
+        if found is None:
+            unknown.append(geom.name)
+        surfaces[geom.name] = found or DEFAULT_SURFACE
+    if unknown:
+        names = ", ".join(unknown[:4]) + (" ..." if len(unknown) > 4 else "")
+        one = len(unknown) == 1
+        _warn_once(
+            path,
+            f"{len(unknown)} {'geom has' if one else 'geoms have'} no known class ({names}): "
+            f"{'it counts' if one else 'they count'} as 'other' with reflectivity "
+            f"{DEFAULT_SURFACE.reflectivity}; begin a material's or geom's name with one of "
+            f"{', '.join(LAND_CLASSES)}",
+        )
+    return surfaces
+
+
+def _bounds(model: Any, data: Any, takeoff_xy_m: np.ndarray, path: Path) -> np.ndarray:
+    """The horizontal box around all finite geoms, cut to 160 m around the take-off spot; that
+    whole square where an infinite plane lies below. Warns of a size that is hardly in metres."""
+    window = np.stack([takeoff_xy_m - _HALF_BOUNDS_M, takeoff_xy_m + _HALF_BOUNDS_M])
+    planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+    if bool((planes & (model.geom_size[:, :2] == 0.0).any(axis=1)).any()) or model.ngeom == 0:
+        return window
+    centres = model.geom_aabb[:, :3]
+    half = np.where(planes[:, None], model.geom_size * [1.0, 1.0, 0.0], model.geom_aabb[:, 3:])
+    rotations = data.geom_xmat.reshape(-1, 3, 3)
+    world = np.einsum("nij,nj->ni", rotations, centres) + data.geom_xpos
+    reach = np.einsum("nij,nj->ni", np.abs(rotations), half)
+    low, high = (world - reach).min(axis=0)[:2], (world + reach).max(axis=0)[:2]
+    size = float((high - low).max())
+    if not _SMALL_M <= size <= _HUGE_M:
+        _warn_once(path, f"the scene is {size:.3g} m across; are its lengths in metres?")
+    return np.stack([np.maximum(low, window[0]), np.minimum(high, window[1])])

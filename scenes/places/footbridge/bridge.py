@@ -1,0 +1,232 @@
+"""The bridge: deck, ramps, railings, abutments, piers, and a flight of stairs down the bank."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import Surface
+from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.textures import Picture, to_picture
+from touchdown.scenes.places.footbridge.layout import Bridge, Plan
+from touchdown.scenes.props.meshes import MeshData, box, polygon
+from touchdown.scenes.props.waterside import planks
+
+Array = NDArray[np.float64]
+
+ASPHALT_DECK = Surface(land_class="road", reflectivity=0.24)
+TIMBER_DECK = Surface(land_class="path", reflectivity=0.24)
+STEEL = Surface(land_class="other", reflectivity=0.40)
+CONCRETE = Surface(land_class="building", reflectivity=0.36)
+STAIRS = Surface(land_class="path", reflectivity=0.33)
+RAIL_M, POST_STEP_M = 1.15, 2.0
+STEP_RISE_M = 0.17
+PX_PER_M = 40.0
+_CONCRETE_RGBA = [0.66, 0.65, 0.62, 1.0]
+_RAILS = ([0.24, 0.34, 0.30, 1.0], [0.34, 0.36, 0.38, 1.0], [0.55, 0.22, 0.16, 1.0])
+
+
+def add_bridge(builder: Builder, plan: Plan) -> None:
+    """Everything of the bridge, with its shadows."""
+    bridge = plan.bridge
+    rng = builder.rng
+    picture = asphalt_deck(rng, bridge) if plan.over_road else timber_deck(rng, bridge)
+    deck = ASPHALT_DECK if plan.over_road else TIMBER_DECK
+    material = builder.material(f"{deck.land_class}_deck", picture)
+    pose = {"pos": [*bridge.lot.origin_xy_m, 0.0], "quat": quat_z(bridge.lot.angle)}
+    for name, first, last in (
+        (f"{deck.land_class}_deck", -bridge.half_length_m, bridge.half_length_m),
+        (f"{deck.land_class}_ramp", bridge.half_length_m, bridge.reach_m),
+        (f"{deck.land_class}_ramp", -bridge.reach_m, -bridge.half_length_m),
+    ):
+        mesh = builder.mesh(builder.unique(name), slab_mesh(bridge, first, last))
+        builder.geom(name, deck, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material, **pose)
+    _cast_slab(builder, bridge)
+    rgba = _RAILS[int(rng.integers(len(_RAILS)))]
+    for side in (1.0, -1.0):
+        for first, last in (
+            (-bridge.reach_m + 0.1, -bridge.half_length_m),
+            (-bridge.half_length_m, bridge.half_length_m),
+            (bridge.half_length_m, bridge.reach_m - 0.1),
+        ):
+            _add_railing(builder, bridge, side, first, last, rgba)
+    _add_supports(builder, plan)
+    side, end = float(rng.choice([-1.0, 1.0])), float(rng.choice([-1.0, 1.0]))
+    _add_stairs(builder, plan, side, end, rgba)
+    for u in np.arange(-bridge.reach_m, bridge.reach_m + 1.0, 2.0):
+        builder.claim(bridge.lot.at(float(u), 0.0), 0.5 * bridge.width_m + 1.0)
+
+
+def slab_mesh(bridge: Bridge, first: float, last: float) -> MeshData:
+    """Deck or ramp between two ``u``: a convex body (things collide with a mesh's hull), its top
+    mapped along and across the whole picture, the rest on the picture's dark rim."""
+    stations = np.linspace(first, last, 17 if first * last < 0.0 else 2)
+    top = bridge.top(stations)
+    half, length = 0.5 * bridge.width_m, 2.0 * bridge.reach_m
+    inner = bridge.end_m - bridge.thick_m
+    outer = -0.6
+    low = np.where(np.abs(stations) <= bridge.half_length_m + 1e-6, inner, outer)
+    along = (stations + bridge.reach_m) / length
+    parts = []
+    rim = np.full((4, 2), 0.004)
+    for i, j in pairwise(range(len(stations))):
+        a, b = stations[i], stations[j]
+        parts.append(polygon(
+            np.array([
+                [a, -half, top[i]], [b, -half, top[j]], [b, half, top[j]], [a, half, top[i]],
+            ]),
+            np.array([[along[i], 0.98], [along[j], 0.98], [along[j], 0.02], [along[i], 0.02]]),
+        ))  # fmt: skip
+        for y in (-half, half):
+            wall = np.array([[a, y, low[i]], [b, y, low[j]], [b, y, top[j]], [a, y, top[i]]])
+            parts.append(polygon(wall if y < 0 else wall[::-1], rim))
+        under = np.array(
+            [[a, half, low[i]], [b, half, low[j]], [b, -half, low[j]], [a, -half, low[i]]]
+        )
+        parts.append(polygon(under, rim))
+    for k, sign in ((0, -1.0), (-1, 1.0)):
+        x = stations[k]
+        face = np.array(
+            [[x, -half, low[k]], [x, half, low[k]], [x, half, top[k]], [x, -half, top[k]]]
+        )
+        parts.append(polygon(face if sign > 0 else face[::-1], rim))
+    return MeshData.join(parts)
+
+
+def timber_deck(rng: np.random.Generator, bridge: Bridge) -> Picture:
+    """Boards across the way, dark at the rim."""
+    base = (150.0, 128.0, 104.0) if rng.random() < 0.5 else (134.0, 128.0, 118.0)
+    picture = planks(rng, (2.0 * bridge.reach_m, bridge.width_m), PX_PER_M, base)
+    return _rimmed(picture)
+
+
+def asphalt_deck(rng: np.random.Generator, bridge: Bridge) -> Picture:
+    """A red or grey coating with a broken middle line, joints where deck and ramps meet, stains."""
+    size = (round(bridge.width_m * PX_PER_M), round(2.0 * bridge.reach_m * PX_PER_M))
+    base = (146.0, 96.0, 82.0) if rng.random() < 0.4 else (128.0, 127.0, 124.0)
+    tone = 1.0 + 0.05 * fractal_noise(rng, size, 1.2 * PX_PER_M, 4, 0.7)
+    tone += 0.09 * fractal_noise(rng, size, 2.5, 2, 0.8)
+    tone -= 0.25 * np.clip(fractal_noise(rng, size, 0.5 * PX_PER_M, 3, 0.6) - 1.3, 0.0, 1.0)
+    picture = tone[..., None] * np.array(base, np.float32)
+    middle = size[0] // 2
+    for start in range(0, size[1] - 60, 120):
+        picture[middle - 2 : middle + 3, start : start + 60] = (
+            214.0 * tone[middle - 2 : middle + 3, start : start + 60, None]
+        )
+    for u in (-bridge.half_length_m, bridge.half_length_m):
+        col = round((u + bridge.reach_m) * PX_PER_M)
+        picture[:, max(col - 3, 0) : col + 3] = 58.0
+    return _rimmed(to_picture(picture))
+
+
+def _rimmed(picture: Picture) -> Picture:
+    """The colour of the deck's sides at the picture's edge."""
+    edge = max(3, round(0.016 * picture.shape[0]))
+    picture[:edge], picture[-edge:] = (96, 94, 90), (96, 94, 90)
+    picture[:, :2] = (96, 94, 90)
+    return picture
+
+
+def _cast_slab(builder: Builder, bridge: Bridge) -> None:
+    """The deck's shadow, in pieces, since it falls on banks and floor."""
+    half = 0.5 * bridge.width_m
+    for a, b in pairwise(np.linspace(-bridge.reach_m, bridge.reach_m, 15)):
+        z = float(bridge.top(np.array(0.5 * (a + b))))
+        corners = np.array([[u, v, h] for u in (a, b) for v in (-half, half) for h in (z, z - 0.3)])
+        builder.cast(_world(bridge, corners))
+
+
+def _world(bridge: Bridge, local: Array) -> Array:
+    return turned(local, bridge.lot.angle, np.array([*bridge.lot.origin_xy_m, 0.0]))
+
+
+def _add_railing(
+    builder: Builder, bridge: Bridge, side: float, first: float, last: float, rgba: list[float]
+) -> None:
+    """Posts, a hand rail and four wires along the deck's edge, as one mesh."""
+    v = side * (0.5 * bridge.width_m - 0.07)
+    count = max(1, round((last - first) / POST_STEP_M))
+    knots = np.linspace(first, last, count + 1)
+    parts = []
+    for u in knots:
+        z = float(bridge.top(u))
+        parts.append(
+            box(np.array([0.035, 0.035, 0.5 * RAIL_M]), np.array([u, v, z + 0.5 * RAIL_M]))
+        )
+    fine = np.linspace(first, last, 2 * count + 1)
+    for a, b in pairwise(fine):
+        middle = 0.5 * (a + b)
+        z = float(bridge.top(middle))
+        for height, thick in ((0.18, 0.015), (0.42, 0.015), (0.66, 0.015), (0.90, 0.015),
+                              (RAIL_M, 0.04)):  # fmt: skip
+            half = np.array([0.5 * (b - a) + 0.01, thick, thick])
+            parts.append(box(half, np.array([middle, v, z + height])))
+    mesh = builder.mesh(builder.unique("railing"), MeshData.join(parts))
+    builder.geom(
+        "railing", STEEL, type=GEOM.mjGEOM_MESH, meshname=mesh, rgba=rgba,
+        pos=[*bridge.lot.origin_xy_m, 0.0], quat=quat_z(bridge.lot.angle),
+    )  # fmt: skip
+    for a, b in pairwise(knots):
+        ends = [[u, v, float(bridge.top(u)) + RAIL_M + dz] for u in (a, b) for dz in (-0.04, 0.04)]
+        builder.cast(_world(bridge, np.array([*ends, [a, v + 0.05, ends[0][2]]])), 0.8)
+
+
+def _add_supports(builder: Builder, plan: Plan) -> None:
+    """Abutments at the tops of the banks, girders, and columns at their feet."""
+    bridge = plan.bridge
+    quat, half = quat_z(bridge.lot.angle), 0.5 * bridge.width_m
+    low = bridge.end_m - bridge.thick_m
+    for sign in (1.0, -1.0):
+        spot = bridge.lot.at(sign * (bridge.half_length_m - 0.5), 0.0)
+        builder.geom(
+            "building_abutment", CONCRETE, type=GEOM.mjGEOM_BOX, rgba=_CONCRETE_RGBA,
+            pos=[*spot, 0.5 * (low - 1.6)], size=[0.6, half, 0.5 * (low + 1.6)], quat=quat,
+        )  # fmt: skip
+        girder = bridge.lot.at(0.0, sign * 0.55 * half)
+        builder.geom(
+            "girder", STEEL, type=GEOM.mjGEOM_BOX, rgba=[0.30, 0.32, 0.33, 1],
+            pos=[*girder, low - 0.18], size=[bridge.half_length_m - 0.2, 0.12, 0.18], quat=quat,
+        )  # fmt: skip
+        for side in (1.0, -1.0):
+            foot = bridge.lot.at(sign * (plan.floor_m + 0.9), side * 0.55 * half)
+            z = builder.terrain.point(*foot)
+            builder.geom(
+                "building_pier", CONCRETE, type=GEOM.mjGEOM_CYLINDER, rgba=_CONCRETE_RGBA,
+                fromto=[*foot, z - 0.5, *foot, low - 0.3], size=[0.28, 0, 0],
+            )  # fmt: skip
+
+
+def _add_stairs(builder: Builder, plan: Plan, side: float, end: float, rgba: list[float]) -> None:
+    """Stairs beside the bridge, from the bank's top down to its foot, with a hand rail."""
+    bridge = plan.bridge
+    top_u = plan.floor_m + plan.bank_m + 0.5
+    low_u = plan.floor_m + (0.2 if plan.over_road else 0.9)
+    v = side * (0.5 * bridge.width_m + 1.3)
+    ends = [bridge.lot.at(end * u, v) for u in (top_u, low_u)]
+    high, low = (builder.terrain.point(*spot) for spot in ends)
+    count = max(4, round((high - low) / STEP_RISE_M))
+    tread = (top_u - low_u) / count
+    middles = top_u - (np.arange(count) + 0.5) * tread
+    steps = np.linspace(high, low, count, endpoint=False)
+    across = bridge.lot.points(np.stack([end * middles, np.full(count, v)], axis=-1))
+    # The flight lies on the bank, which bulges.
+    steps += max(0.0, float((builder.terrain.at(across) - steps).max())) + 0.03
+    parts = [
+        box(np.array([0.5 * tread, 0.8, 0.5]), np.array([end * u, v, z - 0.5]))
+        for u, z in zip(middles, steps, strict=True)
+    ]
+    mesh = builder.mesh("stairs", MeshData.join(parts))
+    pose = {"pos": [*bridge.lot.origin_xy_m, 0.0], "quat": quat_z(bridge.lot.angle)}
+    builder.geom("path_stairs", STAIRS, type=GEOM.mjGEOM_MESH, meshname=mesh, **pose,
+                 rgba=[0.60, 0.59, 0.56, 1])  # fmt: skip
+    aside = bridge.lot.points(np.array([[end * u, v + side * 0.85] for u in (top_u, low_u)]))
+    builder.geom("railing", STEEL, type=GEOM.mjGEOM_CAPSULE, rgba=rgba, size=[0.03, 0, 0],
+                 fromto=[*aside[0], high + 1.0, *aside[1], low + 1.0])  # fmt: skip
+    for spot, z in zip(aside, (high, low), strict=True):
+        builder.geom("railing", STEEL, type=GEOM.mjGEOM_CYLINDER, rgba=rgba, size=[0.03, 0, 0],
+                     fromto=[*spot, z - 0.2, *spot, z + 1.0])  # fmt: skip
+    for share in (0.1, 0.5, 0.9):
+        builder.claim(share * ends[0] + (1.0 - share) * ends[1], 1.4)

@@ -1,0 +1,278 @@
+"""`houses`: fills houses.xml with a settlement drawn from a seed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from zlib import crc32
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import MovingBody, Surface
+from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.draft import SceneDraft
+from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.authoring.light import draw_sun, finish_picture
+from touchdown.scenes.authoring.lot import Lot, scatter, unit_circle
+from touchdown.scenes.authoring.streets import (
+    Street,
+    lane_loop,
+    paint_dashes,
+    paint_street,
+    place_street_kerb,
+)
+from touchdown.scenes.authoring.terrain import write_hfield
+from touchdown.scenes.authoring.traffic import add_mover, path_length
+from touchdown.scenes.authoring.ways import paint_wear
+from touchdown.scenes.places.houses.green import Green, build_green, draw_green, paint_green
+from touchdown.scenes.places.houses.homes import (
+    GARDENS,
+    Home,
+    build_home,
+    draw_home,
+    fence_home,
+    paint_home,
+)
+from touchdown.scenes.places.houses.layout import (
+    HALF_M,
+    ROAD_DEPTH_M,
+    TURNING_M,
+    Plan,
+    draw_plan,
+    shape_ground,
+)
+from touchdown.scenes.props.cars import CAR_SURFACE, CarShape, add_car_models, park_car
+from touchdown.scenes.props.houses import paint_house_looks, tiled_roof
+from touchdown.scenes.props.plants import Nursery, add_small_tree, add_tree, plant_nursery
+from touchdown.scenes.props.street import add_kerb, add_lamp
+from touchdown.scenes.props.wires import add_line, add_sagging_wire
+
+Array = NDArray[np.float64]
+
+XML = Path(__file__).with_name("houses.xml")
+LOOKS, CAR_MODELS = 6, 7
+
+
+def generate(seed: int) -> SceneDraft:
+    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    rng = np.random.default_rng([seed, crc32(b"scenes.houses")])
+    spec = mujoco.MjSpec.from_file(str(XML))
+    plan = draw_plan(rng)
+    rows = draw_rows(rng, plan)
+    homes = [home for row in rows for home in row]
+    green = draw_green(rng, plan)
+    pads = [pad for home in homes for pad in home.pads()]
+    terrain = shape_ground(rng, plan, pads, [green.ditch], [green.mound])
+    write_hfield(spec, "terrain", "terrain", terrain, base_m=2.0)
+    sun = draw_sun(rng, spec)
+    builder = Builder(spec=spec, rng=rng, terrain=terrain)
+    moving = place_things(builder, plan, rows, green)
+    canvas = paint_ground(rng, plan, homes, green)
+    turned = dict.fromkeys(Ground, plan.frame.angle)
+    turned[Ground.LAWN] = plan.frame.angle + float(rng.uniform(0.2, 1.3))
+    finish_picture(builder, canvas, sun, turned)
+    builder.surfaces["terrain"] = Surface(land_class="lawn", reflectivity=0.45)
+    return SceneDraft(
+        spec=spec,
+        takeoff_xy_m=plan.takeoff_xy_m,
+        takeoff_yaw=plan.takeoff_yaw,
+        bounds_xy_m=np.array([[-HALF_M, -HALF_M], [HALF_M, HALF_M]]),
+        surfaces=builder.surfaces,
+        ground=canvas.raster("terrain"),
+        moving=moving,
+    )
+
+
+def draw_rows(rng: np.random.Generator, plan: Plan) -> list[list[Home]]:
+    """Rows of neighbouring homes along the streets, gardens of all kinds."""
+    main, south, close, frame = plan.main, plan.south, plan.close, plan.frame
+
+    def station(street: Street, u: float | None = None, v: float | None = None) -> float:
+        local = frame.coordinates(street.line_m)
+        axis, value = (0, u) if u is not None else (1, v)
+        return 0.5 * float(np.argmin(np.abs(local[:, axis] - (value or 0.0))))
+
+    close_u = float(frame.coordinates(close.point(12.0, 0.0))[0])
+    south_u = float(frame.coordinates(south.point(12.0, 0.0))[0])
+    stretches = [
+        (main, 1.0, station(main, u=-59.5), station(main, u=close_u - close.edge_m - 1.5), 3, 25.0),
+        (main, 1.0, station(main, u=close_u + close.edge_m + 1.5), station(main, u=59.5), 3, 25.0),
+        (main, -1.0, station(main, u=south_u + 36.5), station(main, u=60.0), 1, 27.0),
+        (south, 1.0, station(south, v=-13.0), station(south, v=-59.5), 3, 27.5),
+        (main, -1.0, station(main, u=-60.5), station(main, u=-44.5), 1, 26.0),
+    ]
+    kinds = list(rng.permutation(np.resize(np.array(GARDENS), 13)))
+    rows = []
+    for street, side, first, last, count, depth in stretches:
+        width = abs(last - first) / count
+        row = []
+        for index in range(count):
+            middle = first + (index + 0.5) * (last - first) / count
+            heading = street.heading(middle)
+            edge = street.point(middle, side * (street.edge_m + 0.3))
+            along = np.array([np.cos(heading), np.sin(heading)])
+            lot = Lot(origin_xy_m=edge - 0.5 * width * along, angle=heading, mirrored=side < 0.0)
+            row.append(draw_home(rng, lot, width - 0.5, depth, str(kinds.pop())))
+        rows.append(row)
+    for side in (1.0, -1.0):
+        heading = close.heading(38.0)
+        edge = close.point(close.length_m - 1.0, side * (TURNING_M + close.pavement_m + 0.2))
+        along = np.array([np.cos(heading), np.sin(heading)])
+        lot = Lot(origin_xy_m=edge - 7.0 * along, angle=heading, mirrored=side < 0.0)
+        rows.append([draw_home(rng, lot, 16.5, 26.0, str(kinds.pop()))])
+    return rows
+
+
+def place_things(
+    builder: Builder, plan: Plan, rows: list[list[Home]], green: Green
+) -> tuple[MovingBody, ...]:
+    """Everything that stands or drives. Returns the moving cars."""
+    rng = builder.rng
+    nursery = plant_nursery(builder)
+    models = add_car_models(builder, CAR_MODELS)
+    looks = paint_house_looks(builder, [tiled_roof(rng, 11.0, 5.4) for _ in range(LOOKS)])
+    builder.claim(plan.takeoff_xy_m, 6.0)
+    homes = [home for row in rows for home in row]
+    place_kerbs(builder, plan, homes)
+    build_green(builder, green, nursery)
+    order = rng.permutation(len(homes))
+    for index, home in enumerate(homes):
+        build_home(builder, home, looks[int(order[index]) % LOOKS], nursery, models)
+    for row in rows:
+        for index, home in enumerate(row):
+            fence_home(builder, home, nursery, index == 0)
+    string_wires(builder, plan, homes)
+    light_and_park(builder, plan, models)
+    scatter_edge_trees(builder, plan, nursery)
+    return add_traffic(builder, plan, models)
+
+
+def place_kerbs(builder: Builder, plan: Plan, homes: list[Home]) -> None:
+    """Kerbs of the three streets with gaps at drives and junctions, and round the turning
+    circle."""
+    for street in plan.streets:
+        for side in (1.0, -1.0):
+            gaps = []
+            for home in homes:
+                gate = home.lot.at(home.drive_u, -street.pavement_m)
+                distance, along = street.nearest(gate)
+                across = street.point(float(along), side) - street.point(float(along), 0.0)
+                aside = (gate - street.point(float(along), 0.0)) @ across
+                if distance < street.edge_m + 1.0 and aside > 0.0:
+                    gaps.append((float(along) - 1.9, float(along) + 1.9))
+            gaps += _junction_gaps(plan, street, side)
+            place_street_kerb(builder, street, side, gaps, 0.015)
+    ring = plan.turning_xy_m + (TURNING_M + 0.08) * unit_circle(20)
+    top = builder.terrain.point(*plan.turning_xy_m) + ROAD_DEPTH_M + 0.015
+    for index in range(20):
+        first, second = ring[index], ring[(index + 1) % 20]
+        if float(plan.close.kerb_distance(0.5 * (first + second))) > 0.3:
+            add_kerb(builder, first, second, top)
+
+
+def _junction_gaps(plan: Plan, street: Street, side: float) -> list[tuple[float, float]]:
+    """Stretches of a kerb that lie on another roadway or outside of the place."""
+    stations = np.arange(0.0, street.length_m, 0.5)
+    kerb = np.array([street.point(s, side * (0.5 * street.width_m + 0.08)) for s in stations])
+    other = [s.kerb_distance(kerb) for s in plan.streets if s is not street]
+    if street is plan.close:
+        other.append(np.linalg.norm(kerb - plan.turning_xy_m, axis=1) - TURNING_M)
+    inside = (np.minimum.reduce(other) < 0.1) | (np.abs(kerb).max(axis=1) > HALF_M)
+    return [(float(s) - 0.3, float(s) + 0.3) for s in stations[inside]]
+
+
+def string_wires(builder: Builder, plan: Plan, homes: list[Home]) -> None:
+    """A line of poles along the main street, and cables from its poles down to the houses."""
+    main, rng = plan.main, builder.rng
+    side = -(main.edge_m + 0.35) if rng.random() < 0.5 else main.edge_m + 0.35
+    first = rng.uniform(24.0, 30.0)
+    stations = np.arange(first, main.length_m - 22.0, rng.uniform(27.0, 31.0))
+    spots = []
+    for along in stations:
+        tries = [main.point(along + shift, side) for shift in (0.0, 2.5, -2.5, 5.0, -5.0)]
+        off_road = [spot for spot in tries if float(plan.kerb_distance(spot)) > 0.6]
+        free = [spot for spot in off_road if builder.is_free(spot, 0.2)]
+        spots.append((free or tries)[0])
+    tops = np.array(add_line(builder, spots, rng.uniform(6.6, 7.4), rng.uniform(0.4, 0.7)))
+    for home in homes:
+        eaves = home.lot.at(home.house_u, home.front_v + 0.2)
+        reach = np.linalg.norm(tops[:, :2] - eaves, axis=1)
+        nearest = int(np.argmin(reach))
+        if reach[nearest] < 15.0:
+            z = builder.terrain.point(*home.house.centre_xy_m) + home.house.size_m[2] - 0.2
+            add_sagging_wire(builder, tops[nearest], np.array([*eaves, z]), 0.0, 1)
+
+
+def light_and_park(builder: Builder, plan: Plan, models: list[tuple[str, str, CarShape]]) -> None:
+    """Lamps along the side streets and cars at their kerbs."""
+    rng = builder.rng
+    for street in (plan.south, plan.close):
+        for index, along in enumerate(np.arange(17.0, min(street.length_m, 66.0), 19.0)):
+            side = 1.0 if index % 2 else -1.0
+            spot = street.point(along, side * (street.edge_m - 0.3))
+            if builder.is_free(spot, 0.2):
+                add_lamp(builder, spot, street.heading(along) - side * 0.5 * np.pi, 5.5)
+        for along in np.arange(13.0, min(street.length_m, 64.0) - 6.0, 8.5):
+            side = 1.0 if rng.random() < 0.5 else -1.0
+            spot = street.point(along, side * (0.5 * street.width_m - 1.0))
+            if rng.random() < 0.4 and builder.is_free(spot, 0.4):
+                way = street.heading(along) + (0.0 if side < 0 else np.pi)
+                park_car(builder, models[int(rng.integers(len(models)))], spot, way)
+
+
+def scatter_edge_trees(builder: Builder, plan: Plan, nursery: Nursery) -> None:
+    """Trees behind the gardens."""
+    frame, rng = plan.frame, builder.rng
+    corners = (
+        ((-60.0, -18.0), (40.0, 60.0)),
+        ((34.0, 60.0), (40.0, 60.0)),
+        ((42.0, 60.0), (-60.0, -34.0)),
+    )
+    for u, v in corners:
+        for spot in scatter(builder, frame, 1, u, v, 2.8):
+            add_tree(builder, nursery, spot, rng.uniform(0.9, 1.25))
+        for spot in scatter(builder, frame, 1, u, v, 2.0):
+            add_small_tree(builder, nursery, spot, rng.uniform(0.8, 1.1))
+
+
+def add_traffic(
+    builder: Builder, plan: Plan, models: list[tuple[str, str, CarShape]]
+) -> tuple[MovingBody, ...]:
+    """One or two cars on the main street."""
+    rng, main = builder.rng, plan.main
+    inside = [s for s in np.arange(0.0, main.length_m, 1.0)
+              if np.abs(main.point(s, 0.0)).max() < HALF_M - 5.0]  # fmt: skip
+    path = lane_loop(builder, main, float(inside[0]), float(inside[-1]))
+    moving = []
+    for index in range(int(rng.integers(1, 3))):
+        mesh, material, _ = models[int(rng.integers(len(models)))]
+        car = MovingBody(
+            body_name=f"moving_car_{index}", path_world=path, speed_mps=6.5,
+            start_m=(0.1 + 0.5 * index + rng.uniform(0.0, 0.3)) * path_length(path),
+        )  # fmt: skip
+        add_mover(builder, car, (mesh, material), "car_moving", CAR_SURFACE)
+        moving.append(car)
+    return tuple(moving)
+
+
+def paint_ground(rng: np.random.Generator, plan: Plan, homes: list[Home], green: Green) -> Canvas:
+    """Gardens and green first, pavements and roadways over them."""
+    canvas = Canvas(half_m=HALF_M)
+    paint_green(canvas, green, rng)
+    for home in homes:
+        paint_home(canvas, home, rng)
+    circle = unit_circle(48)
+    for street in plan.streets:
+        paint_street(canvas, street, pavement=Ground.PAVEMENT)
+    canvas.fill(plan.turning_xy_m + (TURNING_M + plan.close.pavement_m) * circle, Ground.PAVEMENT)
+    for home in homes:
+        drive = (home.drive_u - 1.6, home.drive_u + 1.6)
+        canvas.fill(home.lot.rectangle(drive, (-plan.main.pavement_m - 0.4, 0.0)), Ground.PAVERS)
+    for street in plan.streets:
+        paint_street(canvas, street)
+    canvas.fill(plan.turning_xy_m + TURNING_M * circle, Ground.ASPHALT)
+    for street in plan.streets:
+        paint_wear(canvas, street, rng, 0.0)
+    paint_dashes(canvas, plan.main, 3.0, plan.main.length_m - 3.0)
+    return canvas

@@ -1,0 +1,211 @@
+"""What stands, lies and floats around the lake."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.terrain import Terrain
+from touchdown.scenes.places.lake.layout import HALF_M, Basin, Plan, Shore
+from touchdown.scenes.props.boats import add_boat, add_boat_models, add_buoy, add_sailing_boat
+from touchdown.scenes.props.houses import House, add_house
+from touchdown.scenes.props.plants import Nursery, add_bush, add_rock, add_tree
+from touchdown.scenes.props.street import add_bench, add_bin, add_fence, add_sign
+from touchdown.scenes.props.waterside import (
+    Deck,
+    add_deck,
+    add_molehill,
+    add_net,
+    add_pile,
+    add_reeds,
+    grow_reeds,
+    planks,
+)
+
+Array = NDArray[np.float64]
+
+TIMBER = (150.0, 134.0, 112.0)
+
+
+class Surroundings:
+    """Where the ground is dry, shallow or deep."""
+
+    def __init__(self, plan: Plan, basin: Basin) -> None:
+        self.plan, self.basin = plan, basin
+        self._shore = Terrain(heights_m=basin.shore_m, half_m=HALF_M)
+
+    def shore_m(self, xy_m: Array) -> float:
+        """Metres from the waterline, negative in the lake."""
+        return float(self._shore.at(xy_m))
+
+    def on_shore(self, bearing: float, out_m: float) -> Array:
+        """The point at ``out_m`` from the true waterline along a bearing."""
+        # Not as far in as the islet's own shore.
+        steps = np.arange(-11.0, 14.0, 0.1)
+        points = self.plan.shore_points(np.array([bearing]), steps)
+        return points[int(np.argmin(np.abs(self._shore.at(points) - out_m)))]
+
+    def scatter(
+        self, builder: Builder, count: int, shore_m: tuple[float, float], gap_m: float
+    ) -> list[Array]:
+        """Up to ``count`` free places anywhere at such distances from the waterline, claimed."""
+        found: list[Array] = []
+        for _ in range(40 * count):
+            spot = builder.rng.uniform(-HALF_M + 3.0, HALF_M - 3.0, 2)
+            fits = shore_m[0] < self.shore_m(spot) < shore_m[1]
+            if len(found) < count and fits and builder.is_free(spot, gap_m):
+                builder.claim(spot, gap_m)
+                found.append(spot)
+        return found
+
+
+def footpath(plan: Plan, rng: np.random.Generator) -> Array:
+    """(N, 2) a path around the lake, some metres from its shore."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 240)
+    phase, sway = rng.uniform(0.0, 6.0), rng.uniform(0.8, 1.6)
+    out = 12.5 + sway * np.sin(7.0 * turn + phase)
+    smooth = plan.shore_points(turn, out)
+    smooth[-1] = smooth[0]
+    return smooth
+
+
+def place_all(builder: Builder, plan: Plan, basin: Basin, nursery: Nursery, path: Array) -> None:
+    """Jetty, boats, reeds, beach, trees, benches, rocks, fence and molehills."""
+    around = Surroundings(plan, basin)
+    builder.claim(plan.takeoff_xy_m, 6.0)
+    for spot in path[::2]:
+        builder.claim(spot, 1.0)
+    _place_jetty(builder, around)
+    _place_beach(builder, around)
+    _place_islet(builder, plan, nursery)
+    _place_reeds(builder, around)
+    _place_benches(builder, plan, path)
+    _place_rocks(builder, around)
+    _place_pasture(builder, around)
+    rng = builder.rng
+    for spot in around.scatter(builder, int(rng.integers(19, 25)), (10.5, 70.0), 3.2):
+        add_tree(builder, nursery, spot, rng.uniform(0.85, 1.45))
+    for spot in around.scatter(builder, 12, (9.5, 70.0), 1.2):
+        add_bush(builder, nursery, spot)
+    for spot in around.scatter(builder, 6, (6.0, 40.0), 0.8):
+        add_rock(builder, spot, rng.uniform(0.22, 0.5))
+
+
+def _place_jetty(builder: Builder, around: Surroundings) -> None:
+    """A jetty with a head, boats moored to it, a boathouse on land."""
+    rng, plan, level = builder.rng, around.plan, around.basin.level_m
+    bearing = plan.jetty_bearing
+    root = around.on_shore(bearing, 1.6)
+    inward = bearing + np.pi
+    way = np.array([np.cos(inward), np.sin(inward)])
+    length, width = float(rng.uniform(12.0, 16.0)), float(rng.uniform(1.7, 2.0))
+    top = max(level + 0.5, builder.terrain.point(*root) + 0.04)
+    parts = [
+        Deck(centre_xy_m=root + 0.5 * length * way, angle=inward,
+             size_m=(length, width), top_m=top),
+        Deck(centre_xy_m=root + (length + 0.9) * way, angle=inward + 0.5 * np.pi,
+             size_m=(5.2, 1.9), top_m=top),
+    ]  # fmt: skip
+    models = add_boat_models(builder, 4)
+    for part in parts:
+        add_deck(builder, part, planks(rng, part.size_m, 96.0, TIMBER))
+        reach, side = 0.5 * part.size_m[0] - 0.15, 0.5 * part.size_m[1] + 0.08
+        count = max(2, round(part.size_m[0] / 3.2))
+        feet = [[x, y] for x in np.linspace(-reach, reach, count) for y in (-side, side)]
+        for spot in part.points(np.array(feet)):
+            add_pile(builder, spot, top + float(rng.uniform(0.35, 0.7)))
+        for x in np.arange(-reach, reach + 0.1, 1.0):
+            builder.claim(part.points(np.array([[x, 0.0]]))[0], side)
+    for index, (x, y) in enumerate(((0.18, 1.0), (0.26, -1.0), (-0.08, -1.0))):
+        local = np.array([[x * length, y * (0.5 * width + 1.15)]])
+        spot = parts[0].points(local)[0]
+        if around.shore_m(spot) < -1.5:
+            heading = inward + rng.uniform(-0.12, 0.12) + (np.pi if rng.random() < 0.5 else 0.0)
+            add_boat(builder, models[index], spot, heading)
+    add_boat(builder, models[3], around.on_shore(bearing + 0.22, 3.4), bearing + 1.2, upturned=True)
+    add_boat(builder, models[2], around.on_shore(bearing + 0.30, 3.2), bearing + 1.3, upturned=True)
+    add_boat(builder, models[1], around.on_shore(bearing - 1.3, -9.0), rng.uniform(0.0, 6.3))
+    add_sailing_boat(builder, around.on_shore(bearing + 0.75, -10.0), rng.uniform(0.0, 6.3))
+    shed = around.on_shore(bearing - 0.20, 5.2)
+    add_house(builder, House(centre_xy_m=shed, angle=inward, size_m=(6.0, 4.4, 2.3), ridge_m=1.5))
+
+
+def _place_beach(builder: Builder, around: Surroundings) -> None:
+    """A net on the sand, a line of floats around the bathing water, an upright sign."""
+    rng = builder.rng
+    middle = around.plan.middle_of(Shore.BEACH)
+    side = rng.choice([-0.13, 0.13])
+    add_net(builder, around.on_shore(middle + side, 5.0), middle)
+    bearings = np.linspace(middle - 0.36, middle + 0.36, 11)
+    for index, bearing in enumerate(bearings):
+        out = -8.5 * (1.0 - 0.8 * abs(2.0 * index / 10.0 - 1.0) ** 3)
+        colour = [0.84, 0.14, 0.10, 1] if index % 2 else [0.95, 0.95, 0.93, 1]
+        add_buoy(builder, around.plan.shore_point(float(bearing), out - 1.0), 0.24, colour)
+    add_sign(builder, around.on_shore(middle - 2.0 * side, 8.0), middle + np.pi, [0.9, 0.9, 0.9, 1])
+    add_bin(builder, around.on_shore(middle - 1.4 * side, 9.4), [0.16, 0.30, 0.20, 1])
+
+
+def _place_islet(builder: Builder, plan: Plan, nursery: Nursery) -> None:
+    if plan.islet_radius_m < 0.0:
+        return
+    add_tree(builder, nursery, plan.islet_xy_m, float(builder.rng.uniform(0.7, 0.95)))
+    for _ in range(3):
+        turn = builder.rng.uniform(0.0, 2.0 * np.pi)
+        reach = plan.islet_radius_m * builder.rng.uniform(0.7, 1.0)
+        spot = plan.islet_xy_m + reach * np.array([np.cos(turn), np.sin(turn)])
+        add_rock(builder, spot, builder.rng.uniform(0.3, 0.6))
+    builder.claim(plan.islet_xy_m, plan.islet_radius_m + 1.5)
+
+
+def _place_reeds(builder: Builder, around: Surroundings, limit: int = 74) -> None:
+    """Tufts close together in the shallows and on the mud of the reedy stretches."""
+    rng, plan = builder.rng, around.plan
+    bed = grow_reeds(builder)
+    reedy = np.flatnonzero(plan.kinds == int(Shore.REEDS))
+    grown = 0
+    for _ in range(8 * limit):
+        bearing = float((rng.choice(reedy) + rng.uniform()) / len(plan.kinds) * 2.0 * np.pi)
+        out = float(rng.normal(-1.2, 1.5))
+        if grown >= limit or not -4.5 < out < 2.2 or np.sin(9.0 * bearing) < -0.75:
+            continue
+        spot = around.on_shore(bearing, out)
+        if builder.is_free(spot, 0.45):
+            add_reeds(builder, bed, spot)
+            grown += 1
+
+
+def _place_benches(builder: Builder, plan: Plan, path: Array) -> None:
+    """Benches beside the path that look over the lake."""
+    for index in range(10, len(path), 34):
+        bearing = float(plan.bearing(path[index]))
+        spot = path[index] + 1.9 * np.array([np.cos(bearing), np.sin(bearing)])
+        inside = (np.abs(spot) < HALF_M - 3.0).all()
+        if inside and builder.is_free(spot, 0.6):
+            add_bench(builder, spot, bearing + np.pi)
+
+
+def _place_rocks(builder: Builder, around: Surroundings) -> None:
+    """Boulders along the shingle, some of them in the water."""
+    rng, plan = builder.rng, around.plan
+    stony = np.flatnonzero(plan.kinds == int(Shore.SHINGLE))
+    for _ in range(18):
+        bearing = float(rng.choice(stony) / len(plan.kinds) * 2.0 * np.pi)
+        spot = around.on_shore(bearing, float(rng.uniform(-2.6, 5.0)))
+        if builder.is_free(spot, 0.9):
+            add_rock(builder, spot, rng.uniform(0.25, 0.8))
+
+
+def _place_pasture(builder: Builder, around: Surroundings) -> None:
+    """A fence along an edge of the place, and molehills in the grass near the take-off spot."""
+    rng, plan = builder.rng, around.plan
+    x = -57.0 + rng.uniform(-2.0, 2.0)
+    for start in np.arange(-12.0, 50.0, 21.0):
+        add_fence(builder, np.array([x, start]), np.array([x, start + 20.0]), [0.50, 0.40, 0.30, 1])
+    for _ in range(2):
+        turn = float(plan.takeoff_yaw) + rng.uniform(-0.9, 1.4)
+        middle = plan.takeoff_xy_m + rng.uniform(9.0, 15.0) * np.array([np.cos(turn), np.sin(turn)])
+        for _ in range(7):
+            spot = middle + rng.normal(0.0, 1.9, 2)
+            if builder.is_free(spot, 0.5) and around.shore_m(spot) > 2.0:
+                add_molehill(builder, spot)

@@ -1,0 +1,124 @@
+"""Rafts and pontoons to take off from; their deck is at the world height 0."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import Surface
+from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.textures import Picture, to_picture
+from touchdown.scenes.props.boats import add_boat, add_boat_models
+from touchdown.scenes.props.waterside import PILE, Deck, add_deck, planks
+
+Array = NDArray[np.float64]
+
+CONCRETE = Surface(land_class="path", reflectivity=0.36)
+FREEBOARD_M = 0.45
+"""Of both kinds of deck."""
+
+
+def place_raft(builder: Builder) -> None:
+    """A bathing raft of boards on drums, a flagpole at a corner, a rowing boat alongside."""
+    rng = builder.rng
+    size = (float(rng.uniform(6.4, 8.0)), float(rng.uniform(6.0, 7.0)))
+    deck = Deck(
+        centre_xy_m=np.zeros(2), angle=float(rng.uniform(-0.6, 0.6)), size_m=size, top_m=0.0
+    )
+    tone = rng.uniform(0.85, 1.15)
+    add_deck(builder, deck, planks(rng, size, 128.0, (168.0 * tone, 140.0 * tone, 108.0 * tone)))
+    builder.claim(np.zeros(2), 0.75 * max(size))
+    x, y = 0.5 * size[0], 0.5 * size[1]
+    for side in (-1.0, 1.0):
+        along = side * (y - 0.35)
+        ends = deck.points(np.array([[-x + 0.2, along], [x - 0.2, along]]))
+        builder.geom("drum", PILE, type=GEOM.mjGEOM_CAPSULE, size=[0.33, 0, 0],
+                     rgba=[0.16, 0.24, 0.36, 1],
+                     fromto=[*ends[0], -0.5, *ends[1], -0.5])  # fmt: skip
+    _flagpole(builder, deck.points(np.array([[x - 0.25, y - 0.25]]))[0])
+    _ladder(builder, deck, -x)
+    model = add_boat_models(builder, 1)[0]
+    spot = deck.points(np.array([[0.8, -y - 1.1]]))[0]
+    add_boat(builder, model, spot, deck.angle + rng.uniform(-0.06, 0.06))
+
+
+def place_pontoon(builder: Builder) -> None:
+    """A concrete work pontoon with a painted circle, bollards, a rail and crates."""
+    rng = builder.rng
+    size = (float(rng.uniform(9.0, 12.0)), float(rng.uniform(6.2, 7.4)))
+    deck = Deck(centre_xy_m=np.zeros(2), angle=float(rng.uniform(-0.6, 0.6)), size_m=size,
+                top_m=0.0, thick_m=0.9)  # fmt: skip
+    add_deck(builder, deck, _concrete(rng, size), CONCRETE)
+    builder.claim(np.zeros(2), 0.7 * max(size))
+    x, y = 0.5 * size[0], 0.5 * size[1]
+    corners = deck.points(np.array([[sx * (x - 0.3), sy * (y - 0.3)]
+                                    for sx in (-1, 1) for sy in (-1, 1)]))  # fmt: skip
+    for corner in corners:
+        builder.geom("bollard", PILE, type=GEOM.mjGEOM_CYLINDER, size=[0.12, 0.2, 0],
+                     pos=[*corner, 0.18], rgba=[0.80, 0.64, 0.12, 1])  # fmt: skip
+        _square_shadow(builder, corner, 0.12, 0.0, 0.36)
+    side = -1.0 if rng.random() < 0.5 else 1.0
+    posts = deck.points(
+        np.array([[side * (x - 0.1), t] for t in np.linspace(-y + 0.8, y - 0.8, 4)])
+    )
+    for post in posts:
+        builder.geom("rail_post", PILE, type=GEOM.mjGEOM_CAPSULE, size=[0.03, 0, 0],
+                     fromto=[*post, 0.0, *post, 1.05], rgba=[0.86, 0.86, 0.84, 1])  # fmt: skip
+        _square_shadow(builder, post, 0.03, 0.0, 1.05)
+    for height in (0.55, 1.05):
+        builder.geom("rail", PILE, type=GEOM.mjGEOM_CAPSULE, size=[0.025, 0, 0],
+                     fromto=[*posts[0], height, *posts[-1], height],
+                     rgba=[0.86, 0.86, 0.84, 1])  # fmt: skip
+    for index in range(int(rng.integers(1, 4))):
+        spot = deck.points(np.array([[-side * (x - 0.8), -y + 1.0 + 1.3 * index]]))[0]
+        half = rng.uniform([0.35, 0.3, 0.25], [0.5, 0.45, 0.45])
+        builder.geom("crate", PILE, type=GEOM.mjGEOM_BOX, size=half, pos=[*spot, half[2]],
+                     quat=quat_z(deck.angle + rng.uniform(-0.3, 0.3)),
+                     rgba=[0.30, 0.36 + 0.08 * index, 0.46, 1])  # fmt: skip
+
+
+def _concrete(rng: np.random.Generator, size_m: tuple[float, float]) -> Picture:
+    """Slabs with joints and rust, a yellow edge and a white ring in the middle."""
+    px = 96.0
+    width, height = (round(s * px) for s in size_m)
+    y, x = np.mgrid[0:height, 0:width].astype(np.float32) / px
+    tone = 150.0 + 7.0 * fractal_noise(rng, (height, width), 1.2 * px, 4, 0.6)
+    tone += 5.0 * rng.standard_normal((height, width), dtype=np.float32)
+    pitch = size_m[0] / round(size_m[0] / 2.5)
+    tone[((x % pitch) < 0.025) | (np.abs(y - 0.5 * size_m[1]) < 0.012)] *= 0.6
+    picture = tone[..., None] * np.array([1.0, 0.985, 0.955], np.float32)
+    rust = np.clip(fractal_noise(rng, (height, width), 0.7 * px, 4, 0.6) - 1.5, 0.0, 0.8)
+    picture += rust[..., None] * (np.array([132.0, 84.0, 56.0], np.float32) - picture)
+    edge = np.minimum(np.minimum(x, size_m[0] - x), np.minimum(y, size_m[1] - y))
+    worn = fractal_noise(rng, (height, width), 0.15 * px, 3, 0.6) > -1.1
+    picture[(edge > 0.12) & (edge < 0.27) & worn] = (206.0, 170.0, 48.0)
+    ring = np.abs(np.hypot(x - 0.5 * size_m[0], y - 0.5 * size_m[1]) - 1.9) < 0.1
+    picture[ring & worn] = (224.0, 224.0, 220.0)
+    return to_picture(picture)
+
+
+def _flagpole(builder: Builder, xy_m: Array) -> None:
+    builder.geom("flagpole", PILE, type=GEOM.mjGEOM_CYLINDER, size=[0.03, 0, 0],
+                 fromto=[*xy_m, 0.0, *xy_m, 2.8], rgba=[0.92, 0.92, 0.92, 1])  # fmt: skip
+    turn = float(builder.rng.uniform(0.0, 2.0 * np.pi))
+    flag = xy_m + 0.38 * np.array([np.cos(turn), np.sin(turn)])
+    builder.geom("flag", PILE, type=GEOM.mjGEOM_BOX, size=[0.36, 0.01, 0.22], pos=[*flag, 2.55],
+                 quat=quat_z(turn), rgba=[0.86, 0.16, 0.12, 1])  # fmt: skip
+    _square_shadow(builder, xy_m, 0.03, 0.0, 2.8)
+
+
+def _ladder(builder: Builder, deck: Deck, x: float) -> None:
+    """Two bent tubes over the edge at ``x`` of the deck."""
+    for y in (-0.25, 0.25):
+        foot = deck.points(np.array([[x - 0.05, y]]))[0]
+        builder.geom("ladder", PILE, type=GEOM.mjGEOM_CAPSULE, size=[0.025, 0, 0],
+                     fromto=[*foot, -0.9, *foot, 0.75], rgba=[0.75, 0.77, 0.78, 1])  # fmt: skip
+
+
+def _square_shadow(
+    builder: Builder, xy_m: Array, half_m: float, low_m: float, top_m: float
+) -> None:
+    corners = [[sx * half_m, sy * half_m, z] for sx in (-1, 1) for sy in (-1, 1)
+               for z in (low_m, top_m)]  # fmt: skip
+    builder.cast(np.array([*xy_m, 0.0]) + np.array(corners))

@@ -1,0 +1,320 @@
+"""The roof: its falls, its markings, and what stands on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import Surface
+from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.authoring.lot import unit_circle
+from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.terrain import Terrain
+from touchdown.scenes.places.rooftop_parking.layout import (
+    BAY_WIDTH_M,
+    EDGE_M,
+    HALF_M,
+    NODE_M,
+    RAMP_DEPTH_M,
+    Plan,
+)
+from touchdown.scenes.props.cars import CarShape, park_car
+from touchdown.scenes.props.meshes import MeshData, box
+from touchdown.scenes.props.street import STEEL, add_lamp
+
+Array = NDArray[np.float64]
+Models = list[tuple[str, str, CarShape]]
+
+CONCRETE = Surface(land_class="building", reflectivity=0.36)
+UNIT = Surface(land_class="building", reflectivity=0.45)
+GLASS = Surface(land_class="building", reflectivity=0.10)
+STOP = Surface(land_class="other", reflectivity=0.30)
+FALL = 0.015
+"""Slope of the deck towards the gullies in the aisles' middle lines."""
+PARAPET_M = 1.1
+_CONCRETE_RGBA = [0.70, 0.69, 0.66, 1.0]
+_STOP_RGBA = [0.60, 0.58, 0.50, 1.0]
+_UNIT_RGBA = [0.74, 0.76, 0.77, 1.0]
+LINE_M = 0.10
+
+
+def deck_heights(rng: np.random.Generator, plan: Plan, terrain: Terrain) -> Array:
+    """(N, N) heights over the whole grid of ``terrain``: the ground's, and on the deck's nodes the
+    deck's, whose take-off spot is at height 0."""
+    x, y = terrain.node_grid()
+    xy = np.stack([x, y], axis=-1)
+    nearest = np.min([np.abs(y - aisle) for aisle in plan.aisles()], axis=0)
+    uneven = 0.004 * fractal_noise(rng, x.shape, 3.0 / NODE_M, 3)
+    deck = FALL * np.minimum(nearest, 9.0) + uneven - plan.ramp.depth(xy)
+    level = Terrain(heights_m=deck, half_m=HALF_M).at(plan.takeoff_xy_m)
+    return np.where(plan.inside(xy), deck - level, terrain.heights_m)
+
+
+def write_deck(spec: Any, plan: Plan, both: Terrain, picture: NDArray[np.uint8]) -> NDArray[Any]:
+    """Fills the height field `deck` with the deck's part of ``both`` and returns its part of the
+    ground's picture."""
+    first = np.round((plan.low_xy_m + HALF_M) / NODE_M).astype(int)
+    last = np.round((plan.high_xy_m + HALF_M) / NODE_M).astype(int)
+    heights = both.heights_m[first[1] : last[1] + 1, first[0] : last[0] + 1]
+    lowest, span = float(heights.min()), float(np.ptp(heights))
+    hfield = spec.hfield("deck")
+    hfield.nrow, hfield.ncol = heights.shape
+    hfield.size = [*(0.5 * plan.size_m), span, plan.height_m - RAMP_DEPTH_M]
+    hfield.userdata = ((heights - lowest) / span).astype(np.float32).ravel()
+    spec.geom("path_deck").pos = [*plan.centre, lowest]
+    texels = len(picture) / (2.0 * HALF_M)
+    left, right = np.round((np.array([plan.low_xy_m[0], plan.high_xy_m[0]]) + HALF_M) * texels)
+    top, bottom = np.round((HALF_M - np.array([plan.high_xy_m[1], plan.low_xy_m[1]])) * texels)
+    return picture[int(top) : int(bottom), int(left) : int(right)]
+
+
+# ---------------------------------------------------------------------------------------- picture
+
+
+def paint_deck(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
+    """Bays, arrows, hatched areas, joints, gullies and stains."""
+    lot = plan.lot()
+    low, high = plan.low_xy_m, plan.high_xy_m
+    canvas.fill(lot.rectangle((low[0], high[0]), (low[1], high[1])), Ground.ROOF_DECK)
+    ramp = plan.ramp
+    ends = sorted((ramp.top_x_m, ramp.foot_x_m))
+    canvas.fill(lot.rectangle((ends[0], ends[1]), (ramp.low_y_m, ramp.high_y_m)), Ground.ASPHALT)
+    _paint_wear(canvas, plan, rng)
+    lines = plan.bays_x()
+    for mouth, head, _ in plan.rows():
+        for x in lines:
+            canvas.mark(lot.rectangle((x - 0.5 * LINE_M, x + 0.5 * LINE_M), (mouth, head)))
+        if head not in (low[1] + EDGE_M,):
+            canvas.mark(lot.rectangle((lines[0], lines[-1]), (head - 0.05, head + 0.05)))
+    for index, aisle in enumerate(plan.aisles()):
+        way = 1.0 if index == 0 else -1.0
+        for x in np.arange(lines[0] + 4.0, lines[-1] - 3.0, 11.0):
+            _arrow(canvas, plan, float(x), aisle, way)
+    for x0, x1 in ((low[0] + EDGE_M, lines[0]), (lines[-1], high[0] - EDGE_M)):
+        # Where rows end at the cross lanes: hatched noses.
+        side = x0 if x0 == lines[-1] else x1
+        nose = 1.2 * (1.0 if x0 == lines[-1] else -1.0)
+        rows = plan.rows()
+        _hatch(canvas, plan, (side, side + nose), (rows[1][0], rows[2][0]))
+    strip = float(plan.rows()[3][1])
+    span = (plan.stairs_x_m - 4.5, plan.stairs_x_m + 4.5)
+    _hatch(canvas, plan, span, (strip + 0.4, strip + 1.4))
+    beyond = (ends[0] - 0.2, ends[1] + 0.2)
+    for y in (ramp.low_y_m - 0.95,):
+        canvas.mark(lot.rectangle(beyond, (y - 0.08, y + 0.08)))
+    for x in lines[3:-3:9]:
+        _wheelchair(canvas, plan, float(x) + 0.5 * BAY_WIDTH_M, plan.rows()[3][0] + 2.6)
+
+
+def _hatch(canvas: Canvas, plan: Plan, x: tuple[float, float], y: tuple[float, float]) -> None:
+    """Oblique stripes in a frame."""
+    x0, x1, y0, y1 = *sorted(x), *sorted(y)
+    lot = plan.lot()
+    high = y1 - y0
+    for start in np.arange(x0 - high, x1, 0.9):
+        first, last = max(0.0, x0 - start), min(high, x1 - 0.2 - start)
+        if last > first:
+            foot, head = start + first, start + last
+            canvas.mark(lot.points(np.array([
+                [foot, y0 + first], [foot + 0.2, y0 + first], [head + 0.2, y0 + last],
+                [head, y0 + last],
+            ])))  # fmt: skip
+    for edge in (y0, y1):
+        canvas.mark(lot.rectangle((x0, x1), (edge - 0.05, edge + 0.05)))
+
+
+def _arrow(canvas: Canvas, plan: Plan, x: float, y: float, way: float) -> None:
+    lot = plan.lot()
+    canvas.mark(lot.rectangle((x - 1.1, x + 0.6), (y - 0.08, y + 0.08)) * [way, 1.0]
+                + [(1.0 - way) * x, 0.0])  # fmt: skip
+    tip = np.array([[x + way * 0.5, y - 0.36], [x + way * 1.5, y], [x + way * 0.5, y + 0.36]])
+    canvas.mark(lot.points(tip))
+
+
+def _wheelchair(canvas: Canvas, plan: Plan, x: float, y: float) -> None:
+    """A ring with a back and a head, as on bays for the disabled."""
+    lot = plan.lot()
+    circle = np.concatenate([unit_circle(24), unit_circle(24)[:1]])
+    canvas.mark(np.array([x, y]) + np.concatenate([0.62 * circle, 0.48 * circle[::-1]]))
+    canvas.mark(lot.rectangle((x - 0.14, x + 0.02), (y, y + 0.9)))
+    canvas.mark(np.array([x - 0.05, y + 1.15]) + 0.17 * unit_circle(14))
+    canvas.mark(lot.rectangle((x, x + 0.6), (y + 0.02, y + 0.15)))
+
+
+def _paint_wear(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
+    """Joints between slabs, sealed cracks, tyre tracks, gullies, oil under the bays."""
+    lot, low, high = plan.lot(), plan.low_xy_m, plan.high_xy_m
+    for x in np.arange(low[0] + 7.5, high[0] - 1.0, 7.5):
+        canvas.trace(np.array([[x, low[1]], [x, high[1]]]), 0.05, 150)
+    for y in (plan.rows()[1][1], plan.rows()[3][1] + 0.2):
+        canvas.trace(np.array([[low[0], y], [high[0], y]]), 0.05, 150)
+    for aisle in plan.aisles():
+        for offset in (-1.9, -0.6, 0.6, 1.9):
+            wander = 0.15 * np.sin(np.linspace(0.0, 9.0, 40) + rng.uniform(0.0, 6.0))
+            x = np.linspace(low[0] + 2.0, high[0] - 2.0, 40)
+            canvas.trace(np.column_stack([x, aisle + offset + wander]), 0.22, 26)
+        for x in np.arange(low[0] + 6.0, high[0] - 3.0, 9.0):
+            canvas.soil(lot.rectangle((x - 0.25, x + 0.25), (aisle - 0.2, aisle + 0.2)), 215)
+    for mouth, head, _ in plan.rows():
+        middle = 0.5 * (mouth + head)
+        for x in plan.bays_x()[:-1] + 0.5 * BAY_WIDTH_M:
+            if rng.random() < 0.7:
+                spot = np.array([x, middle]) + rng.normal(0.0, [0.3, 0.8])
+                blot = rng.uniform(0.10, 0.38) * unit_circle(12) * rng.uniform(0.7, 1.3, (12, 1))
+                canvas.soil(spot + blot, int(rng.integers(30, 110)))
+    for _ in range(26):
+        spot = rng.uniform(low + 1.0, high - 1.0)
+        steps = rng.normal(0.0, 0.22, (int(rng.integers(8, 30)), 2)) + rng.normal(0.0, 0.15, 2)
+        line = np.clip(spot + np.cumsum(steps, axis=0), low + 0.3, high - 0.3)
+        canvas.trace(line, 0.035, int(rng.integers(90, 200)))
+    for _ in range(9):
+        spot, reach = rng.uniform(low + 2.0, high - 2.0), rng.uniform(0.6, 2.2)
+        damp = spot + reach * unit_circle(16) * rng.uniform(0.6, 1.2, (16, 1))
+        canvas.soil(np.clip(damp, low, high), int(rng.integers(25, 60)))
+
+
+# ----------------------------------------------------------------------------------------- things
+
+
+def furnish_deck(builder: Builder, plan: Plan, models: Models) -> None:
+    """Parapets, ramp walls, houses of stairs and lift, ventilation, lamps, wheel stops, cars."""
+    rng = builder.rng
+    builder.claim(plan.takeoff_xy_m, 6.5)
+    _add_parapets(builder, plan)
+    _add_ramp_house(builder, plan)
+    _add_stair_house(builder, plan)
+    rows = plan.rows()
+    lines = plan.bays_x()
+    for x in lines[4:-2:8]:
+        spot = np.array([x, rows[1][1]])
+        if builder.is_free(spot, 0.0):
+            add_lamp(builder, spot, 0.5 * np.pi if rng.random() < 0.5 else -0.5 * np.pi, 5.0)
+    _add_units(builder, plan)
+    for mouth, head, heading in rows:
+        stops = []
+        inward = np.sign(mouth - head)
+        for x in lines[:-1] + 0.5 * BAY_WIDTH_M:
+            at = np.array([x, head + inward * 0.75])
+            z = builder.terrain.point(*at)
+            stops.append(box(np.array([0.85, 0.075, 0.06]), np.array([*at, z + 0.06])))
+            middle = np.array([x, 0.5 * (mouth + head) + inward * 0.25]) + rng.normal(0.0, 0.12, 2)
+            share = 0.62 if heading < 0.0 else 0.42
+            if rng.random() < share and builder.is_free(middle, 0.6):
+                turn = heading + (np.pi if rng.random() < 0.3 else 0.0) + rng.normal(0.0, 0.02)
+                free = builder.occupied[:]
+                park_car(builder, models[int(rng.integers(len(models)))], middle, turn)
+                # Neighbours in the next bay are no obstacle.
+                builder.occupied[:] = [*free, (middle, 0.9)]
+        # A row each, since things collide with a mesh's convex hull.
+        mesh = builder.mesh(builder.unique("wheel_stops"), MeshData.join(stops))
+        builder.geom("wheel_stops", STOP, type=GEOM.mjGEOM_MESH, meshname=mesh, rgba=_STOP_RGBA)
+
+
+def block(
+    builder: Builder,
+    stem: str,
+    surface: Surface,
+    first: Sequence[float],
+    last: Sequence[float],
+    rgba: list[float],
+) -> None:
+    """A box between two corners, (3,) world, with its shadow."""
+    low, high = np.array(first, np.float64), np.array(last, np.float64)
+    builder.geom(stem, surface, type=GEOM.mjGEOM_BOX, pos=0.5 * (low + high),
+                 size=0.5 * (high - low), rgba=rgba)  # fmt: skip
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1])
+                        for z in (low[2], high[2])])  # fmt: skip
+    builder.cast(corners)
+
+
+def _add_parapets(builder: Builder, plan: Plan) -> None:
+    """A wall with a rail on it along every edge."""
+    (x0, y0), (x1, y1) = plan.low_xy_m, plan.high_xy_m
+    top, foot, wide = PARAPET_M, -0.5, 0.22
+    runs = (
+        ((x0 - wide, y0 - wide), (x1 + wide, y0)), ((x0 - wide, y1), (x1 + wide, y1 + wide)),
+        ((x0 - wide, y0), (x0, y1)), ((x1, y0), (x1 + wide, y1)),
+    )  # fmt: skip
+    for low, high in runs:
+        block(builder, "building_parapet", CONCRETE, [*low, foot], [*high, top - 0.15],
+              _CONCRETE_RGBA)  # fmt: skip
+        middle = 0.5 * (np.array(low) + np.array(high))
+        half = np.maximum(0.5 * (np.array(high) - np.array(low)) - 0.07, 0.03)
+        builder.geom("parapet_rail", STEEL, type=GEOM.mjGEOM_BOX, pos=[*middle, top + 0.05],
+                     size=[*half, 0.04], rgba=[0.40, 0.43, 0.46, 1])  # fmt: skip
+
+
+def _add_ramp_house(builder: Builder, plan: Plan) -> None:
+    """Walls along the ramp, as thick as the node spacing in which the deck drops, and a flat roof
+    over its foot, under which the way goes on."""
+    ramp = plan.ramp
+    away = np.sign(ramp.foot_x_m - ramp.top_x_m)
+    x0, x1 = sorted((ramp.top_x_m, ramp.foot_x_m + away * 1.5 * NODE_M))
+    low, top = -RAMP_DEPTH_M - 0.3, 1.0
+    for y in (ramp.low_y_m, ramp.high_y_m - NODE_M):
+        block(builder, "building_ramp_wall", CONCRETE, [x0, y, low], [x1, y + NODE_M, top],
+              _CONCRETE_RGBA)  # fmt: skip
+    foot = ramp.foot_x_m - away * 5.0
+    lid = sorted((foot, ramp.foot_x_m + away * 1.5 * NODE_M))
+    block(builder, "building_ramp_roof", CONCRETE, [lid[0], ramp.low_y_m - 0.3, top],
+          [lid[1], ramp.high_y_m + 0.1, top + 0.3], [0.62, 0.61, 0.58, 1])  # fmt: skip
+    end = sorted((ramp.foot_x_m, ramp.foot_x_m + away * 1.5 * NODE_M))
+    block(builder, "building_ramp_gate", CONCRETE, [end[0], ramp.low_y_m, low],
+          [end[1], ramp.high_y_m, top], [0.16, 0.16, 0.17, 1])  # fmt: skip
+    builder.claim(np.array([0.5 * (x0 + x1), 0.5 * (ramp.low_y_m + ramp.high_y_m)]), 3.0)
+
+
+def _add_stair_house(builder: Builder, plan: Plan) -> None:
+    """Stairs and lift: a block with a door, a lower lift shaft beside it and a flat roof."""
+    rng = builder.rng
+    y1 = float(plan.high_xy_m[1])
+    x, deep = plan.stairs_x_m, 4.6
+    tint = _CONCRETE_RGBA if rng.random() < 0.5 else [0.62, 0.36, 0.28, 1.0]
+    block(
+        builder, "building_stairs", CONCRETE, [x - 3.4, y1 - deep, -0.3], [x + 1.2, y1, 2.9], tint
+    )
+    block(builder, "building_stairs_roof", CONCRETE, [x - 3.8, y1 - deep - 0.9, 2.9],
+          [x + 1.6, y1, 3.15], [0.45, 0.46, 0.47, 1])  # fmt: skip
+    block(builder, "building_lift", CONCRETE, [x + 1.2, y1 - 3.0, -0.3], [x + 3.9, y1, 4.1], tint)
+    for left, rgba in ((x - 2.6, [0.15, 0.28, 0.45, 1]), (x - 0.9, [0.25, 0.32, 0.36, 1])):
+        block(builder, "building_door", GLASS, [left, y1 - deep - 0.04, 0.05],
+              [left + 1.2, y1 - deep, 2.2], rgba)  # fmt: skip
+    builder.claim(np.array([x, y1 - 2.0]), 4.0)
+
+
+def _add_units(builder: Builder, plan: Plan) -> None:
+    """Ventilation units with fans and roof lights along the northern strip, between the stair
+    house and the ramp."""
+    rng = builder.rng
+    strip = float(plan.rows()[3][1]) + 1.2, float(plan.high_xy_m[1]) - 1.0
+    ramp = sorted((plan.ramp.top_x_m, plan.ramp.foot_x_m))
+    found = 0
+    for _ in range(60):
+        x = rng.uniform(plan.low_xy_m[0] + 2.0, plan.high_xy_m[0] - 2.0)
+        y = rng.uniform(strip[0] + 0.9, strip[1] - 0.9)
+        spot = np.array([x, y])
+        clear = x < ramp[0] - 3.5 or x > ramp[1] + 3.5
+        if found >= 7 or not clear or not builder.is_free(spot, 1.5):
+            continue
+        found += 1
+        builder.claim(spot, 1.5)
+        z = builder.terrain.point(x, y)
+        half = rng.uniform([0.6, 0.5], [1.3, 0.9])
+        if rng.random() < 0.35:
+            block(builder, "building_roof_light", GLASS, [*(spot - half), z],
+                  [*(spot + half), z + 0.22], [0.42, 0.54, 0.62, 1])  # fmt: skip
+            continue
+        high = rng.uniform(0.8, 1.5)
+        top = z + high
+        block(
+            builder, "building_unit", UNIT, [*(spot - half), z], [*(spot + half), top], _UNIT_RGBA
+        )
+        for dx in (-0.5, 0.5):
+            builder.geom(
+                "building_fan", UNIT, type=GEOM.mjGEOM_CYLINDER, pos=[x + dx * half[0], y, top],
+                size=[0.36 * half[0], 0.05, 0], rgba=[0.25, 0.26, 0.28, 1], quat=quat_z(0.0),
+            )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Ground truth from the compiled model, by ray casting."""

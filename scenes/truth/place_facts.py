@@ -1,0 +1,101 @@
+"""Can a file's place be flown over: the take-off spot, the ground under the survey, the classes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import LAND_CLASSES, Scene
+from touchdown.scenes.truth.raycast import cast_down
+
+Array = NDArray[np.float64]
+
+CELL_M = 0.5
+_AROUND_M = (4.0, 12.0)
+"""distances from the take-off spot at which the ground around it is looked at"""
+_CLEAR_OF_LEGS_M = 3.0
+"""what stands this near to the legs' rectangle may be met"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlaceFacts:
+    """One place, as a survey of it would find it."""
+
+    takeoff_xy_m: tuple[float, float]
+    takeoff_yaw_deg: float
+    takeoff_geom: str
+    """what the vehicle stands on"""
+    takeoff_class: str
+    """its land class, or ``other``"""
+    takeoff_above_m: float
+    """above the ground around it (median)"""
+    legs_share: float
+    """of the rectangle of the survey's legs, that which has ground below"""
+    seen_share: float
+    """the same of all that the sensors see from there"""
+    highest_m: float
+    """the highest thing within `_CLEAR_OF_LEGS_M` of that rectangle, above the take-off spot"""
+    without_class: tuple[str, ...]
+    """names of geoms that count as ``other``"""
+
+
+def place_facts(
+    scene: Scene, length_m: float, width_m: float, reach_ahead_m: float, reach_aside_m: float
+) -> PlaceFacts:
+    """Looks at the place around legs of ``length_m`` along the take-off heading that start at the
+    take-off spot and cover ``width_m`` to the left of it, with a sensor that reaches
+    ``reach_ahead_m`` fore and aft and ``reach_aside_m`` to both sides."""
+    local, heights, geoms = _around_the_legs(
+        scene, np.array([length_m, width_m]), max(reach_ahead_m, reach_aside_m, _AROUND_M[1])
+    )
+    far = _distance_from_box(local, length_m, width_m)
+    ground = np.isfinite(heights)
+    seen = (np.abs(local[..., 0] - 0.5 * length_m) <= 0.5 * length_m + reach_ahead_m) & (
+        np.abs(local[..., 1] - 0.5 * width_m) <= 0.5 * width_m + reach_aside_m
+    )
+    start = np.argmin(np.hypot(*np.moveaxis(local, -1, 0)))
+    level = float(heights.flat[start])
+    distance = np.hypot(local[..., 0], local[..., 1])
+    around = ground & (distance >= _AROUND_M[0]) & (distance <= _AROUND_M[1])
+    name = scene.model.geom(int(geoms.flat[start])).name
+    x, y = scene.takeoff_xy_m.tolist()
+    return PlaceFacts(
+        takeoff_xy_m=(x, y),
+        takeoff_yaw_deg=float(np.rad2deg(scene.takeoff_yaw)),
+        takeoff_geom=name,
+        takeoff_class=scene.surfaces[name].land_class if name in scene.surfaces else "other",
+        takeoff_above_m=level - float(np.median(heights[around])) if around.any() else 0.0,
+        legs_share=float(ground[far == 0.0].mean()),
+        seen_share=float(ground[seen].mean()),
+        highest_m=float(heights[ground & (far <= _CLEAR_OF_LEGS_M)].max()) - level,
+        without_class=tuple(
+            geom for geom, surface in scene.surfaces.items()
+            if surface.land_class not in LAND_CLASSES
+        ),
+    )  # fmt: skip
+
+
+def _around_the_legs(
+    scene: Scene, size_m: Array, margin_m: float
+) -> tuple[Array, Array, NDArray[np.int32]]:
+    """Cells around the legs' rectangle, one with its centre on the take-off spot: (rows, cols, 2)
+    coordinates along and to the left of the take-off heading, heights and geoms."""
+    c, s = np.cos(scene.takeoff_yaw), np.sin(scene.takeoff_yaw)
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]) * size_m
+    world = corners @ np.array([[c, s], [-s, c]])
+    before = np.ceil((margin_m - world.min(axis=0)) / CELL_M).astype(int)
+    after = np.ceil((margin_m + world.max(axis=0)) / CELL_M).astype(int)
+    cols, rows = before + after + 1
+    origin = scene.takeoff_xy_m - (before + 0.5) * CELL_M
+    heights, geoms = cast_down(scene, origin, CELL_M, (int(rows), int(cols)))
+    row, col = np.indices(heights.shape)
+    offset = np.stack([col - before[0], row - before[1]], axis=-1) * CELL_M
+    return np.stack([offset @ [c, s], offset @ [-s, c]], axis=-1), heights, geoms
+
+
+def _distance_from_box(local: Array, length_m: float, width_m: float) -> Array:
+    """(rows, cols) metres from the rectangle of the legs, 0 inside."""
+    beyond = np.maximum(-local, local - [length_m, width_m]).max(axis=-1)
+    return np.maximum(beyond, 0.0)

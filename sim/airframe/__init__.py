@@ -1,0 +1,1 @@
+"""The vehicle: rotors, battery, contacts, start on the ground."""

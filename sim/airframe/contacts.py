@@ -1,0 +1,50 @@
+"""What touches the vehicle, and with which part."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from touchdown.sim.airframe.vehicle import VEHICLE_PREFIX, vehicle_body_id
+from touchdown.sim.api import Contact
+
+
+class ContactSensor:
+    """Touching pairs of the vehicle: geoms named ``vehicle/leg*`` are ``leg``, ``vehicle/rotor*``
+    ``rotor``, the rest of it ``body``."""
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+        self._vehicle = vehicle_body_id(model)
+        self._names = [model.geom(i).name or f"geom {i}" for i in range(model.ngeom)]
+        self._of_vehicle = model.body_rootid[model.geom_bodyid] == self._vehicle
+        self._force = np.zeros(6)
+
+    def read(self, data: Any) -> tuple[Contact, ...]:
+        """The contacts of the last tick, one per pair of geoms, their normal forces added up; in
+        ascending order of geom ids."""
+        forces: dict[tuple[int, int], float] = {}
+        for i, (first, second) in enumerate(data.contact.geom[: data.ncon].tolist()):
+            own, other = (first, second) if self._of_vehicle[first] else (second, first)
+            if not self._of_vehicle[own]:
+                continue
+            mujoco.mj_contactForce(self._model, data, i, self._force)
+            forces[own, other] = forces.get((own, other), 0.0) + float(self._force[0])
+        return tuple(
+            Contact(
+                part=_part(self._names[own]),
+                other=self._names[other],
+                normal_force_n=force,
+            )
+            for (own, other), force in sorted(forces.items())
+        )
+
+
+def _part(geom_name: str) -> str:
+    local = geom_name.removeprefix(VEHICLE_PREFIX)
+    for part in ("leg", "rotor"):
+        if local.startswith(part):
+            return part
+    return "body"

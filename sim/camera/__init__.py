@@ -1,0 +1,1 @@
+"""The offscreen camera: rendering, lens, exposure, noise, degradations."""

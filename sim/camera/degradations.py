@@ -1,0 +1,205 @@
+"""What stands between a camera and a clear picture: fog, rain, dirt on the lens, a low sun.
+
+- air: the light of a pixel at the distance d is L exp(-e d) + A (1 - exp(-e d)), with the
+  extinction e of ``sim.faults.weather`` and the airlight A of an evenly lit, bright sky
+  (Koschmieder, 1924; Narasimhan and Nayar, "Vision and the atmosphere", IJCV 48, 2002);
+- dirt: blobs that stay where they are in the picture. What is seen through one is dimmer and, since
+  it lies far out of focus, blurred (Gu, Ramamoorthi, Belhumeur and Nayar, "Removing image artifacts
+  due to dirty camera lenses and thin occluders", ACM TOG 28, 2009). Blobs are where smooth noise
+  exceeds its own quantile, so that they cover the share asked for;
+- glare: where the sun shines on the front lens, a share of its light strays over the whole picture
+  (veiling glare, ISO 9358), in proportion to the cosine of its angle to the optical axis. A camera
+  that looks down is hit when the vehicle tilts by more than the sun's elevation.
+
+Air and glare are added in linear light; grey levels are display levels, a power law of 2.2.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+from zlib import crc32
+
+import cv2
+import mujoco
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams
+from touchdown.sim.camera.gl import Snapshot
+from touchdown.sim.faults.disturbances import Happening
+from touchdown.sim.faults.weather import Weather
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+
+AIRLIGHT_LEVEL = 190.0
+"""grey level of endless fog"""
+
+_GAMMA = 2.2
+_LEVELS = 4096
+"""steps of the table from light to grey level"""
+_SHRINK = 8
+"""blur is made in pictures this much smaller"""
+_LIGHT: Float32 = ((np.arange(256) / 255.0) ** _GAMMA).astype(np.float32)
+_DISPLAY: Bytes = np.rint(255.0 * (np.arange(_LEVELS) / (_LEVELS - 1)) ** (1.0 / _GAMMA)).astype(
+    np.uint8
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What is wrong with the picture of one tick."""
+
+    extinction: float
+    """1/m"""
+    dirty: bool
+    glaring: bool
+
+
+class CameraTrouble:
+    """Of the camera that draws rasters of ``raster`` in ``model``; the dirt hangs on (seed,
+    camera)."""
+
+    def __init__(
+        self,
+        faults: FaultParams,
+        tick_hz: int,
+        params: CameraParams,
+        raster: CameraIntrinsics,
+        model: Any,
+        seed: int,
+        camera_name: str,
+    ) -> None:
+        self._faults, self._model, self._raster = faults, model, raster
+        self._camera_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera_name)
+        self._weather = Weather(faults, tick_hz)
+        self._dirty = Happening(faults, "lens_dirt", tick_hz)
+        self._sun_id = sun_light(model) if faults.glare > 0.0 else -1
+        self._low_sun = bool(Happening(faults, "low_sun", tick_hz).faults) and self._sun_id >= 0
+        if self._dirty.faults:
+            key = [seed, crc32(b"dirt of " + camera_name.encode())]
+            self._blobs = dirt_map(params, faults.dirt_share, faults.dirt_size, key)
+        if self._weather.ever:
+            self._stretch = ray_stretch(raster)
+
+    @property
+    def ever(self) -> bool:
+        """Whether pictures are not always clear."""
+        return self._weather.ever or bool(self._dirty.faults) or self._low_sun
+
+    def at(self, tick: int) -> Sight | None:
+        """None: a clear picture."""
+        air = self._weather.at(tick)
+        dirty = self._dirty.since(tick) is not None
+        if air is None and not dirty and not self._low_sun:
+            return None
+        return Sight(0.0 if air is None else air.extinction(), dirty, self._low_sun)
+
+    def through_air(self, sight: Sight, drawn: Bytes, depth: Float32, first: int) -> Bytes:
+        """(h, W, 3) raster rows from ``first`` on, bottom row first, as ``depth`` (h, W), which is
+        in metres along the optical axis."""
+        stretch = self._stretch[first : first + len(drawn)][::-1]
+        airlight = (AIRLIGHT_LEVEL / 255.0) ** _GAMMA
+        hazy = np.empty_like(drawn)
+        _veil(drawn, depth, stretch, sight.extinction, airlight, _LIGHT, _DISPLAY, hazy)
+        return hazy
+
+    def through_lens(self, sight: Sight, picture: Bytes, instant: Snapshot) -> Bytes:
+        """(H, W, 3) through dirt and stray light; ``picture`` itself is left alone."""
+        if sight.dirty:
+            picture = self._through_dirt(picture)
+        if sight.glaring and (stray := self.stray_light(instant)) is not None:
+            picture = np.stack(
+                [cv2.LUT(picture[..., c], glare_table(stray[c])) for c in range(3)], axis=-1
+            )
+        return picture
+
+    def stray_light(self, instant: Snapshot) -> Array | None:
+        """(3,) linear light that glare adds, 1 for that of a white level surface; None: the sun is
+        behind the lens."""
+        backward = instant.cam_xmat[self._camera_id].reshape(3, 3)[:, 2]
+        cosine = float(backward @ instant.light_xdir[self._sun_id])
+        if cosine <= 0.0:
+            return None
+        colour = np.array(self._model.light_diffuse[self._sun_id], dtype=np.float64)
+        # a low sun gives level ground half of its light, the sky the other half
+        # (scenes/authoring/light.py)
+        beam = 0.5 / math.sin(math.radians(self._faults.low_sun_deg))
+        return self._faults.glare * beam * cosine * colour / colour.max()
+
+    def _through_dirt(self, picture: Bytes) -> Bytes:
+        height, width = picture.shape[:2]
+        size = (max(1, width // _SHRINK), max(1, height // _SHRINK))
+        small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+        sigma = max(1.0, self._faults.dirt_size * size[0])
+        blurred = cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma), (width, height))
+        dimmed = self._faults.dirt_transmission ** (1.0 / _GAMMA)
+        where = self._blobs > 1.0 / 512.0
+        share = self._blobs[where][:, None]
+        out = picture.copy()
+        mixed = (1.0 - share) * picture[where] + share * np.float32(dimmed) * blurred[where]
+        out[where] = np.rint(mixed).astype(np.uint8)
+        return out
+
+
+def sun_light(model: Any) -> int:
+    """Id of the light ``sun``, else of the first directional one; -1: there is none."""
+    named = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_LIGHT, "sun")
+    if named >= 0:
+        return int(named)
+    kinds = np.asarray(model.light_type)
+    directional = np.flatnonzero(kinds == int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL))
+    return int(directional[0]) if directional.size else -1
+
+
+def ray_stretch(raster: CameraIntrinsics) -> Float32:
+    """(H, W) distance along a pixel's ray for one metre along the optical axis."""
+    x = (np.arange(raster.width) - raster.cx) / raster.fx
+    y = (np.arange(raster.height) - raster.cy) / raster.fy
+    return np.sqrt(1.0 + x**2 + y[:, None] ** 2).astype(np.float32)
+
+
+def dirt_map(params: CameraParams, share: float, size: float, key: list[int]) -> Float32:
+    """(H, W) share of each pixel's light that comes through dirt; its mean is ``share``, its edges
+    are soft. ``size``: correlation length of the blobs over the picture's width."""
+    sigma = size * params.width
+    shape = (params.height, params.width)
+    noise = np.random.default_rng(key).standard_normal(shape, dtype=np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), sigma)
+    blobs = (smooth > np.quantile(smooth, 1.0 - share)).astype(np.float32)
+    soft: Float32 = np.asarray(cv2.GaussianBlur(blobs, (0, 0), sigma / 3.0), dtype=np.float32)
+    return soft
+
+
+def glare_table(light: float) -> Bytes:
+    """(256,) grey level of every old one with this much linear light added."""
+    table: Bytes = np.rint(255.0 * np.minimum(_LIGHT + light, 1.0) ** (1.0 / _GAMMA)).astype(
+        np.uint8
+    )
+    return table
+
+
+@njit(cache=True, nogil=True)
+def _veil(
+    drawn: Bytes,
+    depth: Float32,
+    stretch: Float32,
+    extinction: float,
+    airlight: float,
+    light: Float32,
+    display: Bytes,
+    out: Bytes,
+) -> None:
+    rows, cols, channels = drawn.shape
+    top = display.shape[0] - 1
+    for i in range(rows):
+        for j in range(cols):
+            clear = math.exp(-extinction * depth[i, j] * stretch[i, j])
+            veil = airlight * (1.0 - clear)
+            for c in range(channels):
+                level = clear * light[drawn[i, j, c]] + veil
+                out[i, j, c] = display[int(min(level, 1.0) * top + 0.5)]

@@ -1,0 +1,227 @@
+"""Offscreen OpenGL: which backend works here, and MuJoCo's renderer with a pinhole's frustum."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.sim.api import CameraIntrinsics
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Int32 = NDArray[np.int32]
+Bytes = NDArray[np.uint8]
+
+BACKENDS = ("egl", "osmesa", "glfw")
+"""In the order in which they are tried; GLFW needs a display."""
+
+_FIRST_HIDDEN_GROUP = 3
+_SEGMENT_FLAGS = (int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR))
+_GEOM_TYPE = int(mujoco.mjtObj.mjOBJ_GEOM)
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """What a picture depends on, copied out of an MjData: world positions (K, 3) and rotation
+    matrices (K, 9) of geoms and sites, position and direction of lights, pose of every camera."""
+
+    geom_xpos: Array
+    geom_xmat: Array
+    light_xpos: Array
+    light_xdir: Array
+    cam_xpos: Array
+    cam_xmat: Array
+
+
+SNAPSHOT_FIELDS = ("geom_xpos", "geom_xmat", "light_xpos", "light_xdir", "cam_xpos", "cam_xmat")
+
+
+class Stage:
+    """GL context, MuJoCo scene and buffers of one rendering thread, for rasters of ``pinhole`` or
+    bands of their rows. ``samples``: of multisampling, in colour pictures only.
+
+    Everything comes bottom row first.
+    """
+
+    def __init__(self, model: mujoco.MjModel, pinhole: CameraIntrinsics, samples: int) -> None:
+        self._model = model
+        self._data = mujoco.MjData(model)
+        self._pinhole = pinhole
+        self._samples = samples
+        self._gl = gl_context(pinhole.width, pinhole.height)
+        self._gl.make_current()
+        self._context = _mujoco_context(model, pinhole, samples)
+        self._plain = self._context  # without multisampling, which would blend ids
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)
+        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+            self._scene.flags[flag] = 0
+        self._option = mujoco.MjvOption()
+        self._option.geomgroup[_FIRST_HIDDEN_GROUP:] = 0
+        self._option.sitegroup[:] = 0
+        self._perturb = mujoco.MjvPerturb()
+        self._camera = mujoco.MjvCamera()
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._pixels = np.empty((pinhole.height, pinhole.width, 3), dtype=np.uint8)
+
+    def colour(self, snapshot: Snapshot, camera_id: int, first: int, last: int) -> Bytes:
+        """(last - first, W, 3) uint8, rows ``first`` to ``last`` (exclusive, counted from the top)
+        of the raster; the buffer is reused by the next call."""
+        viewport = self._look(snapshot, camera_id, first, last)
+        _select(self._context)
+        mujoco.mjr_render(viewport, self._scene, self._context)
+        pixels = self._pixels[: last - first]
+        mujoco.mjr_readPixels(pixels, None, viewport, self._context)
+        return pixels
+
+    def depth_of_last(self, rows: int) -> Float32:
+        """(rows, W) float32 metres along the optical axis of the ``colour`` just drawn, ``inf``
+        where nothing is drawn."""
+        buffer = np.empty((rows, self._pinhole.width), dtype=np.float32)
+        viewport = mujoco.MjrRect(0, 0, self._pinhole.width, rows)
+        mujoco.mjr_readPixels(None, buffer, viewport, self._context)
+        return _metres(buffer, self._scene.camera[0])
+
+    def depth(self, snapshot: Snapshot, camera_id: int) -> Float32:
+        """(H, W) float32 metres along the optical axis, ``inf`` where nothing is drawn."""
+        viewport = self._draw_ids(snapshot, camera_id)
+        buffer = np.empty(self._pixels.shape[:2], dtype=np.float32)
+        mujoco.mjr_readPixels(None, buffer, viewport, self._plain)
+        return _metres(buffer, self._scene.camera[0])
+
+    def geom_ids(self, snapshot: Snapshot, camera_id: int) -> Int32:
+        """(H, W) int32 id of the geom that each pixel shows, -1 where there is none."""
+        viewport = self._draw_ids(snapshot, camera_id)
+        pixels = np.empty_like(self._pixels)
+        mujoco.mjr_readPixels(pixels, None, viewport, self._plain)
+        code = pixels.astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], dtype=np.int32)
+        geom_of_code = np.full(self._scene.ngeom + 1, -1, dtype=np.int32)
+        for drawn in self._scene.geoms[: self._scene.ngeom]:
+            if drawn.segid >= 0 and drawn.objtype == _GEOM_TYPE:
+                geom_of_code[drawn.segid + 1] = drawn.objid
+        return geom_of_code[code]
+
+    def close(self) -> None:
+        """Frees context and buffers; call it in the thread that drew."""
+        self._gl.make_current()
+        if self._plain is not self._context:
+            self._plain.free()
+        self._context.free()
+        self._gl.free()
+
+    def _look(self, snapshot: Snapshot, camera_id: int, first: int, last: int) -> Any:
+        """Sets the MuJoCo scene up for a band of rows; returns its viewport."""
+        for name in SNAPSHOT_FIELDS:
+            getattr(self._data, name)[:] = getattr(snapshot, name)
+        self._gl.make_current()
+        self._camera.fixedcamid = camera_id
+        mujoco.mjv_updateScene(
+            self._model,
+            self._data,
+            self._option,
+            self._perturb,
+            self._camera,
+            mujoco.mjtCatBit.mjCAT_ALL,
+            self._scene,
+        )
+        self._set_frustum(first, last)
+        return mujoco.MjrRect(0, 0, self._pinhole.width, last - first)
+
+    def _set_frustum(self, first: int, last: int) -> None:
+        """MuJoCo derives the width of the frustum from its height (square pixels) unless told."""
+        k = self._pinhole
+        for eye in self._scene.camera:
+            per_row = eye.frustum_near / k.fy
+            eye.frustum_top = per_row * (0.5 * k.height - first)
+            eye.frustum_bottom = per_row * (0.5 * k.height - last)
+            eye.frustum_width = eye.frustum_near * 0.5 * k.width / k.fx
+            eye.frustum_center = 0.0
+
+    def _draw_ids(self, snapshot: Snapshot, camera_id: int) -> Any:
+        """Draws every geom in the colour of its number; flat colours write exact depths too."""
+        viewport = self._look(snapshot, camera_id, 0, self._pinhole.height)
+        if self._samples and self._plain is self._context:
+            self._plain = _mujoco_context(self._model, self._pinhole, 0)
+        _select(self._plain)
+        for flag in _SEGMENT_FLAGS:
+            self._scene.flags[flag] = 1
+        mujoco.mjr_render(viewport, self._scene, self._plain)
+        for flag in _SEGMENT_FLAGS:
+            self._scene.flags[flag] = 0
+        return viewport
+
+
+def _metres(buffer: Float32, eye: Any) -> Float32:
+    """Depths out of a depth buffer that holds 1 at the near and 0 at the far plane (reversed, with
+    most of its precision far away): 1 / z runs linearly between the planes."""
+    near, far = float(eye.frustum_near), float(eye.frustum_far)
+    inverse = 1.0 / far + buffer.astype(np.float64) * (1.0 / near - 1.0 / far)
+    return np.where(buffer > 0.0, 1.0 / inverse, np.inf).astype(np.float32)
+
+
+def _mujoco_context(
+    model: mujoco.MjModel, pinhole: CameraIntrinsics, samples: int
+) -> mujoco.MjrContext:
+    """The context reads its sizes from the model, which is shared: they are put back."""
+    quality, buffer = model.vis.quality, model.vis.global_
+    kept = quality.offsamples, quality.shadowsize, buffer.offwidth, buffer.offheight
+    quality.offsamples, quality.shadowsize = samples, 0
+    buffer.offwidth, buffer.offheight = pinhole.width, pinhole.height
+    try:
+        context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+    finally:
+        quality.offsamples, quality.shadowsize, buffer.offwidth, buffer.offheight = kept
+    context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+    _select(context)
+    return context
+
+
+def _select(context: mujoco.MjrContext) -> None:
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
+
+
+def gl_context(width: int, height: int) -> Any:
+    """The first GL context that works: the one MUJOCO_GL names, else EGL, OSMesa, GLFW.
+
+    MuJoCo's library reads MUJOCO_GL when it loads its GL functions, so it is set for the choice.
+    RuntimeError, with what each backend said, when none works.
+    """
+    asked = os.environ.get("MUJOCO_GL", "").lower()
+    failures = []
+    for backend in (asked,) if asked else BACKENDS:
+        os.environ["MUJOCO_GL"] = backend
+        try:
+            return _open(backend, width, height)
+        except Exception as failure:  # every backend fails in its own way
+            failures.append(f"{backend}: {failure}")
+            if not asked:
+                _forget_opengl()
+    if not asked:
+        del os.environ["MUJOCO_GL"]
+    raise RuntimeError(
+        f"no offscreen rendering on this machine ({'; '.join(failures)}): install EGL "
+        "(Debian: libegl1 libgl1-mesa-dri) or OSMesa (libosmesa6), or set MUJOCO_GL to egl, osmesa "
+        "or glfw"
+    )
+
+
+def _open(backend: str, width: int, height: int) -> Any:
+    context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+    context.make_current()
+    if backend == "glfw" and not importlib.import_module("glfw").get_current_context():
+        raise RuntimeError("it opens no window, not even a hidden one: is there a display?")
+    return context
+
+
+def _forget_opengl() -> None:
+    """PyOpenGL ties itself to one platform at import; the next backend needs it afresh."""
+    os.environ.pop("PYOPENGL_PLATFORM", None)
+    tied = ("OpenGL", *(f"mujoco.{backend}" for backend in BACKENDS))
+    for name in [n for n in sys.modules if n.startswith(tied)]:
+        del sys.modules[name]

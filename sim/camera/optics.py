@@ -1,0 +1,226 @@
+"""From a drawn raster to what the sensor of a camera delivers: lens, exposure, noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from touchdown.sim.api import CameraIntrinsics, CameraParams
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+
+NOISE_MARGIN = 128
+"""The noise tile is larger than a picture by this, and shifted at random."""
+
+_ROUNDING_VARIANCE = 1.0 / 12.0
+_DISPLAY_GAMMA = 2.2
+_MIDDLE_GREY = 110.0
+_MAX_AUTO_GAIN = 4.0
+_UNDISTORT_STEPS = 30
+_MAX_RESIDUAL_PX = 1e-3
+_MAX_WIDENING = 3.0
+_BORDER_PX = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """``raster`` is the pinhole that is drawn; pixel (u, v) of the picture shows the raster at
+    (map_x, map_y)[v, u], both (H, W) float32. Without distortion the raster is the picture and the
+    maps are None."""
+
+    picture: CameraIntrinsics
+    raster: CameraIntrinsics
+    map_x: Float32 | None
+    map_y: Float32 | None
+
+
+def check_camera(params: CameraParams) -> None:
+    """ValueError, naming the parameter, for a camera that cannot be."""
+    for name in ("fov_x_deg", "fov_y_deg"):
+        if not 0.0 < getattr(params, name) < 180.0:
+            raise ValueError(f"camera.{name} is {getattr(params, name):g}: give 0 to 180 degrees")
+    if params.width < 1 or params.height < 1:
+        raise ValueError(f"camera pictures of {params.width} x {params.height} pixels do not exist")
+    if not params.gain > 0.0:
+        raise ValueError(f"camera.gain is {params.gain:g}: give a positive number")
+    if params.readout_s < 0.0:
+        raise ValueError(f"camera.readout_s is {params.readout_s:g}: give 0 or a positive time")
+    if not np.all(np.isfinite(params.distortion)):
+        raise ValueError(f"camera.distortion is {params.distortion}: give five finite numbers")
+
+
+def intrinsics_of(params: CameraParams) -> CameraIntrinsics:
+    """Focal lengths that follow from the two fields of view, which hold for the undistorted
+    pinhole, and the distortion."""
+    return CameraIntrinsics(
+        width=params.width,
+        height=params.height,
+        fx=0.5 * params.width / math.tan(0.5 * math.radians(params.fov_x_deg)),
+        fy=0.5 * params.height / math.tan(0.5 * math.radians(params.fov_y_deg)),
+        cx=0.5 * (params.width - 1),
+        cy=0.5 * (params.height - 1),
+        distortion=np.array(params.distortion, dtype=np.float64),
+    )
+
+
+def make_lens(params: CameraParams) -> Lens:
+    """The drawn pinhole keeps the focal lengths and is as much wider as the lens bends outwards.
+
+    ValueError: the distortion folds the picture over itself, or needs a raster of more than three
+    times the picture's width or height.
+    """
+    check_camera(params)
+    picture = intrinsics_of(params)
+    if not picture.distortion.any():
+        return Lens(picture=picture, raster=picture, map_x=None, map_y=None)
+    cols, rows = np.meshgrid(np.arange(params.width), np.arange(params.height))
+    distorted = np.stack([(cols - picture.cx) / picture.fx, (rows - picture.cy) / picture.fy], -1)
+    ideal = undistort(distorted, picture.distortion)
+    residual = distort(ideal, picture.distortion) - distorted
+    worst = np.abs(residual * [picture.fx, picture.fy]).max()
+    if not worst < _MAX_RESIDUAL_PX:
+        raise ValueError(
+            f"camera.distortion {params.distortion} folds the picture over itself: use smaller "
+            "coefficients or a smaller field of view"
+        )
+    u, v = ideal[..., 0] * picture.fx, ideal[..., 1] * picture.fy
+    width, height = (2 * (math.ceil(np.abs(axis).max()) + _BORDER_PX) + 1 for axis in (u, v))
+    if width > _MAX_WIDENING * params.width or height > _MAX_WIDENING * params.height:
+        raise ValueError(
+            f"camera.distortion {params.distortion} needs a raster of {width} x {height} pixels: "
+            "use smaller coefficients or a smaller field of view"
+        )
+    raster = CameraIntrinsics(
+        width=width,
+        height=height,
+        fx=picture.fx,
+        fy=picture.fy,
+        cx=0.5 * (width - 1),
+        cy=0.5 * (height - 1),
+    )
+    return Lens(
+        picture=picture,
+        raster=raster,
+        map_x=(u + raster.cx).astype(np.float32),
+        map_y=(v + raster.cy).astype(np.float32),
+    )
+
+
+def distort(ideal: Array, coefficients: Array) -> Array:
+    """(..., 2) normalised coordinates as the lens bends them: OpenCV's model, k1 k2 p1 p2 k3."""
+    return _distort_with_jacobian(ideal, coefficients)[0]
+
+
+def undistort(distorted: Array, coefficients: Array) -> Array:
+    """(..., 2) the inverse of `distort` by Newton's method; check it where the lens may fold."""
+    ideal = distorted.copy()
+    with np.errstate(all="ignore"):  # a folding lens may run away, which the check finds
+        for _ in range(_UNDISTORT_STEPS):
+            bent, xx, xy, yy = _distort_with_jacobian(ideal, coefficients)
+            error = bent - distorted
+            determinant = xx * yy - xy * xy
+            ideal[..., 0] -= (yy * error[..., 0] - xy * error[..., 1]) / determinant
+            ideal[..., 1] -= (xx * error[..., 1] - xy * error[..., 0]) / determinant
+            if np.nanmax(np.abs(error)) < 1e-12:
+                break
+    return ideal
+
+
+def _distort_with_jacobian(ideal: Array, k: Array) -> tuple[Array, Array, Array, Array]:
+    """The distorted points (..., 2) and the symmetric Jacobian's xx, xy and yy parts (...)."""
+    x, y = ideal[..., 0], ideal[..., 1]
+    k1, k2, p1, p2, k3 = k
+    square = x * x + y * y
+    radial = 1.0 + square * (k1 + square * (k2 + square * k3))
+    slope = 2.0 * (k1 + square * (2.0 * k2 + square * 3.0 * k3))
+    bent = np.stack(
+        [
+            x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
+            y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
+        ],
+        axis=-1,
+    )
+    xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+    xy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+    yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+    return bent, xx, xy, yy
+
+
+def through_lens(
+    lens: Lens, drawn: NDArray[Any], first_row: int, rows: slice, smooth: bool
+) -> NDArray[Any]:
+    """Rows ``rows`` of the picture out of ``drawn``, which begins at raster row ``first_row``.
+    ``smooth`` interpolates (colours); else the nearest pixel is taken (depths, ids)."""
+    if lens.map_x is None or lens.map_y is None:
+        return drawn
+    flag = cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST
+    map_y = lens.map_y[rows] - np.float32(first_row)
+    return cv2.remap(drawn, lens.map_x[rows], map_y, flag)
+
+
+def raster_rows(lens: Lens, rows: slice) -> tuple[int, int]:
+    """First and past-the-last raster row that rows ``rows`` of the picture show."""
+    if lens.map_y is None:
+        return rows.start, rows.stop
+    shown = lens.map_y[rows]
+    first = max(math.floor(shown.min()) - 1, 0)
+    return first, min(math.ceil(shown.max()) + 2, lens.raster.height)
+
+
+def exposure_table(params: CameraParams, picture: Bytes) -> Bytes | None:
+    """(256,) new grey level of every old one, or None where nothing changes.
+
+    The gain multiplies light; levels are display levels, which a power law of 2.2 turns into light.
+    Automatic exposure is ideal: it knows the picture that it exposes.
+    """
+    factor = params.gain ** (1.0 / _DISPLAY_GAMMA)
+    if params.auto_exposure:
+        limit = _MAX_AUTO_GAIN ** (1.0 / _DISPLAY_GAMMA)
+        level = max(float(picture.mean()), 1e-3)
+        factor *= min(max(_MIDDLE_GREY / (level * factor), 1.0 / limit), limit)
+    if factor == 1.0:
+        return None
+    table: Bytes = np.clip(np.rint(factor * np.arange(256)), 0, 255).astype(np.uint8)
+    return table
+
+
+def noise_tile(params: CameraParams, key: list[int]) -> NDArray[np.int8]:
+    """Rounded Gaussian grey noise, a margin larger than the picture, (rows, 3 * columns): every
+    value thrice, once a channel. Rounding adds its own variance, which is taken off beforehand."""
+    sigma = math.sqrt(max(params.noise_sigma**2 - _ROUNDING_VARIANCE, 0.0))
+    shape = (params.height + NOISE_MARGIN, params.width + NOISE_MARGIN)
+    noise = sigma * np.random.default_rng(key).standard_normal(shape, dtype=np.float32)
+    return np.repeat(np.clip(np.rint(noise), -127, 127).astype(np.int8), 3, axis=1)
+
+
+def develop(
+    raw: Bytes, noise: NDArray[np.int8], row: int, col: int, sign: int, flip: bool, picture: Bytes
+) -> None:
+    """Turns the picture (H, W, 3) the right way up where ``flip`` says so, and adds the noise tile
+    from (row, col) on. Both pictures are contiguous."""
+    lines = (raw.shape[0], raw.shape[1] * raw.shape[2])
+    _add_noise(raw.reshape(lines), noise, row, 3 * col, sign, flip, picture.reshape(lines))
+
+
+@njit(cache=True, nogil=True)
+def _add_noise(
+    raw: Bytes, noise: NDArray[np.int8], row: int, first: int, sign: int, flip: bool, out: Bytes
+) -> None:
+    height, width = raw.shape
+    polarity = np.int16(sign)
+    for i in range(height):
+        source = raw[height - 1 - i if flip else i]
+        grain = noise[row + i, first : first + width]
+        target = out[i]
+        for j in range(width):
+            # 16 bits, so that the loop becomes vector instructions
+            value = np.int16(source[j]) + np.int16(polarity * np.int16(grain[j]))
+            target[j] = np.uint8(min(max(value, np.int16(0)), np.int16(255)))

@@ -1,0 +1,181 @@
+"""An offscreen camera: MuJoCo's renderer with the lens, noise and threading of a sensor.
+
+The physics thread takes a ``Snapshot`` (a few array copies); one thread, the physics' own or a
+worker, turns snapshots into pictures with an MjData, a GL context and a scene of its own. The GIL
+is free while pixels are drawn and read.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from typing import Any
+from zlib import crc32
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import Scene
+from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams
+from touchdown.sim.camera.degradations import CameraTrouble, Sight
+from touchdown.sim.camera.gl import SNAPSHOT_FIELDS, Snapshot, Stage
+from touchdown.sim.camera.optics import (
+    NOISE_MARGIN,
+    develop,
+    exposure_table,
+    make_lens,
+    noise_tile,
+    raster_rows,
+    through_lens,
+)
+
+Bytes = NDArray[np.uint8]
+Float32 = NDArray[np.float32]
+Int32 = NDArray[np.int32]
+
+CAMERA_NAME = "vehicle/camera"
+VEHICLE_GROUP = 4
+"""Geom group of the vehicle's own geoms, which its camera does not see."""
+
+
+class CameraSensor:
+    """The camera ``camera_name`` of ``scene``, with the resolution, field of view and lens of
+    ``params`` (the model's own are not looked at).
+
+    ``render``, ``render_depth`` and ``render_segmentation`` show one instant through the same lens;
+    they may run in any one thread: the GL context is made at the first picture and belongs to the
+    thread that asked for it. Grey noise depends on (seed, camera, tick) alone. ``faults`` of the
+    clock ``tick_hz`` trouble the pictures of ``render``.
+
+    Raises ValueError when the model has no such camera or the parameters are impossible; rendering
+    raises RuntimeError when there is no way to render on this machine, or when called from a second
+    thread.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        params: CameraParams,
+        seed: int,
+        camera_name: str = CAMERA_NAME,
+        faults: FaultParams | None = None,
+        tick_hz: int = 600,
+    ) -> None:
+        self._model = scene.model
+        self._params = params
+        self._lens = make_lens(params)
+        self._camera_id = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, camera_name)
+        if self._camera_id < 0:
+            names = [self._model.camera(i).name for i in range(self._model.ncam)]
+            raise ValueError(
+                f"scene '{scene.name}' has no camera '{camera_name}': its cameras are "
+                f"{', '.join(names) or 'none'}"
+            )
+        self._noise_key = [seed, crc32(camera_name.encode())]
+        self._noise = noise_tile(params, self._noise_key)
+        self._trouble: CameraTrouble | None = None
+        if faults is not None and faults.events:
+            trouble = CameraTrouble(
+                faults, tick_hz, params, self._lens.raster, self._model, seed, camera_name
+            )
+            self._trouble = trouble if trouble.ever else None
+        self._stage: Stage | None = None
+        self._thread: int | None = None
+
+    def intrinsics(self) -> CameraIntrinsics:
+        """Focal lengths that follow from the two fields of view, and the lens distortion."""
+        return self._lens.picture
+
+    def snapshot(self, data: mujoco.MjData) -> Snapshot:
+        """Copies what a picture needs; call it in the physics thread, after the kinematics."""
+        return Snapshot(*(getattr(data, name).copy() for name in SNAPSHOT_FIELDS))
+
+    def render(self, snapshot: Snapshot | Sequence[Snapshot], tick: int) -> Bytes:
+        """(H, W, 3) uint8 RGB picture, read-only, with the grey noise of ``tick``.
+
+        Several snapshots are the instants of a rolling shutter, oldest first: the picture's rows
+        are split evenly among them from the top, each band drawn from its own instant.
+        """
+        instants = [snapshot] if isinstance(snapshot, Snapshot) else list(snapshot)
+        sight = self._trouble.at(tick) if self._trouble is not None else None
+        whole = len(instants) == 1 and self._lens.map_x is None and sight is None
+        if whole:  # the common case: `develop` flips, so that nothing is copied twice
+            stage, height = self._own_stage(), self._params.height
+            raw = stage.colour(instants[0], self._camera_id, 0, height)
+        else:
+            raw = self._bands(instants, sight)
+        if self._trouble is not None and sight is not None:
+            raw = self._trouble.through_lens(sight, raw, instants[-1])
+        table = exposure_table(self._params, raw)
+        if table is not None:
+            raw = cv2.LUT(raw, table).astype(np.uint8, copy=False)
+        picture = np.empty_like(raw)
+        row, col, sign = self._noise_place(tick)
+        develop(raw, self._noise, row, col, sign, whole, picture)
+        picture.setflags(write=False)
+        return picture
+
+    def render_depth(self, snapshot: Snapshot) -> Float32:
+        """(H, W) float32, read-only: true depth along the optical axis in metres, ``inf`` where
+        there is nothing. No noise: it is the geometry, not a depth sensor's opinion."""
+        return _frozen(self._bent(self._own_stage().depth(snapshot, self._camera_id)))
+
+    def render_segmentation(self, snapshot: Snapshot) -> Int32:
+        """(H, W) int32, read-only: id of the geom that each pixel shows, -1 for none."""
+        ids = self._own_stage().geom_ids(snapshot, self._camera_id)
+        # remap knows no int32; 24 bits of an id fit a float32.
+        return _frozen(self._bent(ids.astype(np.float32)).astype(np.int32))
+
+    def close(self) -> None:
+        """Frees the GL context; call it in the thread that rendered."""
+        if self._stage is not None:
+            self._stage.close()
+        self._stage, self._thread = None, None
+
+    def _bands(self, instants: Sequence[Snapshot], sight: Sight | None) -> Bytes:
+        """(H, W, 3) picture, top row first, of one band of rows for every instant, through the
+        air."""
+        stage = self._own_stage()
+        height, width = self._params.height, self._params.width
+        picture = np.empty((height, width, 3), dtype=np.uint8)
+        edges = np.linspace(0, height, len(instants) + 1).round().astype(int)
+        for instant, start, stop in zip(instants, edges[:-1], edges[1:], strict=True):
+            rows = slice(int(start), int(stop))
+            if rows.start == rows.stop:
+                continue
+            first, last = raster_rows(self._lens, rows)
+            drawn = stage.colour(instant, self._camera_id, first, last)
+            if self._trouble is not None and sight is not None and sight.extinction > 0.0:
+                depth = stage.depth_of_last(last - first)
+                drawn = self._trouble.through_air(sight, drawn, depth, first)
+            drawn = np.ascontiguousarray(drawn[::-1])
+            picture[rows] = through_lens(self._lens, drawn, first, rows, smooth=True)
+        return picture
+
+    def _bent(self, drawn: Float32) -> Float32:
+        """A drawn raster, bottom row first, through the lens without blending neighbours."""
+        upright = np.ascontiguousarray(drawn[::-1])
+        return through_lens(self._lens, upright, 0, slice(0, self._params.height), smooth=False)
+
+    def _own_stage(self) -> Stage:
+        thread = threading.get_ident()
+        if self._stage is None:
+            self._stage = Stage(self._model, self._lens.raster, self._params.samples)
+            self._thread = thread
+        if self._thread != thread:
+            raise RuntimeError(
+                "a camera renders in one thread only: call close() there before another takes over"
+            )
+        return self._stage
+
+    def _noise_place(self, tick: int) -> tuple[int, int, int]:
+        rng = np.random.default_rng([*self._noise_key, tick])
+        row, col = rng.integers(0, NOISE_MARGIN + 1, size=2)
+        return int(row), int(col), int(2 * rng.integers(0, 2) - 1)
+
+
+def _frozen(array: Any) -> Any:
+    array.setflags(write=False)
+    return array

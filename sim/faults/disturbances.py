@@ -1,0 +1,137 @@
+"""Scheduled trouble with the vehicle itself and the air around it, as functions of the tick alone.
+
+- motor: a motor that has lost the share g of its efficiency turns its rotor at sqrt(1 - g) of the
+  demanded speed, so that thrust and drag torque both fall to 1 - g: the loss of effectiveness
+  u' = (1 - g) u of the literature on faulty actuators (Zhang and Jiang, "Bibliographical review on
+  reconfigurable fault-tolerant control systems", Annual Reviews in Control 32, 2008);
+- gust: the discrete gust of MIL-F-8785C, V = Vm / 2 (1 - cos(pi x / d)), x the distance into it.
+  A hovering vehicle is swept by it: x / d is time over the time of rise. Past its peak it falls
+  as it rose, and a longer fault is a row of such gusts (they may be used singly or in multiples);
+- miscalibration: the LIDAR sits turned and shifted on the body, by stated amounts, about an axis
+  and in a direction drawn from the seed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.sim.api import Fault, FaultParams
+from touchdown.sim.frames import Pose, so3_exp
+from touchdown.sim.noise import random_stream
+
+Array = NDArray[np.float64]
+
+ROTORS = 4
+
+
+class Happening:
+    """The times of all faults of one kind."""
+
+    def __init__(self, params: FaultParams, kind: str, tick_hz: int) -> None:
+        self.faults = [fault for fault in params.schedule() if fault.kind == kind]
+        self._spans = [_span(fault, tick_hz) for fault in self.faults]
+
+    def since(self, tick: int) -> int | None:
+        """Ticks since the beginning of the first fault that goes on at ``tick``; None: none does.
+        Ends are not included."""
+        for start, end in self._spans:
+            if tick >= start and (end is None or tick < end):
+                return tick - start
+        return None
+
+
+def _span(fault: Fault, tick_hz: int) -> tuple[int, int | None]:
+    start = round(fault.start_s * tick_hz)
+    if fault.duration_s is None:
+        return start, None
+    return start, start + max(1, round(fault.duration_s * tick_hz))
+
+
+class Disturbances:
+    """What befalls rotors, air and mounts at a tick; nothing without a schedule.
+
+    ``mean_wind_kmh`` is part of the speed that gusts blow up to.
+    """
+
+    def __init__(self, params: FaultParams, tick_hz: int, mean_wind_kmh: float, seed: int) -> None:
+        self._params, self._tick_hz = params, tick_hz
+        self._motor = Happening(params, "motor_loss", tick_hz)
+        self._mount = Happening(params, "miscalibration", tick_hz)
+        self._gusts = [fault for fault in params.schedule() if fault.kind == "gust"]
+        self._peak_mps = (params.gust_kmh - mean_wind_kmh) / 3.6
+        self._speed_share = np.ones(ROTORS)
+        self._speed_share[params.motor] = math.sqrt(1.0 - params.motor_loss_share)
+        self._knock = _knock(params, seed) if self._mount.faults else None
+        self._steps = {"motor_loss": 0, "gust": 0}
+
+    def rotor_speed_share(self, tick: int) -> Array | None:
+        """(4,) share of the demanded rotor speeds that is reached, None: all of it."""
+        if not self._motor.faults or self._motor.since(tick) is None:
+            return None
+        self._steps["motor_loss"] += 1
+        return self._speed_share
+
+    def add_gust(self, tick: int, mean_direction: Array, wind: Array) -> None:
+        """Adds a gust to ``wind`` (3,) m/s, world frame, where there is one. ``mean_direction``
+        (3,) is that of the mean wind."""
+        if not self._gusts:
+            return
+        rise_s = self._params.gust_rise_s
+        speed = 0.0
+        for fault in self._gusts:
+            phase = (tick / self._tick_hz - fault.start_s) / rise_s
+            if 0.0 < phase < 2.0 * gust_count(fault, rise_s):
+                speed += gust_speed(phase, self._peak_mps)
+        if speed == 0.0:
+            return
+        self._steps["gust"] += 1
+        degrees = self._params.gust_direction_deg
+        if degrees is None:
+            wind += speed * mean_direction
+        else:
+            wind[0] += speed * math.cos(math.radians(degrees))
+            wind[1] += speed * math.sin(math.radians(degrees))
+
+    def lidar_mount(self, tick: int, told: Pose) -> Pose:
+        """The true ``body_from_lidar`` of a scan that ends at ``tick``; may be asked from any
+        thread."""
+        if self._knock is None or self._mount.since(tick) is None:
+            return told
+        return Pose(
+            told.rotation @ self._knock.rotation, told.translation + self._knock.translation
+        )
+
+    def summary(self) -> list[dict[str, Any]]:
+        """As ``sim.faults.injector.FaultInjector.summary``, in control steps."""
+        found = []
+        for kind, faults, name in (
+            ("motor_loss", self._motor.faults, "commands"),
+            ("gust", self._gusts, "air"),
+        ):
+            if faults:
+                text = ", ".join(fault.text for fault in faults)
+                found.append({"fault": text, "messages": {name: self._steps[kind]}})
+        return found
+
+
+def gust_speed(phase: float, peak_mps: float) -> float:
+    """Of the discrete gust, ``phase`` in times of rise: 0 at 0, ``peak_mps`` at 1, 0 at 2."""
+    return 0.5 * peak_mps * (1.0 - math.cos(math.pi * phase))
+
+
+def gust_count(fault: Fault, rise_s: float) -> int:
+    """Whole gusts of two times of rise that fit into a fault, at least one."""
+    if fault.duration_s is None:
+        return 1
+    return max(1, math.floor(fault.duration_s / (2.0 * rise_s) + 1e-9))
+
+
+def _knock(params: FaultParams, seed: int) -> Pose:
+    """Turn (LIDAR axes) and shift (body axes) of exactly the stated sizes."""
+    axis, way = random_stream(seed, "miscalibration").standard_normal((2, 3))
+    turn = math.radians(params.miscalibration_deg) * axis / np.linalg.norm(axis)
+    return Pose(so3_exp(turn), params.miscalibration_m * way / np.linalg.norm(way))

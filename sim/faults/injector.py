@@ -1,0 +1,231 @@
+"""Puts scheduled faults between the sensors and those who read them.
+
+Faults befall messages at the moment of their delivery, so that estimator, mapper, lander and
+recorder see the same. A fault without duration befalls one message of each of its streams.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from touchdown.sim.api import (
+    FAULT_KINDS,
+    CameraImage,
+    Fault,
+    FaultParams,
+    GpsFix,
+    LidarScan,
+    Observation,
+)
+from touchdown.sim.faults.types import LASTING_KINDS, WORLD_KINDS
+
+_STREAMS = ("scans", "images", "gps")
+_STAMPS: dict[type, tuple[str, ...]] = {
+    LidarScan: ("start_tick", "end_tick", "start_time_s", "end_time_s"),
+    CameraImage: ("tick", "time_s"),
+    GpsFix: ("tick", "time_s"),
+}
+
+
+class FaultInjector:
+    """``apply`` is called with every observation, in order. Without a schedule it hands them
+    through untouched. Raises ValueError for a schedule that is not understood."""
+
+    def __init__(self, params: FaultParams, tick_hz: int) -> None:
+        self._streams = {
+            name: _FaultyStream(
+                [
+                    _Pending(fault, tick_hz)
+                    for fault in params.schedule()
+                    if name in FAULT_KINDS[fault.kind]
+                ],
+                params,
+                tick_hz,
+            )
+            for name in _STREAMS
+        }
+        self._idle = not params.events
+
+    def apply(self, obs: Observation) -> Observation:
+        """The observation as the faults leave it; the messages given are not written to."""
+        if self._idle:
+            return obs
+        changed: dict[str, Any] = {
+            name: stream.pass_on(getattr(obs, name), obs.tick)
+            for name, stream in self._streams.items()
+        }
+        return dataclasses.replace(obs, **changed)
+
+    def summary(self) -> list[dict[str, Any]]:
+        """What every fault did: its text, and how many messages of each stream it befell."""
+        counts: dict[str, dict[str, int]] = {}
+        for name, stream in self._streams.items():
+            for pending in stream.faults:
+                counts.setdefault(pending.fault.text, {})[name] = pending.befallen
+        return [{"fault": text, "messages": streams} for text, streams in counts.items()]
+
+
+@dataclass(slots=True)
+class _Pending:
+    """A fault on one stream."""
+
+    fault: Fault
+    start_tick: int
+    end_tick: int | None
+    befallen: int
+
+    def __init__(self, fault: Fault, tick_hz: int) -> None:
+        self.fault = fault
+        self.start_tick = round(fault.start_s * tick_hz)
+        self.end_tick = None
+        if fault.duration_s is not None:
+            self.end_tick = self.start_tick + max(1, round(fault.duration_s * tick_hz))
+        self.befallen = 0
+
+    def befalls(self, tick: int) -> bool:
+        if tick < self.start_tick:
+            return False
+        if self.end_tick is None:
+            return self.befallen == 0 or self.fault.kind in LASTING_KINDS
+        return tick < self.end_tick
+
+
+class _FaultyStream:
+    """The messages of one sensor on their way."""
+
+    def __init__(self, faults: list[_Pending], params: FaultParams, tick_hz: int) -> None:
+        self.faults = faults
+        self._params, self._tick_hz = params, tick_hz
+        self._late_ticks = round(params.late_s * tick_hz)
+        self._last: Any = None
+        self._held: Any = None
+        self._queue: deque[tuple[int, Any]] = deque()
+        self._content: dict[str, Callable[[Any], Any]] = {
+            "lidar_nan": _not_a_number,
+            "lidar_empty": partial(_pulses, take=slice(0)),
+            "lidar_blind": _without_returns,
+            "camera_black": _black,
+            "gps_jump": partial(_moved, offset=np.array(params.gps_jump_m)),
+            "lidar_frozen": self._frozen,
+            "camera_frozen": self._frozen,
+            "gps_frozen": self._frozen,
+            "timestamp_repeat": lambda m: m if self._last is None else _stamped(m, self._last),
+        }
+
+    def pass_on(self, messages: Iterable[Any], tick: int) -> tuple[Any, ...]:
+        for message in messages:
+            self._take(message, tick)
+        out = []
+        while self._queue and self._queue[0][0] <= tick:
+            out.append(self._queue.popleft()[1])
+        if out:
+            self._last = out[-1]
+        return tuple(out)
+
+    def _take(self, message: Any, tick: int) -> None:
+        due, swap = tick, self._held is not None
+        for pending in self.faults:
+            kind = pending.fault.kind
+            in_world = kind in WORLD_KINDS
+            if not pending.befalls(_measured(message) if in_world else tick):
+                continue
+            pending.befallen += 1
+            if in_world:
+                continue  # it has happened to it already
+            if kind.endswith("_dropout"):
+                return
+            if kind.endswith("_skew"):
+                message = self._skewed(message, pending.start_tick)
+            elif kind == "gps_spoof":
+                message = self._spoofed(message, pending.start_tick)
+            elif kind in self._content:
+                message = self._content[kind](message)
+            elif kind.endswith("_late"):
+                due = tick + self._late_ticks
+            else:
+                swap = True
+        if not swap:
+            self._enqueue(due, message)
+        elif self._held is None:
+            self._held = message
+        else:
+            first, self._held = self._held, None
+            self._enqueue(due, _stamped(first, message))
+            self._enqueue(due, _stamped(message, first))
+
+    def _enqueue(self, due: int, message: Any) -> None:
+        """Nothing overtakes what is already under way."""
+        if self._queue:
+            due = max(due, self._queue[-1][0])
+        self._queue.append((due, message))
+
+    def _skewed(self, message: Any, start_tick: int) -> Any:
+        """With the stamps of a clock that is off, and more so the longer it runs fast."""
+        hz, params = self._tick_hz, self._params
+        since_s = max(0, _measured(message) - start_tick) / hz
+        shift = round((params.skew_s + 1e-6 * params.skew_ppm * since_s) * hz)
+        ticks = {n: getattr(message, n) + shift for n in _STAMPS[type(message)] if "tick" in n}
+        times = {n.replace("tick", "time_s"): tick / hz for n, tick in ticks.items()}
+        return dataclasses.replace(message, **ticks, **times)
+
+    def _spoofed(self, fix: GpsFix, start_tick: int) -> GpsFix:
+        """Drawn away at a constant velocity from where it was when the spoofing began."""
+        velocity = np.array(self._params.gps_spoof_mps)
+        since_s = max(0, fix.tick - start_tick) / self._tick_hz
+        moved = _moved(fix, velocity * since_s)
+        return dataclasses.replace(moved, velocity_world=fix.velocity_world + velocity)
+
+    def _frozen(self, message: Any) -> Any:
+        """What was delivered last, as if it had been measured now."""
+        return message if self._last is None else _stamped(self._last, message)
+
+
+def _measured(message: Any) -> int:
+    """Tick at the end of the measurement, as it is stamped."""
+    return int(message.end_tick if isinstance(message, LidarScan) else message.tick)
+
+
+def _stamped(message: Any, like: Any) -> Any:
+    """``message`` with the time stamps of ``like``."""
+    stamps = {name: getattr(like, name) for name in _STAMPS[type(message)]}
+    return dataclasses.replace(message, **stamps)
+
+
+def _not_a_number(scan: LidarScan) -> LidarScan:
+    return dataclasses.replace(
+        scan,
+        directions=np.full_like(scan.directions, np.nan),
+        ranges=np.full_like(scan.ranges, np.nan),
+    )
+
+
+def _without_returns(scan: LidarScan) -> LidarScan:
+    return dataclasses.replace(
+        scan, ranges=np.zeros_like(scan.ranges), intensity=np.zeros_like(scan.intensity)
+    )
+
+
+def _pulses(scan: LidarScan, take: slice) -> LidarScan:
+    return dataclasses.replace(
+        scan,
+        directions=scan.directions[take],
+        ranges=scan.ranges[take],
+        time_offsets=scan.time_offsets[take],
+        intensity=scan.intensity[take],
+    )
+
+
+def _black(image: CameraImage) -> CameraImage:
+    right = None if image.right_rgb is None else np.zeros_like(image.right_rgb)
+    return dataclasses.replace(image, rgb=np.zeros_like(image.rgb), right_rgb=right)
+
+
+def _moved(fix: GpsFix, offset: Any) -> GpsFix:
+    return dataclasses.replace(fix, position_world=fix.position_world + offset)

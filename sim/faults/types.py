@@ -1,0 +1,189 @@
+"""What can go wrong with a sensor on demand; part of `sim.api`: import it from there."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from touchdown.sim.navigation.types import FORBID_EXTRA
+
+FAULT_KINDS: dict[str, tuple[str, ...]] = {
+    "lidar_nan": ("scans",),
+    "lidar_empty": ("scans",),
+    "lidar_blind": ("scans",),
+    "lidar_dropout": ("scans",),
+    "lidar_frozen": ("scans",),
+    "lidar_late": ("scans",),
+    "camera_black": ("images",),
+    "camera_dropout": ("images",),
+    "camera_frozen": ("images",),
+    "camera_late": ("images",),
+    "timestamp_repeat": ("scans", "images"),
+    "timestamp_swap": ("scans", "images"),
+    "gps_dropout": ("gps",),
+    "gps_frozen": ("gps",),
+    "gps_jump": ("gps",),
+    "gps_spoof": ("gps",),
+    "lidar_skew": ("scans",),
+    "camera_skew": ("images",),
+    "gps_skew": ("gps",),
+    "miscalibration": ("scans",),
+    "fog": ("scans", "images"),
+    "rain": ("scans", "images"),
+    "lens_dirt": ("images",),
+    "low_sun": ("images",),
+    "motor_loss": ("commands",),
+    "gust": ("air",),
+}
+"""Kinds of faults and what each befalls: messages, commands to the rotors, the air."""
+
+WORLD_KINDS = frozenset(
+    ("miscalibration", "fog", "rain", "lens_dirt", "low_sun", "motor_loss", "gust")
+)
+"""Those that happen where things are measured, at the time of measuring; others on delivery."""
+
+LASTING_KINDS = (WORLD_KINDS - {"gust"}) | {
+    "gps_spoof", "lidar_skew", "camera_skew", "gps_skew"
+}  # fmt: skip
+"""Those that without a duration last to the end of the flight."""
+
+MOST_MOTOR_LOSS = 0.5
+"""of one rotor's thrust: with more, hovering level is beyond the other three"""
+LEAST_VISIBILITY_M = 5.0
+LEAST_SUN_DEG = 3.0
+
+_FORM = re.compile(r"(?P<kind>[a-z_]+)@(?P<start>[0-9.]+)(\+(?P<duration>[0-9.]+))?")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Fault:
+    """One entry of the schedule; times are those of delivery."""
+
+    kind: str
+    start_s: float
+    duration_s: float | None
+    """None: the first message (of either stream) delivered at ``start_s`` or later, and no other;
+    of a swap the first two; of ``LASTING_KINDS`` the rest of the flight"""
+
+    @property
+    def text(self) -> str:
+        """As it is written in the configuration."""
+        until = "" if self.duration_s is None else f"+{self.duration_s:g}"
+        return f"{self.kind}@{self.start_s:g}{until}"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FaultParams:
+    """Faults put between the sensors and those who read them (``sim/faults/injector.py``)."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    events: tuple[str, ...] = ()
+    """``KIND@START`` or ``KIND@START+DURATION``, seconds of simulated time"""
+    late_s: float = 0.3
+    """additional delay of ``lidar_late`` and ``camera_late``"""
+    gps_jump_m: tuple[float, float, float] = (15.0, -10.0, 5.0)
+    """offset of every position of ``gps_jump``, world frame"""
+    gps_spoof_mps: tuple[float, float, float] = (0.5, -0.3, 0.0)
+    """velocity at which ``gps_spoof`` draws positions away, world frame; it is in the reported
+    velocity as well"""
+    skew_s: float = 0.02
+    """what ``lidar_skew``, ``camera_skew`` and ``gps_skew`` add to stamps, to the nearest tick"""
+    skew_ppm: float = 0.0
+    """and by how much such a clock runs fast, millionths"""
+    miscalibration_deg: float = 1.0
+    """by which the LIDAR sits turned, about an axis drawn from the seed"""
+    miscalibration_m: float = 0.02
+    """and shifted, in a direction drawn from the seed"""
+    motor: int = 0
+    """the rotor of ``motor_loss``, 0 to 3"""
+    motor_loss_share: float = 0.2
+    """of that rotor's thrust, 0 to 0.5"""
+    gust_kmh: float = 30.0
+    """speed up to which a ``gust`` blows, mean wind included"""
+    gust_rise_s: float = 1.5
+    """from its beginning to its peak"""
+    gust_direction_deg: float | None = None
+    """where it blows to, counter-clockwise from east; None: where the mean wind does"""
+    fog_visibility_m: float = 200.0
+    """meteorological optical range in ``fog``: where contrast has fallen to 2 %"""
+    rain_mmph: float = 25.0
+    """rate of ``rain``, millimetres an hour"""
+    dirt_share: float = 0.1
+    """of the picture, below ``lens_dirt``"""
+    dirt_size: float = 0.02
+    """of its blobs (correlation length), as a share of the picture's width"""
+    dirt_transmission: float = 0.4
+    """share of light that passes it"""
+    low_sun_deg: float = 10.0
+    """elevation of ``low_sun``"""
+    low_sun_azimuth_deg: float | None = None
+    """where it stands, counter-clockwise from east; None: where the scene has it"""
+    glare: float = 0.03
+    """share of the sunlight on the lens that strays over the whole picture"""
+
+    def schedule(self) -> tuple[Fault, ...]:
+        """ValueError: an entry that is not understood, in one sentence."""
+        return tuple(parse_fault(text) for text in self.events)
+
+    def check(self, mean_wind_kmh: float) -> None:
+        """ValueError: a key that cannot be, or a schedule that cannot happen, in one sentence."""
+        for name, low, high in _BOUNDS:
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ValueError(
+                    f"faults.{name} = {value:g} is out of range: give {low:g} to {high:g}"
+                )
+        for fault in self.schedule():
+            if fault.kind == "low_sun" and (fault.start_s or fault.duration_s is not None):
+                raise ValueError(
+                    f"fault '{fault.text}': the sun stands still during a flight, give low_sun@0"
+                )
+            if fault.kind == "gust" and self.gust_kmh < mean_wind_kmh:
+                raise ValueError(
+                    f"fault '{fault.text}': faults.gust_kmh = {self.gust_kmh:g} is below "
+                    f"wind.mean_kmh = {mean_wind_kmh:g}, which it includes"
+                )
+
+
+_BOUNDS = (
+    ("skew_s", -1.0, 1.0),
+    ("skew_ppm", -1e4, 1e4),
+    ("miscalibration_deg", 0.0, 20.0),
+    ("miscalibration_m", 0.0, 0.5),
+    ("motor", 0, 3),
+    ("motor_loss_share", 0.0, MOST_MOTOR_LOSS),
+    ("gust_kmh", 0.0, 200.0),
+    ("gust_rise_s", 0.05, 60.0),
+    ("fog_visibility_m", LEAST_VISIBILITY_M, 1e5),
+    ("rain_mmph", 0.0, 200.0),
+    ("dirt_share", 0.0, 0.9),
+    ("dirt_size", 0.002, 0.2),
+    ("dirt_transmission", 0.0, 1.0),
+    ("low_sun_deg", LEAST_SUN_DEG, 90.0),
+    ("glare", 0.0, 1.0),
+)
+"""What keys may be, ends included."""
+
+
+def parse_fault(text: str) -> Fault:
+    """``lidar_dropout@12.5+1`` -> its parts. ValueError: not of that form, unknown, or without
+    length."""
+    match = _FORM.fullmatch(text.strip())
+    if match is None:
+        raise ValueError(
+            f"fault '{text}' is not of the form KIND@START or KIND@START+DURATION in seconds, such "
+            "as lidar_dropout@20+1"
+        )
+    kind = match["kind"]
+    if kind not in FAULT_KINDS:
+        raise ValueError(f"unknown fault '{kind}' in '{text}'; known: {', '.join(FAULT_KINDS)}")
+    try:
+        start = float(match["start"])
+        duration = None if match["duration"] is None else float(match["duration"])
+    except ValueError:
+        raise ValueError(f"fault '{text}': START and DURATION must be numbers of seconds") from None
+    if not math.isfinite(start) or (duration is not None and not duration > 0.0):
+        raise ValueError(f"fault '{text}': DURATION must be above 0 seconds")
+    return Fault(kind=kind, start_s=start, duration_s=duration)

@@ -1,0 +1,1 @@
+"""The ray-cast LIDAR: scan patterns, ray casting, link budget, noise."""

@@ -1,0 +1,1 @@
+"""Scan patterns and data-sheet figures of LIDAR presets."""

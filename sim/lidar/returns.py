@@ -1,0 +1,422 @@
+"""What comes back of a pulse, in compiled single-threaded loops.
+
+Link budget: the range limits that the manufacturer states for targets of given reflectivity are
+joined by power laws in reflectivity times cos(incidence).
+
+Water: mirror facets with Gaussian slopes (Cox and Munk, "Measurement of the roughness of the sea
+surface from photographs of the sun's glitter", JOSA 44, 1954). With Fresnel reflection F at normal
+incidence and slope variance s^2 per axis, the sheet returns as much as a matt target of
+reflectivity F / (8 s^2) exp(-tan^2(incidence) / (2 s^2)); glints fluctuate, so the strength of one
+pulse is exponentially distributed about that mean.
+
+Mixed pixels: where a beam is split by an edge, its parts come back as echoes. Surfaces nearer to
+one another than the pulse is long merge into one echo at their energy-weighted mean range.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from touchdown.sim.lidar.beams import hashed, normal_cell, normal_in
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Int32 = NDArray[np.int32]
+Uint8 = NDArray[np.uint8]
+Uint32 = NDArray[np.uint32]
+Indices = NDArray[np.int64]
+
+_LIMIT_SPREAD = 0.02
+"""Relative standard deviation of the range limit from pulse to pulse."""
+_SURE_SIGMAS = 6.5
+"""Further than this from its mean a deviate of 32 bits never lies."""
+_SURE_STEP_M = 0.5
+
+_WATER_SLOPE_VARIANCE = 0.005
+"""Per axis: inland water in a wind of about 1.5 m/s by Cox and Munk's law."""
+_WATER_FRESNEL = 0.02
+_WATER_PEAK = _WATER_FRESNEL / (8.0 * _WATER_SLOPE_VARIANCE)
+
+_INTENSITY_PER_REFLECTIVITY = 150.0
+"""Livox scale: 0..150 is 0..100 % of a matt target, above lies mirror-like reflection."""
+_WATER_SALT = 0x85EBCA6B
+_LIMIT_SALT = 0x27D4EB2F
+_AIR_SALT = 0x165667B1
+_DROP_SALT = 0x2545F491
+_PORE_SALT = 1 << 8
+"""Plus the geom's id; keeps clear of the salts of a beam's parts."""
+
+_MAP_CELLS = 256.0
+"""Along half a side of the octahedral map of a view: cells of 0.2 to 0.45 degrees."""
+_NEIGHBOUR_RAD = math.radians(0.7)
+_STEP_M = 0.05
+_SLACK = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class LinkBudget:
+    """Range limit by strength (reflectivity times cosine of the incidence)."""
+
+    anchors: Array
+    """(K, 3): limit in metres, its reflectivity, exponent up to the next anchor"""
+    sure: Array
+    """Strength that is detected at any distance up to (i + 1) * 0.5 m, whatever the noise."""
+
+    @staticmethod
+    def of(
+        limits_m: tuple[float, ...], reflectivities: tuple[float, ...], max_m: float
+    ) -> LinkBudget:
+        """Raises ValueError unless both are ascending and at least two."""
+        limits, levels = np.array(limits_m), np.array(reflectivities)
+        if len(limits) < 2 or len(limits) != len(levels) or (np.diff([limits, levels]) <= 0).any():
+            raise ValueError("a link budget needs two or more ascending limits and reflectivities")
+        powers = np.diff(np.log(limits)) / np.diff(np.log(levels))
+        anchors = np.column_stack([limits, levels, np.append(powers, powers[-1])])
+        steps = np.arange(1, math.ceil(max_m / _SURE_STEP_M) + 2) * _SURE_STEP_M
+        reach = steps / (1.0 - _SURE_SIGMAS * _LIMIT_SPREAD)
+        at = np.clip(np.searchsorted(limits, reach) - 1, 0, len(powers) - 1)
+        return LinkBudget(anchors, levels[at] * (reach / limits[at]) ** (1.0 / powers[at]))
+
+    def strength_needed(self, ranges_m: Array) -> Array:
+        """Strength that is just detected at each of the ranges."""
+        limits, levels, powers = self.anchors.T
+        at = np.clip(np.searchsorted(limits, ranges_m) - 1, 0, len(limits) - 2)
+        needed: Array = levels[at] * (ranges_m / limits[at]) ** (1.0 / powers[at])
+        return needed
+
+    def limit_m(self, strength: float) -> float:
+        """Metres at which a target of this strength is just detected."""
+        return float(_limit(strength, self.anchors))
+
+
+@njit(cache=True, forceinline=True)
+def _limit(strength: float, anchors: Array) -> float:
+    if strength <= 0.0:
+        return 0.0
+    k = 0
+    while k < anchors.shape[0] - 2 and strength > anchors[k + 1, 1]:
+        k += 1
+    return anchors[k, 0] * (strength / anchors[k, 1]) ** anchors[k, 2]
+
+
+@njit(cache=True, forceinline=True)
+def _uniform(bits: np.uint32, salt: int) -> float:
+    """A number in (0, 1) from a pulse's random bits and a salt."""
+    return (float(hashed(bits, salt)) + 0.5) / 4294967296.0
+
+
+@njit(cache=True, nogil=True)
+def passing(geom: Int32, cosine: Float32, bits: Uint32, porosity: Float32) -> Indices:
+    """Indices of the rays that pass through what they hit. A ray that entered a porous body leaves
+    it freely: the answer hangs on ray and geom alone, and insides never reflect."""
+    out = np.empty(geom.shape[0], dtype=np.int64)
+    count = 0
+    for i in range(geom.shape[0]):
+        g = geom[i]
+        if g < 0 or porosity[g] <= 0.0:
+            continue
+        if cosine[i] < 0.0 or _uniform(bits[i], _PORE_SALT + g) < porosity[g]:
+            out[count] = i
+            count += 1
+    return out[:count].copy()
+
+
+@njit(cache=True, forceinline=True)
+def _strength(reflectivity: float, wet: bool, cosine: float, bits: np.uint32) -> float:
+    """What a surface sends back: reflectivity times cosine, or a glint of water."""
+    c = abs(cosine)
+    if not wet:
+        return reflectivity * c
+    if c <= 0.0:
+        return 0.0
+    tangent_squared = 1.0 / (c * c) - 1.0
+    mean = _WATER_PEAK * math.exp(-tangent_squared / (2.0 * _WATER_SLOPE_VARIANCE))
+    return mean * -math.log(_uniform(bits, _WATER_SALT))
+
+
+@njit(cache=True)
+def _detected(
+    distance: float, strength: float, bits: np.uint32, anchors: Array, quantiles: Array
+) -> bool:
+    draw = int(hashed(bits, _LIMIT_SALT))
+    cell, _ = normal_cell(draw)
+    deviate = normal_in(draw, quantiles[cell], quantiles[cell + 1])
+    return distance <= _limit(strength, anchors) * (1.0 + _LIMIT_SPREAD * deviate)
+
+
+@njit(cache=True, forceinline=True)
+def _level(strength: float) -> np.uint8:
+    return np.uint8(min(max(_INTENSITY_PER_REFLECTIVITY * strength + 0.5, 1.0), 255.0))
+
+
+@njit(cache=True, nogil=True)
+def receive(
+    rays: Float32,
+    distance: Float32,
+    geom: Int32,
+    cosine: Float32,
+    range_noise: Float32,
+    bits: Uint32,
+    reflectivity: Float32,
+    water: NDArray[np.bool_],
+    ground_geom: int,
+    ground_frame: Array,
+    ground_reflectivity: Float32,
+    anchors: Array,
+    sure: Array,
+    quantiles: Array,
+    range_sigma: float,
+    min_range: float,
+    max_range: float,
+    strengths: Float32,
+    ranges: Float32,
+    intensity: Uint8,
+) -> None:
+    """Undivided pulses: fills ``ranges`` (N,) in metres and ``intensity`` (N,), both 0 where
+    nothing comes back, and ``strengths`` (N,). The ground as in
+    ``sim.lidar.raycast_scene.OpticalTable``."""
+    rows, cols = ground_reflectivity.shape
+    for i in range(rays.shape[0]):
+        strengths[i], ranges[i], intensity[i] = 0.0, 0.0, 0
+        d, g = distance[i], geom[i]
+        if g < 0 or d < min_range or d > max_range:
+            continue
+        rho, wet = reflectivity[g], water[g]
+        if g == ground_geom:
+            col = math.floor((rays[i, 0] + d * rays[i, 3] - ground_frame[0]) * ground_frame[2])
+            row = math.floor((rays[i, 1] + d * rays[i, 4] - ground_frame[1]) * ground_frame[2])
+            if 0 <= row < rows and 0 <= col < cols:
+                rho = ground_reflectivity[row, col]
+                wet = rho < 0.0
+        strength = _strength(rho, wet, cosine[i], bits[i])
+        strengths[i] = strength
+        step = int(d * (1.0 / _SURE_STEP_M))
+        if strength >= sure[step] or _detected(d, strength, bits[i], anchors, quantiles):
+            ranges[i] = max(d + range_sigma * range_noise[i], min_range)
+            intensity[i] = _level(strength)
+
+
+@njit(cache=True, nogil=True)
+def weaken(
+    distance: Float32,
+    bits: Uint32,
+    extinction: float,
+    anchors: Array,
+    quantiles: Array,
+    strengths: Float32,
+    ranges: Float32,
+    intensity: Uint8,
+) -> None:
+    """Undivided pulses through air of this extinction in 1/m, there and back: lowers ``strengths``
+    and ``intensity`` (N,), and takes away the ``ranges`` (N,) of what is too weak by then."""
+    for i in range(distance.shape[0]):
+        if strengths[i] <= 0.0:
+            continue
+        strengths[i] *= math.exp(-2.0 * extinction * distance[i])
+        if ranges[i] > 0.0:
+            if _detected(distance[i], strengths[i], bits[i], anchors, quantiles):
+                intensity[i] = _level(strengths[i])
+            else:
+                ranges[i], intensity[i] = 0.0, 0
+
+
+@njit(cache=True, nogil=True)
+def clutter(
+    bits: Uint32,
+    expected: Array,
+    threshold: Array,
+    spread: float,
+    step_m: float,
+    min_range: float,
+    strongest: bool,
+    ranges: Float32,
+    intensity: Uint8,
+) -> None:
+    """Puts the nearest echo of the air in the place of ``ranges`` and ``intensity`` (N,) where it
+    comes before them, or with ``strongest`` where it is the stronger one. ``expected`` (K,) echoes
+    up to k ``step_m``, each of the strength ``threshold`` (K,) at least. Beyond what just counts,
+    diameters of drops are exponentially distributed, with the relative mean ``spread``."""
+    first = min(math.ceil(min_range / step_m), expected.shape[0] - 1)
+    for i in range(bits.shape[0]):
+        draw = expected[first] - math.log(_uniform(bits[i], _AIR_SALT))
+        if draw >= expected[-1]:
+            continue
+        k = int(np.searchsorted(expected, draw))
+        part = (draw - expected[k - 1]) / (expected[k] - expected[k - 1])
+        r = (k - 1 + part) * step_m
+        width = 1.0 - spread * math.log(_uniform(bits[i], _DROP_SALT))
+        strength = threshold[k] * width * width
+        if ranges[i] > 0.0:
+            if strongest:
+                target = intensity[i] / _INTENSITY_PER_REFLECTIVITY / (ranges[i] * ranges[i])
+                if target >= strength / (r * r):
+                    continue
+            elif ranges[i] <= r:
+                continue
+        ranges[i], intensity[i] = r, _level(strength)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _view_map(nominal: Float32, chosen: Indices) -> tuple[Int32, Int32, int]:
+    """The ``chosen`` (C,) directions on the octahedral map of the sphere, seen from +z: the part of
+    the map that they fill, flat, with one of them in each cell or -1; their cells (C,); its
+    width."""
+    cols, rows = np.empty(chosen.shape[0], np.int32), np.empty(chosen.shape[0], np.int32)
+    for k in range(chosen.shape[0]):
+        x, y, z = nominal[chosen[k], 0], nominal[chosen[k], 1], nominal[chosen[k], 2]
+        scale = 1.0 / (abs(x) + abs(y) + abs(z))
+        u, v = x * scale, y * scale
+        if z < 0.0:
+            u, v = math.copysign(1.0 - abs(v), u), math.copysign(1.0 - abs(u), v)
+        cols[k], rows[k] = int((u + 1.0) * _MAP_CELLS), int((v + 1.0) * _MAP_CELLS)
+    cols -= cols.min() - 1
+    rows -= rows.min() - 1
+    width = cols.max() + 2
+    cells = rows * np.int32(width) + cols
+    grid = np.full(width * (rows.max() + 2), -1, dtype=np.int32)
+    for k in range(chosen.shape[0]):
+        grid[cells[k]] = chosen[k]
+    return grid, cells, width
+
+
+@njit(cache=True, nogil=True)
+def near_edges(
+    nominal: Float32, distance: Float32, cosine: Float32, candidates: Indices
+) -> Indices:
+    """Those of the ``candidates`` (C,) with a neighbour in the view, among the candidates of the
+    same scan, that lies nearer or farther than the slope of either surface explains, or with no
+    neighbour that could tell."""
+    if not candidates.shape[0]:
+        return candidates
+    grid, cells, width = _view_map(nominal, candidates)
+    chosen = np.empty(candidates.shape[0], dtype=np.int64)
+    count = 0
+    for k in range(candidates.shape[0]):
+        i = candidates[k]
+        edge, alone = False, True
+        for place in range(9):
+            j = grid[cells[k] + (place // 3 - 1) * width + place % 3 - 1]
+            if j < 0 or j == i:
+                continue
+            alone = False
+            if abs(distance[i] - distance[j]) <= _STEP_M:
+                continue
+            x = nominal[i, 0] - nominal[j, 0]
+            y = nominal[i, 1] - nominal[j, 1]
+            z = nominal[i, 2] - nominal[j, 2]
+            angle_squared = x * x + y * y + z * z
+            if angle_squared < _NEIGHBOUR_RAD * _NEIGHBOUR_RAD and _apart(
+                distance[i], distance[j], cosine[i], cosine[j], angle_squared
+            ):
+                edge = True
+                break
+        if edge or alone:
+            chosen[count] = i
+            count += 1
+    return chosen[:count].copy()
+
+
+@njit(cache=True, forceinline=True)
+def _apart(
+    distance: float, other: float, cosine: float, other_cosine: float, angle_squared: float
+) -> bool:
+    """Whether two hits lie at ranges that no plane through one of them explains. The angle between
+    their rays comes squared; so does the whole comparison, which spares two roots."""
+    gap = abs(distance - other) - _STEP_M
+    if not gap > 0.0:  # also where neither hits anything
+        return False
+    c = max(min(abs(cosine), abs(other_cosine)), 0.05)
+    reach = _SLACK * min(distance, other)
+    return gap * gap * c * c > reach * reach * angle_squared * (1.0 - c * c)
+
+
+@njit(cache=True, nogil=True)
+def probed_apart(
+    pulses: Indices,
+    distance: Float32,
+    cosine: Float32,
+    end_distance: Float32,
+    end_cosine: Float32,
+    other_end_distance: Float32,
+    other_end_cosine: Float32,
+    angle_squared: float,
+) -> Indices:
+    """Those of ``pulses`` (K,) one of whose ends (K,), an angle off the axis, finds another surface
+    than the axis (``distance``, ``cosine`` of all pulses): positions in
+    ``pulses``."""
+    out = np.empty(pulses.shape[0], dtype=np.int64)
+    count = 0
+    for k in range(pulses.shape[0]):
+        d, c = distance[pulses[k]], cosine[pulses[k]]
+        if _apart(d, end_distance[k], c, end_cosine[k], angle_squared) or _apart(
+            d, other_end_distance[k], c, other_end_cosine[k], angle_squared
+        ):
+            out[count] = k
+            count += 1
+    return out[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def receive_split(
+    pulses: Indices,
+    part_distance: Float32,
+    part_strength: Float32,
+    bits: Uint32,
+    range_noise: Float32,
+    pulse_length: float,
+    strongest: bool,
+    anchors: Array,
+    quantiles: Array,
+    range_sigma: float,
+    min_range: float,
+    ranges: Float32,
+    intensity: Uint8,
+) -> None:
+    """Divided pulses: overwrites ``ranges`` and ``intensity`` of ``pulses`` (K,) by the first or
+    the strongest echo of their P equal parts: distances and strengths (K, P), sorted here in place;
+    no strength where a part meets nothing. ``bits`` and ``range_noise`` (N,) of all pulses."""
+    parts = part_distance.shape[1]
+    for k in range(pulses.shape[0]):
+        i = pulses[k]
+        distances, strengths = part_distance[k], part_strength[k]
+        _sort_parts(distances, strengths)
+        best_range, best_strength, best_power = 0.0, 0.0, 0.0
+        p = 0
+        while p < parts and distances[p] < np.inf:
+            start = distances[p]
+            strength, power, moment = 0.0, 0.0, 0.0
+            while p < parts and distances[p] - start <= pulse_length:
+                d, s = distances[p], strengths[p]
+                strength += s / parts
+                power += s / (d * d + 1e-9)
+                moment += d * s / (d * d + 1e-9)
+                p += 1
+            mean = moment / power
+            if not _detected(mean, strength, bits[i], anchors, quantiles):
+                continue
+            if power > best_power:
+                best_range, best_strength, best_power = mean, strength, power
+            if not strongest:
+                break
+        ranges[i], intensity[i] = 0.0, 0
+        if best_power > 0.0:
+            ranges[i] = max(best_range + range_sigma * range_noise[i], min_range)
+            intensity[i] = _level(best_strength)
+
+
+@njit(cache=True, forceinline=True)
+def _sort_parts(distance: Float32, strength: Float32) -> None:
+    """By distance, a few of them, in place; parts without strength go last."""
+    for a in range(distance.shape[0]):
+        if strength[a] <= 0.0:
+            distance[a] = np.inf
+        b = a
+        while b > 0 and distance[b - 1] > distance[b]:
+            distance[b - 1], distance[b] = distance[b], distance[b - 1]
+            strength[b - 1], strength[b] = strength[b], strength[b - 1]
+            b -= 1

@@ -1,0 +1,443 @@
+"""A scanning LIDAR on a moving vehicle: pulses, returns, noise and intensity.
+
+Every pulse is cast from the pose of its own instant. Whether it comes back follows from a link
+budget through the manufacturer's range limits; water reflects like the rough mirror it is; a beam
+that an edge splits comes back as several echoes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from statistics import NormalDist
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import Scene
+from touchdown.sim.api import LidarParams, LidarScan
+from touchdown.sim.faults.weather import Weather
+from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
+from touchdown.sim.lidar import beams, returns
+from touchdown.sim.lidar.patterns.livox import ScanPattern, pattern
+from touchdown.sim.lidar.raycast_scene import Hits, LidarScene, RayTarget, rays_behind
+from touchdown.sim.lidar.weather import Clutter, LidarWeather
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Uint32 = NDArray[np.uint32]
+Indices = NDArray[np.int64]
+
+MovingTrack = Pose | tuple[Array, Array]
+"""A moving body during a scan: one pose, or (positions (M, 3), quats_wxyz (M, 4)) at the same
+instants as the vehicle's own track."""
+
+_MOST_PASSES = 5
+"""Porous surfaces that one pulse may cross (each crown counts twice: in and out)."""
+_STEP_BEHIND_M = 1e-3
+_ON_AXIS: Array = np.zeros((1, 3))
+_CONE_MARGIN_RAD = 0.02
+"""Beyond the outermost pulse of the first second: later pulses, pointing errors, beam width."""
+_FWHM_PER_SIGMA = 2.3548200450309493
+_ACROSS = (4, 0, 5, 3, 1, 6, 2)
+"""Quantile of a beam's part across its long axis; the index is the one along it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Track:
+    """World poses of one body at ascending instants: (M,), (M, 3), (M, 3, 3)."""
+
+    times_s: Array
+    positions: Array
+    rotations: Array
+
+    @staticmethod
+    def of(times_s: Array, positions: Array, quats_wxyz: Array) -> _Track:
+        return _Track(
+            np.ascontiguousarray(times_s, dtype=np.float64),
+            np.ascontiguousarray(positions, dtype=np.float64),
+            beams.rotations_of(np.ascontiguousarray(quats_wxyz, dtype=np.float64)),
+        )
+
+    def mounted(self, mount: Pose) -> _Track:
+        """The track of something at the pose ``mount`` on the body."""
+        return _Track(
+            self.times_s,
+            self.positions + self.rotations @ mount.translation,
+            np.ascontiguousarray(self.rotations @ mount.rotation),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Rays:
+    """World rays (N, 6) with the instants (N,), range noise (N,) and random bits (N,) of each."""
+
+    rays: Float32
+    times: Array
+    range_noise: Float32
+    bits: Uint32
+
+    def at(self, rows: Indices) -> _Rays:
+        return _Rays(self.rays[rows], self.times[rows], self.range_noise[rows], self.bits[rows])
+
+    @staticmethod
+    def joined(*groups: _Rays) -> _Rays:
+        return _Rays(
+            np.concatenate([group.rays for group in groups]),
+            np.concatenate([group.times for group in groups]),
+            np.concatenate([group.range_noise for group in groups]),
+            np.concatenate([group.bits for group in groups]),
+        )
+
+
+_Movers = list[tuple[RayTarget, _Track]]
+
+
+class LidarSensor:
+    """Simulates the LIDAR that ``params.preset`` names in ``scene``.
+
+    ``scan`` is a pure function of its arguments, the scene and the seed: it may run in any thread
+    beside the physics. Without ``weather`` the air is clear. Raises ValueError for an unknown
+    preset or return mode.
+    """
+
+    def __init__(
+        self, scene: Scene, params: LidarParams, seed: int, weather: Weather | None = None
+    ) -> None:
+        if params.return_mode not in ("first", "strongest"):
+            raise ValueError(
+                f"unknown LIDAR return mode '{params.return_mode}': choose first or strongest"
+            )
+        self._pattern = pattern(params.preset)
+        self._params = params
+        self._scene = LidarScene(scene)
+        key = np.random.default_rng([seed, crc32(b"lidar")]).integers(2**64, dtype=np.uint64)
+        self._key = np.uint64(key)
+        self._quantiles = beams.quantile_table()
+        self._parts = beam_parts(self._pattern)
+        outermost = self._pattern.directions(0, self._pattern.point_rate_hz)[:, 2].min()
+        self._cone_rad = float(np.arccos(outermost)) + _CONE_MARGIN_RAD
+        self._max_range = min(params.max_range_m, self._pattern.max_range_m)
+        self._budget = returns.LinkBudget.of(
+            self._pattern.range_limits_m, self._pattern.range_reflectivities, self._max_range
+        )
+        self._weather = None
+        if weather is not None and weather.ever:
+            self._weather = LidarWeather(
+                weather, self._pattern, params, self._budget, self._quantiles
+            )
+
+    @property
+    def scene(self) -> LidarScene:
+        """What the rays are cast against."""
+        return self._scene
+
+    def scan(
+        self,
+        start_tick: int,
+        end_tick: int,
+        tick_hz: int,
+        body_times_s: Array,
+        body_positions: Array,
+        body_quats_wxyz: Array,
+        body_from_lidar: Pose,
+        moving_poses: Mapping[str, MovingTrack],
+    ) -> LidarScan:
+        """All pulses fired in (start_tick, end_tick].
+
+        The vehicle's track: body_times_s (M,) seconds, ascending, covering the scan (a pose per
+        tick, both ends included); body_positions (M, 3) world metres; body_quats_wxyz (M, 4)
+        world_from_body. ``moving_poses`` by body name; a body left out stays at its rest pose.
+
+        Raises ValueError when the track does not cover the scan or a name is not a moving body's.
+        """
+        rate = self._pattern.point_rate_hz
+        first = start_tick * rate // tick_hz + 1
+        count = end_tick * rate // tick_hz + 1 - first
+        start_s = start_tick / tick_hz
+        self._check_track(body_times_s, start_s, end_tick / tick_hz)
+        nominal = self._pattern.directions(first, count)
+        body = _Track.of(body_times_s, body_positions, body_quats_wxyz)
+        track = body.mounted(body_from_lidar)
+        pulses = self._aim(first, nominal, np.arange(count), _ON_AXIS, track)
+        movers = self._in_view(track, self._movers(body_times_s, moving_poses))
+        clutter = self._weather.at(end_tick) if self._weather is not None else None
+        ranges, intensity = self._measure(first, nominal, pulses, track, movers, clutter)
+        return LidarScan(
+            start_tick=start_tick,
+            end_tick=end_tick,
+            start_time_s=start_s,
+            end_time_s=end_tick / tick_hz,
+            directions=_frozen(nominal),
+            ranges=_frozen(ranges),
+            time_offsets=_frozen((pulses.times - start_s).astype(np.float32)),
+            intensity=_frozen(intensity),
+        )
+
+    # ---------------------------------------------------------------------------- beams
+
+    def _aim(
+        self, first: int, nominal: Float32, chosen: Indices, offsets: Array, track: _Track
+    ) -> _Rays:
+        """The rays of the ``chosen`` pulses, one for each of the ``offsets`` (S, 3) from the axis;
+        those of one pulse follow one another."""
+        rate = self._pattern.point_rate_hz
+        count = len(chosen) * len(offsets)
+        times = (first + chosen) / rate
+        rays = _Rays(
+            np.empty((count, 6), dtype=np.float32),
+            times if len(offsets) == 1 else np.repeat(times, len(offsets)),
+            np.empty(count, dtype=np.float32),
+            np.empty(count, dtype=np.uint32),
+        )
+        beams.aim(
+            first,
+            rate,
+            chosen,
+            offsets,
+            nominal,
+            self._key,
+            self._quantiles,
+            np.deg2rad(self._params.angle_sigma_deg),
+            track.times_s,
+            track.positions,
+            track.rotations,
+            rays.rays,
+            rays.range_noise,
+            rays.bits,
+        )
+        return rays
+
+    def _movers(self, times_s: Array, poses: Mapping[str, MovingTrack]) -> _Movers:
+        unknown = sorted(set(poses) - set(self._scene.moving))
+        if unknown:
+            raise ValueError(
+                f"'{unknown[0]}' is not a moving body of the scene: name one of "
+                f"{', '.join(sorted(self._scene.moving)) or 'none (the scene is static)'}"
+            )
+        movers = []
+        for name, target in self._scene.moving.items():
+            motion = poses.get(name, self._scene.rest_poses[name])
+            if isinstance(motion, Pose):
+                positions = motion.translation[None]
+                quats = quat_wxyz_from_matrix(motion.rotation)[None]
+                movers.append((target, _Track.of(times_s[:1], positions, quats)))
+            else:
+                movers.append((target, _Track.of(times_s, *motion)))
+        return movers
+
+    def _in_view(self, track: _Track, movers: _Movers) -> _Movers:
+        """The moving bodies that may come into the field of view during a scan."""
+        middle = len(track.times_s) // 2
+        eye, boresight = track.positions[middle], track.rotations[middle][:, 2]
+        wander = float(np.abs(track.positions - eye).max())
+        turning = float(np.abs(track.rotations[:, :, 2] - boresight).max())
+        seen = []
+        for target, motion in movers:
+            centers = motion.positions + motion.rotations @ target.center
+            apart = centers[len(centers) // 2] - eye
+            distance = float(np.linalg.norm(apart))
+            reach = target.radius + 2.0 * (wander + float(np.abs(centers - centers[0]).max()))
+            if reach < distance:
+                off_axis = np.arccos(np.clip(apart @ boresight / distance, -1.0, 1.0))
+                if off_axis - np.arcsin(reach / distance) - 2.0 * turning > self._cone_rad:
+                    continue
+            seen.append((target, motion))
+        return seen
+
+    # ----------------------------------------------------------------------------- hits
+
+    def _cast(
+        self, rays: Float32, times: Array, movers: _Movers, *, open_ground: bool = False
+    ) -> tuple[Hits, Indices]:
+        """Nearest hits over the static scene and every moving body, and the indices (with repeats)
+        of the rays that came near more than open ground, which is looked for on request."""
+        static, others = self._scene.static, np.arange(len(rays))
+        if static is None:
+            hits = Hits.none(len(rays))
+        elif open_ground:
+            hits, others = static.cast_apart(rays)
+        else:
+            hits = static.cast_all(rays)
+        for target, track in movers:
+            chosen, local = beams.rays_near(
+                rays,
+                times,
+                track.times_s,
+                track.positions,
+                track.rotations,
+                target.center,
+                target.radius,
+            )
+            if not chosen.size:
+                continue
+            found = target.cast(local)
+            nearer = found.distance < hits.distance[chosen]
+            hits.put(chosen[nearer], found.at(nearer))
+            others = np.concatenate([others, chosen])
+        return hits, others
+
+    def _penetrate(self, pulses: _Rays, hits: Hits, movers: _Movers) -> None:
+        """Replaces hits on porous surfaces by what lies behind, where the pulse passes."""
+        porosity = self._scene.optics.porosity
+        if not porosity.any():
+            return
+        passing = returns.passing(hits.geom, hits.cosine, pulses.bits, porosity)
+        for _ in range(_MOST_PASSES):
+            if not passing.size:
+                return
+            onward, travelled = rays_behind(
+                pulses.rays[passing], hits.distance[passing] + np.float32(_STEP_BEHIND_M)
+            )
+            behind, _ = self._cast(onward, pulses.times[passing], movers)
+            behind.distance[:] += travelled
+            hits.put(passing, behind)
+            again = returns.passing(behind.geom, behind.cosine, pulses.bits[passing], porosity)
+            passing = passing[again]
+        hits.geom[passing] = -1
+
+    # -------------------------------------------------------------------------- returns
+
+    def _measure(
+        self,
+        first: int,
+        nominal: Float32,
+        pulses: _Rays,
+        track: _Track,
+        movers: _Movers,
+        clutter: Clutter | None,
+    ) -> tuple[Float32, NDArray[np.uint8]]:
+        """Ranges and intensities of all pulses."""
+        hits, others = self._cast(pulses.rays, pulses.times, movers, open_ground=True)
+        split = np.empty(0, dtype=np.int64)
+        if self._params.divergence:
+            split, parts, part_hits = self._split(first, nominal, hits, others, track, movers)
+            pulses, hits = _Rays.joined(pulses, *parts), Hits.joined(hits, *part_hits)
+        self._penetrate(pulses, hits, movers)
+        strengths, ranges, intensity = self._receive(pulses, hits)
+        if clutter is not None:
+            clutter.weaken(hits.distance, pulses.bits, strengths, ranges, intensity)
+        count = len(nominal)
+        ranges, intensity = ranges[:count], intensity[:count]
+        if split.size:
+            returns.receive_split(
+                split,
+                _parts_of(split, count, hits.distance),
+                _parts_of(split, count, strengths),
+                pulses.bits,
+                pulses.range_noise,
+                self._params.pulse_length_m,
+                self._params.return_mode == "strongest",
+                self._budget.anchors,
+                self._quantiles,
+                self._params.range_sigma_m,
+                self._params.min_range_m,
+                ranges,
+                intensity,
+            )
+        if clutter is not None:
+            clutter.scatter(pulses.bits[:count], ranges, intensity)
+        return ranges, intensity
+
+    def _split(
+        self,
+        first: int,
+        nominal: Float32,
+        hits: Hits,
+        others: Indices,
+        track: _Track,
+        movers: _Movers,
+    ) -> tuple[Indices, list[_Rays], list[Hits]]:
+        """The pulses that an edge divides; rays and first hits of their parts off the axis, part by
+        part. Open ground divides none, and neighbours tell where edges may be; there, two probes
+        at the ends of a beam tell whether its rest is worth casting."""
+        near = np.zeros(len(nominal), dtype=np.bool_)
+        near[others] = True
+        others = returns.near_edges(nominal, hits.distance, hits.cosine, np.flatnonzero(near))
+        angle_squared = float(np.sum(self._parts[0, :2] ** 2))
+        probes = [self._aim(first, nominal, others, end[None], track) for end in self._parts[:2]]
+        found = [self._cast(probe.rays, probe.times, movers)[0] for probe in probes]
+        kept = returns.probed_apart(
+            others,
+            hits.distance,
+            hits.cosine,
+            found[0].distance,
+            found[0].cosine,
+            found[1].distance,
+            found[1].cosine,
+            angle_squared,
+        )
+        split = others[kept]
+        parts = self._aim(first, nominal, split, self._parts[2:], track)
+        rest, _ = self._cast(parts.rays, parts.times, movers)
+        rows = np.arange(len(parts.rays)).reshape(len(split), len(self._parts) - 2).T.ravel()
+        return (
+            split,
+            [*(probe.at(kept) for probe in probes), parts.at(rows)],
+            [*(end_hits.at(kept) for end_hits in found), rest.at(rows)],
+        )
+
+    def _receive(self, pulses: _Rays, hits: Hits) -> tuple[Float32, Float32, NDArray[np.uint8]]:
+        """Strengths, ranges and intensities of rays as pulses of their own."""
+        optics = self._scene.optics
+        strengths = np.empty(len(pulses.rays), dtype=np.float32)
+        ranges = np.empty(len(pulses.rays), dtype=np.float32)
+        intensity = np.empty(len(pulses.rays), dtype=np.uint8)
+        returns.receive(
+            pulses.rays,
+            hits.distance,
+            hits.geom,
+            hits.cosine,
+            pulses.range_noise,
+            pulses.bits,
+            optics.reflectivity,
+            optics.water,
+            optics.ground_geom,
+            optics.ground_frame,
+            optics.ground_reflectivity,
+            self._budget.anchors,
+            self._budget.sure,
+            self._quantiles,
+            self._params.range_sigma_m,
+            self._params.min_range_m,
+            self._max_range,
+            strengths,
+            ranges,
+            intensity,
+        )
+        return strengths, ranges, intensity
+
+    @staticmethod
+    def _check_track(times_s: Array, start_s: float, end_s: float) -> None:
+        if len(times_s) == 0 or times_s[0] > start_s + 1e-9 or times_s[-1] < end_s - 1e-9:
+            raise ValueError(
+                f"the body track must cover the scan from {start_s:.4f} s to {end_s:.4f} s: "
+                "give a pose at every tick, both ends included"
+            )
+
+
+def _parts_of(split: Indices, count: int, values: Float32) -> Float32:
+    """(K, P) values of the parts of split pulses; the axes are in the first ``count``, after them
+    come the other parts, one after another."""
+    off_axis = values[count:].reshape(-1, len(split)).T
+    return np.ascontiguousarray(np.concatenate([values[split, None], off_axis], axis=1))
+
+
+def beam_parts(scan_pattern: ScanPattern) -> Array:
+    """The parts of a beam off its axis, which together with the axis carry a seventh of the power
+    each: (6, 3), radians along the LIDAR's x and y, and a number. The two ends come first.
+
+    The data sheet's divergence is read as the full width at half maximum of a Gaussian profile;
+    along either axis the parts lie at its quantiles."""
+    count = len(_ACROSS)
+    levels = np.array([NormalDist().inv_cdf((k + 0.5) / count) for k in range(count)])
+    sigma_x, sigma_y = np.deg2rad(scan_pattern.divergence_deg) / _FWHM_PER_SIGMA
+    offsets = np.column_stack([sigma_x * levels[list(_ACROSS)], sigma_y * levels])
+    ends_first = [0, count - 1, *(k for k in range(1, count - 1) if k != count // 2)]
+    return np.column_stack([offsets[ends_first], np.arange(1, count)])
+
+
+def _frozen(array: np.ndarray) -> np.ndarray:
+    array.setflags(write=False)
+    return array

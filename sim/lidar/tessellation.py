@@ -1,0 +1,190 @@
+"""Triangles of MuJoCo geoms, for ray casting outside MuJoCo.
+
+Height fields get the triangulation that MuJoCo itself casts rays against. Round shapes are wrapped
+in triangles that lie outside of them everywhere, so that no ray that meets the shape misses its
+wrapping; where exactly it meets the shape is then a matter of `sim.lidar.quadrics`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Triangles = NDArray[np.int32]
+Mesh = tuple[Array, Triangles]
+"""Vertices (V, 3) in metres, geom frame; triangles (T, 3), counter-clockwise seen from outside."""
+
+CHORD_M = 1e-3
+"""About the largest gap between a round surface up to 1 m in radius and its wrapping."""
+CHORD_RELATIVE = 1e-3
+"""The same for larger ones, as a share of the radius."""
+POROUS_CHORD_RELATIVE = 1e-2
+"""The same for crowns and reeds, which are many."""
+_MARGIN = 1.0 + 1e-5
+"""Keeps a wrapping outside after its corners are rounded to single precision."""
+
+_PLANE_CELL_M = 25.0
+_FEWEST_SEGMENTS = 12
+
+_BOX_CORNERS = np.array(
+    [[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)], dtype=np.float64
+)
+_BOX_QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+
+
+def geom_mesh(
+    model: mujoco.MjModel, geom_id: int, plane_reach_m: float, porous: bool = False
+) -> Mesh | None:
+    """Triangles of one geom in the geom's own frame, or None for a kind that has no surface here
+    (signed-distance and flexible shapes). An unbounded plane reaches ``plane_reach_m`` around its
+    origin."""
+    size = np.array(model.geom_size[geom_id])
+    kind = int(model.geom_type[geom_id])
+    data_id = int(model.geom_dataid[geom_id])
+    types = mujoco.mjtGeom
+    if kind == types.mjGEOM_PLANE:
+        return plane(np.where(size[:2] > 0.0, size[:2], plane_reach_m))
+    if kind == types.mjGEOM_HFIELD:
+        return height_field(model, data_id)
+    if kind == types.mjGEOM_MESH:
+        return _stored_mesh(model, data_id)
+    if kind == types.mjGEOM_BOX:
+        return box(size)
+    if kind == types.mjGEOM_SPHERE:
+        return ellipsoid(np.full(3, size[0]), porous)
+    if kind == types.mjGEOM_ELLIPSOID:
+        return ellipsoid(size, porous)
+    if kind == types.mjGEOM_CYLINDER:
+        return cylinder(size[0], size[1], porous)
+    if kind == types.mjGEOM_CAPSULE:
+        return capsule(size[0], size[1], porous)
+    return None
+
+
+def plane(half_sizes: Array) -> Mesh:
+    """A rectangle in z = 0, cut into cells so that single-precision hits stay exact."""
+    counts = np.maximum(1, np.ceil(2.0 * half_sizes / _PLANE_CELL_M)).astype(int)
+    xs = np.linspace(-half_sizes[0], half_sizes[0], counts[0] + 1)
+    ys = np.linspace(-half_sizes[1], half_sizes[1], counts[1] + 1)
+    return _grid_vertices(xs, ys, np.zeros((ys.size, xs.size))), _grid_triangles(ys.size, xs.size)
+
+
+def box(half_sizes: Array) -> Mesh:
+    return _BOX_CORNERS * half_sizes, _quads(np.array(_BOX_QUADS))
+
+
+def height_field(model: mujoco.MjModel, field_id: int) -> Mesh:
+    """Top surface, four sides and underside. The diagonal of every cell runs from its (row, col) to
+    its (row + 1, col + 1) corner, as in MuJoCo's own ray caster."""
+    rows, cols = int(model.hfield_nrow[field_id]), int(model.hfield_ncol[field_id])
+    size_x, size_y, size_z, base = model.hfield_size[field_id]
+    start = int(model.hfield_adr[field_id])
+    heights = model.hfield_data[start : start + rows * cols].reshape(rows, cols) * size_z
+    xs = np.linspace(-size_x, size_x, cols)
+    ys = np.linspace(-size_y, size_y, rows)
+    top = _grid_vertices(xs, ys, heights)
+    index = np.arange(rows * cols).reshape(rows, cols)
+    rim = np.concatenate([index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]])
+    skirt = top[rim] * [1.0, 1.0, 0.0] - [0.0, 0.0, base]
+    below = top.shape[0] + np.arange(rim.size)
+    sides = np.stack([rim, below, np.roll(below, -1), np.roll(rim, -1)], axis=-1)
+    corners = below[np.cumsum([0, cols - 1, rows - 1, cols - 1])]
+    underside = corners[None, ::-1]
+    triangles = np.concatenate(
+        [_grid_triangles(rows, cols), _quads(sides), _quads(underside)]
+    ).astype(np.int32)
+    return np.concatenate([top, skirt]), triangles
+
+
+def ellipsoid(semi_axes: Array, porous: bool = False) -> Mesh:
+    segments = _segments(float(semi_axes.max()), porous)
+    angles = np.linspace(-0.5 * math.pi, 0.5 * math.pi, segments // 2 + 1)
+    vertices, triangles = _revolve(np.cos(angles), np.sin(angles), segments)
+    return vertices * semi_axes * _swell(vertices, triangles), triangles
+
+
+def cylinder(radius: float, half_length: float, porous: bool = False) -> Mesh:
+    segments = _segments(radius, porous)
+    outer = radius * _MARGIN / math.cos(math.pi / segments)
+    heights = half_length * np.array([-1.0, -1.0, 1.0, 1.0])
+    return _revolve(np.array([0.0, outer, outer, 0.0]), heights, segments)
+
+
+def capsule(radius: float, half_length: float, porous: bool = False) -> Mesh:
+    segments = _segments(radius, porous)
+    quarter = np.linspace(0.0, 0.5 * math.pi, segments // 4 + 1)
+    radii, heights = np.cos(quarter), np.sin(quarter)
+    ball = _revolve(
+        np.concatenate([radii[::-1], radii]), np.append(-heights[::-1], heights), segments
+    )
+    outer = radius * _swell(*ball)
+    caps = half_length + outer * heights
+    return _revolve(
+        outer * np.concatenate([radii[::-1], radii]), np.append(-caps[::-1], caps), segments
+    )
+
+
+def _stored_mesh(model: mujoco.MjModel, mesh_id: int) -> Mesh:
+    vertex, face = int(model.mesh_vertadr[mesh_id]), int(model.mesh_faceadr[mesh_id])
+    vertices = model.mesh_vert[vertex : vertex + int(model.mesh_vertnum[mesh_id])]
+    triangles = model.mesh_face[face : face + int(model.mesh_facenum[mesh_id])]
+    return vertices.astype(np.float64), triangles.astype(np.int32)
+
+
+def _segments(radius: float, porous: bool) -> int:
+    """Even number of edges round a circle that keeps the chord error."""
+    chord = POROUS_CHORD_RELATIVE * radius if porous else max(CHORD_M, CHORD_RELATIVE * radius)
+    if chord >= radius:
+        return _FEWEST_SEGMENTS
+    needed = math.pi / math.acos(1.0 - chord / radius)
+    return 4 * math.ceil(max(needed, _FEWEST_SEGMENTS) / 4.0)
+
+
+def _swell(vertices: Array, triangles: Triangles) -> float:
+    """Factor that puts the faces of a tessellated unit sphere just outside of it."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    distances = np.einsum("ij,ij->i", a, normals) / np.linalg.norm(normals, axis=1)
+    return _MARGIN / float(distances.min())
+
+
+def _revolve(radii: Array, heights: Array, segments: int) -> Mesh:
+    """Surface of revolution about z of a profile that rises from the bottom pole to the top one."""
+    angles = 2.0 * math.pi * np.arange(segments) / segments
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    vertices = np.empty((radii.size, segments, 3))
+    vertices[..., :2] = radii[:, None, None] * ring
+    vertices[..., 2] = heights[:, None]
+    index = np.arange(radii.size * segments).reshape(radii.size, segments)
+    following = np.roll(index, -1, axis=1)
+    quads = np.stack([index[:-1], following[:-1], following[1:], index[1:]], axis=-1)
+    triangles = _quads(quads.reshape(-1, 4))
+    corners = vertices.reshape(-1, 3)
+    return corners, triangles[_areas(corners, triangles) > 0.0]
+
+
+def _areas(vertices: Array, triangles: Triangles) -> Array:
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    areas: Array = np.linalg.norm(np.cross(b - a, c - a), axis=-1)
+    return np.where(areas > 1e-12 * areas.max(), areas, 0.0)
+
+
+def _grid_vertices(xs: Array, ys: Array, heights: Array) -> Array:
+    grid_x, grid_y = np.meshgrid(xs, ys)
+    return np.stack([grid_x, grid_y, heights], axis=-1).reshape(-1, 3)
+
+
+def _grid_triangles(rows: int, cols: int) -> Triangles:
+    index = np.arange(rows * cols).reshape(rows, cols)
+    corners = [index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]]
+    return _quads(np.stack(corners, axis=-1).reshape(-1, 4))
+
+
+def _quads(corners: NDArray[np.int64]) -> Triangles:
+    """(Q, 4) counter-clockwise corners -> (2 Q, 3), cut from corner 0 to corner 2."""
+    halves = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]], axis=0)
+    return halves.astype(np.int32)

@@ -1,0 +1,196 @@
+"""Fog and rain before a LIDAR: weaker echoes of targets, and echoes of the air itself.
+
+An echo of the strength s (reflectivity times cosine) at the range d arrives with s exp(-2 e d), e
+the extinction of ``sim.faults.weather``, and is found or not by the same link budget as in clear
+air. The air itself answers:
+
+- fog is a soft target. Backscatter is e / S with the lidar ratio S = 18.8 sr of water droplets at
+  905 nm (O'Connor, Illingworth and Hogan, J. Atmos. Oceanic Technol. 21, 2004). What lies within
+  one pulse length L acts as a matt target of reflectivity pi L e / S exp(-2 e r). It fluctuates
+  like the sum of 25 speckles, a gamma distribution (Goodman, "Statistical Optics", 1985);
+- rain is single drops, N(D) = 8000 exp(-4.1 R^-0.21 D) per m^3 and mm (Marshall and Palmer, J.
+  Meteor. 5, 1948). A drop in the beam of cross-section A acts as a matt target of reflectivity
+  pi / S * 2 (pi D^2 / 4) / A exp(-2 e r).
+
+An echo of the air counts from the strength that the link budget asks for at its range, or 1 %
+where that is less: near by, where everything is strong, receivers turn their gain down. The chance
+per metre of such an echo makes a Poisson process along the beam; its nearest event is reported.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.sim.api import LidarParams
+from touchdown.sim.faults.weather import Air, Weather, fog_extinction
+from touchdown.sim.lidar import returns
+from touchdown.sim.lidar.patterns.livox import ScanPattern
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Uint8 = NDArray[np.uint8]
+Uint32 = NDArray[np.uint32]
+
+LIDAR_NM = 905.0
+LIDAR_RATIO_SR = 18.8
+LEAST_STRENGTH = 0.01
+"""of an echo of the air that counts, near by"""
+
+_SPECKLES = 25.0
+_DROPS_PER_M3_MM = 8000.0
+_APERTURE_M = 0.01
+"""width of a beam where it leaves the LIDAR; it widens by the divergence"""
+_EXIT_M2 = 0.25 * math.pi * _APERTURE_M**2
+_FOG_SPREAD = 0.05
+_REACH_M, _STEP_M = 60.0, 0.05
+
+
+@dataclass(frozen=True)
+class Beam:
+    """``divergence_rad``: full widths at half maximum along x and y."""
+
+    budget: returns.LinkBudget
+    quantiles: Array
+    divergence_rad: tuple[float, float]
+    pulse_length_m: float
+    min_range_m: float
+    strongest: bool
+
+
+@dataclass(frozen=True)
+class Clutter:
+    """False returns of one kind of air."""
+
+    air: Air
+    beam: Beam
+
+    @cached_property
+    def extinction(self) -> float:
+        """1/m at the LIDAR's wavelength."""
+        return self.air.extinction(LIDAR_NM)
+
+    @cached_property
+    def expected(self) -> Array:
+        """(K,) echoes to be expected between the LIDAR and each of the grid's ranges."""
+        per_metre = self.fog_per_metre() + self.rain_per_metre()
+        return np.concatenate([[0.0], np.cumsum(per_metre[1:] * _STEP_M)])
+
+    @cached_property
+    def threshold(self) -> Array:
+        """(K,) strength from which an echo of the air counts."""
+        return np.maximum(self.beam.budget.strength_needed(grid_m()), LEAST_STRENGTH)
+
+    def fog_per_metre(self) -> Array:
+        """(K,) chance per metre that fog alone is taken for a target."""
+        from scipy.special import gammaincc  # takes a while to load
+
+        if self.air.visibility_m is None:
+            return np.zeros(len(grid_m()))
+        extinction = fog_extinction(self.air.visibility_m, LIDAR_NM)
+        length = self.beam.pulse_length_m
+        strength = math.pi * length * extinction / LIDAR_RATIO_SR * self._both_ways()
+        share: Array = gammaincc(_SPECKLES, _SPECKLES * self.threshold / strength)
+        return share / length
+
+    def rain_per_metre(self) -> Array:
+        """(K,) drops per metre of beam that are large enough to be taken for a target."""
+        rate = self.air.rain_mmph
+        if rate <= 0.0:
+            return np.zeros(len(grid_m()))
+        across, along = (_APERTURE_M + angle * grid_m() for angle in self.beam.divergence_rad)
+        area = 0.25 * math.pi * across * along
+        square_m2 = self.threshold * LIDAR_RATIO_SR * area / (0.5 * math.pi**2 * self._both_ways())
+        return area * drops_larger(1000.0 * np.sqrt(square_m2), rate)
+
+    @cached_property
+    def spread(self) -> float:
+        """Mean by which the diameters of drops that count near by exceed the least, over it; fog
+        hardly differs from pulse to pulse."""
+        if self.air.rain_mmph <= 0.0:
+            return _FOG_SPREAD
+        least_mm = 1000.0 * math.sqrt(2.0 * LEAST_STRENGTH * LIDAR_RATIO_SR / math.pi**2 * _EXIT_M2)
+        return 1.0 / (marshall_palmer_slope(self.air.rain_mmph) * least_mm)
+
+    def weaken(
+        self, distance: Float32, bits: Uint32, strengths: Float32, ranges: Float32, intensity: Uint8
+    ) -> None:
+        """As ``sim.lidar.returns.weaken``, in place."""
+        returns.weaken(
+            distance,
+            bits,
+            self.extinction,
+            self.beam.budget.anchors,
+            self.beam.quantiles,
+            strengths,
+            ranges,
+            intensity,
+        )
+
+    def scatter(self, bits: Uint32, ranges: Float32, intensity: Uint8) -> None:
+        """As ``sim.lidar.returns.clutter``, in place."""
+        returns.clutter(
+            bits,
+            self.expected,
+            self.threshold,
+            self.spread,
+            _STEP_M,
+            self.beam.min_range_m,
+            self.beam.strongest,
+            ranges,
+            intensity,
+        )
+
+    def _both_ways(self) -> Array:
+        return np.exp(-2.0 * self.extinction * grid_m())
+
+
+class LidarWeather:
+    """The clutter of every tick, for one LIDAR."""
+
+    def __init__(
+        self,
+        weather: Weather,
+        pattern: ScanPattern,
+        params: LidarParams,
+        budget: returns.LinkBudget,
+        quantiles: Array,
+    ) -> None:
+        width_x, width_y = np.deg2rad(pattern.divergence_deg).tolist()
+        self._weather = weather
+        self._beam = Beam(
+            budget=budget,
+            quantiles=quantiles,
+            divergence_rad=(width_x, width_y),
+            pulse_length_m=params.pulse_length_m,
+            min_range_m=params.min_range_m,
+            strongest=params.return_mode == "strongest",
+        )
+        self._known: dict[Air, Clutter] = {}
+
+    def at(self, tick: int) -> Clutter | None:
+        """None where the air is clear."""
+        air = self._weather.at(tick)
+        if air is None:
+            return None
+        return self._known.setdefault(air, Clutter(air, self._beam))
+
+
+def drops_larger(diameter_mm: Array, rate_mmph: float) -> Array:
+    """Drops per cubic metre above a diameter, by Marshall and Palmer."""
+    slope = marshall_palmer_slope(rate_mmph)
+    return _DROPS_PER_M3_MM / slope * np.exp(-slope * diameter_mm)
+
+
+def marshall_palmer_slope(rate_mmph: float) -> float:
+    """1/mm, by which the numbers of drops fall with their diameter."""
+    return float(4.1 * rate_mmph**-0.21)
+
+
+def grid_m() -> Array:
+    """(K,) ranges at which the chances are tabulated, metres, from 0."""
+    return np.arange(0.0, _REACH_M + 0.5 * _STEP_M, _STEP_M)

@@ -1,0 +1,1 @@
+"""The small sensors: GPS receiver, barometer, magnetometer, rangefinder, their rates and delays."""

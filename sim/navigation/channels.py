@@ -1,0 +1,121 @@
+"""The small sensors - GPS, barometer, magnetometer, rangefinder - at their own rates and delays."""
+
+from __future__ import annotations
+
+from typing import Generic, Protocol, TypeVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import Scene
+from touchdown.sim.api import (
+    BarometerSample,
+    GpsFix,
+    MagnetometerSample,
+    NavParams,
+    RangefinderSample,
+    SensorNeeds,
+    SimParams,
+)
+from touchdown.sim.delivery import DeliveryQueue, InlineExecutor
+from touchdown.sim.frames import matrix_from_quat_wxyz
+from touchdown.sim.navigation.barometer import BarometerSensor
+from touchdown.sim.navigation.gps import GpsSensor
+from touchdown.sim.navigation.magnetometer import MagnetometerSensor
+from touchdown.sim.navigation.rangefinder import RangefinderSensor
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+
+
+class _Timing(Protocol):
+    @property
+    def period_ticks(self) -> int: ...
+
+    @property
+    def latency_ticks(self) -> int: ...
+
+
+class Channel(Generic[T]):
+    """When one sensor measures, and what of it is on its way."""
+
+    def __init__(self, name: str, timing: _Timing, tick_hz: int, wanted: bool) -> None:
+        if timing.period_ticks < 1 or tick_hz % timing.period_ticks:
+            raise ValueError(
+                f"{name}.period_ticks is {timing.period_ticks}, but it must divide sim.tick_hz "
+                f"({tick_hz})"
+            )
+        if timing.latency_ticks < 0:
+            raise ValueError(f"{name}.latency_ticks must be 0 or more, not {timing.latency_ticks}")
+        self._period = timing.period_ticks if wanted else 0
+        self._latency = timing.latency_ticks
+        self._queue: DeliveryQueue[T] = DeliveryQueue(InlineExecutor())
+
+    def due(self, tick: int) -> bool:
+        """True where a measurement is taken at ``tick``."""
+        return self._period > 0 and tick % self._period == 0
+
+    def send(self, tick: int, sample: T) -> None:
+        """``sample``, measured at ``tick``, arrives after the latency."""
+        self._queue.submit(tick + self._latency, lambda: sample)
+
+    def collect(self, tick: int) -> tuple[T, ...]:
+        """What has arrived by ``tick`` and was not collected yet, oldest first."""
+        return self._queue.collect(tick)
+
+
+class NavSensors:
+    """Those that ``needs`` asks for. Each has its own random numbers, so that none changes when
+    another is added. The first measurement comes one period after tick 0.
+
+    ValueError: a parameter that is impossible, of whatever sensor, asked for or not.
+    """
+
+    def __init__(
+        self, scene: Scene, params: NavParams, sim: SimParams, needs: SensorNeeds, seed: int
+    ) -> None:
+        hz = sim.tick_hz
+        self._gps = GpsSensor(params.gps, hz, seed)
+        self._barometer = BarometerSensor(params.barometer, hz, seed)
+        self._magnetometer = MagnetometerSensor(params.magnetometer, hz, seed)
+        self._rangefinder = RangefinderSensor(scene, params.rangefinder, hz, seed)
+        heard = needs.gps and self._gps.receives
+        self.gps: Channel[GpsFix] = Channel("gps", params.gps, hz, heard)
+        self.barometer: Channel[BarometerSample] = Channel(
+            "barometer", params.barometer, hz, needs.barometer
+        )
+        self.magnetometer: Channel[MagnetometerSample] = Channel(
+            "magnetometer", params.magnetometer, hz, needs.magnetometer
+        )
+        self.rangefinder: Channel[RangefinderSample] = Channel(
+            "rangefinder", params.rangefinder, hz, needs.rangefinder
+        )
+        self.listening = heard or needs.barometer or needs.magnetometer or needs.rangefinder
+        """whether any of them was asked for"""
+
+    def sense(
+        self,
+        tick: int,
+        data: mujoco.MjData,
+        position: Array,
+        quat_wxyz: Array,
+        velocity: Array,
+        rates: Array,
+    ) -> None:
+        """Measures what is due at ``tick`` from the true pose (world_from_body), the world velocity
+        (3,) m/s of the body origin and the body rates (3,) rad/s."""
+        if self.barometer.due(tick):
+            self.barometer.send(tick, self._barometer.sample(tick, float(position[2])))
+        turned = (self.gps.due(tick), self.magnetometer.due(tick), self.rangefinder.due(tick))
+        if not any(turned):
+            return
+        rotation = matrix_from_quat_wxyz(quat_wxyz)
+        if turned[0]:
+            fix = self._gps.sample(tick, rotation, position, velocity, rates)
+            self.gps.send(tick, fix)
+        if turned[1]:
+            self.magnetometer.send(tick, self._magnetometer.sample(tick, rotation))
+        if turned[2]:
+            echo = self._rangefinder.sample(tick, data, rotation, position)
+            self.rangefinder.send(tick, echo)

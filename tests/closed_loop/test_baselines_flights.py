@@ -1,0 +1,59 @@
+"""The baselines in the air: closed loop over a small place."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.flight.run import fly
+
+from support.baselines_support import tiny
+
+
+@pytest.mark.parametrize(
+    ("estimator", "most_m"),
+    [("gps", 3.0), ("optical_flow", 0.3), ("hybrid_flow", 3.0), ("stereo", 0.3)],
+)
+def test_short_survey_in_the_loop(estimator: str, most_m: float) -> None:
+    result = fly(tiny(estimator), None)
+    assert result["outcome"] == "COMPLETED"
+    assert result["position_error_m"]["mean"] < most_m
+    # it flies what it believes: the flown path is off by what the estimate was off, and no more
+    off = abs(result["trajectory_error_m"] - result["position_error_m"]["mean"])
+    assert off < 0.25
+    assert result["position_error_m"]["yaw_deg"] < 5.0
+
+
+def test_landing_without_a_map_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"mapper\.enabled"):
+        load_config(None, ("mapper.enabled=false",), scene="flat")
+
+
+@pytest.mark.parametrize("group", ["optical_flow", "hybrid_flow", "stereo_vo"])
+def test_image_rates_divide_the_cameras_clock(group: str) -> None:
+    with pytest.raises(UsageError, match=rf"{group}\.camera_hz = 7"):
+        load_config(None, (f"{group}.camera_hz=7",), scene="flat")
+
+
+@pytest.mark.slow
+def test_gps_over_twenty_seeds_is_what_its_receiver_predicts() -> None:
+    """The preset ``paper`` predicts a mean 3-D error of 1.01 m, and 0.37 m between flights."""
+    means = []
+    for seed in range(20):
+        config = load_config(
+            None,
+            ("sim.threads=1", "mapper.enabled=false"),
+            scene="flat",
+            estimator="gps",
+            seed=seed,
+            survey_only=True,
+        )
+        result = fly(config, None)
+        assert result["outcome"] == "COMPLETED"
+        means.append(result["position_error_m"]["mean"])
+    # 95 % interval of the mean of twenty flights, by the predicted spread
+    assert abs(np.mean(means) - 1.01) < 1.96 * 0.37 / np.sqrt(20)
+    # chi-square of 19 degrees of freedom: 8.9 to 32.9
+    assert 8.9 < 19 * np.var(means, ddof=1) / 0.37**2 < 32.9

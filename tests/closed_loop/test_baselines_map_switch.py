@@ -1,0 +1,20 @@
+"""A survey without a map is the same survey."""
+
+from __future__ import annotations
+
+from touchdown.experiments.flight.run import fly
+
+from support.baselines_support import tiny
+
+
+def test_positions_do_not_depend_on_whether_a_map_is_made() -> None:
+    """LIDAR and mapper beside it leave every random stream and every message alone."""
+    results = [
+        fly(tiny("optical_flow", f"mapper.enabled={enabled}"), None)
+        for enabled in ("false", "true")
+    ]
+    bare, mapped = results
+    assert bare["position_error_m"] == mapped["position_error_m"]
+    assert bare["trajectory_error_m"] == mapped["trajectory_error_m"]
+    assert bare["map"]["density_per_m2"] == 0.0
+    assert mapped["map"]["density_per_m2"] > 0.0

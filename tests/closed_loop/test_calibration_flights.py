@@ -1,0 +1,164 @@
+"""The calibration from end to end, its file, and flights that are told what it found."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from touchdown.experiments.api import RigErrorParams
+from touchdown.experiments.calibration.evaluate import run_calibration
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.flight.estimator_calibration import erring_rig, told_rig
+from touchdown.experiments.flight.wiring import build_flight, build_scene
+from touchdown.experiments.io.calibration_file import read_calibration
+from touchdown.sim.api import SensorRig
+from touchdown.sim.frames import so3_log
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """One calibration of a lens that bends."""
+    folder = tmp_path_factory.mktemp("calibration")
+    config = load_config(None, ["camera.distortion=[-0.05,0.02,0.0003,-0.0002,0.0]"], seed=7)
+    report = run_calibration(config, 12, folder / "rig.json", folder / "pictures")
+    return folder / "rig.json", report
+
+
+def test_twelve_poses_give_the_rig(calibrated: tuple[Path, dict[str, Any]]) -> None:
+    _, report = calibrated
+    error = report["error"]
+    assert report["views"]["used"] >= 10
+    assert error["rotation_deg"] <= 0.1
+    assert error["translation_m"] <= 0.01
+    assert error["camera_worst_percent"] <= 0.3
+    assert report["consistency"]["consistent"]
+    assert max(report["stated_sigma"]["rotation_deg"]) < 0.05
+    assert max(report["stated_sigma"]["translation_m"]) < 0.005
+
+
+def test_pictures_are_written(calibrated: tuple[Path, dict[str, Any]]) -> None:
+    for name in ("boards", "overlay", "cloud"):
+        picture = cv2.imread(str(calibrated[0].parent / "pictures" / f"{name}.png"))
+        assert picture is not None and picture.std() > 10.0
+
+
+@pytest.fixture(scope="module")
+def rig() -> SensorRig:
+    config = load_config(None, [], scene="flat", estimator="oracle")
+    flight = build_flight(config, build_scene(config))
+    flight.world.close()
+    return flight.world.rig
+
+
+def test_a_flight_is_told_the_file(calibrated: tuple[Path, dict[str, Any]], rig: SensorRig) -> None:
+    file, report = calibrated
+    told = told_rig(rig, load_config(None, [], calibration=str(file)))
+    true, found = (r.body_from_camera.inverse() @ r.body_from_lidar for r in (rig, told))
+    turn = np.rad2deg(np.linalg.norm(so3_log(found.rotation @ true.rotation.T)))
+    shift = np.linalg.norm(found.translation - true.translation)
+    assert turn == pytest.approx(report["error"]["rotation_deg"], abs=1e-9)
+    assert shift == pytest.approx(report["error"]["translation_m"], abs=1e-9)
+    assert told.camera.distortion[0] == pytest.approx(-0.05, abs=0.005)
+    np.testing.assert_array_equal(
+        told.body_from_camera.translation, rig.body_from_camera.translation
+    )
+    assert rig.camera.distortion[0] == 0.0  # the simulation keeps its own
+
+
+def test_a_file_of_another_camera_is_refused(
+    calibrated: tuple[Path, dict[str, Any]], rig: SensorRig
+) -> None:
+    small = replace(rig, camera=replace(rig.camera, width=424, height=240))
+    with pytest.raises(UsageError, match=r"848 x 480 pixels.*424 x 240"):
+        told_rig(small, load_config(None, [], calibration=str(calibrated[0])))
+
+
+def test_stated_errors_are_drawn_from_the_seed(rig: SensorRig) -> None:
+    none = RigErrorParams(rotation_sigma_deg=0.0, translation_sigma_m=0.0, focal_sigma=0.0)
+    assert erring_rig(rig, none, 3) is rig
+    params = RigErrorParams(
+        rotation_sigma_deg=0.03, translation_sigma_m=0.003, focal_sigma=5e-4, center_sigma_px=0.2
+    )
+    true = rig.body_from_camera.inverse() @ rig.body_from_lidar
+    turns, shifts, stretches = [], [], []
+    for seed in range(300):
+        told = erring_rig(rig, params, seed)
+        found = told.body_from_camera.inverse() @ told.body_from_lidar
+        turns.append(np.rad2deg(so3_log(found.rotation @ true.rotation.T)))
+        shifts.append(found.translation - true.translation)
+        stretches.append(told.camera.fx / rig.camera.fx - 1.0)
+    assert np.std(turns) == pytest.approx(0.03, rel=0.1)
+    assert np.std(shifts) == pytest.approx(0.003, rel=0.1)
+    assert np.std(stretches) == pytest.approx(5e-4, rel=0.15)
+    again = erring_rig(rig, params, 299)
+    np.testing.assert_array_equal(again.body_from_lidar.rotation, told.body_from_lidar.rotation)
+
+
+def _broken(file: Path, folder: Path, change: Any) -> Path:
+    tree = json.loads(file.read_text())
+    change(tree)
+    broken = folder / "broken.json"
+    broken.write_text(json.dumps(tree))
+    return broken
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: t["camera"].pop("fx"), ["'camera.fx' is missing"]),
+        (lambda t: t["camera"].update(fxx=3.0), ["'camera.fxx'", "did you mean 'camera.fx'"]),
+        (lambda t: t.pop("camera_from_lidar"), ["'camera_from_lidar' is missing"]),
+        (lambda t: t["camera"].update(fx="wide"), ["camera.fx", "number"]),
+        (lambda t: t["camera"].update(fy=-1.0), ["camera.fy", "greater than 0"]),
+        (lambda t: t["camera"].update(distortion=[0.0]), ["camera.distortion"]),
+        (
+            lambda t: t["camera_from_lidar"].update(rotation_quat_wxyz=[1.0, 1.0, 0.0, 0.0]),
+            ["rotation_quat_wxyz", "length 1"],
+        ),
+    ],
+)
+def test_mistakes_in_the_file_are_told_in_one_line(
+    calibrated: tuple[Path, dict[str, Any]], tmp_path: Path, change: Any, words: list[str]
+) -> None:
+    broken = _broken(calibrated[0], tmp_path, change)
+    with pytest.raises(UsageError) as caught:
+        read_calibration(broken)
+    message = str(caught.value)
+    assert "\n" not in message and "broken.json" in message
+    for word in words:
+        assert word in message
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("calibrate", "--poses", "2"), ["--poses", "x>=3"]),
+        (("land", "crossroad", "--calibration", "gone.json"), ["gone.json", "does not exist"]),
+        (("fly", "crossroad", "--calibration", "torn.json"), ["torn.json", "not valid JSON"]),
+        (("calibrate", "--set", "rig_error.focal_sigma=-1"), ["must not be negative"]),
+        (("calibrate", "--set", "camera.fov_x_deg=6", "--poses", "3"), ["only", "3 views"]),
+    ],
+)
+def test_bad_input_is_one_line(
+    arguments: tuple[str, ...],
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "torn.json").write_text("{")
+    code = cli.main([*arguments, "--quiet"])
+    captured = capsys.readouterr()
+    assert code == 2
+    assert captured.err.startswith("touchdown: error: ") and captured.err.count("\n") == 1
+    for word in words:
+        assert word in captured.err

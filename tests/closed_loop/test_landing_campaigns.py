@@ -1,0 +1,92 @@
+"""The campaigns of landings: what they fly, and that the spot of one of them is a good one."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.experiments.campaign.plan import Plan, config_for, load_plan
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.flight.result import _landing
+from touchdown.experiments.flight.wiring import build_scene
+
+ROOT = Path(__file__).parents[2]
+
+
+def configs_of(plan: Plan) -> list[Config]:
+    return [config_for(run.values, run.run_id) for run in plan.runs]
+
+
+@pytest.mark.parametrize(
+    ("name", "scenes", "methods", "seeds"),
+    [
+        ("landing", 4, 1, 25),
+        ("real_sites", 5, 1, 5),
+        ("commanded_site", 1, 5, 5),
+    ],
+)
+def test_campaigns_of_landings(name: str, scenes: int, methods: int, seeds: int) -> None:
+    plan = load_plan(ROOT / "configs" / f"{name}.toml")
+    configs = configs_of(plan)
+    assert plan.mode == "land"
+    assert len(configs) == scenes * methods * seeds
+    assert len({config.scene for config in configs}) == scenes
+    assert len({config.estimator for config in configs}) == methods
+    assert sorted({config.seed for config in configs}) == list(range(seeds))
+    assert not any(config.landing.survey_only for config in configs)
+    assert all(config.wind.mean_kmh == 12.0 and config.mapper.enabled for config in configs)
+
+
+def test_one_place_and_one_spot_for_all_methods() -> None:
+    configs = configs_of(load_plan(ROOT / "configs" / "commanded_site.toml"))
+    assert {config.scene_seed for config in configs} == {0}
+    assert {config.landing.site_xy_m for config in configs} == {(14.0, -33.5)}
+    unchecked = Counter(c.estimator for c in configs if not c.landing.check_site)
+    assert unchecked == {"gps": 5, "optical_flow": 5, "hybrid_flow": 5}
+
+
+def test_the_commanded_spot_is_safe_with_room_around_it() -> None:
+    """By the true map, as the campaign's file says."""
+    from touchdown.scenes.api import LAND_CLASSES
+    from touchdown.scenes.truth.maps import truth_maps
+
+    config = configs_of(load_plan(ROOT / "configs" / "commanded_site.toml"))[0]
+    scene = build_scene(config)
+    spot = np.array(config.landing.site_xy_m)
+    maps = truth_maps(scene, 0.1, np.array([spot - 5.0, spot + 5.0]))
+    y, x = (np.indices(maps.safe.shape) + 0.5) * maps.cell_m - 5.0
+    assert maps.safe[np.hypot(x, y) < 4.9].all()
+    assert {LAND_CLASSES[i] for i in np.unique(maps.class_id[np.hypot(x, y) < 1.0])} == {"field"}
+    assert np.hypot(*(spot - scene.takeoff_xy_m)) == pytest.approx(42.5, abs=0.5)
+
+
+def test_the_seed_of_the_place_is_apart_from_that_of_the_flight(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[tuple[str, int]] = []
+    monkeypatch.setattr(
+        "touchdown.scenes.compose.load_scene", lambda *place: asked.append(place[:2])
+    )
+    build_scene(load_config(None, ["scene_seed=7"], scene="turf", seed=3))
+    build_scene(load_config(None, [], scene="turf", seed=3))
+    assert asked == [("turf", 7), ("turf", 3)]
+    with pytest.raises(UsageError, match="scene_seed = -1"):
+        load_config(None, ["scene_seed=-1"])
+
+
+def test_the_commanded_spot_is_in_the_result() -> None:
+    touched: Any = SimpleNamespace(landing={"target_offset_m": 0.1})
+    never: Any = SimpleNamespace(landing=None)
+    assert _landing(touched, (14.0, -33.5)) == {
+        "commanded_xy_m": (14.0, -33.5),
+        "target_offset_m": 0.1,
+    }
+    assert _landing(touched, None) == {"commanded_xy_m": None, "target_offset_m": 0.1}
+    assert _landing(never, (14.0, -33.5)) is None

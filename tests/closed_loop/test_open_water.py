@@ -1,0 +1,133 @@
+"""Out of sight of any shore: what five seconds cost, what the covariance says, and the way back.
+
+`pytest -m slow -s tests/closed_loop/test_open_water.py` prints the figures of docs/faults.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.flight.loop import run_flight
+from touchdown.experiments.flight.platform import limit_threads
+from touchdown.experiments.flight.run import make_referee
+from touchdown.experiments.flight.wiring import build_flight, build_scene
+
+CONFIG = Path(__file__).parents[2] / "configs" / "open_water.toml"
+SPAN_S = 5.0
+OUT_OF_SIGHT_M = 40.0
+"""from the take-off spot: the LIDAR's half width of 26 m and the largest islet"""
+
+
+@dataclass(slots=True)
+class Watch:
+    """A recorder that keeps errors, standard deviations and events at 20 Hz."""
+
+    rows: list[Any] = field(default_factory=list)
+    events: list[str] = field(default_factory=list)
+
+    def tick(self, truth: Any, obs: Any, estimate: Any, *_others: Any) -> None:
+        self.events.extend(estimate.events)
+        if truth.tick % 30:
+            return
+        position = truth.world_from_body.translation
+        error = estimate.world_from_body.translation - position
+        sigma = np.sqrt(np.trace(estimate.position_covariance))
+        self.rows.append([truth.time_s, *error, sigma, np.hypot(*position[:2])])
+
+    def close(self) -> None:
+        pass
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    outcome: str
+    out_of_sight_s: float
+    growth_m: float
+    """by how much the error grew in the worst five seconds out of sight"""
+    change_m: float
+    """length of the largest change of the error vector in five seconds"""
+    sigma_before_m: float
+    sigma_after_m: float
+    """standard deviation of the position at both ends of them"""
+    sigma_largest_m: float
+    largest_out_m: float
+    back_m: float
+    """error at the end, over the shore"""
+    sigma_back_m: float
+    worst_sigmas: float
+    """largest error out of sight, in standard deviations"""
+
+
+def fly(seed: int, estimator: str, faults: tuple[str, ...] = ()) -> tuple[Figures, Watch]:
+    limit_threads()
+    config = load_config(
+        CONFIG, ["sim.threads=1"], scene="open_water", seed=seed, estimator=estimator,
+        record=False, fault=faults or None,
+    )  # fmt: skip
+    flight = build_flight(config, build_scene(config))
+    watch = Watch()
+    referee = make_referee(config, flight.scene, lambda: None)
+    try:
+        result = run_flight(
+            world=flight.world, estimator=flight.estimator, mapper=flight.mapper,
+            lander=flight.lander, controller=flight.controller, recorder=watch, referee=referee,
+        )  # fmt: skip
+    finally:
+        flight.world.close()
+    return figures(str(result.outcome), np.array(watch.rows)), watch
+
+
+def figures(outcome: str, rows: Any) -> Figures:
+    times, errors, sigmas, distances = rows[:, 0], rows[:, 1:4], rows[:, 4], rows[:, 5]
+    out = np.flatnonzero(distances > OUT_OF_SIGHT_M)
+    assert (np.diff(out) == 1).all(), "the shore came into view in between"
+    steps = round(SPAN_S / (times[1] - times[0]))
+    starts = out[:-steps]
+    size = np.linalg.norm(errors, axis=1)
+    growth = size[starts + steps] - size[starts]
+    worst = starts[np.argmax(growth)]
+    change = np.linalg.norm(errors[starts + steps] - errors[starts], axis=1)
+    return Figures(
+        outcome=outcome,
+        out_of_sight_s=float(times[out[-1]] - times[out[0]]),
+        growth_m=float(growth.max()),
+        change_m=float(change.max()),
+        sigma_before_m=float(sigmas[worst]),
+        sigma_after_m=float(sigmas[worst + steps]),
+        sigma_largest_m=float(sigmas[out].max()),
+        largest_out_m=float(size[out].max()),
+        back_m=float(size[-1]),
+        sigma_back_m=float(sigmas[-1]),
+        worst_sigmas=float((size[out] / sigmas[out]).max()),
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_five_seconds_without_shore_cost_little(seed: int) -> None:
+    """The ripples of the scene stand still, so that the camera can follow them."""
+    found, _ = fly(seed, "livo")
+    print(f"\nopen_water {seed}: {found}")
+    assert found.outcome == "COMPLETED" and found.out_of_sight_s >= SPAN_S
+    assert found.growth_m <= 0.3
+    assert found.sigma_back_m < found.sigma_largest_m
+    assert found.back_m < 0.1
+
+
+@pytest.mark.slow
+def test_blind_as_well() -> None:
+    """Nothing but IMU and the height over the water: the covariance must say so."""
+    found, watch = fly(0, "livo", ("camera_black@24+5",))
+    print(f"\nopen_water 0, camera_black@24+5: {found}")
+    assert found.outcome == "COMPLETED"
+    assert found.growth_m <= 0.3
+    assert found.sigma_after_m > 2.0 * found.sigma_before_m
+    assert found.worst_sigmas < 4.0
+    assert found.back_m < 0.1 and found.sigma_back_m < 0.5 * found.sigma_after_m
+    assert any("no contrast" in text for text in watch.events)

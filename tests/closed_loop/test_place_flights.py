@@ -1,0 +1,244 @@
+"""Landing flights with place recognition, and networks with smaller weights."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.landing.api import LanderView, LandingParams, Phase, PlaceClassifier
+from touchdown.landing.classification.labels import D_LAND
+from touchdown.landing.mission.lander import SiteLander
+from touchdown.sim.api import Observation
+
+from support.lander_support import ORIGIN, PARAMS, QUICK, Puppet, flat_map, fly
+from support.place_support import (
+    COLOURS,
+    ByColour,
+    Paint,
+    photograph,
+    plain,
+    small_rig,
+    write_colour_network,
+)
+
+Array = NDArray[np.float64]
+_PICTURE_TICKS = 120
+
+
+class Photographer(SiteLander):
+    """A lander that is shown painted ground five times a second."""
+
+    def __init__(
+        self, paint: Paint, places: PlaceClassifier | None, params: LandingParams = PARAMS
+    ) -> None:
+        self._rig = small_rig()
+        super().__init__(self._rig, params, QUICK, places)
+        self.paint = paint
+
+    def update(self, obs: Observation, estimate: Any, map_view: Any) -> Any:
+        if obs.tick % _PICTURE_TICKS == 0:
+            image = photograph(self._rig, estimate.odom_from_body, self.paint, obs.time_s)
+            obs = dataclasses.replace(obs, images=(image,))
+        return super().update(obs, estimate, map_view)
+
+
+def _striped(x: Array, y: Array) -> Array:
+    """Water east of x = 12, lawn west of it."""
+    return np.where((x > 12.0)[..., None], COLOURS["water"], COLOURS["lawn"]).astype(float)
+
+
+def test_the_class_of_the_site_is_in_the_view() -> None:
+    places = ByColour()
+    lander = Photographer(plain("lawn"), places)
+    phases, view = fly(Puppet(lander, flat_map()))
+    assert phases[-2:] == [Phase.TOUCHDOWN, Phase.DONE] and not view.no_site
+    assert view.site_class == "lawn" and view.site_class_probability == pytest.approx(0.97)
+    assert places.batches == [3, 1]  # from above, and once more from 10 m
+
+
+def test_a_lake_is_not_landed_on() -> None:
+    """Flat and solid to the LIDAR, water to the camera: home again; switched off, it is taken."""
+    lander = Photographer(plain("water"), ByColour())
+    phases, view = fly(Puppet(lander, flat_map()))
+    assert view.no_site and Phase.RETURN in phases and view.site_class is None
+    named = [site for site in view.candidates if site.class_predicted is not None]
+    assert len(named) >= 8 and not any(site.accepted for site in view.candidates)
+    assert all("looks like water" in site.reason for site in named)
+    _, taken = fly(Puppet(Photographer(plain("water"), None), flat_map()))
+    assert not taken.no_site and taken.committed_site_world is not None
+    assert taken.site_class is None
+
+
+def test_the_shore_is_found() -> None:
+    lander = Photographer(_striped, ByColour())
+    _, view = fly(Puppet(lander, flat_map()))
+    assert view.committed_site_world is not None and view.committed_site_world[0] < 12.0
+    assert view.site_class == "lawn" and not view.no_site
+
+
+def test_more_rounds_find_what_is_far_from_the_best() -> None:
+    """Water but for a corner, on a plane that falls away from it: the best dozen are all wet."""
+
+    def corner(x: Array, y: Array) -> Array:
+        dry = (x > 18.0) & (y > 8.0)
+        return np.where(dry[..., None], COLOURS["lawn"], COLOURS["water"]).astype(float)
+
+    grid = flat_map()
+    grid.intensity[:] = 20.0
+    col, row = np.meshgrid(*(ORIGIN[0] + 0.2 * (np.arange(280) + 0.5),) * 2)
+    grid.intensity[(col > 18.0) & (row > 8.0)] = 60.0
+    few = dataclasses.replace(PARAMS, place_rounds=1, search_legs=0)
+    _, without = fly(Puppet(Photographer(corner, ByColour(), few), grid))
+    _, found = fly(Puppet(Photographer(corner, ByColour()), grid))
+    assert without.no_site and not found.no_site
+    assert found.committed_site_world is not None
+    assert found.committed_site_world[0] > 18.0 and found.committed_site_world[1] > 8.0
+
+
+class _ChangesItsMind(ByColour):
+    """Lawn from survey height, water from closer."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.low = False
+
+    def look(self, pictures: NDArray[np.uint8]) -> Any:
+        opinion = super().look(pictures)
+        if self.low:
+            order = np.arange(len(D_LAND))
+            lawn, water = D_LAND.index("lawn"), D_LAND.index("water")
+            order[[lawn, water]] = water, lawn
+            opinion = dataclasses.replace(opinion, chances=opinion.chances[:, order])
+        return opinion
+
+
+def test_a_closer_look_sends_it_around() -> None:
+    places = _ChangesItsMind()
+    lander = Photographer(plain("lawn"), places)
+    puppet = Puppet(lander, flat_map())
+    notes = []
+    for view, _ in puppet.run(200.0):
+        places.low = view.phase is Phase.DESCEND
+        notes.append(view.note)
+        if view.phase is Phase.DONE:
+            break
+    assert view.no_site
+    around = next(note for note in notes if note.startswith("going around"))
+    assert "at 10 m: unsure what it is" in around
+
+
+def test_an_emergency_lands_even_so() -> None:
+    need = dataclasses.replace(PARAMS, emergency="battery")
+    for name in ("road", "water"):
+        _, view = fly(Puppet(Photographer(plain(name), ByColour(), need), flat_map()))
+        assert not view.no_site and view.committed_site_world is not None
+        assert view.site_class == name
+
+
+def test_a_commanded_site_is_looked_at_too() -> None:
+    wanted = dataclasses.replace(PARAMS, site_xy_m=(10.0, 3.0))
+    _, view = fly(Puppet(Photographer(plain("water"), ByColour(), wanted), flat_map()))
+    assert view.aborted and "looks like water" in view.candidates[0].reason
+    told = dataclasses.replace(wanted, check_site=False)
+    _, view = fly(Puppet(Photographer(plain("water"), ByColour(), told), flat_map()))
+    assert not view.aborted and view.committed_site_world is not None
+
+
+def test_without_a_classifier_nothing_changes() -> None:
+    """The same setpoints to the bit, with and without pictures, and with one that always agrees up
+    to its decision."""
+
+    def setpoints(lander: SiteLander) -> list[tuple[Phase, Array]]:
+        steps: Iterator[tuple[LanderView, Any]] = Puppet(lander, flat_map()).run(40.0)
+        return [(view.phase, setpoint.position_odom.copy()) for view, setpoint in steps]
+
+    plainly = setpoints(SiteLander(small_rig(), PARAMS, QUICK))
+    shown = setpoints(Photographer(plain("water"), None))
+    assert len(plainly) == len(shown)
+    assert all(a == c and (b == d).all() for (a, b), (c, d) in zip(plainly, shown, strict=True))
+    asked = setpoints(Photographer(plain("lawn"), ByColour()))
+    decided = [phase for phase, _ in plainly].index(Phase.SELECT)
+    assert all((plainly[i][1] == asked[i][1]).all() for i in range(decided))
+
+
+# ----------------------------------------------------------------------------------- small weights
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders of pictures in the colours of their classes, noisy."""
+    home = tmp_path_factory.mktemp("pictures")
+    rng = np.random.default_rng([8, 2])
+    for name, colour in COLOURS.items():
+        (home / name).mkdir()
+        for number in range(40):
+            image = np.clip(rng.normal(colour, 25.0, (16, 16, 3)), 0, 255).astype(np.uint8)
+            cv2.imwrite(str(home / name / f"{number}.png"), image[..., ::-1])
+    return home
+
+
+@pytest.mark.parametrize("weight_type", ["float16", "bfloat16", "int8"])
+def test_smaller_weights_say_the_same(
+    weight_type: str, pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("torch")
+    pytest.importorskip("onnx")
+    from touchdown.experiments.cli import main as cli
+    from touchdown.landing.classification.onboard import load_places
+
+    source = write_colour_network(tmp_path / "network.onnx")
+    out = tmp_path / "small" / "network.onnx"
+    arguments = ["quantize", str(source), "--data", str(pictures), "--out", str(out), "--quiet"]
+    assert cli.main([*arguments, "--type", weight_type, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["top1"] == report["top1_before"] == 1.0
+    places = load_places(out)
+    assert places.least_probability == 0.5  # fitted anew: no mistake was made
+    shown = np.array([np.full((16, 16, 3), colour) for colour in COLOURS.values()], np.uint8)
+    before = load_places(source).look(shown).chances
+    np.testing.assert_allclose(places.look(shown).chances, before, atol=0.03)
+    assert cli.main(["evaluate", str(out), "--data", str(pictures), "--no-cost", "--quiet"]) == 0
+    assert "pictures of unsafe ground taken for safe" in " ".join(capsys.readouterr().out.split())
+    if weight_type != "float16":
+        assert cli.main([*arguments[:1], str(out), *arguments[2:-2], str(tmp_path / "x.onnx")]) == 2
+        assert "has no float16 weights" in capsys.readouterr().err
+
+
+def test_a_variant_does_not_replace_the_network(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("onnx")
+    from touchdown.experiments.cli import main as cli
+
+    source = write_colour_network(tmp_path / "network.onnx")
+    for out, words in ((source, "is the network itself"), (tmp_path, "ends in .onnx")):
+        arguments = ["quantize", str(source), "--data", str(pictures), "--out", str(out)]
+        assert cli.main([*arguments, "--quiet"]) == 2
+        assert words in capsys.readouterr().err
+
+
+def test_classify_asks_for_a_network_where_none_comes_along(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("onnx")
+    from touchdown.experiments.cli import main as cli
+    from touchdown.landing.classification import onboard as in_flight
+
+    photo = tmp_path / "photo.png"
+    cv2.imwrite(str(photo), np.full((32, 32, 3), (200, 40, 40), np.uint8))
+    arguments = ["classify", str(photo), "--out", str(tmp_path / "out"), "--json"]
+    monkeypatch.setattr(in_flight, "SHIPPED", tmp_path / "none.onnx")
+    assert cli.main(arguments) == 2
+    assert "no network comes with touchdown" in capsys.readouterr().err
+    monkeypatch.setattr(in_flight, "SHIPPED", write_colour_network(tmp_path / "network.onnx"))
+    assert cli.main(arguments) == 0
+    (row,) = json.loads(capsys.readouterr().out)["pictures"]
+    assert row["shares"] == {"water": pytest.approx(1.0)}

@@ -1,0 +1,309 @@
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.controller.api import ControlParams, Setpoint
+from touchdown.controller.cascade import CascadeController
+from touchdown.controller.disturbance import DisturbanceObserver
+from touchdown.controller.mixer import Mixer, MotorLead, allocation_matrix
+from touchdown.controller.pid import PidGains, VectorPid
+from touchdown.landing.api import SurveyParams
+from touchdown.landing.mission.trajectory import survey_trajectory
+from touchdown.sim.api import GRAVITY_MPS2
+from touchdown.sim.frames import rotation_from_yaw, so3_exp, yaw_from_rotation
+
+from support.flight_dynamics import Flyer, example_vehicle, fly, gusts
+
+Array = NDArray[np.float64]
+VEHICLE = example_vehicle()
+WEIGHT = VEHICLE.mass_kg * GRAVITY_MPS2
+STEP_S = 0.005
+
+
+def hold(position: Array, yaw: float = 0.0, **changes: Any) -> Callable[[float], Setpoint]:
+    setpoint = Setpoint(
+        position_odom=position,
+        velocity_odom=np.zeros(3),
+        acceleration_odom=np.zeros(3),
+        yaw_odom=yaw,
+    )
+    return lambda t: dataclasses.replace(setpoint, **changes)
+
+
+def flying_controller(params: ControlParams | None = None) -> tuple[CascadeController, Flyer]:
+    """A controller whose motor model has run up, as the vehicle's rotors have."""
+    controller, flyer = CascadeController(VEHICLE, params or ControlParams()), Flyer(VEHICLE)
+    for _ in range(60):
+        controller.update(flyer.estimate(), hold(np.zeros(3))(0.0))
+    return controller, flyer
+
+
+# ---------------------------------------------------------------------------------------- mixer
+
+
+def test_allocation_of_one_rotor_by_hand() -> None:
+    # Rotor 0 stands 0.2 m ahead and 0.2 m to the right: its push lifts the nose (torque about -y)
+    # and the right side (torque about -x); its reaction turns the body to the left.
+    thrust = VEHICLE.thrust_coefficient * 500.0**2
+    wrench = allocation_matrix(VEHICLE) @ np.array([500.0**2, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(
+        wrench, [thrust, -0.2 * thrust, -0.2 * thrust, VEHICLE.torque_coefficient * 500.0**2]
+    )
+
+
+def test_mixer_inverts_the_rotors_exactly_where_nothing_saturates() -> None:
+    mixer, rng = Mixer(VEHICLE), np.random.default_rng(5)
+    for _ in range(50):
+        speeds = rng.uniform(VEHICLE.rotor_speed_min, VEHICLE.rotor_speed_max, 4)
+        np.testing.assert_allclose(mixer.speeds(mixer.wrench(speeds)), speeds, rtol=1e-9)
+
+
+def test_mixer_inverts_unequal_arms_too() -> None:
+    skewed = dataclasses.replace(
+        VEHICLE, rotor_xy_m=np.array([[0.30, -0.2], [-0.2, 0.25], [0.25, 0.2], [-0.2, -0.3]])
+    )
+    mixer, wrench = Mixer(skewed), np.array([WEIGHT, 0.5, -0.4, 0.05])
+    np.testing.assert_allclose(mixer.wrench(mixer.speeds(wrench)), wrench, rtol=1e-9)
+
+
+def test_mixer_gives_roll_and_pitch_before_thrust_before_yaw() -> None:
+    mixer = Mixer(VEHICLE)
+    full = 4 * VEHICLE.thrust_coefficient * VEHICLE.rotor_speed_max**2
+    got = mixer.wrench(mixer.speeds(np.array([full, 2.0, -1.0, 0.3])))
+    np.testing.assert_allclose(got[1:3], [2.0, -1.0], rtol=1e-9)
+    # Each N m takes 1 / (4 * 0.2) N per rotor; the strongest rotor's share is what thrust loses.
+    np.testing.assert_allclose(got[0], full - 4 * 3.0 / 0.8, rtol=1e-9)
+    assert 0.0 <= got[3] < 0.3
+
+
+def test_mixer_raises_the_thrust_where_a_torque_needs_it() -> None:
+    mixer = Mixer(VEHICLE)
+    got = mixer.wrench(mixer.speeds(np.array([0.0, 1.5, 0.0, 0.0])))
+    idle = VEHICLE.thrust_coefficient * VEHICLE.rotor_speed_min**2
+    np.testing.assert_allclose(got[:3], [4 * (idle + 1.5 / 0.8), 1.5, 0.0], rtol=1e-9, atol=1e-12)
+
+
+def test_mixer_output_is_always_within_the_motors_range() -> None:
+    mixer, rng = Mixer(VEHICLE), np.random.default_rng(6)
+    for _ in range(500):
+        speeds = mixer.speeds(rng.normal(0.0, 1.0, 4) * np.array([200.0, 30.0, 30.0, 3.0]))
+        assert np.all(speeds >= VEHICLE.rotor_speed_min * (1 - 1e-9))
+        assert np.all(speeds <= VEHICLE.rotor_speed_max * (1 + 1e-9))
+
+
+def test_thrust_limit_holds_against_torque_and_thrust() -> None:
+    mixer = Mixer(VEHICLE)
+    got = mixer.wrench(mixer.speeds(np.array([WEIGHT, 3.0, 0.0, 0.0]), 0.3 * WEIGHT))
+    np.testing.assert_allclose(got[0], 0.3 * WEIGHT, rtol=1e-9)
+    assert 0.0 < got[1] < 3.0
+
+
+def test_mixer_refuses_rotors_that_all_turn_alike() -> None:
+    with pytest.raises(ValueError, match="alternating spin"):
+        Mixer(dataclasses.replace(VEHICLE, rotor_spin=np.ones(4)))
+
+
+def test_motor_lead_makes_the_rotor_follow_the_faster_lag() -> None:
+    lead, speed = MotorLead(VEHICLE, response_s=0.01, step_s=STEP_S), np.full(4, 400.0)
+    lead.modelled_radps = speed.copy()
+    decay = np.exp(-STEP_S / VEHICLE.motor_time_constant_s)
+    for step in range(1, 9):
+        command = lead.command(np.full(4, 420.0))
+        speed = command + decay * (speed - command)
+        np.testing.assert_allclose(speed, 420.0 - 20.0 * np.exp(-step * STEP_S / 0.01))
+        np.testing.assert_allclose(lead.modelled_radps, speed)
+
+
+def test_motor_lead_commands_what_the_motor_can_take() -> None:
+    lead = MotorLead(VEHICLE, response_s=0.01, step_s=STEP_S)
+    assert np.all(lead.command(np.full(4, 790.0)) == VEHICLE.rotor_speed_max)
+
+
+# ------------------------------------------------------------------------------------------ PID
+
+
+def one_axis_pid(limit: float = 10.0) -> VectorPid:
+    gains = PidGains(
+        kp=np.array([2.0]),
+        ki=np.array([1.0]),
+        kd=np.array([0.5]),
+        integral_limit=np.array([limit]),
+    )
+    return VectorPid(gains, 0.1)
+
+
+def test_pid_adds_its_three_terms() -> None:
+    pid = one_axis_pid()
+    pid.output(np.array([3.0]), np.array([0.0]))
+    pid.settle(np.array([0.0]))  # integral: 1.0 * 3.0 * 0.1
+    assert pid.output(np.array([3.0]), np.array([4.0]))[0] == pytest.approx(6.0 + 0.3 - 2.0)
+
+
+def test_pid_integral_stops_at_its_limit_and_forgets_on_reset() -> None:
+    pid = one_axis_pid(limit=0.5)
+    for _ in range(100):
+        pid.output(np.array([-3.0]), np.zeros(1))
+        pid.settle(np.zeros(1))
+    assert pid.integral[0] == -0.5
+    pid.reset()
+    assert pid.output(np.zeros(1), np.zeros(1))[0] == 0.0
+
+
+def test_pid_integral_stands_still_where_the_actuator_is_saturated() -> None:
+    # Back-calculation rests where ki e = (ki / kp) (demand - delivered): 2 e beyond the actuator.
+    pid = one_axis_pid(limit=1e3)
+    for _ in range(500):
+        demand = pid.output(np.array([1.0]), np.zeros(1))
+        pid.settle(np.minimum(demand, 1.0) - demand)
+    assert demand[0] == pytest.approx(1.0 + 2.0, rel=1e-3)
+
+
+# -------------------------------------------------------------------------------------- cascade
+
+
+def test_hovering_vehicle_gets_its_hover_speed() -> None:
+    controller, flyer = flying_controller()
+    command = controller.update(flyer.estimate(), hold(np.zeros(3))(0.0))
+    np.testing.assert_allclose(command.rotor_speed_radps, flyer.rotors, rtol=1e-6)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.0])
+def test_a_reference_ahead_tilts_the_vehicle_towards_it(yaw: float) -> None:
+    controller, flyer = flying_controller()
+    flyer.rotation = rotation_from_yaw(yaw)
+    ahead = flyer.rotation @ np.array([1.0, 0.0, 0.0])
+    controller.reset()
+    command = controller.update(flyer.estimate(), hold(ahead, yaw)(0.0))
+    wrench = Mixer(VEHICLE).wrench(command.rotor_speed_radps)
+    assert wrench[2] > 0.1  # nose down
+    assert abs(wrench[1]) < 1e-6
+
+
+def test_motors_off_is_silence_and_forgets() -> None:
+    controller, flyer = flying_controller()
+    fly(flyer, controller, hold(np.array([0.5, 0.0, 0.2])), 0.5)
+    assert np.all(
+        controller.update(
+            flyer.estimate(), hold(np.zeros(3), motors_on=False)(0.0)
+        ).rotor_speed_radps
+        == 0.0
+    )
+    fresh = CascadeController(VEHICLE, ControlParams())
+    setpoint = hold(np.zeros(3))(0.0)
+    np.testing.assert_array_equal(
+        controller.update(flyer.estimate(), setpoint).rotor_speed_radps,
+        fresh.update(flyer.estimate(), setpoint).rotor_speed_radps,
+    )
+
+
+def test_thrust_limit_bounds_the_thrust_and_freezes_the_integrals() -> None:
+    controller, flyer = flying_controller()
+    high = hold(np.array([0.0, 0.0, 5.0]), thrust_limit=0.4)(0.0)
+    for _ in range(100):
+        command = controller.update(flyer.estimate(), high)
+    assert Mixer(VEHICLE).wrench(command.rotor_speed_radps)[0] == pytest.approx(
+        0.4 * WEIGHT, rel=1e-3
+    )
+    fresh, _ = flying_controller()
+    after = controller.update(flyer.estimate(), hold(np.zeros(3))(0.0))
+    expected = fresh.update(flyer.estimate(), hold(np.zeros(3))(0.0))
+    for _ in range(100):  # both motor models come to the same rest
+        after = controller.update(flyer.estimate(), hold(np.zeros(3))(0.0))
+        expected = fresh.update(flyer.estimate(), hold(np.zeros(3))(0.0))
+    np.testing.assert_allclose(after.rotor_speed_radps, expected.rotor_speed_radps, rtol=1e-3)
+
+
+def test_tilt_stays_within_its_limit() -> None:
+    controller, flyer = flying_controller(ControlParams(max_tilt_deg=15.0))
+    cosines = []
+    for _ in range(600):
+        setpoint = hold(np.array([40.0, -30.0, 0.0]))(0.0)
+        flyer.advance(controller.update(flyer.estimate(), setpoint).rotor_speed_radps)
+        cosines.append(flyer.rotation[2, 2])
+    assert np.degrees(np.arccos(min(cosines))) < 15.0 + 2.0
+    assert abs(flyer.position[2]) < 0.15
+
+
+def test_step_of_one_metre_settles_without_much_overshoot() -> None:
+    controller, flyer = flying_controller()
+    errors = fly(flyer, controller, hold(np.array([1.0, 0.0, 1.0])), 8.0)
+    assert errors[:, [0, 2]].max() < 0.35
+    assert np.abs(errors[-200:]).max() < 0.01
+
+
+def test_half_turn_of_yaw_and_a_tumble_are_recovered() -> None:
+    controller, flyer = flying_controller()
+    flyer.rotation = so3_exp(np.radians([50.0, -30.0, 120.0]))
+    errors = fly(flyer, controller, hold(np.zeros(3), yaw=-1.0), 12.0)
+    assert np.abs(errors[-200:]).max() < 0.02
+    assert yaw_from_rotation(flyer.rotation) == pytest.approx(-1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("strength", [0.85, 1.15])
+def test_hover_in_gusts_with_rotors_other_than_modelled(strength: float) -> None:
+    controller, flyer = flying_controller()
+    flyer.vehicle = dataclasses.replace(
+        VEHICLE, thrust_coefficient=strength * VEHICLE.thrust_coefficient
+    )
+    flyer.wind = gusts(3)
+    errors = fly(flyer, controller, hold(np.zeros(3)), 20.0)
+    assert np.linalg.norm(errors[1000:], axis=1).max() < 0.06
+
+
+def test_survey_in_gusts_stays_close_to_its_reference() -> None:
+    path = survey_trajectory(np.zeros(3), 0.4, SurveyParams())
+
+    def reference(t: float) -> Setpoint:
+        position, velocity, acceleration = path.sample(t - 4.0)
+        return Setpoint(
+            position_odom=position,
+            velocity_odom=velocity,
+            acceleration_odom=acceleration,
+            yaw_odom=0.4,
+        )
+
+    controller, flyer = flying_controller()
+    flyer.rotation = rotation_from_yaw(0.4)
+    flyer.wind = gusts(1)
+    errors = np.linalg.norm(fly(flyer, controller, reference, 40.0)[800:], axis=1)
+    assert errors.mean() < 0.05
+    assert errors.max() < 0.15
+
+
+def test_two_controllers_agree_to_the_bit() -> None:
+    paths = []
+    for _ in range(2):
+        controller, flyer = flying_controller()
+        flyer.wind = gusts(2)
+        paths.append(fly(flyer, controller, hold(np.array([0.3, 0.2, 0.1])), 2.0))
+    np.testing.assert_array_equal(paths[0], paths[1])
+
+
+def test_parameters_out_of_range_are_refused() -> None:
+    with pytest.raises(ValueError, match="max_tilt_deg"):
+        CascadeController(VEHICLE, ControlParams(max_tilt_deg=80.0))
+    with pytest.raises(ValueError, match="above 0"):
+        CascadeController(VEHICLE, ControlParams(rate_radps=0.0))
+
+
+# ------------------------------------------------------------------------------------- observer
+
+
+def test_observer_finds_the_force_of_the_air_and_not_the_ground() -> None:
+    observer = DisturbanceObserver(VEHICLE, bandwidth_radps=6.0, step_s=STEP_S)
+    tilt = so3_exp(np.array([0.0, 0.1, 0.0]))
+    rotors = np.full(4, np.sqrt(WEIGHT / (4 * VEHICLE.thrust_coefficient)))
+    thrust = GRAVITY_MPS2 * tilt[:, 2] - np.array([0.0, 0.0, GRAVITY_MPS2])
+    push = np.array([-0.7, 0.4, 0.3])
+    for _ in range(400):
+        observer.update(thrust + push, tilt, rotors, np.array([-0.2, 0.0, 0.0]))
+    np.testing.assert_allclose(observer.acceleration, [-0.5, 0.4, 0.0], atol=1e-4)
+    for _ in range(400):  # standing on a slope with idle rotors
+        observer.update(np.zeros(3), tilt, 0.2 * rotors, np.zeros(3))
+    np.testing.assert_allclose(observer.acceleration, 0.0, atol=1e-4)

@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from touchdown.controller import design
+from touchdown.controller.api import ControlParams
+from touchdown.controller.gains import cascade_gains
+from touchdown.sim.airframe.vehicle import vehicle_model
+
+from support.flight_dynamics import example_vehicle
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_margins_of_an_integrator_behind_a_delay_are_those_of_theory() -> None:
+    # L(z) = K dt / (z (z - 1)): phase -90 deg - 1.5 w dt, gain K dt / (2 sin(w dt / 2)).
+    import control
+
+    step, gain = 0.01, 20.0
+    loop = control.ss(1.0, step * gain, 1.0, 0.0, step) * control.ss(0.0, 1.0, 1.0, 0.0, step)
+    margin = design._margin("integrator", loop)
+    crossover = 2.0 * np.arcsin(gain * step / 2.0) / step
+    assert margin.crossover_rad_s == pytest.approx(crossover, rel=1e-4)
+    assert margin.phase_margin_deg == pytest.approx(90 - np.degrees(1.5 * crossover * step), 1e-3)
+    assert margin.gain_margin_db == pytest.approx(-20 * np.log10(gain * step), abs=0.01)
+
+
+def test_every_loop_of_the_shipped_vehicle_has_its_margins() -> None:
+    model = mujoco.MjModel.from_xml_path(str(ROOT / "scenes" / "vehicle" / "quadrotor.xml"))
+    margins = design.loop_margins(vehicle_model(model, prefix=""), ControlParams())
+    names = [margin.name for margin in margins]
+    assert names == [
+        "rate roll/pitch",
+        "attitude roll/pitch",
+        "velocity horizontal",
+        "position horizontal",
+        "actuator, roll/pitch",
+        "rate yaw",
+        "attitude yaw",
+        "actuator, yaw",
+        "velocity vertical",
+        "position vertical",
+        "actuator, thrust",
+    ]
+    for margin in margins:
+        assert margin.gain_margin_db >= design.MIN_GAIN_MARGIN_DB, margin
+        assert margin.phase_margin_deg >= design.MIN_PHASE_MARGIN_DEG, margin
+
+
+def test_crossovers_are_near_the_bandwidths_asked_for() -> None:
+    params = ControlParams()
+    crossover = {m.name: m.crossover_rad_s for m in design.loop_margins(example_vehicle(), params)}
+    assert crossover["rate roll/pitch"] == pytest.approx(params.rate_radps, rel=0.1)
+    assert crossover["rate yaw"] == pytest.approx(params.yaw_rate_radps, rel=0.1)
+    assert crossover["attitude roll/pitch"] == pytest.approx(params.attitude_radps, rel=0.2)
+    assert crossover["velocity horizontal"] == pytest.approx(params.velocity_xy_radps, rel=0.1)
+    assert crossover["velocity vertical"] == pytest.approx(params.velocity_z_radps, rel=0.1)
+
+
+def test_complete_cascades_are_stable() -> None:
+    poles = design.closed_loop_poles(example_vehicle(), ControlParams())
+    assert np.abs(poles).max() < 1.0 - 1e-4
+
+
+def test_too_fast_a_rate_loop_shows_in_its_margin() -> None:
+    margins = design.loop_margins(example_vehicle(), ControlParams(rate_radps=90.0))
+    assert margins[0].gain_margin_db < design.MIN_GAIN_MARGIN_DB
+
+
+def test_gains_are_the_closed_forms() -> None:
+    gains = cascade_gains(
+        ControlParams(
+            velocity_xy_radps=4.0,
+            velocity_integral_ratio=5.0,
+            acceleration_feedback=0.5,
+            rate_radps=20.0,
+            rate_derivative_s=0.01,
+        )
+    )
+    assert gains.velocity.kp[0] == pytest.approx(1.5 * 4.0)
+    assert gains.velocity.ki[0] == pytest.approx(1.5 * 16.0 / 5.0)
+    assert gains.velocity.kd[0] == 0.5
+    assert gains.rate.kd[1] == pytest.approx(0.2)
+
+
+def test_flying_does_not_import_python_control() -> None:
+    script = "import sys, touchdown.controller.cascade; print('control' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "False"
+
+
+def test_main_prints_a_row_for_every_loop(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["design"])
+    design.main()
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 12
+    assert not any("too small" in line for line in lines)

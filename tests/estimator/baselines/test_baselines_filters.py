@@ -1,0 +1,254 @@
+"""The baselines' small parts: order of messages, alignment, anchors in the world, stereo depth."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.api import StereoParams
+from touchdown.estimator.baselines.aiding import BaroHeight, update, update_heading
+from touchdown.estimator.baselines.alignment import field_azimuth, level_attitude
+from touchdown.estimator.baselines.disparity import (
+    GroundHeight,
+    disparities,
+    inverse_depths,
+    triangulate,
+)
+from touchdown.estimator.baselines.epochs import EpochQueue
+from touchdown.estimator.baselines.ground_below import GroundBelow
+from touchdown.estimator.baselines.world_anchor import FollowingAnchor, WanderingAnchor
+from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.imu_propagation import NavState
+from touchdown.sim.api import (
+    BarometerSample,
+    CameraImage,
+    GpsFix,
+    MagnetometerParams,
+    MagnetometerSample,
+    Observation,
+    RangefinderSample,
+    SensorNeeds,
+)
+from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, rotation_from_yaw, so3_exp
+from touchdown.sim.navigation.magnetometer import earth_field_world
+from touchdown.sim.noise import GaussMarkov
+
+from support.baselines_support import HZ, make_rig, texture
+
+
+def observation(tick: int, **messages: object) -> Observation:
+    values: dict[str, object] = {"rotor_speed_radps": np.zeros(4), "battery_fraction": 1.0}
+    return Observation(tick=tick, time_s=tick / HZ, **(values | messages))  # type: ignore[arg-type]
+
+
+def image(tick: int) -> CameraImage:
+    return CameraImage(tick=tick, time_s=tick / HZ, rgb=np.zeros((2, 2, 3), np.uint8))
+
+
+def make_fix(tick: int, position: np.ndarray, sigma: float = 0.5) -> GpsFix:
+    return GpsFix(
+        tick=tick,
+        time_s=tick / HZ,
+        position_world=position,
+        velocity_world=np.zeros(3),
+        sigma_position_m=np.full(3, sigma),
+        sigma_velocity_mps=0.05,
+    )
+
+
+def make_filter(rotation: np.ndarray, sigma: float = 0.1) -> Eskf:
+    zero = np.zeros(3)
+    return Eskf(NavState(0, rotation, zero, zero, zero, zero), np.full(15, sigma**2))
+
+
+# ------------------------------------------------------------------------------------- messages
+
+
+def test_epochs_come_in_the_order_of_measurement() -> None:
+    """A fix of tick 120 arrives at 192, an image of tick 60 at 96: nothing of tick 120 is final
+    before tick 192."""
+    queue = EpochQueue(make_rig(), SensorNeeds(camera_hz=10, gps=True, magnetometer=True))
+    assert queue.take(observation(63, magnetometer=())) == []
+    field = MagnetometerSample(tick=60, time_s=0.1, field_body_ut=np.ones(3))
+    assert queue.take(observation(99, images=(image(60),), magnetometer=(field,))) == []
+    (first,) = queue.take(observation(132))
+    assert (first.tick, first.image is not None, first.magnetometer) == (60, True, (field,))
+    fix = make_fix(120, np.zeros(3))
+    (second,) = queue.take(observation(192, gps=(fix,), images=(image(120),)))
+    assert second.tick == 120 and second.fix is fix and second.image is not None
+
+
+def test_messages_after_their_epoch_are_counted_not_used() -> None:
+    queue = EpochQueue(make_rig(), SensorNeeds(camera_hz=10))
+    assert [e.tick for e in queue.take(observation(156, images=(image(120),)))] == [60, 120]
+    assert queue.take(observation(160, images=(image(60),))) == []
+    assert queue.late == 1
+
+
+# ------------------------------------------------------------------------------------ alignment
+
+
+def test_attitude_from_gravity_and_field() -> None:
+    params = MagnetometerParams()
+    field = earth_field_world(params)
+    assert math.atan2(field[1], field[0]) == pytest.approx(field_azimuth(params))
+    true = rotation_from_yaw(0.8) @ so3_exp(np.array([0.05, -0.08, 0.0]))
+    force = true.T @ np.array([0.0, 0.0, 9.81])
+    found = level_attitude(force, true.T @ field, field_azimuth(params))
+    np.testing.assert_allclose(found, true, atol=1e-12)
+
+
+def test_heading_update_turns_about_the_vertical_alone() -> None:
+    params = MagnetometerParams()
+    true = so3_exp(np.array([0.02, 0.01, 0.0])) @ rotation_from_yaw(0.3)
+    believed = rotation_from_yaw(0.05) @ true
+    eskf = make_filter(believed)
+    field = true.T @ earth_field_world(params)
+    for _ in range(20):
+        update_heading(eskf, field, field_azimuth(params), 0.01)
+    np.testing.assert_allclose(eskf.state.rotation[2], believed[2], atol=1e-9)
+    np.testing.assert_allclose(eskf.state.rotation, true, atol=2e-3)
+
+
+def test_update_is_the_textbook_one_and_outliers_weigh_less() -> None:
+    """Prior variance 0.01, measurement variance 0.01: half way, half the variance."""
+    eskf = make_filter(np.eye(3))
+    z = np.arange(5, 6)
+    update(eskf, z, np.eye(1), np.array([0.2]), np.array([[0.01]]))
+    assert eskf.state.position[2] == pytest.approx(0.1)
+    assert eskf.covariance[5, 5] == pytest.approx(0.005)
+    eskf = make_filter(np.eye(3))
+    distance = update(eskf, z, np.eye(1), np.array([2.0]), np.array([[0.01]]), gate=3.0)
+    assert distance == pytest.approx(2.0 / math.sqrt(0.02))
+    assert 0.0 < eskf.state.position[2] < 0.2
+
+
+def test_barometer_measures_from_where_it_stood() -> None:
+    eskf = make_filter(np.eye(3), sigma=1.0)
+    baro = BaroHeight(HZ, 0.1)
+
+    def sample(tick: int, altitude: float) -> BarometerSample:
+        return BarometerSample(tick=tick, time_s=tick / HZ, pressure_pa=1e5, altitude_m=altitude)
+
+    baro.take(eskf, [sample(0, 7.0), sample(0, 7.2)], standing=True)
+    for _ in range(50):
+        baro.take(eskf, [sample(0, 9.1)], standing=False)
+    assert eskf.state.position[2] == pytest.approx(2.0, abs=0.01)
+
+
+def test_ground_below_keeps_the_last_echo_over_water() -> None:
+    rig = make_rig()
+    ground = GroundBelow(rig, memory_s=0.0)
+    state = NavState(60, np.eye(3), np.array([0, 0, 20.0]), np.zeros(3), np.zeros(3), np.zeros(3))
+
+    def echo(range_m: float) -> RangefinderSample:
+        return RangefinderSample(tick=60, time_s=0.1, range_m=range_m)
+
+    mount = np.array(rig.nav.rangefinder.position_body_m)
+    ground.take([echo(18.5)], state)
+    assert ground.height_m == pytest.approx(20.0 + mount[2] - 18.5)
+    ground.take([echo(0.0)], state)
+    assert ground.height_m == pytest.approx(20.0 + mount[2] - 18.5)
+    tilted = dataclasses.replace(state, rotation=so3_exp(np.array([0.0, math.radians(60.0), 0.0])))
+    ground.take([echo(10.0)], tilted)
+    expected = 20.0 + float((tilted.rotation @ mount)[2]) - 5.0
+    assert ground.height_m == pytest.approx(expected)
+
+
+# -------------------------------------------------------------------------------------- anchors
+
+
+def test_following_anchor_is_where_the_fixes_are() -> None:
+    anchor = FollowingAnchor(follow_s=0.2)
+    assert not anchor.known
+    anchor.take(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.5, 0.8]), 0.2)
+    np.testing.assert_array_equal(anchor.offset, [1.0, 2.0, 3.0])
+    anchor.take(np.array([1.1, 2.0, 3.0]), np.array([0.5, 0.5, 0.8]), 0.4)
+    for _ in range(40):
+        anchor.step(0.005)
+    np.testing.assert_allclose(anchor.offset, [1.0 + 0.1 * (1 - math.exp(-1.0)), 2.0, 3.0])
+    np.testing.assert_allclose(np.diag(anchor.covariance), [0.25, 0.25, 0.64])
+
+
+def _anchor_errors(tau_s: float, seconds: float, runs: int) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of a WanderingAnchor (runs, 3) after a stream of fixes of a vehicle whose odometry is
+    perfect, and its variances (3,)."""
+    sigma = np.array([0.5, 0.5, 0.8])
+    errors, variance = [], np.zeros(3)
+    for seed in range(runs):
+        wander = GaussMarkov(sigma, tau_s, 0.2, np.random.default_rng(seed))
+        anchor = WanderingAnchor(tau_s, 0.0, 1e-3, 0.1)
+        for k in range(round(seconds / 0.2)):
+            anchor.take(wander.step(), sigma, 0.2 * k)
+        for _ in range(1000):
+            anchor.step(0.1)
+        errors.append(anchor.offset)
+        variance = np.diag(anchor.covariance)
+    return np.array(errors), variance
+
+
+def test_wandering_anchor_is_as_good_as_it_says() -> None:
+    """Mean of a Gauss-Markov process over T with the correlation time tau: the best estimate of
+    its offset has the variance 2 sigma^2 / (2 + T / tau)."""
+    errors, variance = _anchor_errors(tau_s=60.0, seconds=120.0, runs=300)
+    sigma = np.array([0.5, 0.5, 0.8])
+    np.testing.assert_allclose(variance, 2.0 * sigma**2 / (2.0 + 2.0), rtol=0.01)
+    squared = (errors**2 / variance).mean(axis=0)
+    spread = math.sqrt(2.0 / 300)
+    assert np.all(np.abs(squared - 1.0) < 3.5 * spread)
+
+
+def test_wandering_anchor_learns_little_within_one_correlation_time() -> None:
+    _, variance = _anchor_errors(tau_s=60.0, seconds=6.0, runs=1)
+    np.testing.assert_allclose(variance, 2.0 * np.array([0.25, 0.25, 0.64]) / 2.1, rtol=0.01)
+
+
+# --------------------------------------------------------------------------------------- stereo
+
+
+def test_triangulation_by_hand() -> None:
+    """600 pixels of focal length and 0.05 m of baseline: 30 pixel metres. One pixel is 30 m, two
+    are 15 m; no disparity is no depth."""
+    depths = triangulate(np.array([1.0, 2.0, 0.0, -1.0]), 600.0 * 0.05)
+    np.testing.assert_allclose(depths, [30.0, 15.0, np.nan, np.nan])
+
+
+def test_disparities_of_a_shifted_picture() -> None:
+    big = texture(400)
+    left = np.ascontiguousarray(big[50:290, 50:370])
+    right = np.ascontiguousarray(big[50:290, 53:373])
+    pixels = np.array([[100.0, 100.0], [200.0, 150.0], [60.0, 180.0]])
+    found, shifts = disparities(left, right, pixels, np.full(3, 10.0), 25.0)
+    np.testing.assert_array_equal(found, [0, 1, 2])
+    np.testing.assert_allclose(shifts, 3.0, atol=0.02)
+
+
+def test_ground_height_from_many_noisy_pairs() -> None:
+    """Level ground 2 m above the take-off, seen from 32 m through disparities of one pixel with a
+    tenth of noise: pair by pair 0.2 m, together better."""
+    params = StereoParams(ground_density=0.0, disparity_floor_sigma=0.0, disparity_sigma=0.1)
+    rng = np.random.default_rng(5)
+    ground = GroundHeight(0.0, params)
+    ground._variance = 25.0
+    pose = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.0, 0.0, 32.0]))
+    rays = np.column_stack([rng.uniform(-0.5, 0.5, (200, 2)), np.ones(200)])
+    for k in range(40):
+        shifts = 30.0 / 30.0 + 0.1 * rng.standard_normal(200)
+        ground.take(rays, shifts, pose, 30.0, 0.1 * k)
+    assert ground.sigma_m < 0.06
+    assert abs(ground.height_m - 2.0) < 4.0 * ground.sigma_m
+    np.testing.assert_allclose(ground.depths(rays, pose), 32.0 - ground.height_m)
+
+
+def test_a_corner_keeps_what_its_own_disparity_adds() -> None:
+    """Prior 30 m +- 3 m is 1/300 of inverse depth; 0.1 pixel of 30 pixel metres is as much: the
+    mean of both, half the variance."""
+    params = StereoParams(relief_sigma_m=3.0, disparity_sigma=0.1)
+    inverse, variance = inverse_depths(
+        np.array([1]), np.array([1.2]), np.array([30.0, 30.0]), 30.0, params
+    )
+    np.testing.assert_allclose(inverse, [1 / 30.0, 0.5 * (1 / 30.0 + 1.2 / 30.0)])
+    np.testing.assert_allclose(variance, [1 / 300.0**2, 0.5 / 300.0**2])

@@ -1,0 +1,138 @@
+"""Shifts, flow and displacement on pictures whose motion is known."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from touchdown.estimator.baselines.corner_flow import follow
+from touchdown.estimator.baselines.ground_flow import (
+    level_directions,
+    pixels_of,
+    solve_displacement,
+)
+from touchdown.estimator.baselines.phase_correlation import phase_shift
+from touchdown.estimator.filtering.keyframes import detect_features
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, so3_exp
+
+from support.baselines_support import texture
+
+CAMERA = CameraIntrinsics(width=320, height=240, fx=250.0, fy=250.0, cx=159.5, cy=119.5)
+
+
+def view(
+    ground: np.ndarray, metres_per_pixel: float, position: np.ndarray, attitude: np.ndarray
+) -> np.ndarray:
+    """What CAMERA sees of a picture of the ground z = 0, whose pixel (col, row) lies at (x, y) =
+    (col, row) times ``metres_per_pixel``; ``attitude`` is world_from_camera."""
+    cols, rows = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
+    pixels = np.column_stack([cols.ravel(), rows.ravel()]).astype(float)
+    points = position[:2] + position[2] * level_directions(pixels, CAMERA, attitude)
+    places = (points / metres_per_pixel).astype(np.float32).reshape(CAMERA.height, CAMERA.width, 2)
+    return cv2.remap(ground, places[..., 0], places[..., 1], cv2.INTER_CUBIC)
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (3, -2), (-17, 11), (41, 30)])
+def test_phase_correlation_finds_whole_shifts(shift: tuple[int, int]) -> None:
+    big = texture(400)
+    dx, dy = shift
+    before = big[72:328, 72:328]
+    now = big[72 - dy : 328 - dy, 72 - dx : 328 - dx]
+    found = phase_shift(np.ascontiguousarray(before), np.ascontiguousarray(now))
+    assert found.response > 0.3
+    np.testing.assert_allclose(found.pixels, shift, atol=0.05)
+
+
+def test_phase_correlation_finds_fractions_of_a_pixel() -> None:
+    big = texture(400)
+    move = np.float32([[1, 0, 5.3], [0, 1, -2.6]])
+    moved = cv2.warpAffine(big, move, (400, 400), flags=cv2.INTER_CUBIC)
+    found = phase_shift(big[72:328, 72:328].copy(), moved[72:328, 72:328].copy())
+    np.testing.assert_allclose(found.pixels, [5.3, -2.6], atol=0.15)
+
+
+def test_phase_correlation_says_when_there_is_nothing_in_common() -> None:
+    found = phase_shift(texture(256, 1), texture(256, 2))
+    assert found.response < 0.2
+    blank = np.full((256, 256), 90, np.uint8)
+    assert phase_shift(blank, blank).response == 0.0
+
+
+def test_level_directions_do_not_depend_on_the_attitude() -> None:
+    tilted = so3_exp(np.array([0.1, -0.2, 0.7])) @ BODY_FROM_DOWNWARD_OPTICAL
+    point = np.array([[1.5, -2.0]])
+    pixels = pixels_of(point, CAMERA, tilted)
+    np.testing.assert_allclose(level_directions(pixels, CAMERA, tilted), point, atol=1e-12)
+    straight = level_directions(np.array([[159.5, 119.5]]), CAMERA, BODY_FROM_DOWNWARD_OPTICAL)
+    np.testing.assert_allclose(straight, 0.0, atol=1e-12)
+
+
+def test_displacement_of_exact_directions() -> None:
+    """From 10 m, 0.4 m east, 0.3 m north, 0.5 m up: the ground moves the other way and shrinks."""
+    before = np.random.default_rng(0).uniform(-0.5, 0.5, (60, 2))
+    now = (10.0 * before - [0.4, 0.3]) / 10.5
+    found = solve_displacement(before, now, 10.0, 1e-3)
+    assert found is not None
+    np.testing.assert_allclose(found.shift, [-0.4, -0.3, -0.5], atol=1e-9)
+    assert found.used == 60
+
+
+def test_displacement_survives_a_third_of_wrong_flow() -> None:
+    rng = np.random.default_rng(1)
+    before = rng.uniform(-0.5, 0.5, (90, 2))
+    now = before - [0.04, -0.02] + 1e-4 * rng.standard_normal((90, 2))
+    now[:30] += rng.uniform(0.05, 0.2, (30, 2))
+    found = solve_displacement(before, now, 20.0, 1e-3)
+    assert found is not None
+    np.testing.assert_allclose(found.shift[:2], [-0.8, 0.4], atol=0.01)
+
+
+def test_displacement_needs_enough_directions() -> None:
+    few = np.zeros((5, 2))
+    assert solve_displacement(few, few, 10.0, 1e-3) is None
+    lost = np.full((40, 2), np.nan)
+    assert solve_displacement(lost, lost, 10.0, 1e-3) is None
+    assert solve_displacement(np.zeros((40, 2)), np.zeros((40, 2)), -1.0, 1e-3) is None
+
+
+def test_attitude_errors_enter_the_displacement_as_its_jacobians_say() -> None:
+    """Directions seen under a wrong attitude give a wrong shift; the true one follows from it by
+    the derivatives."""
+    rng = np.random.default_rng(2)
+    before = rng.uniform(-0.5, 0.5, (200, 2))
+    now = (10.0 * before + [0.3, -0.2]) / 10.0
+    exact = solve_displacement(before, now, 10.0, 1e-3)
+    assert exact is not None
+    for which in ("before", "now"):
+        error = np.array([2e-4, -1e-4, 3e-4])
+        wrong = {"before": before, "now": now}
+        rays = np.column_stack([wrong[which], -np.ones(200)]) @ so3_exp(error)
+        wrong[which] = rays[:, :2] / -rays[:, 2:]
+        found = solve_displacement(wrong["before"], wrong["now"], 10.0, 1e-3)
+        assert found is not None
+        jacobian = found.by_rotation_before if which == "before" else found.by_rotation_now
+        np.testing.assert_allclose(found.shift + jacobian @ error, exact.shift, atol=2e-5)
+
+
+def test_velocity_from_pictures_of_a_known_ground() -> None:
+    """Lucas-Kanade over a texture 12 m below, tilted and turning: 5 m/s east, 1 m/s down."""
+    ground, scale = texture(900), 0.02
+    seconds = 0.1
+    velocity = np.array([5.0, -2.0, -1.0])
+    position = np.array([9.0, 9.0, 12.0])
+    first = so3_exp(np.array([0.05, -0.03, 0.4])) @ BODY_FROM_DOWNWARD_OPTICAL
+    second = so3_exp(np.array([0.01, 0.02, 0.05])) @ first
+    before = view(ground, scale, position, first)
+    after = view(ground, scale, position + seconds * velocity, second)
+    pixels = detect_features(before, 120)
+    found, reached = follow(before, after, pixels, pixels)
+    measured = solve_displacement(
+        level_directions(pixels[found], CAMERA, first),
+        level_directions(reached, CAMERA, second),
+        12.0,
+        0.3 / CAMERA.fx,
+    )
+    assert measured is not None and measured.used > 60
+    np.testing.assert_allclose(-measured.shift / seconds, velocity, atol=0.05)

@@ -1,0 +1,227 @@
+"""The whole estimator on a short made-up flight over a plane, and against broken input."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.api import LivoParams
+from touchdown.estimator.livo.estimator import Livo
+from touchdown.estimator.livo.visual import VisualFrontEnd
+from touchdown.estimator.oracle import Oracle
+from touchdown.sim.api import (
+    GRAVITY_MPS2,
+    ImuSample,
+    Observation,
+    Truth,
+)
+from touchdown.sim.frames import Pose
+
+from support.livo_flight import (
+    FLIGHT,
+    HZ,
+    IMU_TICKS,
+    RIG,
+    SCAN_TICKS,
+    fly,
+    make_rig,
+    observations,
+    position_at,
+    swaying,
+)
+
+
+def test_a_clean_second_is_followed_to_the_centimetre() -> None:
+    """The moving start contradicts nothing: the rotors spin at lifting speed from the beginning."""
+    estimates = fly(FLIGHT)
+    last = estimates[-1]
+    assert [e.tick for e in estimates] == [o.tick for o in FLIGHT]
+    np.testing.assert_allclose(
+        last.world_from_body.translation, position_at(last.time_s), atol=0.012
+    )
+    np.testing.assert_allclose(last.velocity_odom, [last.time_s, 0.0, 0.0], atol=0.02)
+    np.testing.assert_allclose(last.acceleration_odom, [1.0, 0.0, 0.0], atol=0.05)
+    assert last.diagnostics["features_tracked"] > 30
+    assert last.diagnostics["lidar_matched"] > 500
+    assert last.healthy
+
+
+@pytest.mark.parametrize("sigma_s", [0.005, 0.0])
+def test_a_camera_whose_clock_is_ahead_is_found_out(sigma_s: float) -> None:
+    """20 ms at up to 4 m/s are 8 cm, where the clock is taken as told."""
+    livo = Livo(RIG, LivoParams(camera_clock_sigma_s=sigma_s))
+    estimates = [livo.update(obs) for obs in observations(RIG, 3000, swaying, 12)]
+    late = [e for e in estimates if e.time_s > 2.5]
+    worst = max(np.linalg.norm(e.world_from_body.translation - swaying(e.time_s)) for e in late)
+    clock_ms = late[-1].diagnostics["calibration_clock_ms"]
+    if sigma_s:
+        assert clock_ms == pytest.approx(20.0, abs=1.0)
+        assert worst < 0.02
+    else:
+        assert clock_ms == 0.0
+        assert worst > 0.05
+
+
+def test_biases_and_level_are_learned_on_the_ground() -> None:
+    """Two seconds at rest with a biased IMU: the turn-on biases of 3 mrad/s and 30 mm/s^2 shrink to
+    what noise and the doubt of level leave, and gravity stays where it is."""
+    gyro, pull = np.array([2e-3, -3e-3, 1e-3]), np.array([0.02, -0.01, 0.03])
+    livo = Livo(RIG, LivoParams())
+    for tick in range(0, 1201, IMU_TICKS):
+        imu = ImuSample(
+            tick=tick, time_s=tick / HZ, angular_velocity=gyro,
+            specific_force=np.array([0.0, 0.0, GRAVITY_MPS2]) + pull,
+        )  # fmt: skip
+        estimate = livo.update(
+            Observation(
+                tick=tick,
+                time_s=tick / HZ,
+                imu=(imu,) if tick else (),
+                battery_fraction=1.0,
+                rotor_speed_radps=np.zeros(4),
+            )
+        )
+    np.testing.assert_allclose(estimate.angular_velocity_body, 0.0, atol=2e-4)
+    np.testing.assert_allclose(estimate.acceleration_odom, 0.0, atol=2e-3)
+    # three times the doubt of the attitude on the pad
+    np.testing.assert_allclose(estimate.odom_from_body.rotation, np.eye(3), atol=6e-4)
+
+
+def test_same_input_same_output_to_the_bit() -> None:
+    first, second = fly(FLIGHT), fly(FLIGHT)
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a.world_from_body.translation, b.world_from_body.translation)
+        np.testing.assert_array_equal(a.odom_from_body.rotation, b.odom_from_body.rotation)
+        assert a.diagnostics == b.diagnostics
+
+
+def test_scan_track_spans_the_scan() -> None:
+    estimates = fly(FLIGHT)
+    tracks = [
+        (obs.scans[0], e.scan_track) for obs, e in zip(FLIGHT, estimates, strict=True) if obs.scans
+    ]
+    assert all(e.scan_track is None for o, e in zip(FLIGHT, estimates, strict=True) if not o.scans)
+    for scan, track in tracks:
+        assert track is not None
+        assert track.times_s[0] == scan.start_time_s and track.times_s[-1] == scan.end_time_s
+        assert len(track.times_s) == SCAN_TICKS // IMU_TICKS + 1
+        truth = np.array([position_at(t) for t in track.times_s])
+        np.testing.assert_allclose(track.positions_odom, truth, atol=0.012)
+
+
+def broken(kind: str) -> list[Observation]:
+    flight = list(FLIGHT)
+    k = max(i for i, obs in enumerate(flight) if obs.scans and obs.tick < 500)
+    scan, image = flight[k].scans[0], flight[k].images[0]
+    if kind == "nan ranges":
+        ranges = scan.ranges.copy()
+        ranges[::2] = np.nan
+        flight[k] = dataclasses.replace(
+            flight[k], scans=(dataclasses.replace(scan, ranges=ranges),)
+        )
+    elif kind == "empty scan":
+        empty = dataclasses.replace(
+            scan,
+            directions=np.zeros((0, 3), np.float32),
+            ranges=np.zeros(0, np.float32),
+            time_offsets=np.zeros(0, np.float32),
+            intensity=np.zeros(0, np.uint8),
+        )
+        flight[k] = dataclasses.replace(flight[k], scans=(empty,))
+    elif kind == "missing scan":
+        flight[k] = dataclasses.replace(flight[k], scans=())
+    elif kind == "black image":
+        black = dataclasses.replace(image, rgb=np.zeros_like(image.rgb))
+        flight[k] = dataclasses.replace(flight[k], images=(black,))
+    elif kind == "no sensors":
+        flight = [dataclasses.replace(obs, scans=(), images=()) for obs in flight]
+    elif kind == "late scan":
+        flight[k + 30] = dataclasses.replace(flight[k + 30], scans=(scan,))
+    elif kind == "nan imu":
+        sample = dataclasses.replace(flight[k].imu[0], angular_velocity=np.full(3, np.nan))
+        flight[k] = dataclasses.replace(flight[k], imu=(sample,))
+    return flight
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "nan ranges",
+        "empty scan",
+        "missing scan",
+        "black image",
+        "no sensors",
+        "late scan",
+        "nan imu",
+    ],
+)
+def test_broken_input_costs_centimetres_at_most(kind: str) -> None:
+    estimates = fly(broken(kind))
+    for e in estimates:
+        error = e.world_from_body.translation - position_at(e.time_s)
+        assert np.isfinite(error).all() and np.linalg.norm(error) < 0.06
+        assert np.isfinite(e.position_covariance).all()
+    if kind in ("black image", "late scan", "nan imu"):
+        assert estimates[-1].diagnostics["skipped"] >= 1.0
+
+
+def test_returns_of_long_ago_are_not_extended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The LIDAR is silent from the scan at 0.6 s on; that of 0.5 s is fresh for three periods."""
+    asked: list[tuple[int, bool]] = []
+
+    def note(self: VisualFrontEnd, *args: Any, extend: bool = True) -> bool:
+        asked.append((args[3], extend))
+        return False
+
+    monkeypatch.setattr(VisualFrontEnd, "add_keyframe", note)
+    fly([dataclasses.replace(o, scans=()) if o.tick > 350 else o for o in FLIGHT])
+    assert [extend for tick, extend in asked if tick <= 480] == [True] * 8
+    assert [extend for tick, extend in asked if tick > 480] == [False] * 4
+
+
+def test_corrections_reach_control_without_a_jump() -> None:
+    """Between two estimates the position moves by the velocity and no more than millimetres."""
+    estimates = fly(FLIGHT)
+    for a, b in itertools.pairwise(estimates):
+        step = b.odom_from_body.translation - a.odom_from_body.translation
+        expected = 0.5 * (a.velocity_odom + b.velocity_odom) * (b.time_s - a.time_s)
+        assert np.linalg.norm(step - expected) < 2e-3
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"use_lidar": False}, {"use_vision": False}, {"loose": True}, {"use_closures": False},
+     {"use_calibration": False}],
+)  # fmt: skip
+def test_parts_can_be_left_out(change: dict[str, bool]) -> None:
+    livo = Livo(RIG, LivoParams(**change))
+    assert livo.needs.camera_hz == (0 if change == {"use_vision": False} else 10)
+    last = [livo.update(obs) for obs in FLIGHT][-1]
+    error = last.world_from_body.translation - position_at(last.time_s)
+    # over a plane the LIDAR holds height only
+    assert np.abs(error[2] if change == {"use_vision": False} else error).max() < 0.05
+
+
+def test_a_distorted_lens_is_accepted() -> None:
+    rig = make_rig(distortion=-0.01)
+    assert fly(FLIGHT[:150], rig)[-1].healthy
+
+
+def test_oracle_tells_the_truth_and_refuses_another_tick() -> None:
+    pose = Pose(np.eye(3), np.array([1.0, 2.0, 3.0]))
+    truth = Truth(
+        tick=3, time_s=0.005, world_from_body=pose, velocity_world=np.array([1.0, 0.0, 0.0]),
+        acceleration_world=np.array([0.0, 2.0, 0.0]), angular_velocity_body=np.zeros(3),
+        wind_world=np.zeros(3), rotor_speed_radps=np.zeros(4), contacts=(),
+        peak_contact_accel=0.0, energy_used_j=0.0,
+    )  # fmt: skip
+    oracle = Oracle(lambda: truth, RIG)
+    estimate = oracle.update(FLIGHT[1])
+    np.testing.assert_array_equal(estimate.world_from_body.translation, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(estimate.acceleration_odom, [0.0, 2.0, 0.0])
+    with pytest.raises(ValueError, match="tick 3"):
+        oracle.update(FLIGHT[2])

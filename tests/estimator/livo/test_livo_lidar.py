@@ -1,0 +1,208 @@
+"""Deskewing, the plane map and the point-to-plane update on hand-made geometry."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.filtering.deskew import clear_of_blind_zone, deskew, thin_out
+from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.imu_propagation import STATE_DIM
+from touchdown.estimator.filtering.plane_map import PlaneMap, smallest_eigen
+from touchdown.estimator.livo.anchored_update import update_with_scan
+from touchdown.estimator.livo.anchors import Anchors
+from touchdown.estimator.livo.lidar_update import floored, lateral_strength
+from touchdown.sim.frames import so3_exp
+
+from support.livo_lidar_support import plane_information, room_points, state_at
+
+STEP_S = 0.005
+
+
+def test_deskew_brings_a_fixed_point_to_one_place() -> None:
+    """A moving, turning sensor measures one world point again and again."""
+    rng = np.random.default_rng(1)
+    steps, count = 20, 400
+    times = np.linspace(0.0, 0.1, steps + 1)
+    rate, velocity = np.array([0.4, -0.3, 0.5]), np.array([5.0, 1.0, -2.0])
+    rotations = np.array([so3_exp(rate * t) for t in times])
+    positions = times[:, None] * velocity
+    mount = so3_exp(np.array([0.1, 3.0, 0.2]))
+    lever = np.array([0.05, -0.02, -0.1])
+    target = np.array([3.0, -4.0, -30.0])
+    offsets = np.sort(rng.uniform(0.0, 0.1, count))
+    directions, ranges = np.empty((count, 3)), np.empty(count)
+    for i, t in enumerate(offsets):
+        in_imu = so3_exp(rate * t).T @ (target - velocity * t)
+        in_lidar = mount.T @ (in_imu - lever)
+        ranges[i] = np.linalg.norm(in_lidar)
+        directions[i] = in_lidar / ranges[i]
+    points, beams = deskew(
+        directions.astype(np.float32), ranges.astype(np.float32), offsets.astype(np.float32),
+        mount, lever, rotations, positions, STEP_S, 0.5, 260.0,
+    )  # fmt: skip
+    expected = rotations[-1].T @ (target - positions[-1])
+    np.testing.assert_allclose(points, np.tile(expected, (count, 1)), atol=2e-4)
+    np.testing.assert_allclose(np.linalg.norm(beams, axis=1), ranges, rtol=1e-4)
+
+
+def test_deskew_leaves_out_what_is_no_return() -> None:
+    directions = np.tile(np.array([0.0, 0.0, 1.0], dtype=np.float32), (5, 1))
+    ranges = np.array([0.0, np.nan, np.inf, 0.2, 7.0], dtype=np.float32)
+    points, _ = deskew(
+        directions, ranges, np.zeros(5, dtype=np.float32), np.eye(3), np.zeros(3),
+        np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3)), STEP_S, 0.5, 260.0,
+    )  # fmt: skip
+    np.testing.assert_allclose(points, [[0.0, 0.0, 7.0]])
+
+
+def test_thinning_keeps_one_point_a_cell() -> None:
+    grid = np.stack(np.meshgrid(np.arange(10.0), np.arange(10.0), [0.0]), -1).reshape(-1, 3) + 0.5
+    crowd = np.repeat(grid, 7, axis=0)
+    np.testing.assert_array_equal(thin_out(crowd, 1.0, 16), np.arange(0, 700, 7))
+
+
+def test_smallest_eigenvector_agrees_with_lapack() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(50):
+        root = rng.normal(size=(3, 3)) * np.array([1.0, 0.3, 0.01])
+        cov = root @ root.T
+        values, vectors = np.linalg.eigh(cov)
+        low, mid, high, *normal = smallest_eigen(cov)
+        np.testing.assert_allclose([low, mid, high], values, rtol=1e-6, atol=1e-10)
+        assert abs(np.dot(normal, vectors[:, 0])) == pytest.approx(1.0, abs=1e-6)
+
+
+def tilted_plane(rng: np.random.Generator, count: int, noise_m: float) -> np.ndarray:
+    """z = 0.1 x - 0.05 y + 0.02, noise along the normal."""
+    xy = rng.uniform(-8.0, 8.0, (count, 2))
+    normal = np.array([-0.1, 0.05, 1.0]) / np.sqrt(1.0125)
+    points = np.column_stack([xy, 0.1 * xy[:, 0] - 0.05 * xy[:, 1] + 0.02])
+    return points + rng.normal(0.0, noise_m, (count, 1)) * normal
+
+
+def test_map_recovers_a_tilted_plane_also_across_voxel_faces() -> None:
+    rng = np.random.default_rng(3)
+    plane_map = PlaneMap(1.0, capacity=1 << 12, max_points=10_000)
+    plane_map.insert(tilted_plane(rng, 40_000, 0.02))
+    probes = tilted_plane(rng, 500, 0.02)
+    probes = probes[np.abs(probes[:, :2]).max(axis=1) < 7.0]
+    found, normals, anchors, variances, *_ = plane_map.match(probes)
+    assert found.mean() > 0.99
+    truth = np.array([-0.1, 0.05, 1.0]) / np.sqrt(1.0125)
+    alignment = np.abs(normals[found] @ truth)
+    assert np.degrees(np.arccos(np.minimum(alignment, 1.0))).max() < 1.5
+    # plane heights are unbiased: without merging, voxels cut by z = 0 would be off by 1.6 cm
+    heights = (anchors[found] - [0.0, 0.0, 0.02]) @ truth
+    assert np.abs(heights).max() < 0.006
+    np.testing.assert_allclose(np.sqrt(variances[found, 0]), 0.02, rtol=0.25)
+
+
+def test_map_memory_and_learning_are_bounded() -> None:
+    rng = np.random.default_rng(4)
+    plane_map = PlaneMap(1.0, capacity=1 << 8, max_points=20)
+    for _ in range(3):
+        plane_map.insert(rng.uniform(-50.0, 50.0, (5000, 3)))
+    assert plane_map.used <= 0.7 * 256
+    with pytest.raises(ValueError, match="power of two"):
+        PlaneMap(1.0, capacity=1000)
+
+
+def test_plane_jacobian_matches_finite_differences() -> None:
+    rng = np.random.default_rng(5)
+    rotation, position = so3_exp(rng.normal(0.0, 0.4, 3)), rng.normal(0.0, 2.0, 3)
+    point, normal, anchor = rng.normal(0, 5, 3), rng.normal(0, 1, 3), rng.normal(0, 5, 3)
+    normal /= np.linalg.norm(normal)
+    anchor = rotation @ point + position + 0.01 * normal
+
+    def height(delta: np.ndarray) -> float:
+        moved = rotation @ so3_exp(delta[:3]) @ point + position + delta[3:]
+        return float(normal @ (moved - anchor))
+
+    information, vector, used, rms = plane_information(
+        point[None], point[None], rotation, position, np.array([True]), normal[None], anchor[None],
+        np.array([[1.0, 0.0]]), 0.02, 1e-3, 0.0, 1e9,
+    )  # fmt: skip
+    gradient = np.array([(height(1e-6 * e) - height(-1e-6 * e)) / 2e-6 for e in np.eye(6)])
+    assert used == 1 and rms == pytest.approx(0.01, abs=1e-9)
+    np.testing.assert_allclose(information, np.outer(gradient, gradient), atol=1e-6)
+    np.testing.assert_allclose(vector, gradient * 0.01, atol=1e-6)
+
+
+def test_floor_adds_its_covariance() -> None:
+    rng = np.random.default_rng(6)
+    root = rng.normal(size=(6, 8))
+    information, mean = root @ root.T, rng.normal(size=6)
+    sigmas = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    widened, vector = floored(information, information @ mean, sigmas)
+    np.testing.assert_allclose(
+        np.linalg.inv(widened), np.linalg.inv(information) + np.diag(sigmas**2), rtol=1e-8
+    )
+    np.testing.assert_allclose(np.linalg.solve(widened, vector), mean, rtol=1e-8)
+
+
+@pytest.mark.parametrize("walls", [True, False])
+def test_scan_update_recovers_a_known_offset(walls: bool) -> None:
+    rng = np.random.default_rng(7)
+    plane_map = PlaneMap(1.0, capacity=1 << 14)
+    surfaces = room_points(rng, walls)
+    plane_map.insert(surfaces + rng.normal(0.0, 0.01, surfaces.shape))
+    true_rotation, true_position = so3_exp(np.array([0.02, -0.03, 0.1])), np.array([0.4, 1.0, 12.0])
+    world = room_points(rng, walls)[::7]
+    points = (world - true_position) @ true_rotation + rng.normal(0.0, 0.01, (len(world), 3))
+    offset = np.array([0.004, -0.003, 0.002, 0.05, -0.04, 0.06])
+    state = state_at(true_rotation @ so3_exp(offset[:3]), true_position + offset[3:])
+    variances = np.full(STATE_DIM, 1e-6)
+    variances[:3], variances[3:6] = 1e-4, 1e-2
+    eskf = Eskf(state, variances)
+    floor = 0.01 if walls else 0.5
+    report = update_with_scan(
+        eskf, plane_map, Anchors(), points, points, range_sigma_m=0.02, angle_sigma_rad=1e-3,
+        floor_sigmas=np.array([1e-4, 1e-4, 1e-3, floor, floor, 1e-3]),
+    )  # fmt: skip
+    error = np.abs(eskf.state.position - true_position)
+    assert report.matched > 0.7 * len(points)
+    assert error[2] < 0.02  # the map's own noise is shared: its offset is the limit
+    turn = eskf.state.rotation.T @ true_rotation
+    assert abs(turn[2, 0]) < 5e-4 and abs(turn[2, 1]) < 5e-4
+    if walls:
+        assert error[0] < 0.02 and error[1] < 0.02
+        assert report.lateral_strength[0] > 1e4
+    else:
+        # over a plane nothing is said sideways, but the noise of the voxels' normals pretends to:
+        # the floor keeps the prior, and its doubt
+        np.testing.assert_allclose(error[:2], [0.05, 0.04], atol=5e-3)
+        assert np.sqrt(eskf.covariance[3, 3]) > 0.09
+        assert report.lateral_strength[0] < 1e3
+
+
+def test_too_few_matches_change_nothing() -> None:
+    eskf = Eskf(state_at(np.eye(3), np.zeros(3)), np.ones(STATE_DIM))
+    before = eskf.covariance.copy()
+    points = np.random.default_rng(8).uniform(-5, 5, (100, 3))
+    report = update_with_scan(
+        eskf, PlaneMap(1.0, capacity=1 << 8), Anchors(), points, points, range_sigma_m=0.02,
+        angle_sigma_rad=1e-3, floor_sigmas=np.ones(6),
+    )  # fmt: skip
+    assert report.matched == 0
+    np.testing.assert_array_equal(eskf.covariance, before)
+    np.testing.assert_array_equal(eskf.state.position, np.zeros(3))
+
+
+def test_lateral_strength_of_level_ground_is_nothing() -> None:
+    level = np.diag([1e6, 1e6, 0.0, 0.0, 0.0, 1e6])
+    np.testing.assert_allclose(lateral_strength(level), np.zeros(3), atol=1e-6)
+
+
+def test_a_scan_from_the_brink_of_the_blind_zone_is_left_out() -> None:
+    # 100 beams straight down; the sensor measures from 0.5 m on, with 0.02 m of noise
+    down = np.tile([0.0, 0.0, -1.0], (100, 1))
+    ranges = np.linspace(0.60, 1.0, 100)[:, None]
+    points, beams = clear_of_blind_zone(down * ranges, down * ranges, 0.5, 0.02)
+    assert len(points) == len(beams) == 100
+    ranges[:10] = 0.57  # a tenth of them nearer than 0.5 + 4 x 0.02
+    points, beams = clear_of_blind_zone(down * ranges, down * ranges, 0.5, 0.02)
+    assert len(points) == len(beams) == 0
+    ranges[3:10] = 0.7  # three blades of grass are no ground
+    assert len(clear_of_blind_zone(down * ranges, down * ranges, 0.5, 0.02)[0]) == 100
+    assert len(clear_of_blind_zone(down[:0], down[:0], 0.5, 0.02)[0]) == 0

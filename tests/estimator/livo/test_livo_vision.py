@@ -1,0 +1,245 @@
+"""Patch tracking, landmark planes, keyframes and the reprojection update on rendered planes."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.imu_propagation import STATE_DIM, NavState
+from touchdown.estimator.filtering.keyframes import Overlap, choose, detect_features, most_redundant
+from touchdown.estimator.filtering.landmark_depth import RecentReturns, feature_planes
+from touchdown.estimator.livo.patch_tracker import grey_levels, track
+from touchdown.estimator.livo.visual import VisualFrontEnd, VisualReport, reprojection_information
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
+
+CAMERA = CameraIntrinsics(width=424, height=240, fx=310.0, fy=315.0, cx=211.5, cy=119.5)
+IMU_FROM_CAMERA = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.07, 0.02, -0.13]))
+
+
+def texture() -> np.ndarray:
+    """Ground of 40 x 40 m, 2 cm a texel, detail at several scales."""
+    rng = np.random.default_rng(3)
+    image = np.zeros((2000, 2000), dtype=np.float32)
+    for size in (50, 200, 500, 1000):
+        coarse = rng.standard_normal((size, size)).astype(np.float32)
+        image += cv2.resize(coarse, (2000, 2000), interpolation=cv2.INTER_CUBIC)
+    return np.clip(128.0 + 30.0 * image, 0, 255).astype(np.uint8)
+
+
+TEXTURE = texture()
+
+
+def view(world_from_camera: Pose) -> np.ndarray:
+    """What the camera sees of the plane z = 0; texel (row i, column j) lies at
+    (0.02 j - 20, 0.02 i - 20)."""
+    world_from_texel = np.array([[0.02, 0.0, -20.0], [0.0, 0.02, -20.0], [0.0, 0.0, 1.0]])
+    inverse = world_from_camera.inverse()
+    flat = np.column_stack([inverse.rotation[:, :2], inverse.translation])
+    grey = cv2.warpPerspective(
+        TEXTURE, CAMERA.matrix() @ flat @ world_from_texel, (CAMERA.width, CAMERA.height),
+        flags=cv2.INTER_AREA,
+    )  # fmt: skip
+    return np.repeat(grey[:, :, None], 3, axis=2)
+
+
+def plane_in(world_from_camera: Pose) -> np.ndarray:
+    """(3,) ``n . P = 1`` of the plane z = 0 in the camera's frame."""
+    return -world_from_camera.rotation[2] / world_from_camera.translation[2]
+
+
+def imu_pose(xyz: tuple[float, float, float], turn: tuple[float, float, float]) -> Pose:
+    return Pose(so3_exp(np.array(turn)), np.array(xyz))
+
+
+def test_patches_are_found_to_a_tenth_of_a_pixel_under_scale_and_turn() -> None:
+    key = imu_pose((0.0, 0.0, 12.0), (0.0, 0.0, 0.0)) @ IMU_FROM_CAMERA
+    now = imu_pose((1.5, -0.8, 10.0), (0.03, -0.02, 0.15)) @ IMU_FROM_CAMERA
+    source, target = grey_levels(view(key)), grey_levels(view(now))
+    pixels = detect_features(source[0], 100)
+    planes = np.tile(plane_in(key), (len(pixels), 1))
+    guess = Pose(now.rotation, now.translation + np.array([0.04, -0.03, 0.0]))
+    found, tracked, predicted = track(source, target, pixels, planes, guess.inverse() @ key, CAMERA)
+    _, _, truth = track(source, target, pixels, planes, now.inverse() @ key, CAMERA)
+    assert found.sum() > 40
+    assert np.linalg.norm(predicted[found] - truth[found], axis=1).mean() > 1.0
+    error = tracked[found] - truth[found]
+    assert np.abs(np.median(error, axis=0)).max() < 0.05
+    assert np.median(np.linalg.norm(error, axis=1)) < 0.15
+
+
+def test_a_blank_image_tracks_nothing() -> None:
+    key = imu_pose((0.0, 0.0, 12.0), (0.0, 0.0, 0.0)) @ IMU_FROM_CAMERA
+    source = grey_levels(view(key))
+    black = grey_levels(np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8))
+    pixels = detect_features(source[0], 100)
+    planes = np.tile(plane_in(key), (len(pixels), 1))
+    found, _, _ = track(source, black, pixels, planes, Pose.identity(), CAMERA)
+    assert not found.any()
+    assert len(detect_features(black[0], 100)) == 0
+
+
+def test_feature_planes_fit_a_slope_and_refuse_a_step() -> None:
+    rng = np.random.default_rng(4)
+    normal = np.array([0.1, -0.05, 1.0])
+    x, y = rng.uniform(-8, 8, (2, 12_000))
+    z = (20.0 - normal[0] * x - normal[1] * y) / normal[2]
+    z = np.where(x > 4.0, z - 2.5, z)  # a step in depth
+    recent = RecentReturns(scans=2, per_scan=12_000)
+    recent.add(np.column_stack([x, y, z]) + rng.normal(0.0, 0.02, (12_000, 3)))
+    rays = np.array([[0.0, 0.0], [-0.2, 0.15], [0.213, 0.05], [0.34, 0.0]])
+    valid, planes, sigmas = feature_planes(
+        rays, recent, Pose.identity(), (0.68, 0.38), radius=16.0 / 617.0
+    )
+    np.testing.assert_array_equal(valid & (sigmas == 0.0), [True, True, False, True])
+    rays3 = np.column_stack([rays[:2], np.ones(2)])
+    depth = 1.0 / np.einsum("ij,ij->i", rays3, planes[:2])
+    np.testing.assert_allclose(depth, 20.0 / (rays3 @ normal), atol=0.02)
+
+
+def test_a_feature_among_leaves_gets_the_depth_of_the_foremost_and_a_doubt() -> None:
+    rng = np.random.default_rng(6)
+    # two thirds of the returns from a crown at 18 m, 0.3 m deep, the others from 0.9 m below
+    x, y = rng.uniform(-6, 6, (2, 12_000))
+    z = np.where(rng.random(12_000) < 2 / 3, rng.normal(18.0, 0.3, 12_000), 18.9)
+    recent = RecentReturns(scans=2, per_scan=12_000)
+    recent.add(np.column_stack([x, y, z]))
+    rays = np.array([[0.0, 0.0], [0.1, -0.1], [0.6, 0.0]])  # no returns around the last
+    valid, planes, sigmas = feature_planes(
+        rays, recent, Pose.identity(), (0.68, 0.38), radius=48.0 / 617.0
+    )
+    np.testing.assert_array_equal(valid, [True, True, False])
+    rays3 = np.column_stack([rays[:2], np.ones(2)])
+    depth = 1.0 / np.einsum("ij,ij->i", rays3, planes[:2])
+    np.testing.assert_allclose(depth, 18.0, atol=0.15)
+    # twice the scatter of the nearer two thirds
+    np.testing.assert_allclose(sigmas[:2], 0.6, atol=0.2)
+    for ray, plane in zip(rays3, planes[:2], strict=True):
+        np.testing.assert_allclose(np.cross(ray, plane), 0.0, atol=1e-12)  # faces the camera
+
+
+def test_reprojection_jacobian_matches_finite_differences() -> None:
+    rng = np.random.default_rng(5)
+    key, now = imu_pose((0, 0, 20), (0.02, 0.01, 0.3)), imu_pose((2, 1, 18), (-0.03, 0.02, 0.4))
+    camera_from_imu = IMU_FROM_CAMERA.inverse()
+    intrinsics = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
+    landmark = np.array([1.5, -1.0, -19.0])
+
+    def pixel(delta: np.ndarray) -> np.ndarray:
+        moved = Pose(now.rotation @ so3_exp(delta[:3]), now.translation + delta[3:6])
+        moved_key = Pose(key.rotation @ so3_exp(delta[6:9]), key.translation + delta[9:])
+        x, y, z = (camera_from_imu @ moved.inverse() @ moved_key).apply(landmark)
+        return np.array([CAMERA.fx * x / z + CAMERA.cx, CAMERA.fy * y / z + CAMERA.cy])
+
+    residual = rng.normal(0.0, 0.1, 2)
+    information, vector, used, _ = reprojection_information(
+        (pixel(np.zeros(12)) + residual)[None], landmark[None], now.rotation, now.translation,
+        key.rotation, key.translation, camera_from_imu.rotation, camera_from_imu.translation,
+        intrinsics, 1.0, 1e6,
+    )  # fmt: skip
+    jacobian = np.column_stack([(pixel(1e-6 * e) - pixel(-1e-6 * e)) / 2e-6 for e in np.eye(12)])
+    assert used == 1
+    np.testing.assert_allclose(information, jacobian.T @ jacobian, rtol=1e-4, atol=1e-2)
+    np.testing.assert_allclose(vector, jacobian.T @ residual, rtol=1e-4, atol=1e-3)
+
+
+def front_end() -> VisualFrontEnd:
+    return VisualFrontEnd(
+        CAMERA, IMU_FROM_CAMERA, max_keyframes=4, look_back=2, features=150, sigma_px=0.5,
+        open_ticks=1200,
+    )  # fmt: skip
+
+
+def ground_returns() -> RecentReturns:
+    rng = np.random.default_rng(6)
+    recent = RecentReturns(scans=1, per_scan=60_000)
+    xy = rng.uniform(-15.0, 15.0, (60_000, 2))
+    recent.add(np.column_stack([xy, rng.normal(0.0, 0.01, 60_000)]))
+    return recent
+
+
+def filter_at(pose: Pose) -> Eskf:
+    zero = np.zeros(3)
+    variances = np.full(STATE_DIM, 1e-8)
+    return Eskf(NavState(0, pose.rotation, pose.translation, zero, zero, zero), variances)
+
+
+def test_image_update_recovers_a_known_offset() -> None:
+    key, now = imu_pose((0, 0, 15), (0, 0, 0)), imu_pose((2.0, 1.0, 14.5), (0.02, -0.01, 0.05))
+    vision, eskf = front_end(), filter_at(key)
+    assert vision.add_keyframe(eskf, grey_levels(view(key @ IMU_FROM_CAMERA)), ground_returns(), 0)
+    offset = np.array([0.001, -0.001, 0.004, 0.06, -0.05, 0.02])
+    state = eskf.state
+    eskf.state = NavState(
+        60, now.rotation @ so3_exp(offset[:3]), now.translation + offset[3:], state.velocity,
+        state.gyro_bias, state.accel_bias,
+    )  # fmt: skip
+    eskf.covariance[:6, :6] += np.diag([1e-5] * 3 + [1e-2] * 3)
+    report = vision.update(eskf, grey_levels(view(now @ IMU_FROM_CAMERA)))
+    assert report.used > 50 and report.rms_px < 0.5
+    # 150 features at 15 m: millimetres, apart from the tilt that a plane hides in x and y
+    np.testing.assert_allclose(eskf.state.position, now.translation, atol=0.025)
+    assert np.degrees(np.abs(so3_log(now.rotation.T @ eskf.state.rotation)[2])) < 0.02
+    assert eskf.covariance[3, 3] < 1e-3
+
+
+def test_a_black_image_changes_nothing_and_is_counted() -> None:
+    key = imu_pose((0, 0, 15), (0, 0, 0))
+    vision, eskf = front_end(), filter_at(key)
+    vision.add_keyframe(eskf, grey_levels(view(key @ IMU_FROM_CAMERA)), ground_returns(), 0)
+    before = eskf.covariance.copy()
+    black = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+    report = vision.update(eskf, grey_levels(black))
+    assert report.used == 0
+    np.testing.assert_array_equal(eskf.covariance, before)
+    assert not vision.wants_keyframe(report, 60)
+    assert vision.wants_keyframe(VisualReport(), 1200)
+
+
+def test_keyframes_are_bounded_and_their_clones_go_with_them() -> None:
+    vision, returns = front_end(), ground_returns()
+    eskf = filter_at(imu_pose((0, 0, 15), (0, 0, 0)))
+    for k in range(7):
+        pose = imu_pose((0.5 * k, 0.0, 15.0), (0, 0, 0))
+        eskf.state = NavState(60 * k, pose.rotation, pose.translation, *(3 * [np.zeros(3)]))
+        image = grey_levels(view(pose @ IMU_FROM_CAMERA))
+        assert vision.add_keyframe(eskf, image, returns, 60 * k)
+    assert len(vision.keyframes) == len(eskf.clones) == 4
+    assert eskf.covariance.shape == (STATE_DIM + 24, STATE_DIM + 24)
+    for keyframe, clone in zip(vision.keyframes, eskf.clones, strict=True):
+        assert clone.translation[0] == 0.5 * keyframe.tick / 60
+
+
+def test_a_plane_is_extended_only_on_demand() -> None:
+    """22 m up, returns from a patch of 7 m right below: few features have a plane of their own."""
+    rng = np.random.default_rng(8)
+    recent = RecentReturns(scans=1, per_scan=20_000)
+    recent.add(
+        np.column_stack([rng.uniform(-3.5, 3.5, (20_000, 2)), rng.normal(0.0, 0.01, 20_000)])
+    )
+    pose = imu_pose((0, 0, 22), (0, 0, 0))
+    image = grey_levels(view(pose @ IMU_FROM_CAMERA))
+    vision, eskf = front_end(), filter_at(pose)
+    assert not vision.add_keyframe(eskf, image, recent, 0, extend=False)
+    assert not vision.keyframes and not eskf.clones
+    assert vision.add_keyframe(eskf, image, recent, 0)
+    assert vision.keyframes[0].valid.sum() > 60
+
+
+def test_the_surest_and_the_best_overlapping_keyframes_are_chosen() -> None:
+    candidates = [
+        Overlap(0, 50, 0.40, 1.0),
+        Overlap(1, 90, 0.70, 1.0),
+        Overlap(2, 110, 0.90, 1.0),
+        Overlap(3, 30, 0.20, 1.0),
+    ]
+    variances = np.array([1.0, 2.0, 3.0, 0.5])
+    assert choose(candidates, variances, 2, 0.35) == [0, 2]
+    assert choose(candidates, variances, 3, 0.35) == [0, 2, 1]
+    assert choose([], variances, 3, 0.35) == []
+
+
+def test_of_a_close_pair_the_younger_goes() -> None:
+    poses = [imu_pose((x, 0.0, 30.0), (0, 0, 0)) for x in (0.0, 10.0, 10.5, 20.0, 30.0, 40.0)]
+    assert most_redundant(poses, [30.0] * 6) == 2

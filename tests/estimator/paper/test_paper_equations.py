@@ -1,0 +1,270 @@
+"""Every equation of the paper's positioning on a case worked out by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.paper.geodesic import (
+    STEP_ENERGY,
+    colour_smoothness,
+    geodesic_depth,
+    geodesic_lengths,
+    geodesic_transform,
+    path_energy,
+)
+from touchdown.estimator.paper.pnp import camera_to_global
+from touchdown.estimator.paper.projection import (
+    inside_image,
+    lidar_to_camera,
+    nearest_image,
+    project,
+)
+from touchdown.estimator.paper.registration import (
+    edge_distance,
+    neighbourhood_shapes,
+    plane_distance,
+    to_global,
+)
+from touchdown.estimator.paper.smoothness import (
+    fused_smoothness,
+    lidar_smoothness,
+    sort_out_features,
+)
+from touchdown.estimator.paper.structured_edges.detector import (
+    GradientEdges,
+    StructuredEdges,
+    edge_detector,
+)
+from touchdown.sim.api import CameraImage
+from touchdown.sim.frames import Pose
+
+QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def test_eq_1_turns_then_shifts() -> None:
+    camera_from_lidar = Pose(QUARTER_TURN, np.array([10.0, 0.0, 0.0]))
+    moved = lidar_to_camera(np.array([[1.0, 2.0, 3.0]]), camera_from_lidar)
+    np.testing.assert_allclose(moved, [[8.0, 1.0, 3.0]])
+
+
+def test_eq_2_with_skew() -> None:
+    matrix = np.array([[100.0, 10.0, 50.0], [0.0, 200.0, 40.0], [0.0, 0.0, 1.0]])
+    pixels, front = project(np.array([[2.0, 1.0, 4.0], [1.0, 1.0, -1.0]]), matrix)
+    # u = 100 * 0.5 + 10 * 0.25 + 50, v = 200 * 0.25 + 40
+    np.testing.assert_allclose(pixels[0], [102.5, 90.0])
+    assert front.tolist() == [True, False]
+    assert inside_image(pixels, front, (200, 91)).tolist() == [True, False]
+    assert inside_image(pixels, front, (200, 90)).tolist() == [False, False]
+
+
+def test_the_image_nearest_in_time_is_taken() -> None:
+    images = [
+        CameraImage(tick=t, time_s=t / 600, rgb=np.zeros((1, 1, 3), np.uint8)) for t in (20, 60, 80)
+    ]
+    assert nearest_image(images, 65, 60) is images[1]
+    assert nearest_image(images, 70, 60) is images[1]
+    assert nearest_image(images, 71, 60) is images[2]
+    assert nearest_image(images, 200, 60) is None
+
+
+def test_eq_6_of_a_corner() -> None:
+    # one laser scans x = -5..5 at z = 10, with a kerb of 1 m from x = 1 on
+    x = np.arange(-5.0, 6.0)
+    points = np.column_stack([x, np.zeros(11), np.where(x > 0, 9.0, 10.0)])
+    scores, shadowed = lidar_smoothness(points, np.arange(11), 1, 8)
+    # about the middle the x differences cancel, and the five raised ones give 5 * 1 m
+    assert scores[5] == pytest.approx(5.0 / (10 * 10.0))
+    # the end sees five neighbours alone
+    assert np.isnan(scores[0])
+    assert shadowed.tolist() == [i == 5 for i in range(11)]
+
+
+def test_eq_6_of_a_straight_track_is_zero_and_gaps_end_it() -> None:
+    points = np.column_stack([np.arange(30.0), np.zeros(30), np.full(30, 10.0)])
+    scores, _ = lidar_smoothness(points, np.arange(30), 1, 8)
+    np.testing.assert_allclose(scores[5:25], 0.0, atol=1e-12)
+    broken = np.arange(30) + 100 * (np.arange(30) >= 15)
+    scores, _ = lidar_smoothness(points, broken, 1, 8)
+    # at the gap only five neighbours are left, three steps off it eight
+    assert np.isnan(scores[14])
+    # x differences -1..-5 and 1, 2: the sum is 3 + 4 + 5 to one side, over 7 and the range
+    assert scores[12] == pytest.approx(12.0 / (7 * np.hypot(12.0, 10.0)))
+
+
+def test_eq_6_keeps_the_lasers_apart() -> None:
+    points = np.zeros((24, 3))
+    points[:, 0] = np.arange(24) // 2
+    points[:, 2] = np.where(np.arange(24) % 2 == 0, 10.0, 20.0)
+    scores, _ = lidar_smoothness(points, np.arange(24), 2, 8)
+    np.testing.assert_allclose(scores[10:14], 0.0, atol=1e-12)
+
+
+def test_eq_7_and_returns_without_image() -> None:
+    fused = fused_smoothness(np.array([0.1, 0.2]), np.array([5.0, np.nan]), 0.02)
+    np.testing.assert_allclose(fused, [0.2, 0.2])
+
+
+def test_features_are_sorted_out_by_sector() -> None:
+    directions = np.array([[0.0, 0.0], [0.1, 0.0], [0.9, 0.0], [1.0, 0.0], [0.95, 0.0]])
+    scores = np.array([0.001, 0.5, 0.002, 0.9, np.nan])
+    chosen = sort_out_features(
+        scores, np.zeros(5, dtype=bool), directions, cells=(2, 1), edges=1, edge_threshold=0.01
+    )
+    assert chosen.planes.tolist() == [0, 2]
+    assert chosen.edges.tolist() == [3]
+    shaded = np.array([False, False, False, True, False])
+    chosen = sort_out_features(
+        scores, shaded, directions, cells=(2, 1), edges=1, edge_threshold=0.01
+    )
+    assert chosen.edges.tolist() == [1]
+
+
+# ------------------------------------------------------------------------------- Eq. 8
+
+
+def step_picture() -> np.ndarray:
+    """A wall of energy 1 in column 4 of a 3 x 9 picture."""
+    energy = np.zeros((3, 9), dtype=np.float32)
+    energy[:, 4] = 1.0
+    return energy
+
+
+def test_eq_8_path_integral() -> None:
+    assert path_energy(0.2, 0.6, 2.0) == pytest.approx(2.0 * (0.4 + STEP_ENERGY))
+
+
+def test_eq_8_between_two_returns() -> None:
+    rows, cols = np.array([1, 1], np.int32), np.array([0, 8], np.int32)
+    distance, label = geodesic_transform(step_picture(), rows, cols, 1)
+    assert label[1].tolist()[:4] == [0] * 4 and label[1].tolist()[5:] == [1] * 4
+    neighbours, lengths = geodesic_lengths(step_picture(), distance, label, 2, 3)
+    # eight steps; the wall is entered and left: twice half its energy
+    expected = 8 * STEP_ENERGY + 1.0
+    assert neighbours[0].tolist().count(1) == 1
+    assert lengths[neighbours == 1] == pytest.approx(expected, rel=1e-5)
+    assert lengths[neighbours == 0] == pytest.approx(expected, rel=1e-5)
+    score = colour_smoothness(label, rows, cols, neighbours, lengths)
+    # one neighbour stands for all three
+    np.testing.assert_allclose(score, 3 * expected, rtol=1e-5)
+
+
+def test_eq_8_is_larger_at_a_boundary_than_on_either_side() -> None:
+    energy = step_picture()
+    cols = np.array([0, 1, 2, 3, 5, 6, 7, 8], np.int32)
+    rows = np.ones(8, np.int32)
+    distance, label = geodesic_transform(energy, rows, cols, 1)
+    neighbours, lengths = geodesic_lengths(energy, distance, label, 8, 2)
+    score = colour_smoothness(label, rows, cols, neighbours, lengths)
+    assert score[3] > 10 * score[1] and score[4] > 10 * score[6]
+
+
+def test_geodesic_goes_round_an_obstacle() -> None:
+    energy = np.zeros((5, 5), dtype=np.float32)
+    energy[:4, 2] = 1.0
+    seed = np.array([0], np.int32)
+    distance, _ = geodesic_transform(energy, seed, seed, 2)
+    # round the wall's lower end, four steps down and up, of which four are diagonal
+    around = STEP_ENERGY * (4 + 4 * np.sqrt(2.0))
+    assert distance[0, 4] == pytest.approx(around, rel=1e-5)
+    assert distance[0, 4] < 1.0
+
+
+def test_returns_that_share_a_pixel_share_their_score() -> None:
+    rows, cols = np.array([1, 1, 1], np.int32), np.array([0, 0, 3], np.int32)
+    energy = step_picture()
+    distance, label = geodesic_transform(energy, rows, cols, 1)
+    neighbours, lengths = geodesic_lengths(energy, distance, label, 3, 2)
+    score = colour_smoothness(label, rows, cols, neighbours, lengths)
+    assert score[0] == score[1]
+
+
+# ------------------------------------------------------------------------------- Eqs. 9 to 12
+
+
+def test_eq_9_and_11_are_rigid_transforms() -> None:
+    pose = Pose(QUARTER_TURN, np.array([0.0, 0.0, 5.0]))
+    point = np.array([[1.0, 2.0, 3.0]])
+    np.testing.assert_allclose(to_global(point, pose), [[-2.0, 1.0, 8.0]])
+    np.testing.assert_allclose(camera_to_global(point, pose), [[-2.0, 1.0, 8.0]])
+
+
+def test_eq_10_distances() -> None:
+    origin, x, y = np.zeros(3), np.array([2.0, 0.0, 0.0]), np.array([0.0, 3.0, 0.0])
+    point = np.array([7.0, 3.0, 4.0])
+    assert edge_distance(point, origin, x) == pytest.approx(5.0)
+    assert abs(plane_distance(point, origin, x, y)) == pytest.approx(4.0)
+
+
+def test_lines_and_planes_by_their_eigenvalues() -> None:
+    line = np.column_stack([np.arange(5.0), np.zeros(5), np.zeros(5)])
+    square = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 0.5, 0]], dtype=float)
+    blob = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1], [0, 0, 0]], dtype=float)
+    near = np.stack([line + [0.0, 0.1, 0.0], square, blob, square])
+    found = np.array([True, True, True, False])
+    lines, planes = neighbourhood_shapes(near, found)
+    assert lines.tolist() == [True, False, False, False]
+    assert planes[1] and not planes[2] and not planes[3]
+
+
+def test_eq_12_prefers_the_depth_on_the_same_side_of_a_boundary() -> None:
+    energy = step_picture()
+    rows, cols = np.array([1, 1], np.int32), np.array([1, 7], np.int32)
+    distance, label = geodesic_transform(energy, rows, cols, 1)
+    neighbours, lengths = geodesic_lengths(energy, distance, label, 2, 2)
+    depths = np.array([10.0, 20.0])
+    at_rows, at_cols = np.array([1, 1], np.int32), np.array([3, 6], np.int32)
+    depth, spread = geodesic_depth(
+        at_rows, at_cols, distance, label, neighbours, lengths, depths, 0.15
+    )
+    first, between = 2 * STEP_ENERGY, 6 * STEP_ENERGY + 1.0
+    near, far = np.exp(-first / 0.15), np.exp(-(first + between) / 0.15)
+    assert depth[0] == pytest.approx((10.0 * near + 20.0 * far) / (near + far), rel=1e-4)
+    assert depth[0] < 10.1 and depth[1] > 19.9 and spread[0] < 0.5
+
+
+def test_eq_12_of_an_even_surface_is_the_mean() -> None:
+    energy = np.zeros((3, 5), dtype=np.float32)
+    rows, cols = np.array([1, 1], np.int32), np.array([1, 3], np.int32)
+    distance, label = geodesic_transform(energy, rows, cols, 1)
+    neighbours, lengths = geodesic_lengths(energy, distance, label, 2, 1)
+    at = np.array([1], np.int32)
+    depth, _ = geodesic_depth(
+        at, at, distance, label, neighbours, lengths, np.array([4.0, 6.0]), 1e6
+    )
+    assert depth[0] == pytest.approx(5.0, abs=1e-4)
+
+
+def test_no_return_nearby_leaves_the_depth_open() -> None:
+    energy = np.ones((3, 9), dtype=np.float32)
+    seed = np.array([0], np.int32)
+    distance, label = geodesic_transform(energy, seed, seed, 1)
+    neighbours, lengths = geodesic_lengths(energy, distance, label, 1, 2)
+    far = np.array([2], np.int32), np.array([8], np.int32)
+    depth, _ = geodesic_depth(*far, distance, label, neighbours, lengths, np.ones(1), 0.15)
+    assert np.isnan(depth[0])
+
+
+# ------------------------------------------------------------------------------- edges
+
+
+def test_gradient_edges_lie_on_the_boundary() -> None:
+    rgb = np.full((40, 40, 3), 60, dtype=np.uint8)
+    rgb[:, 20:, 2] = 200
+    energy = GradientEdges()(rgb)
+    assert energy.shape == (40, 40) and energy.dtype == np.float32
+    assert energy.min() >= 0.0 and energy.max() <= 1.0
+    assert energy[20, 19:21].min() > 0.8
+    assert energy[:, :12].max() == 0.0 and energy[:, 28:].max() == 0.0
+
+
+def test_structured_edges_need_their_model(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="structured edge model"):
+        StructuredEdges(tmp_path / "nowhere.yml.gz")
+    broken = tmp_path / "broken.yml.gz"
+    broken.write_bytes(b"not a model")
+    with pytest.raises(ValueError, match="broken"):
+        StructuredEdges(broken)
+    assert isinstance(edge_detector("gradient"), GradientEdges)

@@ -1,0 +1,400 @@
+"""The parts of the paper's positioning on small known problems: registration, landmarks, PnP,
+bundle adjustment, dictionary and pose graph."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from touchdown.estimator.paper.bundle import BundleProblem, adjust
+from touchdown.estimator.paper.closures import Closures, level_transform
+from touchdown.estimator.paper.dictionary import InvertedIndex, Vocabulary
+from touchdown.estimator.paper.feature_map import FeatureMap
+from touchdown.estimator.paper.landmarks import BRISK, SIFT, LandmarkDetector, spread
+from touchdown.estimator.paper.matching import match_near
+from touchdown.estimator.paper.pnp import reprojection_errors, solve_pnp
+from touchdown.estimator.paper.pose_graph import Edge, PoseGraph, edge_residual
+from touchdown.estimator.paper.registration import register_scan
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log
+
+CAMERA = CameraIntrinsics(width=640, height=480, fx=500.0, fy=520.0, cx=320.0, cy=240.0)
+DOWN = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.05, 0.0, -0.1]))
+LOOSE = np.diag([1e2, 1e2, 1e2, 1e-2, 1e-2, 1e-2])
+
+
+# ------------------------------------------------------------------------------- Algorithm 1
+
+
+def room(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points on floor and two walls (3 count, 3), and along two edges (2 count, 3)."""
+    u, v, zero = rng.uniform(0, 6, (3, count)), rng.uniform(0, 6, (3, count)), np.zeros(count)
+    planes = np.concatenate(
+        [
+            np.column_stack([u[0], v[0], zero]),
+            np.column_stack([zero, u[1], v[1]]),
+            np.column_stack([u[2], zero, v[2]]),
+        ]
+    )
+    s = rng.uniform(0, 6, (2, count))
+    edges = np.concatenate(
+        [np.column_stack([s[0], zero + 6, zero]), np.column_stack([zero + 6, zero + 6, s[1]])]
+    )
+    return planes, edges
+
+
+def room_maps() -> tuple[FeatureMap, FeatureMap]:
+    planes, edges = room(np.random.default_rng(0), 4000)
+    plane_map, edge_map = FeatureMap(0.5, 1 << 12), FeatureMap(0.3, 1 << 10, reach=2)
+    plane_map.insert(planes)
+    edge_map.insert(edges)
+    return edge_map, plane_map
+
+
+def test_algorithm_1_finds_the_pose_in_spite_of_strangers() -> None:
+    rng = np.random.default_rng(1)
+    edge_map, plane_map = room_maps()
+    planes, edges = room(rng, 300)
+    planes[::10, 2] += 0.25
+    truth = Pose(so3_exp(np.array([0.02, -0.01, 0.03])), np.array([0.1, -0.08, 0.05]))
+    guess = Pose(np.eye(3), np.zeros(3))
+    back = truth.inverse()
+    result = register_scan(
+        back.apply(edges), back.apply(planes), edge_map, plane_map, guess, 1e-3 * np.eye(6),
+        edge_sigma_m=0.05, plane_sigma_m=0.02,
+    )  # fmt: skip
+    assert result is not None and result.edges > 200 and result.planes > 400
+    np.testing.assert_allclose(result.pose.translation, truth.translation, atol=0.012)
+    assert np.linalg.norm(so3_log(result.pose.rotation.T @ truth.rotation)) < 4e-3
+    assert np.linalg.eigvalsh(result.information)[0] > 0.0
+
+
+def test_algorithm_1_over_a_plane_stays_at_the_guess_where_nothing_holds_it() -> None:
+    rng = np.random.default_rng(2)
+    ground = np.column_stack([rng.uniform(-8, 8, (30000, 2)), np.zeros(30000)])
+    plane_map, edge_map = FeatureMap(0.5, 1 << 12), FeatureMap(0.3, 1 << 8)
+    plane_map.insert(ground)
+    seen = np.column_stack([rng.uniform(-5, 5, (500, 2)), np.full(500, -10.0)])
+    guess = Pose(so3_exp(np.array([0.01, 0.0, 0.0])), np.array([0.0, 0.0, 10.1]))
+    result = register_scan(
+        np.zeros((0, 3)), seen, edge_map, plane_map, guess, LOOSE,
+        edge_sigma_m=0.05, plane_sigma_m=0.02,
+    )  # fmt: skip
+    assert result is not None
+    assert result.pose.translation[2] == pytest.approx(10.0, abs=1e-3)
+    assert np.abs(so3_log(result.pose.rotation)[:2]).max() < 1e-3
+    np.testing.assert_allclose(result.pose.translation[:2], 0.0, atol=0.02)
+    assert result.information[3, 3] < 1e-6 * result.information[5, 5]
+
+
+def test_algorithm_1_needs_matches() -> None:
+    empty = FeatureMap(0.5, 1 << 8)
+    points = np.zeros((100, 3))
+    identity = Pose.identity()
+    assert (
+        register_scan(
+            points, points, empty, empty, identity, np.eye(6), edge_sigma_m=0.1, plane_sigma_m=0.1
+        )
+        is None
+    )
+
+
+def test_feature_map_returns_the_five_nearest_in_order_and_keeps_its_size() -> None:
+    grid = FeatureMap(1.0, 1 << 4)
+    line = np.column_stack([np.arange(9) + 0.5, np.full(9, 0.5), np.full(9, 0.5)])
+    grid.insert(line[:5])
+    found, near = grid.nearest(np.array([[2.4, 0.5, 0.5], [20.0, 0.0, 0.0]]))
+    # the voxels around reach three of the five
+    assert found.tolist() == [False, False]
+    for dy in (0.0, 1.0):
+        grid.insert(line[:5] + [0.0, dy, 0.0])
+    found, near = grid.nearest(np.array([[2.4, 0.5, 0.5]]))
+    assert found[0]
+    distances = np.linalg.norm(near[0] - [2.4, 0.5, 0.5], axis=1)
+    np.testing.assert_allclose(distances[:2], [0.1, 0.9])
+    assert (np.diff(distances) >= 0).all()
+    grid.insert(np.random.default_rng(0).uniform(0, 100, (500, 3)))
+    assert grid.used <= 0.7 * 16 + 1
+    with pytest.raises(ValueError, match="power of two"):
+        FeatureMap(1.0, 100)
+
+
+# ------------------------------------------------------------------------------- landmarks
+
+
+def texture(seed: int = 0) -> np.ndarray:
+    noise = np.random.default_rng(seed).uniform(0, 255, (60, 80)).astype(np.float32)
+    smooth = cv2.resize(noise, (640, 480), interpolation=cv2.INTER_CUBIC)
+    return np.clip(smooth, 0, 255).astype(np.uint8)
+
+
+def test_landmarks_are_found_again_after_a_shift() -> None:
+    detector = LandmarkDetector(300, 300)
+    shifted = np.roll(texture(), (12, 20), axis=(0, 1))
+    first, second = detector(texture()), detector(shifted)
+    for kind in (SIFT, BRISK):
+        assert len(first[kind]) > 150
+        matched = match_near(
+            kind, second[kind].pixels, second[kind].descriptors,
+            first[kind].pixels + [20.0, 12.0], first[kind].descriptors, 8.0,
+        )  # fmt: skip
+        good = np.flatnonzero(matched >= 0)
+        offset = second[kind].pixels[good] - first[kind].pixels[matched[good]]
+        assert len(good) > 80
+        assert np.abs(np.median(offset, axis=0) - [20.0, 12.0]).max() < 0.1
+        assert len(np.unique(matched[good])) == len(good)
+
+
+def test_a_black_picture_has_no_landmarks() -> None:
+    features = LandmarkDetector(100, 100)(np.zeros((480, 640), np.uint8))
+    assert [len(f) for f in features] == [0, 0]
+    assert features[0].descriptors.shape == (0, 128) and features[1].descriptors.shape == (0, 64)
+
+
+def test_spread_takes_the_best_of_every_cell_first() -> None:
+    pixels = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0], [50.0, 1.0]])
+    responses = np.array([1.0, 9.0, 8.0, 0.5])
+    assert spread(pixels, responses, (64, 32), 32, 2).tolist() == [1, 3]
+    assert spread(pixels, responses, (64, 32), 32, 3).tolist() == [1, 2, 3]
+    assert len(spread(np.zeros((0, 2)), np.zeros(0), (64, 32), 32, 3)) == 0
+
+
+def test_matching_refuses_the_far_the_unlike_and_the_ambiguous() -> None:
+    known = np.zeros((3, 64), np.uint8)
+    known[1] = 255
+    expected = np.array([[100.0, 100.0], [104.0, 100.0], [200.0, 100.0]])
+    pixels = np.array([[101.0, 100.0], [300.0, 100.0]])
+    zero = np.zeros((2, 64), np.uint8)
+    assert match_near(BRISK, pixels, zero, expected, known, 10.0).tolist() == [0, -1]
+    half = np.full((2, 64), 15, np.uint8)
+    assert match_near(BRISK, pixels, half, expected, known, 10.0).tolist() == [-1, -1]
+    # two of the same looks within reach, ten pixels apart: neither is clearly better
+    twins = np.zeros((2, 64), np.uint8)
+    apart = np.array([[96.0, 100.0], [106.0, 100.0]])
+    assert match_near(BRISK, pixels[:1], zero[:1], apart, twins, 20.0).tolist() in ([-1], [0])
+    almost = twins.copy()
+    almost[:, 0] = 3
+    seen = np.full((1, 64), 0, np.uint8)
+    assert match_near(BRISK, pixels[:1], seen, apart, almost, 20.0).tolist() == [-1]
+
+
+# ------------------------------------------------------------------------------- PnP and bundle
+
+
+def ground_points(rng: np.random.Generator, count: int) -> np.ndarray:
+    return np.column_stack([rng.uniform(-9, 9, (count, 2)), rng.uniform(0, 0.5, count)])
+
+
+def pixels_of(points: np.ndarray, pose: Pose) -> np.ndarray:
+    return -reprojection_errors(np.zeros((len(points), 2)), points, pose, DOWN, CAMERA)
+
+
+def test_pnp_recovers_the_pose_and_names_the_strangers() -> None:
+    rng = np.random.default_rng(3)
+    points = ground_points(rng, 120)
+    truth = Pose(so3_exp(np.array([0.02, 0.03, 0.5])), np.array([0.3, -0.2, 20.0]))
+    pixels = pixels_of(points, truth) + rng.normal(0, 0.3, (120, 2))
+    pixels[:20] += rng.uniform(30, 60, (20, 2))
+    guess = Pose(truth.rotation @ so3_exp(np.array([0.004, 0.0, -0.01])), truth.translation + 0.15)
+    sigmas = np.where(np.arange(120) % 2 == 0, 0.3, 0.5)
+    solved = solve_pnp(pixels, points, sigmas, guess, LOOSE, DOWN, CAMERA)
+    assert solved is not None
+    assert not solved.inliers[:20].any() and solved.inliers[20:].all()
+    np.testing.assert_allclose(solved.pose.translation, truth.translation, atol=0.06)
+    assert np.linalg.norm(so3_log(solved.pose.rotation.T @ truth.rotation)) < 3e-3
+    assert solved.rms_px < 0.6
+    assert solve_pnp(pixels[:20], points[:20], sigmas[:20], guess, LOOSE, DOWN, CAMERA) is None
+
+
+def test_bundle_adjustment_repairs_poses_and_depths() -> None:
+    rng = np.random.default_rng(4)
+    turns = [so3_exp(np.array([0.0, 0.01 * k, 0.02 * k])) for k in range(4)]
+    truth = [Pose(turns[k], np.array([1.5 * k, 0.1 * k, 20.0])) for k in range(4)]
+    points = ground_points(rng, 80)
+    hosts = np.repeat([0, 1], 40)
+    camera_poses = [pose @ DOWN for pose in truth]
+    in_host = np.array(
+        [camera_poses[h].inverse().apply(p) for h, p in zip(hosts, points, strict=True)]
+    )
+    landmarks, observers = np.divmod(np.arange(320), 4)
+    keep = observers != hosts[landmarks]
+    landmarks, observers = landmarks[keep], observers[keep]
+    pixels = np.array(
+        [
+            pixels_of(points[m : m + 1], truth[k])[0]
+            for m, k in zip(landmarks, observers, strict=True)
+        ]
+    )
+    start = [
+        truth[0],
+        truth[1],
+        Pose(truth[2].rotation, truth[2].translation + [0.1, -0.1, 0.01]),
+        Pose(truth[3].rotation @ so3_exp(np.array([0, 0, 0.01])), truth[3].translation + 0.05),
+    ]
+    priors = in_host[:, 2] + rng.normal(0, 0.03, 80)
+    problem = BundleProblem(
+        start, 2, hosts, in_host / in_host[:, 2:], priors.copy(), priors, landmarks, observers,
+        pixels, np.full(len(pixels), 0.3),
+    )  # fmt: skip
+    poses, depths = adjust(
+        problem, DOWN, CAMERA, depth_sigma_m=0.05,
+        prior_sigmas=np.array([0.01, 0.01, 0.05, 1.0, 1.0, 0.1]), iterations=8,
+    )  # fmt: skip
+    for pose, true in zip(poses, truth, strict=True):
+        np.testing.assert_allclose(pose.translation, true.translation, atol=0.006)
+        assert np.linalg.norm(so3_log(pose.rotation.T @ true.rotation)) < 1e-3
+    assert np.abs(depths - in_host[:, 2]).mean() < np.abs(priors - in_host[:, 2]).mean()
+    np.testing.assert_array_equal(poses[0].translation, truth[0].translation)
+
+
+# ------------------------------------------------------------------------------- dictionary
+
+
+@pytest.mark.parametrize("kind", [SIFT, BRISK])
+def test_words_are_shared_by_the_like_and_bounded(kind: int) -> None:
+    rng = np.random.default_rng(5)
+    size = 128 if kind == SIFT else 64
+    descriptors = rng.integers(0, 256, (30, size)).astype(np.uint8)
+    vocabulary = Vocabulary(kind, 40)
+    first = vocabulary.assign(descriptors)
+    assert first.tolist() == list(range(30))
+    near = descriptors.copy()
+    near[:, 0] ^= 1
+    assert vocabulary.assign(near[::-1]).tolist() == list(range(29, -1, -1))
+    more = vocabulary.assign(rng.integers(0, 256, (30, size)).astype(np.uint8))
+    assert vocabulary.count == 40 and more.max() < 40
+    assert len(vocabulary.assign(np.zeros((0, size), np.uint8))) == 0
+
+
+def test_inverted_index_ranks_by_rare_common_words_and_forgets() -> None:
+    index = InvertedIndex()
+    index.add(1, np.array([7, 8, 9, 9]))
+    index.add(2, np.array([7, 20]))
+    index.add(3, np.array([7, 21]))
+    scores = index.scores(np.array([7, 8, 9]))
+    # word 7 is everywhere and says nothing, 8 and 9 are at keyframe 1 alone
+    assert scores[1] == pytest.approx(1.0)
+    assert scores[2] < 1e-6
+    index.remove(1)
+    assert len(index) == 2 and 1 not in index.scores(np.array([8, 9]))
+
+
+# ------------------------------------------------------------------------------- pose graph
+
+
+SIGMAS = np.full(6, 0.1)
+FREE = np.array([np.inf] * 6)
+
+
+def test_edge_residual_of_a_known_pair() -> None:
+    edge = Edge(0, 1, Pose(np.eye(3), np.array([1.0, 0.0, 0.0])), np.eye(6), False)
+    source = Pose(rotation_from_yaw(np.pi / 2), np.array([5.0, 0.0, 0.0]))
+    target = Pose(rotation_from_yaw(np.pi / 2 + 0.1), np.array([5.0, 3.0, 0.0]))
+    np.testing.assert_allclose(edge_residual(edge, source, target), [0, 0, 0.1, 2, 0, 0], atol=1e-9)
+
+
+def test_a_closure_is_shared_out_along_the_path() -> None:
+    graph = PoseGraph(np.full(6, 1e-6), FREE)
+    unit = Pose(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    for k in range(5):
+        pose = Pose(np.eye(3), np.array([float(k), 0.0, 0.0]))
+        graph.add_node(k, pose, pose)
+        if k:
+            graph.add_edge(Edge(k - 1, k, unit, np.diag(SIGMAS**-2.0), False))
+    # variance 0.01 a hop over four hops, against 0.01 of the closure: it wins 4 / 5 of 0.5 m
+    seen = Pose(np.eye(3), np.array([4.5, 0.0, 0.0]))
+    graph.add_edge(Edge(0, 4, seen, np.diag(SIGMAS**-2.0), False))
+    graph.optimise(3)
+    x = [graph.poses[k].translation[0] for k in range(5)]
+    np.testing.assert_allclose(x, [0.0, 1.1, 2.2, 3.3, 4.4], atol=1e-6)
+    covariance = graph.position_covariance(4)
+    assert covariance[0, 0] == pytest.approx(0.01 * 4 / 5, rel=1e-3)
+
+
+def test_a_turned_square_closes() -> None:
+    """Odometry whose every corner turns 1 degree too far; the closure says it came home."""
+    graph = PoseGraph(np.full(6, 1e-6), FREE)
+    step = Pose(rotation_from_yaw(np.radians(91.0)), np.array([10.0, 0.0, 0.0]))
+    pose = Pose.identity()
+    for k in range(5):
+        graph.add_node(k, pose, pose)
+        if k:
+            graph.add_edge(Edge(k - 1, k, step, np.eye(6) * 100.0, False))
+        pose = pose @ step
+    graph.add_edge(Edge(0, 4, Pose.identity(), np.eye(6) * 1e8, True))
+    graph.optimise(10)
+    np.testing.assert_allclose(graph.poses[4].translation, 0.0, atol=1e-3)
+    assert np.linalg.norm(so3_log(graph.poses[4].rotation)) < 1e-3
+    assert np.linalg.norm(graph.poses[2].translation[:2] - [10.0, 10.0]) < 0.2
+
+
+def test_a_false_closure_is_outvoted() -> None:
+    graph = PoseGraph(np.full(6, 1e-6), FREE)
+    for k in range(3):
+        pose = Pose(np.eye(3), np.array([float(k), 0.0, 0.0]))
+        graph.add_node(k, pose, pose)
+        if k:
+            unit = Pose(np.eye(3), np.array([1.0, 0.0, 0.0]))
+            graph.add_edge(Edge(k - 1, k, unit, 1e4 * np.eye(6), False))
+    graph.add_edge(Edge(0, 2, Pose(np.eye(3), np.array([9.0, 0, 0])), 1e4 * np.eye(6), True))
+    graph.optimise(5)
+    assert graph.poses[2].translation[0] == pytest.approx(2.0, abs=0.01)
+
+
+def test_a_removed_node_is_bridged() -> None:
+    graph = PoseGraph(np.full(6, 1e-6), FREE)
+    unit = Pose(rotation_from_yaw(0.1), np.array([1.0, 0.0, 0.0]))
+    pose = Pose.identity()
+    for k in range(3):
+        graph.add_node(k, pose, pose)
+        if k:
+            graph.add_edge(Edge(k - 1, k, unit, np.diag(SIGMAS**-2.0), False))
+        pose = pose @ unit
+    graph.remove_node(1)
+    assert len(graph.edges) == 1
+    bridge = graph.edges[0]
+    assert (bridge.source, bridge.target) == (0, 2)
+    np.testing.assert_allclose(bridge.measured.translation, (unit @ unit).translation)
+    np.testing.assert_allclose(bridge.information, 50.0 * np.eye(6))
+    with pytest.raises(KeyError, match="no node 1"):
+        graph.add_edge(Edge(0, 1, unit, np.eye(6), False))
+
+
+def test_level_priors_hold_height_and_tilt_against_drifting_edges() -> None:
+    level = np.array([1e-4, 1e-4, np.inf, np.inf, np.inf, 1e-3])
+    graph = PoseGraph(np.full(6, 1e-6), level)
+    flat = Pose(np.eye(3), np.zeros(3))
+    graph.add_node(0, flat, flat)
+    drifting = Pose(so3_exp(np.array([0.0, 0.05, 0.0])), np.array([1.0, 0.0, 0.2]))
+    graph.add_node(1, drifting, Pose(np.eye(3), np.array([1.0, 0.0, 0.0])))
+    graph.add_edge(Edge(0, 1, drifting, np.eye(6), False))
+    graph.optimise(5)
+    assert graph.poses[1].translation[2] == pytest.approx(0.0, abs=1e-3)
+    assert np.abs(so3_log(graph.poses[1].rotation)).max() < 1e-3
+    assert graph.poses[1].translation[0] == pytest.approx(1.0, abs=1e-6)
+
+
+# ------------------------------------------------------------------------------- odometry frame
+
+
+def test_level_transform_takes_one_position_to_the_other() -> None:
+    odom = Pose(rotation_from_yaw(0.3), np.array([3.0, 1.0, 9.0]))
+    world = Pose(rotation_from_yaw(0.5), np.array([3.2, 1.1, 9.0]))
+    moved = level_transform(odom, world)
+    np.testing.assert_allclose(moved.apply(odom.translation), world.translation)
+    np.testing.assert_allclose(so3_log(moved.rotation), [0.0, 0.0, 0.2], atol=1e-9)
+
+
+def test_the_odometry_frame_moves_no_faster_than_allowed() -> None:
+    closures = Closures(0.1, 0.01)
+    closures._target = Pose(rotation_from_yaw(0.02), np.array([0.3, 0.0, 0.0]))
+    position = np.array([40.0, 0.0, 10.0])
+    goal = closures._target.apply(position)
+    before = position
+    for _ in range(2000):
+        after = closures.advance(position, 0.005).apply(position)
+        assert np.linalg.norm(after - before) <= 0.1 * 0.005 + 1e-12
+        before = after
+    np.testing.assert_allclose(before, goal, atol=1e-6)
+    assert so3_log(closures.world_from_odom.rotation)[2] == pytest.approx(0.02)

@@ -1,0 +1,232 @@
+"""What is refused before estimators and the mapper see it, and what they make of what is left."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.api import Estimate
+from touchdown.estimator.guard import InputGuard
+from touchdown.sim.api import CameraImage, FaultParams, ImuSample, LidarScan, Observation
+from touchdown.sim.faults.injector import FaultInjector
+
+from support import livo_flight, paper_flight
+from support.guard_support import RIG, obs
+
+HEIGHT, WIDTH = RIG.camera.height, RIG.camera.width
+
+
+def scan(end: int = 600, seed: int = 0, **changes: Any) -> LidarScan:
+    rng = np.random.default_rng([end, seed])
+    directions = np.tile(np.array([0.0, 0.0, 1.0], np.float32), (20, 1))
+    values: dict[str, Any] = {
+        "start_tick": end - 60, "end_tick": end,
+        "start_time_s": (end - 60) / 600, "end_time_s": end / 600,
+        "directions": directions,
+        "ranges": rng.uniform(5.0, 9.0, 20).astype(np.float32),
+        "time_offsets": np.linspace(0.005, 0.1, 20, dtype=np.float32),
+        "intensity": np.full(20, 9, np.uint8),
+    }  # fmt: skip
+    return LidarScan(**(values | changes))
+
+
+def image(tick: int = 600, **changes: Any) -> CameraImage:
+    rgb = np.random.default_rng(tick).integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8)
+    values: dict[str, Any] = {"tick": tick, "time_s": tick / 600, "rgb": rgb}
+    return CameraImage(**(values | changes))
+
+
+def screen(*observations: Observation) -> tuple[Observation, list[str], InputGuard]:
+    """The last observation as it comes out, and all that was said."""
+    guard = InputGuard(RIG, 10)
+    said: list[str] = []
+    for observation in observations:
+        out = guard.screen(observation)
+        said += guard.events
+    return out, said, guard
+
+
+def test_what_is_well_passes_untouched() -> None:
+    whole = obs(636, scans=(scan(),), images=(image(),))
+    out, said, guard = screen(whole)
+    assert out is whole and not said and guard.refused == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"ranges": np.full(20, np.nan, np.float32)}, "not a number"),
+        ({"directions": np.full((20, 3), np.nan, np.float32)}, "not a number"),
+        ({"ranges": np.full(20, np.inf, np.float32)}, "not a number"),
+        ({"ranges": np.zeros(19, np.float32)}, "its arrays differ in length"),
+        ({"start_tick": 660}, "ends before it starts"),
+        ({"end_tick": 900}, "from the future"),
+    ],
+)
+def test_scans_that_are_refused(changes: dict[str, Any], word: str) -> None:
+    bad = scan(**changes)
+    out, said, guard = screen(obs(636, scans=(bad,)))
+    assert out.scans == () and said == [f"scan {bad.end_tick} refused: {word}"]
+    assert guard.refused == 1
+
+
+def test_a_scan_without_pulses() -> None:
+    none = np.zeros(0, np.float32)
+    empty = scan(directions=np.zeros((0, 3), np.float32), ranges=none, time_offsets=none,
+                 intensity=np.zeros(0, np.uint8))  # fmt: skip
+    assert screen(obs(636, scans=(empty,)))[1] == ["scan 600 refused: no pulses"]
+
+
+def test_silence_on_the_ground_is_not_an_event_but_blindness_in_flight_is() -> None:
+    def blind(end: int) -> LidarScan:
+        return scan(end, ranges=np.zeros(20, np.float32))
+
+    grounded = [obs(t + 36, scans=(blind(t),)) for t in (60, 120)]
+    flying = [obs(t + 36, scans=(scan(t),)) for t in (180, 240)]
+    blinded = [obs(t + 36, scans=(blind(t),)) for t in (300, 360)]
+    again = [obs(456, scans=(scan(420),))]
+    out, said, _ = screen(*grounded)
+    assert out.scans == () and said == []
+    assert screen(*grounded, *flying, *blinded, *again)[1] == [
+        "scan 300 refused: no returns",
+        "scans usable again after 2 refused",
+    ]
+
+
+def test_single_pulses_that_are_no_numbers_keep_their_places() -> None:
+    ranges = scan().ranges.copy()
+    ranges[[3, 7]] = np.nan
+    directions = scan().directions.copy()
+    directions[11, 1] = np.inf
+    given = scan(ranges=ranges, directions=directions)
+    out, said, _ = screen(obs(636, scans=(given,)))
+    cleaned = out.scans[0]
+    assert said == ["scan 600 cleaned: 3 of 20 pulses not a number"]
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(cleaned.ranges)), [3, 7, 11])
+    assert np.isfinite(cleaned.directions).all()
+    assert np.isinf(given.directions[11, 1]), "what was given is not written to"
+
+
+def test_stamps() -> None:
+    first = obs(636, scans=(scan(600),), images=(image(600),))
+    repeated = obs(696, scans=(scan(600, seed=1),), images=(image(600),))
+    _, said, _ = screen(first, repeated)
+    assert said == [
+        "scan 600 refused: repeats its time stamp",
+        "image 600 refused: repeats its time stamp",
+    ]
+    older = obs(696, scans=(scan(570, seed=1),), images=(image(540),))
+    assert screen(first, older)[1] == [
+        "scan 570 refused: older than one that came before it",
+        "image 540 refused: older than one that came before it",
+    ]
+
+
+def test_of_two_swapped_messages_neither_is_believed() -> None:
+    out, said, _ = screen(obs(696, scans=(scan(660), scan(600)), images=(image(660), image(600))))
+    assert out.scans == () and out.images == ()
+    # told once for each sensor
+    assert said == ["scan 660 refused: out of order", "image 660 refused: out of order"]
+
+
+def test_a_frozen_sensor_is_told_by_its_noise() -> None:
+    frozen_scan = dataclasses.replace(scan(600), start_tick=600, end_tick=660)
+    frozen_image = dataclasses.replace(image(600), tick=660)
+    _, said, _ = screen(
+        obs(636, scans=(scan(600),), images=(image(600),)),
+        obs(696, scans=(frozen_scan,), images=(frozen_image,)),
+    )
+    assert said == [
+        "scan 660 refused: the same as the one before",
+        "image 660 refused: the same as the one before",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("rgb", "word"),
+    [
+        (np.zeros((HEIGHT, WIDTH, 3), np.uint8), "no contrast"),
+        (np.full((HEIGHT, WIDTH, 3), 255, np.uint8), "no contrast"),
+        (np.zeros((HEIGHT, WIDTH), np.uint8), "uint8 of shape"),
+        (np.zeros((HEIGHT, WIDTH, 3), np.float32), "float32 of shape"),
+    ],
+)
+def test_images_that_are_refused(rgb: Any, word: str) -> None:
+    out, said, _ = screen(obs(636, images=(image(rgb=rgb),)))
+    assert out.images == () and len(said) == 1 and word in said[0]
+
+
+def test_a_silent_sensor_is_missed_once_and_welcomed_back() -> None:
+    heard = obs(636, scans=(scan(600),))
+    silence = [obs(t) for t in range(639, 1200, 3)]
+    back = obs(1236, scans=(scan(1200),))
+    _, said, _ = screen(heard, *silence, back)
+    assert said == ["no scan for 0.35 s", "scans again after 1.00 s"]
+    assert screen(*silence)[1] == [], "a sensor that was never heard is not missed"
+
+
+def test_an_imu_sample_that_is_no_number_is_bridged() -> None:
+    def sample(tick: int, rate: float) -> ImuSample:
+        return ImuSample(
+            tick=tick, time_s=tick / 600, angular_velocity=np.full(3, rate),
+            specific_force=np.ones(3),
+        )  # fmt: skip
+
+    out, said, _ = screen(obs(3, imu=(sample(3, 0.1),)), obs(6, imu=(sample(6, np.nan),)))
+    assert out.imu[0].tick == 6 and out.imu[0].angular_velocity[0] == 0.1
+    assert said == ["IMU sample 6 replaced by 3: not a number"]
+    assert screen(obs(3, imu=(sample(3, np.inf),)))[0].imu == ()
+
+
+# ----------------------------------------------------------- estimators behind a faulty delivery
+
+FAULTS = {
+    "lidar_nan": "not a number",
+    "lidar_empty": "no pulses",
+    "lidar_blind": "no returns",
+    "camera_black": "no contrast",
+    "timestamp_repeat": "repeats its time stamp",
+    "timestamp_swap": "out of order",
+    "lidar_frozen": "the same as the one before",
+    "camera_frozen": "the same as the one before",
+}
+
+
+def replay(
+    flight: list[Observation], fly: Callable[[list[Observation]], list[Estimate]], *events: str
+) -> list[Estimate]:
+    injector = FaultInjector(FaultParams(events=events), 600)
+    return fly([injector.apply(observation) for observation in flight])
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+@pytest.mark.parametrize("module", [livo_flight, paper_flight])
+def test_estimators_survive_and_tell(module: Any, kind: str) -> None:
+    clean = module.FLIGHT
+    start = 0.6 * clean[-1].tick / 600
+    estimates = replay(clean, module.fly, f"{kind}@{start:g}")
+    said = [text for estimate in estimates for text in estimate.events]
+    assert any(FAULTS[kind] in text for text in said), said
+    for estimate in estimates:
+        true = module.position_at(estimate.time_s)
+        assert np.linalg.norm(estimate.world_from_body.translation - true) < 0.06
+        assert np.isfinite(estimate.position_covariance).all()
+
+
+@pytest.mark.parametrize("sensor", ["lidar", "camera"])
+@pytest.mark.parametrize("module", [livo_flight, paper_flight])
+def test_estimators_go_on_without_a_sensor(module: Any, sensor: str) -> None:
+    clean = module.FLIGHT
+    start = 0.3 * clean[-1].tick / 600
+    estimates = replay(clean, module.fly, f"{sensor}_dropout@{start:g}+0.6")
+    said = [text for estimate in estimates for text in estimate.events]
+    assert any(text.startswith("no ") for text in said)
+    worst = max(
+        np.linalg.norm(e.world_from_body.translation - module.position_at(e.time_s))
+        for e in estimates
+    )
+    assert worst < 0.06

@@ -1,0 +1,217 @@
+"""The mapper on scenes whose geometry is known in closed form."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.api import MapperParams, MapView, PoseTrack
+from touchdown.estimator.mapping import kernels
+from touchdown.estimator.mapping.mapper import GridMapper
+from touchdown.sim.api import CameraImage, LidarScan
+from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, so3_exp
+
+from support.landing_support import beam_fan, cast_scan, make_estimate, make_obs, make_rig
+
+BOX = (np.array([1.0, -1.0, 0.0]), np.array([3.0, 1.0, 0.5]))
+PARAMS = MapperParams(extent_m=60.0)
+
+
+def motion(time_s: float) -> Pose:
+    """Forward flight at 4 m/s with a roll of 0.5 rad/s, 12 m up."""
+    rotation = so3_exp(np.array([0.5 * (time_s - 0.05), 0.1, 0.0]))
+    return Pose(rotation, np.array([4.0 * time_s, 0.3, 12.0]))
+
+
+def moving_scan(n: int, seed: int = 0, **scene: object) -> LidarScan:
+    directions = beam_fan(n, 0.86, 0.22, seed)
+    times = np.linspace(0.1 / n, 0.1, n)
+    return cast_scan(60, directions, [motion(0.1 + t) for t in times], **scene)
+
+
+def fly(mapper: GridMapper, scan: LidarScan, **deliver: object) -> MapView:
+    """Feeds causal poses at 200 Hz and the scan 36 ticks after its end."""
+    for tick in range(0, 157, 3):
+        arrived = tick == 156
+        obs = make_obs(tick, scans=(scan,) if arrived else (), **(deliver if arrived else {}))
+        view = mapper.update(obs, make_estimate(tick, motion(tick / 600.0)))
+    return view
+
+
+def height_at(view: MapView, x: float, y: float) -> tuple[float, float]:
+    grid = view.coarse
+    col, row = np.floor((np.array([x, y]) - grid.origin_xy_m) / grid.cell_m).astype(int)
+    return float(grid.height_m[row, col]), float(grid.count[row, col])
+
+
+def test_moving_scan_maps_plane_and_box_to_their_heights() -> None:
+    view = fly(GridMapper(make_rig(), PARAMS), moving_scan(20000, box=BOX))
+    seen = view.coarse.count > 0
+    heights = view.coarse.height_m[seen]
+    col, row = np.meshgrid(np.arange(300), np.arange(300))
+    x, y = (view.coarse.origin_xy_m[:, None, None] + (np.stack([col, row]) + 0.5) * 0.2)[:, seen]
+    far_out = (x < 0.8) | (x > 3.2) | (np.abs(y) > 1.2)
+    inside = (x > 1.2) & (x < 2.8) & (np.abs(y) < 0.8)
+    assert inside.sum() > 30
+    assert np.abs(heights[far_out]).max() < 2e-3  # lerp between 200 Hz poses of a turning body
+    assert np.abs(heights[inside] - 0.5).max() < 2e-3
+    assert np.nanmax(view.coarse.height_std_m[seen][far_out]) < 2e-3
+
+
+def test_without_deskew_the_same_scan_would_be_wrong() -> None:
+    """Guards the test above: one pose for all pulses is off by decimetres."""
+    scan = moving_scan(4000)
+    mapper = GridMapper(make_rig(), PARAMS)
+    frozen = motion(0.2)
+    for tick in range(0, 157, 3):
+        scans = (scan,) if tick == 156 else ()
+        view = mapper.update(make_obs(tick, scans=scans), make_estimate(tick, frozen))
+    assert np.nanmax(np.abs(view.coarse.height_m)) > 0.1
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 65, 129, 2400])
+def test_every_pulse_goes_where_the_pose_of_its_own_instant_sends_it(count: int) -> None:
+    """A turn of 5 rad/s and 8 m/s, against exact poses one pulse at a time."""
+    rng = np.random.default_rng(count)
+    axis = np.array([0.6, 0.0, 0.8])
+    mount = Pose(so3_exp(np.array([0.2, -0.3, 0.1])), np.array([0.1, -0.2, -0.3]))
+
+    def body(time_s: float) -> Pose:
+        return Pose(so3_exp(5.0 * time_s * axis), np.array([8.0, 1.0, -2.0]) * time_s)
+
+    times = np.arange(0.0, 0.1101, 0.001)
+    offsets = (np.arange(1, count + 1) / 24000.0).astype(np.float32)
+    directions = rng.standard_normal((count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    origins, beams = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    kernels.deskew(
+        directions.astype(np.float32), offsets, 0.0, times,
+        np.array([body(t).translation for t in times]),
+        np.array([quat_wxyz_from_matrix(body(t).rotation) for t in times]),
+        mount.rotation, mount.translation, origins, beams,
+    )  # fmt: skip
+    poses = [body(float(t)) @ mount for t in offsets]
+    # A tenth of the Horizon's rate puts knots 2.7 ms apart: the chord of 13 mrad is 2e-5 short.
+    np.testing.assert_allclose(origins, [p.translation for p in poses], atol=2e-5)
+    exact = [pose.rotation @ way for pose, way in zip(poses, directions, strict=True)]
+    np.testing.assert_allclose(beams, exact, atol=3e-5)
+
+
+def test_the_estimators_own_track_is_preferred() -> None:
+    times = np.linspace(0.09, 0.21, 25)
+    poses = [motion(t) for t in times]
+    track = PoseTrack(
+        times_s=times,
+        positions_odom=np.array([p.translation for p in poses]) + np.array([0.0, 0.0, 1.0]),
+        quats_wxyz=np.array([quat_wxyz_from_matrix(p.rotation) for p in poses]),
+    )
+    mapper = GridMapper(make_rig(), PARAMS)
+    scan = moving_scan(4000)
+    mapper.update(make_obs(0), make_estimate(0, motion(0.0)))
+    estimate = dataclasses.replace(make_estimate(156, motion(0.26)), scan_track=track)
+    view = mapper.update(make_obs(156, scans=(scan,)), estimate)
+    assert np.nanmin(view.coarse.height_m) == pytest.approx(1.0, abs=2e-3)
+    assert np.nanmax(view.coarse.height_m) == pytest.approx(1.0, abs=2e-3)
+
+
+def test_pulses_without_return_are_missing_where_they_should_have_hit() -> None:
+    hole = (np.array([-1.0, -4.0]), np.array([2.0, -1.0]))
+    view = fly(GridMapper(make_rig(), PARAMS), moving_scan(20000, hole=hole))
+    grid = view.coarse
+    rows, cols = np.nonzero(grid.missing > 0)
+    centres = grid.origin_xy_m + (np.column_stack([cols, rows]) + 0.5) * grid.cell_m
+    assert rows.size > 50
+    assert (centres > hole[0] - 0.2).all()
+    assert (centres < hole[1] + 0.2).all()
+    deep = (centres > hole[0] + 0.2).all(axis=1) & (centres < hole[1] - 0.2).all(axis=1)
+    assert (grid.count[rows[deep], cols[deep]] == 0).all()
+
+
+def test_colours_come_from_where_the_camera_looked() -> None:
+    """An image whose left half is red and right half green; level flight at the exposure."""
+    rgb = np.zeros((480, 848, 3), np.uint8)
+    rgb[:, :424, 0] = 200
+    rgb[:, 424:, 1] = 200
+    still = Pose(np.eye(3), np.array([0.0, 0.0, 12.0]))
+    directions = beam_fan(6000, 0.86, 0.22, 1)
+    scan = cast_scan(60, directions, [still] * 6000)
+    image = CameraImage(tick=120, time_s=0.2, rgb=rgb)
+    mapper = GridMapper(make_rig(), PARAMS)
+    for tick in range(0, 157, 3):
+        late = {"scans": (scan,), "images": (image,)} if tick == 156 else {}
+        view = mapper.update(make_obs(tick, **late), make_estimate(tick, still))
+    grid = view.coarse
+    rows, cols = np.nonzero(grid.count > 0)
+    y = grid.origin_xy_m[1] + (rows + 0.5) * grid.cell_m
+    rgb_seen = grid.rgb[rows, cols]
+    half_view = 12.0 * 424 / 617.0
+    left, right, outside = (
+        (y > 0.3) & (y < half_view - 0.3),
+        (y < -0.3),
+        np.abs(y) > half_view + 0.2,
+    )
+    right &= y > -half_view + 0.3
+    assert (rgb_seen[left] == [200, 0, 0]).all()  # image left is body left (+y)
+    assert (rgb_seen[right] == [0, 200, 0]).all()
+    assert outside.sum() > 10
+    assert np.isnan(rgb_seen[outside]).all()
+
+
+def test_recent_returns_outweigh_old_ones() -> None:
+    """After the cap a raised floor is learnt at the rate of the cap, not of all history."""
+    mapper = GridMapper(make_rig(), dataclasses.replace(PARAMS, count_cap=50.0))
+    straight_down = np.tile([[0.004, 0.004, 1.0]], (1000, 1))
+    for floor, tick in ((12.0, 0), (11.0, 300)):
+        pose = Pose(np.eye(3), np.array([0.0, 0.0, floor]))
+        still = Pose(np.eye(3), np.array([0.0, 0.0, 12.0]))
+        scan = cast_scan(tick + 60, straight_down, [pose] * 1000)
+        for k in range(tick, tick + 157, 3):
+            scans = (scan,) if k == tick + 156 else ()
+            view = mapper.update(make_obs(k, scans=scans), make_estimate(k, still))
+    cells = view.coarse.count > 0
+    assert view.coarse.count[cells].max() == 50.0
+    assert view.coarse.height_m[cells].max() == pytest.approx(1.0, abs=1e-4)
+    assert view.coarse.max_height_m[cells].max() == pytest.approx(1.0, abs=1e-4)
+
+
+def test_fine_grid_opens_low_follows_and_keeps_the_overlap() -> None:
+    mapper = GridMapper(make_rig(), PARAMS)
+    directions = beam_fan(4000, 0.86, 0.22, 2)
+
+    def hover(x: float, z: float, tick: int) -> MapView:
+        still = Pose(np.eye(3), np.array([x, 0.0, z]))
+        scan = cast_scan(tick + 60, directions, [still] * 4000)
+        for k in range(tick, tick + 157, 3):
+            scans = (scan,) if k == tick + 156 else ()
+            view = mapper.update(make_obs(k, scans=scans), make_estimate(k, still))
+        return view
+
+    assert hover(0.0, 20.0, 0).fine is None
+    low = hover(0.0, 10.0, 600)
+    assert low.fine is not None
+    assert low.fine.cell_m == 0.05
+    before, old_count = low.fine.origin_xy_m, low.fine.count.copy()
+    moved = hover(7.0, 10.01, 1200)  # the very same ranges again would be a frozen sensor
+    assert moved.fine is not None
+    assert moved.fine.origin_xy_m == pytest.approx(before + np.array([7.0, 0.0]))
+    shift = round(7.0 / 0.05)
+    common = moved.fine.count[:, : 480 - shift]
+    assert (common >= old_count[:, shift:]).all()
+    assert old_count[:, shift:].sum() > 0
+    with pytest.raises(ValueError, match="read-only"):
+        moved.fine.count[0, 0] = 1.0
+
+
+def test_not_a_number_in_pose_or_range_leaves_the_map_clean() -> None:
+    mapper = GridMapper(make_rig(), PARAMS)
+    scan = moving_scan(2000)
+    ranges = scan.ranges.copy()
+    ranges[::7] = np.nan
+    fly(mapper, dataclasses.replace(scan, ranges=ranges))
+    broken = Pose(np.full((3, 3), np.nan), np.full(3, np.nan))
+    view = mapper.update(make_obs(159, scans=(scan,)), make_estimate(159, broken))
+    seen = view.coarse.count > 0
+    assert seen.any()
+    assert np.isfinite(view.coarse.height_m[seen]).all()

@@ -1,0 +1,293 @@
+"""The bare computation is the flight's own work, and the overhead adds up."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import mujoco
+import numba
+import numpy as np
+import pytest
+
+from touchdown.experiments.benchmarks import loop as bench
+from touchdown.experiments.benchmarks.bare_world import BareWorld, _world_rays
+from touchdown.experiments.benchmarks.jit_warmup import compiled_before
+from touchdown.experiments.benchmarks.loop import bench_config, overhead_config
+from touchdown.experiments.benchmarks.loop_overhead import (
+    NOT_OVERHEAD,
+    _compare,
+    _Sums,
+    measure_overhead,
+)
+from touchdown.experiments.campaign.plan import Plan
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.flight.stage_timer import StageClock, Timed
+from touchdown.experiments.flight.wiring import build_scene
+from touchdown.scenes.api import Scene
+from touchdown.sim.api import CameraParams, LidarParams, LidarScan, SimParams, Truth
+from touchdown.sim.frames import Pose, rotation_from_yaw
+
+LAWN = """<mujoco><worldbody>
+<light pos="0 0 50" dir="0 0 -1"/>
+<geom name="lawn" type="plane" size="60 60 1" rgba="0.2 0.6 0.2 1"/>
+<geom name="road_box" type="box" pos="3 2 0.5" size="1 1 0.5" rgba="0.8 0.2 0.2 1"/>
+</worldbody></mujoco>"""
+SHORT_FLIGHT = (
+    "sim.threads=1",
+    "landing.survey_only=true",
+    "survey.height_m=5.0",
+    "survey.legs=1",
+    "survey.leg_length_m=6.0",
+    "survey.duration_s=5.0",
+)
+
+
+@pytest.fixture(scope="module")
+def lawn_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("lawn") / "lawn.xml"
+    path.write_text(LAWN)
+    return path
+
+
+@pytest.fixture(scope="module")
+def lawn(lawn_file: Path) -> Scene:
+    return build_scene(load_config(scene=str(lawn_file)))
+
+
+@pytest.fixture(scope="module")
+def bare(lawn: Scene) -> Iterator[BareWorld]:
+    world = BareWorld(
+        lawn, sim=SimParams(), camera=CameraParams(noise_sigma=0.0), lidar=LidarParams(), seed=0
+    )
+    yield world
+    world.close()
+
+
+def truth_at(height_m: float, *, rotor_speed: float = 0.0) -> Truth:
+    zero = np.zeros(3)
+    return Truth(
+        tick=60,
+        time_s=0.1,
+        world_from_body=Pose(np.eye(3), np.array([0.0, 0.0, height_m])),
+        velocity_world=np.array([1.0, 0.0, 0.0]),
+        acceleration_world=zero,
+        angular_velocity_body=zero,
+        wind_world=zero,
+        rotor_speed_radps=np.full(4, rotor_speed),
+        contacts=(),
+        peak_contact_accel=0.0,
+        energy_used_j=0.0,
+    )
+
+
+def test_bare_physics_takes_the_steps_that_were_asked_for(lawn: Scene, bare: BareWorld) -> None:
+    data: Any = bare._data
+    before = data.time
+    assert bare.physics(truth_at(20.0), 60) >= 0.0
+    fallen_s = data.time - before
+    assert fallen_s == pytest.approx(60 * lawn.model.opt.timestep)
+    # Without thrust it falls freely; the air slows it by less than a tenth.
+    fall = 0.5 * 9.81 * fallen_s**2
+    assert 20.0 - data.qpos[2] == pytest.approx(fall, rel=0.1)
+    assert data.qpos[0] == pytest.approx(fallen_s, rel=0.05)
+
+
+def test_bare_rays_start_at_the_lidar_of_their_instant() -> None:
+    down = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    body_from_lidar = Pose(down, np.array([0.1, 0.0, -0.2]))
+    scan = LidarScan(
+        start_tick=0,
+        end_tick=60,
+        start_time_s=0.0,
+        end_time_s=0.1,
+        directions=np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]], np.float32),
+        ranges=np.ones(2, np.float32),
+        time_offsets=np.array([0.01, 0.1], np.float32),
+        intensity=np.ones(2, np.uint8),
+    )
+    poses = [
+        Pose(np.eye(3), np.array([0.0, 0.0, 30.0])),
+        Pose(rotation_from_yaw(0.5 * np.pi), np.array([5.0, 0.0, 30.0])),
+        Pose(np.eye(3), np.array([9.0, 0.0, 30.0])),
+    ]
+    rays = _world_rays(scan, poses, body_from_lidar)
+    assert rays.dtype == np.float32
+    np.testing.assert_allclose(rays[0], [0.1, 0.0, 29.8, 0.0, 0.0, -1.0], atol=1e-6)
+    # The second pulse leaves in the second half: turned to the left by 90 degrees, LIDAR x, which
+    # is body y, points to world -x.
+    np.testing.assert_allclose(rays[1], [5.0, 0.1, 29.8, -0.6, 0.0, -0.8], atol=1e-6)
+
+
+def test_bare_pixels_are_the_camera_s(bare: BareWorld) -> None:
+    truth = truth_at(12.0)
+    assert bare.pixels(truth) >= 0.0
+    drawn = bare._eye._pixels[::-1]
+    picture = bare._camera.render(bare._snapshot(truth), 0)
+    assert np.ptp(picture.reshape(-1, 3).astype(int), axis=0).max() > 50  # the box is in view
+    np.testing.assert_array_equal(drawn, picture)
+
+
+def test_stage_clock_takes_any_clock() -> None:
+    now = 0.0
+
+    class Part:
+        def work(self, seconds: float) -> float:
+            nonlocal now
+            now += seconds
+            return now
+
+    clock = StageClock(lambda: now)
+    part = Timed(Part(), "work", "work", clock)
+    part.work(2.0)
+    clock.restart()
+    part.work(3.0)
+    now += 1.0
+    assert clock.wall_s() == 4.0
+    assert clock.stage_ms(sim_s=0.3) == {"work": pytest.approx(1000.0)}
+
+
+def test_ratio_leaves_estimator_and_lander_out_and_the_excess_adds_up() -> None:
+    sums = _Sums()
+    for name, ms in {"physics": 1.0, "rays": 4.0, "pixels": 5.0}.items():
+        sums.add(name, 1e-3 * ms)
+        sums.add(name, 1e-3 * ms)
+    sums.add("lidar_sensor", 6e-3)
+    sums.add("camera_sensor", 5.5e-3)
+    loop = {"world": 13.0, "estimator": 50.0, "lander": 7.0, "mapper": 1.5, "rest": 0.5}
+    found = _compare(loop, sums)
+    assert found["ratio"] == pytest.approx(1.5)
+    assert found["bare_ms"]["all"] == pytest.approx(10.0)
+    assert found["excess_ms"] == pytest.approx(
+        {
+            "lidar_beyond_rays": 2.0,
+            "camera_beyond_pixels": 0.5,
+            "world_beyond_physics": 0.5,
+            "mapper": 1.5,
+            "rest": 0.5,
+        }
+    )
+    assert sum(found["excess_ms"].values()) == pytest.approx(15.0 - 10.0)
+
+
+def test_overhead_of_a_short_flight(lawn_file: Path, tmp_path: Path) -> None:
+    config = load_config(None, SHORT_FLIGHT, scene=str(lawn_file), estimator="oracle", record=True)
+    figures = measure_overhead(config, tmp_path / "run")
+    assert figures["outcome"] == "COMPLETED"
+    assert (tmp_path / "run" / "flight.rrd").stat().st_size > 0
+    bare_ms, loop_ms = figures["bare_ms"], figures["loop_ms"]
+    assert all(bare_ms[name] > 0.0 for name in ("physics", "rays", "pixels"))
+    assert figures["ratio"] == pytest.approx(loop_ms["all"] / bare_ms["all"])
+    excess = sum(figures["excess_ms"].values())
+    assert excess == pytest.approx(loop_ms["all"] - bare_ms["all"])
+    counted = {name for name in loop_ms if name not in ("all", *NOT_OVERHEAD)}
+    assert loop_ms["all"] == pytest.approx(sum(loop_ms[name] for name in counted))
+
+
+def test_bench_loop_reports_the_agreed_keys(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fly(config: Config, out: Path, _progress: Any) -> dict[str, Any]:
+        out.mkdir(parents=True)
+        (out / "flight.rrd").write_bytes(b"0" * 1000)
+        timing = {"sim_s": 4.0, "wall_s": 2.0, "real_time_factor": 2.0, "stage_ms": {"world": 30.0}}
+        names = {"scene": config.scene, "estimator": config.estimator}
+        return {**names, "outcome": "LANDED", "landing": {"safe_geometry": True}, "timing": timing}
+
+    seen: list[Config] = []
+
+    def overhead(config: Config) -> dict[str, Any]:
+        seen.append(config)
+        sums = _Sums({"physics": 0.001, "rays": 0.004, "pixels": 0.005})
+        sums.count = dict.fromkeys(sums.seconds, 1)
+        return {"outcome": "COMPLETED", "sim_s": 4.0, **_compare({"world": 16.0}, sums)}
+
+    monkeypatch.setattr("touchdown.experiments.flight.run.fly", fly)
+    monkeypatch.setattr(bench, "measure_loop_overhead", overhead)
+    assert cli.main(["bench", "loop", "--json", "--quiet"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["real_time_factor"] == 2.0
+    assert figures["stage_ms"] == {"world": 30.0}
+    assert figures["ratio"]["bare"] == pytest.approx(1.6)
+    assert seen[0].estimator == "oracle"
+    assert seen[0].sim.threads == 1
+    assert seen[0].record
+    assert cli.main(["bench", "loop", "--quiet"]) == 0
+    assert "1.60 x bare" in capsys.readouterr().out
+    assert cli.main(["bench", "loop", "--no-ratio", "--json", "--quiet"]) == 0
+    assert "ratio" not in json.loads(capsys.readouterr().out)
+
+
+def test_bench_flights_keep_the_estimator_apart() -> None:
+    fast = bench_config(scene="crossroad", estimator="livo", seed=3, full=False)
+    assert (fast.estimator, fast.seed, fast.record) == ("livo", 3, True)
+    alone = overhead_config(scene="crossroad", seed=3, full=True)
+    assert alone.landing.survey_only
+    assert alone.survey == load_config().survey
+
+
+def test_bare_physics_is_mujoco_s_own_step(lawn: Scene) -> None:
+    """The measured call is ``mj_step`` alone: the same state as stepping by hand."""
+    world = BareWorld(lawn, sim=SimParams(), camera=CameraParams(), lidar=LidarParams(), seed=0)
+    truth = truth_at(20.0, rotor_speed=400.0)
+    world.physics(truth, 12)
+    data = mujoco.MjData(lawn.model)
+    data.qpos[:3], data.qpos[3:7] = truth.world_from_body.translation, [1.0, 0.0, 0.0, 0.0]
+    data.qvel[:3] = truth.velocity_world
+    data.xfrc_applied[:] = world._data.xfrc_applied
+    for _ in range(12):
+        mujoco.mj_step(lawn.model, data)
+    np.testing.assert_array_equal(data.qpos, world._data.qpos)
+    assert world._data.xfrc_applied[:, 2].max() > 10.0
+    world.close()
+
+
+def test_workers_are_compared_by_their_wall_time(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Three rounds: 2, 1.5 and 1.8 times as fast; the median counts."""
+    spent = iter([90.0, 60.0, 30.0, 60.0, 40.0, 72.0, 40.0])
+    flown: list[tuple[int, int]] = []
+
+    def fly(plan: Plan, out: Path, jobs: int) -> float:
+        flown.append((len(plan.runs), jobs))
+        return next(spent)
+
+    monkeypatch.setattr("touchdown.experiments.benchmarks.scaling._flown", fly)
+    assert cli.main(["bench", "workers", "--rounds", "3", "--runs", "4", "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["ratio"]["one"] == pytest.approx(1.8)
+    assert figures["wall_s"] == {"one": [60.0, 60.0, 72.0], "workers": [30.0, 40.0, 40.0]}
+    assert flown == [(1, 1), *[(4, 1), (4, 2)] * 3]  # the first flight does not count
+
+
+def test_what_was_measured_while_kernels_were_compiled_is_measured_again() -> None:
+    @numba.njit
+    def kernel(x: float) -> float:
+        return 2.0 * x
+
+    calls: list[float] = []
+    cleared: list[bool] = []
+
+    def measure() -> int:
+        worker = threading.Thread(target=lambda: calls.append(kernel(1.0)))
+        worker.start()
+        worker.join()
+        return len(calls)
+
+    assert compiled_before(measure, again=lambda: cleared.append(True)) == 2
+    assert cleared == [True]
+    assert compiled_before(measure) == 3  # nothing left to compile
+
+
+def test_runs_of_the_workers_share_out_evenly(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["bench", "workers", "--runs", "5"]) == 2
+    assert "--runs 5 do not share out among 2 workers" in capsys.readouterr().err

@@ -1,0 +1,307 @@
+"""The estimator benchmark: evo and our figure agree, peers are run as they should be."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import numpy as np
+import pytest
+
+from touchdown.experiments.benchmarks import ablation
+from touchdown.experiments.benchmarks import odometry as bench_estimator
+from touchdown.experiments.benchmarks import odometry_baselines as bench_peers
+from touchdown.experiments.benchmarks.odometry import (
+    TruePath,
+    bench_scene,
+    evo_error,
+    evo_of_run,
+    logged_scans,
+    logged_survey,
+    measure,
+    summary,
+)
+from touchdown.experiments.benchmarks.odometry_baselines import (
+    ScanPoints,
+    run_peer,
+    settings,
+    unbend,
+)
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.flight.metrics import PositioningError
+from touchdown.experiments.flight.replay import open_run, replay_config
+from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
+
+from support.replay_support import LIFT_OFF_S, make_run, shifted
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+needs_evo = pytest.mark.skipif(
+    not all(importlib.util.find_spec(name) for name in ("evo", "kiss_icp", "small_gicp")),
+    reason="the extra 'bench' is not installed",
+)
+LIDAR = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.1, 0.0, -0.2]))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_run(tmp_path_factory.mktemp("runs") / "flown", estimate=shifted([0.03, 0.0, 0.04]))
+
+
+# ------------------------------------------------------------------------------------------- evo
+
+
+@needs_evo
+def test_evo_says_what_we_say() -> None:
+    rng = np.random.default_rng(5)
+    true = rng.normal(size=(400, 3)).cumsum(axis=0)
+    believed = true + rng.normal(scale=0.2, size=(400, 3))
+    own = PositioningError()
+    for position, truth in zip(believed, true, strict=True):
+        own.add(Pose(np.eye(3), position), Pose(np.eye(3), truth))
+    found = evo_error(np.arange(400) / 50.0, list(true), list(believed))
+    assert found == pytest.approx(own.summary()["mean"], abs=1e-12)
+    assert found == pytest.approx(np.linalg.norm(believed - true, axis=1).mean(), abs=1e-12)
+    assert math.isnan(evo_error([], [], []))
+
+
+@needs_evo
+def test_evo_on_the_files_of_a_run(run: Path) -> None:
+    """5 cm off everywhere, in files with nine decimals."""
+    assert evo_of_run(run) == pytest.approx(0.05, abs=1e-8)
+
+
+@needs_evo
+def test_an_estimator_is_measured_from_lift_off_to_the_end(run: Path) -> None:
+    logged = open_run(run)
+    measured = measure(logged, replay_config(run, "livo", fresh=True))
+    assert measured.own_error_m == pytest.approx(measured.error_m, abs=1e-12)
+    assert measured.error_m < 0.03
+    assert measured.lost_s is None and measured.cpu_ms > 0.0
+    early = measure(logged, replay_config(run, "livo", fresh=True), LIFT_OFF_S + 0.05)
+    assert early.error_m != measured.error_m
+
+
+# ----------------------------------------------------------------------------------------- peers
+
+
+def _room(lidar: Pose, count: int, rng: np.random.Generator) -> Array:
+    """(count, 3) returns from the inside of a box of 24 x 16 x 10 m, LIDAR frame."""
+    rays = rng.normal(size=(count, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    half = np.array([12.0, 8.0, 5.0])
+    with np.errstate(divide="ignore"):
+        walls = (np.sign(rays) * half - lidar.translation) / rays
+    points = lidar.translation + walls.min(axis=1)[:, None] * rays
+    return lidar.inverse().apply(points)
+
+
+def _flight(time_s: float) -> Pose:
+    return Pose(so3_exp(np.array([0.0, 0.02, 0.1]) * time_s), np.array([1.0, 0.5, 0.1]) * time_s)
+
+
+def _scans(count: int) -> list[ScanPoints]:
+    """Bent by the motion: each of 40 slices of a scan is seen from its own pose."""
+    rng = np.random.default_rng(0)
+    scans = []
+    for number in range(count):
+        start_s = 0.1 * number
+        shares = np.repeat((np.arange(40) + 1.0) / 40.0, 150)
+        slices = [
+            _room(_flight(start_s + 0.1 * share) @ LIDAR, 150, rng) for share in shares[::150]
+        ]
+        points = np.concatenate(slices).astype(np.float32)
+        scans.append(ScanPoints(points, shares.astype(np.float32), start_s, start_s + 0.1))
+    return scans
+
+
+@needs_evo
+@pytest.mark.parametrize(
+    ("peer", "setting"),
+    [
+        ("kiss_icp", {"voxel_m": 0.5, "initial_threshold_m": 0.5}),
+        ("small_gicp", {"downsampling_m": 0.25, "voxel_m": 1.0}),
+    ],
+)
+def test_peers_follow_where_there_is_something_to_follow(
+    peer: str, setting: dict[str, Any]
+) -> None:
+    """Poses are the body's, start at the truth, and are of the scan's end."""
+    whole = setting | {"deskew": True, "start": "lift-off"}
+    track = run_peer(peer, whole, _scans(15), _flight, LIDAR, survey_s=0.0)
+    true = np.array([_flight(time_s).translation for time_s in track.times_s])
+    assert track.times_s == pytest.approx(0.1 * np.arange(1, 16))
+    assert track.positions[0] == pytest.approx(true[0], abs=1e-9)
+    assert np.linalg.norm(track.positions - true, axis=1).max() < 0.1
+    assert track.lost_s is None and track.cpu_s > 0.0
+
+
+@needs_evo
+def test_where_a_peer_begins_and_when_it_is_lost() -> None:
+    setting = {"downsampling_m": 0.5, "voxel_m": 1.0, "deskew": False, "start": "survey"}
+    track = run_peer("small_gicp", setting, _scans(6), _flight, LIDAR, survey_s=0.2)
+    assert track.times_s == pytest.approx([0.25, 0.35, 0.45, 0.55])  # the middles
+
+    def elsewhere(time_s: float) -> Pose:
+        return Pose(np.eye(3), np.array([200.0 * time_s, 0.0, 0.0]))
+
+    lost = run_peer("small_gicp", setting, _scans(6), elsewhere, LIDAR, survey_s=0.0)
+    assert lost.lost_s == pytest.approx(0.15)
+    assert len(lost.times_s) == 2
+
+
+def test_unbending_is_a_share_of_the_step_backwards() -> None:
+    """A step of 1 m in x and a quarter of a degree about z, seen at start, middle and end."""
+    points = np.tile([10.0, 0.0, 0.0], (3, 1))
+    step = np.eye(4)
+    step[0, 3] = 1.0
+    turned = np.eye(4)
+    turned[:3, :3] = rotation_from_yaw(np.radians(0.25))
+    shares = np.array([0.0, 0.5, 1.0])
+    assert unbend(points, shares, step)[:, 0].tolist() == [9.0, 9.5, 10.0]
+    expected = -10.0 * np.radians([0.25, 0.125, 0.0])
+    assert unbend(points, shares, turned)[:, 1] == pytest.approx(expected, abs=1e-9)
+
+
+def test_grids_are_tried_whole() -> None:
+    for peer, grid in bench_peers.GRIDS.items():
+        tried = list(settings(peer))
+        assert len(tried) == np.prod([len(values) for values in grid.values()])
+        assert len({tuple(setting.values()) for setting in tried}) == len(tried)
+        assert {True, False} == {setting["deskew"] for setting in tried}
+
+
+def test_missing_peers_are_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for peer in ("evo", "kiss_icp", "small_gicp"):
+        monkeypatch.setitem(sys.modules, peer, None)
+    assert cli.main(["bench", "estimator", "crossroad"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1
+    assert "is not installed; pip install 'touchdown[bench]'" in captured.err
+    assert cli.main(["bench", "estimator", "--seconds", "-3"]) == 2
+
+
+# --------------------------------------------------------------------------------------- a scene
+
+
+def test_scans_are_those_of_the_judged_span(run: Path) -> None:
+    logged = open_run(run)
+    scans = logged_scans(logged, 1.5)
+    assert [round(scan.end_s, 6) for scan in scans] == [1.0, 1.1, 1.2, 1.3, 1.4]
+    assert all(scan.shares.min() >= 0.0 and scan.shares.max() <= 1.0 for scan in scans)
+    assert all(np.linalg.norm(scan.points, axis=1).min() > 0.0 for scan in scans)
+
+
+def test_the_true_path_is_interpolated(run: Path) -> None:
+    logged = open_run(run)
+    path = TruePath(logged)
+    before, after = (logged.truth[tick].translation for tick in (900, 912))
+    assert path.at(1.51).translation == pytest.approx(0.5 * (before + after), abs=1e-12)
+    assert path.at(1.5).translation == pytest.approx(before, abs=1e-12)
+    heights = [pose.translation[2] for pose in logged.truth.values()]
+    assert max(heights) - path.at(path.survey_s()).translation[2] < 0.5
+
+
+@needs_evo
+def test_the_best_setting_of_each_peer_counts(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    small = {"downsampling_m": (0.1,), "voxel_m": (0.5, 1.0)}
+    small |= {"deskew": (True,), "start": ("lift-off",)}
+    kiss = {"voxel_m": (0.5,), "initial_threshold_m": (0.5,), "deskew": (True,)}
+    grids = {"kiss_icp": kiss | {"start": ("lift-off",)}, "small_gicp": small}
+    for module in (bench_peers, bench_estimator):
+        monkeypatch.setattr(module, "GRIDS", grids)
+    monkeypatch.setattr(bench_estimator, "ESTIMATORS", ("livo",))
+    told: list[str] = []
+    found = bench_scene(open_run(run), 0.6, told.append)
+    rows = found["settings"]["small_gicp"]
+    assert len(rows) == 2 and len(told) == 4
+    assert found["error_m"]["small_gicp"] == min(row["error_m"] for row in rows)
+    assert found["own_difference_m"]["livo"] < 1e-9
+    figures = summary({"somewhere": found})
+    assert set(figures["ms_per_0.1s"]) == {"livo", "kiss_icp", "small_gicp"}
+
+
+def test_ratios_are_of_the_best_peer_that_is_not_lost() -> None:
+    def scene(livo: float, kiss: float, gicp: float, kiss_lost: float | None) -> dict[str, Any]:
+        names = ("livo", "paper", "kiss_icp", "small_gicp")
+        errors = dict(zip(names, (livo, 1.0, kiss, gicp), strict=True))
+        lost = dict.fromkeys(names) | {"kiss_icp": kiss_lost}
+        return {"error_m": errors, "lost_s": lost, "cpu_ms": dict.fromkeys(names, 10.0)}
+
+    found = {"a": scene(0.02, 0.1, 0.3, None), "b": scene(0.01, 0.05, 0.2, 7.0)}
+    figures = summary(found)
+    ratios = figures["ratio"]["peer"]
+    assert ratios["a"] == pytest.approx(5.0)
+    assert ratios["b"] == pytest.approx(20.0)
+    assert ratios["geometric_mean"] == pytest.approx(10.0)
+    assert figures["error_m"]["b"]["kiss_icp"] == 0.05
+    assert figures["ms_per_0.1s"]["paper"] == 10.0
+
+
+def test_who_lasts_longer_is_better_among_the_lost() -> None:
+    rows = [
+        {"lost_s": 5.0, "error_m": 0.1},
+        {"lost_s": 9.0, "error_m": 3.0},
+        {"lost_s": None, "error_m": 7.0},
+    ]
+    ordered = sorted(rows, key=bench_estimator._badness)
+    assert [row["lost_s"] for row in ordered] == [None, 9.0, 5.0]
+
+
+# -------------------------------------------------------------------------------------- ablation
+
+
+def test_variants_are_switches_of_the_estimators() -> None:
+    assert ablation.changes("paper: no f_c") == ("paper.use_colour_smoothness=false",)
+    assert ablation.changes("livo: tight, all on") == ()
+    for variant in ablation.VARIANTS:
+        load_config(None, ablation.changes(variant), scene="flat")
+
+
+@needs_evo
+def test_ablation_replays_every_variant(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    variants = {
+        "livo: all on": ("livo", {}),
+        "livo: LIDAR only": ("livo", {"use_vision": False}),
+    }
+    monkeypatch.setattr(ablation, "VARIANTS", variants)
+    rows = ablation.ablate_log(open_run(run), 0.4, lambda _text: None)
+    assert 0.0 < rows["livo: all on"]["error_m"] < 0.03
+    assert rows["livo: LIDAR only"]["error_m"] != rows["livo: all on"]["error_m"]
+    lost = {"error_m": 3.0, "lost_s": 12.4, "cpu_ms": 1.0}
+    table = ablation.ablation_table({"here": rows, "there": {**rows, "livo: all on": lost}})
+    lines = table.splitlines()
+    assert lines[0] == "| variant | here | there |"
+    assert lines[2].startswith("| livo: all on | 0.0") and lines[2].endswith("| lost at 12 s |")
+    assert lines[3].startswith("| livo: LIDAR only | 0.")
+
+
+# --------------------------------------------------------------------------------------- flights
+
+
+@pytest.mark.slow
+@needs_evo
+def test_evo_and_the_flights_own_figure_agree_to_a_millimetre(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = ["survey.legs=1", "survey.leg_length_m=15.0", "survey.duration_s=6.0"]
+    full = bench_estimator.flight_config
+    monkeypatch.setattr(
+        bench_estimator, "flight_config", lambda scene, seed: full(scene, seed, short)
+    )
+    for scene in ("crossroad", "lake", "forest"):
+        run = logged_survey(scene, 0, tmp_path, lambda _text: None)
+        own = json.loads((run / "result.json").read_text())["position_error_m"]["mean"]
+        by_evo = evo_of_run(run)
+        with capsys.disabled():
+            print(f"\n{scene}: own {own:.6f} m at 200 Hz, evo {by_evo:.6f} m at 50 Hz")
+        assert by_evo == pytest.approx(own, abs=1e-3)

@@ -1,0 +1,43 @@
+"""The comparison of ray casters: that all of them see the same, and what is reported."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from touchdown.experiments.benchmarks.lidar_peers import LidarPeers
+from touchdown.experiments.cli.main import cli
+from touchdown.scenes.compose import load_scene
+from touchdown.sim.api import LidarParams
+
+
+def test_contenders_agree_on_the_ranges() -> None:
+    """MuJoCo's casters among themselves to the last digits, Embree within its single precision,
+    moving cars apart, which its merged scene leaves out; the noiseless sensor where it returns."""
+    scene = load_scene("crossroad", 0)
+    params = LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.0, divergence=False)
+    peers = LidarPeers(scene, params, 0)
+    casters = peers.casters(np.array([*scene.takeoff_xy_m, 30.0]), 4)
+    distances = {name: np.array(cast()) for name, cast in casters.items()}
+    multi = distances["mj_multiRay"]
+    assert (multi > 0.0).mean() > 0.99
+    assert np.mean(np.abs(distances["embree"] - multi) < 1e-3) > 0.98
+    returned = distances["sensor"] > 0.0
+    assert returned.mean() > 0.9
+    assert np.mean(np.abs(distances["sensor"] - multi)[returned] < 2e-3) > 0.9
+    if "mujoco_lidar" in distances:
+        np.testing.assert_allclose(distances["mujoco_lidar"], multi, atol=1e-4)
+
+
+def test_figures_of_the_command() -> None:
+    done = CliRunner().invoke(cli, ["bench", "lidar", "--rounds", "1", "--json"])
+    assert done.exit_code == 0, done.output
+    figures = json.loads(done.stdout)
+    assert figures["rays_per_scan"] == 24_000
+    assert {"embree", "mj_multiRay"} <= set(figures["ratio"])
+    for name, ratio in figures["ratio"].items():
+        expected = figures["rays_per_s"]["sensor"] / figures["rays_per_s"][name]
+        assert ratio == pytest.approx(expected)

@@ -1,0 +1,79 @@
+"""Long flights: what is sampled in each minute, and the configuration that flies them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from touchdown.experiments.benchmarks.endurance import _Minutes, endurance_config, plot, row
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.flight.stage_timer import StageClock
+from touchdown.landing.mission.trajectory import peaks, survey_trajectory
+from touchdown.sim.frames import Pose
+
+
+def event(time_s: float, error_m: float) -> tuple[SimpleNamespace, None, SimpleNamespace]:
+    def at(x: float) -> Pose:
+        return Pose(np.eye(3), np.array([x, 0.0, 0.0]))
+
+    truth = SimpleNamespace(time_s=time_s, world_from_body=at(0.0))
+    return truth, None, SimpleNamespace(world_from_body=at(error_m))
+
+
+def test_each_minute_has_its_own_time_and_error() -> None:
+    clock, spent_s = StageClock(lambda: 0.0), [7.0]
+    minutes = _Minutes(clock, lambda: spent_s[0])
+    for second in range(1, 121):
+        # 0.02 s of work each second in the first minute, 0.05 s in the second
+        clock.add("estimator", 0.02 if second <= 60 else 0.05)
+        spent_s[0] += 0.1 if second <= 60 else 0.2  # by all threads
+        minutes.tick(*event(float(second), 0.1 if second <= 60 else 0.3))
+    first, second_ = minutes.rows
+    assert (first["until_s"], second_["until_s"]) == (60.0, 120.0)
+    assert first["estimator_ms"] == pytest.approx(2.0)  # of ten scans a second
+    assert second_["estimator_ms"] == pytest.approx(5.0)
+    assert first["process_ms"] == pytest.approx(10.0)
+    assert second_["process_ms"] == pytest.approx(20.0)
+    assert first["error_mean_m"] == pytest.approx(0.1)
+    assert second_["error_mean_m"] == pytest.approx(0.3)
+    assert 10.0 < first["resident_mb"] < 1e5
+
+
+def test_a_long_survey_stays_in_the_field_of_a_short_one() -> None:
+    config = endurance_config(scene="crossroad", estimator="livo", seed=3, minutes=5)
+    assert config.survey.legs == 20
+    assert config.survey.legs * config.survey.leg_spacing_m == pytest.approx(80.0, abs=0.01)
+    assert config.survey.duration_s == 285.0
+    assert config.referee.timeout_s > 300.0
+    assert config.landing.survey_only
+    with pytest.raises(UsageError, match="nowhere"):
+        endurance_config(scene="crossroad", estimator="livo", seed=3, minutes=5,
+                         overrides=["nowhere=1"])  # fmt: skip
+
+
+@pytest.mark.parametrize("minutes", [2, 5, 10, 30])
+def test_a_survey_of_any_length_can_be_flown_at_much_the_same_pace(minutes: int) -> None:
+    config = endurance_config(scene="crossroad", estimator="livo", seed=0, minutes=minutes)
+    path = survey_trajectory(np.zeros(3), 0.0, config.survey)
+    assert path.breaks_s[-1] == pytest.approx(60.0 * minutes - 15.0)
+    speed, acceleration = peaks(path)
+    assert 7.0 < speed < 9.0
+    assert 3.5 < acceleration < 5.5
+
+
+def test_row_and_plot(tmp_path: Path) -> None:
+    flight = {
+        "scene": "lake", "seed": 0, "outcome": "COMPLETED", "sim_s": 301.0,
+        "error_mean_m": 0.0312, "error_max_m": 0.1, "nees_median": 2.0,
+        "minutes": [{"until_s": 60.0, "estimator_ms": 20.0, "process_ms": 60.0,
+                     "resident_mb": 900.0, "error_mean_m": 0.02}] * 2,
+        "last_over_first": {"estimator_ms": 1.01, "process_ms": 1.03, "resident_mb": 1.002},
+    }  # fmt: skip
+    assert "error 0.031 m" in row(flight) and "process 1.03, memory 1.002" in row(flight)
+    plot([flight], tmp_path / "long.png")
+    assert (tmp_path / "long.png").read_bytes()[:4] == b"\x89PNG"
+    with pytest.raises(UsageError, match="cannot write the plot"):
+        plot([flight], tmp_path / "missing" / "long.png")

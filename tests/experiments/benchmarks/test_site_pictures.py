@@ -1,0 +1,149 @@
+"""The steps of a selection in one picture, on a made-up map."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from touchdown.experiments.benchmarks import site_selection as selector_check
+from touchdown.experiments.benchmarks import site_selection_figures as site_pictures
+from touchdown.experiments.benchmarks.site_selection_figures import (
+    cluster_colours,
+    jpeg,
+    picture_files,
+    steps_picture,
+    write_steps,
+)
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.errors import UsageError
+from touchdown.landing.api import LandingParams, Selection
+from touchdown.landing.selection.selector import NOTHING_MAPPED, select_sites
+from touchdown.sim.frames import Pose
+
+from support.landing_support import make_estimate, make_grid, view_of
+
+PARAMS = LandingParams()
+ABOVE = make_estimate(0, Pose(np.eye(3), np.array([9.0, 9.0, 30.0])))
+RED, BLUE = (255, 45, 45), (47, 141, 255)
+
+
+def selection_of(scorer: str = "risk") -> Selection:
+    """Level in the east, rubble in the west, unseen in the far north."""
+    height = np.zeros((120, 90))
+    height[:, :40] = np.random.default_rng(2).uniform(0.0, 0.6, (120, 40))
+    height[100:] = np.nan
+    params = dataclasses.replace(PARAMS, scorer=scorer)  # type: ignore[arg-type]
+    return select_sites(view_of(make_grid(height)), ABOVE, params, footprint_radius_m=0.5)
+
+
+@pytest.fixture(scope="module")
+def selection() -> Selection:
+    return selection_of()
+
+
+def drawn(picture: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
+    """(N, 2) row, col of the pixels that have exactly a colour."""
+    return np.argwhere((picture == np.array(colour, np.uint8)).all(axis=2))
+
+
+def test_clusters_cover_the_known_map_and_hold_their_modes(selection: Selection) -> None:
+    assert selection.costmap is not None
+    assert selection.cluster.shape == selection.costmap.total.shape
+    assert selection.cluster.max() == len(selection.modes) - 1
+    at_modes = selection.cluster[tuple(selection.modes.T)]
+    assert at_modes.tolist() == list(range(len(selection.modes)))
+
+
+def test_candidates_are_blue_and_the_site_is_red_in_the_last_panel(selection: Selection) -> None:
+    picture = steps_picture(selection, "a garden", "risk")
+    height, width, _ = picture.shape
+    assert width > height
+    for colour in (RED, BLUE):
+        places = drawn(picture, colour)
+        assert len(places) > 20
+        assert places[:, 0].min() > 0.45 * height
+        assert places[:, 1].min() > 0.60 * width
+
+
+def test_no_red_where_nothing_was_accepted(selection: Selection) -> None:
+    refused = dataclasses.replace(
+        selection,
+        candidates=tuple(dataclasses.replace(c, accepted=False) for c in selection.candidates),
+    )
+    picture = steps_picture(refused, "no site", "risk")
+    assert len(drawn(picture, RED)) == 0
+    assert len(drawn(picture, BLUE)) > 20
+
+
+def test_both_scorers_are_drawn_and_differ(selection: Selection) -> None:
+    by_paper = steps_picture(selection_of("paper"), "a garden", "paper")
+    assert not np.array_equal(by_paper, steps_picture(selection, "a garden", "risk"))
+
+
+def test_colours_of_clusters_differ_and_outside_is_dark() -> None:
+    colours = cluster_colours(np.array([[0, 1, 2], [3, 0, -1]], np.int32))
+    assert colours.shape == (2, 3, 3)
+    assert len({tuple(colour) for colour in colours.reshape(-1, 3).tolist()}) == 5
+    assert colours[0, 0].tolist() == colours[1, 1].tolist()
+    assert colours[1, 2].max() < 60
+
+
+def test_jpeg_gives_way_in_quality_to_fit() -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (200, 300, 3), np.uint8)
+    best = jpeg(noise)
+    limit = int(0.7 * len(best))
+    assert len(jpeg(noise, limit)) <= limit
+    assert len(jpeg(noise, 1)) < limit  # the least that there is
+    back = cv2.imdecode(np.frombuffer(best, np.uint8), cv2.IMREAD_COLOR)
+    assert back is not None and back.shape == noise.shape
+
+
+def test_file_is_written_below_its_limit(selection: Selection, tmp_path: Path) -> None:
+    config = load_config(None, [], scene="turf", seed=3)
+    (file,) = picture_files([config], tmp_path / "deep" / "folder")
+    assert file.name == "site_turf.jpg"
+    write_steps(file, config, selection)
+    assert 10_000 < file.stat().st_size <= site_pictures.MOST_BYTES
+
+
+def test_names_have_the_seed_where_there_are_several(tmp_path: Path) -> None:
+    configs = [load_config(None, [], scene="lake", seed=seed) for seed in (1, 2)]
+    names = [file.name for file in picture_files(configs, tmp_path)]
+    assert names == ["site_lake_1.jpg", "site_lake_2.jpg"]
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match=r"--pictures: .* cannot be made"):
+        picture_files(configs, tmp_path / "file")
+
+
+def test_the_command_draws_each_place(
+    selection: Selection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = {
+        "chosen_safe": True, "accepted": 1, "accepted_safe": 1, "room_m": 2.0, "best_room_m": 3.0,
+        "cells": {"safe": 10, "allowed": 5, "both": 5},
+        "sample": {"believed": np.array([0.9], np.float32), "safe": np.array([True])},
+    }  # fmt: skip
+
+    def check(config: Config, picture: Path | None = None) -> dict[str, Any]:
+        if picture is not None:
+            write_steps(picture, config, selection)
+        return place | {"scene": config.scene, "seed": config.seed}
+
+    monkeypatch.setattr(selector_check, "check_place", check)
+    command = ["bench", "selector", "turf", "lake", "--seeds", "0", "--json"]
+    assert cli.main([*command, "--pictures", str(tmp_path / "drawn")]) == 0
+    names = sorted(file.name for file in (tmp_path / "drawn").iterdir())
+    assert names == ["site_lake.jpg", "site_turf.jpg"]
+    assert cli.main(command) == 0
+
+
+def test_nothing_mapped_is_nothing_to_draw() -> None:
+    with pytest.raises(ValueError, match="nothing was mapped"):
+        steps_picture(NOTHING_MAPPED, "", "risk")

@@ -1,0 +1,163 @@
+"""A campaign gives the same rows however it is flown: killed, in shards, on Ray, side by side."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from touchdown.experiments.campaign.executor import LocalEngine
+from touchdown.experiments.campaign.results_table import finished_ids
+from touchdown.experiments.campaign.session import fly_campaign, make_engine, summary
+from touchdown.experiments.errors import UsageError
+
+from support.campaign_flights import (
+    MANY,
+    RUNNER,
+    attempts,
+    axes,
+    figures,
+    fly,
+    flying,
+    is_alive,
+    make_plan,
+    start_campaign,
+    wait_for,
+)
+from support.ray_fake import FakeRay
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("undisturbed")
+    fly(make_plan(folder, MANY), folder / "out", jobs=2)
+    return folder / "out"
+
+
+def test_killed_and_called_again_it_gives_the_same_rows(tmp_path: Path, undisturbed: Path) -> None:
+    plan, out = make_plan(tmp_path, MANY), tmp_path / "out"
+    parent = start_campaign(tmp_path / "campaign.toml", out)
+    wait_for(lambda: len(finished_ids(out)) >= 4 and flying(out), "four runs")
+    workers = flying(out)
+    parent.kill()
+    parent.wait()
+    wait_for(lambda: not any(map(is_alive, workers)), "workers outlive their parent")
+    finished = finished_ids(out)
+    before = attempts(out)
+    assert 4 <= len(finished) < 12
+    totals = fly(plan, out)
+    again = attempts(out) - before
+    # What was finished is not flown again, but for the recordings of bad outcomes.
+    assert all("is_lost" in run_id for run_id in again.keys() & finished)
+    assert totals["remaining"] == 0 and not list(out.glob(".partial/*"))
+    assert figures(out) == figures(undisturbed)
+    recorded = {path.parent.name for path in out.glob("runs/*/flight.rrd")}
+    assert recorded == {run.run_id for run in plan.runs if "is_lost" in run.run_id}
+    before = attempts(out)
+    fly(plan, out)
+    assert attempts(out) == before
+
+
+def test_a_worker_that_is_killed_is_replaced(tmp_path: Path, undisturbed: Path) -> None:
+    make_plan(tmp_path, MANY)
+    out = tmp_path / "out"
+    parent = start_campaign(tmp_path / "campaign.toml", out)
+    for count in (2, 6):
+        wait_for(lambda n=count: len(finished_ids(out)) >= n and flying(out), "runs")  # type: ignore[misc]
+        os.kill(flying(out)[0], signal.SIGKILL)
+    assert parent.wait() == 0
+    assert figures(out) == figures(undisturbed)
+    assert summary(out)["crashed"] == 0
+
+
+def test_any_number_of_jobs_and_shards_gives_the_same_rows(
+    tmp_path: Path, undisturbed: Path
+) -> None:
+    plan = make_plan(tmp_path, MANY)
+    first = fly(plan, tmp_path / "out", shard=(1, 2))
+    assert 0 < first["finished"] < 12
+    assert fly(plan, tmp_path / "out", shard=(2, 2))["remaining"] == 0
+    assert figures(tmp_path / "out") == figures(undisturbed)
+    for path in (tmp_path / "out" / "runs").iterdir():
+        other = undisturbed / "runs" / path.name
+        assert (path / "result.json").read_bytes() == (other / "result.json").read_bytes()
+
+
+def test_interrupt_stops_and_keeps_what_is_finished(tmp_path: Path) -> None:
+    make_plan(tmp_path, MANY)
+    out = tmp_path / "out"
+    parent = start_campaign(tmp_path / "campaign.toml", out)
+    wait_for(lambda: len(finished_ids(out)) >= 2 and flying(out), "runs")
+    workers = flying(out)
+    parent.send_signal(signal.SIGINT)
+    assert parent.wait() != 0
+    assert not any(map(is_alive, workers)) and not list(out.glob(".partial/*"))
+    document = json.loads((out / "campaign.json").read_text())
+    assert document["finished_utc"] is None
+    assert [session["jobs"] for session in document["sessions"]] == [2]
+
+
+def test_ray_is_asked_for_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(UsageError, match=r"pip install 'touchdown\[ray\]'"):
+        make_engine("ray", None)
+    with pytest.raises(UsageError, match="--engine ray"):
+        make_engine("local", None, "auto")
+
+
+def test_ray_gives_the_same_rows_and_outlives_its_workers(
+    tmp_path: Path, undisturbed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ray = FakeRay()
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    plan = make_plan(tmp_path, MANY)
+    engine = make_engine("ray", None)
+    assert engine.jobs == 2
+    totals = fly_campaign(plan, tmp_path / "out", engine, runner=RUNNER)
+    assert totals["remaining"] == totals["crashed"] == 0
+    assert figures(tmp_path / "out") == figures(undisturbed)
+    assert len(ray.actors) == 3 and len(ray.killed) == 2
+    full = make_plan(tmp_path / "full", axes(scene=["flat"], estimator=["fake:fills_the_disk"]))
+    with pytest.raises(UsageError, match="No space left"):
+        fly_campaign(full, tmp_path / "full" / "out", engine, runner=RUNNER)
+
+
+@pytest.mark.slow
+def test_real_flights_are_the_same_in_any_number_of_workers(tmp_path: Path) -> None:
+    """One worker flies both methods one after the other, two fly them side by side."""
+    text = axes(scene=["crossroad"], estimator=["livo", "gps"], seeds="11")
+    text += "[base.survey]\nheight_m = 12.0\nlegs = 1\nleg_length_m = 8.0\nduration_s = 5.0\n"
+    plan = make_plan(tmp_path, text)
+    for jobs in (1, 2):
+        totals = fly_campaign(plan, tmp_path / f"out{jobs}", LocalEngine(jobs))
+        assert totals["outcomes"] == {"COMPLETED": 2}
+    assert figures(tmp_path / "out1") == figures(tmp_path / "out2")
+    for run in plan.runs:
+        one, two = (tmp_path / f"out{jobs}" / "runs" / run.run_id for jobs in (1, 2))
+        for name in ("truth.tum", "estimate.tum", "reference.tum", "map.ply"):
+            assert (one / name).read_bytes() == (two / name).read_bytes(), name
+        results = [json.loads((path / "result.json").read_text()) for path in (one, two)]
+        for result in results:
+            del result["timing"]
+        assert results[0] == results[1]
+
+
+def test_a_flight_by_itself_adds_up_as_one_of_a_campaign() -> None:
+    """One thread for the algebra, unless somebody asks for more."""
+    script = "import touchdown, os; print(os.environ['OPENBLAS_NUM_THREADS'])"
+    other = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
+    for environment, threads in ((other, "1"), (other | {"OPENBLAS_NUM_THREADS": "3"}, "3")):
+        found = subprocess.run(
+            [sys.executable, "-c", script],
+            cwd=Path(__file__).parents[3],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert found.stdout.strip() == threads

@@ -1,0 +1,150 @@
+"""A campaign's plan: which runs its file stands for, and mistakes in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from touchdown.experiments.campaign.plan import Limits, in_shard, load_plan
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.errors import UsageError
+
+from support.campaign_flights import axes, make_plan
+
+ROOT = Path(__file__).parents[3]
+
+
+def test_plan_is_the_product_of_the_axes_seed_by_seed(tmp_path: Path) -> None:
+    text = axes(scene=["flat", "lake"], estimator=["livo", "oracle"], seeds="3, 7-8")
+    text += "wind_kmh = [0, 20.5]\n[axes.survey]\nlegs = [1]\n"
+    plan = make_plan(tmp_path, text)
+    names = [run.run_id for run in plan.runs]
+    assert len(set(names)) == 2 * 2 * 3 * 2
+    assert names[:3] == ["flat-livo-s3-w0", "flat-livo-s3-w20.5", "flat-oracle-s3-w0"]
+    assert names[-1] == "lake-oracle-s8-w20.5"
+    assert plan.runs[1].values == {
+        "sim.threads": 1,
+        "scene": "flat",
+        "estimator": "livo",
+        "seed": 3,
+        "wind.mean_kmh": 20.5,
+        "survey.legs": 1,
+        "record": False,
+        "landing.survey_only": True,
+    }
+    assert len({run.config_sha for run in plan.runs}) == len(names)
+
+
+def test_overrides_apply_where_their_axes_match(tmp_path: Path) -> None:
+    text = axes(scene=["flat", "lake"], estimator=["livo", "oracle"])
+    text += """
+[base]
+survey.height_m = 25.0
+log = { camera_hz = 1.0 }
+[[override]]
+when = { estimator = ["oracle"], scene = "lake" }
+set = { survey.height_m = 12.0, "log.scan_hz" = 1.0 }
+"""
+    by_name = {run.run_id: run.values for run in make_plan(tmp_path, text).runs}
+    assert by_name["lake-oracle-s0"]["survey.height_m"] == 12.0
+    assert by_name["lake-oracle-s0"]["log.scan_hz"] == 1.0
+    for other in ("lake-livo-s0", "flat-oracle-s0"):
+        assert by_name[other]["survey.height_m"] == 25.0
+        assert "log.scan_hz" not in by_name[other]
+        assert by_name[other]["log.camera_hz"] == 1.0
+
+
+def test_shipped_campaign_compares_six_methods_on_equal_terms() -> None:
+    plan = load_plan(ROOT / "configs" / "positioning.toml")
+    assert len(plan.runs) == 4 * 6 * 10
+    methods: dict[str, dict[str, Any]] = {}
+    for run in plan.runs:
+        values = dict(run.values)
+        name = values.pop("estimator")
+        # Methods without a LIDAR go without a map; nothing else tells them apart.
+        assert values.pop("mapper.enabled", True) == (name in ("paper", "livo"))
+        methods.setdefault(name, {})[f"{values.pop('scene')} {values.pop('seed')}"] = values
+    assert list(methods) == ["gps", "optical_flow", "hybrid_flow", "stereo", "paper", "livo"]
+    assert all(runs == methods["livo"] for runs in methods.values())
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("axes = 3\n", ["lacks 'name'"]),
+        ('name = "x"\n', ["lacks 'axes'"]),
+        (axes(estimator=["livo"]), ["lacks scene"]),
+        (axes(scene=["crossrod"]), ["unknown scene 'crossrod'", "did you mean 'crossroad'"]),
+        (axes(scene=["no/such.xml"]), ["no/such.xml", "does not exist"]),
+        (axes(scene=["flat"], estimator=["lvio"]), ["lvio", "did you mean 'livo'"]),
+        (axes(scene=["flat"], estimater=["livo"]), ["estimater", "did you mean 'estimator'"]),
+        (axes(scene="flat"), ["'scene'", "list"]),
+        (axes(scene=[]), ["'scene'", "list"]),
+        (axes(scene=["flat", "flat"]), ["flat twice"]),
+        (axes(scene=["flat"], seed=[-1]), ["seed -1", "from 0 up"]),
+        (axes(scene=["flat"], seeds="9-0"), ["counts down"]),
+        (axes(scene=["flat"], seeds="a"), ["'0-9'"]),
+        (axes(scene=["flat"], seeds="1", seed=[1]), ["both seed and seeds"]),
+        (axes(scene=["flat"], wind_kmh=["strong"]), ["wind.mean_kmh", "number"]),
+        (axes(scene=["flat"], wind_kmh=[-3]), ["wind.mean_kmh = -3", "not be negative"]),
+        (axes(scene=["flat"]) + "[base]\nwind.mean_kph = 3\n", ["did you mean 'wind.mean_kmh'"]),
+        (axes(scene=["flat"]) + "[base]\nseed = 3\n", ["'seed'", "[axes] seeds"]),
+        (axes(scene=["flat"]) + "[base]\nrecord = true\n", ["'record'", "whole campaign"]),
+        (axes(scene=["flat"], wind_kmh=[3]) + "[base]\nwind.mean_kmh = 3\n", ["axis already"]),
+        (axes(scene=["flat"]) + "[limits]\nmemory_gib = 3\n", ["did you mean 'memory_gb'"]),
+        (axes(scene=["flat"]) + "[limits]\nretries = -1\n", ["limits.retries"]),
+        ("recrod = 'all'\n" + axes(scene=["flat"]), ["did you mean 'record'"]),
+        ("record = 'some'\n" + axes(scene=["flat"]), ["record", "'failures'"]),
+        (
+            axes(scene=["flat"]) + "[[override]]\nwhen = {scene = 'flat'}\nset = {a = 1}\nif = 1\n",
+            ["unknown key 'override.0.if'", "known: when, set"],
+        ),
+        (
+            axes(scene=["flat"]) + "[[override]]\nwhen = {scenes = 'flat'}\nset = {}\n",
+            ["did you mean 'scene'"],
+        ),
+        (axes(scene=["flat"]) + "[axes", ["not valid TOML", "line"]),
+    ],
+)
+def test_mistakes_are_one_line_and_nothing_is_written(
+    text: str, words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_text(text, encoding="utf-8")
+    code = cli.main(["campaign", str(file), "--out", str(tmp_path / "out")])
+    captured = capsys.readouterr()
+    assert code == 2, captured.err
+    assert captured.out == "" and captured.err.count("\n") == 1
+    for word in words:
+        assert word in captured.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_survey_that_cannot_be_flown_is_told_before_the_first_flight(tmp_path: Path) -> None:
+    text = axes(scene=["flat"], estimator=["gps"]) + "[axes.survey]\nduration_s = [36.0, 3.0]\n"
+    with pytest.raises(UsageError, match=r"a survey of 3 legs of 50 m does not fit into 3 s"):
+        make_plan(tmp_path, text)
+
+
+def test_options_may_stand_before_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(tmp_path / "out")
+    for arguments in (["--out", out, "gone.toml"], ["gone.toml", "--out", out, "--jobs", "2"]):
+        assert cli.main(["campaign", *arguments]) == 2
+        assert "'gone.toml' does not exist" in capsys.readouterr().err
+
+
+def test_shards_share_the_runs_among_them() -> None:
+    names = [f"lake-livo-s{seed}" for seed in range(200)]
+    parts = [{name for name in names if in_shard(name, (part, 3))} for part in (1, 2, 3)]
+    assert set.union(*parts) == set(names)
+    assert sum(map(len, parts)) == len(names)
+    assert min(map(len, parts)) > 40
+
+
+def test_limits_have_sane_defaults() -> None:
+    limits = Limits()
+    assert limits.retries == 1 and limits.run_timeout_s > 600 and limits.memory_gb > 2

@@ -1,0 +1,143 @@
+"""A campaign's directory: whose it is, and the rows that are read from it."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from touchdown.experiments.campaign.directory import locked
+from touchdown.experiments.campaign.results_table import connect, finished_ids, load_rows
+from touchdown.experiments.campaign.session import summary
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.errors import UsageError
+
+from support.campaign_flights import MANY, attempts, axes, fly, make_plan
+
+# --------------------------------------------------------------------------------- the directory
+
+TWO = axes(scene=["flat"], estimator=["fake:good"], seeds="0-1")
+
+
+def test_two_campaigns_do_not_share_a_directory(tmp_path: Path) -> None:
+    plan, out = make_plan(tmp_path, TWO), tmp_path / "out"
+    with locked(out, None):
+        with pytest.raises(UsageError, match=rf"being flown by .*process {os.getpid()} on"):
+            fly(plan, out)
+        with pytest.raises(UsageError, match="being flown"):
+            fly(plan, out, shard=(1, 2))
+    with locked(out, (1, 2)), locked(out, (2, 2)), pytest.raises(UsageError, match="being flown"):
+        fly(plan, out, shard=(2, 2))
+    assert fly(plan, out)["finished"] == 2
+
+
+def test_a_directory_of_something_else_is_left_alone(tmp_path: Path) -> None:
+    plan = make_plan(tmp_path / "plan", TWO)
+    (tmp_path / "thesis.tex").write_text("precious")
+    with pytest.raises(UsageError, match="no campaign"):
+        fly(plan, tmp_path)
+    with pytest.raises(UsageError, match="is a file"):
+        fly(plan, tmp_path / "thesis.tex")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["plan", "thesis.tex"]
+
+
+def test_axes_may_grow_and_nothing_else_may_change(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    fly(make_plan(tmp_path, TWO), out)
+    with pytest.raises(UsageError, match=r"survey.height_m of run flat-fake.good-s0 was 30.0 and"):
+        fly(make_plan(tmp_path, TWO + "[base]\nsurvey.height_m = 20\n"), out)
+    with pytest.raises(UsageError, match=r"its run flat-fake.good-s1 is not in this one"):
+        fly(make_plan(tmp_path, TWO.replace("0-1", "0")), out)
+    # A second wind lengthens names, not those of the runs that are there.
+    grown = make_plan(tmp_path, TWO.replace("0-1", "0-2") + "wind_kmh = [12, 20]\n")
+    assert fly(grown, out)["finished"] == 6
+    assert attempts(out).most_common(1)[0][1] == 1
+    assert finished_ids(out) == {
+        "flat-fake.good-s0",
+        "flat-fake.good-s1",
+        "flat-fake.good-s2-w12",
+        *(f"flat-fake.good-s{seed}-w20" for seed in range(3)),
+    }
+    # Neither limits nor recording change what a run is.
+    fly(make_plan(tmp_path, "record = 'none'\n" + grown.text + "[limits]\nretries = 0\n"), out)
+
+
+def test_a_full_disk_ends_the_campaign_in_one_line(tmp_path: Path) -> None:
+    plan = make_plan(tmp_path, axes(scene=["flat"], estimator=["fake:fills_the_disk"]))
+    with pytest.raises(UsageError, match="No space left on device; make room"):
+        fly(plan, tmp_path / "out")
+    assert summary(tmp_path / "out")["remaining"] == 1
+
+
+def test_a_run_that_the_machine_lost_is_flown_again(tmp_path: Path) -> None:
+    plan, out = make_plan(tmp_path, TWO), tmp_path / "out"
+    fly(plan, out)
+    (out / "runs" / "flat-fake.good-s0" / "row.parquet").write_bytes(b"")
+    assert fly(plan, out)["finished"] == 2
+    assert attempts(out) == {"flat-fake.good-s0": 2, "flat-fake.good-s1": 1}
+
+
+# ------------------------------------------------------------------------------------------- rows
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("undisturbed")
+    fly(make_plan(folder, MANY), folder / "out", jobs=2)
+    return folder / "out"
+
+
+def test_rows_have_the_same_columns_and_types_whatever_is_missing(undisturbed: Path) -> None:
+    columns = dict(connect(undisturbed).execute("select column_name, column_type from "
+                                                "(describe runs)").fetchall())  # fmt: skip
+    assert columns["position_error_m.mean"] == "DOUBLE"
+    assert columns["landing.slope_deg"] == "DOUBLE"
+    assert columns["landing.site_xy_m"] == "DOUBLE[]"
+    assert columns["landing.safe"] == "BOOLEAN"
+    assert columns["seed"] == "BIGINT"
+    assert columns["versions.touchdown"] == "VARCHAR"
+    row = load_rows(undisturbed)[0]
+    assert row["run_id"] == "flat-fake.is_lost-s0"
+    assert (row["mode"], row["wind_kmh"], row["git_revision"]) == ("fly", 12.0, "abc")
+    # 0.1 + 0.001 * 12 km/h + 0.1 * 4 letters
+    assert row["position_error_m.mean"] == pytest.approx(0.512)
+
+
+def test_runs_flown_one_by_one_give_rows_too(undisturbed: Path, tmp_path: Path) -> None:
+    shutil.copytree(undisturbed / "runs", tmp_path / "runs")
+    rows = {row["run_id"]: row for row in load_rows(tmp_path)}
+    assert len(rows) == 12
+    for row in load_rows(undisturbed):
+        other = rows[f"runs/{row['run_id']}"]
+        for key in ("mode", "seed", "config_sha", "position_error_m.mean", "outcome"):
+            assert other[key] == row[key]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UsageError, match="no finished run"):
+        load_rows(tmp_path / "empty")
+
+
+def test_query(undisturbed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sql = 'select estimator, max("position_error_m.mean") as worst from runs group by 1 order by 1'
+    assert cli.main(["query", str(undisturbed), sql, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert [row["estimator"] for row in rows] == ["fake:is_lost", "fake:slow"]
+    assert rows[0]["worst"] == pytest.approx(0.532)
+    assert cli.main(["query", str(undisturbed), sql, "--csv"]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == "estimator,worst"
+    assert cli.main(["query", str(undisturbed), sql]) == 0
+    assert "fake:slow" in capsys.readouterr().out
+    assert cli.main(["query", str(undisturbed), "select nonsense from runs"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1 and "nonsense" in captured.err
+
+
+def test_status(undisturbed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["campaign", "status", str(undisturbed), "--json"]) == 0
+    totals = json.loads(capsys.readouterr().out)
+    assert totals["outcomes"] == {"COMPLETED": 6, "DIVERGED": 6}
+    assert cli.main(["campaign", "status", str(undisturbed)]) == 0
+    assert "12 of 12 runs finished" in capsys.readouterr().out
+    assert cli.main(["campaign", "status", str(undisturbed.parent)]) == 2

@@ -1,0 +1,128 @@
+"""Workers of a campaign: every run has its row whatever befalls them, and the time they need."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from touchdown.experiments.campaign.plan import load_plan
+from touchdown.experiments.campaign.progress import TimeLeft
+from touchdown.experiments.campaign.results_table import load_rows
+from touchdown.experiments.campaign.worker import Task
+
+from support.campaign_flights import attempts, axes, fly, make_plan
+
+BEHAVIOURS = (
+    "good",
+    "prints",
+    "is_lost",
+    "raises",
+    "raises_once",
+    "segfaults",
+    "is_killed_once",
+    "grows",
+)
+
+
+@pytest.fixture(scope="module")
+def faulty(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    folder = tmp_path_factory.mktemp("faulty")
+    text = axes(scene=["flat"], estimator=[f"fake:{name}" for name in BEHAVIOURS])
+    plan = make_plan(folder, text + "[limits]\nrun_timeout_s = 100\nmemory_gb = 0.3\n")
+    return folder / "out", fly(plan, folder / "out", jobs=2)
+
+
+def row_of(directory: Path, behaviour: str) -> dict[str, Any]:
+    return next(row for row in load_rows(directory) if row["estimator"] == f"fake:{behaviour}")
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "outcome", "flown", "reason"),
+    [
+        ("good", "COMPLETED", 1, ""),
+        ("prints", "COMPLETED", 1, ""),
+        ("is_lost", "DIVERGED", 2, ""),  # the second time for its recording
+        ("raises", "CRASHED", 2, "RuntimeError: a wing came off"),
+        ("raises_once", "COMPLETED", 2, ""),
+        ("segfaults", "CRASHED", 2, "SIGSEGV"),
+        ("is_killed_once", "COMPLETED", 2, ""),
+        ("grows", "CRASHED", 1, "0.3 GB"),
+    ],
+)
+def test_every_run_has_its_row_whatever_befell_it(
+    faulty: tuple[Path, dict[str, Any]], behaviour: str, outcome: str, flown: int, reason: str
+) -> None:
+    row = row_of(faulty[0], behaviour)
+    assert row["outcome"] == outcome
+    assert reason in row["reason"]
+    assert attempts(faulty[0])[row["run_id"]] == flown
+    assert (faulty[0] / "runs" / row["run_id"]).exists() == (outcome != "CRASHED")
+
+
+def test_a_run_that_hangs_is_ended_at_its_limit(tmp_path: Path) -> None:
+    text = axes(scene=["flat"], estimator=["fake:hangs"]) + "[limits]\nrun_timeout_s = 0.5\n"
+    assert fly(make_plan(tmp_path, text), tmp_path / "out")["crashed"] == 1
+    row = row_of(tmp_path / "out", "hangs")
+    assert (row["outcome"], row["reason"]) == ("CRASHED", "took longer than 0.5 s")
+
+
+def test_a_crash_keeps_its_traceback(faulty: tuple[Path, dict[str, Any]]) -> None:
+    record = json.loads((faulty[0] / "failed" / "flat-fake.raises-s0.json").read_text())
+    assert "in fly" in record["traceback"] and record["attempts"] == 2
+    died = json.loads((faulty[0] / "failed" / "flat-fake.segfaults-s0.json").read_text())
+    assert "campaign_fakes.py" in died["traceback"]
+
+
+def test_only_bad_outcomes_are_recorded(faulty: tuple[Path, dict[str, Any]]) -> None:
+    recorded = {path.parent.name for path in (faulty[0] / "runs").glob("*/flight.rrd")}
+    assert recorded == {"flat-fake.is_lost-s0"}
+
+
+def test_nothing_is_left_over(faulty: tuple[Path, dict[str, Any]]) -> None:
+    assert not (faulty[0] / ".partial").exists()
+    totals = faulty[1]
+    assert (totals["finished"], totals["crashed"], totals["remaining"]) == (5, 3, 0)
+    assert totals["flying"] == []
+    shares = totals["estimators"]["fake:good"]["stage_share"]
+    assert sum(shares.values()) == pytest.approx(1.0)
+    # 1 ms of the world and 0.5 ms of the estimator in a loop of 2 ms.
+    assert shares["world"] == pytest.approx(2 * shares["estimator"])
+    assert shares["rest"] == pytest.approx(shares["estimator"])
+
+
+def test_a_second_call_tries_the_crashed_alone(
+    faulty: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    out = tmp_path / "copy"
+    shutil.copytree(faulty[0], out)
+    (out / "attempts.log").write_text("")
+    plan = load_plan(out / "campaign.toml")
+    keep = [run for run in plan.runs if "raises" in run.run_id or "good" in run.run_id]
+    document = json.loads((out / "campaign.json").read_text())
+    document["runs"] = [r for r in document["runs"] if r["run_id"] in {k.run_id for k in keep}]
+    (out / "campaign.json").write_text(json.dumps(document))
+    totals = fly(dataclasses.replace(plan, runs=tuple(keep)), out)
+    assert attempts(out) == {"flat-fake.raises-s0": 2}
+    assert totals["crashed"] == 1
+
+
+def test_time_left_knows_that_methods_differ() -> None:
+    todo = [
+        Task(run_id=f"{name}{seed}", values={"estimator": name}, directory="")
+        for seed in range(3)
+        for name in ("quick", "slow")
+    ]
+    left = TimeLeft(todo, jobs=2)
+    assert left.left_s(0.0) is None
+    left.start("quick0", 0.0)
+    left.start("slow0", 0.0)
+    assert left.end("quick0", 10.0) == 10.0
+    # quick: 2 of 10 s to go; slow: 2 of as much as is known, 10 s, and slow0 is over that.
+    assert left.left_s(10.0) == pytest.approx((20.0 + 20.0 + 0.0) / 2)
+    left.end("slow0", 40.0)
+    assert left.left_s(40.0) == pytest.approx((20.0 + 80.0) / 2)

@@ -1,0 +1,147 @@
+"""What a campaign's file expects of its runs, and how that is judged."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from touchdown.experiments.campaign.expectations import judge, judge_campaign, lines, unexpected
+from touchdown.experiments.campaign.plan import load_plan
+from touchdown.experiments.campaign.session import summary
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.errors import UsageError
+
+from support.campaign_flights import fly, make_plan
+
+ROOT = Path(__file__).parents[3]
+FILE = """
+name = "test"
+[axes]
+scene = ["flat", "lake"]
+estimator = ["support.campaign_fakes:good", "support.campaign_fakes:is_lost"]
+seeds = "0-1"
+[axes.faults]
+events = [[], ["fog@0"]]
+[[skip]]
+when = { estimator = ["support.campaign_fakes:is_lost"], faults.events = [["fog@0"]] }
+[[expect]]
+when = { estimator = ["support.campaign_fakes:good"], faults.events = [["fog@0"]] }
+outcome = ["COMPLETED"]
+position_error_m_max = %s
+[[expect]]
+name = "lost ones"
+when = { estimator = ["support.campaign_fakes:is_lost"] }
+outcome = ["DIVERGED"]
+"""
+
+
+def expectation(**given: Any) -> dict[str, Any]:
+    plain: dict[str, Any] = {
+        "name": "",
+        "when": {},
+        "outcome": [],
+        "position_error_m_max": None,
+        "unsafe": False,
+    }
+    return plain | given
+
+
+def landed(outcome: str = "LANDED", safe: bool | None = True, error: float = 0.1) -> dict[str, Any]:
+    return {
+        "run_id": "a", "outcome": outcome, "reason": "why", "landing.touchdown_xy_m": [1.0, 2.0],
+        "landing.safe_geometry": safe, "landing.safe": safe, "landing.judged_on": "geometry",
+        "position_error_m.max": error,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("row", "given", "words"),
+    [
+        (landed(), {}, ""),
+        (landed(), {"outcome": ["ABORTED", "LANDED"], "position_error_m_max": 0.1}, ""),
+        (landed(), {"outcome": ["ABORTED"]}, "LANDED (why)"),
+        (landed(error=0.2), {"position_error_m_max": 0.1}, "0.20 m, at most 0.1 m expected"),
+        (landed() | {"position_error_m.max": None}, {"position_error_m_max": 0.1}, "unknown"),
+        (landed(safe=False), {}, "unsafe touchdown"),
+        (landed(safe=None), {}, "unsafe touchdown"),
+        (landed("ABORTED", safe=False), {}, "unsafe touchdown"),
+        (landed("TIPPED"), {}, "unsafe touchdown"),
+        (landed("COLLIDED") | {"landing.touchdown_xy_m": None}, {}, "unsafe touchdown"),
+        (landed("DIVERGED") | {"landing.touchdown_xy_m": None}, {}, ""),
+        (landed("TIPPED", safe=False), {"unsafe": True}, ""),
+        (landed("CRASHED"), {"unsafe": True}, "crashed: why"),
+    ],
+)
+def test_what_is_as_expected(row: dict[str, Any], given: dict[str, Any], words: str) -> None:
+    found = unexpected(expectation(**given), row)
+    assert words in found if words else found == ""
+
+
+def test_runs_are_found_by_their_values_and_counted() -> None:
+    runs = [
+        {"run_id": "a", "values": {"faults.events": ["fog@0"], "seed": 0}},
+        {"run_id": "b", "values": {"faults.events": ["fog@0"], "seed": 1}},
+        {"run_id": "c", "values": {"faults.events": [], "seed": 0}},
+    ]
+    fog = expectation(when={"faults.events": [["fog@0"]]}, outcome=["LANDED"])
+    verdict = judge(fog, runs, {"a": landed(error=0.3)})
+    assert (verdict.runs, verdict.finished, verdict.word) == (2, 1, "1 to go")
+    assert verdict.name == "fog@0" and verdict.largest_error_m == 0.3
+    verdict = judge(fog, runs, {"a": landed(), "b": landed("NO_SITE"), "c": landed("TIPPED")})
+    assert verdict.failures == {"b": "NO_SITE (why)"} and verdict.word == "1 not as expected"
+    assert verdict.outcomes == {"LANDED": 1, "NO_SITE": 1}
+    assert judge(fog, runs, {"a": landed(), "b": landed()}).word == "as expected"
+
+
+def test_a_campaign_is_judged_row_by_row(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    plan = make_plan(tmp_path, FILE % "2.0")
+    assert len(plan.runs) == 2 * 2 * (2 + 1)  # scenes, seeds, faults of each method
+    figures = fly(plan, out)
+    assert figures["as_expected"] and [v["finished"] for v in figures["expectations"]] == [4, 4]
+    assert cli.main(["campaign", "status", str(out)]) == 0
+    assert "lost ones" in capsys.readouterr().out
+    # the same runs, other expectations: error 2 * (0.1 + 0.01 seed + 0.012 + 0.4) is 1.02 and 1.04
+    fly(make_plan(tmp_path, FILE % "1.03"), out)
+    verdicts = judge_campaign(out)
+    assert [len(v.failures) for v in verdicts] == [2, 0]
+    assert all("-s1" in run_id for run_id in verdicts[0].failures)
+    assert cli.main(["campaign", "status", str(out), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["as_expected"] is False
+    assert cli.main(["report", str(out)]) == 1
+    assert "2 not as expected" in capsys.readouterr().out
+    report = (out / "report" / "report.md").read_text()
+    assert "What was expected, and what came" in report and "at most 1.03 m expected" in report
+    assert not lines([]) and summary(out)["as_expected"] is False
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("outcome = [", 'outcome = ["LANDET", ', "unknown outcome 'LANDET'.*did you mean 'LANDED'"),
+        ('name = "lost ones"', "limit = 3", "unknown key 'expect.1.limit'"),
+        ("position_error_m_max = 2.0", "position_error_m_max = -1.0", "position_error_m_max"),
+        ("when = { estimator", "when = { estimater", "did you mean 'estimator'"),
+        ('[["fog@0"]] }\noutcome', '[["fog@1"]] }\noutcome', "no value of the axis"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(tmp_path: Path, old: str, new: str, words: str) -> None:
+    with pytest.raises(UsageError, match=words) as caught:
+        make_plan(tmp_path, (FILE % "2.0").replace(old, new))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_shipped_matrix_has_an_expectation_for_every_run() -> None:
+    plan = load_plan(ROOT / "configs" / "faults.toml")
+    assert {run.values["seed"] for run in plan.runs} == set(range(5))
+    runs = [{"run_id": run.run_id, "values": dict(run.values)} for run in plan.runs]
+    named = [judge(entry, runs, {}) for entry in plan.expect]
+    assert all(verdict.runs for verdict in named)
+    assert not any(entry["unsafe"] for entry in plan.expect)
+    for run in runs:
+        assert any(judge(entry, [run], {}).runs for entry in plan.expect if entry["when"])

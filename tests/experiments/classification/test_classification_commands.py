@@ -1,0 +1,231 @@
+"""`touchdown train`, `evaluate` and `classify`, and the file of a network that they share."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from touchdown.experiments.classification.render_dataset import COLUMNS, MANIFEST
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.io.images import read_picture
+from touchdown.landing.classification import weights
+from touchdown.landing.classification.labels import D_LAND
+
+from support.recognition_support import coloured
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders of coloured pictures."""
+    home = tmp_path_factory.mktemp("coloured")
+    pictures = coloured(90, 5, 40)
+    for number, (image, label) in enumerate(zip(pictures.images, pictures.labels, strict=True)):
+        path = home / D_LAND[label]
+        path.mkdir(exist_ok=True)
+        cv2.imwrite(str(path / f"{number}.png"), image[..., ::-1])
+    return home
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory, folder: Path) -> Path:
+    """The network of a short training by the command."""
+    for name in ("torch", "onnx", "onnxruntime"):
+        pytest.importorskip(name)
+    out = tmp_path_factory.mktemp("trained")
+    arguments = ["train", "--network", "mobilenet_v3_large", "--data", str(folder), "--out",
+                 str(out), "--epochs", "2", "--image-size", "32", "--threads", "1", "--quiet",
+                 "--json"]  # fmt: skip
+    assert cli.main(arguments) == 0
+    return out / "network.onnx"
+
+
+def test_training_leaves_its_files(trained: Path) -> None:
+    names = {path.name for path in trained.parent.iterdir()}
+    assert names == {
+        "network.onnx", "network.onnx.sha256", "curves.csv", "curves.rrd", "training.json",
+        "last.pt", "best.pt",
+    }  # fmt: skip
+    report = json.loads((trained.parent / "training.json").read_text())
+    assert report["epochs"] == 2 and report["parameters"]["network"] == "mobilenet_v3_large"
+    curves = (trained.parent / "curves.csv").read_text().splitlines()
+    assert len(curves) == 3 and curves[0].startswith("epoch,learning_rate,train_loss,val_loss")
+
+
+def test_both_engines_read_the_same_file(trained: Path) -> None:
+    from touchdown.landing.classification.footprint import load_classifier
+
+    engines = [load_classifier(trained, name) for name in ("onnx", "torch")]
+    images = coloured(6, 8).images
+    first, second = (engine.scores(images) for engine in engines)
+    assert engines[0].facts == engines[1].facts and first.shape == (6, 7)
+    np.testing.assert_allclose(first, second, atol=1e-4)
+    with pytest.raises(ValueError, match=r"\(N, 32, 32, 3\) uint8 needed"):
+        engines[0].scores(images[:, :16])
+
+
+def test_weights_are_float16_and_the_rest_of_training_is_kept(trained: Path, torch: Any) -> None:
+    """2 bytes a weight, and what torch reads back is its own weight, rounded."""
+    from touchdown.landing.classification.learning.export import TorchClassifier
+
+    count = 4_210_008
+    assert 2 * count < trained.stat().st_size < 2.2 * count
+    best = torch.load(trained.parent / "best.pt", weights_only=True)
+    read = TorchClassifier(trained)._module.network.state_dict()
+    for name, own in best.items():
+        if own.ndim >= 2:
+            assert bool((read[name] == own.half().float()).all()), name
+        elif own.is_floating_point():
+            assert bool((read[name] == own).all()), name
+
+
+def test_what_a_miss_costs_is_decided_at_the_end(
+    trained: Path, folder: Path, tmp_path: Path, torch: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same training, ended with a cost: the same scores but for one class, ln 10 more."""
+    from touchdown.landing.classification.footprint import load_classifier
+
+    out = tmp_path / "trained"
+    shutil.copytree(trained.parent, out)
+    arguments = ["train", "--network", "mobilenet_v3_large", "--data", str(folder), "--out",
+                 str(out), "--epochs", "2", "--image-size", "32", "--quiet", "--json",
+                 "--miss-cost", "water=10"]  # fmt: skip
+    assert cli.main(arguments) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["parameters"]["miss_costs"] == [["water", 10.0]]
+    images = coloured(6, 8).images
+    more = np.where(np.array(D_LAND) == "water", np.log(10.0), 0.0)
+    for engine in ("onnx", "torch"):
+        plain, dear = (
+            load_classifier(path / "network.onnx", engine).scores(images)
+            for path in (trained.parent, out)
+        )
+        np.testing.assert_allclose(dear - plain, np.broadcast_to(more, (6, 7)), atol=1e-4)
+    reports = []
+    for file, cost in ((out / "network.onnx", []), (trained, ["--miss-cost", "water=10"])):
+        whole = ["evaluate", str(file), "--data", str(folder), "--no-cost", "--quiet", "--json"]
+        assert cli.main([*whole, *cost]) == 0
+        reports.append(json.loads(capsys.readouterr().out))
+    assert reports[0]["miss_costs"] == reports[1]["miss_costs"] == {"water": 10.0}
+    assert reports[0]["confusion"] == reports[1]["confusion"]
+    assert cli.main([*whole, "--miss-cost", "lava=2"]) == 2
+    assert "miss cost of 'lava'" in capsys.readouterr().err
+
+
+def test_evaluating_by_command(
+    trained: Path, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["evaluate", str(trained), "--data", str(folder), "--quiet", "--json"]
+    assert cli.main(arguments) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["pictures"] == sum(map(sum, report["confusion"]))
+    assert report["top1"] == report["hits"] / report["pictures"]
+    assert report["rom_mb"] == trained.stat().st_size / 1e6
+    assert report["peak_ram_mb"] > 20.0 and report["image_ms"] > 0.0
+    assert list(report["by_source"]) == ["d_land"]
+    assert cli.main([*arguments[:-1], "--no-cost", "--engine", "torch"]) == 0
+    assert "what it is, and what it was taken for" in capsys.readouterr().out
+
+
+def test_rendered_pictures_are_scored_by_scene(
+    trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [("lake", 4), ("lake", 9), ("pools", 0), ("flat", 4)]
+    lines = [",".join(COLUMNS)]
+    for number, (scene, seed) in enumerate(rows):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((32, 32, 3), 40 * number, np.uint8))
+        lines.append(f"{number}.png,lawn,pond,{scene},{seed},test,20.0,6.0,1.000")
+    (tmp_path / MANIFEST).write_text("\n".join(lines) + "\n")
+    arguments = ["evaluate", str(trained), "--data", str(tmp_path), "--no-cost", "--quiet"]
+    assert cli.main([*arguments, "--json"]) == 0
+    by_scene = json.loads(capsys.readouterr().out)["by_scene"]
+    assert {name: row["pictures"] for name, row in by_scene.items()} == {
+        "flat": 1, "lake": 2, "pools": 1, "scenes trained on": 3, "scenes never trained on": 1
+    }  # fmt: skip
+    assert cli.main(arguments) == 0
+    assert "scenes never trained on" in capsys.readouterr().out
+
+
+def test_classifying_by_command(
+    trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photograph = tmp_path / "photograph.png"
+    cv2.imwrite(str(photograph), np.full((60, 90, 3), 90, np.uint8))
+    out = tmp_path / "classes"
+    arguments = ["classify", str(photograph), "--network", str(trained), "--out", str(out)]
+    assert cli.main([*arguments, "--json", "--quiet"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["pictures"]
+    assert sum(row["shares"].values()) == pytest.approx(1.0) and row["window_px"] == 32
+    assert read_picture(out / "photograph-classes.png").shape[1] == 90
+    assert cli.main([*arguments, "--window", "64"]) == 2
+    assert "64 pixels do not fit into a picture of 90 x 60" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("change", [lambda content: content[:-100], lambda content: b"x" + content])
+def test_broken_networks_are_told_in_one_line(
+    change: Any, trained: Path, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken = tmp_path / "network.onnx"
+    broken.write_bytes(change(trained.read_bytes()))
+    weights.checksum_file(broken).write_bytes(weights.checksum_file(trained).read_bytes())
+    assert cli.main(["evaluate", str(broken), "--data", str(folder), "--quiet"]) == 2
+    told = capsys.readouterr().err
+    assert "is cut short or changed" in told and told.count("\n") == 1
+    for engine in ("onnx", "torch"):
+        weights.write_network(broken, b"no network at all")
+        assert cli.main(["evaluate", str(broken), "--data", str(folder), "--engine", engine]) == 2
+        told = capsys.readouterr().err
+        assert "is no network that can be loaded" in told and told.count("\n") == 1
+
+
+def test_commands_say_what_is_missing(
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Without torch the other commands work, and this one says what to install."""
+    for name in [
+        n for n in sys.modules if n.startswith("touchdown.landing.classification.learning")
+    ]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    arguments = ["train", "--data", str(folder), "--out", str(tmp_path / "out")]
+    assert cli.main(arguments) == 2
+    told = capsys.readouterr().err
+    assert "this needs torch: install it with pip install 'touchdown[train]'" in told
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--network", "resnet51"], "unknown network 'resnet51': did you mean"),
+        (["--data", "nowhere"], "'nowhere' is no folder"),
+        (["--device", "tpu"], "unknown device 'tpu'"),
+        (["--miss-cost", "lava=10"], "miss cost of 'lava': the classes are lawn, field"),
+        (["--miss-cost", "water"], "'water': give a class and a number above 0, such as water=10"),
+        (["--miss-cost", "water=nan"], "'water=nan': give a class and a number above 0"),
+        (["--network", "inception_v4", "--image-size", "64"], "at least 75 pixels"),
+    ],
+)
+def test_training_refuses(
+    arguments: list[str],
+    message: str,
+    torch: Any,
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("onnx")
+    out = tmp_path / "out"
+    command = ["train", "--out", str(out), "--data", str(folder), "--quiet", *arguments]
+    assert cli.main(command) == 2
+    told = capsys.readouterr().err
+    assert message in told and told.count("\n") == 1 and not out.exists()

@@ -1,0 +1,375 @@
+"""Label mappings, splits, rendered patches, and folders of pictures of people's own."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from touchdown.experiments.classification import colour_randomization as recolour
+from touchdown.experiments.classification import patches
+from touchdown.experiments.classification import render_dataset as patch_dataset
+from touchdown.experiments.classification.image_folders import load_pictures, read_catalogue
+from touchdown.experiments.classification.render_dataset import contact_sheet
+from touchdown.experiments.classification.splits import (
+    split_of_file,
+    split_of_place,
+    split_of_ucmerced,
+)
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.images import read_picture, squared
+from touchdown.landing.classification import labels
+from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID
+from touchdown.scenes.registry import scene_names
+
+UC_MERCED = Path(__file__).parents[4] / "shared" / "data" / "ucmerced"
+
+# ----------------------------------------------------------------------------------------- labels
+
+
+def test_schemes() -> None:
+    assert labels.D_LAND == ("lawn", "field", "path", "road", "building", "water", "trees")
+    assert len(labels.D_SCENE) == len(set(labels.D_SCENE)) == 30
+
+
+@pytest.mark.parametrize(("kind", "count"), [("ucmerced", 21), ("aid", 30), ("places365", 365)])
+def test_every_class_has_a_meaning(kind: str, count: int) -> None:
+    table = labels.SOURCES[kind]
+    assert len(table) == count
+    for meaning in table.values():
+        assert -1 <= meaning.label("d_land") < 7
+        assert -1 <= meaning.label("d_scene") < 30
+
+
+def test_aid_keeps_its_own_classes() -> None:
+    assert set(labels.AID) == set(labels.D_SCENE)
+    assert all(meaning.d_scene == name for name, meaning in labels.AID.items())
+
+
+def test_most_of_uc_merced_is_kept() -> None:
+    kept = {name: m.d_land for name, m in labels.UC_MERCED.items() if m.d_land}
+    assert len(kept) >= 17
+    expected = {
+        "harbor": "water", "river": "water", "forest": "trees", "freeway": "road",
+        "intersection": "road", "overpass": "road", "parkinglot": "road", "golfcourse": "lawn",
+        "agricultural": "field", "denseresidential": "building", "mediumresidential": "building",
+        "sparseresidential": "building", "mobilehomepark": "building",
+    }  # fmt: skip
+    assert expected.items() <= kept.items()
+
+
+def test_places_indoors_are_left_out() -> None:
+    assert labels.PLACES365["bathroom"] == labels.Meaning(None, None)
+    assert labels.PLACES365["lake/natural"] == labels.Meaning("water", "pond")
+    assert set(labels.D_LAND) <= {m.d_land for m in labels.PLACES365.values()}
+
+
+def test_every_scene_has_a_meaning() -> None:
+    for name in scene_names():
+        for land_class in LAND_CLASSES:
+            meaning = labels.rendered_meaning(name, land_class)
+            assert meaning.d_land == land_class and meaning.d_scene in labels.D_SCENE
+    assert labels.rendered_meaning("my_place", "road") == labels.Meaning("road", None)
+
+
+def test_folders_tell_the_kind_of_data() -> None:
+    assert labels.kind_of_folders(["lawn", "water", "trees"]) == "d_land"
+    assert labels.kind_of_folders(["agricultural", "harbor", "forest"]) == "ucmerced"
+    assert labels.kind_of_folders(["BareLand", "Viaduct", "Forest"]) == "aid"
+    assert labels.kind_of_folders(["lake-natural", "bathroom"]) == "places365"
+    with pytest.raises(ValueError, match=r"\(cats, dogs, \.\.\.\) are not the classes"):
+        labels.kind_of_folders(["cats", "dogs"])
+    with pytest.raises(ValueError, match="'habor' is no class of ucmerced; did you mean 'harbor'"):
+        labels.meanings("ucmerced", ["river", "habor"])
+
+
+# ----------------------------------------------------------------------------------------- splits
+
+
+def test_places_are_split_by_seed_and_two_scenes_are_held_out() -> None:
+    splits = [split_of_place("lake", seed) for seed in range(1000, 1010)]
+    assert splits == 2 * ["train", "train", "train", "val", "test"]
+    assert {split_of_place("pools", seed) for seed in range(10)} == {"test"}
+
+
+def test_uc_merced_is_split_by_number() -> None:
+    splits = Counter(split_of_ucmerced(f"river{n:02d}.jpg") for n in range(80))
+    assert splits == {"train": 56, "val": 8, "test": 16}
+    assert all(split_of_ucmerced(f"river{n}.jpg") == "test" for n in range(64, 80))
+    with pytest.raises(ValueError, match="has no number"):
+        split_of_ucmerced("river.jpg")
+
+
+def test_files_are_split_by_name() -> None:
+    splits = Counter(split_of_file(f"Park/park_{n}.jpg") for n in range(2000))
+    assert 350 < splits["test"] < 450 and 150 < splits["val"] < 250
+
+
+# ---------------------------------------------------------------------------------------- patches
+
+
+def test_majority_of_a_square() -> None:
+    picture = np.full((10, 10), patches.LAND_CLASSES.index("road"), np.int32)
+    picture[2:8, 2:8] = LAND_CLASSES.index("water")
+    picture[9, 9], picture[0, 0] = 255, -1
+    sums = patches._integral(picture)
+    assert patches._majority(sums, 2, 2, 6) == (LAND_CLASSES.index("water"), 1.0)
+    assert patches._majority(sums, 0, 0, 10) == (LAND_CLASSES.index("road"), 0.62)
+    assert patches._counts(sums, 0, 0, 2)[-1] == 1 and patches._counts(sums, 1, 1, 9)[-1] == 0
+
+
+def test_rare_classes_come_first_and_squares_stay_apart() -> None:
+    squares = [
+        patches._Square(0, 0, 10, 0, 1.0, 5.0),
+        patches._Square(0, 2, 10, 1, 1.0, 5.0),
+        patches._Square(0, 40, 10, 0, 1.0, 5.0),
+        patches._Square(40, 0, 10, 3, 1.0, 5.0),
+    ]
+    taken = np.array([2, 1, 0, -1, 0, 0, 0])
+    assert patches._rarest(squares, taken, 4) == [squares[1], squares[2]]
+
+
+def test_light_keeps_a_picture_a_picture() -> None:
+    grey = np.full((40, 40, 3), 120, np.uint8)
+    results = [patches.varied(grey, np.random.default_rng([1, k])) for k in range(40)]
+    means = np.array([picture.mean() for picture in results])
+    assert all(picture.shape == grey.shape and picture.dtype == np.uint8 for picture in results)
+    assert means.min() < 100 and means.max() > 130
+    again = patches.varied(grey, np.random.default_rng([1, 0]))
+    assert (again == results[0]).all()
+
+
+def test_a_streak_smears_along_its_direction() -> None:
+    kernel = patches._streak(4.0, 0.0)
+    assert kernel.sum() == pytest.approx(1.0)
+    assert kernel.sum(axis=1).argmax() == 2 and (kernel[2] > 0).all() and kernel[0].sum() == 0
+
+
+_PLACE = """
+<mujoco>
+  <worldbody>
+    <light pos="0 0 50" dir="0 0 -1" directional="true"/>
+    <geom name="lawn_a" type="box" size="40 40 0.5" pos="0 0 -0.5" rgba="0.2 0.5 0.2 1"/>
+    <geom name="water_a" type="box" size="16 40 0.01" pos="24 0 0.01" rgba="0.1 0.2 0.4 1"/>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_patches_of_a_place(tmp_path: Path) -> None:
+    """Half lawn, half water: both are found, and look as they are painted."""
+    place = tmp_path / "place.xml"
+    place.write_text(_PLACE, encoding="utf-8")
+    found, again = (patches.place_patches(str(place), 7, 6, 40, 0) for _ in range(2))
+    assert {patch.land_class for patch in found} == {"lawn", "water"}
+    for patch, same in zip(found, again, strict=True):
+        assert (patch.rgb == same.rgb).all() and patch.rgb.shape == (40, 40, 3)
+        middle = patch.rgb[15:25, 15:25].astype(float).mean(axis=(0, 1))
+        assert (middle[2] > middle[1]) == (patch.land_class == "water")
+        assert patch.share >= 0.6 and 4.0 < patch.height_m < 75.0
+        assert 3.0 < patch.side_m < 26.0
+    other = patches.place_patches(str(place), 7, 1, 40, 1)[0]
+    assert (other.rgb != found[0].rgb).any()
+
+
+def test_new_colours(tmp_path: Path) -> None:
+    """The same squares of the same ground, in other colours."""
+    place = tmp_path / "place.xml"
+    place.write_text(_PLACE, encoding="utf-8")
+    as_it_is = patches.place_patches(str(place), 7, 4, 40, 0)
+    new, again = (patches.place_patches(str(place), 7, 4, 40, 0, 1.0) for _ in range(2))
+    for before, after, same in zip(as_it_is, new, again, strict=True):
+        assert (after.rgb == same.rgb).all() and (after.rgb != before.rgb).any()
+        assert (after.land_class, after.side_m) == (before.land_class, before.side_m)
+
+
+def test_a_material_has_one_colour() -> None:
+    """Two materials in a grey picture: what each shows is multiplied, in linear light."""
+    grey = np.full((4, 8, 3), 96, np.uint8)
+    road = LAND_CLASSES.index("road")
+    materials = np.full((2, 4), road + 1, np.int32)
+    materials[:, 2:] += OTHER_CLASS_ID + 2
+    found = recolour.recoloured(grey, materials, np.random.default_rng(3))
+    left, right = found[:, :4].reshape(-1, 3), found[:, 4:].reshape(-1, 3)
+    assert (left == left[0]).all() and (right == right[0]).all() and (left[0] != right[0]).any()
+    light, warm, green = np.random.default_rng(3).normal(0.0, recolour._SPREAD["road"])
+    gains = np.exp([light + warm, light + green, light - warm])
+    linear = np.minimum((96 / 255) ** 2.2 * gains, 1.0)
+    np.testing.assert_array_equal(left[0], np.round(255 * linear ** (1 / 2.2)))
+
+
+def _painted(
+    name: str, seed: int, count: int, pixels: int, variation: int, new_colours: float
+) -> list[patches.Patch]:
+    """At most two patches a place, in the colour of its seed."""
+    rgb = np.full((pixels, pixels, 3), seed % 256, np.uint8)
+    land_class = "water" if name == "pools" else "lawn"
+    return [patches.Patch(rgb, land_class, 0.9, 20.0, 6.4)] * min(count, 2)
+
+
+def test_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten patches of two scenes at four a place; places give two, so that more are needed."""
+    monkeypatch.setattr(patch_dataset, "place_patches", _painted)
+    out = tmp_path / "patches"
+    done = patch_dataset.render_dataset(out, 10, 0, ["lake", "pools"], pixels=48, per_place=4)
+    assert done["images"] == 10 and done["splits"]["test"] >= 4
+    with (out / "manifest.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len({row["file"] for row in rows}) == 10
+    assert tuple(rows[0]) == patch_dataset.COLUMNS
+    assert rows[0] == {
+        "file": "lake-1000/0000.png", "d_land": "lawn", "d_scene": "meadow", "scene": "lake",
+        "seed": "1000", "split": "train", "height_m": "20.00", "side_m": "6.40", "share": "0.900",
+    }  # fmt: skip
+    for row in rows:
+        assert (read_picture(out / row["file"]) == int(row["seed"]) % 256).all()
+        assert row["split"] == split_of_place(row["scene"], int(row["seed"]))
+    assert read_picture(out / "contact_sheet.png").shape[0] == 7 * 100 + 4
+    pictures = load_pictures([read_catalogue(str(out), "d_scene")], "test", "d_scene", 32)
+    expected = [row["d_scene"] for row in rows if row["split"] == "test"]
+    assert [pictures.classes[label] for label in pictures.labels] == expected
+    assert pictures.images.shape == (len(expected), 32, 32, 3) and pictures.sources == ("rendered",)
+
+
+def test_an_interrupted_dataset_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(patch_dataset, "place_patches", stop)
+    with pytest.raises(KeyboardInterrupt):
+        patch_dataset.render_dataset(tmp_path / "new", 4, 0, ["lake"])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_sheet_has_a_row_for_each_class() -> None:
+    red = np.zeros((20, 20, 3), np.uint8)
+    red[..., 0] = 255
+    sheet = contact_sheet({"lawn": [red], "field": []})
+    assert sheet.shape == (204, 1110, 3)
+    assert (sheet[50, 150] == [255, 0, 0]).all() and (sheet[150, 150] == 255).all()
+
+
+# --------------------------------------------------------------------------------- files of others
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Any:
+    """Makes class folders with small coloured pictures."""
+
+    def make(files: dict[str, int]) -> Path:
+        for name, count in files.items():
+            (tmp_path / name).mkdir()
+            for number in range(count):
+                picture = np.full((20, 30, 3), number, np.uint8)
+                cv2.imwrite(str(tmp_path / name / f"{name}{number:02d}.png"), picture)
+        return tmp_path
+
+    return make
+
+
+def test_a_folder_of_uc_merced(folder: Any) -> None:
+    data = folder({"river": 70, "airplane": 3})
+    catalogue = read_catalogue(str(data), "d_land")
+    assert (catalogue.source, len(catalogue.entries), catalogue.left_out) == ("ucmerced", 70, 3)
+    test = load_pictures([catalogue], "test", "d_land", 16)
+    assert list(test.images[:, 0, 0, 0]) == list(range(64, 70))
+    assert {test.classes[label] for label in test.labels} == {"water"}
+
+
+@pytest.mark.parametrize(
+    ("files", "argument", "message"),
+    [
+        ({}, "{}", "is empty"),
+        ({"river": 0}, "{}", "is empty: it holds no picture of any class"),
+        ({"river": 1, "habor": 1}, "{}", "'habor' is no class of ucmerced; did you mean 'harbor'"),
+        ({"cats": 1}, "{}", "are not the classes of any"),
+        ({"lawn": 1}, "rendered={}", "has no manifest.csv"),
+        ({"lawn": 1}, "ucmercy={}", r"unknown kind 'ucmercy' \(did you mean 'ucmerced'\?\)"),
+        ({}, "{}/nowhere", "is no folder"),
+    ],
+)
+def test_folders_that_cannot_be_used(
+    folder: Any, files: dict[str, int], argument: str, message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        read_catalogue(argument.format(folder(files)), "d_land")
+
+
+def test_no_picture_in_a_split(folder: Any) -> None:
+    catalogue = read_catalogue(str(folder({"river": 3})), "d_land")
+    with pytest.raises(UsageError, match="no picture is in the split 'test'"):
+        load_pictures([catalogue], "test", "d_land", 16)
+
+
+def test_pictures_that_are_refused(tmp_path: Path) -> None:
+    grey, deep, alpha = (tmp_path / f"{name}.png" for name in ("grey", "deep", "alpha"))
+    cv2.imwrite(str(grey), np.zeros((8, 8), np.uint8))
+    cv2.imwrite(str(deep), np.zeros((8, 8, 3), np.uint16))
+    cv2.imwrite(str(alpha), np.full((8, 8, 4), (1, 2, 3, 4), np.uint8))
+    (tmp_path / "text.png").write_text("no picture")
+    for path, message in (
+        (grey, "is grey"),
+        (deep, "has 16 bits"),
+        (tmp_path / "text.png", "is no picture"),
+        (tmp_path / "none.png", "does not exist"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            read_picture(path)
+    assert (read_picture(alpha)[0, 0] == [3, 2, 1]).all()
+
+
+def test_the_middle_square_is_taken() -> None:
+    wide = np.zeros((10, 30, 3), np.uint8)
+    wide[:, 10:20] = 200
+    assert (squared(wide, 5) == 200).all()
+
+
+@pytest.mark.skipif(not UC_MERCED.is_dir(), reason="UC Merced is not here")
+def test_uc_merced_itself() -> None:
+    catalogue = read_catalogue(str(UC_MERCED), "d_land")
+    assert (catalogue.source, len(catalogue.entries), catalogue.left_out) == ("ucmerced", 1520, 160)
+    held_out = [entry for entry in catalogue.entries if entry.split == "test"]
+    assert Counter(entry.label for entry in held_out).total() == 19 * 16
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--scene", "pond"], "unknown scene 'pond'"),
+        (["--images", "0"], "--images"),
+    ],
+)
+def test_command_refuses(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["dataset", "render", "--out", str(tmp_path / "new"), *arguments]) == 2
+    printed = capsys.readouterr().err
+    assert message in printed and printed.count("\n") == 1
+
+
+def test_command_keeps_what_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "note.txt").write_text("mine")
+    assert cli.main(["dataset", "render", "--out", str(tmp_path), "--images", "1"]) == 2
+    assert "is not empty" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["note.txt"]
+
+
+def test_geom_classes_by_surface() -> None:
+    names = ["ground", "pond", "car", "unknown"]
+    surfaces = {
+        "ground": SimpleNamespace(land_class="lawn"),
+        "pond": SimpleNamespace(land_class="water"),
+        "car": SimpleNamespace(land_class="other"),
+    }
+    model = SimpleNamespace(ngeom=4, geom=lambda i: SimpleNamespace(name=names[i]))
+    scene: Any = SimpleNamespace(model=model, surfaces=surfaces)
+    assert list(patches.geom_classes(scene)) == [0, 5, 255, 255]

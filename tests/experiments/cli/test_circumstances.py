@@ -1,0 +1,271 @@
+"""Circumstances that are nobody's mistake: a full disk, Ctrl-C, a pipe that closes, odd names."""
+
+from __future__ import annotations
+
+import errno
+import json
+import locale
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.config.loading import dump_config, load_config
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.errors import UsageError, system_message
+from touchdown.experiments.io.run_directory import run_directory, whole_file
+from touchdown.experiments.terminal import error_line
+
+from support.campaign_fakes import fake_result
+
+ROOT = Path(__file__).parents[3]
+
+
+def _run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    code = cli.main(arguments)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def _one_line(error: str) -> bool:
+    return error.startswith("touchdown: error: ") and error.count("\n") == 1
+
+
+def _flight(ends: Callable[[Path], None]) -> Callable[..., dict[str, Any]]:
+    """A flight that fills its directory half and then meets its fate."""
+
+    def fly(config: Config, out: Path, progress: Any) -> dict[str, Any]:
+        with run_directory(out) as partial:
+            progress(0.0, "TAKEOFF", "")
+            (partial / "truth.tum").write_text("0 0 0")
+            ends(partial)
+            (partial / "result.json").write_text("{}")
+        return fake_result(config, "COMPLETED")
+
+    return fly
+
+
+def _raise(error: BaseException) -> Callable[[Path], None]:
+    def ends(_partial: Path) -> None:
+        raise error
+
+    return ends
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (errno.ENOSPC, "No space left on device; make room"),
+        (errno.EDQUOT, "make room"),
+        (errno.EFBIG, "ulimit -f"),
+        (errno.EROFS, "Read-only file system; name a place"),
+        (errno.EACCES, "Permission denied; name one that you may use"),
+        (errno.EIO, "may be full"),
+    ],
+)
+def test_a_disk_that_fails_in_the_air_is_one_line_and_leaves_nothing(
+    number: int,
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    failure = _raise(OSError(number, os.strerror(number), "/a/.partial-1/truth.tum"))
+    monkeypatch.setattr("touchdown.experiments.flight.run.fly", _flight(failure))
+    out = tmp_path / "mit ümlaut" / "run"
+    code, _, err = _run(capsys, "fly", "flat", "--out", str(out), "--quiet")
+    assert (code, _one_line(err)) == (2, True)
+    assert words in err and str(out) in err and "partial" not in err
+    assert list(out.parent.iterdir()) == []
+
+
+def test_an_earlier_run_survives_a_full_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "result.json").write_text('{"old": 1}')
+    monkeypatch.setattr(
+        "touchdown.experiments.flight.run.fly", _flight(_raise(OSError(errno.ENOSPC, "full")))
+    )
+    assert _run(capsys, "fly", "flat", "--out", str(tmp_path / "run"), "--quiet")[0] == 2
+    assert (tmp_path / "run" / "result.json").read_text() == '{"old": 1}'
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_an_error_that_is_ours_keeps_its_traceback(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failure = _raise(FileNotFoundError(errno.ENOENT, "gone", "x"))
+    monkeypatch.setattr("touchdown.experiments.flight.run.fly", _flight(failure))
+    with pytest.raises(FileNotFoundError):
+        cli.main(["fly", "flat", "--out", str(tmp_path / "run"), "--quiet"])
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_in_the_air_is_130_one_line_and_leaves_nothing(
+    number: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    before = {kind: signal.getsignal(kind) for kind in (signal.SIGINT, signal.SIGTERM)}
+    # What runs in a shell's background is born deaf to Ctrl-C.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    monkeypatch.setattr(
+        "touchdown.experiments.flight.run.fly",
+        _flight(lambda _partial: signal.raise_signal(number)),
+    )
+    code, out, err = _run(capsys, "land", "flat", "--out", str(tmp_path / "run"), "--quiet")
+    for kind, handler in before.items():
+        signal.signal(kind, handler)
+    assert (code, out, err.strip()) == (130, "", "touchdown: interrupted")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_place_that_may_not_be_written_to_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr("touchdown.experiments.flight.run.fly", _flight(lambda _partial: None))
+    code, _, err = _run(capsys, "fly", "flat", "--out", str(tmp_path / "file" / "run"), "--quiet")
+    assert (code, _one_line(err)) == (2, True)
+    assert "a part of that path is a file" in err
+    code, _, err = _run(capsys, "fly", "flat", "--out", str(tmp_path / ("n" * 300)), "--quiet")
+    assert (code, _one_line(err)) == (2, True)
+    assert "give a shorter name" in err
+
+
+def test_a_file_is_whole_or_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_text("old")
+
+    def write() -> None:
+        with whole_file(path) as partial:
+            partial.write_text("ne")
+            raise OSError(errno.ENOSPC, "full")
+
+    with pytest.raises(OSError, match="full"):
+        write()
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_only_errors_of_the_machine_are_told_as_such() -> None:
+    assert system_message(FileNotFoundError(errno.ENOENT, "gone")) is None
+    assert system_message(OSError("no number")) is None
+    told = system_message(OSError(errno.ENOSPC, "x", "/a"))
+    assert told == "'/a': No space left on device; make room there and give the command again"
+
+
+def test_an_error_line_does_not_steer_the_terminal_and_has_an_end() -> None:
+    assert error_line("a\x1b[31m\nb\u202ec") == "touchdown: error: a\\x1b[31m b\\u202ec"
+    assert error_line("größe 💥") == "touchdown: error: größe 💥"
+    line = error_line(f"'{'x' * 9000}' is wrong; give another")
+    assert len(line) < 750 and line.endswith("is wrong; give another")
+
+
+def test_words_that_are_no_text_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = _run(capsys, "scenes", "export", "flat", "--out", "a\udcff")
+    assert (code, _one_line(err)) == (2, True)
+    assert "'a\\udcff' is no text in UTF-8" in err
+
+
+def test_the_configuration_of_another_version_is_told_by_its_key(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old = json.loads(dump_config(Config()))
+    old["lidar"]["beam_count"] = 6
+    (tmp_path / "config.json").write_text(json.dumps(old))
+    code, _, err = _run(capsys, "fly", "flat", "--config", str(tmp_path / "config.json"))
+    assert (code, _one_line(err)) == (2, True)
+    assert "unknown key 'lidar.beam_count'" in err and "config.json" in err
+
+
+# --------------------------------------------------------------------------------- whole commands
+
+
+def _command(*arguments: str, **changes: Any) -> subprocess.CompletedProcess[bytes]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), **changes.pop("env", {})}
+    return subprocess.run(
+        [sys.executable, "-m", "touchdown", *arguments],
+        env=environment,
+        timeout=120,
+        check=False,
+        **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **changes},
+    )
+
+
+def test_a_reader_that_leaves_is_no_error() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = _command("scenes", "list", stdout=writer)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux has it")
+def test_output_that_cannot_be_written_is_told() -> None:
+    with open("/dev/full", "wb") as full:
+        done = _command("scenes", "list", stdout=full)
+    assert done.returncode == 2
+    assert _one_line(done.stderr.decode()) and b"No space left" in done.stderr
+
+
+def test_no_terminal_no_colour_and_forty_columns(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "result.json").write_text(json.dumps(fake_result(Config(scene="flat"), "COMPLETED")))
+    sql = "select scene, seed, wind_kmh from runs"
+    for env in ({"NO_COLOR": "1", "COLUMNS": "40", "TERM": "dumb"}, {"LC_ALL": "C"}):
+        done = _command("query", str(tmp_path), sql, env=env, stdin=subprocess.DEVNULL)
+        assert (done.returncode, done.stderr) == (0, b"")
+        assert b"\x1b" not in done.stdout and b"wind_kmh" in done.stdout
+
+
+def _comma_locale() -> str | None:
+    for name in ("de_DE.UTF-8", "de_DE.utf8", "de_DE", "fr_FR.UTF-8", "fr_FR.utf8"):
+        try:
+            locale.setlocale(locale.LC_NUMERIC, name)
+        except locale.Error:
+            continue
+        if locale.localeconv()["decimal_point"] == ",":
+            return name
+    return None
+
+
+def test_decimal_commas_of_the_locale_change_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = locale.setlocale(locale.LC_NUMERIC)
+    try:
+        if _comma_locale() is None:
+            pytest.skip("no locale with decimal commas is installed")
+        import mujoco
+
+        config = load_config(None, ["wind.mean_kmh=7.5"])
+        (tmp_path / "config.json").write_text(dump_config(config))
+        assert load_config(tmp_path / "config.json").wind.mean_kmh == 7.5
+        assert '"mean_kmh":7.5' in config.model_dump_json()
+        spec = mujoco.MjSpec.from_string(
+            "<mujoco><worldbody><geom size='0.25'/></worldbody></mujoco>"
+        )
+        assert spec.compile().geom_size[0, 0] == 0.25
+        (tmp_path / "result.json").write_text(json.dumps(fake_result(config, "COMPLETED")))
+        code, out, _ = _run(capsys, "query", str(tmp_path), "select wind_kmh from runs", "--csv")
+        assert (code, out.splitlines()[1]) == (0, "7.5")
+        assert _run(capsys, "report", str(tmp_path))[1].count("7,5") == 0
+    finally:
+        locale.setlocale(locale.LC_NUMERIC, before)
+
+
+def test_a_comma_for_a_point_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(UsageError, match=r"wind\.mean_kmh = \"7,5\""):
+        load_config(None, ["wind.mean_kmh=7,5"])
+    code, _, err = _run(capsys, "fly", "flat", "--wind-kmh", "7,5")
+    assert code == 2 and "not a valid float" in err

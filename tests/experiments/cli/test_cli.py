@@ -1,0 +1,308 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from touchdown.experiments.cli import main as cli
+
+ROOT = Path(__file__).parents[3]
+HEAVY = ("mujoco", "open3d", "cv2", "rerun", "numba", "matplotlib", "scipy", "torch", "ray")
+
+
+def _run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    code = cli.main(arguments)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def _all_commands(group: Any, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    paths = [path]
+    for name, command in getattr(group, "commands", {}).items():
+        paths += _all_commands(command, (*path, name))
+    return paths
+
+
+@pytest.mark.parametrize("path", _all_commands(cli.cli), ids=" ".join)
+def test_every_command_has_help_with_an_example(
+    path: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = _run(capsys, *path, "--help")
+    assert code == 0
+    assert "Example: touchdown" in out
+    assert err == ""
+
+
+def test_importing_the_command_line_imports_nothing_heavy() -> None:
+    names = f"[m for m in {HEAVY!r} if m in sys.modules]"
+    script = f"import sys, touchdown.experiments.cli.main; print({names})"
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("lnd",), ["unknown command 'lnd'", "did you mean 'land'"]),
+        (("scenes",), ["needs a command", "render"]),
+        (("land",), ["SCENE", "touchdown land --help"]),
+        (("land", "crossroad", "--sed", "1"), ["--sed"]),
+        (("land", "crossroad", "--seed", "x"), ["--seed", "integer"]),
+        (("land", "crossroad", "--seed", "-4"), ["seed = -4", "not be negative"]),
+        (("land", "crossrod"), ["unknown scene 'crossrod'", "did you mean 'crossroad'"]),
+        (("land", "no/such.xml"), ["no/such.xml"]),
+        (("land", "crossroad", "--estimator", "lvio"), ["lvio", "did you mean 'livo'", "oracle"]),
+        (("land", "crossroad", "--estimator", "no_lab.vio:build"), ["no_lab.vio:build"]),
+        (("land", "crossroad", "--wind-kmh", "-3"), ["wind.mean_kmh = -3", "not be negative"]),
+        (("fly", "crossroad", "--wind-kmh", "nan"), ["finite"]),
+        (("land", "crossroad", "--site", "3"), ["X,Y"]),
+        (("land", "crossroad", "--site", "nan,1"), ["finite"]),
+        (("land", "crossroad", "--set", "wind.mean_kph=3"), ["did you mean 'wind.mean_kmh'"]),
+        (("land", "crossroad", "--config", "gone.toml"), ["gone.toml", "does not exist"]),
+        (("view", "gone"), ["flight.rrd", "does not exist"]),
+        (("scenes", "render", "crossrod"), ["did you mean 'crossroad'"]),
+        (("scenes", "render", "crossroad", "--out", "a.txt"), [".png"]),
+        (("scenes", "render"), ["SCENE", "--all"]),
+        (("scenes", "render", "crossroad", "--all"), ["SCENE", "--all"]),
+        (("scenes", "check", "crossrod"), ["did you mean 'crossroad'"]),
+        (("scenes", "check", "--seeds", "0"), ["--seeds"]),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_is_written(
+    arguments: tuple[str, ...],
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, err = _run(capsys, *arguments)
+    assert code == 2
+    assert out == ""
+    assert err.startswith("touchdown: error: ")
+    assert err.count("\n") == 1
+    for word in words:
+        assert word in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_out_that_holds_something_else_is_left_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "thesis.tex").write_text("precious")
+    code, _, err = _run(capsys, "land", "crossroad", "--out", str(tmp_path))
+    assert code == 2
+    assert str(tmp_path) in err
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_malformed_toml_names_the_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_text("seed = 1\n[wind\n")
+    code, _, err = _run(capsys, "land", "crossroad", "--config", str(file))
+    assert code == 2
+    assert "line 2" in err
+
+
+def test_scenes_list_as_json_is_one_object(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = _run(capsys, "scenes", "list", "--json")
+    assert code == 0
+    assert "crossroad" in json.loads(out)["scenes"]
+    assert err == ""
+
+
+def _result(outcome: str, **landing: Any) -> dict[str, Any]:
+    return {
+        "outcome": outcome,
+        "reason": "",
+        "scene": "crossroad",
+        "seed": 0,
+        "estimator": "oracle",
+        "wind_kmh": 12.0,
+        "landing": landing or None,
+        "timing": {"wall_s": 2.0, "sim_s": 4.0, "real_time_factor": 2.0, "stage_ms": {}},
+    }
+
+
+@pytest.mark.parametrize(
+    ("result", "code"),
+    [
+        (_result("LANDED", safe_geometry=True), 0),
+        (_result("LANDED", safe_geometry=False), 1),
+        (_result("TIPPED", safe_geometry=True), 1),
+        (_result("NO_SITE"), 1),
+        (_result("GROUNDED"), 1),
+        (_result("COMPLETED"), 0),
+    ],
+)
+def test_exit_code_tells_the_outcome(
+    result: dict[str, Any],
+    code: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fly(_config: Any, _out: Path, progress: Any) -> dict[str, Any]:
+        progress(0.0, "TAKEOFF", "climbing")
+        return result
+
+    monkeypatch.setattr("touchdown.experiments.flight.run.fly", fly)
+    got, out, err = _run(capsys, "land", "crossroad", "--json")
+    assert got == code
+    assert json.loads(out)["outcome"] == result["outcome"]
+    assert "TAKEOFF" in err
+    got, out, err = _run(capsys, "land", "crossroad", "--quiet")
+    assert got == code
+    assert result["outcome"] in out
+    assert err == ""
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [((), 2), (("--fault", "fog@0"), 2), (("--force",), 0), (("--log-sensors",), 0)],
+)
+def test_a_sensor_log_is_not_replaced_by_a_run_without(
+    options: tuple[str, ...],
+    code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("touchdown.experiments.flight.run.fly", lambda *_: _result("COMPLETED"))
+    run = tmp_path / "runs" / "crossroad-livo-0"
+    run.mkdir(parents=True)
+    (run / "sensors.mcap").write_bytes(b"precious")
+    got, _, err = _run(capsys, "fly", "crossroad", "--quiet", *options)
+    assert got == code
+    assert err.count("\n") == (1 if code else 0)
+    if code:
+        assert "sensors.mcap" in err and "--out" in err and "--force" in err
+    assert _run(capsys, "fly", "crossroad", "--quiet", "--out", "elsewhere")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "recognition", "remark"),
+    [("road", "off", True), ("building", "off", True), ("lawn", "off", False), ("road", "", False)],
+)
+def test_risky_ground_without_place_recognition_is_remarked_on(
+    kind: str, recognition: str, remark: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from touchdown.experiments.cli.console import print_result
+
+    result = _result("LANDED", class_true=kind, safe_geometry=True)
+    print_result(result | {"place_recognition": recognition}, None, True)
+    out = capsys.readouterr().out
+    assert "kind of ground" in out and kind in out
+    assert (f"a {kind} is risky ground; place recognition was off" in out) == remark
+
+
+def test_a_table_in_a_pipe_is_not_cut(capsys: pytest.CaptureFixture[str]) -> None:
+    from touchdown.experiments.cli.console import print_scene_check
+
+    row: dict[str, Any] = {
+        "scene": "a_scene_with_a_name_that_takes_a_whole_line_of_a_terminal_and_more_than_that",
+        "built": 3, "failed": {}, "closest": None, "differ": True, "without_safe_site": [],
+        "safe_share_min": 0.5, "safe_share_median": 0.6, "seconds_per_seed": 1.5,
+    }  # fmt: skip
+    print_scene_check([row])
+    out = capsys.readouterr().out
+    assert "…" not in out and row["scene"] in out and "safe ground" in out and "s a seed" in out
+
+
+def test_a_lost_estimate_tells_what_it_knew(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    events = [{"time_s": 1.5 * i, "text": f"scan {i} refused [no returns]"} for i in range(8)]
+    lost = _result("DIVERGED") | {"estimator": "livo", "events": events, "event_count": 8}
+    monkeypatch.setattr("touchdown.experiments.flight.run.fly", lambda *_args: lost)
+    code, out, _ = _run(capsys, "fly", "crossroad", "--quiet")
+    assert code == 1
+    assert "the last of 8 events that livo told:" in out
+    assert "  10.5 s  scan 7 refused [no returns]" in out and "scan 2 " not in out
+    lost |= {"event_count": 900}
+    assert "the last of the first 8 of 900 events" in _run(capsys, "fly", "crossroad")[1]
+    lost |= {"outcome": "TIPPED"}
+    assert "events" not in _run(capsys, "fly", "crossroad", "--quiet")[1]
+
+
+def test_a_fault_in_the_air_is_not_told_as_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fly(_config: Any, _out: Path, progress: Any) -> dict[str, Any]:
+        progress(0.0, "TAKEOFF", "")
+        raise ValueError("shapes (3,) and (4,) do not match")
+
+    monkeypatch.setattr("touchdown.experiments.flight.run.fly", fly)
+    with pytest.raises(ValueError, match="shapes"):
+        cli.main(["land", "crossroad"])
+
+
+def test_a_viewer_without_a_display_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "flight.rrd").write_bytes(b"RRF")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    opened: list[list[str]] = []
+
+    def start(command: list[str], check: bool) -> subprocess.CompletedProcess[bytes]:
+        opened.append(command)
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(subprocess, "run", start)
+    code, _, err = _run(capsys, "view", str(tmp_path))
+    assert code == 2 and "--web" in err and err.count("\n") == 1
+    assert _run(capsys, "view", str(tmp_path), "--web")[0] == 0
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert _run(capsys, "view", str(tmp_path))[0] == 0
+    assert [command[-1] == "--web-viewer" for command in opened] == [True, False]
+
+
+def test_interruption_is_130(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fly(_config: Any, _out: Path, _progress: Any) -> dict[str, Any]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("touchdown.experiments.flight.run.fly", fly)
+    code, _, err = _run(capsys, "land", "crossroad")
+    assert code == 130
+    assert err.strip() == "touchdown: interrupted"
+
+
+def test_exported_scene_opens_in_mujoco_unchanged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import mujoco
+    import numpy as np
+
+    from touchdown.experiments.config.loading import load_config
+    from touchdown.experiments.flight.wiring import build_scene
+
+    code, out, _ = _run(capsys, "scenes", "export", "crossroad", "--out", str(tmp_path / "x"))
+    assert code == 0
+    there = mujoco.MjModel.from_xml_path(out.strip())
+    here = build_scene(load_config(scene="crossroad", seed=0)).model
+    assert there.ngeom == here.ngeom
+    np.testing.assert_allclose(there.geom_size, here.geom_size, atol=1e-4)
+    np.testing.assert_array_equal(there.tex_data, here.tex_data)
+
+
+def test_module_runs_as_the_console_script() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "touchdown", "land", "--nope"],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("touchdown: error: ")
+    assert done.stderr.count("\n") == 1

@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from touchdown.experiments.config.loading import dump_config, known_keys, load_config
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.errors import UsageError
+
+
+def test_defaults_are_those_of_the_parameter_classes() -> None:
+    config = load_config()
+    assert config == Config()
+    assert config.scene == "crossroad"
+    assert config.survey.height_m == 30.0
+    assert config.landing.site_xy_m is None
+
+
+def test_precedence_is_file_then_set_then_option(tmp_path: Path) -> None:
+    file = tmp_path / "a.toml"
+    file.write_text("seed = 1\n[wind]\nmean_kmh = 1\nturbulence = false\n[survey]\nlegs = 2\n")
+    config = load_config(file, ["wind.mean_kmh=2", "seed=2"], seed=3, wind_kmh=None)
+    assert (config.seed, config.wind.mean_kmh) == (3, 2.0)
+    assert not config.wind.turbulence
+    assert config.survey.legs == 2
+
+
+def test_resolved_configuration_can_be_fed_back(tmp_path: Path) -> None:
+    config = load_config(None, ["bias.xy_m=[0.5, -0.25]"], site=(1.5, -2.0), wind_kmh=7.5)
+    file = tmp_path / "config.json"
+    file.write_text(dump_config(config))
+    again = load_config(file)
+    assert again == config
+    assert again.bias.xy_m == (0.5, -0.25)
+    assert again.landing.site_xy_m == (1.5, -2.0)
+    assert dump_config(again) == dump_config(config)
+
+
+def test_values_of_set_are_toml_or_bare_words() -> None:
+    config = load_config(None, ["scene=lake", 'estimator="oracle"', "record=false"])
+    assert (config.scene, config.estimator, config.record) == ("lake", "oracle", False)
+
+
+def test_every_parameter_of_every_group_has_a_key() -> None:
+    keys = set(known_keys())
+    for name in Config.model_fields:
+        value = getattr(Config(), name)
+        if dataclasses.is_dataclass(value):
+            assert {f"{name}.{field.name}" for field in dataclasses.fields(value)} <= keys
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("wind.mean_kph=3", ["wind.mean_kph", "did you mean 'wind.mean_kmh'"]),
+        ("mean_kmh=3", ["did you mean 'wind.mean_kmh'"]),
+        ("sim.imu_tick=3", ["did you mean 'sim.imu_ticks'"]),
+        ("qqq=1", ["unknown key 'qqq'", "survey"]),
+        ("wind=3", ["group", "wind.mean_kmh"]),
+        ("wind.mean_kmh", ["form key=value"]),
+        ("=3", ["form key=value"]),
+        ("wind.mean_kmh=fast", ["wind.mean_kmh", "fast", "number"]),
+        ("wind.turbulence=1", ["wind.turbulence", "boolean"]),
+        ("seed=1.5", ["seed", "integer"]),
+        ("scene=3", ["scene", "string"]),
+        ("landing.site_xy_m=[1]", ["landing.site_xy_m"]),
+        ("wind.mean_kmh=nan", ["finite"]),
+        ("bias.xy_m=[0.0, inf]", ["finite"]),
+        ("wind.mean_kmh=-1", ["wind.mean_kmh", "-1", "not be negative"]),
+        ("seed=-1", ["seed", "not be negative"]),
+        ("imu.gyro_density=-1e-3", ["imu.gyro_density", "not be negative"]),
+        ("mapper.cell_m=0", ["mapper.cell_m", "positive"]),
+        ("survey.legs=0", ["survey.legs", "positive"]),
+        ("camera.fov_x_deg=180", ["camera.fov_x_deg", "below 180"]),
+        ("log.jpeg_quality=101", ["log.jpeg_quality", "100"]),
+        ("sim.camera_ticks=7", ["sim.camera_ticks", "must divide sim.tick_hz = 600"]),
+        ("sim.lidar_scan_ticks=50", ["sim.lidar_scan_ticks", "multiple"]),
+        ("livo.camera_hz=7", ["livo.camera_hz", "30 Hz"]),
+        ("control.control_hz=100", ["control.control_hz", "200"]),
+        ("survey.legs=5", ["does not fit into 36 s", "to 50 or more", "--set survey.legs=5"]),
+        ("survey.legs=40", ["40 legs of 50 m does not fit into 36 s", "to 414 or more"]),
+    ],
+)
+def test_mistakes_are_told_in_one_line(override: str, words: list[str]) -> None:
+    with pytest.raises(UsageError) as caught:
+        load_config(None, [override])
+    message = str(caught.value)
+    assert "\n" not in message
+    for word in words:
+        assert word in message
+
+
+def test_mistakes_in_a_file_name_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text("[wind]\nmean_kph = 3\n")
+    with pytest.raises(UsageError, match=r"wind\.mean_kph.*mine\.toml.*mean_kmh"):
+        load_config(file)
+    file.write_text("[wind\nmean_kmh = 3\n")
+    with pytest.raises(UsageError, match=r"mine\.toml.*TOML.*line 1"):
+        load_config(file)
+    file.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(UsageError, match=r"mine\.toml.*text"):
+        load_config(file)
+    with pytest.raises(UsageError, match=r"gone\.toml.*does not exist"):
+        load_config(tmp_path / "gone.toml")
+
+
+def test_a_date_is_no_number(tmp_path: Path) -> None:
+    file = tmp_path / "a.toml"
+    file.write_text("[wind]\nmean_kmh = 2020-01-01\n")
+    with pytest.raises(UsageError, match=r"wind\.mean_kmh"):
+        load_config(file)
+
+
+def test_a_number_for_a_group_is_told() -> None:
+    with pytest.raises(UsageError, match="group"):
+        load_config(None, ["sim=600"])
+
+
+def test_the_time_that_a_survey_is_said_to_need_is_enough() -> None:
+    assert load_config(None, ["survey.legs=5", "survey.duration_s=50"]).survey.legs == 5
+
+
+def test_one_fault_needs_no_brackets(tmp_path: Path) -> None:
+    file = tmp_path / "a.toml"
+    file.write_text("faults.events = 'gps_dropout@20'\n")
+    for config in (load_config(file), load_config(None, ["faults.events=gps_dropout@20"])):
+        assert config.faults.events == ("gps_dropout@20",)
+    with pytest.raises(UsageError, match="unknown fault 'gps_drop' in 'gps_drop@20'"):
+        load_config(None, ["faults.events=gps_drop@20"])

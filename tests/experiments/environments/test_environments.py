@@ -1,0 +1,318 @@
+"""The landing task behind Gymnasium and dm_env: interfaces, rewards, ends, repeatability."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+gymnasium = pytest.importorskip("gymnasium")
+dm_env = pytest.importorskip("dm_env")
+
+from absl.testing import absltest  # noqa: E402
+from dm_env import test_utils  # noqa: E402
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+
+from touchdown.experiments import environments  # noqa: E402
+from touchdown.experiments.environments.dm_environment import TouchdownEnvironment  # noqa: E402
+from touchdown.experiments.environments.gymnasium_env import TouchdownEnv  # noqa: E402
+from touchdown.experiments.environments.landing_task import LandingTask, Step, TaskOptions  # noqa: E402
+
+Array = NDArray[Any]
+MakeTask = Callable[..., LandingTask]
+
+SMALL = {"camera_pixels": (32, 24), "view_pixels": (64, 48)}
+HALF_LAWN = """<mujoco><worldbody>
+  <light pos="0 0 30" dir="0 0 -1"/>
+  <geom name="lawn_west" type="box" size="30 40 0.5" pos="-25 0 -0.5" rgba="0.3 0.5 0.2 1"/>
+  <geom name="road_east" type="box" size="20 40 0.5" pos="25 0 -0.5" rgba="0.3 0.3 0.3 1"/>
+  <geom name="building_hut" type="box" size="3 3 2" pos="25 0 2" rgba="0.6 0.3 0.2 1"/>
+  <site name="takeoff" pos="{x} 0 0.2"/>
+</worldbody></mujoco>"""
+
+
+def write_place(folder: Path, x: float) -> str:
+    path = folder / f"place_{x:g}.xml"
+    path.write_text(HALF_LAWN.format(x=x))
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def lawn(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return write_place(tmp_path_factory.mktemp("lawn"), -20.0)
+
+
+@pytest.fixture(scope="module")
+def road(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return write_place(tmp_path_factory.mktemp("road"), 12.0)
+
+
+@pytest.fixture
+def make_task() -> Iterator[MakeTask]:
+    made: list[LandingTask] = []
+
+    def make(scene: str, **options: Any) -> LandingTask:
+        defaults: dict[str, Any] = {"start_spread_m": 1.0, "start_height_m": 4.0}
+        task = LandingTask(TaskOptions(scene=scene, **SMALL, **(defaults | options)))
+        made.append(task)
+        return task
+
+    yield make
+    for task in made:
+        task.close()
+
+
+def descend(task: LandingTask, seed: int = 0, speed: float = 0.3) -> tuple[Step, list[Step]]:
+    """Straight down at ``speed`` of the greatest sink rate; the first step and all others."""
+    first = task.reset(0, np.random.default_rng(seed))
+    steps = []
+    for _ in range(1500):
+        steps.append(task.step(np.array([0.0, 0.0, -speed, 0.0])))
+        if steps[-1].terminated or steps[-1].truncated:
+            break
+    return first, steps
+
+
+# ------------------------------------------------------------------------------- Gymnasium
+
+
+def test_gymnasium_finds_nothing_wrong(lawn: str) -> None:
+    """Its own checker, without a single warning of its own."""
+    env = gymnasium.make(
+        "Touchdown-v0",
+        scene=lawn,
+        sensors=("imu", "rangefinder", "barometer", "magnetometer", "rotors", "gps", "camera"),
+        privileged=True,
+        **SMALL,
+    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_env(env.unwrapped)
+    env.close()
+    assert [str(w.message) for w in caught if "WARN" in str(w.message)] == []
+
+
+def test_registered_once_under_its_name(lawn: str) -> None:
+    environments.register()
+    assert "Touchdown-v0" in gymnasium.registry
+    env = gymnasium.make("touchdown.experiments.environments:Touchdown-v0", scene=lawn, **SMALL)
+    assert env.action_space.shape == (4,)
+    assert sorted(env.observation_space) == [
+        "barometer",
+        "imu",
+        "magnetometer",
+        "rangefinder",
+        "rotors",
+    ]
+    env.close()
+
+
+def test_rendering_shows_the_ground_below(lawn: str) -> None:
+    env = gymnasium.make("Touchdown-v0", scene=lawn, render_mode="rgb_array", **SMALL)
+    env.reset(seed=0)
+    picture = env.render()
+    assert picture.shape == (48, 64, 3) and picture.dtype == np.uint8
+    assert picture[..., 1].mean() > picture[..., 0].mean() + 10  # the lawn is green
+    env.close()
+    with pytest.raises(ValueError, match=r"render_mode 'ansi'"):
+        TouchdownEnv(render_mode="ansi", scene=lawn)
+
+
+def test_several_environments_live_beside_one_another(lawn: str) -> None:
+    envs = gymnasium.make_vec("Touchdown-v0", num_envs=2, scene=lawn, **SMALL)
+    envs.reset(seed=[1, 2])
+    obs, reward, *_ = envs.step(np.zeros((2, 4), dtype=np.float32))
+    envs.close()
+    alone = gymnasium.make("Touchdown-v0", scene=lawn, **SMALL)
+    alone.reset(seed=2)
+    expected, expected_reward, *_ = alone.step(np.zeros(4, dtype=np.float32))
+    alone.close()
+    np.testing.assert_array_equal(obs["imu"][1], expected["imu"])
+    assert reward[1] == expected_reward
+    assert not np.array_equal(obs["imu"][0], obs["imu"][1])
+
+
+# ---------------------------------------------------------------------------------- dm_env
+
+
+class TestDmEnv(test_utils.EnvironmentTestMixin, absltest.TestCase):  # type: ignore[misc]
+    """dm_env's own checks; full thrust climbs out of the episode, so that ends are seen."""
+
+    place: str
+
+    @pytest.fixture(autouse=True)
+    def _take_place(self, lawn: str) -> None:
+        TestDmEnv.place = lawn
+
+    def make_object_under_test(self) -> TouchdownEnvironment:
+        return TouchdownEnvironment(seed=1, scene=self.place, time_limit_s=0.5, **SMALL)
+
+    def make_action_sequence(self) -> Iterator[Array]:
+        for _ in range(60):
+            yield np.zeros(4, dtype=np.float32)
+
+
+def test_dm_env_discounts(lawn: str) -> None:
+    env = TouchdownEnvironment(seed=1, scene=lawn, time_limit_s=0.1, **SMALL)
+    env.reset()
+    steps = [env.step(np.zeros(4)) for _ in range(5)]
+    assert steps[-1].last() and steps[-1].discount == 1.0
+    assert env.step(np.zeros(4)).first()
+    fallen = env.step(-np.ones(4))
+    while not fallen.last():
+        fallen = env.step(-np.ones(4))
+        if fallen.last() and fallen.discount == 1.0:
+            break
+    env.close()
+
+
+# -------------------------------------------------------------------------------- the task
+
+
+def test_observations_hold_sensors_only(lawn: str, make_task: MakeTask) -> None:
+    """At the start: upright and nearly still, 4 m up by the rangefinder (which sits 0.13 m below
+    the body's origin), rotors near 0.7 of full speed, the field of the earth."""
+    task = make_task(lawn)
+    seen = task.reset(0, np.random.default_rng(3)).observation
+    assert set(seen) == {"imu", "rangefinder", "barometer", "magnetometer", "rotors"}
+    assert np.linalg.norm(seen["imu"][3:]) == pytest.approx(9.81, abs=1.0)
+    assert seen["rangefinder"][0] == pytest.approx(4.0 - 0.13, abs=0.4)
+    assert np.linalg.norm(seen["magnetometer"]) == pytest.approx(54.8, abs=3.0)
+    np.testing.assert_allclose(seen["rotors"], 0.7, atol=0.1)
+    assert abs(seen["barometer"][0]) < 1.5
+    for name, bounds in task.senses.bounds.items():
+        assert seen[name].dtype == bounds.dtype and seen[name].shape == bounds.shape
+
+
+def test_privileged_state_is_the_truth(lawn: str, make_task: MakeTask) -> None:
+    task = make_task(lawn, sensors=("gps", "camera"), privileged=True)
+    first = task.reset(0, np.random.default_rng(3)).observation
+    assert set(first) == {"gps", "camera", "state"}
+    state = first["state"]
+    rotation = state[6:15].reshape(3, 3)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
+    assert state[2] == pytest.approx(state[18], abs=1e-3)  # level ground at the take-off height
+    assert np.abs(state[:2]).max() < 1.5
+    assert np.linalg.norm(first["gps"][:3] - state[:3]) < 4.0
+    assert first["camera"].shape == (24, 32, 3) and first["camera"].max() > 0
+
+
+def test_a_soft_touchdown_on_the_lawn_is_rewarded(lawn: str, make_task: MakeTask) -> None:
+    task = make_task(lawn, action="velocity")
+    _, steps = descend(task)
+    last = steps[-1]
+    assert (last.terminated, last.truncated) == (True, False)
+    assert (last.info["outcome"], last.info["safe"]) == ("LANDED", True)
+    speed = 0.3 * 2.5
+    assert last.reward == pytest.approx(10.0 * (1.0 - 0.5 * speed / 1.5), abs=0.7)
+    assert sum(s.reward for s in steps) == pytest.approx(last.reward + 0.1 * 4.0, abs=0.3)
+
+
+def test_progress_telescopes(lawn: str, make_task: MakeTask) -> None:
+    """Whatever is flown on the way, the shaping adds up to the difference of the potentials: 0.1 a
+    metre of height here, where safe ground is below throughout."""
+    task = make_task(lawn, action="velocity", privileged=True, sensors=("rotors",))
+    first = task.reset(0, np.random.default_rng(5))
+    rng = np.random.default_rng(1)
+    steps = [task.step(rng.uniform(-1, 1, 4) * [1, 1, 0.2, 1]) for _ in range(60)]
+    dropped = first.observation["state"][2] - steps[-1].observation["state"][2]
+    expected = 0.1 * dropped - 0.01 * 60 / 50
+    assert sum(s.reward for s in steps) == pytest.approx(expected, abs=1e-4)
+
+
+def test_a_road_is_no_place_to_land(road: str, make_task: MakeTask) -> None:
+    _, steps = descend(make_task(road, action="velocity"))
+    assert (steps[-1].info["outcome"], steps[-1].info["safe"]) == ("LANDED", False)
+    assert steps[-1].reward == pytest.approx(-2.0, abs=0.1)
+
+
+def test_moving_towards_safe_ground_is_progress(road: str, make_task: MakeTask) -> None:
+    """From the road, 12 m east of the lawn's safe part, flying west gains 0.1 a metre."""
+    task = make_task(road, action="velocity", privileged=True, start_spread_m=0.0)
+    first = task.reset(0, np.random.default_rng(2)).observation["state"]
+    yaw = np.arctan2(first[9], first[6])
+    west = np.array([-np.cos(yaw), np.sin(yaw), 0.0, 0.0])
+    steps = [task.step(west) for _ in range(60)]
+    last = steps[-1].observation["state"]
+    flown, sunk = first[0] - last[0], first[2] - last[2]
+    assert flown > 1.0
+    expected = 0.1 * (flown + sunk) - 0.01 * 60 / 50
+    assert sum(s.reward for s in steps) == pytest.approx(expected, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("action", "outcome"),
+    [
+        ([-1.0, -1.0, -1.0, -1.0], "COLLIDED"),
+        ([0.3, 0.3, -0.3, -0.3], "TIPPED"),
+        ([1.0, 1.0, 1.0, 1.0], "ABORTED"),
+    ],
+)
+def test_bad_endings(lawn: str, make_task: MakeTask, action: list[float], outcome: str) -> None:
+    task = make_task(lawn, start_height_m=12.0)
+    task.reset(0, np.random.default_rng(1))
+    for _ in range(600):
+        last = task.step(np.array(action))
+        if last.terminated:
+            break
+    assert last.info["outcome"] == outcome
+    assert last.reward == pytest.approx(-10.0, abs=0.5)
+
+
+def test_time_runs_out(lawn: str, make_task: MakeTask) -> None:
+    task = make_task(lawn, time_limit_s=0.2)
+    task.reset(0, np.random.default_rng(1))
+    ends = [task.step(np.zeros(4)) for _ in range(10)]
+    assert [e.truncated for e in ends] == [False] * 9 + [True]
+    assert not ends[-1].terminated and ends[-1].info["outcome"] == "TIMEOUT"
+    assert ends[-1].info["time_s"] == pytest.approx(0.2)
+
+
+def test_seeds_repeat_and_differ(lawn: str, make_task: MakeTask) -> None:
+    first, second, other = (
+        [s.observation["imu"] for s in descend(make_task(lawn), seed, 0.0)[1][:40]]
+        for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(first, second)
+    assert not np.array_equal(first, other)
+
+
+def test_wrong_options_and_actions_are_named(lawn: str, make_task: MakeTask) -> None:
+    cases: list[tuple[dict[str, Any], str]] = [
+        ({"action": "thrust"}, r"action 'thrust' is unknown: give one of rotors, velocity"),
+        ({"sensors": ("sonar",)}, r"'sonar': give some of imu"),
+        ({"sensors": ()}, r"sensors holds none"),
+        ({"start_height_m": 1.0}, r"start_height_m must be 2"),
+        ({"time_limit_s": 0.0}, r"time_limit_s is 0"),
+        ({"action_hz": 60}, r"action_hz is 60: give a divisor of 200"),
+        ({"camera_pixels": (0, 10)}, r"camera\.width"),
+    ]
+    for options, message in cases:
+        with pytest.raises(ValueError, match=message):
+            LandingTask(TaskOptions(scene=lawn, **options))
+    task = make_task(lawn)
+    with pytest.raises(RuntimeError, match=r"reset the environment"):
+        task.step(np.zeros(4))
+    task.reset(0, np.random.default_rng(0))
+    with pytest.raises(ValueError, match=r"4 finite numbers"):
+        task.step(np.array([0.0, np.nan, 0.0, 0.0]))
+    with pytest.raises(ValueError, match=r"did you mean 'crossroad'"):
+        LandingTask(TaskOptions(scene="crosroad")).reset(0, np.random.default_rng(0))
+
+
+@pytest.mark.slow
+def test_a_seed_is_another_layout() -> None:
+    env = gymnasium.make("Touchdown-v0", scene="crossroad", **SMALL)
+    _, info = env.reset(seed=1)
+    first = env.unwrapped._task._layout.scene.model.geom_pos.copy()
+    _, again = env.reset()
+    _, other = env.reset(seed=2)
+    second = env.unwrapped._task._layout.scene.model.geom_pos
+    env.close()
+    assert (info["layout"], again["layout"], other["layout"]) == (1, 1, 2)
+    assert first.shape != second.shape or np.abs(first - second).max() > 1.0

@@ -1,0 +1,142 @@
+"""Exported clouds: the map, and the scans placed and coloured."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.experiments.export.flown_run import ExportOptions
+from touchdown.experiments.export.point_cloud import project
+from touchdown.experiments.export.run import export
+from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.frames import interpolate_pose
+
+from support.export_support import ALL, SECONDS, links_of, make_flown, points_of, read_bag, stamp_of
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_flown(tmp_path_factory.mktemp("runs") / "flown")
+
+
+@pytest.fixture(scope="module")
+def messages(run: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
+    out = tmp_path_factory.mktemp("bags") / "flown.mcap"
+    return read_bag(export(run, "mcap", out, ExportOptions()).out)
+
+
+def _mean_heights(points: np.ndarray, origin: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
+    """Heights by cells of 0.2 m."""
+    cells = np.floor((points[:, :2] - origin) / 0.2).astype(int)
+    found: dict[tuple[int, int], list[float]] = defaultdict(list)
+    for cell, height in zip(map(tuple, cells.tolist()), points[:, 2].tolist(), strict=True):
+        found[cell].append(height)
+    return {cell: np.array(heights) for cell, heights in found.items()}
+
+
+def _read_ply(path: Path) -> Any:
+    head, _, body = path.read_bytes().partition(b"end_header\n")
+    kinds = {"float": "<f4", "uchar": "u1"}
+    words = [line.split() for line in head.decode().splitlines()]
+    dtype = np.dtype([(w[2], kinds[w[1]]) for w in words if w[0] == "property"])
+    rows = np.frombuffer(body, dtype)
+    assert [int(w[2]) for w in words if w[:2] == ["element", "vertex"]] == [len(rows)]
+    return rows
+
+
+def _xyz(rows: Any) -> np.ndarray:
+    return np.column_stack([rows["x"], rows["y"], rows["z"]]).astype(np.float64)
+
+
+def _placed(messages: dict[str, list[Any]], body: str) -> np.ndarray:
+    """Every point of every cloud in the map's frame, as a user of the transforms would do it."""
+    times = np.array([time_ns for time_ns, _ in messages["/tf"]]) * 1e-9
+    poses = []
+    for _, message in messages["/tf"]:
+        links = links_of(message)
+        believed = links["map", "odom"] @ links["odom", "base_link"]
+        poses.append(links["map", body] if body == "base_link_gt" else believed)
+    mount = links_of(messages["/tf_static"][0][1])["base_link", "lidar_link"]
+    placed = []
+    for _, cloud in messages["/lidar/points"]:
+        points = points_of(cloud)
+        at = 1e-9 * stamp_of(cloud) + points["time"].astype(np.float64)
+        rows = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
+        xyz = mount.apply(np.column_stack([points["x"], points["y"], points["z"]]).astype(float))
+        for row in np.unique(rows):
+            share = (at[rows == row] - times[row - 1]) / (times[row] - times[row - 1])
+            # level flight: what turns is nothing, so one rotation does for the span
+            rotation = interpolate_pose(poses[row - 1], poses[row], 0.5).rotation
+            way = poses[row].translation - poses[row - 1].translation
+            origin = poses[row - 1].translation + share[:, None] * way
+            placed.append(xyz[rows == row] @ rotation.T + origin)
+    return np.vstack(placed)
+
+
+def test_cloud_and_transforms_reproduce_the_map(run: Path, messages: Any) -> None:
+    cloud = _placed(messages, "base_link_gt")
+    rows = _read_ply(run / "map.ply")
+    heights = _mean_heights(cloud, np.array([4.0, -2.0]) - 20.0)
+    mapped = _mean_heights(_xyz(rows), np.array([4.0, -2.0]) - 20.0)
+    # the map leaves out the vehicle's own returns and the like, and has nothing of its own
+    assert len(mapped) > 30 and set(mapped) <= set(heights)
+    well_seen = [cell for cell in mapped if len(heights[cell]) >= 20]
+    assert len(well_seen) > 30
+    errors = [float(mapped[cell][0] - heights[cell].mean()) for cell in well_seen]
+    assert abs(np.median(errors)) < 1e-3 and np.percentile(np.abs(errors), 90) < 5e-3
+
+
+def test_the_fused_cloud_is_the_bag_seen_through_its_transforms(
+    run: Path, messages: Any, tmp_path: Path
+) -> None:
+    for poses, body in (("truth", "base_link_gt"), ("estimate", "base_link")):
+        options = ExportOptions(points="scans", poses=poses)
+        rows = _read_ply(export(run, "ply", tmp_path / f"{poses}.ply", options).out)
+        expected = _placed(messages, body)
+        assert len(rows) == len(expected)
+        # the same points, in the order of the scans
+        ours = _xyz(rows)
+        assert np.abs(np.sort(ours, axis=0) - np.sort(expected, axis=0)).max() < 1e-5
+    assert set(rows["intensity"]) == {60.0}
+
+
+def test_returns_have_the_colour_of_the_ground_under_them(run: Path, tmp_path: Path) -> None:
+    """The ground is a mosaic of coloured tiles, blurred between their middles."""
+    options = ExportOptions(points="scans", poses="truth")
+    rows = _read_ply(export(run, "ply", tmp_path / "c.ply", options).out)[-15000:]
+    grey = (rows["red"] == 120) & (rows["green"] == 120) & (rows["blue"] == 120)
+    assert 0.02 < grey.mean() < 0.9  # the LIDAR sees more than the camera does
+    tiles = SyntheticStream(synthetic_rig(), ALL, SECONDS)._tiles
+    places = _xyz(rows)[~grey][:, :2] / 0.05
+    middle = np.abs(places - np.rint(places)).max(axis=1) < 0.1
+    col, row = np.rint(places[middle]).astype(int).T & 255
+    seen = np.column_stack([rows[name][~grey][middle] for name in ("red", "green", "blue")])
+    assert len(seen) > 30
+    assert np.median(np.abs(seen - tiles[row, col])) < 12.0
+
+
+def test_open3d_reads_both_clouds(run: Path, tmp_path: Path) -> None:
+    open3d = pytest.importorskip("open3d")
+    for points, every in (("map", 1), ("scans", 7)):
+        options = ExportOptions(points=points, every=every)
+        done = export(run, "ply", tmp_path / f"{points}.ply", options)
+        cloud = open3d.io.read_point_cloud(str(done.out))
+        rows = _read_ply(done.out)
+        assert len(cloud.points) == done.counts["points"] == len(rows) > 50
+        np.testing.assert_allclose(np.asarray(cloud.points), _xyz(rows))
+        assert cloud.has_colors()
+    own = _xyz(_read_ply(run / "map.ply"))
+    np.testing.assert_array_equal(_xyz(_read_ply(tmp_path / "map.ply")), own)
+
+
+def test_projection_by_hand() -> None:
+    lens = CameraIntrinsics(width=100, height=80, fx=50.0, fy=40.0, cx=49.5, cy=39.5)
+    points = np.array([[0.0, 0.0, 2.0], [1.0, -1.0, 2.0], [0.0, 0.0, -2.0], [3.0, 0.0, 2.0]])
+    pixels, seen = project(points, lens)
+    np.testing.assert_allclose(pixels[:2], [[49.5, 39.5], [74.5, 19.5]])
+    assert seen.tolist() == [True, True, False, False]

@@ -1,0 +1,121 @@
+"""`touchdown export`: what it prints, where it writes, mistakes in one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.export.flown_run import ExportOptions
+from touchdown.experiments.export.run import export
+from touchdown.experiments.external.synthetic_stream import synthetic_rig
+
+from support.export_support import make_flown
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_flown(tmp_path_factory.mktemp("runs") / "flown")
+
+
+@pytest.fixture(scope="module")
+def bag(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("bags") / "flown.mcap"
+    return export(run, "mcap", out, ExportOptions()).out
+
+
+def _cli(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:
+    code = cli.main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_the_command_prints_what_it_wrote(
+    run: Path, bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "new" / "b.mcap"
+    code, printed, _ = _cli(capsys, "export", run, "--format", "mcap", "--out", out, "--json")
+    told = json.loads(printed)
+    assert code == 0 and told["file"] == str(out) and told["bytes"] == out.stat().st_size
+    assert told["counts"]["/lidar/points"] == 23 and told["counts"]["/tf_static"] == 1
+    rig = synthetic_rig()
+    pose = rig.body_from_imu.inverse() @ rig.body_from_lidar
+    assert told["imu_from_lidar"]["rotation_row_major"] == pose.rotation.ravel().tolist()
+    assert out.read_bytes() == bag.read_bytes()  # equal runs, equal files
+    code, printed, _ = _cli(capsys, "export", run, "--format", "tum", "--out", tmp_path / "e.tum")
+    assert code == 0 and printed.splitlines()[-1].startswith(f"written: {tmp_path / 'e.tum'}")
+
+
+def test_by_default_beside_the_run_and_again(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for _ in range(2):  # an earlier export is replaced
+        for kind, name in (
+            ("tum", "flown-estimate.tum"),
+            ("csv", "flown.csv"),
+            ("ply", "flown.ply"),
+        ):
+            assert _cli(capsys, "export", run, "--format", kind)[0] == 0
+            assert (run.parent / name).is_file()
+    names = {path.name for path in run.parent.iterdir()}
+    assert names == {"flown", "flown-estimate.tum", "flown.csv", "flown.ply"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["nowhere", "--format", "csv"], "no run directory"),
+        (["{run}", "--format", "bag"], "bag"),
+        (["{run}"], "--format"),
+        (["{run}", "--format", "csv", "--tf", "odom"], "--tf is for --format mcap, not csv"),
+        (["{run}", "--format", "mcap", "--judged"], "--judged is for --format tum or csv"),
+        (["{run}", "--format", "ply", "--every", "0"], "--every"),
+        (["{run}", "--format", "ply", "--every", "3"], "--points scans"),
+        (["{run}", "--format", "ply", "--poses", "truth"], "--points scans"),
+        (["{run}", "--format", "csv", "--poses", "truth"], "all trajectories"),
+        (["{run}", "--format", "mcap", "--poses", "reference"], "reference"),
+        (["{run}", "--format", "tum", "--poses", "reference"], "no reference.tum"),
+        (["{run}", "--format", "mcap", "--origin", "here"], "LAT,LON,HEIGHT"),
+        (["{run}", "--format", "mcap", "--origin", "91,0,0"], "no place on Earth"),
+        (["{run}", "--format", "mcap", "--origin", "nan,0,0"], "no place on Earth"),
+        (["{blind}", "--format", "mcap"], "--log-sensors"),
+        (["{blind}", "--format", "ply", "--points", "scans"], "--log-sensors"),
+        (["{blind}", "--format", "ply"], "no map.ply"),
+        (["{run}", "--format", "csv", "--out", "{tmp}"], "is a directory"),
+        (["{run}", "--format", "csv", "--out", "{tmp}/note.txt"], "no earlier export"),
+        (["{run}", "--format", "tum", "--out", "{tmp}/note.tum"], "no earlier export"),
+        (["{run}", "--format", "mcap", "--out", "{run}/sensors.mcap"], "file of the run itself"),
+        (["{run}", "--format", "csv", "--out", "{tmp}/note.txt/x.csv"], "cannot be written"),
+        (["{broken}", "--format", "csv"], "no trajectory"),
+        (["{broken}", "--format", "mcap"], "no trajectory"),
+        (["{cut}", "--format", "mcap"], "no complete MCAP"),
+        (["{broken}", "--format", "ply"], "no map"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_line_and_leaves_nothing(
+    run: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    says: str,
+) -> None:
+    (tmp_path / "note.txt").write_text("mine")
+    (tmp_path / "note.tum").write_text("a line of exactly eight words is no trajectory")
+    blind, broken, cut = (tmp_path / name for name in ("blind", "broken", "cut"))
+    for folder in (blind, broken, cut):
+        folder.mkdir()
+        (folder / "result.json").write_text("{}")
+        (folder / "truth.tum").write_text("0 0 0 0 0 0 0 1\n")
+        (folder / "estimate.tum").write_text("0 0 0 0 0 0 0 1\n")
+    (broken / "truth.tum").write_text("0 0 0 0 0 0 0 1\n1 2 3\n")
+    for folder in (broken, cut):
+        (folder / "sensors.mcap").write_bytes((run / "sensors.mcap").read_bytes()[:300_000])
+    (broken / "map.ply").write_text("ply\n")
+    before = sorted(path for path in tmp_path.rglob("*"))
+    names = {"run": run, "blind": blind, "broken": broken, "cut": cut, "tmp": tmp_path}
+    code, printed, errors = _cli(capsys, "export", *[a.format(**names) for a in arguments])
+    assert code == 2 and printed == ""
+    assert errors.count("\n") == 1 and says in errors
+    assert sorted(path for path in tmp_path.rglob("*")) == before
+    assert (tmp_path / "note.txt").read_text() == "mine"

@@ -1,0 +1,341 @@
+"""The contract check tells good estimators from bad ones, and the page's example is a good one."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.api import Estimate
+from touchdown.estimator.livo.estimator import Livo
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.external.conformance import RULES, Violation, check_estimator
+from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
+from touchdown.experiments.flight.run import fly
+from touchdown.sim.api import GRAVITY_MPS2, Observation, SensorNeeds, SensorRig
+from touchdown.sim.frames import Pose, rotation_from_yaw
+
+PAGE = Path(__file__).parents[3] / "docs" / "writing-an-estimator.md"
+
+
+class Still:
+    """Keeps the contract by standing still; ``spoil`` changes what it hands out."""
+
+    needs = SensorNeeds(camera_hz=10, lidar=True)
+
+    def __init__(self, rig: SensorRig, spoil: Callable[[Any, Observation, Estimate], Any]) -> None:
+        self.rig, self.spoil, self.calls = rig, spoil, 0
+        self.kept: list[Any] = []
+
+    def update(self, obs: Observation) -> Any:
+        self.calls += 1
+        estimate = Estimate(
+            tick=obs.tick,
+            time_s=obs.time_s,
+            odom_from_body=self.rig.world_from_body_start,
+            world_from_odom=Pose.identity(),
+            velocity_odom=np.zeros(3),
+            angular_velocity_body=np.zeros(3),
+            acceleration_odom=np.zeros(3),
+            position_covariance=np.eye(3),
+            rotation_covariance=np.eye(3),
+        )
+        return self.spoil(self, obs, estimate)
+
+
+@functools.cache
+def _messages() -> tuple[Observation, ...]:
+    return tuple(SyntheticStream(synthetic_rig(), Still.needs, 0.8))
+
+
+def _check(spoil: Callable[[Any, Observation, Estimate], Any]) -> list[Violation]:
+    return check_estimator(
+        lambda _params, rig: Still(rig, spoil), rig=synthetic_rig(), observations=_messages()
+    )
+
+
+def _but(estimate: Estimate, **changes: Any) -> Estimate:
+    return dataclasses.replace(estimate, **changes)
+
+
+def _moved(estimate: Estimate, offset: Any) -> Estimate:
+    pose = estimate.odom_from_body
+    return _but(estimate, odom_from_body=Pose(pose.rotation, pose.translation + offset))
+
+
+def _writes_scans(_self: Any, obs: Observation, estimate: Estimate) -> Estimate:
+    for scan in obs.scans:
+        scan.ranges[0] = 1.0
+    return estimate
+
+
+def _writes_later(self: Any, obs: Observation, estimate: Estimate) -> Estimate:
+    self.kept += obs.images
+    if self.kept and self.calls % 7 == 0:
+        self.kept[0].rgb[:] = 0
+    return estimate
+
+
+def _is_nan(self: Any, _obs: Observation, estimate: Estimate) -> Estimate:
+    return _but(estimate, velocity_odom=np.full(3, np.nan)) if self.calls > 50 else estimate
+
+
+def _goes_back(self: Any, obs: Observation, estimate: Estimate) -> Estimate:
+    late = self.calls > 40
+    return _but(estimate, tick=obs.tick - 60, time_s=obs.time_s - 0.1) if late else estimate
+
+
+def _is_late(_self: Any, obs: Observation, estimate: Estimate) -> Estimate:
+    return _but(estimate, tick=max(0, obs.tick - 3), time_s=max(0.0, obs.time_s - 0.005))
+
+
+def _throws_dice(_self: Any, _obs: Observation, estimate: Estimate) -> Estimate:
+    return _moved(estimate, 1e-6 * np.random.rand(3))  # noqa: NPY002
+
+
+def _raises(_self: Any, obs: Observation, estimate: Estimate) -> Estimate:
+    if obs.time_s > 0.3:
+        raise RuntimeError("no more")
+    return estimate
+
+
+def _wants_scans(self: Any, obs: Observation, estimate: Estimate) -> Estimate:
+    self.kept = [*self.kept, *obs.scans][-1:]
+    if obs.time_s > 0.5 and obs.time_s - self.kept[0].end_time_s > 0.35:
+        raise KeyError("scan")
+    return estimate
+
+
+def _jumps(self: Any, _obs: Observation, estimate: Estimate) -> Estimate:
+    return _moved(estimate, [2.0, 0.0, 0.0]) if self.calls > 30 else estimate
+
+
+def _is_elsewhere(_self: Any, _obs: Observation, estimate: Estimate) -> Estimate:
+    return _moved(estimate, [0.0, 0.0, -50.0])
+
+
+def _is_turned(_self: Any, _obs: Observation, estimate: Estimate) -> Estimate:
+    pose = estimate.odom_from_body
+    turned = Pose(pose.rotation @ rotation_from_yaw(np.pi / 2), pose.translation)
+    return _but(estimate, odom_from_body=turned)
+
+
+def _is_mirrored(_self: Any, _obs: Observation, estimate: Estimate) -> Estimate:
+    pose = estimate.odom_from_body
+    mirrored = Pose(pose.rotation @ np.diag([1.0, 1.0, -1.0]), pose.translation)
+    return _but(estimate, odom_from_body=mirrored)
+
+
+def _is_a_row(_self: Any, _obs: Observation, estimate: Estimate) -> Estimate:
+    return _but(estimate, velocity_odom=np.zeros((1, 3)))
+
+
+def _is_negative(_self: Any, _obs: Observation, estimate: Estimate) -> Estimate:
+    return _but(estimate, position_covariance=-np.eye(3))
+
+
+def test_a_good_estimator_breaks_nothing() -> None:
+    assert _check(lambda _self, _obs, estimate: estimate) == []
+
+
+@pytest.mark.parametrize(
+    ("spoil", "rule", "words"),
+    [
+        (_writes_scans, "inputs", "'scans' modified"),
+        (_writes_later, "inputs", "'images' modified"),
+        (_is_nan, "finite", "velocity_odom is not finite"),
+        (_goes_back, "time", "after an estimate for 0.195 s came one for 0.100 s"),
+        (_is_late, "time", "observation of tick 3 (0.005 s) says tick 0 (0.000 s)"),
+        (_throws_dice, "deterministic", "two runs differ from 0.000 s on"),
+        (_raises, "answers", "update raised RuntimeError: no more"),
+        (_wants_scans, "missing data", "without scans"),
+        (_jumps, "continuity", "jumped by 2.00 m"),
+        (_is_elsewhere, "frames", "50.0 m from the take-off place"),
+        (_is_turned, "frames", "turned by 90 degrees"),
+        (_is_mirrored, "shapes", "odom_from_body.rotation is no rotation matrix"),
+        (_is_a_row, "shapes", "velocity_odom has shape (1, 3), not (3,)"),
+        (_is_negative, "shapes", "position_covariance has a negative eigenvalue"),
+        (lambda *_: None, "answers", "returned NoneType, not Estimate"),
+    ],
+)
+def test_each_bad_habit_is_told_with_its_reason(
+    spoil: Callable[[Any, Observation, Estimate], Any], rule: str, words: str
+) -> None:
+    violations = _check(spoil)
+    assert [violation.rule for violation in violations] == [rule]
+    assert words in violations[0].reason
+    assert rule in RULES
+
+
+def test_several_bad_habits_are_told_apart() -> None:
+    def spoil(self: Any, obs: Observation, estimate: Estimate) -> Estimate:
+        return _goes_back(self, obs, _is_nan(self, obs, _writes_scans(self, obs, estimate)))
+
+    assert {v.rule for v in _check(spoil)} == {"inputs", "finite", "time"}
+
+
+def test_what_is_no_estimator_is_told() -> None:
+    def raises(_params: Any, _rig: Any) -> Any:
+        raise OSError("no file")
+
+    def writes_the_rig(_params: Any, rig: SensorRig) -> Any:
+        rig.world_from_body_start.translation[0] += 1.0
+        return Still(rig, lambda _self, _obs, estimate: estimate)
+
+    builds = check_estimator(raises)
+    assert [str(violation) for violation in builds] == ["builds: build raised OSError: no file"]
+    assert "no SensorNeeds" in check_estimator(lambda _params, _rig: 3)[0].reason  # type: ignore
+    assert check_estimator(writes_the_rig, seconds=0.2)[0] == Violation(
+        "inputs", "build modified the rig"
+    )
+
+
+def test_observations_need_their_rig() -> None:
+    with pytest.raises(ValueError, match="rig"):
+        check_estimator(lambda _params, rig: Still(rig, _is_nan), observations=[])
+
+
+def test_params_reach_the_builder() -> None:
+    seen: list[dict[str, Any]] = []
+
+    def build(params: dict[str, Any], rig: SensorRig) -> Still:
+        seen.append(params)
+        return Still(rig, lambda _self, _obs, estimate: estimate)
+
+    assert check_estimator(build, params={"gain": 2.0}, seconds=0.1) == []
+    assert all(params == {"gain": 2.0} for params in seen)
+
+
+# --------------------------------------------------------------------------- the made-up messages
+
+
+ALL = SensorNeeds(
+    camera_hz=10, stereo=True, lidar=True, gps=True, barometer=True, magnetometer=True,
+    rangefinder=True,
+)  # fmt: skip
+
+
+def test_messages_arrive_when_a_flight_s_would() -> None:
+    rig = synthetic_rig()
+    stream = list(SyntheticStream(rig, ALL, 0.5))
+    assert [obs.tick for obs in stream] == list(range(0, 301, 3))
+    assert [obs.tick for obs in stream if obs.scans] == [96, 156, 216, 276]
+    assert [obs.images[0].tick for obs in stream if obs.images] == [60, 120, 180, 240]
+    assert all(obs.imu[0].tick == obs.tick for obs in stream[1:])
+    assert [obs.tick for obs in stream if obs.gps] == [192]
+    assert stream[0].imu == ()
+
+
+def test_messages_are_what_the_true_path_measures() -> None:
+    rig = synthetic_rig()
+    stream = SyntheticStream(rig, ALL, 1.0)
+    velocity, height = np.zeros(3), rig.world_from_body_start.translation[2]
+    for obs in stream:
+        for sample in obs.imu:
+            force = rig.world_from_body_start.rotation @ sample.specific_force
+            velocity = velocity + (force - [0.0, 0.0, GRAVITY_MPS2]) / 200.0
+            height = height + velocity[2] / 200.0
+        for scan in obs.scans:
+            track = stream.true_pose(scan.end_tick) @ rig.body_from_lidar
+            back = scan.ranges > 0.0
+            ground = track.apply(scan.points[back].astype(float))[:, 2]
+            assert abs(ground).max() < 0.5  # the vehicle moves by less during a scan
+    assert height == pytest.approx(stream.true_pose(600).translation[2], abs=0.02)
+
+
+def test_livo_follows_the_made_up_flight() -> None:
+    rig = synthetic_rig()
+    estimator = Livo(rig)
+    stream = SyntheticStream(rig, estimator.needs, 2.0)
+    for obs in stream:
+        estimate = estimator.update(obs)
+    true = stream.true_pose(obs.tick).translation
+    assert np.linalg.norm(estimate.world_from_body.translation - true) < 0.02
+    assert true[2] > 1.0
+
+
+# ---------------------------------------------------------------------------------- page, command
+
+
+def _example() -> str:
+    blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text("utf-8"), re.M | re.S)
+    return next(block for block in blocks if "class GroundFlow" in block)
+
+
+def _module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, text: str) -> None:
+    (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+
+def test_the_example_of_the_page_keeps_the_contract_and_its_way() -> None:
+    module: dict[str, Any] = {"__name__": "my_lab.flow"}
+    exec(compile(_example(), "flow.py", "exec", dont_inherit=True), module)
+    assert check_estimator(module["build"]) == []
+    rig = synthetic_rig()
+    estimator = module["build"]({}, rig)
+    stream = SyntheticStream(rig, estimator.needs, 3.0)
+    for obs in stream:
+        estimate = estimator.update(obs)
+    true = stream.true_pose(obs.tick).translation
+    assert np.linalg.norm(true - rig.world_from_body_start.translation) > 2.0
+    assert np.linalg.norm(estimate.world_from_body.translation - true) < 0.5
+
+
+def test_the_example_of_the_page_knows_that_it_flies_whatever_the_thrust() -> None:
+    """Thrust falls below weight in the air, too: what the IMU says then is no bias."""
+    module: dict[str, Any] = {"__name__": "my_lab.flow"}
+    exec(compile(_example(), "flow.py", "exec", dont_inherit=True), module)
+    rig = synthetic_rig()
+    as_it_was, with_less = module["build"]({}, rig), module["build"]({}, rig)
+    for obs in SyntheticStream(rig, as_it_was.needs, 2.0):
+        expected = as_it_was.update(obs)
+        share = 0.5 if obs.time_s > 1.2 else 1.0
+        found = with_less.update(
+            dataclasses.replace(obs, rotor_speed_radps=share * obs.rotor_speed_radps)
+        )
+    np.testing.assert_array_equal(
+        found.odom_from_body.translation, expected.odom_from_body.translation
+    )
+
+
+@pytest.mark.slow
+def test_the_example_of_the_page_flies_a_survey(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _module(tmp_path, monkeypatch, "ground_flow_flown", _example())
+    config = load_config(
+        estimator="ground_flow_flown:build", scene="crossroad", record=False, survey_only=True
+    )
+    result = fly(config, None)
+    assert result["outcome"] == "COMPLETED", result["reason"]
+    assert result["position_error_m"]["mean"] < 5.0
+
+
+def test_the_command_passes_the_example(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _module(tmp_path, monkeypatch, "ground_flow_example", _example())
+    assert cli.main(["check-estimator", "ground_flow_example:build", "--seconds", "1"]) == 0
+    assert capsys.readouterr().out == "ground_flow_example:build: good\n"
+
+
+def test_the_command_tells_what_is_wrong(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = _example().replace("time_s=obs.time_s,", "time_s=-obs.time_s,")
+    _module(tmp_path, monkeypatch, "ground_flow_backwards", bad)
+    command = ["check-estimator", "ground_flow_backwards:build", "--seconds", "0.5", "--json"]
+    assert cli.main(command) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert [row["rule"] for row in found["violations"]] == ["time"]
+    assert cli.main(["check-estimator", "livvo"]) == 2
+    assert "did you mean 'livo'" in capsys.readouterr().err
+    assert cli.main(["check-estimator", "livo", "--seconds", "-1"]) == 2

@@ -1,0 +1,373 @@
+"""Estimators that somebody brings: found, built, watched in flight, known by their code."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.api import Estimate
+from touchdown.experiments.campaign.directory import check_outside_code
+from touchdown.experiments.campaign.results_table import make_row, write_table
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.config.loading import dump_config, load_config
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.external.conformance import TURN_RAD, check_estimator
+from touchdown.experiments.external.conformance_motion import MotionCheck
+from touchdown.experiments.external.loading import code_now, flown_code, outside_builder
+from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
+from touchdown.experiments.external.wrapper import OutsideError, OutsideEstimator
+from touchdown.experiments.flight.replay import replay_config
+from touchdown.experiments.flight.wiring import ESTIMATORS, build_estimator
+from touchdown.sim.api import Observation, SensorNeeds, SensorRig
+from touchdown.sim.frames import Pose
+
+from support.campaign_flights import axes, make_plan
+
+STILL = """
+import dataclasses
+import numpy as np
+from touchdown.estimator.api import Estimate
+from touchdown.sim.api import SensorNeeds
+from touchdown.sim.frames import Pose
+
+class Still:
+    def __init__(self, params, rig):
+        self.needs, self.rig, self.params = SensorNeeds(), rig, params
+
+    def update(self, obs):
+        estimate = Estimate(
+            tick=obs.tick, time_s=obs.time_s, odom_from_body=self.rig.world_from_body_start,
+            world_from_odom=Pose.identity(), velocity_odom=np.zeros(3),
+            angular_velocity_body=np.zeros(3), acceleration_odom=np.zeros(3),
+            position_covariance=np.eye(3), rotation_covariance=np.eye(3),
+        )
+        return self.spoil(obs, estimate)
+
+    def spoil(self, obs, estimate):
+        return estimate
+
+def build(params, rig):
+    return Still(params, rig)
+"""
+OBSERVATION = Observation(tick=600, time_s=1.0, rotor_speed_radps=np.zeros(4), battery_fraction=1.0)
+
+
+@pytest.fixture
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., str]]:
+    """Writes a module into a package of the current directory, which is nowhere else to be found;
+    returns its dotted name."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry])
+    package = f"lab_{tmp_path.name.replace('-', '_')}"
+    (tmp_path / package).mkdir()
+
+    def write(text: str, name: str = "vio") -> str:
+        (tmp_path / package / f"{name}.py").write_text(text, encoding="utf-8")
+        return f"{package}.{name}"
+
+    yield write
+    for module in [name for name in sys.modules if name.partition(".")[0] == package]:
+        del sys.modules[module]
+
+
+def _spoilt(body: str) -> str:
+    return (
+        STILL
+        + f"\nclass Spoilt(Still):\n    def spoil(self, obs, estimate):\n        {body}\n"
+        + ("\ndef build(params, rig):\n    return Spoilt(params, rig)\n")
+    )
+
+
+# ------------------------------------------------------------------------------------------ names
+
+
+def test_a_module_of_the_current_directory_is_found_and_hides_nothing(
+    lab: Callable[..., str], tmp_path: Path
+) -> None:
+    module = lab(STILL)
+    (tmp_path / "json.py").write_text("raise RuntimeError\n")
+    assert outside_builder(f"{module}:build").__module__ == module
+    assert sys.path[-1] == str(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("no_lab.vio:build", "", ["no module 'no_lab'", "holds no_lab/", "pip install -e"]),
+        ("{package}.vioo:build", STILL, ["has no module 'vioo' (did you mean 'vio'?)"]),
+        ("{package}.vio:bild", STILL, ["no function 'bild' (did you mean 'build'?)"]),
+        ("{package}.vio:build", "import torchh\n", [".vio imports torchh, which is not installed"]),
+        ("{package}.vio:build", "x = 1\ndef build(:\n", ["syntax error in", "vio.py:2"]),
+        (
+            "{package}.vio:build",
+            "from touchdown.sim.api import SensorNeeds\nclass A:\n    needs = SensorNeeds(gpss=True)\n",
+            ["raised TypeError", "'gpss'", "vio.py:3)"],
+        ),
+        ("{package}.vio:build", "build = 3\n", ["build is no function"]),
+        ("{package}.vio:build", "def build(rig): ...\n", ["build(rig) must take (params, rig)"]),
+        ("{package}/vio.py:build", STILL, ["MODULE:FUNCTION, such as my_lab.vio:build"]),
+    ],
+)  # fmt: skip
+def test_a_name_that_leads_nowhere_is_one_line_before_any_flight(
+    lab: Callable[..., str],
+    capsys: pytest.CaptureFixture[str],
+    name: str,
+    text: str,
+    words: list[str],
+) -> None:
+    package = lab(text).partition(".")[0]
+    name = name.format(package=package)
+    Path("plan.toml").write_text(axes(scene=["flat"], estimator=["gps", name], seeds="0-1"))
+    for command in (["fly", "flat", "--estimator", name], ["campaign", "plan.toml", "--out", "o"]):
+        assert cli.main(command) == 2
+        told = capsys.readouterr().err
+        assert told.count("\n") == 1 and all(word in told for word in words), told
+    assert not Path("o").exists() and not Path("runs").exists()
+
+
+# --------------------------------------------------------------------------------- wrong in flight
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("def build(params, rig):\n    return 1 / 0\n", "build raised ZeroDivisionError"),
+        ("def build(params, rig):\n    return None\n", "no SensorNeeds in an attribute 'needs'"),
+        (STILL.replace("SensorNeeds()", "SensorNeeds(camera_hz=12)"), "camera_hz is 12, but"),
+        (STILL.replace("def update", "def updat"), "no method update(obs) (did you mean 'updat'?)"),
+    ],
+)
+def test_what_cannot_be_built_is_told_and_the_contract_says_the_same(
+    lab: Callable[..., str], text: str, words: str
+) -> None:
+    name = f"{lab(text)}:build"
+    with pytest.raises(OutsideError) as failure:
+        OutsideEstimator(name, {}, synthetic_rig())
+    assert str(failure.value).startswith(f"estimator '{name}': ") and words in str(failure.value)
+    broken = check_estimator(outside_builder(name))
+    assert [found.rule for found in broken] == ["builds"] and words in broken[0].reason
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("return None", "at 1.000 s update returned NoneType, not Estimate"),
+        ("return obs.nothing", "at 1.000 s update raised AttributeError"),
+        (
+            "return dataclasses.replace(estimate, velocity_odom=np.array([np.nan, 0, 0]))",
+            "at 1.000 s update returned an estimate whose velocity_odom is not finite",
+        ),
+        (
+            "return dataclasses.replace(estimate, velocity_odom=[0, 0, 0])",
+            "velocity_odom is no NumPy array",
+        ),
+        (
+            "return dataclasses.replace(estimate, world_from_odom=Pose(0 * np.eye(3), np.ones(3)))",
+            "world_from_odom.rotation is no rotation matrix",
+        ),
+        ("return dataclasses.replace(estimate, events=None)", "events is NoneType"),
+        ("return dataclasses.replace(estimate, diagnostics={'a': 'b'})", "is no number"),
+        ("return dataclasses.replace(estimate, scan_track=3)", "scan_track is no PoseTrack"),
+    ],
+)  # fmt: skip
+def test_a_wrong_update_is_one_line(lab: Callable[..., str], body: str, words: str) -> None:
+    name = f"{lab(_spoilt(body))}:build"
+    estimator = OutsideEstimator(name, {}, synthetic_rig())
+    with pytest.raises(OutsideError) as failure:
+        estimator.update(OBSERVATION)
+    told = str(failure.value)
+    assert words in told and told.endswith(f"`touchdown check-estimator {name}` tells more")
+    assert ("vio.py:" in told) == ("raised" in told)
+
+
+def test_a_right_update_passes_through_as_it_is(lab: Callable[..., str]) -> None:
+    estimator = OutsideEstimator(f"{lab(STILL)}:build", {}, synthetic_rig())
+    assert estimator.needs == SensorNeeds()
+    assert isinstance(estimator.update(OBSERVATION), Estimate)
+
+
+def test_a_flight_that_it_ends_leaves_nothing(
+    lab: Callable[..., str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = f"{lab(_spoilt('return None if obs.time_s > 0.05 else estimate'))}:build"
+    short = ["--no-record", "--quiet", "--out", "flown/one"]
+    assert cli.main(["fly", "flat", "--estimator", name, *short]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and "at 0.055 s update returned NoneType" in told
+    assert list(Path("flown").iterdir()) == []
+
+
+# -------------------------------------------------------------------------------------- parameters
+
+
+def test_outside_keys_reach_the_builder_and_come_back(
+    lab: Callable[..., str], tmp_path: Path
+) -> None:
+    name = f"{lab(STILL)}:build"
+    file = tmp_path / "mine.toml"
+    file.write_text(f'estimator = "{name}"\n[outside]\ngain = 0.3\n[outside.filter]\nsigma = -1\n')
+    config = load_config(file, ["outside.names=['a', 'b']", "outside.gain=0.5"])
+    assert config.outside == {"gain": 0.5, "filter": {"sigma": -1}, "names": ["a", "b"]}
+    built = build_estimator(config, synthetic_rig())
+    assert built.update.__self__._update.__self__.params == config.outside  # type: ignore[attr-defined]
+    (tmp_path / "config.json").write_text(dump_config(config))
+    assert load_config(tmp_path / "config.json") == config
+    assert replay_config(tmp_path).outside == config.outside
+    assert replay_config(tmp_path, "livo").outside == {}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["outside.gain=1"], "is for an estimator of your own, MODULE:FUNCTION"),
+        (["estimator=a:b", "outside=1"], "'outside' in --set outside=1 is a group"),
+        (["estimator=a:b", "outside.x={y=1}"], "set its keys one by one, such as outside.x.gain"),
+        (["estimator=a:b", "outside.x=1", "outside.x.y=2"], "beside a value of outside.x"),
+        (["estimator=a:b", "outside.x=2024-01-01"], "is a date; text, numbers"),
+        (["estimator=a:b", "outside.x=[[nan]]"], "finite"),
+        (["estimator=a:b", f"outside.{'a.' * 20}b=1"], "nested too deeply"),
+        (["estimator=a:b", "outsid.gain=1"], "did you mean 'outside.gain'"),
+    ],
+)  # fmt: skip
+def test_outside_keys_that_cannot_be_are_refused(overrides: list[str], words: str) -> None:
+    with pytest.raises(UsageError) as failure:
+        load_config(None, overrides)
+    assert words in str(failure.value)
+
+
+def test_outside_keys_are_axes_and_set_for_some_runs(tmp_path: Path) -> None:
+    text = axes(scene=["flat"], estimator=["a:b"]) + "outside.gain = [0.1, 0.2]\n"
+    plan = make_plan(tmp_path, text)
+    assert [run.run_id for run in plan.runs] == ["flat-a.b-s0-gain0.1", "flat-a.b-s0-gain0.2"]
+    assert len({run.config_sha for run in plan.runs}) == 2
+    some = axes(scene=["flat"], estimator=["gps", "a:b"])
+    some += "[[override]]\nwhen = {estimator = 'a:b'}\nset = {outside = {gain = 0.1}}\n"
+    assert ["outside.gain" in run.values for run in make_plan(tmp_path, some).runs] == [False, True]
+
+
+# -------------------------------------------------------------------------------------------- code
+
+
+def test_code_is_known_by_all_files_of_its_package(lab: Callable[..., str]) -> None:
+    name = f"{lab(STILL)}:build"
+    outside_builder(name)
+    first = code_now(name)
+    assert flown_code(name) == {"estimator_sha": first} and flown_code("livo") == {}
+    lab("GAIN = 0.3\n", "gains")
+    second = code_now(name)
+    lab("GAIN = 0.4\n", "gains")
+    assert len({first, second, code_now(name)}) == 3
+    assert flown_code(name) == {"estimator_sha": first}, "as it was imported"
+
+
+def test_a_campaign_is_not_gone_on_with_on_other_code(
+    lab: Callable[..., str], tmp_path: Path
+) -> None:
+    name = f"{lab(STILL)}:build"
+    plan, out = make_plan(tmp_path, axes(scene=["flat"], estimator=[name, "gps"])), tmp_path / "out"
+    check_outside_code(plan, out)
+    for run, sha in zip(plan.runs, (code_now(name), None), strict=True):
+        folder = out / "runs" / run.run_id
+        folder.mkdir(parents=True)
+        result = {"scene": "flat", "estimator": run.values["estimator"], "seed": 0}
+        result |= {"outcome": "COMPLETED", "estimator_sha": sha}
+        (folder / "result.json").write_text(json.dumps(result))
+        write_table([make_row(result, run.run_id, "fly", "0")], folder / "row.parquet")
+    (out / "campaign.json").write_text("{}")
+    check_outside_code(plan, out)
+    lab(STILL + "\nGAIN = 1\n")
+    with pytest.raises(UsageError) as failure:
+        check_outside_code(plan, out)
+    for words in (f"the code of {name} has changed since runs of", plan.runs[0].run_id, "--out"):
+        assert words in str(failure.value)
+    for file in (out / "runs" / plan.runs[0].run_id).iterdir():
+        file.unlink()
+    (out / "runs" / plan.runs[0].run_id).rmdir()
+    check_outside_code(plan, out)
+
+
+# ------------------------------------------------------------------------------------------ motion
+
+
+class TruePath:
+    """Knows the made-up path; ``spoil`` changes what it says."""
+
+    needs = SensorNeeds()
+
+    def __init__(self, rig: SensorRig, spoil: Callable[[Estimate], Estimate]) -> None:
+        self._path = SyntheticStream(rig, self.needs, 3.0, turn_rad=TURN_RAD)
+        self._spoil = spoil
+        self._last: Pose | None = None
+
+    def update(self, obs: Observation) -> Estimate:
+        pose = self._path.true_pose(obs.tick)
+        rates = obs.imu[-1].angular_velocity if obs.imu else np.zeros(3)
+        before = self._path.true_pose(max(0, obs.tick - 3)).translation
+        return self._spoil(
+            Estimate(
+                tick=obs.tick,
+                time_s=obs.time_s,
+                odom_from_body=pose,
+                world_from_odom=Pose.identity(),
+                velocity_odom=(pose.translation - before) * 200.0,
+                angular_velocity_body=rates,
+                acceleration_odom=np.zeros(3),
+                position_covariance=np.eye(3),
+                rotation_covariance=np.eye(3),
+            )
+        )
+
+
+def _rates(change: Callable[[Any], Any]) -> Callable[[Estimate], Estimate]:
+    return lambda e: dataclasses.replace(e, angular_velocity_body=change(e.angular_velocity_body))
+
+
+def _velocity(change: Callable[[Any], Any]) -> Callable[[Estimate], Estimate]:
+    return lambda e: dataclasses.replace(e, velocity_odom=change(e.velocity_odom))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (_rates(np.rad2deg), "angular_velocity_body adds up to"),
+        (_rates(np.negative), "it is in rad/s, in the body frame"),
+        (_rates(np.zeros_like), "adds up to (0.00, 0.00, 0.00) degrees"),
+        (_velocity(lambda v: 3.6 * v), "velocity_odom adds up to"),
+        (_velocity(np.zeros_like), "it is in m/s, in the odom frame"),
+        (_velocity(lambda v: v * [1.0, 1.0, -1.0]), "velocity_odom adds up to"),
+    ],
+)
+def test_velocities_of_another_unit_sign_or_frame_are_told(
+    spoil: Callable[[Estimate], Estimate], words: str
+) -> None:
+    broken = check_estimator(lambda _params, rig: TruePath(rig, spoil))
+    assert [found.rule for found in broken] == ["motion"] and words in broken[0].reason
+
+
+def test_true_velocities_and_a_correction_are_no_violation() -> None:
+    def corrected(estimate: Estimate) -> Estimate:
+        pose = estimate.odom_from_body
+        drawn = 0.3 * min(1.0, max(0.0, estimate.time_s - 1.5) / 0.1)
+        return dataclasses.replace(
+            estimate, odom_from_body=Pose(pose.rotation, pose.translation + [drawn, drawn, 0.0])
+        )
+
+    assert check_estimator(lambda _params, rig: TruePath(rig, lambda estimate: estimate)) == []
+    assert check_estimator(lambda _params, rig: TruePath(rig, corrected)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in ESTIMATORS if name != "oracle"])
+def test_velocities_of_every_built_in_estimator_are_those_of_its_poses(name: str) -> None:
+    rig, motion = synthetic_rig(), MotionCheck()
+    estimator = build_estimator(load_config(estimator=name), rig)
+    for obs in SyntheticStream(rig, estimator.needs, 2.6, turn_rad=TURN_RAD):
+        motion.add(estimator.update(obs))
+    assert motion.reason() == ""

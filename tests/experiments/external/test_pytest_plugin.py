@@ -1,0 +1,122 @@
+"""The pytest plugin, run in a pytest of its own; and the page that explains it."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.pytest_plugin import assert_position_error, fly_all
+
+pytest_plugins = ["pytester"]
+
+ROOT = Path(__file__).parents[3]
+INSTALLED = bool(importlib.metadata.entry_points(group="pytest11", name="touchdown"))
+TINY = ["survey.legs=1", "survey.leg_length_m=10", "survey.duration_s=5"]
+
+
+def row(**changes: object) -> dict[str, object]:
+    good = {
+        "scene": "lake",
+        "estimator": "mine",
+        "seed": 4,
+        "outcome": "COMPLETED",
+        "position_error_m.mean": 0.05,
+    }
+    return good | changes
+
+
+def test_bound_names_every_flight_that_breaks_it() -> None:
+    assert_position_error([row()], below=0.1)
+    bad = [
+        row(),
+        row(seed=5, **{"position_error_m.mean": 0.25}),
+        row(seed=6, outcome="DIVERGED", reason="the estimate is 20.1 m off"),
+        row(seed=7, **{"position_error_m.mean": None}),
+    ]
+    with pytest.raises(AssertionError) as failure:
+        assert_position_error(bad, below=0.1)
+    assert str(failure.value).splitlines() == [
+        "3 of 4 flights are not below 0.1:",
+        "  lake, mine, seed 5: position_error_m.mean = 0.25",
+        "  lake, mine, seed 6: DIVERGED (the estimate is 20.1 m off)",
+        "  lake, mine, seed 7: position_error_m.mean = None",
+    ]
+    with pytest.raises(ValueError, match="no flight"):
+        assert_position_error([], below=0.1)
+    with pytest.raises(AssertionError, match=r"= 0\.1$"):
+        assert_position_error([row(**{"position_error_m.mean": 0.1})], below=0.1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"mode": "hover"}, "mode = 'hover'"),
+        ({"jobs": 0}, "touchdown-jobs 0"),
+        ({"overrides": ["survey.hight_m=3"]}, "unknown key 'survey.hight_m'"),
+        ({"scenes": ["atlantis"]}, "atlantis"),
+    ],
+)
+def test_mistakes_are_told_before_a_flight(
+    tmp_path: Path, arguments: dict[str, object], message: str
+) -> None:
+    given = {"scenes": ["flat"], "seeds": [0], "out": tmp_path} | arguments
+    with pytest.raises(UsageError, match=message):
+        fly_all("oracle", **given)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_estimator_that_raises_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "broken_vio.py").write_text(
+        "from touchdown.sim.api import SensorNeeds\n"
+        "def build(params, rig):\n"
+        "    return Broken()\n"
+        "class Broken:\n"
+        "    needs = SensorNeeds()\n"
+        "    def update(self, obs):\n"
+        "        raise ArithmeticError('lost my way')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    rows = fly_all("broken_vio:build", scenes=["flat"], seeds=[0], out=tmp_path / "runs")
+    assert rows[0]["outcome"] == "CRASHED"
+    with pytest.raises(AssertionError, match="ArithmeticError: lost my way"):
+        assert_position_error(rows, below=1.0)
+
+
+def test_the_example_of_the_page_passes_in_a_pytest_of_its_own(pytester: pytest.Pytester) -> None:
+    """The first Python block of the page, as it stands, in two processes."""
+    page = (ROOT / "docs" / "ci-regression.md").read_text(encoding="utf-8")
+    example = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[0]
+    pytester.makepyfile(test_positioning=example)
+    loaded = () if INSTALLED else ("-p", "touchdown.experiments.pytest_plugin")
+    result = pytester.runpytest_subprocess(
+        *loaded, "--touchdown-jobs=2", "--touchdown-out=flown", timeout=600
+    )
+    result.assert_outcomes(passed=2)
+    flown = sorted(path.name for path in (pytester.path / "flown").iterdir())
+    assert flown == ["flat-oracle-s0", "flat-oracle-s1"]
+    tree = json.loads((pytester.path / "flown" / flown[0] / "result.json").read_text())
+    assert tree["outcome"] == "COMPLETED" and tree["seed"] == 0
+
+
+def test_the_plugin_needs_nothing_but_pytest() -> None:
+    script = (
+        "import sys, touchdown.experiments.pytest_plugin; "
+        "print([m for m in ('numpy', 'mujoco', 'scipy', 'cv2') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,48 @@
+"""The deliberate error ramps in after take-off, and the map moves with it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.api import Estimate, PoseTrack
+from touchdown.experiments.api import BiasParams
+from touchdown.experiments.flight.bias_injection import BiasedEstimator
+from touchdown.sim.api import Observation, SensorNeeds
+
+from support.flight_fakes import make_estimate
+
+
+class Script:
+    needs = SensorNeeds(lidar=True)
+
+    def update(self, obs: Observation) -> Estimate:
+        height = 0.3 if obs.time_s < 1.0 else 2.0
+        track = PoseTrack(
+            times_s=np.array([0.0, 0.1]),
+            positions_odom=np.zeros((2, 3)),
+            quats_wxyz=np.tile([1.0, 0, 0, 0], (2, 1)),
+        )
+        return replace(make_estimate(obs.time_s, [0.0, 0.0, height]), scan_track=track)
+
+
+def observe(time_s: float) -> Observation:
+    return Observation(
+        tick=round(600 * time_s), time_s=time_s, rotor_speed_radps=np.zeros(4), battery_fraction=1.0
+    )
+
+
+def test_ramp() -> None:
+    biased = BiasedEstimator(Script(), BiasParams(xy_m=(0.5, -1.0), ramp_s=5.0))
+    assert biased.needs == SensorNeeds(lidar=True)
+    for time_s, share in ((0.0, 0.0), (1.0, 0.0), (3.5, 0.5), (6.0, 1.0), (30.0, 1.0)):
+        estimate = biased.update(observe(time_s))
+        expected = share * np.array([0.5, -1.0])
+        np.testing.assert_allclose(estimate.world_from_body.translation[:2], expected)
+        assert estimate.scan_track is not None
+        np.testing.assert_allclose(estimate.scan_track.positions_odom[:, :2], [expected] * 2)
+
+
+def test_a_ramp_without_duration_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"bias\.ramp_s"):
+        BiasedEstimator(Script(), BiasParams(ramp_s=0.0))

@@ -1,0 +1,79 @@
+"""Whole flights, seeded: the loop is closed, repeatable and accurate."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.flight.run import fly
+from touchdown.scenes.compose import load_scene
+
+SHORT = (
+    "survey.height_m=12.0",
+    "survey.legs=1",
+    "survey.leg_length_m=8.0",
+    "survey.duration_s=5.0",
+)
+"""About half a minute in the air."""
+
+
+def run(out: Path | None, *overrides: str, **options: Any) -> dict[str, Any]:
+    config = load_config(None, [*SHORT, *overrides], scene="crossroad", record=False, **options)
+    return fly(config, out)
+
+
+@pytest.fixture(scope="module")
+def livo_flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    out = tmp_path_factory.mktemp("flight") / "run"
+    return out, run(out, "sim.threads=2", estimator="livo", seed=11, survey_only=True)
+
+
+def test_livo_knows_where_it_is(livo_flight: tuple[Path, dict[str, Any]]) -> None:
+    _, result = livo_flight
+    assert result["outcome"] == "COMPLETED"
+    assert result["position_error_m"]["mean"] < 0.10
+    assert result["position_error_m"]["max"] < 0.25
+    assert result["position_error_m"]["yaw_deg"] < 0.3
+    assert result["trajectory_error_m"] < 0.15
+
+
+def test_same_seed_same_flight_to_the_byte_on_any_number_of_threads(
+    livo_flight: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    first, result = livo_flight
+    again = run(tmp_path / "run", "sim.threads=1", estimator="livo", seed=11, survey_only=True)
+    for name in ("truth.tum", "estimate.tum", "reference.tum", "map.ply"):
+        assert (first / name).read_bytes() == (tmp_path / "run" / name).read_bytes(), name
+    for key in ("position_error_m", "trajectory_error_m", "map"):
+        assert again[key] == result[key]
+
+
+def test_the_flight_follows_the_estimate_not_the_truth() -> None:
+    """A bias of half a metre in the estimate moves the true touchdown by its negative. The site
+    is the take-off spot, which is level by construction."""
+    x, y = load_scene("crossroad", 0).takeoff_xy_m.tolist()
+    site = (x, y)
+    result = run(
+        None,
+        "landing.second_look=false",
+        "bias.xy_m=[0.3, -0.4]",
+        estimator="oracle",
+        seed=0,
+        site=site,
+    )
+    assert result["outcome"] == "LANDED", result["reason"]
+    moved = np.array(result["landing"]["touchdown_xy_m"]) - site
+    np.testing.assert_allclose(moved, [-0.3, 0.4], atol=0.1)
+
+
+@pytest.mark.slow
+def test_tracking_in_wind_with_the_truth_for_an_estimate() -> None:
+    """Climb and survey in 12 km/h of turbulent wind."""
+    config = load_config(
+        None, [], scene="crossroad", record=False, estimator="oracle", seed=5, survey_only=True
+    )
+    result = fly(config, None)
+    assert result["trajectory_error_m"] <= 0.06
+    assert result["trajectory_error_max_m"] <= 0.25

@@ -1,0 +1,136 @@
+"""Figures of merit against values worked out by hand."""
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.api import GridMap
+from touchdown.experiments.flight.metrics import (
+    NEES_LIMIT,
+    Consistency,
+    PositioningError,
+    TouchdownWindow,
+    TrajectoryDeviation,
+    fit_plane,
+    levelness_error_deg,
+)
+from touchdown.sim.frames import Pose, rotation_from_yaw
+
+from support.flight_fakes import LEG_ON_LAWN, make_truth
+
+
+def test_positioning_error_of_two_samples() -> None:
+    error = PositioningError()
+    error.add(Pose(np.eye(3), np.array([3.0, 0.0, 4.0])), Pose.identity())
+    error.add(Pose(rotation_from_yaw(0.2), np.array([0.0, 1.0, 0.0])), Pose.identity())
+    summary = error.summary()
+    assert summary["mean"] == pytest.approx(3.0)
+    assert summary["rmse"] == pytest.approx(np.sqrt((25 + 1) / 2))
+    assert summary["max"] == pytest.approx(5.0)
+    assert (summary["x"], summary["y"], summary["z"]) == pytest.approx((1.5, 0.5, 2.0))
+    assert summary["yaw_deg"] == pytest.approx(np.degrees(0.1))
+
+
+def test_positioning_error_of_nothing_is_null() -> None:
+    assert PositioningError().summary()["mean"] is None
+
+
+def test_trajectory_deviation_mean_and_variance() -> None:
+    deviation = TrajectoryDeviation()
+    for distance in (1.0, 2.0, 3.0):
+        deviation.add(make_truth(0.0, [distance, 0.0, 0.0]), np.zeros(3))
+    assert deviation.summary()["trajectory_error_m"] == pytest.approx(2.0)
+    assert TrajectoryDeviation().summary()["trajectory_error_m"] is None, "nothing was flown"
+    assert deviation.variance == pytest.approx(2.0 / 3.0)
+    assert deviation.largest == pytest.approx(3.0)
+
+
+def test_touchdown_window_keeps_only_the_last_half_second() -> None:
+    window = TouchdownWindow(steps_per_s=10.0)
+    for step in range(20):
+        speed = -5.0 if step < 15 else -0.2
+        truth = make_truth(
+            step / 10,
+            [0, 0, 1],
+            velocity_world=np.array([0.03, 0.04, speed]),
+            acceleration_world=np.array([0.0, 0.0, -0.1]),
+        )
+        window.add_before(truth)
+    window.first_contact(make_truth(2.0, [4.0, 5.0, 0.3], contacts=LEG_ON_LAWN))
+    for height in (0.30, 0.28, 0.31, 0.28):
+        window.add_after(make_truth(2.1, [4.0, 5.0, height], peak_contact_accel=10 * height))
+    summary = window.summary()
+    assert summary["vertical_speed_mps"] == pytest.approx(0.2)
+    assert summary["horizontal_speed_mps"] == pytest.approx(0.05)
+    assert summary["vertical_accel_mps2"] == pytest.approx(0.1)
+    assert summary["bounce_m"] == pytest.approx(0.03)
+    assert summary["impact_peak_mps2"] == pytest.approx(3.1)
+    assert window.contact_xy is not None
+    np.testing.assert_array_equal(window.contact_xy, [4.0, 5.0])
+
+
+def test_plane_fit_of_a_ramp() -> None:
+    xy = np.random.default_rng(0).uniform(-1, 1, size=(50, 2))
+    ramp = np.column_stack([xy, np.tan(np.radians(10.0)) * xy[:, 0] + 3.0])
+    fit = fit_plane(ramp)
+    assert np.degrees(np.arccos(fit.normal[2])) == pytest.approx(10.0)
+    assert fit.residual_m < 1e-12
+
+
+def test_levelness_error_of_a_map_tilted_by_two_degrees() -> None:
+    shape, cell = (50, 50), 0.2
+    columns = (np.arange(50) + 0.5) * cell
+    heights = np.broadcast_to(np.tan(np.radians(2.0)) * columns, shape).astype(np.float32)
+    ones = np.ones(shape, np.float32)
+    grid = GridMap(
+        origin_xy_m=np.zeros(2), cell_m=cell, count=10 * ones, height_m=heights,
+        height_std_m=ones, min_height_m=heights, max_height_m=heights,
+        rgb=np.zeros((*shape, 3), np.float32), intensity=ones, missing=0 * ones, last_seen_s=ones,
+    )  # fmt: skip
+
+    def level_ground(xy: np.ndarray, radius: float) -> np.ndarray:
+        offsets = np.random.default_rng(1).uniform(-radius, radius, size=(60, 2))
+        return np.column_stack([xy + offsets, np.zeros(60)])
+
+    errors = levelness_error_deg(grid, level_ground, seed=3)
+    assert errors.shape == (10,)
+    np.testing.assert_allclose(errors, 2.0, atol=1e-3)
+
+    def rough_ground(xy: np.ndarray, radius: float) -> np.ndarray:
+        points = level_ground(xy, radius)
+        points[::2, 2] = 0.2
+        return points
+
+    assert levelness_error_deg(grid, rough_ground, seed=3).size == 0
+
+
+def test_nees_of_known_errors() -> None:
+    """An error of (1, 2, 2) standard deviations has NEES 9."""
+    nees = Consistency()
+    assert nees.summary() == {"median": None, "mean": None, "below_14_2": None, "samples": 0}
+    covariance = np.diag([0.01, 0.04, 0.25])
+    nees.add(np.array([0.1, 0.4, 1.0]), np.zeros(3), covariance)
+    nees.add(np.array([0.0, 0.0, 5.0]), np.zeros(3), covariance)  # 100
+    nees.add(np.array([0.1, 0.0, 0.0]), np.zeros(3), covariance)  # 1
+    summary = nees.summary()
+    assert summary["mean"] == pytest.approx(110.0 / 3.0)
+    assert summary["median"] == pytest.approx(9.0, rel=0.05)
+    assert summary["below_14_2"] == pytest.approx(2.0 / 3.0)
+    assert summary["samples"] == 3
+
+
+def test_nees_of_a_consistent_estimator_is_chi_square() -> None:
+    rng = np.random.default_rng(5)
+    root = rng.normal(size=(3, 3))
+    nees = Consistency()
+    for error in rng.normal(size=(4000, 3)):
+        nees.add(root @ error, np.zeros(3), root @ root.T)
+    summary = nees.summary()
+    assert summary["median"] == pytest.approx(2.366, rel=0.08)
+    assert summary["mean"] == pytest.approx(3.0, rel=0.06)
+    assert NEES_LIMIT == 14.2 and summary["below_14_2"] == pytest.approx(0.9973, abs=0.003)
+
+
+def test_a_singular_covariance_is_overconfidence() -> None:
+    nees = Consistency()
+    nees.add(np.ones(3), np.zeros(3), np.zeros((3, 3)))
+    assert nees.summary()["below_14_2"] == 0.0

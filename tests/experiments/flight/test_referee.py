@@ -1,0 +1,169 @@
+"""Every outcome from a story told in a few ticks."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.experiments.api import Outcome, RefereeParams
+from touchdown.experiments.flight.referee import Referee
+from touchdown.landing.api import Phase
+from touchdown.sim.api import Contact
+from touchdown.sim.frames import Pose, so3_exp
+
+from support.flight_fakes import LEG_ON_LAWN, make_estimate, make_truth, make_view
+
+SAFE_LAWN = SimpleNamespace(
+    slope_deg=1.0, safe_geometry=True, land_class="lawn", safe=True, obstacle_distance_m=4.0
+)
+
+
+def make_referee(**changes: Any) -> Referee:
+    values: dict[str, Any] = {
+        "survey_only": False,
+        "steps_per_s": 200.0,
+        "judge_ground": lambda xy: SAFE_LAWN,
+        "moving_geoms": frozenset({"car"}),
+    }
+    return Referee(RefereeParams(timeout_s=100.0), **(values | changes))
+
+
+def judge(
+    referee: Referee, time_s: float, position: Any, phase: Phase, *, estimate: Any = None,
+    view: dict[str, Any] | None = None, **truth: Any,
+) -> Outcome | None:  # fmt: skip
+    believed = position if estimate is None else estimate
+    return referee.judge(
+        make_truth(time_s, position, **truth),
+        make_estimate(time_s, believed),
+        make_view(phase, reference_world=np.asarray(position, float), **(view or {})),
+    )
+
+
+def fly_to_descent(referee: Referee) -> None:
+    assert judge(referee, 0.0, [0, 0, 0.3], Phase.INIT, contacts=LEG_ON_LAWN) is None
+    assert judge(referee, 1.0, [0, 0, 5.0], Phase.TAKEOFF) is None
+    assert judge(referee, 10.0, [0, 0, 30.0], Phase.SURVEY, estimate=[0.1, 0, 30]) is None
+    assert judge(referee, 46.0, [0, 0, 30.0], Phase.SELECT, estimate=[9.0, 0, 30]) is None
+    assert judge(referee, 60.0, [5, 6, 1.0], Phase.DESCEND) is None
+
+
+def test_a_good_landing() -> None:
+    ended = []
+    referee = make_referee(on_survey_end=lambda: ended.append(True))
+    fly_to_descent(referee)
+    site = {"committed_site_world": np.array([5.0, 6.1, 0.0])}
+    landed = [
+        judge(referee, time_s, [5, 6, 0.3], Phase.DONE, contacts=LEG_ON_LAWN, view=site)
+        for time_s in (61.0, 61.2, 61.6)
+    ]
+    assert landed == [None, None, Outcome.LANDED]
+    result = referee.result(Outcome.LANDED)
+    assert ended == [True]
+    assert result.survey_s == pytest.approx(36.0)
+    assert result.landing is not None
+    assert result.landing["target_offset_m"] == pytest.approx(0.1)
+    assert result.landing["safe"] is True
+    # Two samples between lift-off and the survey's end: exact at 1 s, 0.1 m off at 10 s.
+    assert result.position_error.summary()["mean"] == pytest.approx(0.05)
+
+
+def test_what_follows_the_first_contact_is_in_the_result() -> None:
+    """Down at 0.30 m, settling to 0.28, up by 2 cm, tilted by 3 degrees at the worst; 4.5 m/s^2."""
+    referee = make_referee()
+    fly_to_descent(referee)
+    story = ((0.30, 1.0, 4.5), (0.28, 3.0, 2.0), (0.30, 2.0, 0.5), (0.29, 0.0, 0.1))
+    for step, (height, tilt_deg, peak) in enumerate(story):
+        pose = Pose(so3_exp(np.array([0.0, np.radians(tilt_deg), 0.0])), np.array([5.0, 6, height]))
+        judge(
+            referee, 61.0 + 0.1 * step, pose.translation, Phase.TOUCHDOWN, world_from_body=pose,
+            contacts=LEG_ON_LAWN if step != 2 else (), peak_contact_accel=peak,
+        )  # fmt: skip
+    landing = referee.result(Outcome.LANDED).landing
+    assert landing is not None
+    assert landing["bounce_m"] == pytest.approx(0.02)
+    assert landing["impact_peak_mps2"] == pytest.approx(4.5)
+    assert landing["tilt_deg"] == pytest.approx(3.0)
+    assert landing["touchdown_xy_m"] == [5.0, 6.0]
+    assert landing["touchdown_time_s"] == pytest.approx(61.0)
+
+
+@pytest.mark.parametrize(
+    ("flags", "expected"),
+    [({"no_site": True}, Outcome.NO_SITE), ({"aborted": True}, Outcome.ABORTED)],
+)
+def test_honest_aborts(flags: dict[str, bool], expected: Outcome) -> None:
+    referee = make_referee()
+    fly_to_descent(referee)
+    judge(referee, 60.5, [5, 6, 1.0], Phase.RETURN, view=flags | {"note": "no place"})
+    contact = {"contacts": LEG_ON_LAWN, "view": flags | {"note": "motors off"}}
+    assert judge(referee, 61.0, [0, 0, 0.3], Phase.DONE, **contact) is None
+    assert judge(referee, 61.6, [0, 0, 0.3], Phase.DONE, **contact) is expected
+    assert referee.result(expected).reason == "no place"
+
+
+@pytest.mark.parametrize(
+    "contact",
+    [
+        Contact(part="rotor", other="tree", normal_force_n=1.0),
+        Contact(part="leg", other="car", normal_force_n=1.0),
+    ],
+)
+def test_rotors_and_moving_things_must_not_be_touched(contact: Contact) -> None:
+    referee = make_referee()
+    fly_to_descent(referee)
+    outcome = judge(referee, 61.0, [5, 6, 1.0], Phase.DESCEND, contacts=(contact,))
+    assert outcome is Outcome.COLLIDED
+    assert contact.other in referee.result(Outcome.COLLIDED).reason
+
+
+def test_touching_anything_during_the_survey_is_a_collision() -> None:
+    referee = make_referee()
+    judge(referee, 0.0, [0, 0, 0.3], Phase.INIT)
+    judge(referee, 1.0, [0, 0, 5.0], Phase.TAKEOFF)
+    assert judge(referee, 9.0, [0, 0, 30], Phase.SURVEY, contacts=LEG_ON_LAWN) is Outcome.COLLIDED
+
+
+def test_lost_tipped_and_late() -> None:
+    assert judge(make_referee(), 0, [0, 0, 0], Phase.INIT, estimate=[21, 0, 0]) is Outcome.DIVERGED
+    lost = judge(make_referee(), 0, [0, 0, 0], Phase.INIT, estimate=[np.nan, 0, 0])
+    assert lost is Outcome.DIVERGED
+    tipped = Pose(so3_exp(np.array([1.2, 0, 0])), np.zeros(3))
+    assert judge(make_referee(), 0, [0, 0, 0], Phase.INIT, world_from_body=tipped) is Outcome.TIPPED
+    assert judge(make_referee(), 100.0, [0, 0, 0], Phase.INIT) is Outcome.TIMEOUT
+
+
+@pytest.mark.parametrize("survey_only", [True, False])
+def test_a_survey_that_never_took_off_is_no_flight(survey_only: bool) -> None:
+    """It shakes by 3 cm on its legs while it believes to be at 30 m."""
+    referee = make_referee(survey_only=survey_only)
+    story = ((0.0, 0.30, Phase.INIT), (5.0, 0.33, Phase.TAKEOFF), (16.0, 0.31, Phase.SURVEY))
+    for time_s, height, phase in story:
+        assert judge(referee, time_s, [0, 0, height], phase, contacts=LEG_ON_LAWN) is None
+    after = Phase.DONE if survey_only else Phase.SELECT
+    view = {"note": "surveying 1 legs of 10 m"}
+    ended = judge(referee, 21.0, [0, 0, 0.3], after, contacts=LEG_ON_LAWN, view=view)
+    assert ended is Outcome.GROUNDED
+    result = referee.result(Outcome.GROUNDED)
+    assert result.reason == "never took off" and result.span_s == (None, 21.0)
+    assert set(result.deviation.summary().values()) == {None}
+    assert set(result.position_error.summary().values()) == {None}
+
+
+def test_a_survey_that_was_given_up_is_not_completed() -> None:
+    referee = make_referee(survey_only=True)
+    fly_to_descent(referee)
+    given_up = {"aborted": True, "note": "the position estimate stays unhealthy"}
+    assert judge(referee, 61.0, [5, 6, 0.3], Phase.DONE, view=given_up) is Outcome.ABORTED
+    assert "unhealthy" in referee.result(Outcome.ABORTED).reason
+
+
+def test_survey_only_completes_without_touching_down() -> None:
+    referee = make_referee(survey_only=True)
+    judge(referee, 0.0, [0, 0, 0.3], Phase.INIT)
+    judge(referee, 1.0, [0, 0, 5.0], Phase.SURVEY)
+    done = judge(referee, 40.0, [0, 0, 30.0], Phase.DONE, view={"note": "surveying 3 legs of 50 m"})
+    assert done is Outcome.COMPLETED
+    result = referee.result(Outcome.COMPLETED)
+    assert result.landing is None and result.reason == ""

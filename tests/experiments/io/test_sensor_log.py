@@ -1,0 +1,221 @@
+"""A sensor log gives back what it was given, to the bit, and other tools can read it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
+from touchdown.experiments.io import ros2_messages as ros
+from touchdown.experiments.io.dataclass_json import from_plain, to_plain
+from touchdown.experiments.io.sensor_log import FILE_NAME, SensorLog
+from touchdown.experiments.io.sensor_log_reader import SensorLogReader
+from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds
+
+ALL = SensorNeeds(
+    camera_hz=10, stereo=True, lidar=True, gps=True, barometer=True, magnetometer=True,
+    rangefinder=True,
+)  # fmt: skip
+SECONDS = 0.5
+
+
+def same(first: Any, second: Any) -> bool:
+    """Equal to the bit, NaN and all, with the same types."""
+    if dataclasses.is_dataclass(first):
+        names = [field.name for field in dataclasses.fields(first)]
+        return type(first) is type(second) and all(
+            same(getattr(first, name), getattr(second, name)) for name in names
+        )
+    if isinstance(first, np.ndarray):
+        kinds = (first.dtype, first.shape) == (second.dtype, second.shape)
+        return kinds and first.tobytes() == second.tobytes()
+    if isinstance(first, tuple):
+        return len(first) == len(second) and all(map(same, first, second))
+    return type(first) is type(second) and repr(first) == repr(second)
+
+
+def write_log(path: Path, stream: list[Observation], needs: SensorNeeds = ALL) -> Path:
+    log = SensorLog(path, synthetic_rig(), needs, SensorNeeds(lidar=True))
+    for obs in stream:
+        log.add(obs)
+    log.close()
+    return path
+
+
+@pytest.fixture(scope="module")
+def stream() -> list[Observation]:
+    return list(SyntheticStream(synthetic_rig(), ALL, SECONDS))
+
+
+@pytest.fixture(scope="module")
+def log(stream: list[Observation], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_log(tmp_path_factory.mktemp("log") / FILE_NAME, stream)
+
+
+def test_observations_come_back_bit_equal_and_every_time(
+    log: Path, stream: list[Observation]
+) -> None:
+    reader = SensorLogReader(log)
+    for _ in range(2):
+        back = list(reader)
+        assert len(back) == len(stream)
+        assert all(same(one, other) for one, other in zip(back, stream, strict=True))
+    assert any(obs.gps for obs in back) and any(obs.rangefinder for obs in back)
+    assert any(image.right_rgb is not None for obs in back for image in obs.images)
+
+
+def test_images_may_be_left_out(log: Path, stream: list[Observation]) -> None:
+    back = SensorLogReader(log).observations(images=False)
+    without = [dataclasses.replace(obs, images=()) for obs in stream]
+    assert all(same(one, other) for one, other in zip(back, without, strict=True))
+
+
+def test_rig_and_needs_come_back(log: Path) -> None:
+    reader = SensorLogReader(log)
+    assert same(reader.rig, synthetic_rig())
+    assert reader.sensed == ALL
+    assert reader.shared == SensorNeeds(lidar=True)
+
+
+def test_arrays_that_come_back_are_read_only(log: Path) -> None:
+    obs = next(obs for obs in SensorLogReader(log) if obs.scans and obs.images)
+    for array in (obs.scans[0].directions, obs.images[0].rgb, obs.rotor_speed_radps):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+
+
+def test_broken_messages_come_back_broken(tmp_path: Path) -> None:
+    """What faults do to messages is in the log too."""
+    nothing = np.zeros(0, np.float32)
+    empty = LidarScan(
+        start_tick=60, end_tick=120, start_time_s=0.1, end_time_s=0.2,
+        directions=np.zeros((0, 3), np.float32), ranges=nothing, time_offsets=nothing,
+        intensity=np.zeros(0, np.uint8),
+    )  # fmt: skip
+    bad = LidarScan(
+        start_tick=120, end_tick=60, start_time_s=0.2, end_time_s=0.1,
+        directions=np.array([[np.nan, 0.0, 1.0], [1e-42, -0.0, 1.0]], np.float32),
+        ranges=np.array([np.nan, np.inf], np.float32),
+        time_offsets=np.array([0.0, -1.0], np.float32), intensity=np.array([0, 255], np.uint8),
+    )  # fmt: skip
+    black = CameraImage(tick=60, time_s=0.1, rgb=np.zeros((4, 6, 3), np.uint8))
+    stream = [
+        Observation(
+            tick=156, time_s=0.26, scans=(empty, bad), images=(black, black),
+            rotor_speed_radps=np.array([0.1, np.nan, 1 / 3, 1e-300]), battery_fraction=0.1 + 0.2,
+        ),
+        Observation(tick=159, time_s=0.265, rotor_speed_radps=np.zeros(4), battery_fraction=0.3),
+    ]  # fmt: skip
+    back = list(SensorLogReader(write_log(tmp_path / FILE_NAME, stream)))
+    assert all(same(one, other) for one, other in zip(back, stream, strict=True))
+
+
+def test_plain_json_keeps_every_digit() -> None:
+    rig = synthetic_rig()
+    turned = dataclasses.replace(
+        rig, camera=dataclasses.replace(rig.camera, fx=0.1 + 0.2, distortion=np.full(5, 1 / 3))
+    )
+    again = from_plain(type(rig), json.loads(json.dumps(to_plain(turned))))
+    assert same(again, turned)
+    grid = np.arange(6, dtype=np.int16).reshape(2, 3)
+    assert same(from_plain(np.ndarray, json.loads(json.dumps(to_plain(grid)))), grid)
+
+
+def test_memory_is_bounded_by_writing_as_it_goes(tmp_path: Path, stream: list[Observation]) -> None:
+    path = tmp_path / FILE_NAME
+    log = SensorLog(path, synthetic_rig(), ALL)
+    for _ in range(8):
+        for obs in stream:
+            log.add(obs)
+    written = path.stat().st_size
+    log.close()
+    assert written > 0.5 * path.stat().st_size
+
+
+# ----------------------------------------------------------------------------------- other tools
+
+
+def test_ros_tools_read_the_same_numbers(log: Path, stream: list[Observation]) -> None:
+    decoder = pytest.importorskip("mcap_ros2.decoder")
+    found: dict[str, list[Any]] = {}
+    with log.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[decoder.DecoderFactory()])
+        for _schema, channel, message, decoded in reader.iter_decoded_messages():
+            found.setdefault(channel.topic, []).append((message, decoded))
+    samples = [sample for obs in stream for sample in obs.imu]
+    assert len(found["/imu"]) == len(samples) == round(200 * SECONDS)
+    for (_, decoded), sample in zip(found["/imu"], samples, strict=True):
+        rate, force = decoded.angular_velocity, decoded.linear_acceleration
+        assert [rate.x, rate.y, rate.z] == sample.angular_velocity.tolist()
+        assert [force.x, force.y, force.z] == sample.specific_force.tolist()
+        stamp = decoded.header.stamp
+        assert stamp.sec + 1e-9 * stamp.nanosec == pytest.approx(sample.time_s, abs=1e-9)
+    message, cloud = found["/lidar/points"][0]
+    scan = next(scan for obs in stream for scan in obs.scans)
+    rows = np.frombuffer(bytes(cloud.data), np.uint8).reshape(cloud.width, cloud.point_step)
+    assert np.array_equal(
+        rows[:, :12].copy().view("<f4"), scan.points[scan.ranges > 0.0].astype("<f4")
+    )
+    assert [field.name for field in cloud.fields] == ["x", "y", "z", "time", "intensity"]
+    assert (message.publish_time, message.log_time) == (0, 160_000_000)
+    _, picture = found["/camera/image/compressed"][0]
+    assert bytes(picture.data)[:4] == b"\x89PNG"
+    _, info = found["/camera/camera_info"][0]
+    assert (info.width, info.k[0]) == (424, 308.0)
+    _, right = found["/camera_right/camera_info"][0]
+    assert right.p[3] == pytest.approx(-308.0 * 0.05)
+    _, mounts = found["/tf_static"][0]
+    assert {frame.child_frame_id for frame in mounts.transforms} == {
+        "imu", "lidar", "camera", "camera_right",
+    }  # fmt: skip
+    fix = next(fix for obs in stream for fix in obs.gps)
+    _, point = found["/gps/position"][0]
+    assert [point.point.x, point.point.y, point.point.z] == fix.position_world.tolist()
+    _, air = found["/pressure"][0]
+    assert air.fluid_pressure == next(a for obs in stream for a in obs.barometer).pressure_pa
+    _, field = found["/magnetic_field"][0]
+    measured = next(m for obs in stream for m in obs.magnetometer).field_body_ut
+    assert field.magnetic_field.z == pytest.approx(1e-6 * measured[2])
+    text = json.loads(found["/touchdown/observation"][3][1].data)
+    assert text["tick"] == stream[3].tick
+
+
+def test_definitions_match_those_of_ros() -> None:
+    """Field for field, by another implementation."""
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    for name in ros._MESSAGES:
+        theirs = store.fielddefs[name][1]
+        ours = typesys.get_types_from_msg(ros.definition(name), name)[name][1]
+        assert ours == theirs, name
+
+
+# ------------------------------------------------------------------------------------ bad input
+
+
+def test_bad_files_are_one_clear_line(tmp_path: Path, log: Path) -> None:
+    with pytest.raises(UsageError, match="--log-sensors"):
+        SensorLogReader(tmp_path / "none.mcap")
+    other = tmp_path / "other.mcap"
+    with other.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.finish()
+    with pytest.raises(UsageError, match="no sensor log"):
+        SensorLogReader(other)
+    text = tmp_path / "text.mcap"
+    text.write_text("no such thing")
+    with pytest.raises(UsageError, match="no complete MCAP file"):
+        SensorLogReader(text)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
+    with pytest.raises(UsageError, match="no complete MCAP file"):
+        list(SensorLogReader(cut))

@@ -1,0 +1,395 @@
+"""`touchdown regress`: the verdict on made-up campaigns, and the command."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections.abc import Callable
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.reporting.regression.baseline import (
+    Baseline,
+    cells_of,
+    configuration_sha,
+    read_baseline,
+    write_baseline,
+)
+from touchdown.experiments.reporting.regression.compare import Comparison, compare
+from touchdown.experiments.reporting.regression.verdict import table_lines, verdict_words
+
+SCENES = ("crossroad", "lake", "houses", "forest")
+METHODS = ("gps", "optical_flow", "hybrid_flow", "stereo", "paper", "livo")
+Row = dict[str, Any]
+
+
+def flight(scene: str, method: str, seed: int, error: float | None, **changes: Any) -> Row:
+    row: Row = {
+        "run_id": f"{scene}-{method}-s{seed}",
+        "scene": scene,
+        "estimator": method,
+        "seed": seed,
+        "wind_kmh": 12.0,
+        "mode": "fly",
+        "outcome": "COMPLETED",
+        "config_sha": f"{scene}{method}{seed}",
+        "git_revision": "abc",
+        "position_error_m.mean": error,
+    }
+    return row | changes
+
+
+def campaign(rng: np.random.Generator, seeds: range, spread: float = 0.35) -> list[Row]:
+    """24 cells whose errors scatter by ``spread`` (of their logarithm) around their own level."""
+    rows = []
+    for level, (scene, method) in enumerate(product(SCENES, METHODS), start=1):
+        errors = 0.02 * level * np.exp(rng.normal(0.0, spread, len(seeds)))
+        rows += [flight(scene, method, s, float(e)) for s, e in zip(seeds, errors, strict=True)]
+    return rows
+
+
+def scaled(rows: list[Row], factor: Callable[[Row], float]) -> list[Row]:
+    key = "position_error_m.mean"
+    return [row | {key: row[key] * factor(row)} for row in rows]
+
+
+def against(new: list[Row], old: list[Row], margin: float = 0.0) -> Comparison:
+    return compare(new, Baseline(cells_of(old), "abc", configuration_sha(old)), margin)
+
+
+# ------------------------------------------------------------------------------------- the verdict
+
+
+def test_the_same_flights_are_no_regression() -> None:
+    rows = campaign(np.random.default_rng(0), range(10))
+    found = against(rows, rows)
+    assert not found.regressed
+    assert len(found.cells) == 30
+    assert {cell.ratio for cell in found.cells} == {1.0}
+    assert {cell.p_adjusted for cell in found.cells} == {1.0}
+    assert found.missing == found.added == found.newly_bad == found.warnings == []
+    assert {cell.spread for cell in found.cells} == {"seeds, at most"}
+    assert verdict_words(found)[0] == "Nothing got worse beyond chance in 30 comparisons."
+
+
+def test_thirty_percent_on_equal_seeds_are_found_and_named() -> None:
+    rows = campaign(np.random.default_rng(0), range(10))
+    where = {"scene": "lake", "estimator": "livo"}
+    worse = scaled(rows, lambda r: 1.3 if where.items() <= r.items() else 1.0)
+    found = against(worse, rows)
+    named = [cell for cell in found.cells if cell.worse]
+    assert found.regressed
+    assert [(c.scene, c.method) for c in named] == [("lake", "livo"), ("all scenes", "livo")]
+    assert named[0].ratio == pytest.approx(1.3)
+    assert named[0].p == 1 / 1024
+    assert 24 / 1024 <= named[0].p_adjusted <= 30 / 1024
+    assert verdict_words(found)[0].startswith("WORSE  lake, livo: position error ")
+    assert "1.3 times" in verdict_words(found)[0]
+    assert {line.split(" | ")[0] for line in table_lines(found)[2:4]} == {
+        "| lake, livo",
+        "| all scenes, livo",
+    }
+    assert not against(rows, worse).regressed, "better is not worse"
+
+
+def test_thirty_percent_with_noise_in_every_scene_are_found_over_all_scenes() -> None:
+    """Scatter of 0.3 between equal seeds hides 30 % in ten pairs, not in forty."""
+    rng = np.random.default_rng(4)
+    rows = campaign(rng, range(10))
+    worse = scaled(
+        rows, lambda r: (1.3 if r["estimator"] == "livo" else 1.0) * rng.lognormal(0, 0.3)
+    )
+    found = against(worse, rows)
+    named = {(cell.scene, cell.method) for cell in found.cells if cell.worse}
+    assert ("all scenes", "livo") in named
+    assert {method for _, method in named} == {"livo"}
+    assert len(named) < 5, "ten pairs do not show it everywhere"
+
+
+def test_chance_alone_passes_at_least_95_of_100_times() -> None:
+    """The same estimators, other seeds: 100 campaigns against 100 baselines."""
+    rng = np.random.default_rng(2)
+    failed = sum(
+        against(campaign(rng, range(10, 20)), campaign(rng, range(10))).regressed
+        for _ in range(100)
+    )
+    assert failed <= 5
+
+
+def test_chance_alone_on_equal_seeds_passes_too() -> None:
+    """Equal seeds whose errors scatter anew, as after a change that changes nothing."""
+    rng = np.random.default_rng(8)
+    failed = sum(
+        against(campaign(rng, range(10)), campaign(rng, range(10))).regressed for _ in range(100)
+    )
+    assert failed <= 5
+
+
+def test_other_seeds_find_a_doubled_error() -> None:
+    rng = np.random.default_rng(5)
+    old, new = campaign(rng, range(10), 0.2), campaign(rng, range(10, 20), 0.2)
+    worse = scaled(new, lambda r: 2.0 if r["scene"] == "forest" else 1.0)
+    found = against(worse, old)
+    named = {(cell.scene, cell.method) for cell in found.cells if cell.worse}
+    assert {cell.test for cell in found.cells} == {"unpaired"}
+    assert named == {("forest", method) for method in METHODS}
+
+
+def test_a_margin_asks_for_more() -> None:
+    rows = campaign(np.random.default_rng(0), range(10))
+    worse = scaled(rows, lambda r: 1.3)
+    assert against(worse, rows, margin=0.25).regressed
+    assert not against(worse, rows, margin=0.35).regressed
+    assert not against(worse, rows, margin=0.3).regressed
+
+
+def test_lost_flights_count() -> None:
+    rows = campaign(np.random.default_rng(0), range(10))
+    lost = [
+        row | {"outcome": "DIVERGED"} if row["estimator"] == "gps" and row["seed"] < 5 else row
+        for row in rows
+    ]
+    found = against(lost, rows)
+    assert found.regressed
+    assert [o.name for o in found.outcomes if o.worse] == ["all scenes, gps"]
+    assert len(found.newly_bad) == 20
+    assert found.newly_bad[0] == "crossroad, gps, seed 0: COMPLETED before, DIVERGED now"
+    one = [row | {"outcome": "DIVERGED"} if row is rows[7] else row for row in rows]
+    again = against(one, rows)
+    assert not again.regressed and len(again.newly_bad) == 1
+
+
+def test_crashed_flights_have_no_error_and_count_as_lost() -> None:
+    rows = [flight("lake", "livo", seed, 0.02) for seed in range(10)]
+    crashed = [row | {"outcome": "CRASHED", "position_error_m.mean": None} for row in rows]
+    found = against(crashed, rows)
+    assert found.regressed and found.cells == []
+    assert found.outcomes[0].worse and found.warnings == []
+    assert found.vanished == [
+        "lake, livo: no flight comes to a position error, 10 of 10 did in the baseline"
+    ]
+
+
+@pytest.mark.parametrize("seeds", [range(1), range(2), range(5)])
+def test_flights_that_never_took_off_are_worse_whatever_their_number(seeds: range) -> None:
+    rows = [flight("lake", "livo", seed, 0.02) for seed in seeds]
+    grounded = [row | {"outcome": "GROUNDED", "position_error_m.mean": None} for row in rows]
+    found = against(grounded, rows)
+    assert found.regressed and found.failed()
+    words = verdict_words(found)
+    assert words[0].startswith("WORSE  lake, livo: no flight comes to a position error")
+    assert words[-1].startswith("Nothing was compared: ")
+    assert not any(line.startswith("Nothing got worse") for line in words)
+
+
+def test_a_cell_that_loses_most_of_its_flights_is_worse_beside_others() -> None:
+    """3 of 5 is beyond half, 2 of 5 is for Fisher's test to judge."""
+    rows = [flight("lake", m, seed, 0.02) for m in ("gps", "livo") for seed in range(5)]
+
+    def lost(count: int) -> list[Row]:
+        return [
+            row | {"outcome": "GROUNDED", "position_error_m.mean": None}
+            if row["estimator"] == "gps" and row["seed"] < count
+            else row
+            for row in rows
+        ]
+
+    found = against(lost(3), rows)
+    assert found.regressed
+    assert found.vanished == [
+        "lake, gps: 2 of 5 flights end as they should, 5 of 5 did in the baseline"
+    ]
+    assert not against(lost(2), rows).regressed
+
+
+def test_other_seeds_that_all_fail_are_worse() -> None:
+    old = [flight("lake", "livo", seed, 0.02) for seed in range(4)]
+    new = [flight("lake", "livo", seed, None, outcome="GROUNDED") for seed in (7, 8)]
+    assert against(new, old).vanished == [
+        "lake, livo: no flight comes to a position error, 4 of 4 did in the baseline"
+    ]
+
+
+def test_fewer_seeds_than_the_baseline_are_no_loss() -> None:
+    old = [flight("lake", "livo", seed, 0.02) for seed in range(10)]
+    assert against(old[:3], old).vanished == []
+
+
+def test_one_estimator_in_one_scene_needs_five_equal_seeds() -> None:
+    rows = [flight("lake", "livo", seed, 0.02 + 0.001 * seed) for seed in range(5)]
+    four, five = against(rows[:4], rows[:4]), against(rows, rows)
+    assert (four.blind, five.blind) == (["lake, livo"], [])
+    assert (four.failed(), four.failed(require_power=True)) == (False, True)
+    assert not five.failed(require_power=True)
+    assert verdict_words(four)[-1] == (
+        "No change could have been found at all: 1 comparison needs 5 equal seeds, and there are 4."
+    )
+    assert against(scaled(rows, lambda r: 3.0), rows).regressed
+    assert not against(scaled(rows[:4], lambda r: 3.0), rows[:4]).regressed
+
+
+def test_what_is_missing_is_named() -> None:
+    rows = campaign(np.random.default_rng(0), range(10))
+    some = [
+        row
+        for row in rows
+        if row["scene"] != "lake" and not (row["estimator"] == "gps" and row["seed"] in (2, 7))
+    ]
+    found = against(some, rows)
+    assert not found.regressed
+    assert "lake, livo" in found.missing and "crossroad, gps: seed 2, 7" in found.missing
+    assert against(rows, some).added == found.missing
+    assert "missing: lake, livo" in verdict_words(found)
+    assert any("configurations or the set of runs differ" in note for note in found.warnings)
+
+
+def test_too_few_seeds_to_see_anything_is_said() -> None:
+    rows = campaign(np.random.default_rng(0), range(5))
+    found = against(scaled(rows, lambda r: 3.0), rows)
+    words = verdict_words(found)[-1]
+    assert "No change could have been found in 24 comparisons with too few flights" in words
+    assert "among 30 comparisons one needs 10 equal seeds" in words
+    assert {c.scene for c in found.cells if c.worse} == {"all scenes"}
+
+
+def test_no_error_at_all_is_no_division_by_zero() -> None:
+    rows = [flight("flat", "oracle", seed, 0.0) for seed in range(6)]
+    found = against(rows, rows)
+    assert not found.regressed and found.cells[0].ratio == 1.0
+
+
+def test_landings_and_axes_are_cells_of_their_own() -> None:
+    rows = [
+        flight("lake", "livo", 1, 0.1, run_id="lake-livo-s1-w0"),
+        flight("lake", "livo", 1, 0.2, run_id="lake-livo-s1-w20"),
+        flight("lake", "livo", 1, 0.3, run_id="a/lake-livo-1", mode="land"),
+    ]
+    assert [key[2] for key in cells_of(rows)] == ["w0", "w20", "land"]
+    with pytest.raises(UsageError, match="flown twice with seed 1"):
+        cells_of([*rows, rows[0]])
+
+
+# ------------------------------------------------------------------------------- the command line
+
+
+def write_runs(directory: Path, factor: float = 1.0, seeds: range = range(10)) -> None:
+    rng = np.random.default_rng(7)
+    for seed in seeds:
+        run = directory / f"lake-livo-{seed}"
+        run.mkdir(parents=True)
+        result = {
+            "scene": "lake",
+            "estimator": "livo",
+            "seed": seed,
+            "outcome": "COMPLETED",
+            "wind_kmh": 12.0,
+            "git_revision": "abc",
+            "position_error_m": {"mean": factor * float(rng.lognormal(-4.0, 0.3))},
+        }
+        (run / "result.json").write_text(json.dumps(result))
+
+
+def test_exit_codes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_runs(tmp_path / "old")
+    write_runs(tmp_path / "new", 1.3)
+    base = str(tmp_path / "sub" / "base.json")
+    old, new = str(tmp_path / "old"), str(tmp_path / "new")
+    assert cli.main(["regress", old, "--baseline", base, "--update"]) == 0
+    written = Path(base).read_bytes()
+    assert cli.main(["regress", old, "--baseline", base]) == 0
+    capsys.readouterr()
+    assert cli.main(["regress", new, "--baseline", base]) == 1
+    assert "WORSE  lake, livo" in capsys.readouterr().out
+    assert cli.main(["regress", new, "--baseline", base, "--json"]) == 1
+    tree = json.loads(capsys.readouterr().out)
+    assert tree["regressed"] and tree["cells"][0]["ratio"] == pytest.approx(1.3)
+    assert tree["cells"][0]["detectable"] > 1.0
+    assert cli.main(["regress", old, "--baseline", base, "--update"]) == 0
+    assert Path(base).read_bytes() == written, "the same flights, the same file"
+    assert [p.name for p in Path(base).parent.iterdir()] == ["base.json"]
+
+
+def test_exit_codes_where_nothing_could_be_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    base = str(tmp_path / "base.json")
+    for name, seeds, code, words in (
+        ("one", range(1), 1, "Nothing was compared: "),
+        ("four", range(4), 0, "No change could have been found at all: "),
+    ):
+        write_runs(tmp_path / name, seeds=seeds)
+        command = ["regress", str(tmp_path / name), "--baseline", base]
+        assert cli.main([*command, "--update"]) == 0
+        capsys.readouterr()
+        assert cli.main(command) == code
+        assert capsys.readouterr().out.splitlines()[-1].startswith(words)
+        assert cli.main([*command, "--require-power"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, "does not exist; write it with --update"),
+        ("{", "is no baseline"),
+        ("[]", "is no baseline"),
+        ('{"format": "other"}', "its format is 'other'"),
+        ('{"format": "touchdown-baseline-1"}', "'cells' is missing"),
+    ],
+)
+def test_bad_baselines_are_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str | None, message: str
+) -> None:
+    write_runs(tmp_path / "old")
+    base = tmp_path / "base.json"
+    if text is not None:
+        base.write_text(text)
+        assert (
+            cli.main(["regress", str(tmp_path / "old"), "--baseline", str(base), "--update"]) == 2
+        )
+        assert base.read_text() == text, "a file that is no baseline is left alone"
+        capsys.readouterr()
+    assert cli.main(["regress", str(tmp_path / "old"), "--baseline", str(base)]) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.count("\n") == 1 and message in said.err
+
+
+def test_a_baseline_reads_back(tmp_path: Path) -> None:
+    rows = campaign(np.random.default_rng(0), range(3))
+    rows[0] |= {"outcome": "DIVERGED"}
+    rows[1] |= {"outcome": "CRASHED", "position_error_m.mean": None}
+    write_baseline(rows, tmp_path / "base.json")
+    found = read_baseline(tmp_path / "base.json")
+    assert found.cells == cells_of(rows)
+    assert found.git_revision == "abc" and found.config_sha == configuration_sha(rows)
+
+
+def test_nothing_in_common_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_runs(tmp_path / "old")
+    write_baseline([flight("flat", "gps", 0, 1.0)], tmp_path / "base.json")
+    command = ["regress", str(tmp_path / "old"), "--baseline", str(tmp_path / "base.json")]
+    assert cli.main(command) == 2
+    assert "no cell of these flights; it has flat, gps" in capsys.readouterr().err
+
+
+def test_the_commands_of_the_workflow_parse() -> None:
+    """Those of the GitHub Actions example, as the command line parses them."""
+    import click
+
+    page = Path(__file__).parents[3] / "docs" / "ci-regression.md"
+    text = page.read_text(encoding="utf-8")
+    workflow = re.findall(r"^```yaml\n(.*?)^```", text, re.MULTILINE | re.DOTALL)[0]
+    commands = re.findall(r"run: touchdown (.*)$", workflow, re.MULTILINE)
+    assert len(commands) == 3
+    for command in commands:
+        name, *arguments = shlex.split(command)
+        found = cli.cli.commands[name]
+        if isinstance(found, click.Group):
+            continue
+        found.make_context(name, arguments)

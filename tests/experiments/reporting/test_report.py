@@ -1,0 +1,310 @@
+"""The table over finished runs, and the report over a campaign."""
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.results import lookup
+from touchdown.experiments.reporting.document import Report, make_report, markdown, page
+from touchdown.experiments.reporting.flights import load_flights, path_deviation
+from touchdown.experiments.reporting.narrative import leading_words
+from touchdown.experiments.reporting.run_table import (
+    LANDING_COLUMNS,
+    load_runs,
+    markdown_table,
+    summary,
+)
+from touchdown.experiments.reporting.tables import Table
+
+from support.report_support import LANDING
+from support.report_support import write_run as write_flight
+
+
+def write_run(directory: Path, seed: int, **changes: object) -> None:
+    directory.mkdir(parents=True)
+    row = {
+        "scene": "crossroad",
+        "estimator": "livo",
+        "seed": seed,
+        "outcome": "LANDED",
+        "position_error_m": {"mean": 0.1 * seed},
+        "landing": {"safe_geometry": True, "target_offset_m": 0.05},
+    }
+    (directory / "result.json").write_text(json.dumps(row | changes))
+
+
+def test_runs_are_found_sorted_and_summed_up(tmp_path: Path) -> None:
+    write_run(tmp_path / "b", 2)
+    write_run(tmp_path / "a" / "deep", 1, landing={"safe_geometry": False})
+    write_run(tmp_path / "c", 3, outcome="NO_SITE", landing=None)
+    rows = load_runs(tmp_path)
+    assert [row["seed"] for row in rows] == [1, 2, 3]
+    totals = summary(rows)
+    assert totals["outcomes"] == {"LANDED": 2, "NO_SITE": 1}
+    assert totals["unsafe_touchdowns"] == 1
+    assert totals["means"]["position_error_m.mean"] == pytest.approx(0.2)
+    table = markdown_table(rows, LANDING_COLUMNS).splitlines()
+    assert len(table) == 5
+    assert "| crossroad | livo | 3 | NO_SITE | 0.300 | – |" in table[4]
+    assert "tilt" not in table[0]
+
+
+def test_lookup_of_a_missing_branch() -> None:
+    assert lookup({"a": None}, "a.b") is None
+
+
+def test_mistakes_are_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no directory"):
+        load_runs(tmp_path / "none")
+    with pytest.raises(UsageError, match="no finished run"):
+        load_runs(tmp_path)
+    (tmp_path / "result.json").write_text("{}")
+    with pytest.raises(UsageError, match="estimator, outcome, scene, seed missing"):
+        load_runs(tmp_path)
+
+
+# -------------------------------------------------------------------------------- the full report
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two scenes, three methods, three seeds; one lost flight, three landings."""
+    directory = tmp_path_factory.mktemp("made_up")
+    levels = {"livo": 0.05, "paper": 0.10, "gps": 1.0}
+    for scene, scale in (("crossroad", 1.0), ("lake", 2.0)):
+        for method, level in levels.items():
+            for seed in range(3):
+                error = level * scale * (1.0 + 0.1 * seed)
+                changes: dict[str, object] = {"trajectory_error_m": error}
+                if (scene, method, seed) == ("lake", "gps", 2):
+                    changes |= {"outcome": "DIVERGED", "reason": "the estimate is 20.1 m off"}
+                write_flight(directory, scene, method, seed, **changes)
+    for seed in (10, 11, 12):
+        landing = LANDING | {"safe_geometry": seed != 12}
+        write_flight(
+            directory,
+            "lake",
+            "livo",
+            seed,
+            outcome="LANDED",
+            landing=landing,
+            trajectory_error_m=0.1,
+        )
+    return directory
+
+
+@pytest.fixture(scope="module")
+def rows(campaign: Path) -> list[dict[str, Any]]:
+    return load_flights(campaign)
+
+
+def table(report: Report, key: str) -> Table:
+    return next(t for section in report.sections for t in section.tables if t.key == key)
+
+
+@pytest.fixture(scope="module")
+def report(rows: list[dict[str, Any]]) -> Report:
+    return make_report(rows, title="Touchdown: made <up>", configuration='name = "x"')
+
+
+def test_deviation_of_the_flown_path_by_hand(campaign: Path) -> None:
+    """Off by (0.3, -0.4, 0) m and 2 degrees: 0.5 m in all, from lift-off on."""
+    found = path_deviation(campaign / "lake-gps-s0")
+    assert found == pytest.approx(
+        {"mean": 0.5, "x": 0.3, "y": 0.4, "z": 0.0, "yaw_deg": 2.0}, abs=1e-6
+    )
+    assert path_deviation(campaign / "nothing") is None
+
+
+def test_table_2_has_the_published_figures_beside_crossroad(report: Report) -> None:
+    found = table(report, "table2_error")
+    assert found.header == ["method", "crossroad", "paper prints", "lake", "all scenes"]
+    lines = {line[0].text: line for line in found.rows}
+    assert [cell.text for cell in lines["`paper`"]][1:4] == ["0.110", "0.3671", "0.220"]
+    assert [cell.text for cell in lines["`gps`"]][2] == "1.0112"
+    assert lines["`livo`"][2].text == "–"
+    assert [cell.kind for cell in lines["`livo`"]][1:4:2] == ["best", "best"]
+    assert lines["`livo`"][1].interval == "[0.050, 0.060]"
+    assert table(report, "table2_variance").rows[1][2].text == "0.1568"
+
+
+def test_table_1_says_what_cannot_be_told(report: Report) -> None:
+    found = table(report, "table1")
+    assert found.rows[1][1].text == "18.0"
+    assert any('"36.11111"' in note and "cannot be told" in note for note in found.notes)
+    assert any("±1.19, ±0.89, ±0.96, ±1.19°" in note for note in found.notes)
+
+
+def test_words_follow_the_data(report: Report) -> None:
+    words = "\n".join(line for section in report.sections for line in section.words)
+    assert "21 flights: 3 methods over 2 scenes, 6 seeds." in words
+    assert "2 did not end as they should (`livo` 1, `gps` 1)" in words
+    assert "crossroad: `livo` is ahead by E_tra with 0.055 m [0.050, 0.060], then `paper`" in words
+    assert "The lead may be chance (adjusted p = 0.5, equal seeds)." in words
+    assert "The paper's methods come in the order of its Table 2 in crossroad, lake." in words
+    assert '0.3671 m printed (Table 2, "Ours"): 3.34 times smaller here.' in words
+    assert "1.10 m [1.00, 1.20] measured, 1.0112 m printed" in words
+    assert 'printed (Table 2, "GPS"): no difference beyond the interval.' in words
+
+
+def test_another_order_than_the_papers_is_said(rows: list[dict[str, Any]]) -> None:
+    swapped = [
+        row | {"trajectory_error_m": 3.0} if row["estimator"] == "paper" else row for row in rows
+    ]
+    assert (
+        "lake: the paper's methods come in the order `gps` < `paper`; in its Table 2 it is "
+        "`paper` < `gps`." in leading_words(swapped)
+    )
+
+
+def test_a_method_that_never_took_off_does_not_compete(rows: list[dict[str, Any]]) -> None:
+    nothing = {"trajectory_error_m": None, "position_error_m.mean": None, "outcome": "GROUNDED"}
+    grounded = [row | nothing if row["estimator"] == "livo" else row for row in rows]
+    words = leading_words(grounded)
+    assert words[0].startswith("crossroad: `paper` is ahead by E_tra")
+    assert "crossroad: no flight with a figure to compare of `livo`." in words
+    best = table(make_report(grounded, title="x"), "table2_error").rows
+    assert {line[0].text: line[1].kind for line in best} == {
+        "`livo`": "", "`paper`": "best", "`gps`": "",
+    }  # fmt: skip
+
+
+def test_a_path_that_never_left_the_ground_has_no_deviation(tmp_path: Path) -> None:
+    run = write_flight(tmp_path, "flat", "gps", 0)
+    truth = np.loadtxt(run / "truth.tum")
+    truth[:, 1:4] = (0.0, 0.0, 0.05)
+    np.savetxt(run / "truth.tum", truth)
+    assert path_deviation(run) is None
+
+
+def test_lost_flights_are_counted_and_named(report: Report) -> None:
+    found = table(report, "outcomes")
+    assert found.numbers["gps"]["lake"] == {"COMPLETED": 2, "DIVERGED": 1}
+    assert found.notes[0].startswith("2 of 21 flights did not end as they should.")
+    assert "lake, `gps`, seed 2: DIVERGED (the estimate is 20.1 m off)" in found.notes
+    gps = next(line for line in table(report, "table2_error").rows if line[0].text == "`gps`")
+    assert gps[3].text == "2.20", "the lost flight is in the mean"
+
+
+def test_landings_beside_table_5(report: Report) -> None:
+    found = table(report, "landing")
+    assert [cell.text for cell in found.rows[0]][:5] == ["`livo`", "lake", "3", "100 %", "67 %"]
+    assert found.rows[0][4].interval == "[21, 94]"
+    assert found.rows[0][5].text == "0.100"
+
+
+def test_shares_of_stages_by_hand(report: Report) -> None:
+    """30 ms of each 0.1 s over 20 s are 6 s of the 10 s; 15 ms are 3 s."""
+    shares = table(report, "time").numbers["paper"]["shares"]
+    assert shares == pytest.approx({"world": 0.6, "estimator": 0.3, "other": 0.1})
+
+
+def test_figures_that_there_are(report: Report) -> None:
+    names = [picture.name for section in report.sections for picture in section.pictures]
+    assert sorted(names) == ["fig10_estimate", "fig10a", "fig10b", "fig9a", "fig9b"]
+
+
+def test_one_file_that_loads_nothing(report: Report) -> None:
+    text = page(report)
+    assert "Touchdown: made &lt;up&gt;" in text and "<up>" not in text
+    assert not re.search(
+        r"""(src|href)\s*=\s*["'](?!#|data:)""", text.replace("xlink:href", "href")
+    )
+    assert not re.search(r"url\((?!#)|@import|<script|<link (?!rel=.icon)", text)
+    assert "prefers-color-scheme: dark" in text and "var(--ink)" in text
+    ids = re.findall(r'\bid="([^"]+)"', re.sub(r"<g id=[^>]*>", "", text))
+    clips = [name for name in ids if re.fullmatch(r"[mp][0-9a-f]{10}", name)]
+    assert len(clips) == len(set(clips)), "figures do not share clip paths"
+    for section in report.sections:
+        assert f'href="#{section.key}"' in text and f'<section id="{section.key}">' in text
+
+
+def test_the_same_flights_the_same_report(campaign: Path, report: Report) -> None:
+    again = make_report(
+        load_flights(campaign), title="Touchdown: made <up>", configuration='name = "x"'
+    )
+    assert page(again) == page(report)
+    assert markdown(again) == markdown(report)
+
+
+def test_command_writes_everything(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "deep" / "report"
+    assert cli.main(["report", str(campaign), "--out", str(out), "--json"]) == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert tree["tables"]["table2_error"]["paper"]["lake"]["value"] == pytest.approx(0.22)
+    assert sorted(tree["files"]) == ["html", "json", "markdown"]
+    text = (out / "report.md").read_text()
+    for target in re.findall(r"!\[[^]]*\]\(([^)]+)\)", text):
+        assert (out / target).is_file()
+    assert text.count("| `livo` |") > 5
+    assert cli.main(["report", str(campaign), "--out", str(out / "report.md")]) == 2
+    assert "cannot be written" in capsys.readouterr().err
+
+
+def test_a_plain_directory_prints_its_table(
+    campaign: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["report", str(campaign)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("| run | scene | estimator | seed | outcome |")
+    assert lines[2].startswith("| crossroad-gps-s0 | crossroad | gps | 0 |")
+    assert lines[-2:] == ["", "21 runs: COMPLETED 17, DIVERGED 1, LANDED 3; 1 unsafe touchdown"]
+    assert cli.main(["report", str(campaign / "lake-livo-s1"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["runs"][0]["run"] == "lake-livo-s1"
+    assert not (campaign / "report").exists()
+
+
+def test_one_flight_without_files_is_a_report(tmp_path: Path) -> None:
+    write_run(tmp_path / "only", 1)
+    made = make_report(load_flights(tmp_path), title="one")
+    text = markdown(made)
+    assert "1 flight: 1 method over 1 scene, 1 seed." in text
+    assert page(made).count("<section") == len(made.sections)
+
+
+def test_a_browser_without_a_network_shows_it(report: Report, tmp_path: Path) -> None:
+    """Chromium renders the page and runs into no error; skipped where it is not installed."""
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("no chromium here")
+    file = tmp_path / "report.html"
+    file.write_text(page(report), encoding="utf-8")
+    done = subprocess.run(
+        [
+            browser,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--proxy-server=127.0.0.1:9",
+            "--enable-logging=stderr",
+            f"--user-data-dir={tmp_path / 'profile'}",
+            "--dump-dom",
+            file.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0
+    assert "CONSOLE" not in done.stderr
+    assert done.stdout.count("<svg") == 5 and "parsererror" not in done.stdout
+
+
+def test_flights_without_a_map_are_not_in_the_tables_of_maps(tmp_path: Path) -> None:
+    write_flight(tmp_path, "lake", "livo", 0)
+    nothing = {"duration_s": 18.0, "density_per_m2": 0.0,
+               "levelness_error_deg": {"mean": None, "max": None, "places": 0}}  # fmt: skip
+    write_flight(tmp_path, "lake", "gps", 0, map=nothing)
+    report = make_report(load_flights(tmp_path), title="x")
+    assert set(table(report, "table1").numbers) == {"livo"}
+    assert len(table(report, "density").rows) == 1

@@ -1,0 +1,303 @@
+"""Reproduction: parts, resuming, failures and the report, with parts that take no time."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from touchdown.experiments.campaign.plan import load_plan
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.reporting import published
+from touchdown.experiments.reporting.published_networks import (
+    NETWORK_NAMES,
+    STEP_TIMES,
+    TEST,
+    VALIDATION,
+)
+from touchdown.experiments.reproduce import run as reproduce
+from touchdown.experiments.reproduce.plans import (
+    PLANS,
+    QUICK,
+    WHOLE,
+    WHOLE_ON_GPU,
+    Extent,
+    digest,
+    plan_of,
+)
+from touchdown.experiments.reproduce.report import ITEMS
+from touchdown.experiments.reproduce.steps import PARTS, Done, part_named
+
+if TYPE_CHECKING:
+    from support.reproduce_world import World
+
+pytest_plugins = ("support.reproduce_world",)
+ROOT = Path(__file__).parents[3]
+CAMPAIGNS = ("positioning", "commanded_site", "real_sites", "landing")
+
+
+def run_quick(out: Path, **options: Any) -> reproduce.Reproduction:
+    return reproduce.reproduce(out, quick=True, jobs=1, **options)
+
+
+# ------------------------------------------------------------------------------------------ plans
+
+
+@pytest.mark.parametrize("name", CAMPAIGNS)
+def test_plans_are_the_campaigns_that_people_read(name: str) -> None:
+    assert (PLANS / f"{name}.toml").read_bytes() == (ROOT / "configs" / f"{name}.toml").read_bytes()
+    assert plan_of(name, quick=False) == load_plan(ROOT / "configs" / f"{name}.toml")
+
+
+@pytest.mark.parametrize(
+    ("name", "flights"),
+    [("positioning", 6), ("commanded_site", 5), ("real_sites", 2), ("landing", 1)],
+)
+def test_quick_flights_are_some_of_all_flights(name: str, flights: int) -> None:
+    quick, whole = plan_of(name, quick=True), plan_of(name, quick=False)
+    assert len(quick.runs) == flights
+    assert {run.run_id: run.config_sha for run in quick.runs}.items() <= {
+        run.run_id: run.config_sha for run in whole.runs
+    }.items()
+    assert digest(quick) != digest(whole)
+
+
+def test_quick_fits_into_twenty_minutes_of_two_cores() -> None:
+    """By the measured cost of each kind of flight; a fifth is left for what waits for others."""
+    minutes = sum(part["core_minutes"] for part in reproduce.overview(quick=True, jobs=2))
+    alone = {"landing", "speed", "recognition"}
+    waiting = sum(
+        part.core_seconds(Extent(quick=True)) / 60.0 for part in PARTS if part.name in alone
+    )
+    assert (minutes + waiting) / 2.0 < 0.8 * 20.0
+
+
+def test_every_item_of_the_paper_has_one_part() -> None:
+    shown = [item for part in PARTS for item in part.shows]
+    assert sorted(shown) == sorted(item for item, _ in ITEMS)
+    tables = {f"Table {number}" for number in range(1, 8)}
+    figures = {f"Fig. {number}" for number in (2, 4, 5, 7, 8, 9, 10, 11, 12)}
+    assert {re.sub(r" [ab]$", "", item) for item in shown} == tables | figures
+
+
+def test_printed_numbers_are_whole() -> None:
+    assert set(VALIDATION) == {(n, s) for n in NETWORK_NAMES for s in ("d_scene", "d_land")}
+    assert set(TEST) == set(NETWORK_NAMES) == set(WHOLE.recognition.networks)
+    assert VALIDATION["resnet50_cbam", "d_land"].top1 == 0.857
+    # Its rows add up to its total but for the rounding of means.
+    steps = sum(step.mean for name, step in STEP_TIMES.items() if name != "total")
+    assert steps == pytest.approx(STEP_TIMES["total"].mean, abs=0.01)
+    assert set(published.SITES) == {
+        run.values["scene"] for run in plan_of("real_sites", quick=False).runs
+    }
+
+
+# ---------------------------------------------------------------------------------- going through
+
+
+def test_one_command_gives_every_table_and_figure(
+    world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "deep" / "out"
+    code = cli.main(["reproduce", "--out", str(out), "--quick", "--jobs", "1", "--json"])
+    told = capsys.readouterr()
+    assert code == 0
+    tree = json.loads(told.out)
+    assert [part["part"] for part in tree["parts"]] == [part.name for part in PARTS]
+    assert tree["good"] and all(part["good"] for part in tree["parts"])
+    assert f"[1/{len(PARTS)}] calibration" in told.err
+    text = Path(tree["files"]["md"]).read_text(encoding="utf-8")
+    for number in range(1, 8):
+        assert re.search(rf"^\*\*Table {number}:", text, re.MULTILINE), f"Table {number}"
+    for figure in ("2", "4", "5", "7", "8", "9 a", "9 b", "10 a", "10 b", "11", "12"):
+        assert re.search(rf"^!\[Fig\. {figure}\b", text, re.MULTILINE), f"Fig. {figure}"
+    for target in re.findall(r"!\[[^]]*\]\(([^)]+)\)", text):
+        assert (out / "report" / target).is_file()
+    assert "1.01" in text and "4141.12 ± 73.24" in text and "0.769" in text
+    assert "Quick edition" in text and "that the chain works is shown" in text
+    page = Path(tree["files"]["html"]).read_text(encoding="utf-8")
+    assert not re.search(r"""(src|href)\s*=\s*["'](?!#|data:)""", page)
+    numbers = json.loads(Path(tree["files"]["json"]).read_text(encoding="utf-8"))
+    assert numbers["flights"] == 14
+    assert "positioning_table2_error" in numbers["tables"] and "table4" in numbers["tables"]
+
+
+@pytest.mark.usefixtures("no_report")
+def test_what_is_done_is_not_done_again(world: World, tmp_path: Path) -> None:
+    run_quick(tmp_path)
+    before = list(world.calls)
+    again = run_quick(tmp_path)
+    assert world.calls == before and again.good
+
+
+@pytest.mark.usefixtures("no_report")
+def test_stopped_anywhere_it_goes_on_there(world: World, tmp_path: Path) -> None:
+    world.interrupted = "crossroad-hybrid_flow-s0"
+    with pytest.raises(KeyboardInterrupt):
+        run_quick(tmp_path)
+    assert not (tmp_path / "report").exists()
+    world.interrupted = ""
+    of_one_killed = tmp_path / "speed" / ".pictures.partial-1"
+    of_one_killed.mkdir(parents=True)
+    assert run_quick(tmp_path).good and not of_one_killed.exists()
+    assert world.count("calibration") == world.count("pictures") == 1
+    # Once in each of two campaigns, and the one that was interrupted once more.
+    assert world.count("crossroad-hybrid_flow-s0") == 3
+    assert world.count("crossroad-gps-s0") == 2
+
+
+@pytest.mark.usefixtures("no_report")
+def test_quick_becomes_whole_and_keeps_its_flights(world: World, tmp_path: Path) -> None:
+    run_quick(tmp_path)
+    whole = reproduce.reproduce(tmp_path, quick=False, jobs=1, skip=["landing", "positioning"])
+    assert whole.good
+    assert {name: state.edition for name, state in whole.states.items()} == {
+        part.name: "quick" if part.name in ("landing", "positioning", *_SAME) else "whole"
+        for part in PARTS
+    }
+    assert world.count("footbridge-livo-s0") == 1 and world.count("turf-livo-s4") == 1
+    assert world.count("training") == 1 + 18
+    with pytest.raises(UsageError, match="begun without --quick"):
+        run_quick(tmp_path)
+
+
+_SAME = ("calibration", "edges", "world", "sites")
+"""parts that are the same quick and whole"""
+
+
+# --------------------------------------------------------------------------------- going wrong
+
+
+def test_a_part_that_fails_its_purpose_is_told(
+    world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    world.consistent = False
+    skips = [word for name in (*CAMPAIGNS, "recognition") for word in ("--skip", name)]
+    arguments = ["reproduce", "--out", str(tmp_path), "--quick", "--quiet", *skips]
+    assert cli.main(arguments) == 1
+    told = capsys.readouterr()
+    assert told.err == ""
+    assert re.search(r"calibration +quick .* FAILED: its errors are beyond", told.out)
+    text = (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
+    assert "`calibration` (Fig. 2) failed its purpose" in text
+    assert "`landing` (Fig. 9 b) is left out, by `--skip`" in text
+    assert cli.main(arguments) == 1 and world.count("calibration") == 1
+
+
+def test_a_part_that_breaks_leaves_the_others(world: World, tmp_path: Path) -> None:
+    world.broken = "speed"
+    done = run_quick(tmp_path, skip=["recognition", *CAMPAIGNS])
+    assert not done.good
+    assert done.states["speed"].error == "RuntimeError: a wing came off"
+    assert "Traceback" in (tmp_path / "speed" / "error.txt").read_text()
+    assert done.states["sites"].good
+    assert "could not be ended" in (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
+    world.broken = ""
+    assert run_quick(tmp_path, skip=["recognition", *CAMPAIGNS]).good
+
+
+@pytest.mark.usefixtures("no_report")
+def test_a_campaign_without_some_outcomes_fails(
+    world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part = part_named("real_sites")
+    figures = {"runs": 5, "crashed": 2, "remaining": 0, "as_expected": True}
+    figures |= dict.fromkeys(("name", "mode", "finished", "outcomes", "errors"), 0)
+    monkeypatch.setattr(
+        "touchdown.experiments.campaign.session.fly_campaign", lambda *a, **o: figures
+    )
+    skip = [other.name for other in PARTS if other is not part]
+    done = run_quick(tmp_path, skip=skip)
+    assert done.states["real_sites"].why == "2 of 5 flights came to no outcome"
+    assert not reproduce._is_done(part, tmp_path, Extent(quick=True)), "it is gone on with"
+
+
+@pytest.mark.usefixtures("no_report")
+def test_photographs_are_learned_from_too(world: World, tmp_path: Path) -> None:
+    skip = [part.name for part in PARTS if part.name != "recognition"]
+    assert run_quick(tmp_path, skip=skip).good
+    assert run_quick(tmp_path, skip=skip).good and world.count("pictures") == 1
+    done = run_quick(tmp_path, skip=skip, photographs=["ucmerced=photographs"])
+    assert world.count("pictures") == 2, "other pictures start over"
+    assert done.states["recognition"].figures["size"]["photographs"] == ["ucmerced=photographs"]
+    assert WHOLE.name != WHOLE_ON_GPU.name, "never in one folder or one table"
+
+
+@pytest.mark.usefixtures("no_report")
+def test_trained_networks_are_kept(world: World, tmp_path: Path) -> None:
+    skip = [part.name for part in PARTS if part.name != "recognition"]
+    world.broken = "scores"
+    assert not run_quick(tmp_path, skip=skip).good
+    world.broken = ""
+    home = tmp_path / "recognition" / "quick"
+    assert (home / "pictures").is_dir()
+    (home / "settings.json").write_text("{}")
+    assert run_quick(tmp_path, skip=skip).good
+    assert world.count("pictures") == 2, "other settings start over"
+    assert (home / "networks" / "resnet18-d_land" / "scores.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--quick"], "missing option '--out'"),
+        (["--out", "OUT", "--skip", "calibraton"], "did you mean 'calibration'"),
+        (["--out", "FOREIGN"], "holds something that is no reproduction"),
+        (["--out", "FOREIGN/file"], "is a file"),
+        (
+            ["--out", "OUT", *(w for part in PARTS for w in ("--skip", part.name))],
+            "leaves nothing to do",
+        ),
+    ],
+)
+def test_mistakes_are_one_line(
+    world: World,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    message: str,
+) -> None:
+    (tmp_path / "FOREIGN").mkdir()
+    (tmp_path / "FOREIGN" / "file").write_text("mine")
+    words = [
+        str(tmp_path / word) if word.startswith(("OUT", "FOREIGN")) else word for word in arguments
+    ]
+    assert cli.main(["reproduce", *words]) == 2
+    told = capsys.readouterr()
+    assert told.err.count("\n") == 1 and message in told.err
+    assert not (tmp_path / "OUT").exists() and not world.calls
+
+
+def test_recognition_needs_torch_or_to_be_skipped(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(UsageError, match="--skip recognition"):
+        run_quick(tmp_path / "out")
+    assert not (tmp_path / "out" / "calibration").exists()
+
+
+def test_two_at_once_are_refused(world: World, tmp_path: Path) -> None:
+    with reproduce._locked(tmp_path), pytest.raises(UsageError, match="another reproduction"):
+        run_quick(tmp_path)
+
+
+@pytest.mark.usefixtures("no_report")
+def test_a_damaged_state_is_named(world: World, tmp_path: Path) -> None:
+    skip = [part.name for part in PARTS if part.name != "speed"]
+    run_quick(tmp_path, skip=skip)
+    (tmp_path / "speed" / "part.json").write_text("{}")
+    with pytest.raises(UsageError, match=r"part\.json' is damaged"):
+        run_quick(tmp_path, skip=skip)
+
+
+def test_the_list_costs_nothing(world: World, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["reproduce", "--list", "--quick", "--json"]) == 0
+    parts = json.loads(capsys.readouterr().out)["parts"]
+    assert [part["part"] for part in parts] == [part.name for part in PARTS]
+    assert not world.calls and QUICK.recognition.networks == ("resnet18",)
+    assert Done({}).why == ""

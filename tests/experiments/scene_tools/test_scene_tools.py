@@ -1,0 +1,316 @@
+"""Pictures of scenes show what is there; seeds are told apart."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from pathlib import Path
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import cv2
+import numpy as np
+import pytest
+
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.cli.scenes import VIEW_NAMES
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.drawing.contact_sheet import SHEET_VIEWS, contact_sheet, thumbnails
+from touchdown.experiments.drawing.map_axes import tick_step
+from touchdown.experiments.scene_tools.flyability import check_place
+from touchdown.experiments.scene_tools.seed_check import check_scene
+from touchdown.experiments.scene_tools.views import CLASS_RGB, VIEWS, SceneViews
+from touchdown.scenes.api import Scene
+from touchdown.scenes.compose import load_scene
+from touchdown.scenes.registry import scene_names
+from touchdown.scenes.render import scene_picture
+from touchdown.scenes.truth.survey_facts import Layout, difference, layout, survey_facts
+from touchdown.sim.hover import HoverView, hover_view
+
+PLACE = """
+<mujoco>
+  <worldbody>
+    <geom name="lawn" type="plane" size="25 25 1" rgba="0 1 0 1"/>
+    <geom name="road_slab" type="box" pos="0 10 0.25" size="4 3 0.25" rgba="1 0 0 1"/>
+    <geom name="water_pool" type="box" pos="10 -10 0.001" size="5 5 0.001" rgba="0 0 1 1"/>
+    <site name="takeoff" pos="0 0 0"/>
+  </worldbody>
+</mujoco>
+"""
+LEGEND_ROWS = 46
+
+
+@pytest.fixture(scope="module")
+def place_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("place") / "place.xml"
+    path.write_text(PLACE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def place(place_file: Path) -> Scene:
+    return load_scene(str(place_file), 0)
+
+
+@pytest.fixture(scope="module")
+def views(place_file: Path, place: Scene) -> SceneViews:
+    return SceneViews(place, load_config(scene=str(place_file)))
+
+
+@pytest.fixture(scope="module")
+def hover(place: Scene) -> HoverView:
+    config = load_config()
+    return hover_view(
+        place,
+        sim=config.sim,
+        camera=config.camera,
+        lidar=config.lidar,
+        seed=0,
+        height_m=30.0,
+        seconds=0.2,
+    )
+
+
+def pixel(picture: np.ndarray, x: float, y: float, half: float = 25.0) -> np.ndarray:
+    """The colour of world point (x, y) in a map with north up that covers +-half."""
+    rows, cols = picture.shape[0], picture.shape[1]
+    row = int((half - y) / (2.0 * half) * rows)
+    return picture[row, int((x + half) / (2.0 * half) * cols)].astype(int)
+
+
+def test_the_command_line_offers_every_view() -> None:
+    assert tuple(VIEWS) == VIEW_NAMES
+    assert set(SHEET_VIEWS) <= set(VIEWS)
+
+
+def test_from_above_north_is_up_and_east_is_right(place: Scene) -> None:
+    before = place.model.vis.map.zfar, place.model.vis.global_.offwidth
+    picture = scene_picture(place, "above", 400)
+    assert picture.shape == (400, 400, 3)
+    assert before == (place.model.vis.map.zfar, place.model.vis.global_.offwidth)
+    assert pixel(picture, 0.0, 10.0).argmax() == 0
+    assert pixel(picture, 0.0, -10.0).argmax() == 1
+    assert pixel(picture, 10.0, -10.0).argmax() == 2
+    with pytest.raises(ValueError, match="above, oblique"):
+        scene_picture(place, "below")
+
+
+def test_hover_sees_true_depth_and_true_points(place: Scene, hover: HoverView) -> None:
+    lens_m = 30.0 + float(place.model.qpos0[2])
+    # The camera hangs below the body's origin by less than 0.3 m.
+    assert lens_m - 0.3 < np.median(hover.depth_m) < lens_m
+    # The heading is east, so the slab in the north is on the left: 0.5 m nearer than the ground.
+    row, col = hover.depth_m.shape[0] // 2, hover.depth_m.shape[1] // 2
+    slab = hover.depth_m[row, col - round(10.0 / lens_m * 617.0)]
+    assert np.median(hover.depth_m) - slab == pytest.approx(0.5, abs=0.02)
+    assert len(hover.points_world) == len(hover.intensity)
+    x, y, z = hover.points_world.T
+    lawn = (np.abs(y) < 5.0) & (np.abs(x) < 4.0)
+    assert abs(z[lawn].mean()) < 0.005 and z[lawn].std() < 0.05
+    on_slab = (np.abs(y - 10.0) < 2.5) & (np.abs(x) < 3.5)
+    assert on_slab.sum() > 100
+    assert z[on_slab].mean() == pytest.approx(0.5, abs=0.01)
+
+
+def test_maps_show_class_height_and_safe_ground(views: SceneViews) -> None:
+    def near(colour: np.ndarray, name: str) -> bool:
+        return bool(np.abs(colour - np.array(CLASS_RGB[name])).max() < 12)
+
+    classes = views.draw("class")[:-LEGEND_ROWS]
+    assert near(pixel(classes, -10.0, -10.0), "lawn")
+    assert near(pixel(classes, 0.0, 10.0), "road")
+    assert near(pixel(classes, 10.0, -10.0), "water")
+    safe = views.draw("safe")[:-LEGEND_ROWS]
+    assert pixel(safe, -10.0, -10.0).argmax() == 1  # lawn: green
+    level = pixel(safe, 0.0, 10.0)  # the slab's middle: level, no safe class: yellow
+    assert level[0] > level[1] > level[2] + 60
+    assert np.ptp(pixel(safe, 0.0, 6.9)) == 0  # its edge: grey
+    assert np.ptp(pixel(safe, 10.0, -10.0)) == 0
+    height = views.draw("height")[:-LEGEND_ROWS]
+    assert np.abs(pixel(height, 0.0, 10.0) - pixel(height, -10.0, -10.0)).max() > 60
+
+
+def test_written_maps_have_ticks_and_the_survey(views: SceneViews) -> None:
+    assert [tick_step(span) for span in (160.0, 66.0, 34.0, 1.0)] == [10.0, 5.0, 2.0, 0.1]
+    picture = views.draw("class")
+    framed = views.framed("class", picture)
+    height, width = picture.shape[0] - LEGEND_ROWS, picture.shape[1]
+    top, left = 14, 54
+    changed = (framed[top : top + height, left : left + width] != picture[:height]).any(axis=-1)
+    # Legs from the middle of the map to the east and north: nothing west of the circle changes.
+    assert changed[height // 2 - 10 : height // 2, width // 2 - 10 : width // 2 + 10].any()
+    assert not changed[:, : width // 2 - 12].any() and not changed[height // 2 + 12 :].any()
+    assert changed.mean() < 0.02
+    below = framed[top + height, left : left + width].min(axis=-1)
+    ticks = np.flatnonzero(below > 200)
+    np.testing.assert_allclose(ticks, np.arange(0, 11) * width / 10, atol=1.5)  # every 5 m
+    depth = views.draw("depth")
+    assert views.framed("depth", depth) is depth
+
+
+def test_lidar_picture_is_black_where_nothing_came_back(views: SceneViews) -> None:
+    picture = views.draw("lidar")[:-LEGEND_ROWS]
+    middle = tuple(size // 2 for size in picture.shape[:2])
+    assert picture[middle].any()
+    assert not picture[0, 0].any()
+    depth = views.draw("depth")
+    assert depth.shape[0] == 480 + LEGEND_ROWS
+
+
+def test_contact_sheet_has_a_row_for_each_scene() -> None:
+    rng = np.random.default_rng(0)
+    pictures = {
+        view: rng.integers(0, 255, (300 + 40 * i, 400, 3), dtype=np.uint8)
+        for i, view in enumerate(VIEWS)
+    }
+    small = thumbnails(pictures)
+    one, two = contact_sheet({"a": small}), contact_sheet({"a": small, "b": small})
+    assert one.shape[1] == two.shape[1]
+    row = two.shape[0] - one.shape[0]
+    assert row > 200
+    assert (two[-row + 40 :] == one[-row + 40 :]).all()
+
+
+def test_all_views_of_a_file_are_written_and_told(
+    place_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "views"
+    code = cli.main(
+        ["scenes", "render", str(place_file), "--all-views", "--out", str(out), "--json"]
+    )
+    assert code == 0
+    assert json.loads(capsys.readouterr().out) == {"directory": str(out)}
+    assert {path.stem for path in out.iterdir()} == set(VIEWS)
+    assert cv2.imread(str(out / "camera.png")).shape == (480, 848, 3)
+
+
+def test_a_folder_that_cannot_be_made_is_one_line(
+    place_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    out = tmp_path / "file" / "views"
+    for arguments in (
+        ["render", "--view", "above", "--out", f"{out}.png"],
+        ["export", "--out", str(out)],
+    ):
+        assert cli.main(["scenes", arguments[0], str(place_file), *arguments[1:]]) == 2
+        assert "cannot be made" in capsys.readouterr().err
+
+
+# ------------------------------------------------------------------------------------ the seeds
+
+
+def test_survey_facts_of_known_ground(place: Scene) -> None:
+    facts = survey_facts(place, 8.0, 0.0, 2.0, 4.0)
+    assert facts.seen_m2 == pytest.approx(12.0 * 8.0, rel=0.02)
+    assert facts.safe_share == facts.safe_geometry_share == 1.0
+    assert facts.safe_sites == 1
+    assert facts.takeoff_safe
+    # Legs towards the slab in the north, to the left of the heading: 48 m^2 of road are no safe
+    # class; within 1.5 m of its step there is no safe geometry.
+    wide = survey_facts(place, 8.0, 16.0, 2.0, 4.0)
+    assert wide.safe_share < wide.safe_geometry_share < 1.0
+
+
+def test_difference_of_layouts_is_exact() -> None:
+    level = Layout(
+        height_m=np.zeros((4, 5), np.float32),
+        class_id=np.zeros((4, 5), np.uint8),
+        grey=np.zeros((3, 3), np.float32),
+    )
+    height = np.full((4, 5), 0.3, np.float32)
+    height[0, 0] = np.nan
+    classes = level.class_id.copy()
+    classes[:2] = 1
+    other = Layout(height_m=height, class_id=classes, grey=np.full((3, 3), 7.0, np.float32))
+    found = difference(level, other)
+    assert found.height_m == pytest.approx(0.3)
+    assert found.class_share == pytest.approx(0.5)
+    assert found.grey == pytest.approx(7.0)
+    smaller = Layout(
+        height_m=np.zeros((2, 2), np.float32), class_id=classes[:2, :2], grey=other.grey
+    )
+    with pytest.raises(ValueError, match="extent"):
+        difference(level, smaller)
+
+
+def test_layout_reads_heights_and_classes(place: Scene) -> None:
+    plan = layout(place)
+    assert plan.height_m.max() == pytest.approx(0.5, abs=0.01)
+    share = float((plan.height_m > 0.25).mean())
+    assert share == pytest.approx(8.0 * 6.0 / np.prod(np.ptp(place.bounds_xy_m, axis=0)), rel=0.1)
+
+
+# ------------------------------------------------------------------------------------ files
+
+
+def write_place(tmp_path: Path, geoms: str) -> str:
+    path = tmp_path / "place.xml"
+    path.write_text(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
+    return str(path)
+
+
+LAWN = '<geom name="lawn" type="plane" size="0 0 1"/>'
+SMALL_LAWN = '<geom name="lawn" type="box" size="20 20 1" pos="0 0 -1"/>'
+
+
+@pytest.mark.parametrize(
+    ("geoms", "problem", "remark"),
+    [
+        (LAWN, "", ""),
+        # Legs of 50 x 40 m from the middle of 40 x 40 m of ground: 20 x 20 m have some below.
+        (SMALL_LAWN, "ground under 20% of the survey, 50 x 40 m", ""),
+        (
+            f'{LAWN}<geom name="building_x" type="box" size="3 3 3" pos="0 0 3"/>',
+            "",
+            "on 'building_x' (building), 6.0 m above the ground",
+        ),
+        (
+            f'{LAWN}<geom name="building_mast" type="box" size="1 1 16" pos="30 20 16"/>',
+            "32.0 m higher than the take-off",
+            "",
+        ),
+        ('<geom name="road" type="plane" size="0 0 1"/>', "no safe ground", ""),
+        # 60 x 60 m of ground hold the legs, but not all that is seen from them.
+        (
+            '<geom name="lawn" type="box" size="30 30 1" pos="25 20 -1"/>',
+            "",
+            "ground under 63% of what LIDAR and camera see",
+        ),
+    ],
+)
+def test_a_file_is_judged_by_what_a_survey_needs(
+    geoms: str, problem: str, remark: str, tmp_path: Path
+) -> None:
+    row = check_place(write_place(tmp_path, geoms))
+    for found, expected in ((row["problems"], problem), (row["remarks"], remark)):
+        assert len(found) == bool(expected), found
+        assert expected in "".join(found)
+
+
+def test_the_check_of_a_file_is_a_table_and_an_exit_code(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = write_place(tmp_path, f'{SMALL_LAWN}<geom name="heap" size="1" pos="6 5 0"/>')
+    with pytest.warns(UserWarning, match=r"1 geom has no known class \(heap\): it counts"):
+        assert cli.main(["scenes", "check", place, "--json"]) == 1
+    (row,) = json.loads(capsys.readouterr().out)["places"]
+    assert row["facts"]["without_class"] == ["heap"]
+    assert row["facts"]["legs_share"] == pytest.approx(0.2, abs=0.01)
+    short = ["--set", "survey.legs=1", "--set", "survey.leg_length_m=12"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # the heap was told of already
+        assert cli.main(["scenes", "check", place, *short]) == 0
+    shown = capsys.readouterr().out
+    assert "lawn (lawn)" in shown and "heap" in shown
+    assert "remark: there is ground under" in shown
+    assert cli.main(["scenes", "check", "crosroad"]) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", scene_names())
+def test_25_seeds_build_and_differ(name: str) -> None:
+    row = check_scene(name, 25, lambda _note: None)
+    assert row["failed"] == {}
+    assert row["differ"], row["closest"]

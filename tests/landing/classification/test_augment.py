@@ -1,0 +1,93 @@
+"""What is varied in the pictures of a training."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from support.recognition_support import coloured
+
+
+def test_variations_keep_the_kind_of_picture(torch: Any) -> None:
+    from touchdown.landing.classification.learning.augment import as_input, augmented
+
+    images = as_input(torch.from_numpy(coloured(12, 2).images))
+    results = [augmented(images, torch.Generator().manual_seed(s)) for s in (1, 1, 2)]
+    assert results[0].shape == images.shape
+    assert float(results[0].min()) >= 0.0 and float(results[0].max()) <= 1.0
+    assert bool((results[0] == results[1]).all()) and bool((results[0] != results[2]).any())
+
+
+def test_without_strength_pictures_are_only_moved(torch: Any) -> None:
+    from touchdown.landing.classification.learning.augment import augmented
+
+    plain = torch.rand(4, 3, 1, 1, generator=torch.Generator().manual_seed(5)).expand(4, 3, 16, 16)
+    varied = augmented(plain, torch.Generator().manual_seed(3), 0.0)
+    np.testing.assert_allclose(varied, plain, atol=1e-6)
+    assert float((augmented(plain, torch.Generator().manual_seed(3)) - plain).abs().max()) > 0.05
+
+
+def test_lines_are_painted_on_a_share_of_the_pictures(torch: Any) -> None:
+    from touchdown.landing.classification.learning.augment import augmented, marked
+
+    plain = torch.full((400, 3, 48, 48), 0.3)
+    painted = marked(plain, torch.Generator().manual_seed(5), 0.25)
+    changed = ((painted - plain).abs().amax(dim=1) > 0.02).float().mean(dim=(1, 2))
+    count = int((changed > 0.0).sum())
+    assert 70 <= count <= 130, "a quarter, four deviations of a binomial count to either side"
+    some = changed[changed > 0.0]
+    assert float(some.max()) < 0.5, "a line is at most a quarter as wide as its period, and an edge"
+    assert float(some.mean()) > 0.01
+    assert float(painted.min()) >= 0.0 and float(painted.max()) <= 1.0
+    assert torch.equal(marked(plain, torch.Generator().manual_seed(5), 0.0), plain)
+    without, none = (
+        augmented(plain[:4], torch.Generator().manual_seed(7), 1.0, *markings)
+        for markings in ((), (0.0,))
+    )
+    assert torch.equal(without, none)
+
+
+def test_paint_has_one_colour(torch: Any) -> None:
+    """Of each picture, what was added is a multiple of one colour: paint has no picture in it."""
+    from touchdown.landing.classification.learning.augment import marked
+
+    plain = torch.full((30, 3, 48, 48), 0.5)
+    added = (marked(plain, torch.Generator().manual_seed(1), 1.0) - plain).flatten(2)
+    for one in added:
+        spread = torch.linalg.svdvals(one)
+        assert float(spread[1]) <= 1e-4 * max(1.0, float(spread[0]))
+
+
+def test_blended_pictures_have_blended_classes(torch: Any) -> None:
+    """Pictures as bright as their class is high: what is left of a class is left of its light."""
+    from touchdown.landing.classification.learning.augment import blended
+
+    generator = torch.Generator().manual_seed(3)
+    classes = torch.arange(8)
+    images = classes.float()[:, None, None, None].expand(8, 3, 4, 4)
+    targets = torch.nn.functional.one_hot(classes, 8).float()
+    mixed, chances = blended(images, targets, generator, 0.4)
+    torch.testing.assert_close(chances.sum(dim=1), torch.ones(8))
+    torch.testing.assert_close(mixed[:, 0, 0, 0], chances @ classes.float())
+    assert bool((chances[classes, classes] >= 0.5).all()) and bool((chances < 1.0).any())
+
+
+@pytest.mark.parametrize("strength", [0.2, 1.0])
+def test_shares_of_blended_pictures_are_beta_distributed(torch: Any, strength: float) -> None:
+    """Beta(a, a): mean 1/2, variance 1 / (8 a + 4)."""
+    from touchdown.landing.classification.learning.augment import _beta
+
+    generator = torch.Generator().manual_seed(4)
+    draws = np.array([_beta(strength, generator) for _ in range(4000)])
+    assert draws.mean() == pytest.approx(0.5, abs=0.025)
+    assert draws.var() == pytest.approx(1.0 / (8.0 * strength + 4.0), rel=0.06)
+
+
+def test_a_turn_of_a_plain_picture_changes_nothing(torch: Any) -> None:
+    from touchdown.landing.classification.learning.augment import _moved
+
+    images = torch.full((4, 3, 16, 16), 0.25)
+    moved = _moved(images, torch.Generator().manual_seed(3))
+    np.testing.assert_allclose(moved, 0.25, rtol=1e-6)

@@ -1,0 +1,341 @@
+"""Place recognition in flight: what is looked at, what is believed, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.landing.api import Candidate, LandingParams, Selection
+from touchdown.landing.classification import decision, weights
+from touchdown.landing.classification.labels import D_LAND
+from touchdown.landing.classification.site_check import PlaceCheck, SitePlace, least_bad, weighed
+from touchdown.landing.selection.selector import select_sites
+from touchdown.sim.frames import Pose
+
+from support.landing_support import make_estimate, make_grid, make_obs, view_of
+from support.place_support import (
+    COLOURS,
+    ByColour,
+    photograph,
+    plain,
+    small_rig,
+    write_colour_network,
+)
+
+Array = NDArray[np.float64]
+ABOVE = Pose(np.eye(3), np.array([0.0, 0.0, 20.0]))
+SURE = 0.97
+
+
+def _chances(**given: float) -> Array:
+    """Probabilities of the named classes, the rest shared by the others."""
+    others = [name for name in D_LAND if name not in given]
+    left = (1.0 - sum(given.values())) / len(others)
+    return np.array([given.get(name, left) for name in D_LAND])
+
+
+def _scores(*rows: Array) -> NDArray[np.float32]:
+    return np.log(np.array(rows)).astype(np.float32)
+
+
+# --------------------------------------------------------------------------------------- decision
+
+
+def test_energy_is_the_logarithm_of_the_sum_of_exponentials() -> None:
+    scores = np.array([[0.0, np.log(3.0)], [500.0, 500.0]], np.float32)
+    np.testing.assert_allclose(
+        decision.energies(scores), [np.log(4.0), 500.0 + np.log(2.0)], rtol=1e-6
+    )
+
+
+def test_safe_classes_count_together() -> None:
+    """Half lawn, half field is safe ground all the same; half lawn, half water is not."""
+    scores = _scores(_chances(lawn=0.5, field=0.46), _chances(lawn=0.55, water=0.44))
+    limits = decision.Limits(least_probability=0.9)
+    assert decision.taken_for_safe(scores, limits).tolist() == [True, False]
+    strange = dataclasses.replace(limits, least_energy=1.0)
+    assert not decision.taken_for_safe(scores, strange).any()
+
+
+def test_limits_let_a_quarter_of_a_percent_of_unsafe_pictures_pass() -> None:
+    """800 pictures of water, claimed to be lawn with 0.5 to 0.9: two of them may pass."""
+    claims = np.linspace(0.5, 0.9, 800)
+    rows = [_chances(lawn=float(claim)) for claim in claims]
+    labels = np.full(800, D_LAND.index("water"))
+    limits = decision.fitted_limits(_scores(*rows), labels)
+    taken = decision.taken_for_safe(_scores(*rows), limits)
+    assert np.flatnonzero(taken).tolist() == [798, 799]
+    found = decision.decision_summary(_scores(*rows), labels, limits)
+    assert (found["unsafe"], found["unsafe_taken_for_safe"], found["safe"]) == (800, 2, 0)
+    easy = decision.fitted_limits(_scores(_chances(lawn=SURE)), np.array([D_LAND.index("lawn")]))
+    assert easy.least_probability == decision.LEAST
+
+
+def test_a_file_carries_its_limits_and_an_older_one_does_without() -> None:
+    limits = decision.Limits(least_probability=0.8125, least_energy=-0.7)
+    facts = weights.NetworkFacts(
+        network="resnet18", labels="d_land", image_size=96, classes=D_LAND, limits=limits
+    )
+    kept = facts.properties()
+    assert weights.facts_of(kept, Path("n.onnx")) == facts
+    for name in ("least_probability", "least_energy"):
+        del kept[name]
+    assert weights.facts_of(kept, Path("n.onnx")).limits == decision.Limits()
+
+
+# ------------------------------------------------------------------------------------------ sites
+
+
+def _sites(*xy: tuple[float, float]) -> list[Candidate]:
+    return [
+        Candidate(
+            position_odom=np.array([x, y, 0.0]), normal_odom=np.array([0.0, 0.0, 1.0]), score=0.5,
+            flatness=0.5, smoothness=0.5, distance=0.5, slope_deg=0.0, roughness_m=0.0,
+            clearance_m=3.0, accepted=True, reason="landable",
+        )
+        for x, y in xy
+    ]  # fmt: skip
+
+
+def _west_is_water(x: Array, y: Array) -> Array:
+    return np.where((x < 0.0)[..., None], COLOURS["water"], COLOURS["lawn"]).astype(float)
+
+
+def _check(classifier: Any, paint: Any = _west_is_water, **params: Any) -> PlaceCheck:
+    rig = small_rig()
+    check = PlaceCheck(classifier, rig, LandingParams(**params))
+    obs = make_obs(
+        600, images=(photograph(rig, Pose(np.eye(3), np.array([0, 0, 40.0])), paint, 1.0),)
+    )
+    check.take_in(obs, make_estimate(600, Pose(np.eye(3), np.array([0, 0, 40.0]))))
+    return check
+
+
+FLAT = view_of(make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0)))
+
+
+def test_water_is_refused_and_the_first_safe_batch_ends_it() -> None:
+    classifier = ByColour()
+    sites = _sites((-9, 0), (-8, 5), (-12, -5), (-9, 4), (8, 0), (9, 5), (10, -5), (12, 0))
+    judged = _check(classifier).judge(sites, FLAT)
+    assert classifier.batches == [3, 3]
+    assert [site.accepted for site in judged] == [False] * 4 + [True] * 4
+    assert judged[0].reason == "refused: it looks like water with probability 0.97"
+    assert (judged[0].class_predicted, judged[4].class_predicted) == ("water", "lawn")
+    assert judged[4].reason == "landable, lawn with probability 0.97"
+    assert judged[4].class_probability == pytest.approx(SURE)
+    assert judged[6] is sites[6] and judged[7].class_predicted is None
+
+
+def test_refused_sites_are_not_asked_about() -> None:
+    classifier = ByColour()
+    bad, good = _sites((-9, 0), (9, 0))
+    bad = dataclasses.replace(bad, accepted=False, reason="refused: a step")
+    judged = _check(classifier).judge([bad, good], FLAT)
+    assert classifier.batches == [1] and judged[0] is bad and judged[1].accepted
+
+
+@pytest.mark.parametrize(
+    ("classifier", "words"),
+    [
+        (ByColour(sure=0.6), "unsure what it is: lawn with probability 0.60"),
+        (ByColour(familiar=False), "it looks like no ground that is known"),
+    ],
+)
+def test_who_is_not_sure_is_not_believed(classifier: ByColour, words: str) -> None:
+    (site,) = _check(classifier).judge(_sites((9, 0)), FLAT)
+    assert not site.accepted and words in site.reason
+    assert site.class_predicted == "lawn"
+
+
+def test_the_configuration_may_ask_for_more_or_less() -> None:
+    (site,) = _check(ByColour(sure=0.6), place_least_probability=0.55).judge(_sites((9, 0)), FLAT)
+    assert site.accepted
+    (site,) = _check(ByColour(), place_least_probability=0.999).judge(_sites((9, 0)), FLAT)
+    assert "(at least 1.00)" in site.reason and not site.accepted
+
+
+def test_what_no_picture_shows_is_refused() -> None:
+    classifier = ByColour()
+    (site,) = _check(classifier).judge(_sites((60, 0)), FLAT)
+    assert site.reason == "refused: no picture shows what kind of ground it is"
+    assert classifier.batches == [] and site.class_predicted is None
+
+
+def test_roads_are_taken_only_where_they_are_allowed() -> None:
+    for allowed in (False, True):
+        (site,) = _check(ByColour(), plain("road")).judge(_sites((9, 0)), FLAT, allow_risky=allowed)
+        assert site.accepted is allowed and site.class_predicted == "road"
+
+
+def test_a_closer_look_counts_as_much_as_the_first() -> None:
+    """Lawn from above, water from below: neither, so it is refused; lawn twice stays lawn."""
+    check = _check(ByColour(), plain("water"))
+    before = SitePlace(_chances(lawn=0.99), True)
+    place = check.look_again(before, np.zeros(3), FLAT, 2.0)
+    assert place is not None
+    water = D_LAND.index("water")
+    expected = 0.5 * (_chances(lawn=0.99) + _chances(water=SURE))
+    assert place.chances[water] == pytest.approx(expected[water])
+    assert check.refusal(place, False) is not None
+    again = _check(ByColour()).look_again(before, np.array([9.0, 0, 0]), FLAT, 2.0)
+    assert again is not None and check.refusal(again, False) is None
+
+
+def test_an_emergency_takes_the_least_bad() -> None:
+    sites = [dataclasses.replace(site, accepted=False, reason="refused: x")
+             for site in _sites((0, 0), (1, 0), (2, 0))]  # fmt: skip
+    named = [dataclasses.replace(site, class_predicted=name)
+             for site, name in zip(sites, ("water", None, "road"), strict=True)]  # fmt: skip
+    chosen = least_bad(named)
+    assert chosen[0].class_predicted == "road" and chosen[0].reason == "the least bad: x"
+    assert [site.accepted for site in chosen] == [True, False, False]
+    assert least_bad(named[:2])[0].class_predicted is None
+    assert least_bad(named[:1])[0].accepted and least_bad([]) == ()
+
+
+# ------------------------------------------------------------------------------- what LIDAR knows
+
+
+def test_lost_pulses_make_water_likelier_and_none_prove_nothing() -> None:
+    doubtful = _chances(lawn=0.9, water=0.05)
+    water = D_LAND.index("water")
+    np.testing.assert_allclose(weighed(doubtful, 0.0, 900.0, False), doubtful)
+    np.testing.assert_allclose(weighed(doubtful, 0.0, 0.0, False), doubtful)
+    # 2 of 20 lost: 15^2 (0.85 / 0.99)^18
+    ratio = 15.0**2 * (0.85 / 0.99) ** 18
+    expected = 0.05 * ratio / (0.05 * ratio + 0.95)
+    assert weighed(doubtful, 100.0, 900.0, False)[water] == pytest.approx(expected)
+    assert weighed(doubtful, 300.0, 700.0, False)[water] > 0.99
+
+
+def test_traffic_makes_a_road_of_a_doubtful_path() -> None:
+    doubtful = _chances(path=0.85, road=0.1)
+    found = weighed(doubtful, 0.0, 900.0, True)
+    assert D_LAND[int(found.argmax())] == "road"
+    assert found[D_LAND.index("road")] == pytest.approx(2.0 / 2.9)
+    lawn = weighed(_chances(lawn=0.994), 0.0, 900.0, True)
+    assert lawn[D_LAND.index("lawn")] > 0.95
+
+
+def test_a_doubtful_site_over_lossy_ground_is_refused() -> None:
+    """What passes by the picture alone is refused where a fifth of the pulses never came back."""
+    grid = make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0))
+    grid.missing[:, 140:] = 10.0
+    check = _check(ByColour(sure=0.95), plain("lawn"))
+    dry, wet = check.judge(_sites((-9, 0), (12, 0)), view_of(grid))
+    assert dry.accepted and not wet.accepted and wet.class_predicted == "water"
+
+
+def test_traffic_is_looked_up_where_the_site_is() -> None:
+    view = view_of(make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0)))
+    selection = select_sites(view, make_estimate(0, ABOVE), LandingParams(), footprint_radius_m=0.5)
+    assert selection.costmap is not None
+    driven = np.zeros_like(selection.allowed)
+    driven[:, driven.shape[1] // 2 :] = True
+    marked: Selection = dataclasses.replace(selection, driven=driven)
+    check = _check(ByColour(sure=0.93), plain("lawn"))
+    west, east = check.judge(_sites((-9, 0), (9, 0)), view, selection=marked)
+    assert west.accepted and not east.accepted
+
+
+def test_surfaces_that_were_refused_rank_lower() -> None:
+    """Two surfaces with different echo: the one that a refused site lies on comes last."""
+    grid = make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0))
+    grid.intensity[:, :100] = 90.0
+    view, estimate = view_of(grid), make_estimate(0, ABOVE)
+    for side in (-1.0, 1.0):
+        refused = np.array([8.0 * side, 0.0, 0.0])
+        sites = select_sites(
+            view, estimate, LandingParams(), footprint_radius_m=0.5,
+            avoid_odom=[refused], alike_odom=[refused],
+        ).candidates  # fmt: skip
+        assert sites[0].accepted and np.sign(sites[0].position_odom[0]) == -side
+
+
+# ------------------------------------------------------------------------------------ the network
+
+
+def test_the_network_of_a_file_says_what_it_sees(tmp_path: Path) -> None:
+    pytest.importorskip("onnx")
+    from touchdown.landing.classification.onboard import load_places
+
+    limits = decision.Limits(least_probability=0.75, least_energy=8.0)
+    path = write_colour_network(tmp_path / "network.onnx", limits=limits)
+    places = load_places(path)
+    assert (places.image_size, places.least_probability) == (16, 0.75)
+    pictures = np.zeros((3, 16, 16, 3), np.uint8)
+    pictures[0, ..., 2] = pictures[1, ..., 1] = 255
+    opinion = places.look(pictures)
+    assert [D_LAND[i] for i in opinion.chances.argmax(axis=1)[:2]] == ["water", "lawn"]
+    assert opinion.familiar.tolist() == [True, True, False]  # black is like nothing it knows
+    assert load_places(path) is places
+    write_colour_network(path, limits=dataclasses.replace(limits, least_probability=0.5))
+    assert load_places(path).least_probability == 0.5
+
+
+def test_one_line_for_a_network_that_cannot_fly(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("onnx")
+    from touchdown.experiments.cli import main as cli
+
+    cut = write_colour_network(tmp_path / "cut.onnx")
+    cut.write_bytes(cut.read_bytes()[:-40])
+    scene = write_colour_network(tmp_path / "scene.onnx", labels="d_scene")
+    bare = write_colour_network(tmp_path / "bare.onnx")
+    weights.checksum_file(bare).unlink()
+    for name, words in (
+        (cut, "is cut short or changed"),
+        (scene, "a flight needs one trained with --labels d_land"),
+        (bare, "cannot be trusted"),
+        (tmp_path / "none.onnx", "does not exist"),
+    ):
+        out = tmp_path / "run"
+        arguments = ["land", "flat", "--out", str(out), "--quiet"]
+        assert cli.main([*arguments, "--set", f"landing.place_recognition={name}"]) == 2
+        told = capsys.readouterr().err
+        assert words in told and told.count("\n") == 1 and not out.exists()
+
+
+def test_off_and_what_comes_with_the_project(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("onnx")
+    from touchdown.experiments.config.loading import load_config
+    from touchdown.experiments.flight.wiring import build_places
+    from touchdown.landing.classification import onboard as in_flight
+
+    shipped = tmp_path / "shipped.onnx"
+    monkeypatch.setattr(in_flight, "SHIPPED", shipped)
+    assert build_places(load_config()) is None
+    write_colour_network(shipped)
+    found = build_places(load_config())
+    assert found is not None and found.description()["network"] == "by colour"
+    for override in ("landing.place_recognition=off", "landing.survey_only=true"):
+        assert build_places(load_config(None, [override])) is None
+    for override in ("landing.place_patch_m=0.0", "landing.place_least_probability=1.5"):
+        with pytest.raises(ValueError, match=override.partition("=")[0]):
+            build_places(load_config(None, [override]))
+
+
+def test_who_counts_by_class() -> None:
+    from touchdown.experiments.api import is_good
+    from touchdown.experiments.flight.run import class_counts
+
+    assert class_counts(LandingParams())
+    assert class_counts(LandingParams(site_xy_m=(1.0, 2.0)))
+    for changes in (
+        {"allow_risky": True},
+        {"emergency": "battery"},
+        {"site_xy_m": (1.0, 2.0), "check_site": False},
+    ):
+        assert not class_counts(LandingParams(**changes))  # type: ignore[arg-type]
+    wet = {"safe_geometry": True, "safe": False}
+    for judged_on, good in (("geometry", True), ("geometry and class", False)):
+        assert is_good({"outcome": "LANDED", "landing": wet | {"judged_on": judged_on}}) is good

@@ -1,0 +1,199 @@
+"""Training that can be stopped, and begins where another ended."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.landing.api import LabelledPictures
+from touchdown.landing.classification import weights
+from touchdown.landing.classification.labels import D_LAND
+
+from support.recognition_support import coloured
+
+
+def test_rare_classes_are_drawn_more_often(torch: Any) -> None:
+    from touchdown.landing.classification.learning.training import balanced_order
+
+    pictures = coloured(100, 1)
+    labels = np.array([0] * 81 + [1] * 19, np.int64)
+    source = np.array([0] * 81 + [0] * 18 + [1], np.int64)
+    uneven = LabelledPictures(
+        images=pictures.images, labels=labels, classes=D_LAND, source=source, sources=("a", "b")
+    )
+    draws = np.bincount(balanced_order(uneven, 0, 0), minlength=100)
+    weight = np.array([9.0, np.sqrt(18.0), 1.0])
+    expected = 100 * weight / weight.sum()
+    assert draws.sum() == 100
+    drawn = [draws[:81].sum(), draws[81:99].sum(), draws[99]]
+    np.testing.assert_allclose(drawn, expected, atol=1.0)
+    assert draws[:81].max() <= np.ceil(expected[0] / 81)
+    again = balanced_order(uneven, 0, 0)
+    assert (balanced_order(uneven, 0, 0) == again).all()
+    assert (balanced_order(uneven, 0, 1) != again).any()
+
+
+def test_learning_rate_rises_and_falls(torch: Any) -> None:
+    from touchdown.landing.classification.learning.training import schedule
+
+    assert [schedule(step, 100) for step in (0, 4, 5)] == pytest.approx([0.2, 1.0, 1.0])
+    assert schedule(52, 100) == pytest.approx(0.5, abs=0.01)
+    assert schedule(99, 100) < 1e-3
+
+
+def test_pictures_grow(torch: Any) -> None:
+    from touchdown.landing.classification.learning.training import (
+        TrainParams,
+        check_growth,
+        size_of_epoch,
+    )
+
+    params = TrainParams(image_size=96, first_size=48, epochs=8)
+    check_growth(params)
+    sizes = [size_of_epoch(params, epoch) for epoch in range(8)]
+    assert sizes == [48, 48, 64, 64, 80, 80, 96, 96]
+    assert {size_of_epoch(TrainParams(epochs=8), epoch) for epoch in range(8)} == {96}
+    for wrong, message in (
+        ({"first_size": 128}, "is more than image_size 96"),
+        ({"first_size": 48, "network": "inception_v4"}, "at least 75 pixels, not 48"),
+        ({"first_size": 48, "network": "vgg19"}, "one size only"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            check_growth(TrainParams(**wrong))
+
+
+def test_a_stopped_training_ends_as_one_that_was_not(torch: Any, tmp_path: Path) -> None:
+    from touchdown.landing.classification.learning.training import Trainer, TrainParams
+
+    plan: Any = {
+        "network": "mobilenet_v3_large", "image_size": 48, "first_size": 32, "epochs": 3, "seed": 4,
+    }  # fmt: skip
+    params = TrainParams(**plan, batch_size=12)
+    train, val, cpu = coloured(36, 1, 48), coloured(12, 2, 48), torch.device("cpu")
+
+    def trainer(folder: str) -> Trainer:
+        (tmp_path / folder).mkdir(exist_ok=True)
+        return Trainer(params, train, val, tmp_path / folder, cpu)
+
+    whole = trainer("whole")
+    while not whole.finished:
+        whole.run_epoch(lambda done, total, note: None)
+    for _ in range(3):
+        pieces = trainer("pieces")
+        pieces.run_epoch(lambda done, total, note: None)
+    assert pieces.finished and pieces.history == whole.history
+    state, other = whole.network.state_dict(), pieces.network.state_dict()
+    assert all(bool((state[name] == other[name]).all()) for name in state)
+    assert whole.history[-1]["train_loss"] < whole.history[0]["train_loss"]
+    with pytest.raises(ValueError, match="holds a training with other pictures"):
+        Trainer(params, val, train, tmp_path / "whole", cpu)
+    longer = TrainParams(**(plan | {"epochs": 4}), batch_size=12)
+    assert not Trainer(longer, train, val, tmp_path / "whole", cpu).finished
+    changed = TrainParams(**plan, batch_size=8)
+    with pytest.raises(ValueError, match="a training with batch_size 12, not 8"):
+        Trainer(changed, train, val, tmp_path / "whole", cpu)
+    (tmp_path / "whole" / "last.pt").write_bytes(b"PK broken")
+    with pytest.raises(ValueError, match="is no checkpoint that can be read"):
+        trainer("whole")
+
+
+def test_a_training_may_begin_with_the_weights_of_another(torch: Any, tmp_path: Path) -> None:
+    from touchdown.landing.classification.learning.training import Trainer, TrainParams
+
+    train, val, cpu = coloured(12, 1), coloured(6, 2), torch.device("cpu")
+    params = TrainParams(network="mobilenet_v3_large", image_size=32, epochs=1, batch_size=6)
+    first, second = tmp_path / "first", tmp_path / "second"
+    first.mkdir()
+    second.mkdir()
+    Trainer(params, train, val, first, cpu).run_epoch(lambda done, total, note: None)
+    best = torch.load(first / "best.pt", weights_only=True)
+    trainer = Trainer(params, train, val, second, cpu, start=first)
+    assert all(bool((value == best[n]).all()) for n, value in trainer.network.state_dict().items())
+    trainer.run_epoch(lambda done, total, note: None)
+    with pytest.raises(ValueError, match="a training with other weights to begin with"):
+        Trainer(params, train, val, second, cpu)
+    other = TrainParams(network="resnet18", image_size=32, epochs=1, batch_size=6)
+    with pytest.raises(ValueError, match="holds weights of another network"):
+        Trainer(other, train, val, second, cpu, start=first)
+    with pytest.raises(ValueError, match="is no checkpoint that can be read"):
+        Trainer(params, train, val, second, cpu, start=tmp_path / "none")
+
+
+def test_a_training_may_begin_with_the_weights_of_a_file(torch: Any, tmp_path: Path) -> None:
+    from touchdown.landing.classification.learning.export import export_network
+    from touchdown.landing.classification.learning.training import Trainer, TrainParams
+    from touchdown.landing.classification.networks.registry import build_network
+
+    train, val, cpu = coloured(12, 1), coloured(6, 2), torch.device("cpu")
+    torch.manual_seed(3)
+    before = build_network("mobilenet_v3_large", len(train.classes), 32)
+    for mean in (v for n, v in before.state_dict().items() if n.endswith("running_mean")):
+        mean.uniform_(-1.0, 1.0)
+    facts = weights.NetworkFacts(
+        network="mobilenet_v3_large", labels="d_land", image_size=32, classes=train.classes
+    )
+    file, out = tmp_path / "network.onnx", tmp_path / "out"
+    export_network(file, before, 2.5, facts)
+    out.mkdir()
+    params = TrainParams(network="mobilenet_v3_large", image_size=32, epochs=1, batch_size=6)
+    trainer = Trainer(params, train, val, out, cpu, start=file)
+    given = before.state_dict()
+    trainer_began = copy.deepcopy(trainer.network.state_dict())
+    for name, value in trainer.network.state_dict().items():
+        # float16 keeps eleven bits of what is not too small for it
+        assert torch.allclose(value.float(), given[name].float(), rtol=2.0**-11, atol=1e-7), name
+    trainer.run_epoch(lambda done, total, note: None)
+    assert Trainer(params, train, val, out, cpu, start=file).finished
+    ended = Trainer(params, train, val, out, cpu, start=file).best().network.state_dict()
+    half = dataclasses.replace(params, start_share=0.5)
+    between = Trainer(half, train, val, out, cpu, start=file).best().network.state_dict()
+    for name, value in between.items():
+        if value.is_floating_point():
+            mean = 0.5 * (trainer_began[name] + ended[name])
+            assert torch.allclose(value, mean, rtol=1e-5, atol=1e-6), name
+    with pytest.raises(ValueError, match="there are no weights to begin with"):
+        Trainer(half, train, val, tmp_path, cpu)
+    other = TrainParams(network="resnet18", image_size=32, epochs=1, batch_size=6)
+    with pytest.raises(ValueError, match="holds weights of another network"):
+        Trainer(other, train, val, tmp_path, cpu, start=file)
+    with pytest.raises(FileNotFoundError, match="does not exist; name a network"):
+        Trainer(params, train, val, tmp_path, cpu, start=tmp_path / "none.onnx")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a setting of glibc")
+def test_memory_is_used_again() -> None:
+    """A second array of 64 MB has no page (4 kB) that the system would have to zero."""
+    script = (
+        "import resource, numpy as np\n"
+        "from touchdown.experiments.classification.train import keep_freed_memory\n"
+        "keep_freed_memory()\n"
+        "faults = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "def more():\n"
+        "    before = faults()\n"
+        "    np.ones(8_000_000)\n"
+        "    return faults() - before\n"
+        "print(more(), more())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    first, second = map(int, done.stdout.split())
+    assert second < 100 < first
+
+
+def test_a_device_that_is_not_here(torch: Any) -> None:
+    from touchdown.landing.classification.learning.training import chosen_device
+
+    with pytest.raises(ValueError, match="unknown device 'tpu'"):
+        chosen_device("tpu")
+    if not torch.cuda.is_available():
+        assert chosen_device("auto").type == "cpu"
+        with pytest.raises(ValueError, match="finds no GPU here"):
+            chosen_device("cuda")

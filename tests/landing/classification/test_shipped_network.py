@@ -1,0 +1,84 @@
+"""The network that comes with the project: what it is, and that it knows places it never saw."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import cv2
+import numpy as np
+import pytest
+
+from touchdown.experiments.classification.patches import place_patches
+from touchdown.experiments.classification.splits import HELD_OUT_SCENES, split_of_place
+from touchdown.experiments.cli import main as cli
+from touchdown.landing.classification.onboard import SHIPPED, NetworkPlaces, load_places
+from touchdown.landing.classification.weights import read_network
+from touchdown.scenes.api import LAND_CLASSES, SAFE_CLASSES
+
+SEED = 900_004
+"""of no data set, and one that leaves 4 when divided by 5"""
+PICTURES = 24
+LARGEST_MB = 60.0
+
+
+@pytest.fixture(scope="module")
+def places() -> NetworkPlaces:
+    return load_places(SHIPPED)
+
+
+def test_what_comes_along(places: NetworkPlaces) -> None:
+    assert len(read_network(SHIPPED)) <= LARGEST_MB * 1e6
+    description = places.description()
+    assert description["network"] == "resnet50_cbam"
+    assert places.image_size == 128
+    assert 0.5 <= places.least_probability < 1.0
+
+
+def test_number_of_weights() -> None:
+    """Filters and matrices are float16: all weights but those that are one for a channel."""
+    onnx = pytest.importorskip("onnx")
+    model = onnx.load_from_string(read_network(SHIPPED))
+    halves = [t for t in model.graph.initializer if t.data_type == onnx.TensorProto.FLOAT16]
+    filters = sum(int(np.prod(tensor.dims)) for tensor in halves)
+    assert filters == 25_985_760  # and 69 207 more in biases and norms
+
+
+@pytest.mark.parametrize("scene", ["lake", "houses", *HELD_OUT_SCENES])
+def test_places_never_seen(scene: str, places: NetworkPlaces) -> None:
+    """A floor far below the scores on thousands of pictures: `docs/results/recognition.md`."""
+    assert split_of_place(scene, SEED) == "test"
+    patches = place_patches(scene, SEED, PICTURES, places.image_size, variation=0)
+    opinion = places.look(np.stack([patch.rgb for patch in patches]))
+    found = [LAND_CLASSES[best] for best in opinion.chances.argmax(axis=1)]
+    true = [patch.land_class for patch in patches]
+    assert np.mean([a == b for a, b in zip(found, true, strict=True)]) >= 0.75
+    safe = np.array([name in SAFE_CLASSES for name in LAND_CLASSES])
+    sure = opinion.chances[:, safe].sum(axis=1) >= places.least_probability
+    taken = sure & opinion.familiar & safe[opinion.chances.argmax(axis=1)]
+    assert not any(t and name in ("water", "trees") for t, name in zip(taken, true, strict=True))
+
+
+def test_commands_that_name_no_network_take_this_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    home = tmp_path / "pictures"
+    patches = place_patches("lake", SEED, 10, 128, variation=0)
+    for number, patch in enumerate(patches):
+        (home / patch.land_class).mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(home / patch.land_class / f"{number}.png"), patch.rgb[..., ::-1])
+    whole = ["evaluate", "--data", str(home), "--split", "train", "--no-cost", "--quiet", "--json"]
+    assert cli.main(whole) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["network"] == "resnet50_cbam" and report["image_size"] == 128
+    assert report["rom_mb"] == SHIPPED.stat().st_size / 1e6
+    assert 0 < report["pictures"] <= len(patches)
+    picture = next(home.glob("*/*.png"))
+    out = tmp_path / "classes"
+    assert cli.main(["classify", str(picture), "--out", str(out), "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["pictures"]
+    assert Path(row["classes"]).is_file()
+    assert sum(row["shares"].values()) == pytest.approx(1.0, abs=1e-6)

@@ -1,0 +1,165 @@
+"""The state machine: perfect estimate, a vehicle that follows its setpoint, a made-up map."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.api import MapView
+from touchdown.landing.api import Phase
+from touchdown.sim.frames import Pose
+
+from support.lander_support import (
+    ORIGIN,
+    STEP_TICKS,
+    Puppet,
+    flat_map,
+    fly,
+    make_lander,
+)
+from support.landing_support import (
+    LEG_HEIGHT,
+    make_estimate,
+    make_grid,
+    make_obs,
+    view_of,
+)
+
+
+def test_phases_follow_each_other_to_a_landing_on_the_committed_site() -> None:
+    puppet = Puppet(make_lander(), flat_map())
+    phases, view = fly(puppet)
+    assert phases == [
+        Phase.INIT, Phase.TAKEOFF, Phase.SURVEY, Phase.SELECT, Phase.APPROACH, Phase.DESCEND,
+        Phase.TOUCHDOWN, Phase.DONE,
+    ]  # fmt: skip
+    assert view.committed_site_world is not None
+    assert puppet.position[:2] == pytest.approx(view.committed_site_world[:2], abs=0.01)
+    assert view.committed_site_world[2] == pytest.approx(0.0, abs=0.02)
+    assert not view.no_site
+    assert not view.aborted
+    assert puppet.setpoint is not None
+    assert not puppet.setpoint.motors_on
+
+
+def test_references_never_jump_and_meet_the_ground_slowly() -> None:
+    puppet = Puppet(make_lander(), flat_map())
+    last, fastest_near_ground, commits = None, 0.0, set()
+    for view, setpoint in puppet.run(200.0):
+        if last is not None and setpoint.motors_on and view.phase is not Phase.TOUCHDOWN:
+            step = np.linalg.norm(setpoint.position_odom - last)
+            assert step < 8.0 * STEP_TICKS / 600.0, view.phase
+        if view.phase is Phase.DESCEND and puppet.position[2] < LEG_HEIGHT + 0.2:
+            fastest_near_ground = max(fastest_near_ground, abs(setpoint.velocity_odom[2]))
+        if view.committed_site_world is not None:
+            commits.add(tuple(view.committed_site_world))
+        last = setpoint.position_odom
+        if view.phase is Phase.DONE:
+            break
+    assert 0.05 < fastest_near_ground <= 0.2
+    assert len(commits) == 1
+
+
+def test_survey_only_is_done_after_the_survey_and_keeps_flying() -> None:
+    puppet = Puppet(make_lander(survey_only=True), flat_map())
+    phases, _ = fly(puppet)
+    assert phases == [Phase.INIT, Phase.TAKEOFF, Phase.SURVEY, Phase.DONE]
+    assert puppet.setpoint is not None
+    assert puppet.setpoint.motors_on
+
+
+def test_no_site_searches_another_leg_then_returns_home() -> None:
+    rng = np.random.default_rng(3)
+    rubble = make_grid(rng.uniform(0.0, 1.0, (280, 280)), origin=ORIGIN)
+    puppet = Puppet(make_lander(), rubble)
+    phases, view = fly(puppet)
+    assert phases[3:] == [
+        Phase.SELECT, Phase.SURVEY, Phase.SELECT, Phase.RETURN, Phase.DESCEND, Phase.TOUCHDOWN,
+        Phase.DONE,
+    ]  # fmt: skip
+    assert view.no_site
+    assert not view.aborted
+    assert puppet.position[:2] == pytest.approx([0.0, 0.0], abs=0.02)
+
+
+def test_commanded_site_is_flown_to() -> None:
+    puppet = Puppet(make_lander(site_xy_m=(7.0, 5.0)), flat_map())
+    phases, view = fly(puppet)
+    assert phases[-1] is Phase.DONE
+    assert Phase.RETURN not in phases
+    assert puppet.position[:2] == pytest.approx([7.0, 5.0], abs=0.01)
+    assert view.committed_site_world == pytest.approx([7.0, 5.0, 0.0], abs=0.02)
+
+
+def test_unsuitable_commanded_site_is_refused_with_its_reason() -> None:
+    height = np.zeros((280, 280))
+    height[120:130, 132:140] = 0.8  # a box at x 6.4..8, y 4..6
+    puppet = Puppet(make_lander(site_xy_m=(7.0, 5.0)), make_grid(height, origin=ORIGIN))
+    phases, view = fly(puppet)
+    assert view.aborted
+    assert Phase.RETURN in phases
+    assert Phase.APPROACH not in phases
+    assert "refused" in view.candidates[0].reason
+    assert puppet.position[:2] == pytest.approx([0.0, 0.0], abs=0.02)
+
+
+def test_a_commanded_site_is_taken_unchecked_where_that_is_asked_for() -> None:
+    height = np.zeros((280, 280))
+    height[120:130, 132:140] = 0.8
+    lander = make_lander(site_xy_m=(7.0, 5.0), check_site=False)
+    phases, view = fly(Puppet(lander, make_grid(height, origin=ORIGIN)))
+    assert not view.aborted
+    assert Phase.RETURN not in phases
+    assert view.candidates[0].reason.startswith("landed on unchecked; the map would have refused")
+    assert view.committed_site_world is not None
+    assert view.committed_site_world[:2] == pytest.approx([7.0, 5.0])
+
+
+def test_a_commanded_site_stays_in_the_world_when_the_odometry_frame_is_corrected() -> None:
+    """0.5 m to the north in the middle of the descent: the vehicle ends 0.5 m south in odom."""
+    puppet = Puppet(make_lander(site_xy_m=(7.0, 5.0)), flat_map())
+    view = None
+    for view, _ in puppet.run(200.0):
+        low = puppet.position[2] < 8.0 and view.phase is Phase.DESCEND
+        if low:
+            puppet.world_from_odom = Pose(np.eye(3), np.array([0.0, 0.5, 0.0]))
+        if view.phase is Phase.DONE:
+            break
+    assert view is not None and view.committed_site_world is not None
+    assert view.committed_site_world[:2] == pytest.approx([7.0, 5.0])
+    assert puppet.position[:2] == pytest.approx([7.0, 4.5], abs=0.02)
+
+
+def test_a_site_that_looks_worse_from_10_m_is_given_up() -> None:
+    """The coarse map says flat, the fine one says rubble: go around twice, then home."""
+    lander = make_lander()
+    puppet = Puppet(lander, flat_map())
+    rng = np.random.default_rng(5)
+
+    def rubble_below() -> MapView:
+        low = puppet.position[2] < 14.0
+        corner = tuple(np.round((puppet.position[:2] - 6.0) / 0.05) * 0.05)
+        rough = rng.uniform(0.0, 0.6, (240, 240))
+        return view_of(
+            puppet.coarse, make_grid(rough, 0.05, origin=corner, returns=4) if low else None
+        )
+
+    puppet.view_map = rubble_below  # type: ignore[method-assign]
+    phases, view = fly(puppet, 400.0)
+    assert phases.count(Phase.APPROACH) == 3
+    assert view.no_site
+    assert phases[-1] is Phase.DONE
+
+
+def test_world_references_follow_a_correction_of_the_odometry_frame() -> None:
+    """When world_from_odom moves by +1 m in x, the survey setpoint moves by -1 m in odom."""
+    lander = make_lander()
+    grid = view_of(flat_map())
+    pose = Pose(np.eye(3), np.array([0.0, 0.0, LEG_HEIGHT]))
+    shifted = Pose(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    first = lander.update(make_obs(0), make_estimate(0, pose), grid)
+    moved = dataclasses.replace(make_estimate(3, pose), world_from_odom=shifted)
+    second = lander.update(make_obs(3), moved, grid)
+    assert second.position_odom - first.position_odom == pytest.approx([-1.0, 0.0, 0.0])

@@ -1,0 +1,293 @@
+"""The geometric check on made-up ground, and the feeling for the ground."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import GridMap
+from touchdown.landing.api import LandingParams
+from touchdown.landing.mission.second_look import ground_under, look_again
+from touchdown.landing.mission.touchdown import TouchdownDetector
+from touchdown.landing.selection.landable import (
+    Defect,
+    LandableMap,
+    assess,
+    explain,
+    fit_footprint,
+    ground_planes,
+)
+from touchdown.landing.selection.selector import check_site, select_sites
+from touchdown.landing.selection.terrain import Terrain, observed_terrain
+from touchdown.landing.selection.traffic import near_traffic, traffic_penalty
+from touchdown.sim.frames import Pose
+
+from support.landing_support import make_estimate, make_grid, make_imu, make_obs, make_rig, view_of
+
+Array = NDArray[np.float64]
+
+PARAMS = LandingParams()
+ABOVE = make_estimate(0, Pose(np.eye(3), np.array([8.0, 8.0, 30.0])))
+MIDDLE = (40, 40)
+
+
+def ground(slope_deg: float = 0.0) -> Array:
+    """16 x 16 m."""
+    _, x = np.mgrid[0:80, 0:80] * 0.2
+    return np.tan(np.deg2rad(slope_deg)) * x
+
+
+def judged(grid: GridMap) -> tuple[Terrain, LandableMap]:
+    terrain = observed_terrain(grid)
+    assert terrain is not None
+    return terrain, assess(
+        terrain,
+        ground_planes(terrain, PARAMS),
+        PARAMS,
+        margin_m=PARAMS.map_margin_m,
+        min_returns=PARAMS.min_returns,
+    )
+
+
+def landable(grid: GridMap) -> bool:
+    return bool(judged(grid)[1].mask[MIDDLE])
+
+
+def why_not(grid: GridMap, spot: tuple[int, int] = MIDDLE) -> str:
+    terrain, result = judged(grid)
+    assert not result.mask[spot]
+    return explain(terrain, result, *spot, PARAMS, PARAMS.map_margin_m)
+
+
+def test_noise_of_2_cm_leaves_flat_ground_landable() -> None:
+    for seed in range(3):
+        _, result = judged(make_grid(ground(), seed=seed))
+        assert result.mask[10:70, 10:70].all()
+
+
+def test_slope_of_3_degrees_is_taken_and_8_refused() -> None:
+    assert landable(make_grid(ground(3.0)))
+    assert not landable(make_grid(ground(8.0)))
+    assert "too steep (8." in why_not(make_grid(ground(8.0)))
+
+
+def test_step_of_15_cm_is_refused_and_of_4_cm_taken() -> None:
+    step = ground()
+    step[:, 43:] += 0.15
+    assert not landable(make_grid(step))
+    low = ground()
+    low[:, 43:] += 0.04
+    assert landable(make_grid(low))
+
+
+def test_thin_post_is_seen_by_its_few_returns() -> None:
+    """Two of forty returns from a post 1 m away: the mean hardly moves."""
+    grid = make_grid(ground())
+    assert landable(grid)
+    grid.max_height_m[40, 45] = 0.6
+    grid.height_m[40, 45] += 0.03
+    grid.height_std_m[40, 45] = 0.13
+    assert not landable(grid)
+
+
+def test_something_tall_beyond_the_footprint_keeps_1_5_m_away() -> None:
+    grid = make_grid(ground())
+    grid.max_height_m[:, 48] = 1.0  # a wire fence 1.6 m from the middle cell's centre
+    terrain, result = judged(grid)
+    assert not result.mask[MIDDLE]
+    assert result.mask[40, 38]
+    assert "m high within 1.9 m (limit 0.25 m)" in explain(terrain, result, *MIDDLE, PARAMS, 0.35)
+
+
+def test_hole_in_the_map_is_unknown_not_flat() -> None:
+    hole = ground()
+    hole[40:43, 44:47] = np.nan
+    assert not landable(make_grid(hole))
+    assert "not seen" in why_not(make_grid(hole))
+
+
+def test_water_shows_by_pulses_that_do_not_come_back() -> None:
+    grid = make_grid(ground())
+    grid.missing[36:60, 36:60] = 25.0
+    _terrain, result = judged(grid)
+    assert result.defect[40, 40] == Defect.WATER
+    assert not result.mask[40, 33]
+    assert "water" in why_not(grid)
+    assert result.mask[15, 15]
+
+
+def test_traffic_shows_by_heights_that_change() -> None:
+    """A lane 2 m wide on which cars passed, against a static edge one cell wide."""
+    lane = make_grid(ground())
+    lane.height_std_m[30:50, 58:68] = 0.5
+    lane.height_m[30:50, 58:68] = 0.2
+    lane.max_height_m[30:50, 58:68] = 1.5
+    _, result = judged(lane)
+    assert result.defect[40, 45] == Defect.MOVING  # 2.6 m from the lane
+    edge = make_grid(ground())
+    edge.height_std_m[:, 62] = 0.5
+    edge.max_height_m[:, 62] = 1.5
+    _, result = judged(edge)
+    assert result.defect[40, 58] == Defect.NONE
+    crown = make_grid(ground())
+    crown.height_std_m[36:46, 60:70] = 1.5
+    crown.height_m[36:46, 60:70] = 4.0
+    crown.max_height_m[36:46, 60:70] = 6.0
+    _, result = judged(crown)
+    assert result.defect[40, 50] == Defect.NONE
+
+
+def test_footprint_plane_of_a_known_slope() -> None:
+    terrain, _ = judged(make_grid(ground(4.0), sigma=0.0))
+    plane = fit_footprint(terrain, np.array([8.0, 8.0]))
+    assert plane is not None
+    assert plane.slope_deg == pytest.approx(4.0, abs=1e-3)
+    assert plane.roughness_m == pytest.approx(0.0, abs=1e-5)
+    assert plane.position[2] == pytest.approx(np.tan(np.deg2rad(4.0)) * 7.9, abs=1e-4)
+    angle = np.deg2rad(4.0)
+    assert plane.normal == pytest.approx([-np.sin(angle), 0.0, np.cos(angle)], abs=1e-4)
+
+
+def test_selection_takes_the_good_half_and_says_why() -> None:
+    rng = np.random.default_rng(2)
+    half = ground()
+    half[:, :40] += rng.uniform(0.0, 0.6, (80, 40))
+    chosen = select_sites(view_of(make_grid(half)), ABOVE, PARAMS, footprint_radius_m=0.5)
+    sites = chosen.candidates
+    assert chosen.costmap is not None
+    assert sites[0].accepted
+    assert sites[0].position_odom[0] > 9.0
+    assert sites[0].reason.startswith("landable")
+    assert all(site.reason.startswith("refused") for site in sites if not site.accepted)
+    scores = [site.score for site in sites if site.accepted]
+    assert scores == sorted(scores, reverse=True)
+    avoid = [site.position_odom for site in sites if site.accepted]
+    others = select_sites(
+        view_of(make_grid(half)), ABOVE, PARAMS, footprint_radius_m=0.5, avoid_odom=avoid
+    )
+    for site in others.candidates:
+        if site.accepted:
+            gaps = [np.linalg.norm(site.position_odom[:2] - old[:2]) for old in avoid]
+            assert min(gaps) > 3.0
+
+
+def test_the_surface_that_traffic_uses_is_avoided_as_far_as_it_goes() -> None:
+    """A weak echo west of x = 8, a strong one east of it; at x = 1 something moved. All level."""
+    grid = make_grid(ground())
+    grid.intensity[:, :40] = 14.0
+    grid.intensity[:, 40:] = 46.0
+    terrain, result = judged(grid)
+    # nothing moved: nothing known
+    assert traffic_penalty(near_traffic(terrain, result), PARAMS).max() == 0.0
+    grid.height_std_m[30:50, 2:10] = 0.5
+    grid.max_height_m[30:50, 2:10] = 1.5
+    terrain, result = judged(grid)
+    penalty = traffic_penalty(near_traffic(terrain, result), PARAMS)
+    assert penalty[70, 30] == pytest.approx(0.3)  # the same surface, far from where it moved
+    assert penalty[70, 60] == 0.0
+    sites = select_sites(view_of(grid), ABOVE, PARAMS, footprint_radius_m=0.5).candidates
+    assert sites[0].accepted
+    assert sites[0].position_odom[0] > 9.5  # 2 m less half the averaging window
+
+
+def test_empty_map_gives_no_candidate() -> None:
+    empty = make_grid(np.full((20, 20), np.nan))
+    nothing = select_sites(view_of(empty), ABOVE, PARAMS, footprint_radius_m=0.5)
+    assert nothing.candidates == ()
+    assert nothing.costmap is None
+
+
+def test_commanded_site_outside_the_map_is_refused() -> None:
+    site, _ = check_site(view_of(make_grid(ground())), ABOVE, PARAMS, np.array([40.0, 8.0]))
+    assert not site.accepted
+    assert "outside" in site.reason
+
+
+def fine(height: Array, corner: tuple[float, float] = (4.0, 4.0)) -> GridMap:
+    return make_grid(height, 0.05, origin=corner, returns=10)
+
+
+def test_look_from_closer_keeps_a_good_site_and_moves_off_a_bad_one() -> None:
+    site = np.array([8.0, 8.0, 0.0])
+    coarse = make_grid(ground())
+    kept = look_again(view_of(coarse, fine(np.zeros((160, 160)))), site, 3.0, PARAMS)
+    assert kept.position_odom is not None
+    assert "as it seemed" in kept.reason
+    assert kept.position_odom[:2] == pytest.approx([8.0, 8.0])
+    stone = np.zeros((160, 160))
+    stone[78:84, 84:90] = 0.25  # at x 8.2..8.5, y 7.9..8.2
+    moved = look_again(view_of(coarse, fine(stone)), site, 3.0, PARAMS)
+    assert moved.position_odom is not None
+    assert "moved" in moved.reason
+    assert np.linalg.norm(moved.position_odom[:2] - [8.35, 8.05]) > 1.3
+    assert look_again(view_of(coarse, fine(stone)), site, 0.3, PARAMS).position_odom is None
+    assert look_again(view_of(coarse), site, 3.0, PARAMS).position_odom is None
+
+
+def test_ground_height_prefers_the_fine_map() -> None:
+    coarse, close = make_grid(ground()), fine(np.full((160, 160), 0.25))
+    assert ground_under(view_of(coarse, close), np.array([8.0, 8.0])) == pytest.approx(
+        0.25, abs=0.01
+    )
+    assert ground_under(view_of(coarse), np.array([8.0, 8.0])) == pytest.approx(0.0, abs=0.01)
+    slope = make_grid(ground(5.0), sigma=0.0)
+    expected = np.tan(np.deg2rad(5.0)) * (8.03 - 0.1)
+    assert ground_under(view_of(slope), np.array([8.03, 8.0])) == pytest.approx(expected, abs=1e-4)
+    assert np.isnan(ground_under(view_of(coarse), np.array([99.0, 8.0])))
+
+
+def test_touchdown_is_felt_by_weight_on_the_legs_not_by_gusts_or_a_bump() -> None:
+    detector = TouchdownDetector(make_rig())
+    weight = 4.0 * 9.81
+
+    def step(tick: int, force_mps2: float, thrust_share: float, sink: float) -> bool:
+        speed = np.full(4, np.sqrt(thrust_share * weight / 4.0 / 4e-5))
+        obs = make_obs(tick, imu=(make_imu(tick, force_mps2),), rotor_speed_radps=speed)
+        estimate = make_estimate(tick, Pose.identity(), (0.0, 0.0, -sink))
+        return detector.update(obs, estimate)
+
+    rng = np.random.default_rng(1)
+    tick = 0
+    for _ in range(400):  # sinking at 0.12 m/s with ground effect of 12 % and gusts
+        share = 0.9 + 0.05 * rng.standard_normal()
+        assert not step(tick, 9.81 * (share + 0.12) + 0.3 * rng.standard_normal(), share, 0.12)
+        tick += 3
+    assert not step(tick, 40.0, 0.9, 0.02)  # one hard bump, then airborne again
+    for _ in range(100):
+        tick += 3
+        assert not step(tick, 9.81, 0.98, 0.02)
+    felt_after = 0
+    while not step(tick, 9.81, 0.6, 0.01):  # 40 % of the weight on the legs
+        tick += 3
+        felt_after += 1
+        assert felt_after < 100
+    assert 0.1 < felt_after * 0.005 < 0.3
+
+
+def test_touchdown_is_felt_where_the_estimate_rises_and_the_vehicle_bounces() -> None:
+    detector = TouchdownDetector(make_rig())
+    weight = 4.0 * 9.81
+    share = 0.6
+    speed = np.full(4, np.sqrt(share * weight / 4.0 / 4e-5))
+    for step in range(400):
+        # A quarter of the time on the ground, with four times what rotors leave to it.
+        reaction = 4.0 * (1.0 - share) if step % 40 < 10 else 0.0
+        obs = make_obs(
+            3 * step,
+            imu=(make_imu(3 * step, 9.81 * (share + reaction)),),
+            rotor_speed_radps=speed,
+        )
+        if detector.update(obs, make_estimate(3 * step, Pose.identity(), (0.0, 0.0, 0.3))):
+            break
+    assert 0.2 < step * 0.005 < 1.0
+
+
+def test_literal_form_is_available_end_to_end() -> None:
+    params = dataclasses.replace(PARAMS, flatness_form="literal")
+    view = view_of(make_grid(ground()))
+    sites = select_sites(view, ABOVE, params, footprint_radius_m=0.5).candidates
+    assert sites
+    assert sites[0].accepted

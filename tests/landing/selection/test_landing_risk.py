@@ -1,0 +1,195 @@
+"""The probability of a safe touchdown, the stages beside their library version, Quick Shift beside
+scikit-image's."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from touchdown.experiments.benchmarks.selection_stages import STAGES, staged_selection
+from touchdown.landing.api import LandingParams
+from touchdown.landing.selection import risk
+from touchdown.landing.selection.clustering import (
+    _follow,
+    _nearest_higher,
+    _search_offsets,
+    bandwidths,
+)
+from touchdown.landing.selection.risk_features import NAMES, RiskFeatures
+from touchdown.landing.selection.selector import select_sites
+from touchdown.sim.frames import Pose
+
+from support.landing_support import make_estimate, make_grid, view_of
+
+PARAMS = LandingParams()
+ABOVE = make_estimate(0, Pose(np.eye(3), np.array([8.0, 8.0, 30.0])))
+
+
+def features_at(height: np.ndarray, spot: tuple[int, int]) -> dict[str, float]:
+    found = risk.features_of(view_of(make_grid(height, sigma=0.0)), ABOVE, PARAMS)
+    return dict(zip(NAMES, map(float, found.values[spot]), strict=True))
+
+
+def test_features_are_shares_of_the_limits() -> None:
+    _, x = np.mgrid[0:80, 0:80] * 0.2
+    slope = features_at(np.tan(np.deg2rad(3.0)) * x, (40, 40))
+    assert slope["slope"] == pytest.approx(3.0 / 5.0, abs=1e-3)
+    # Three cells of 0.2 m: a rise of 0.4 m times tan 3 deg.
+    assert slope["step"] == pytest.approx(0.4 * np.tan(np.deg2rad(3.0)) / 0.10, abs=1e-3)
+    assert slope["confinement"] == 0.0
+    flat = np.zeros((80, 80))
+    flat[:, 46] = 0.05
+    assert features_at(flat, (40, 39))["step"] == 0.0  # the step's cell is 1.2 m away
+    assert features_at(flat, (40, 40))["step"] == pytest.approx(0.5)
+
+
+def test_confinement_counts_the_room_beyond_the_footprint() -> None:
+    wall = np.zeros((80, 80))
+    wall[:, 60:] = 2.0
+    here = features_at(wall, (40, 50))
+    away = features_at(wall, (40, 35))
+    assert away["confinement"] == 0.0
+    assert 0.5 < here["confinement"] < 1.0
+    assert here["neighbour"] == pytest.approx(0.0)
+    assert features_at(wall, (40, 53))["neighbour"] == pytest.approx(2.0)
+
+
+def test_logistic_model_by_hand() -> None:
+    values = np.array([[[0.5, 0.9, 0.0, 0.0, 0.2, 0.1, 0.3, 0.4]]], np.float32)
+    weights = (3.0, -1.0, -2.0, -1.0, -1.0, -0.5, -4.0, -0.1, -0.2, -0.7, -5.0)
+    odds = 3.0 - 0.5 - 1.8 - 0.1 - 0.4 - 0.03 - 0.08 - 0.7 * 0.9 - 5.0 * 0.1
+    expected = 1.0 / (1.0 + np.exp(-odds))
+    seen = RiskFeatures(values=values, open=np.array([[True]]))
+    assert risk.probability(seen, weights)[0, 0] == pytest.approx(expected, rel=1e-5)
+    assert risk.believed(values[0], weights)[0] == pytest.approx(expected, rel=1e-5)
+    shut = RiskFeatures(values=values, open=np.array([[False]]))
+    assert risk.probability(shut, weights)[0, 0] == 0.0
+    with pytest.raises(ValueError, match="risk_weights needs 11 numbers"):
+        risk.believed(values[0], (1.0, 2.0))
+
+
+def test_fit_finds_calibrated_probabilities_and_keeps_signs() -> None:
+    rng = np.random.default_rng(4)
+    values = rng.uniform(0.0, 1.5, (20000, len(NAMES))).astype(np.float32)
+    weights = (4.0, -1.0, -2.0, -0.2, -0.2, -0.2, -3.0, -0.2, -0.2, -0.2, -1.0)
+    safe = rng.uniform(size=20000) < risk.believed(values, weights)
+    found = risk.fit_weights(values, safe)
+    assert all(weight <= -0.2 for weight in found[1:])
+    error, rows = risk.calibration(risk.believed(values, found), safe)
+    assert error < 0.01
+    assert sum(number for _, _, number in rows) == 20000
+
+
+def test_calibration_error_by_hand() -> None:
+    believed = np.array([0.15, 0.15, 0.95, 0.95], np.float32)
+    safe = np.array([True, False, True, True])
+    error, rows = risk.calibration(believed, safe)
+    assert error == pytest.approx(0.5 * 0.35 + 0.5 * 0.05, abs=1e-6)
+    assert [(share, number) for _, share, number in rows] == [(0.5, 2), (1.0, 2)]
+
+
+def test_both_scorers_land_on_the_good_half_and_an_emergency_takes_the_least_bad() -> None:
+    rng = np.random.default_rng(2)
+    half = np.zeros((80, 80))
+    half[:, :40] += rng.uniform(0.0, 0.6, (80, 40))
+    for scorer in ("risk", "paper"):
+        params = dataclasses.replace(PARAMS, scorer=scorer)
+        view = view_of(make_grid(half))
+        site = select_sites(view, ABOVE, params, footprint_radius_m=0.5).candidates[0]
+        assert site.accepted
+        assert site.position_odom[0] > 9.0
+    _, x = np.mgrid[0:80, 0:80] * 0.2
+    steep = view_of(make_grid(np.tan(np.deg2rad(7.0)) * x))
+    refused = select_sites(steep, ABOVE, PARAMS, footprint_radius_m=0.5)
+    assert not any(site.accepted for site in refused.candidates)
+    forced = select_sites(steep, ABOVE, PARAMS, footprint_radius_m=0.5, least_bad=True)
+    assert forced.candidates[0].accepted
+    assert "the least bad" in forced.candidates[0].reason
+    odd = dataclasses.replace(PARAMS, scorer="luck")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"landing\.scorer is 'luck'"):
+        select_sites(steep, ABOVE, odd, footprint_radius_m=0.5)
+
+
+def test_stages_agree_with_open3d_scipy_and_scikit_image() -> None:
+    pytest.importorskip("skimage")
+    from touchdown.experiments.benchmarks.selection_reference import reference_selection
+
+    rng = np.random.default_rng(5)
+    y, x = np.mgrid[0:120, 0:100] * 0.2
+    height = 0.05 * np.sin(x) + np.where(x > 14.0, 0.3 * (x - 14.0), 0.0)
+    height += np.where(y > 18.0, rng.uniform(0.0, 0.5, y.shape), 0.0)
+    grid = make_grid(height)
+    grid.rgb[:, 30:] = 220.0
+    place = np.array([8.0, 8.0, 30.0])
+    ours = staged_selection(grid, place, PARAMS, 0.42)
+    theirs = reference_selection(grid, place, PARAMS, 0.42)
+    assert tuple(ours.seconds) == tuple(theirs.seconds) == STAGES
+    both = np.isfinite(ours.total) & np.isfinite(theirs.total)
+    assert both.mean() > 0.9
+    assert np.abs(ours.total - theirs.total)[both].mean() < 0.03
+    assert np.corrcoef(ours.total[both], theirs.total[both])[0, 1] > 0.97
+    best = [s.modes[np.argmax(s.total[tuple(s.modes.T)])] for s in (ours, theirs)]
+    assert np.hypot(*(best[0] - best[1])) * 0.2 < 1.0
+
+
+def density_of_scikit_image(picture: np.ndarray, bandwidth: float) -> np.ndarray:
+    """Kernel density in space and colour together, on a window of three bandwidths."""
+    reach = int(np.ceil(3.0 * bandwidth))
+    rows, cols, _ = picture.shape
+    total = np.zeros((rows, cols))
+    for dr in range(-reach, reach + 1):
+        for dc in range(-reach, reach + 1):
+            a = picture[max(dr, 0) : rows + min(dr, 0), max(dc, 0) : cols + min(dc, 0)]
+            b = picture[max(-dr, 0) : rows + min(-dr, 0), max(-dc, 0) : cols + min(-dc, 0)]
+            squared = ((a - b) ** 2).sum(axis=2) + dr**2 + dc**2
+            target = total[max(dr, 0) : rows + min(dr, 0), max(dc, 0) : cols + min(dc, 0)]
+            target += np.exp(-squared / (2.0 * bandwidth**2))
+    return total
+
+
+def hills() -> np.ndarray:
+    r, c = np.mgrid[0:48, 0:64]
+    places = ((12, 14), (33, 20), (20, 47), (38, 52))
+    return 0.5 * sum(np.exp(-((r - a) ** 2 + (c - b) ** 2) / 50.0) for a, b in places)
+
+
+def photograph() -> np.ndarray:
+    """What the camera sees of `crossroad`, small and a little blurred."""
+    file = Path(__file__).parents[3] / "docs" / "images" / "crossroad_camera.png"
+    grey = cv2.resize(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE), (96, 96),
+                      interpolation=cv2.INTER_AREA)  # fmt: skip
+    return 2.0 / 255.0 * cv2.GaussianBlur(grey.astype(np.float64), (0, 0), 2.0)
+
+
+@pytest.mark.parametrize(("image", "count", "shared"), [(hills, 5, 0.9), (photograph, 17, 0.85)])
+def test_quick_shift_finds_the_modes_of_scikit_image(
+    image: Callable[[], np.ndarray], count: int, shared: float
+) -> None:
+    """On the same density. Which neighbour is nearest depends there on colour as well: modes are
+    the same, borders between clusters only nearly."""
+    segmentation = pytest.importorskip("skimage.segmentation")
+    picture = np.repeat(image()[..., None], 3, axis=2)
+    bandwidth, radius = 3.0, 8.0
+    labels = segmentation.quickshift(picture, kernel_size=bandwidth, max_dist=radius,
+                                     ratio=1.0, convert2lab=False, rng=0)  # fmt: skip
+    density = density_of_scikit_image(picture, bandwidth).astype(np.float32)
+    root = _follow(_nearest_higher(density, _search_offsets(radius))).reshape(density.shape)
+    ours = np.unique(root, return_inverse=True)[1].reshape(density.shape)
+    overlap = np.zeros((ours.max() + 1, labels.max() + 1))
+    np.add.at(overlap, (ours, labels), 1.0)
+    assert ours.max() + 1 == labels.max() + 1 == count
+    assert overlap.max(axis=0).sum() / ours.size > shared
+    modes = np.column_stack(np.divmod(np.unique(root), density.shape[1]))
+    for label in range(count):
+        top = np.where(labels == label, density, -np.inf).argmax()
+        place = np.array(divmod(int(top), density.shape[1]))
+        assert np.hypot(*(modes - place).T).min() <= 1.5
+
+
+def test_bandwidth_follows_from_the_footprint() -> None:
+    assert bandwidths(2.0) == (3.0, 12.0)

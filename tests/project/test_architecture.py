@@ -1,0 +1,280 @@
+"""The rules of the house, checked on the source itself."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = ("sim", "scenes", "estimator", "landing", "controller", "experiments")
+API_MAY_USE = {
+    "sim": set(),
+    "scenes": {"sim"},
+    "estimator": {"sim"},
+    "controller": {"sim", "estimator"},
+    "landing": {"sim", "estimator", "controller", "scenes"},
+    "experiments": set(FOLDERS) - {"experiments"},
+}
+"""Folders whose ``api`` (and ``sim.frames``) a folder's own ``api`` may import."""
+
+ROOM_MAY_IMPORT = {
+    "errors": "",
+    "terminal": "",
+    "api": "",
+    "drawing": "",
+    "config": "api errors",
+    "io": "errors",
+    "external": "errors",
+    "recording": "config drawing io",
+    "export": "errors io recording",
+    "flight": "api config errors external io recording",
+    "campaign": "api config errors external flight io terminal",
+    "scene_tools": "config drawing errors flight io",
+    "environments": "api config flight",
+    "benchmarks": "campaign config drawing errors flight io recording",
+    "calibration": "config flight io scene_tools",
+    "edges": "config errors flight scene_tools",
+    "reporting": "api campaign errors io",
+    "classification": "config errors flight io reporting scene_tools",
+    "reproduce": "benchmarks calibration campaign classification config edges errors io reporting "
+    "scene_tools",
+    "cli": "api benchmarks calibration campaign classification config edges errors export external "
+    "flight io reporting reproduce scene_tools terminal",
+    "pytest_plugin": "campaign config errors external flight reporting",
+}
+"""Rooms of ``experiments/`` in the order of dependency, and the rooms each may import."""
+ROOT_FILES = {"__init__", "errors", "terminal", "api", "pytest_plugin"}
+
+TORCH_FOLDERS = (
+    Path("landing/classification/networks"),
+    Path("landing/classification/learning"),
+)
+"""The only places that load torch; ``registry`` among them does not."""
+MAX_LINES = 450
+MAX_MODULES = 20
+MAX_PARAMETERS = 8
+PACKAGE = "touchdown"
+SOURCES = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
+TEXTS = sorted(
+    path
+    for pattern in ("*.py", "*.md", "*.toml", "*.xml", "*.cff", "Makefile", "run")
+    for path in ROOT.rglob(pattern)
+    if not any(part in (".venv", ".git", "build", "runs", "src") for part in path.parts)
+)
+STANDARD = sys.stdlib_module_names
+
+
+def _module_of(path: Path) -> str:
+    """``touchdown.sim.frames`` of ``sim/frames.py``."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join((PACKAGE, *(parts[:-1] if parts[-1] == "__init__" else parts)))
+
+
+MODULES = {_module_of(path): path for path in SOURCES}
+
+
+@functools.cache
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
+def _imports(path: Path) -> tuple[tuple[int, str], ...]:
+    """(line, module) of every import in a file, lazy ones too. ``from a import b`` gives ``a.b``
+    where that is a module of ours, else ``a``."""
+    found = []
+    for node in ast.walk(_tree(path)):
+        if isinstance(node, ast.Import):
+            found += [(node.lineno, alias.name) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}:{node.lineno} is a relative import"
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                found.append((node.lineno, inner if inner in MODULES else str(node.module)))
+    return tuple(found)
+
+
+def _ours(path: Path) -> list[tuple[int, str, str, str]]:
+    """(line, module, folder, rest) of imports of this project; ``rest`` is below the folder."""
+    found = []
+    for line, module in _imports(path):
+        package, _, inner = module.partition(".")
+        if package == PACKAGE and inner:
+            folder, _, rest = inner.partition(".")
+            found.append((line, module, folder, rest))
+    return found
+
+
+def _id(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+# ------------------------------------------------------------------------------------ dependencies
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=_id)
+def test_library_folders_meet_only_at_their_apis(path: Path) -> None:
+    """``experiments`` is the composition root and may import any public module."""
+    relative = path.relative_to(ROOT)
+    for line, module in _imports(path):
+        assert module.partition(".")[0] not in FOLDERS, f"{relative}:{line} imports bare {module}"
+    if relative.parts[0] == "experiments":
+        return
+    for line, module, folder, rest in _ours(path):
+        allowed = folder == relative.parts[0] or rest == "api" or module == "touchdown.sim.frames"
+        assert allowed, f"{relative}:{line} imports {module}; only {folder}.api is open to it"
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_apis_use_numpy_alone_and_only_the_apis_below(folder: str) -> None:
+    for path in (ROOT / folder / "api.py", ROOT / "sim" / "frames.py"):
+        for line, module, other, _ in _ours(path):
+            assert other in API_MAY_USE[folder] | {folder}, f"{path}:{line} imports {module}"
+        for line, module in _imports(path):
+            top = module.partition(".")[0]
+            assert top in STANDARD or top in ("numpy", PACKAGE), f"{path}:{line} imports {module}"
+
+
+def _room(module: str) -> str:
+    """``flight`` of ``touchdown.experiments.flight.loop``; a root file is a room by itself."""
+    return module.split(".")[2] if module.count(".") > 1 else "__init__"
+
+
+def test_rooms_import_only_rooms_below_them() -> None:
+    rooms = list(ROOM_MAY_IMPORT)
+    for path in SOURCES:
+        if path.relative_to(ROOT).parts[0] != "experiments":
+            continue
+        room = _room(_module_of(path))
+        if room == "__init__":
+            continue
+        allowed = set(ROOM_MAY_IMPORT[room].split()) | {room}
+        assert allowed <= set(rooms[: rooms.index(room) + 1]), f"{room} may import a room after it"
+        for line, module, folder, _ in _ours(path):
+            if folder == "experiments":
+                assert _room(module) in allowed, f"{_id(path)}:{line} imports {module}"
+
+
+def test_every_room_is_in_the_table_and_in_the_architecture() -> None:
+    home = ROOT / "experiments"
+    assert {path.stem for path in home.glob("*.py")} == ROOT_FILES
+    rooms = {path.parent.name for path in home.glob("*/__init__.py")}
+    assert rooms | ROOT_FILES - {"__init__"} == set(ROOM_MAY_IMPORT)
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    assert not [room for room in rooms if f"`{room}/`" not in text]
+
+
+def test_no_import_circle() -> None:
+    """Lazy imports count: a circle of them is a circle of ideas."""
+    graph = {
+        module: {imported for _, imported in _imports(path) if imported in MODULES} - {module}
+        for module, path in MODULES.items()
+    }
+    while leaves := [module for module, used in graph.items() if not used & graph.keys()]:
+        for module in leaves:
+            del graph[module]
+    for module, used in graph.items():
+        graph[module] = used & graph.keys()
+    assert not graph, f"modules in circles, or above one: {sorted(graph)}"
+
+
+def test_estimator_api_loads_without_the_simulator() -> None:
+    script = (
+        "import sys, touchdown.estimator.api; "
+        "print([m for m in ('mujoco', 'torch', 'open3d', 'cv2', 'scipy') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=_id)
+def test_torch_and_ray_are_imported_when_they_are_needed(path: Path) -> None:
+    """Neither they, nor modules that load torch, are imported with any other module."""
+    if path.relative_to(ROOT).parent in TORCH_FOLDERS and path.name != "registry.py":
+        return
+    for node in _tree(path).body:
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [node.module or ""]
+        assert not {name.partition(".")[0] for name in names} & {"torch", "ray"}
+        for folder in TORCH_FOLDERS:
+            home = ".".join((PACKAGE, *folder.parts))
+            assert all(n == f"{home}.registry" or not n.startswith(home) for n in names)
+
+
+# --------------------------------------------------------------------------------------- readability
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=_id)
+def test_modules_stay_readable(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert text.count("\n") <= MAX_LINES
+    assert ast.get_docstring(_tree(path)), "a module says in one line what it is"
+
+
+@pytest.mark.parametrize(
+    "path", sorted({path.parent for path in SOURCES if "__init__" in path.name}), ids=_id
+)
+def test_folders_stay_readable(path: Path) -> None:
+    modules = [file for file in path.glob("*.py") if file.name != "__init__.py"]
+    assert len(modules) <= MAX_MODULES
+    docstring = ast.get_docstring(_tree(path / "__init__.py"))
+    assert docstring, "a room says what belongs there"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=_id)
+def test_no_function_has_many_parameters(path: Path) -> None:
+    """Kernels compiled by numba are exempt: they take arrays, not structures."""
+    for node in ast.walk(_tree(path)):
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        if any("njit" in ast.unparse(decorator) for decorator in node.decorator_list):
+            continue
+        given = node.args
+        names = [a.arg for a in (*given.posonlyargs, *given.args, *given.kwonlyargs)]
+        count = len([name for name in names if name not in ("self", "cls")])
+        assert count <= MAX_PARAMETERS, f"{_id(path)}:{node.lineno} {node.name} takes {count}"
+
+
+def test_no_paths_of_one_machine() -> None:
+    pattern = re.compile(r"""(?<![\w.])/(home|Users|work|root|tmp|mnt)/[A-Za-z_]""")
+    for path in TEXTS:
+        if not path.is_file():
+            continue
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+            assert not pattern.search(line), f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
+
+
+# ------------------------------------------------------------------------------------------ package
+
+
+def test_console_script_exists() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    module, _, function = project["scripts"]["touchdown"].partition(":")
+    assert callable(getattr(__import__(module, fromlist=[function]), function))
+
+
+def test_the_package_holds_every_folder() -> None:
+    for folder in FOLDERS:
+        link = ROOT / "src" / PACKAGE / folder
+        assert link.is_symlink() and link.resolve() == ROOT / folder
+
+
+def test_every_data_file_is_packaged() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
+    patterns = settings["setuptools"]["package-data"]["*"]
+    for folder in FOLDERS:
+        for path in (ROOT / folder).rglob("*"):
+            if path.is_file() and path.suffix not in (".py", ".pyc", ".nbi", ".nbc"):
+                assert any(path.match(pattern) for pattern in patterns), _id(path)

@@ -1,0 +1,291 @@
+"""The pages say what is there: links, the site, commands, code blocks."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import io
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import click
+import pytest
+import yaml
+
+from touchdown.experiments.campaign.plan import load_plan
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.scene_tools.flyability import check_place
+
+from support.docs_support import (
+    FOLDERS,
+    PAGES,
+    ROOT,
+    blocks_of,
+    inline_of,
+    name_of,
+    prose_of,
+    rows_of,
+    text_of,
+)
+
+# ------------------------------------------------------------------------------------------ links
+
+
+def _anchors(page: Path) -> set[str]:
+    """Anchors of a page's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.+)$", prose_of(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings}
+
+
+def _links(page: Path, mark: str) -> Iterator[tuple[Path, str]]:
+    """Files and anchors that links (mark "") or pictures (mark "!") of a page lead to."""
+    pattern = r"(!?)\[[^\]]*\]\(([^)\s]+)\)"
+    for found, target in re.findall(pattern, page.read_text(encoding="utf-8")):
+        if found == mark and not target.startswith(("http://", "https://", "mailto:")):
+            file, _, anchor = target.partition("#")
+            yield (page.parent / file).resolve() if file else page, anchor
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target, anchor in _links(page, ""):
+        assert target.exists(), f"{name_of(page)} links to {target.name}, which does not exist"
+        assert not anchor or anchor in _anchors(target), f"{name_of(page)}: no heading #{anchor}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_pictures_exist(page: Path) -> None:
+    missing = [target.name for target, _ in _links(page, "!") if not target.is_file()]
+    assert missing == []
+
+
+def test_the_front_page_links_every_page() -> None:
+    """Pages of single modules of the reference are linked by the page of the reference."""
+    reference = ROOT / "docs" / "reference" / "index.md"
+    linked = {target for page in (ROOT / "README.md", reference) for target, _ in _links(page, "")}
+    assert [name_of(page) for page in PAGES if page not in linked] == []
+
+
+# ------------------------------------------------------------------------------------------- site
+
+
+def _site_hooks() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("site_hooks", ROOT / "docs" / "site_hooks.py")
+    assert spec is not None and spec.loader is not None
+    hooks = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hooks)
+    return hooks
+
+
+def _in_nav(entries: Any) -> Iterator[str]:
+    if isinstance(entries, str):
+        yield entries
+    else:
+        for entry in entries.values() if isinstance(entries, dict) else entries:
+            yield from _in_nav(entry)
+
+
+def test_the_site_has_every_page_once() -> None:
+    site = yaml.safe_load(text_of("mkdocs.yml"))
+    hooks = _site_hooks()
+    written = {str(p.relative_to(ROOT / "docs")) for p in (ROOT / "docs").rglob("*.md")}
+    added = {*hooks.ROOT_PAGES.values(), hooks.COMMANDS_PAGE}
+    assert not written & added, "pages that the site adds would hide pages of docs/"
+    assert sorted(_in_nav(site["nav"])) == sorted(written | added)
+    assert set(hooks.ROOT_PAGES) == {page.name for page in ROOT.glob("*.md")}
+    for file in (*site["hooks"], *(f"docs/{sheet}" for sheet in site["extra_css"])):
+        assert (ROOT / file).is_file()
+
+
+def test_the_reference_has_every_api() -> None:
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    described = set(re.findall(r"^::: ([\w.]+)$", text, re.MULTILINE))
+    assert described >= {f"touchdown.{folder}.api" for folder in FOLDERS} | {"touchdown.sim.frames"}
+    for module in described:
+        assert (ROOT / "src" / (module.replace(".", "/") + ".py")).is_file(), module
+
+
+@pytest.mark.parametrize(
+    ("source", "link", "in_the_site"),
+    [
+        ("README.md", "docs/scenes.md#truth-maps", "scenes.md#truth-maps"),
+        ("README.md", "docs/images/costmap.png", "images/costmap.png"),
+        ("README.md", "ARCHITECTURE.md", "architecture.md"),
+        ("docs/reference/index.md", "../../README.md#commands", "../index.md#commands"),
+        ("docs/results/landing.md", "../images/pools.jpg", "../images/pools.jpg"),
+        ("docs/scenes.md", "#truth-maps", "#truth-maps"),
+        ("docs/scenes.md", "https://example.org/README.md", "https://example.org/README.md"),
+        ("docs/scenes.md", "../Makefile", "../Makefile"),
+    ],
+)
+def test_links_are_moved_with_their_pages(source: str, link: str, in_the_site: str) -> None:
+    assert _site_hooks().links_of_the_site(f"[a]({link})", source) == f"[a]({in_the_site})"
+
+
+def test_the_site_describes_every_command() -> None:
+    page = _site_hooks().help_of_commands()
+    described = re.findall(r"^## (.+)$", page, re.MULTILINE)
+    assert described == ["touchdown", *(f"touchdown {path}" for path in _leaves(cli.cli))]
+    assert re.findall(r"^Usage: ([a-z -]+[a-z])", page, re.MULTILINE) == described
+
+
+# --------------------------------------------------------------------------------------- commands
+
+
+def _commands(text: str) -> Iterator[list[str]]:
+    """Arguments of every ``touchdown`` command in shell text, or in the steps of a workflow.
+    Variables of loops have their first value."""
+    for name, value in re.findall(r"\bfor (\w+) in (\S+)", text):
+        text = text.replace(f"${name}", value)
+    for line in text.replace("\\\n", " ").splitlines():
+        line = re.sub(r"^\s*(- )?run: |^\$ ", "", line)
+        words = shlex.split(line, comments=True)
+        while words:
+            end = next((i for i, word in enumerate(words) if word in ("&&", "|", ">")), len(words))
+            if words[0] in ("touchdown", ".venv/bin/touchdown"):
+                yield words[1:end]
+            words = words[end + 1 :]
+
+
+def _leaves(group: click.Group) -> Iterator[str]:
+    """Every command that does something, by its full name without the program's. Some groups do."""
+    for name, command in sorted(group.commands.items()):
+        if not isinstance(command, click.Group) or type(command) is not type(cli.cli):
+            yield name
+        if isinstance(command, click.Group):
+            yield from (f"{name} {inner}" for inner in _leaves(command))
+
+
+def _parse(arguments: list[str]) -> click.Context:
+    """Parses as the command line does, without running anything."""
+    command: click.Command = cli.cli
+    context = click.Context(command, info_name="touchdown")
+    while isinstance(command, click.Group) and arguments and not arguments[0].startswith("-"):
+        name, found, arguments = command.resolve_command(context, arguments)
+        assert found is not None
+        command = found
+        context = click.Context(command, info_name=name, parent=context)
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(click.exceptions.Exit):
+        return command.make_context(context.info_name, list(arguments), parent=context.parent)
+    return context
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_commands_in_blocks_parse(page: Path) -> None:
+    for block in (*blocks_of(page, "sh"), *blocks_of(page, "yaml")):
+        for arguments in _commands(block):
+            try:
+                options = _parse(arguments).params
+            except click.ClickException as error:
+                pytest.fail(f"{name_of(page)}: touchdown {' '.join(arguments)}: {error.message}")
+            estimator = options.get("estimator") or options.get("name")
+            load_config(None, options.get("overrides", ()), estimator=estimator)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_commands_in_prose_exist(page: Path) -> None:
+    """Placeholders stand for arguments there, and arguments may be left out."""
+    for code in inline_of(page):
+        for arguments in _commands(code):
+            try:
+                _parse(arguments)
+            except (click.BadParameter, click.exceptions.NoArgsIsHelpError):
+                continue
+            except click.ClickException as error:
+                pytest.fail(f"{name_of(page)}: {code}: {error.message}")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_no_command_is_written_where_nobody_checks_it(page: Path) -> None:
+    """Wherever a page writes ``touchdown`` and a command's name, the tests above have read it."""
+    text = page.read_text(encoding="utf-8")
+    codes = [*blocks_of(page, "sh"), *blocks_of(page, "yaml"), *inline_of(page)]
+    checked = sum(1 for code in codes for arguments in _commands(code) if arguments)
+    names = "|".join(cli.cli.commands)
+    text = re.sub(r"(?<=\s)#\s.*?$", "", text, flags=re.MULTILINE)
+    assert checked >= len(re.findall(rf"(?<![\w-])touchdown\s+(?:{names})(?![\w-])", text))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_options_in_prose_exist(page: Path) -> None:
+    """Options that are written without their command are options of some command."""
+    described = _site_hooks().help_of_commands() + text_of("experiments/pytest_plugin.py")
+    known = set(re.findall(r"--[a-z][\w-]*", described))
+    for code in inline_of(page):
+        if code.startswith("--"):
+            assert code.split()[0].split("=")[0] in known, f"{name_of(page)}: {code}"
+
+
+def test_the_front_page_names_every_command() -> None:
+    table = " ".join(row[0] for row in rows_of("README.md", "command")) + " "
+    for command in _leaves(cli.cli):
+        assert re.search(rf"`touchdown {command}[ `]", table), f"README.md lacks '{command}'"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_make_targets_exist(page: Path) -> None:
+    targets = set(re.findall(r"^(\w+):", text_of("Makefile"), re.MULTILINE))
+    for text in (*blocks_of(page, "sh"), *inline_of(page)):
+        for target in re.findall(r"^make (\w+)", text, re.MULTILINE):
+            assert target in targets, f"{name_of(page)}: make {target}"
+
+
+@pytest.mark.parametrize("arguments", [["scenes", "list"], ["--help"], ["land", "--help"]])
+def test_cheap_commands_run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(arguments) == 0
+    assert capsys.readouterr().out.strip()
+
+
+# ------------------------------------------------------------------------------------------- code
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_python_blocks_compile(page: Path) -> None:
+    for block in blocks_of(page, "python"):
+        compile(block, name_of(page), "exec")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_toml_blocks_are_configurations(page: Path, tmp_path: Path) -> None:
+    for block in blocks_of(page, "toml"):
+        file = tmp_path / "block.toml"
+        file.write_text(block, encoding="utf-8")
+        load_plan(file) if "[axes]" in block else load_config(file)
+
+
+def test_the_smallest_place_is_a_place(tmp_path: Path) -> None:
+    from touchdown.scenes.importers.mjcf import read_mjcf
+
+    file = tmp_path / "my_place.xml"
+    file.write_text(blocks_of(ROOT / "docs" / "your-own-place.md", "xml")[0], encoding="utf-8")
+    surfaces = read_mjcf(file).surfaces
+    classes = {surface.land_class for surface in surfaces.values()}
+    assert classes == {"lawn", "building", "trees"}
+    row = check_place(str(file))
+    assert row["problems"] == row["remarks"] == []
+
+
+def test_the_smallest_estimator_satisfies_the_contract() -> None:
+    module: dict[str, Any] = {"__name__": "my_lab.vio"}
+    block = blocks_of(ROOT / "docs" / "writing-an-estimator.md", "python")[0]
+    exec(compile(block, "vio.py", "exec", dont_inherit=True), module)
+    estimator = module["build"]({}, None)
+    assert estimator.needs.lidar and callable(estimator.update)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [0, 1], ids=["gymnasium", "dm_env"])
+def test_environments_do_what_the_page_says(number: int) -> None:
+    pytest.importorskip("gymnasium")
+    pytest.importorskip("dm_env")
+    page = ROOT / "docs" / "environments.md"
+    promised = re.findall(r"^It prints `([^`]+)`", text_of("docs/environments.md"), re.MULTILINE)
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(blocks_of(page, "python")[number], {"__name__": "block"})
+    assert printed.getvalue().strip() == promised[number]

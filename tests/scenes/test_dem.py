@@ -1,0 +1,255 @@
+"""Elevation models: what the file says is where the vehicle flies, holes and errors included."""
+
+from __future__ import annotations
+
+import os
+import struct
+import warnings
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.experiments.cli import main as cli
+from touchdown.scenes.api import Scene
+from touchdown.scenes.compose import load_scene
+from touchdown.scenes.importers.dem import import_dem
+from touchdown.scenes.importers.geotiff import METRES_PER_DEGREE, read_heights
+from touchdown.scenes.truth.maps import judge_touchdown
+from touchdown.scenes.truth.raycast import cast_down
+
+Array = NDArray[np.float64]
+
+METRES = (1, 1, 0, 1, 1024, 0, 1, 1)
+FEET = (1, 1, 0, 2, 1024, 0, 1, 1, 3076, 0, 1, 9002)
+DEGREES = (1, 1, 0, 1, 1024, 0, 1, 2)
+
+
+def write_tiff(
+    path: Path,
+    heights: Array,
+    cell: tuple[float, float] = (1.0, 1.0),
+    keys: tuple[int, ...] = METRES,
+    corner: tuple[float, float] = (5000.0, 9000.0),
+    nodata: str = "-9999",
+) -> Path:
+    """A float32 GeoTIFF, one strip, row 0 in the north."""
+    pixels = heights.astype("<f4").tobytes()
+    extra = {
+        33550: (12, struct.pack("<3d", *cell, 0.0), 3),
+        33922: (12, struct.pack("<6d", 0, 0, 0, *corner, 0), 6),
+        34735: (3, struct.pack(f"<{len(keys)}H", *keys), len(keys)),
+        42113: (2, nodata.encode() + b"\0", len(nodata) + 1),
+    }
+    rows, cols = heights.shape
+    short = {256: cols, 257: rows, 258: 32, 259: 1, 262: 1, 273: 8, 277: 1, 278: rows, 339: 3}
+    entries, blobs = [], b""
+    start = 8 + len(pixels) + 2 + 12 * (len(short) + len(extra) + 1) + 4
+    for tag, value in {**short, 279: len(pixels)}.items():
+        entries.append((tag, struct.pack("<HHII", tag, 4, 1, value)))
+    for tag, (kind, data, count) in extra.items():
+        place = struct.pack("<I", start + len(blobs))
+        entries.append((tag, struct.pack("<HHI", tag, kind, count) + place))
+        blobs += data
+    directory = struct.pack("<H", len(entries)) + b"".join(e for _, e in sorted(entries))
+    head = b"II*\0" + struct.pack("<I", 8 + len(pixels))
+    path.write_bytes(head + pixels + directory + b"\0\0\0\0" + blobs)
+    return path
+
+
+def ramp(rows: int = 121, cols: int = 141) -> Array:
+    """0.02 m a cell to the east and 0.05 m to the north, with a knob of 5 m on cell (40, 90)."""
+    row, col = np.mgrid[:rows, :cols]
+    heights = 300.0 + 0.02 * col + 0.05 * (rows - 1 - row)
+    heights[40, 90] += 5.0
+    return heights.astype(np.float64)
+
+
+def load(path: Path) -> Scene:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return load_scene(str(path), 0)
+
+
+def height_at(scene: Scene, x: float, y: float) -> float:
+    heights, _ = cast_down(scene, np.array([x - 0.005, y - 0.005]), 0.01, (1, 1))
+    return float(heights[0, 0])
+
+
+def test_heights_are_the_file_s_and_zero_at_the_takeoff(tmp_path: Path) -> None:
+    tif = write_tiff(tmp_path / "hill.tif", ramp())
+    scene = load(import_dem(tif, tmp_path / "out", window_m=120.0))
+    x, y = scene.takeoff_xy_m
+    level = 0.02 * x + 0.05 * y
+    assert abs(height_at(scene, x, y)) < 2e-3
+    # The window is centred on cell (60, 70): east is +x, north is +y.
+    for east, north in ((0.0, 0.0), (-50.3, 20.2), (55.0, -58.0), (-40.0, 50.5)):
+        expected = 0.02 * east + 0.05 * north - level
+        assert height_at(scene, east, north) == pytest.approx(expected, abs=3e-3)
+    assert height_at(scene, 20.0, 20.0) == pytest.approx(0.4 + 1.0 - level + 5.0, abs=0.02)
+    assert scene.surfaces["field_terrain"].land_class == "field"
+    np.testing.assert_allclose(scene.bounds_xy_m[1] - scene.takeoff_xy_m >= [66.0, 40.0], True)
+    judged = judge_touchdown(scene, scene.takeoff_xy_m)
+    assert judged.slope_deg == pytest.approx(np.rad2deg(np.arctan(np.hypot(0.02, 0.05))), abs=0.1)
+    assert judged.safe
+
+
+def test_takeoff_is_on_the_flattest_ground(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    heights = rng.normal(0.0, 0.5, (201, 201))
+    # Level ground about the cell 20 m west and 14 m south of the middle.
+    heights[108:121, 74:87] = 0.0
+    scene = load(import_dem(write_tiff(tmp_path / "a.tif", heights), tmp_path / "out"))
+    assert np.linalg.norm(scene.takeoff_xy_m - [-20.0, -14.0]) < 5.0
+    assert judge_touchdown(scene, scene.takeoff_xy_m).safe
+
+
+def test_cells_in_feet_and_degrees_become_metres(tmp_path: Path) -> None:
+    feet = read_heights(write_tiff(tmp_path / "f.tif", ramp(), (5.0, 5.0), FEET))
+    np.testing.assert_allclose(feet.cell_m, 5.0 * 0.3048)
+    degree = 1.0 / 36_000.0
+    tif = write_tiff(tmp_path / "d.tif", ramp(), (degree, degree), DEGREES, (11.0, 60.0))
+    degrees = read_heights(tif)
+    latitude = np.deg2rad(60.0 - 0.5 * 121 * degree)
+    north = METRES_PER_DEGREE * degree
+    np.testing.assert_allclose(degrees.cell_m, [north * np.cos(latitude), north])
+    np.testing.assert_array_equal(degrees.heights_m, ramp().astype(np.float32))
+
+
+def test_coarse_models_are_interpolated_smoothly(tmp_path: Path) -> None:
+    """A parabola comes back between the cells, which a linear interpolation would miss by 6 cm."""
+    heights = np.tile(0.02 * (np.arange(41) - 20.0) ** 2, (41, 1))
+    tif = write_tiff(tmp_path / "c.tif", heights, (5.0, 5.0))
+    scene = load(import_dem(tif, tmp_path / "out", window_m=150.0))
+    base = height_at(scene, 0.0, 0.0)
+    for x in (2.5, 12.5, -37.5):
+        rise = height_at(scene, x, 10.0) - base
+        assert rise == pytest.approx(0.02 * (x / 5.0) ** 2, abs=5e-3)
+
+
+def test_holes_are_filled_from_their_rims_with_one_remark(tmp_path: Path) -> None:
+    heights = ramp()
+    whole = heights.copy()
+    heights[50:60, 60:70] = -9999.0
+    heights[20, 30] = np.nan
+    heights[30, 30] = -3.4e38
+    with pytest.warns(UserWarning, match=r"0\.\d+ % of the window are holes") as caught:
+        scene = load_scene(
+            str(import_dem(write_tiff(tmp_path / "h.tif", heights), tmp_path / "out",
+                           window_m=120.0)), 0,
+        )  # fmt: skip
+    assert len(caught) == 1
+    level = whole[60, 70] - height_at(scene, 0.0, 0.0)
+    # A plane is harmonic: relaxation puts it back.
+    for row, col in ((55, 65), (50, 60), (20, 30), (30, 30)):
+        x, y = col - 70.0, 60.0 - row
+        assert height_at(scene, x, y) == pytest.approx(whole[row, col] - level, abs=0.05)
+
+
+def test_picture_lies_as_the_heights_do(tmp_path: Path) -> None:
+    tif = write_tiff(tmp_path / "hill.tif", ramp())
+    picture = np.zeros((4 * 121, 4 * 141, 3), np.uint8)
+    picture[: 2 * 121, : 2 * 141] = (0, 0, 255)
+    cv2.imwrite(str(tmp_path / "photo.png"), picture)
+    out = tmp_path / "out"
+    import_dem(tif, out, ortho=tmp_path / "photo.png", window_m=100.0)
+    texture = cv2.imread(str(out / "assets" / "ground.png"))
+    assert texture is not None
+    size = len(texture)
+    # Red in the north-west alone; OpenCV reads blue first.
+    assert texture[size // 4, size // 4].tolist() == [0, 0, 255]
+    for row, col in ((1, 3), (3, 1), (3, 3)):
+        assert texture[row * size // 4, col * size // 4].tolist() == [0, 0, 0]
+
+
+def _bad(tmp_path: Path, kind: str) -> Path:
+    path = tmp_path / f"{kind}.tif"
+    if kind == "text":
+        path.write_text("no elevation model, though it is called so")
+    elif kind == "empty":
+        path.write_bytes(b"")
+    elif kind == "holes":
+        write_tiff(path, np.full((121, 121), -9999.0))
+    elif kind == "mostly":
+        heights = np.full((121, 121), -9999.0)
+        heights[::3] = 1.0
+        write_tiff(path, heights)
+    elif kind == "small":
+        write_tiff(path, np.zeros((50, 70)))
+    elif kind == "cut":
+        path.write_bytes(write_tiff(path, ramp()).read_bytes()[:5000])
+    elif kind == "colour":
+        cv2.imwrite(str(path), np.zeros((121, 121, 3), np.uint8))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("text", "is not a TIFF file"),
+        ("empty", "is not a TIFF file"),
+        ("holes", "every cell is a hole"),
+        ("mostly", "66 % of the window are holes"),
+        ("small", "at least 90 m"),
+        ("cut", "damaged TIFF file"),
+        ("colour", "has 3 bands"),
+    ],
+)
+def test_bad_models_are_one_clear_line(tmp_path: Path, kind: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        import_dem(_bad(tmp_path, kind), tmp_path / "out")
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_bad_pictures_and_places_are_one_clear_line(tmp_path: Path) -> None:
+    tif = write_tiff(tmp_path / "hill.tif", ramp())
+    note = tmp_path / "photo.png"
+    note.write_text("no picture")
+    with pytest.raises(ValueError, match="is not a picture"):
+        import_dem(tif, tmp_path / "out", ortho=note)
+    cv2.imwrite(str(note), np.zeros((100, 400, 3), np.uint8))
+    with pytest.raises(ValueError, match="must show the same extent"):
+        import_dem(tif, tmp_path / "out", ortho=note)
+    with pytest.raises(FileNotFoundError, match=r"gone\.png"):
+        import_dem(tif, tmp_path / "out", ortho=tmp_path / "gone.png")
+    with pytest.raises(FileNotFoundError, match=r"gone\.tif"):
+        import_dem(tmp_path / "gone.tif", tmp_path / "out")
+    with pytest.raises(ValueError, match="leaves"):
+        import_dem(tif, tmp_path / "out", centre_m=(10.0, 60.0))
+    with pytest.raises(ValueError, match="choose from"):
+        import_dem(tif, tmp_path / "out", cell_m=0.01)
+    with pytest.raises(ValueError, match="'grass' is none of"):
+        import_dem(tif, tmp_path / "out", land_class="grass")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "a").touch()
+    with pytest.raises(ValueError, match="exists already"):
+        import_dem(tif, tmp_path / "full")
+
+
+def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    heights = ramp()
+    heights[30:34, 30:34] = -9999.0
+    tif = write_tiff(tmp_path / "hill.tif", heights)
+    out = tmp_path / "out"
+    assert cli.main(["scenes", "import-dem", str(tif), str(out), "--window", "100"]) == 0
+    captured = capsys.readouterr()
+    assert captured.out.strip() == str(out / "scene.xml")
+    assert "holes" in captured.err and "Traceback" not in captured.err
+    assert cli.main(["scenes", "import-dem", str(tif), str(out)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.skipif("TOUCHDOWN_DATA" not in os.environ, reason="TOUCHDOWN_DATA is not set")
+def test_a_real_model(tmp_path: Path) -> None:
+    tif = Path(os.environ["TOUCHDOWN_DATA"]) / "dem" / "codem_dem_1m.tif"
+    if not tif.is_file():
+        pytest.skip(f"{tif} is not there")
+    raster = read_heights(tif)
+    assert raster.heights_m.shape == (344, 405)
+    np.testing.assert_array_equal(raster.cell_m, [1.0, 1.0])
+    assert np.isnan(raster.heights_m).mean() == pytest.approx(0.0323, abs=1e-4)
+    scene = load(import_dem(tif, tmp_path / "out"))
+    assert judge_touchdown(scene, scene.takeoff_xy_m).safe

@@ -1,0 +1,304 @@
+"""Scenes: the place that is drawn, the place that is solid and the place that is judged agree."""
+
+from __future__ import annotations
+
+import functools
+import os
+import warnings
+from pathlib import Path
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import mujoco
+import numpy as np
+import pytest
+
+from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
+from touchdown.scenes.authoring.terrain import Terrain
+from touchdown.scenes.compose import START_GAP_M, VEHICLE_BODY, load_scene
+from touchdown.scenes.export import export_scene
+from touchdown.scenes.places.crossroad.layout import ROAD_DEPTH_M
+from touchdown.scenes.registry import scene_names
+from touchdown.scenes.truth.maps import judge_touchdown, point_slope_deg, truth_maps
+from touchdown.scenes.truth.raycast import cast_down
+
+FLAT_WITH_BOX = """
+<mujoco>
+  <worldbody>
+    <geom name="lawn" type="plane" size="20 20 1"/>
+    <geom name="low" type="box" pos="6 0 0" size="0.2 0.2 0.06"/>
+    <geom name="high" type="box" pos="-6 0 0.1" size="0.2 0.2 0.2"/>
+    <geom name="water_pool" type="box" pos="0 8 0" size="1 1 0.001"/>
+    <geom name="path_wire" type="cylinder" pos="0 -8 0.5" size="0.02 0.5"/>
+  </worldbody>
+</mujoco>
+"""
+
+
+@functools.cache
+def place(seed: int) -> Scene:
+    return load_scene("crossroad", seed)
+
+
+@pytest.fixture(scope="module")
+def crossroad() -> Scene:
+    return place(0)
+
+
+def load_text(tmp_path: Path, text: str) -> Scene:
+    path = tmp_path / "place.xml"
+    path.write_text(text)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return load_scene(str(path), 0)
+
+
+def ramp(tmp_path: Path, slope_deg: float, step_m: float = 0.0) -> Scene:
+    """A height field that rises along x and has a step at x = 5 m."""
+    nodes, half = 401, 10.0
+    axis = np.linspace(-half, half, nodes)
+    x, _ = np.meshgrid(axis, axis)
+    heights = np.tan(np.deg2rad(slope_deg)) * x + step_m * (x > 5.0)
+    span = float(np.ptp(heights)) or 1.0
+    unit = (heights - heights.min()) / span
+    data = np.array([nodes, nodes], "<i4").tobytes() + unit.astype("<f4").tobytes()
+    (tmp_path / "ramp.bin").write_bytes(data)
+    return load_text(
+        tmp_path,
+        f"""<mujoco><asset><hfield name="h" file="ramp.bin" size="{half} {half} {span} 1"/></asset>
+        <worldbody><geom name="field" type="hfield" hfield="h" pos="0 0 {heights.min()}"/>
+        </worldbody></mujoco>""",
+    )
+
+
+# ------------------------------------------------------------------------------- composition
+
+
+def test_vehicle_stands_on_the_takeoff_spot(crossroad: Scene) -> None:
+    model = crossroad.model
+    assert model.nq == 7
+    assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
+    np.testing.assert_allclose(model.qpos0[:2], crossroad.takeoff_xy_m)
+    data = mujoco.MjData(model)
+    for _ in range(900):
+        mujoco.mj_step(model, data)
+    assert data.ncon >= 3
+    assert abs(data.qpos[2] - model.qpos0[2]) < 2.0 * START_GAP_M
+    assert np.linalg.norm(data.qpos[:2] - crossroad.takeoff_xy_m) < 0.01
+    assert data.xmat[model.body(VEHICLE_BODY).id][8] > np.cos(np.deg2rad(0.5))
+
+
+def test_physics_options_and_collision_pairs(crossroad: Scene) -> None:
+    model = crossroad.model
+    assert model.opt.timestep == 1.0 / 600.0
+    assert model.opt.density == 1.225
+    assert model.opt.viscosity == 1.8e-5
+    root = model.body(VEHICLE_BODY).id
+    own = model.body_rootid[model.geom_bodyid] == root
+    own_collides = own & (model.geom_conaffinity > 0)
+    assert own_collides.any()
+    assert not model.geom_contype[own].any()
+    assert not model.geom_conaffinity[~own].any()
+    assert (model.geom_contype[~own] & 1).all()
+
+
+def test_takeoff_ground_is_level_and_zero(crossroad: Scene) -> None:
+    heights, _ = cast_down(crossroad, crossroad.takeoff_xy_m - 1.5, 0.1, (30, 30))
+    assert np.abs(heights).max() < 0.005
+
+
+def test_same_seed_same_bytes_other_seed_another_place(crossroad: Scene) -> None:
+    def parts(model: mujoco.MjModel) -> tuple[bytes, bytes, bytes]:
+        return model.tex_data.tobytes(), model.geom_pos.tobytes(), model.hfield_data.tobytes()
+
+    first, again = parts(crossroad.model), parts(load_scene("crossroad", 0).model)
+    assert first == again
+    assert all(a != b for a, b in zip(first, parts(place(1).model), strict=True))
+
+
+# -------------------------------------------------------------------- picture, raster, geometry
+
+
+def test_terrain_heights_are_mujoco_s(crossroad: Scene) -> None:
+    model = crossroad.model
+    size, unit = model.hfield_size[0], model.hfield_data.reshape(model.hfield_nrow[0], -1)
+    z = float(model.geom("terrain").pos[2])
+    terrain = Terrain(heights_m=unit.astype(float) * size[2] + z, half_m=float(size[0]))
+    heights, geoms = cast_down(crossroad, np.array([-40.0, -60.0]), 0.37, (40, 40))
+    rows, cols = np.nonzero(geoms == model.geom("terrain").id)
+    xy = np.stack([-40.0 + (cols + 0.5) * 0.37, -60.0 + (rows + 0.5) * 0.37], axis=-1)
+    np.testing.assert_allclose(heights[rows, cols], terrain.at(xy), atol=2e-3)
+
+
+def test_picture_agrees_with_the_class_raster(crossroad: Scene) -> None:
+    """Seen from above, the raster's lawn is green and its road is grey, cell by cell."""
+    model = crossroad.model
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    camera = mujoco.MjvCamera()
+    camera.lookat[:] = [0.0, 0.0, 0.0]
+    camera.distance, camera.elevation, camera.azimuth = 150.0, -90.0, 90.0
+    option = mujoco.MjvOption()
+    option.geomgroup[4] = 0
+    with mujoco.Renderer(model, 800, 800, max_geom=2000) as renderer:
+        renderer.update_scene(data, camera, option)
+        for index in range(renderer.scene.ngeom):
+            if renderer.scene.geoms[index].type != mujoco.mjtGeom.mjGEOM_HFIELD:
+                renderer.scene.geoms[index].rgba[3] = 0.0
+        picture = renderer.render().astype(float)
+    focal = 400.0 / np.tan(0.5 * np.deg2rad(model.vis.global_.fovy))
+    axis = np.linspace(-50.0, 50.0, 301)
+    x, y = np.meshgrid(axis, axis)
+    # The ground lies within decimetres of z = 0: less than a pixel at this distance.
+    col = np.round(399.5 + focal * x / 150.0).astype(int)
+    row = np.round(399.5 - focal * y / 150.0).astype(int)
+    red, green, blue = np.moveaxis(picture[row, col], -1, 0)
+    greenness = green - 0.5 * (red + blue)
+    ground = crossroad.ground
+    assert ground is not None
+    cell = ((np.stack([x, y], -1) - ground.origin_xy_m) / ground.cell_m).astype(int)
+    class_id = ground.class_id[cell[..., 1], cell[..., 0]]
+    lawn, road = LAND_CLASSES.index("lawn"), LAND_CLASSES.index("road")
+    assert (greenness[class_id == lawn] > 6.0).mean() > 0.93
+    assert (greenness[class_id == road] < 6.0).mean() > 0.97
+    flipped = ground.class_id[::-1][cell[..., 1], cell[..., 0]]
+    assert (greenness[flipped == lawn] > 6.0).mean() < 0.85
+
+
+def test_raster_agrees_with_the_relief(crossroad: Scene) -> None:
+    """The roadway lies a kerb's height below the pavement."""
+    maps = truth_maps(crossroad, 0.2, np.array([[-20.0, -20.0], [20.0, 20.0]]))
+    road = maps.height_m[maps.class_id == LAND_CLASSES.index("road")]
+    path = maps.height_m[maps.class_id == LAND_CLASSES.index("path")]
+    drop = float(np.median(path) - np.median(road))
+    assert abs(drop - ROAD_DEPTH_M) < 0.02
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_crossroad_offers_safe_ground(seed: int) -> None:
+    scene = place(seed)
+    xy = scene.takeoff_xy_m
+    region = np.array([[0.0, -20.0], [50.0, 20.0]]) + xy
+    maps = truth_maps(scene, 0.2, region)
+    assert maps.safe.mean() > 0.05
+    assert (maps.class_id == LAND_CLASSES.index("road")).mean() > 0.03
+    assert judge_touchdown(scene, xy).safe
+    assert judge_touchdown(scene, xy).obstacle_distance_m > 3.0
+
+
+def test_moving_cars_follow_closed_paths_inside_the_scene(crossroad: Scene) -> None:
+    assert 2 <= len(crossroad.moving) <= 3
+    for moving in crossroad.moving:
+        assert crossroad.model.body(moving.body_name).mocapid[0] >= 0
+        assert (np.abs(moving.path_world[:, :2]) <= 64.0).all()
+        steps = np.linalg.norm(np.diff(moving.path_world, axis=0), axis=1)
+        assert (steps > 0.0).all()
+        assert moving.speed_mps > 0.0
+
+
+# -------------------------------------------------------------------------------------- truth
+
+
+def test_ramp_slope_is_exact_and_decides(tmp_path: Path) -> None:
+    for slope, safe in ((3.0, True), (4.8, True), (5.2, False), (9.0, False)):
+        scene = ramp(tmp_path, slope)
+        assert abs(point_slope_deg(scene, np.array([1.0, 1.0])) - slope) < 0.05
+        judgement = judge_touchdown(scene, np.array([1.0, 1.0]))
+        assert abs(judgement.slope_deg - slope) < 0.2
+        assert judgement.safe_geometry is safe
+        maps = truth_maps(scene, 0.1, np.array([[-3.0, -3.0], [3.0, 3.0]]))
+        np.testing.assert_allclose(maps.slope_deg, slope, atol=0.2)
+        assert maps.safe_geometry.all() == safe
+        assert maps.safe_geometry.any() == safe
+        assert (maps.class_id == LAND_CLASSES.index("field")).all()
+
+
+def test_step_is_refused_within_one_metre_and_far_away_not(tmp_path: Path) -> None:
+    scene = ramp(tmp_path, 0.0, step_m=0.15)
+    for x, safe in ((3.3, True), (4.2, False), (4.95, False), (6.6, True)):
+        assert judge_touchdown(scene, np.array([x, 0.0])).safe_geometry is safe
+
+
+def test_boxes_water_and_wire_are_judged_by_the_rule(tmp_path: Path) -> None:
+    scene = load_text(tmp_path, FLAT_WITH_BOX)
+    # A box of 6 cm is no obstacle, one of 30 cm is one up to 1.5 m from its edge.
+    cases = {
+        (0.0, 0.0): True,
+        (6.0, 0.0): True,
+        (-6.0, 0.0): False,
+        (-4.4, 0.0): False,
+        (-4.2, 0.0): True,
+        (0.0, 8.0): False,
+        (0.0, 6.2): False,
+        (0.0, 5.9): True,
+        (1.3, -8.0): False,
+        (1.6, -8.0): True,
+    }
+    maps = truth_maps(scene, 0.1, np.array([[-10.0, -10.0], [10.0, 10.0]]))
+    for (x, y), safe in cases.items():
+        assert judge_touchdown(scene, np.array([x, y])).safe_geometry is safe, (x, y)
+        row, col = int((y + 10.0) / 0.1), int((x + 10.0) / 0.1)
+        assert bool(maps.safe_geometry[row, col]) is safe, (x, y)
+    judgement = judge_touchdown(scene, np.array([-3.2, 0.0]))
+    assert abs(judgement.obstacle_distance_m - 2.6) <= 0.051
+    assert judge_touchdown(scene, np.array([-6.0, 0.0])).land_class == "other"
+    assert maps.class_id[100, 40] == OTHER_CLASS_ID
+
+
+# -------------------------------------------------------------------- files by others, errors
+
+
+def test_unknown_name_names_the_nearest_and_all() -> None:
+    with pytest.raises(ValueError, match="did you mean 'crossroad'") as caught:
+        load_scene("crosroad", 0)
+    assert all(name in str(caught.value) for name in scene_names())
+
+
+def test_missing_and_malformed_files(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.xml"):
+        load_scene(str(tmp_path / "nowhere.xml"), 0)
+    (tmp_path / "bad.xml").write_text("<mujoco><worldbody><geom type='cube'/></worldbody></mujoco>")
+    with pytest.raises(ValueError, match=r"bad\.xml") as caught:
+        load_scene(str(tmp_path / "bad.xml"), 0)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(ValueError, match="negative"):
+        load_scene("crossroad", -1)
+    with pytest.raises(ValueError, match="no ground"):
+        load_text(tmp_path, "<mujoco><worldbody/></mujoco>")
+
+
+def test_outside_file_gets_classes_takeoff_and_one_warning(tmp_path: Path) -> None:
+    (tmp_path / "place.xml").write_text(
+        """<mujoco><asset><material name="road_wet"/></asset><worldbody>
+        <geom type="plane" size="0 0 1" material="road_wet"/>
+        <geom name="thing" type="sphere" size="1" pos="9 9 1"/>
+        <body name="door" pos="5 0 1"><joint type="hinge"/>
+        <geom name="building_door" size=".3"/></body>
+        <site name="takeoff" pos="2 3 0" euler="0 0 90"/></worldbody></mujoco>"""
+    )
+    with pytest.warns(UserWarning, match="place") as caught:
+        scene = load_scene(str(tmp_path / "place.xml"), 0)
+    assert sum("no known class (thing)" in str(w.message) for w in caught) == 1
+    classes = sorted(surface.land_class for surface in scene.surfaces.values())
+    assert classes == ["building", "other", "road"]
+    np.testing.assert_allclose(scene.takeoff_xy_m, [2.0, 3.0])
+    assert abs(scene.takeoff_yaw - 0.5 * np.pi) < 1e-6
+    assert scene.model.nq == 7
+    assert scene.name == "place"
+
+
+def test_export_opens_again_and_is_the_same_place(crossroad: Scene, tmp_path: Path) -> None:
+    path = export_scene(crossroad, tmp_path)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert model.ngeom == crossroad.model.ngeom
+    assert model.tex_data.tobytes() == crossroad.model.tex_data.tobytes()
+    assert model.hfield_data.tobytes() == crossroad.model.hfield_data.tobytes()
+    np.testing.assert_allclose(model.qpos0, crossroad.model.qpos0, atol=1e-3)
+    assert str(tmp_path) not in path.read_text()
+
+
+def test_export_brings_the_files_of_an_outside_scene(tmp_path: Path) -> None:
+    scene = ramp(tmp_path, 3.0)
+    path = export_scene(scene, tmp_path / "out")
+    model = mujoco.MjModel.from_xml_path(str(path))
+    np.testing.assert_array_equal(model.hfield_data, scene.model.hfield_data)

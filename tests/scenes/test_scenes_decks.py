@@ -1,0 +1,200 @@
+"""Places above the ground: a roof used as a car park, and a footbridge."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import LAND_CLASSES, Scene
+from touchdown.scenes.compose import load_scene
+from touchdown.scenes.places.footbridge import layout as bridge_layout
+from touchdown.scenes.places.rooftop_parking import layout as roof_layout
+from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
+from touchdown.scenes.truth.raycast import cast_down, class_ids
+from touchdown.sim.airframe.ground_probe import GroundProbe
+from touchdown.sim.airframe.physics import settle_on_ground
+
+Array = NDArray[np.float64]
+
+DECKS = ("rooftop_parking", "footbridge")
+ROAD = LAND_CLASSES.index("road")
+
+
+@functools.cache
+def place(name: str, seed: int) -> Scene:
+    return load_scene(name, seed)
+
+
+@functools.cache
+def bridge_plan(seed: int) -> bridge_layout.Plan:
+    return bridge_layout.draw_plan(np.random.default_rng([seed, crc32(b"scenes.footbridge")]))
+
+
+@functools.cache
+def roof_plan(seed: int) -> roof_layout.Plan:
+    return roof_layout.draw_plan(np.random.default_rng([seed, crc32(b"scenes.rooftop_parking")]))
+
+
+def looked_at(scene: Scene, points: Array) -> tuple[Array, NDArray[np.uint8]]:
+    """Heights and class ids at (N, 2) world points."""
+    heights, classes = [], []
+    for point in points:
+        z, geoms = cast_down(scene, point - 0.005, 0.01, (1, 1))
+        heights.append(z[0, 0])
+        classes.append(class_ids(scene, point - 0.005, 0.01, geoms)[0, 0])
+    return np.array(heights), np.array(classes)
+
+
+@pytest.mark.parametrize("name", DECKS)
+def test_takeoff_is_level_and_clear_and_the_survey_stays_inside(name: str) -> None:
+    scene = place(name, 0)
+    judged = judge_touchdown(scene, scene.takeoff_xy_m)
+    assert judged.safe and judged.slope_deg < 2.0
+    assert judged.obstacle_distance_m > 2.5
+    assert (np.ptp(scene.bounds_xy_m, axis=0) >= 128.0).all()
+
+
+@pytest.mark.parametrize("plan", [bridge_plan, roof_plan])
+def test_surveys_of_all_seeds_stay_inside(plan: Any) -> None:
+    for seed in range(25):
+        drawn = plan(seed)
+        c, s = np.cos(drawn.takeoff_yaw), np.sin(drawn.takeoff_yaw)
+        corners = np.array([[0.0, 0.0], [66.0, 0.0], [66.0, 40.0], [-16.0, 40.0]])
+        world = drawn.takeoff_xy_m + corners @ np.array([[c, s], [-s, c]])
+        assert (np.abs(world) < 64.0).all(), seed
+
+
+@pytest.mark.parametrize("name", DECKS)
+def test_every_geom_has_a_surface_and_the_place_is_no_larger_than_it_may_be(name: str) -> None:
+    scene = place(name, 0)
+    model = scene.model
+    names = [model.geom(index).name for index in range(model.ngeom)]
+    assert all(n in scene.surfaces for n in names if not n.startswith("vehicle/"))
+    assert model.ngeom <= 450
+    assert scene.ground is not None and scene.ground.geom_name == "terrain"
+
+
+@pytest.mark.parametrize("name", DECKS)
+def test_same_seed_same_bytes_other_seed_another_place(name: str) -> None:
+    first, again = place(name, 0).model, load_scene(name, 0).model
+    assert first.tex_data.tobytes() == again.tex_data.tobytes()
+    assert first.geom_pos.tobytes() == again.geom_pos.tobytes()
+    assert first.hfield_data.tobytes() == again.hfield_data.tobytes()
+    plan = bridge_plan if name == "footbridge" else roof_plan
+    assert (plan(0).takeoff_xy_m != plan(1).takeoff_xy_m).any()
+
+
+@pytest.mark.parametrize("name", DECKS)
+def test_mjcf_of_the_folder_opens_by_itself(name: str) -> None:
+    folder = Path(bridge_layout.__file__).parents[1] / name
+    assert mujoco.MjModel.from_xml_path(str(folder / f"{name}.xml")).ngeom >= 1
+
+
+# --------------------------------------------------------------------------------------- the roof
+
+
+def test_roof_is_a_path_high_above_the_streets() -> None:
+    scene, plan = place("rooftop_parking", 0), roof_plan(0)
+    assert plan.height_m >= 5.8
+    aisle = np.linspace(plan.low_xy_m[0] + 3.0, plan.high_xy_m[0] - 3.0, 12)
+    heights, classes = looked_at(scene, np.column_stack([aisle, np.full(12, plan.aisles()[0])]))
+    assert np.abs(heights).max() < 0.1
+    assert (classes == LAND_CLASSES.index("path")).all()
+    street = np.array([s.point(float(a), 0.0) for s in plan.streets for a in (20.0, 100.0)])
+    heights, classes = looked_at(scene, street)
+    np.testing.assert_allclose(heights, -plan.height_m - 0.12, atol=0.06)
+    assert (classes == ROAD).all()
+
+
+def test_probe_and_vehicle_stand_on_the_roof() -> None:
+    scene = place("rooftop_parking", 0)
+    data = mujoco.MjData(scene.model)
+    settle_on_ground(scene, data)
+    probe = GroundProbe(scene.model)
+    above = np.array([*scene.takeoff_xy_m, 30.0])
+    assert probe.clearance(data, above) == pytest.approx(30.0, abs=0.01)
+    assert data.qpos[2] == pytest.approx(scene.model.qpos0[2], abs=0.01)
+
+
+def test_roof_s_dangers_are_unsafe_and_its_aisles_safe() -> None:
+    scene, plan = place("rooftop_parking", 0), roof_plan(0)
+    ramp = plan.ramp
+    middle = 0.5 * (ramp.low_y_m + ramp.high_y_m)
+    half_way = np.array([ramp.top_x_m + 0.4 * (ramp.foot_x_m - ramp.top_x_m), middle])
+    on_ramp = judge_touchdown(scene, half_way)
+    # 3.1 m in 18 m.
+    assert on_ramp.slope_deg == pytest.approx(9.8, abs=0.6) and not on_ramp.safe_geometry
+    edge = np.array([plan.high_xy_m[0] - 0.6, plan.aisles()[0]])
+    assert not judge_touchdown(scene, edge).safe_geometry
+    assert judge_touchdown(scene, edge).obstacle_distance_m == pytest.approx(0.6, abs=0.08)
+    aisle = plan.aisles()[0]
+    region = np.array(
+        [[plan.low_xy_m[0] + 9.0, aisle - 1.2], [plan.high_xy_m[0] - 9.0, aisle + 1.2]]
+    )
+    assert truth_maps(scene, 0.2, region).safe.mean() > 0.9
+
+
+# ------------------------------------------------------------------------------------- the bridge
+
+
+def test_seeds_bridge_streams_and_roads() -> None:
+    kinds = [bridge_plan(seed).over_road for seed in range(12)]
+    assert 2 <= sum(kinds) <= 10
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_bridge_is_wide_enough_to_land_on(seed: int) -> None:
+    """Over a road it is an asphalt road, over water a timber path."""
+    scene, plan = place("footbridge", seed), bridge_plan(seed)
+    bridge, kind = plan.bridge, "road" if plan.over_road else "path"
+    assert bridge.width_m >= 4.0
+    for u in (0.0, 0.6 * bridge.half_length_m):
+        spot = bridge.lot.at(u, 0.0)
+        heights, classes = looked_at(scene, spot[None])
+        assert heights[0] == pytest.approx(float(bridge.top(np.array(u))), abs=0.02)
+        assert classes[0] == LAND_CLASSES.index(kind)
+        judged = judge_touchdown(scene, spot)
+        assert judged.safe_geometry and judged.land_class == kind
+        assert judged.safe is (kind == "path")
+        assert judged.obstacle_distance_m == pytest.approx(0.5 * bridge.width_m - 0.1, abs=0.12)
+    beside = bridge.lot.at(0.0, 0.5 * bridge.width_m - 0.7)
+    assert not judge_touchdown(scene, beside).safe_geometry
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_below_the_bridge_is_a_road_or_water(seed: int) -> None:
+    scene, plan = place("footbridge", seed), bridge_plan(seed)
+    stations = np.array([15.0, 40.0, 90.0, 115.0])
+    points = np.array([plan.course.point(float(s), 0.6) for s in stations])
+    heights, classes = looked_at(scene, points)
+    if plan.over_road:
+        np.testing.assert_allclose(heights, -plan.depth_m - 0.12, atol=0.05)
+        assert (classes == ROAD).all()
+        clearance = float(plan.bridge.end_m) - plan.bridge.thick_m - 0.36 + plan.depth_m
+        assert clearance > 4.0
+    else:
+        dry = classes != LAND_CLASSES.index("water")
+        assert dry.sum() <= 1
+        np.testing.assert_allclose(heights[~dry], plan.level_m, atol=1e-3)
+    banks = np.array(
+        [plan.course.point(60.0, s * (plan.floor_m + 0.5 * plan.bank_m)) for s in (-1, 1)]
+    )
+    assert not any(judge_touchdown(scene, bank).safe_geometry for bank in banks)
+
+
+def test_the_vehicle_rests_on_the_deck() -> None:
+    spot = bridge_plan(0).bridge.lot.at(0.0, 0.0)
+    scene = replace(place("footbridge", 0), takeoff_xy_m=spot)
+    data = mujoco.MjData(scene.model)
+    data.qpos[2] = 4.0  # the probe for ground starts here, above the bridge
+    settle_on_ground(scene, data)
+    top = float(bridge_plan(0).bridge.top(np.array(0.0)))
+    assert data.qpos[2] - scene.model.qpos0[2] == pytest.approx(top, abs=0.03)

@@ -1,0 +1,225 @@
+"""The settlement, the cottages and the bath: what a survey finds there is true and lands safely."""
+
+from __future__ import annotations
+
+import functools
+import os
+from zlib import crc32
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from touchdown.scenes.api import LAND_CLASSES, SAFE_CLASSES, Scene, TruthMaps
+from touchdown.scenes.authoring.lot import Lot
+from touchdown.scenes.authoring.streets import STEP_M, Street, smooth_line
+from touchdown.scenes.compose import load_scene
+from touchdown.scenes.places.pools.layout import draw_plan
+from touchdown.scenes.props.pools import kidney_outline, rectangle_outline
+from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
+from touchdown.scenes.truth.raycast import cast_down, class_ids
+
+NAMES = ("cottage", "houses", "pools")
+CELL_M = 0.25
+
+
+@functools.cache
+def place(name: str, seed: int = 0) -> Scene:
+    return load_scene(name, seed)
+
+
+def survey_frame(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Unit vectors ahead and to the left at take-off."""
+    yaw = scene.takeoff_yaw
+    ahead = np.array([np.cos(yaw), np.sin(yaw)])
+    return ahead, np.array([-ahead[1], ahead[0]])
+
+
+@functools.cache
+def survey_maps(name: str, seed: int) -> TruthMaps:
+    """Truth within the rectangle around the standard survey, 50 m ahead and 40 m to the left."""
+    scene = place(name, seed)
+    ahead, left = survey_frame(scene)
+    corners = np.array(
+        [scene.takeoff_xy_m + a * ahead + b * left for a in (0, 50) for b in (0, 40)]
+    )
+    return truth_maps(scene, CELL_M, np.array([corners.min(axis=0), corners.max(axis=0)]))
+
+
+def share(maps: TruthMaps, land_class: str) -> float:
+    return float((maps.class_id == LAND_CLASSES.index(land_class)).mean())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_takeoff_is_level_and_the_survey_fits_inside(name: str) -> None:
+    scene = place(name)
+    judgement = judge_touchdown(scene, scene.takeoff_xy_m)
+    assert judgement.safe
+    assert judgement.slope_deg < 0.2
+    assert judgement.obstacle_distance_m > 3.0
+    assert (np.ptp(scene.bounds_xy_m, axis=0) >= 128.0).all()
+    ahead, left = survey_frame(scene)
+    for along in (-16.0, 66.0):
+        for across in (0.0, 40.0):
+            spot = scene.takeoff_xy_m + along * ahead + across * left
+            assert (spot > scene.bounds_xy_m[0]).all()
+            assert (spot < scene.bounds_xy_m[1]).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_nothing_reaches_the_height_of_the_survey(name: str) -> None:
+    scene = place(name)
+    heights, geoms = cast_down(scene, scene.bounds_xy_m[0], 1.0, (128, 128))
+    assert (geoms >= 0).mean() > 0.99
+    assert np.nanmax(heights) < 24.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)]
+)
+def test_survey_offers_safe_ground_of_a_safe_class(name: str, seed: int) -> None:
+    maps = survey_maps(name, seed)
+    assert maps.safe.mean() > 0.03
+    safe_ids = [LAND_CLASSES.index(c) for c in SAFE_CLASSES]
+    assert np.isin(maps.class_id[maps.safe], safe_ids).all()
+    water = maps.class_id == LAND_CLASSES.index("water")
+    if water.any():
+        away = ndimage.distance_transform_edt(~water) * CELL_M
+        assert away[maps.safe].min() > 1.0
+
+
+def test_cottage_lane_is_the_flat_place_and_the_meadow_is_not() -> None:
+    maps = survey_maps("cottage", 0)
+    lawn = maps.class_id == LAND_CLASSES.index("lawn")
+    lane = maps.class_id == LAND_CLASSES.index("road")
+    assert np.nanmedian(maps.slope_deg[lane]) < 2.0
+    assert np.nanmedian(maps.slope_deg[lawn]) > 4.0
+    assert (maps.safe_geometry & lane).mean() > 0.01
+    assert not (maps.safe & lane).any()
+    assert share(maps, "building") > 0.02
+
+
+def test_pools_are_water_beside_a_safe_field() -> None:
+    scene, maps = place("pools"), survey_maps("pools", 0)
+    field = maps.class_id == LAND_CLASSES.index("field")
+    assert share(maps, "water") > 0.05
+    assert (maps.safe & field).sum() > 0.3 * field.sum()
+    water = [name for name, surface in scene.surfaces.items() if surface.water]
+    assert len(water) >= 3
+    assert all(scene.surfaces[name].land_class == "water" for name in water)
+    covers = [name for name, s in scene.surfaces.items() if s.land_class == "water" and not s.water]
+    assert len(covers) == 1
+    # A pool is level to the millimetre: its danger is what it is, not its shape.
+    centre = scene.model.geom(covers[0]).pos[:2]
+    judgement = judge_touchdown(scene, centre)
+    assert judgement.slope_deg < 0.1
+    assert judgement.land_class == "water"
+    assert not judgement.safe_geometry
+
+
+def test_houses_have_streets_homes_and_traffic() -> None:
+    scene, maps = place("houses"), survey_maps("houses", 0)
+    assert share(maps, "road") > 0.08
+    walls = [name for name in scene.surfaces if name.startswith("building_wall")]
+    assert len(walls) >= 10
+    assert 1 <= len(scene.moving) <= 2
+    for moving in scene.moving:
+        assert (np.abs(moving.path_world[:, :2]) < 64.0).all()
+        assert np.abs(np.diff(moving.path_world[:, 2])).max() < 0.1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_geom_has_a_surface_and_the_raster_covers_the_ground(name: str) -> None:
+    scene = place(name)
+    names = [scene.model.geom(i).name for i in range(scene.model.ngeom)]
+    own = [n for n in names if not n.startswith("vehicle/")]
+    assert set(own) == set(scene.surfaces)
+    assert len(own) <= 520
+    assert scene.ground is not None
+    span = np.array(scene.ground.class_id.shape) * scene.ground.cell_m
+    np.testing.assert_allclose(span, 128.0)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_thin_wires_stand_over_ground_that_looks_free(name: str) -> None:
+    """There is a wire thinner than a pixel from 30 m (5 cm), and the truth refuses the ground
+    below its middle."""
+    scene = place(name)
+    model = scene.model
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    wires = []
+    for i in range(model.ngeom):
+        radius, half = model.geom_size[i, :2]
+        if model.geom(i).name.startswith("wire") and half > 0.8 and radius <= 0.025:
+            spot = data.geom_xpos[i]
+            if 0.3 < spot[2] - _ground(scene, spot[:2]) < 2.5:
+                wires.append(i)
+    assert wires
+    longest = max(wires, key=lambda i: model.geom_size[i, 1])
+    assert not judge_touchdown(scene, data.geom_xpos[longest, :2].copy()).safe_geometry
+
+
+def _ground(scene: Scene, xy: NDArray[np.float64]) -> float:
+    offsets = np.array([[0.6, 0.6], [-0.6, 0.6], [0.6, -0.6], [-0.6, -0.6]])
+    cells = [cast_down(scene, xy + o, 0.05, (1, 1))[0][0, 0] for o in offsets]
+    return float(np.min(cells))
+
+
+def test_same_seed_same_place_other_seed_another() -> None:
+    def parts(scene: Scene) -> tuple[bytes, bytes]:
+        return scene.model.geom_pos.tobytes(), scene.model.hfield_data.tobytes()
+
+    first, again = parts(place("pools")), parts(load_scene("pools", 0))
+    assert first == again
+    other = parts(place("pools", 1))
+    assert all(a != b for a, b in zip(first, other, strict=True))
+
+
+def test_class_of_the_pitch_is_seen_from_above() -> None:
+    scene = place("pools")
+    plan = draw_plan(np.random.default_rng([0, crc32(b"scenes.pools")]))
+    (u0, u1), (v0, v1) = plan.pitch
+    middle = plan.frame.at(0.5 * (u0 + u1), 0.5 * (v0 + v1))
+    _, geoms = cast_down(scene, middle - 0.5, 0.1, (10, 10))
+    ids = class_ids(scene, middle - 0.5, 0.1, geoms)
+    assert (ids == LAND_CLASSES.index("field")).all()
+
+
+# ----------------------------------------------------------------------- lots, streets, outlines
+
+
+def test_lot_coordinates_invert_and_mirror() -> None:
+    for mirrored in (False, True):
+        lot = Lot(origin_xy_m=np.array([3.0, -2.0]), angle=0.7, mirrored=mirrored)
+        uv = np.array([[0.0, 0.0], [4.0, -1.5], [2.0, 9.0]])
+        np.testing.assert_allclose(lot.coordinates(lot.points(uv)), uv, atol=1e-12)
+        expected = np.array([np.cos(lot.away), np.sin(lot.away)])
+        np.testing.assert_allclose(lot.at(0.0, 1.0) - lot.origin_xy_m, expected, atol=1e-12)
+
+
+def test_street_offsets_and_distances_agree() -> None:
+    line = smooth_line(np.array([[-40.0, 0.0], [0.0, 8.0], [40.0, 0.0]]))
+    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    np.testing.assert_allclose(steps, STEP_M, rtol=0.01)
+    street = Street(line_m=line, width_m=6.0, pavement_m=2.0)
+    for along in (5.0, 33.0, 60.0):
+        for across in (-4.0, 2.5):
+            distance, where = street.nearest(street.point(along, across))
+            assert abs(float(distance) - abs(across)) < 0.05
+            assert abs(float(where) - along) < 0.6
+    assert abs(float(street.kerb_distance(street.point(20.0, 3.0)))) < 0.05
+
+
+def test_outlines_run_counter_clockwise() -> None:
+    rng = np.random.default_rng(0)
+    for outline in (rectangle_outline(1.0, 2.0, 25.0, 12.0, 0.2), kidney_outline(rng, 0, 0, 5.0)):
+        ahead = np.roll(outline, -1, axis=0)
+        area = 0.5 * float((outline[:, 0] * ahead[:, 1] - ahead[:, 0] * outline[:, 1]).sum())
+        assert area > 0.0
+    assert abs(area) > 40.0

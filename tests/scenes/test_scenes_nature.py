@@ -1,0 +1,202 @@
+"""`forest` and `turf`: rugged where they should be, safe where they promise, and built alike."""
+
+from __future__ import annotations
+
+import functools
+import os
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import mujoco
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from touchdown.scenes.api import LAND_CLASSES, Scene
+from touchdown.scenes.authoring.survey_frame import draw_frame
+from touchdown.scenes.authoring.terrain import Terrain
+from touchdown.scenes.compose import load_scene
+from touchdown.scenes.places.forest.layout import draw_plan
+from touchdown.scenes.places.forest.relief import (
+    BROOK_DEPTH_M,
+    WATER_DEPTH_M,
+    brook_profile,
+    hills,
+    shape_ground,
+)
+from touchdown.scenes.places.forest.stand import TREE_TOP_M
+from touchdown.scenes.places.turf.airfield import fuselage_mesh
+from touchdown.scenes.places.turf.generate import level_pools
+from touchdown.scenes.props.tree_shapes import canopy_mesh, conifer_mesh, lathe
+from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
+
+SURVEY_M = (50.0, 40.0)
+OVERSHOOT_M = 16.0
+CELL_M = 0.25
+WATER, TREES = LAND_CLASSES.index("water"), LAND_CLASSES.index("trees")
+
+
+@functools.cache
+def place(name: str, seed: int) -> Scene:
+    return load_scene(name, seed)
+
+
+def in_survey(scene: Scene, xy: np.ndarray) -> np.ndarray:
+    """(..., 2) world -> (...) whether the point is inside the survey's legs."""
+    c, s = np.cos(scene.takeoff_yaw), np.sin(scene.takeoff_yaw)
+    ahead_left = (xy - scene.takeoff_xy_m) @ np.array([[c, -s], [s, c]])
+    return ((ahead_left > 0.0) & (ahead_left < SURVEY_M)).all(axis=-1)
+
+
+@functools.cache
+def surveyed(name: str, seed: int) -> tuple[object, np.ndarray, np.ndarray]:
+    """Truth maps around the survey, the cells of the survey, and those near the take-off."""
+    scene = place(name, seed)
+    maps = truth_maps(scene, CELL_M, np.array([[-42.0, -42.0], [42.0, 42.0]]))
+    rows, cols = np.indices(maps.safe.shape)
+    xy = maps.origin_xy_m + CELL_M * (np.stack([cols, rows], axis=-1) + 0.5)
+    near = np.linalg.norm(xy - scene.takeoff_xy_m, axis=-1) < 8.0
+    return maps, in_survey(scene, xy), near
+
+
+def shaped(seed: int) -> Terrain:
+    """The forest's ground alone, from a stream of its own."""
+    rng = np.random.default_rng(seed)
+    return shape_ground(rng, draw_plan(rng))
+
+
+CASES = [("forest", 1), ("turf", 0), ("turf", 1), ("turf", 2)]
+
+
+@pytest.mark.parametrize(("name", "seed"), CASES)
+def test_survey_offers_a_safe_site_away_from_the_takeoff(name: str, seed: int) -> None:
+    maps, survey, near = surveyed(name, seed)
+    labels, count = ndimage.label(maps.safe & survey & ~near)  # type: ignore[attr-defined]
+    areas = ndimage.sum(np.ones_like(labels), labels, range(1, count + 1)) * CELL_M**2
+    assert max(areas) > 20.0
+    assert judge_touchdown(place(name, seed), place(name, seed).takeoff_xy_m).safe
+
+
+@pytest.mark.parametrize(("name", "seed"), CASES)
+def test_survey_is_inside_and_its_height_is_free(name: str, seed: int) -> None:
+    scene = place(name, seed)
+    c, s = np.cos(scene.takeoff_yaw), np.sin(scene.takeoff_yaw)
+    corners = [[u, v] for u in (-OVERSHOOT_M, 50.0 + OVERSHOOT_M) for v in (0.0, 40.0)]
+    world = scene.takeoff_xy_m + np.array(corners) @ np.array([[c, s], [-s, c]])
+    assert (world > scene.bounds_xy_m[0]).all()
+    assert (world < scene.bounds_xy_m[1]).all()
+    model, data = scene.model, mujoco.MjData(scene.model)
+    mujoco.mj_kinematics(model, data)
+    for geom in range(model.ngeom):
+        rotation = data.geom_xmat[geom].reshape(3, 3)
+        centre = data.geom_xpos[geom] + rotation @ model.geom_aabb[geom, :3]
+        top = centre[2] + np.abs(rotation[2]) @ model.geom_aabb[geom, 3:]
+        assert top < 18.0
+        if model.geom(geom).name.startswith("trees_") and name == "forest":
+            assert top < TREE_TOP_M + 0.5
+
+
+@pytest.mark.parametrize(("name", "seed"), CASES)
+def test_every_geom_has_a_surface_and_the_size_is_bounded(name: str, seed: int) -> None:
+    scene = place(name, seed)
+    names = [scene.model.geom(g).name for g in range(scene.model.ngeom)]
+    own = {n for n in names if not n.startswith("vehicle/")}
+    assert own == set(scene.surfaces)
+    assert len(own) <= 620
+    assert (np.ptp(scene.bounds_xy_m, axis=0) >= 120.0).all()
+
+
+def test_forest_is_rugged_and_wooded() -> None:
+    maps, _, _ = surveyed("forest", 1)
+    scene = place("forest", 1)
+    assert scene.model.hfield_size[0, 2] > 6.0
+    ground = shaped(1)
+    rise = np.gradient(ground.heights_m, ground.cell_m)
+    steep = np.rad2deg(np.arctan(np.hypot(*rise)))
+    assert np.percentile(steep, 90) > 20.0
+    share = (maps.class_id == TREES).mean()  # type: ignore[attr-defined]
+    assert 0.45 < share < 0.95
+    assert (maps.class_id == WATER).any()  # type: ignore[attr-defined]
+
+
+def test_crowns_let_pulses_through_and_trunks_do_not() -> None:
+    surfaces = place("forest", 1).surfaces
+    crowns = [s for n, s in surfaces.items() if n.startswith(("trees_conifer", "trees_crown"))]
+    trunks = [s for n, s in surfaces.items() if n.startswith("trees_trunk")]
+    assert len(crowns) == len(trunks) > 150
+    assert all(0.2 < s.porosity < 0.5 and s.land_class == "trees" for s in crowns)
+    assert all(s.porosity == 0.0 for s in trunks)
+
+
+def test_brook_falls_all_the_way_below_the_ground() -> None:
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        plan = draw_plan(rng)
+        ground = Terrain(heights_m=hills(rng), half_m=64.0)
+        bed = brook_profile(plan.brook, ground)
+        inside = (np.abs(plan.brook.line_m) < 62.0).all(axis=1)
+        steps = np.diff(bed[inside])
+        assert (steps < 1e-9).all() or (steps > -1e-9).all()
+        assert abs(steps.sum()) >= 0.8 * 0.012 * inside.sum()
+    assert WATER_DEPTH_M < BROOK_DEPTH_M
+
+
+def test_clearings_have_the_slope_of_their_kind() -> None:
+    """The plane fitted to the middle of a clearing: level where it is safe, steep where not."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        plan = draw_plan(rng)
+        terrain = shape_ground(rng, plan)
+        for clearing in plan.clearings:
+            grid = np.stack(np.meshgrid(*2 * [np.linspace(-3.0, 3.0, 13)]), axis=-1).reshape(-1, 2)
+            z = terrain.at(clearing.centre_xy_m + grid)
+            slope = np.linalg.lstsq(np.column_stack([grid, np.ones(len(grid))]), z, rcond=None)[0]
+            degrees = np.rad2deg(np.arctan(np.hypot(*slope[:2])))
+            if clearing.kind in ("start", "meadow", "plot"):
+                assert degrees < 4.0
+            elif clearing.kind == "slope":
+                assert degrees > 8.0
+
+
+def test_frame_puts_the_survey_s_middle_near_the_scene_s() -> None:
+    frame = draw_frame(np.random.default_rng(3))
+    assert np.abs(frame.from_middle.origin_xy_m).max() <= 2.0
+    np.testing.assert_allclose(frame.from_middle.points(np.array([-25.0, -20.0])),
+                               frame.takeoff_xy_m)  # fmt: skip
+    np.testing.assert_allclose(frame.from_takeoff.coordinates(frame.takeoff_xy_m), 0.0)
+
+
+def test_pools_are_level_and_touch_nothing_far_away() -> None:
+    axis = np.linspace(-64.0, 64.0, 193)
+    x, y = np.meshgrid(axis, axis)
+    slope = 0.03 * x
+    depth = 4.0 - np.hypot(x - 10.0, y)
+    heights = level_pools(slope, depth)
+    assert np.ptp(heights[depth > 0.0]) < 1e-12
+    np.testing.assert_allclose(heights[depth < -3.1], slope[depth < -3.1], atol=1e-12)
+
+
+def test_meshes_are_wound_outwards() -> None:
+    """Face normals point away from the axis or the middle for most of the area."""
+    rng = np.random.default_rng(0)
+    stations = np.array([[2.0, 0.2, 0.0], [0.0, 0.6, 0.0], [-2.0, 0.2, 0.0]])
+    shapes = {
+        "canopy": canopy_mesh(rng, np.array([3.0, 3.0, 2.4]), 10, 2.0),
+        "trunk": lathe(rng, np.array([[-1.0, 0.3], [1.0, 0.2]]), 9, 0.05),
+        "fuselage": fuselage_mesh(stations),
+    }
+    for name, mesh in shapes.items():
+        corner = mesh.vertices[mesh.faces]
+        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        outward = (normal * corner.mean(axis=1)).sum(axis=1)
+        area = np.linalg.norm(normal, axis=1)
+        assert area[outward > 0.0].sum() > 0.97 * area.sum(), name
+    spruce = conifer_mesh(rng, 10.0, 2.4)
+    assert spruce.vertices[:, 2].max() == pytest.approx(10.0)
+    assert np.hypot(*spruce.vertices[:, :2].T).max() < 1.15 * 2.4
+
+
+def test_same_seed_same_bytes() -> None:
+    first, again = place("forest", 1).model, load_scene("forest", 1).model
+    for part in ("tex_data", "geom_pos", "hfield_data", "mesh_vert"):
+        assert getattr(first, part).tobytes() == getattr(again, part).tobytes()

@@ -1,0 +1,168 @@
+"""`lake`, `open_water`, `flat`: water is level and never safe, and each is what it is for."""
+
+from __future__ import annotations
+
+import functools
+
+import mujoco
+import numpy as np
+import pytest
+
+from touchdown.scenes.api import LAND_CLASSES, Scene
+from touchdown.scenes.authoring.water import WaterLook, lay_water, upsample
+from touchdown.scenes.compose import load_scene
+from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
+from touchdown.scenes.truth.raycast import cast_down, class_ids
+
+NAMES = ("lake", "open_water", "flat")
+WATER = LAND_CLASSES.index("water")
+SEEDS = {"lake": (0, 1), "open_water": (0, 5), "flat": (0, 1)}
+"""Of `open_water`: a raft and an islet."""
+PLACES = [(name, seed) for name in NAMES for seed in SEEDS[name]]
+CAMERA_HALF_DIAGONAL_M = 27.0
+"""Of the ground seen by the camera from 30 m (69 x 42 degrees), with a margin of 4 m."""
+
+
+@functools.cache
+def place(name: str, seed: int) -> Scene:
+    return load_scene(name, seed)
+
+
+def around_takeoff(scene: Scene, half_m: float) -> np.ndarray:
+    return np.stack([scene.takeoff_xy_m - half_m, scene.takeoff_xy_m + half_m])
+
+
+def below(scene: Scene, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Heights, geoms and classes of the whole place, seen from above."""
+    low, high = scene.bounds_xy_m
+    shape = tuple(np.round((high - low)[::-1] / cell_m).astype(int))
+    heights, geoms = cast_down(scene, low, cell_m, (shape[0], shape[1]))
+    return heights, geoms, class_ids(scene, low, cell_m, geoms)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_same_seed_same_bytes_other_seed_another_place(name: str) -> None:
+    def parts(model: mujoco.MjModel) -> tuple[bytes, bytes]:
+        return model.tex_data.tobytes(), model.light_dir.tobytes() + model.qpos0.tobytes()
+
+    first = parts(place(name, 0).model)
+    assert first == parts(load_scene(name, 0).model)
+    assert all(a != b for a, b in zip(first, parts(place(name, SEEDS[name][1]).model), strict=True))
+
+
+@pytest.mark.parametrize(("name", "seed"), PLACES)
+def test_takeoff_spot_is_level_clear_and_safe(name: str, seed: int) -> None:
+    scene = place(name, seed)
+    judgement = judge_touchdown(scene, scene.takeoff_xy_m)
+    assert judgement.safe
+    assert judgement.slope_deg < 0.5
+    assert judgement.obstacle_distance_m > 2.0
+    assert (np.ptp(scene.bounds_xy_m, axis=0) >= 128.0).all()
+    names = {scene.model.geom(i).name for i in range(scene.model.ngeom)}
+    assert {name for name in names if not name.startswith("vehicle/")} <= set(scene.surfaces)
+
+
+def test_lake_water_is_level_and_never_safe() -> None:
+    scene = place("lake", 0)
+    heights, geoms, classes = below(scene, 0.5)
+    wet = (classes == WATER) & (geoms == scene.model.geom("terrain").id)
+    level = float(np.median(heights[wet]))
+    # Where a bank is steep, the triangle that holds the waterline rises out of the water.
+    assert (np.abs(heights[wet] - level) < 1e-3).mean() > 0.97
+    assert np.abs(heights[wet] - level).max() < 0.25
+    ground = (classes != WATER) & (geoms == scene.model.geom("terrain").id)
+    assert heights[ground].min() > level - 1e-3
+    assert 0.08 < wet.mean() < 0.35
+    maps = truth_maps(scene, 0.25)
+    water = maps.class_id == WATER
+    assert not (maps.safe_geometry & water).any()
+    assert 0.1 < maps.safe.mean() < 0.7
+
+
+def test_lake_jetty_is_a_path_too_narrow_to_land_on() -> None:
+    scene = place("lake", 0)
+    decks = [name for name in scene.surfaces if name.startswith("path_deck")]
+    assert len(decks) == 2
+    for name in decks:
+        assert scene.surfaces[name].land_class == "path"
+        middle = scene.model.geom(name).pos[:2]
+        assert not judge_touchdown(scene, middle).safe_geometry
+
+
+def test_reeds_let_pulses_through_and_count_as_plants() -> None:
+    reeds = [s for name, s in place("lake", 0).surfaces.items() if name.startswith("trees_reed")]
+    assert len(reeds) > 30
+    assert all(s.land_class == "trees" and 0.2 < s.porosity < 0.8 for s in reeds)
+
+
+@pytest.mark.parametrize("seed", SEEDS["open_water"])
+def test_open_water_can_be_landed_on_at_the_start_alone(seed: int) -> None:
+    scene = place("open_water", seed)
+    maps = truth_maps(scene, 0.2, around_takeoff(scene, 40.0))
+    rows, cols = np.nonzero(maps.safe)
+    assert 5.0 < len(rows) * 0.04 < 150.0
+    points = maps.origin_xy_m + (np.stack([cols, rows], axis=-1) + 0.5) * maps.cell_m
+    assert np.linalg.norm(points - scene.takeoff_xy_m, axis=1).max() < 8.0
+    assert not (maps.safe_geometry & (maps.class_id == WATER)).any()
+    assert (maps.class_id == WATER).mean() > 0.9
+
+
+@pytest.mark.parametrize("seed", SEEDS["open_water"])
+def test_open_water_has_no_shore_in_view_for_most_of_a_survey_leg(seed: int) -> None:
+    """A leg of 50 m flown in 10 s: at least its last half shows water and nothing else."""
+    scene = place("open_water", seed)
+    assert (np.ptp(scene.bounds_xy_m, axis=0) >= 200.0).all()
+    heights, _, classes = below(scene, 1.0)
+    rows, cols = np.nonzero(classes != WATER)
+    points = scene.bounds_xy_m[0] + np.stack([cols, rows], axis=-1) + 0.5
+    away = np.linalg.norm(points - scene.takeoff_xy_m, axis=1)
+    # What is not water lies on the take-off spot, or farther than the survey can see.
+    assert not ((away > 12.5) & (away < 70.0)).any()
+    level = np.median(heights)
+    # Cells of the islet's strand count as water up to a finger's breadth over it.
+    np.testing.assert_allclose(heights[classes == WATER], level, atol=0.03)
+    forward = np.array([np.cos(scene.takeoff_yaw), np.sin(scene.takeoff_yaw)])
+    blind = [
+        along
+        for along in np.arange(0.0, 50.0, 1.0)
+        if (
+            np.linalg.norm(points - scene.takeoff_xy_m - along * forward, axis=1)
+            > CAMERA_HALF_DIAGONAL_M
+        ).all()
+    ]
+    assert len(blind) >= 10
+
+
+def test_flat_is_level_to_the_bit_and_safe_everywhere() -> None:
+    scene = place("flat", 0)
+    assert np.ptp(scene.model.hfield_data) == 0.0
+    maps = truth_maps(scene, 0.25)
+    assert maps.safe.all()
+    assert np.ptp(maps.height_m) < 1e-4
+    visible = [name for name in scene.surfaces if not name.startswith("vehicle")]
+    assert visible == ["terrain"]
+    picture = scene.model.tex_data[-3 * 4_000_000 :]
+    assert picture.std() > 15.0
+
+
+def test_water_hides_the_bottom_with_depth() -> None:
+    """Red light is dimmed first: a bright bottom turns from its own colour to the body's."""
+    size = 512
+    depth = np.repeat(np.linspace(-1.0, 8.0, size, dtype=np.float32)[None], size, axis=0)
+    picture = np.full((size, size, 3), 200, np.uint8)
+    look = WaterLook(body=(20.0, 60.0, 80.0), clarity_m=(0.5, 1.0, 1.2), ripple=0.2)
+    sun = np.array([0.5, 0.0, -np.sqrt(0.75)])
+    lay_water(np.random.default_rng(1), picture, depth, 12.0, look, sun)
+    columns = picture.mean(axis=0)
+    dry, shallow, deep = columns[:40], columns[75:80], columns[-60:]
+    assert (dry == 200.0).all()
+    assert (shallow[:, 0].mean() < shallow[:, 2].mean() < 200.0) and shallow[:, 0].mean() > 60.0
+    np.testing.assert_allclose(deep.mean(axis=0), look.body, atol=14.0)
+
+
+def test_upsample_is_the_terrain_s_linear_interpolation() -> None:
+    x, y = np.meshgrid(np.linspace(-4.0, 4.0, 9), np.linspace(-4.0, 4.0, 9))
+    raster = upsample(2.0 * x - 0.5 * y, 64)
+    axis = (np.arange(64) + 0.5) / 8.0 - 4.0
+    col, row = np.meshgrid(axis, axis)
+    np.testing.assert_allclose(raster, 2.0 * col - 0.5 * row, atol=0.03)

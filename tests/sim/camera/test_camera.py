@@ -1,0 +1,174 @@
+"""The camera's conventions, intrinsics, noise and threading on rendered pictures."""
+
+from __future__ import annotations
+
+import threading
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.sim.api import CameraParams
+from touchdown.sim.camera.sensor import CameraSensor
+from touchdown.sim.frames import so3_exp
+
+from support.camera_support import (
+    CLEAN,
+    HEIGHT_M,
+    box,
+    centroid,
+    make_scene,
+    posed,
+    project,
+    take_picture,
+)
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+
+def test_intrinsics_of_the_d435() -> None:
+    k = CameraSensor(make_scene(), CLEAN, 0).intrinsics()
+    assert (k.width, k.height) == (848, 480)
+    assert (k.fx, k.fy) == (pytest.approx(616.93, abs=0.1), pytest.approx(625.22, abs=0.1))
+    assert (k.cx, k.cy) == (423.5, 239.5)
+
+
+def test_forward_is_up_and_left_is_left() -> None:
+    scene = make_scene(box("ahead", 5.0, 0.0, "1 0 0 1") + box("left", 0.0, 8.0, "0 1 0 1"))
+    picture = take_picture(scene)
+    ahead, left = centroid(picture[..., 0] > 128), centroid(picture[..., 1] > 128)
+    assert ahead[1] < 100
+    assert left[0] < 200
+    assert ahead[0] == pytest.approx(423.5, abs=1.0)
+    assert left[1] == pytest.approx(239.5, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    "turn", [np.zeros(3), np.array([0.1, -0.15, 0.0]), np.array([-0.05, 0.1, 2.0])]
+)
+def test_pixels_are_where_the_pinhole_puts_them(turn: Array) -> None:
+    """Boxes near the corners: wrong by several pixels if fx and fy were equal."""
+    half = 0.5 * float(np.linalg.norm(turn))
+    axis = turn / max(float(np.linalg.norm(turn)), 1e-12)
+    quat = " ".join(map(str, [np.cos(half), *(np.sin(half) * axis)]))
+    looking = HEIGHT_M * (so3_exp(turn) @ [0.0, 0.0, -1.0])
+    yawed = so3_exp(np.array([0.0, 0.0, turn[2]]))
+    spots = [(looking * [1, 1, 0] + yawed @ [x, y, 0.0]) for x, y in ((6.0, 11.0), (-6.0, -11.0))]
+    colours = ("1 0 0 1", "0 1 0 1")
+    scene = make_scene(
+        "".join(
+            box(f"b{i}", s[0], s[1], c) for i, (s, c) in enumerate(zip(spots, colours, strict=True))
+        ),
+        quat,
+    )
+    picture = take_picture(scene)
+    for channel, spot in enumerate(spots):
+        seen = centroid(picture[..., channel] > 128)
+        expected = project(scene, np.array([spot[0], spot[1], 0.002]))
+        assert np.abs(seen - expected).max() < 0.6
+
+
+def test_right_camera_sees_a_disparity() -> None:
+    """Baseline 50 mm to the right: f b / z = 616.9 * 0.05 / 2 = 15.4 pixels at 2 m."""
+    scene = make_scene(
+        '<geom name="red" type="box" size="0.1 0.1 0.001" pos="0 0 18" rgba="1 0 0 1"/>'
+    )
+    left = centroid(take_picture(scene)[..., 0] > 128)
+    right = centroid(take_picture(scene, name="vehicle/camera_right")[..., 0] > 128)
+    assert left[0] - right[0] == pytest.approx(616.93 * 0.05 / 1.999, abs=0.6)
+    assert left[1] == pytest.approx(right[1], abs=0.2)
+
+
+def test_the_vehicle_is_not_in_its_own_picture() -> None:
+    assert take_picture(make_scene(floor="0 0 1 1"))[..., 2].min() > 200
+
+
+def test_snapshot_keeps_its_instant() -> None:
+    scene = make_scene(box("ahead", 4.0, 0.0, "1 0 0 1"))
+    data = posed(scene)
+    sensor = CameraSensor(scene, CLEAN, 0)
+    earlier = sensor.snapshot(data)
+    data.qpos[:2] = [4.0, 0.0]
+    mujoco.mj_forward(scene.model, data)
+    later = sensor.snapshot(data)
+    above = centroid(sensor.render(later, 1)[..., 0] > 128)
+    ahead = centroid(sensor.render(earlier, 0)[..., 0] > 128)
+    sensor.close()
+    assert above[1] == pytest.approx(239.5, abs=0.6)
+    assert ahead[1] == pytest.approx(239.5 - 625.2 * 4.0 / 19.998, abs=0.6)
+
+
+def test_noise_has_its_sigma_and_its_seed() -> None:
+    scene = make_scene(floor="0.5 0.5 0.5 1")
+    data = posed(scene)
+    clean = take_picture(scene).astype(np.float64)
+    params = CameraParams(noise_sigma=1.5)
+    sensor = CameraSensor(scene, params, 3)
+    first, again, later = (sensor.render(sensor.snapshot(data), tick) for tick in (20, 20, 40))
+    sensor.close()
+    other_seed = CameraSensor(scene, params, 4)
+    other = other_seed.render(other_seed.snapshot(data), 20)
+    other_seed.close()
+    noise = first - clean
+    assert noise.mean() == pytest.approx(0.0, abs=0.02)
+    assert noise.std() == pytest.approx(1.5, abs=0.02)
+    np.testing.assert_array_equal(noise[..., 0], noise[..., 2])
+    np.testing.assert_array_equal(first, again)
+    for different in (later, other):
+        grain = (different - clean)[..., 0].ravel()
+        assert abs(np.corrcoef(grain, noise[..., 0].ravel())[0, 1]) < 0.02
+    assert not first.flags.writeable
+
+
+def test_a_worker_thread_draws_the_same_picture() -> None:
+    scene = make_scene(box("ahead", 3.0, 1.0, "1 0 0 1"))
+    params = CameraParams(noise_sigma=1.5)
+    here = take_picture(scene, params, tick=60)
+    there: list[Bytes] = []
+    worker = threading.Thread(target=lambda: there.append(take_picture(scene, params, tick=60)))
+    worker.start()
+    worker.join()
+    np.testing.assert_array_equal(here, there[0])
+
+
+def test_a_second_thread_is_refused() -> None:
+    scene = make_scene()
+    sensor = CameraSensor(scene, CLEAN, 0)
+    snapshot = sensor.snapshot(posed(scene))
+    sensor.render(snapshot, 0)
+    errors: list[Exception] = []
+
+    def draw() -> None:
+        try:
+            sensor.render(snapshot, 1)
+        except RuntimeError as error:
+            errors.append(error)
+
+    worker = threading.Thread(target=draw)
+    worker.start()
+    worker.join()
+    sensor.close()
+    assert "one thread only" in str(errors[0])
+
+
+def test_unknown_camera_is_named() -> None:
+    with pytest.raises(ValueError, match=r"no camera 'nose'.*vehicle/camera_right"):
+        CameraSensor(make_scene(), CLEAN, 0, "nose")
+
+
+def test_unusable_backend_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "nothing")
+    scene = make_scene()
+    sensor = CameraSensor(scene, CLEAN, 0)
+    with pytest.raises(RuntimeError, match=r"nothing.*set MUJOCO_GL to egl, osmesa or glfw"):
+        sensor.render(sensor.snapshot(posed(scene)), 0)
+
+
+def test_model_keeps_its_own_rendering_settings() -> None:
+    scene = make_scene()
+    before = (scene.model.vis.global_.offwidth, scene.model.vis.quality.shadowsize)
+    take_picture(scene)
+    after = (scene.model.vis.global_.offwidth, scene.model.vis.quality.shadowsize)
+    assert before == after

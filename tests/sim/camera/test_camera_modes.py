@@ -1,0 +1,294 @@
+"""Depth, segmentation, lens, exposure, shutter and backends of the camera."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import Scene
+from touchdown.sim.api import CameraParams, SimParams
+from touchdown.sim.camera.optics import distort, intrinsics_of, make_lens, undistort
+from touchdown.sim.camera.sensor import CameraSensor
+from touchdown.sim.clock import readout_ticks
+from touchdown.sim.frames import so3_exp
+
+from support.camera_support import CLEAN, HEIGHT_M, box, centroid, make_scene, posed, take_picture
+
+Array = NDArray[np.float64]
+
+BARREL = (-0.11, 0.02, 0.0012, -0.0008, -0.003)
+"""Bends more than the lens of a D435, tangentially too."""
+
+
+def depth_of(scene: Scene, params: CameraParams = CLEAN) -> NDArray[np.float32]:
+    sensor = CameraSensor(scene, params, 0)
+    try:
+        return sensor.render_depth(sensor.snapshot(posed(scene)))
+    finally:
+        sensor.close()
+
+
+def ids_of(scene: Scene, params: CameraParams = CLEAN) -> NDArray[np.int32]:
+    sensor = CameraSensor(scene, params, 0)
+    try:
+        return sensor.render_segmentation(sensor.snapshot(posed(scene)))
+    finally:
+        sensor.close()
+
+
+# ---------------------------------------------------------------------------------- depth
+
+
+def test_depth_is_along_the_axis_not_along_the_ray() -> None:
+    """A floor 20 m below is 20 m deep in every pixel; a box of 3 m height is 17 m deep."""
+    scene = make_scene(
+        '<geom name="crate" type="box" size="2 1 1.5" pos="0 0 1.5" rgba="1 0 0 1"/>'
+    )
+    depth = depth_of(scene)
+    assert depth.dtype == np.float32
+    assert depth.shape == (480, 848)
+    on_crate = depth < 18.0
+    np.testing.assert_allclose(depth[on_crate], HEIGHT_M - 3.0, atol=2e-3)
+    np.testing.assert_allclose(depth[~on_crate & (depth > 19.9)], HEIGHT_M, atol=2e-3)
+    k = intrinsics_of(CLEAN)
+    rows, cols = np.nonzero(np.abs(depth - 17.0) < 2e-3)
+    assert np.ptp(cols) + 1 == pytest.approx(k.fx * 2.0 / 17.0, abs=1.5)
+    assert np.ptp(rows) + 1 == pytest.approx(k.fy * 4.0 / 17.0, abs=1.5)
+    assert not depth.flags.writeable
+
+
+def test_depth_of_a_tilted_view_follows_the_plane() -> None:
+    """Pitched by 0.3 rad over a plane at distance h: depth(u, v) = h / (n . ray)."""
+    half = 0.15
+    scene = make_scene(quat_wxyz=f"{np.cos(half)} 0 {np.sin(half)} 0")
+    depth = depth_of(scene)
+    k = intrinsics_of(CLEAN)
+    u, v = np.meshgrid(np.arange(848), np.arange(480))
+    rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones_like(u, dtype=float)], axis=-1)
+    body = np.stack([-rays[..., 1], -rays[..., 0], -rays[..., 2]], axis=-1)
+    world = body @ so3_exp(np.array([0.0, 0.3, 0.0])).T
+    expected = HEIGHT_M / -world[..., 2]
+    np.testing.assert_allclose(depth, expected, rtol=3e-4)
+
+
+def test_the_sky_has_no_depth_and_no_geom() -> None:
+    half = np.pi / 2  # on its back
+    scene = make_scene(quat_wxyz=f"{np.cos(half)} {np.sin(half)} 0 0")
+    assert np.isinf(depth_of(scene)).all()
+    assert (ids_of(scene) == -1).all()
+
+
+# --------------------------------------------------------------------------- segmentation
+
+
+@pytest.mark.parametrize("samples", [0, 4])
+def test_segmentation_counts_pixels_of_every_geom(samples: int) -> None:
+    """4 x 2 m at 17 m depth are (f 4/17) x (f 2/17) pixels. Multisampling must not blend ids."""
+    scene = make_scene(
+        '<geom name="crate" type="box" size="1 2 1.5" pos="0 0 1.5" rgba="1 0 0 1"/>'
+        '<geom name="ball" type="sphere" size="1" pos="4 5 1" rgba="0 1 0 1"/>'
+    )
+    ids = ids_of(scene, CameraParams(noise_sigma=0.0, samples=samples))
+    assert ids.dtype == np.int32
+    crate, ball, floor = (scene.model.geom(n).id for n in ("crate", "ball", "floor"))
+    assert set(np.unique(ids)) == {crate, ball, floor}
+    k = intrinsics_of(CLEAN)
+    expected = (k.fx * 4.0 / 17.0) * (k.fy * 2.0 / 17.0)
+    assert (ids == crate).sum() == pytest.approx(expected, rel=0.02)
+    solid = np.pi * k.fx * k.fy / (19.0**2 - 1.0)  # the cone around a sphere, near the axis
+    assert (ids == ball).sum() == pytest.approx(solid, rel=0.1)
+    sees_left = centroid(ids == ball)
+    assert sees_left[0] < 423.5 and sees_left[1] < 239.5
+
+
+def test_depth_and_segmentation_belong_to_the_colour_picture() -> None:
+    scene = make_scene(
+        '<geom name="crate" type="box" size="1 1 1" pos="3 -4 1" rgba="1 0 0 1"/>', floor="0 0 1 1"
+    )
+    for params in (CLEAN, CameraParams(noise_sigma=0.0, distortion=BARREL)):
+        red = take_picture(scene, params)[..., 0] > 128
+        crate = ids_of(scene, params) == scene.model.geom("crate").id
+        deep = depth_of(scene, params) < 19.98
+        assert (red ^ crate).sum() < 0.03 * crate.sum()
+        assert (deep ^ crate).sum() < 0.03 * crate.sum()
+
+
+# ----------------------------------------------------------------------------------- lens
+
+
+def test_distortion_is_that_of_opencv() -> None:
+    """Spots near centre, edges and corners lie where cv2.projectPoints puts them."""
+    params = CameraParams(noise_sigma=0.0, distortion=BARREL)
+    k = intrinsics_of(params)
+    scene_spots = [(0.0, 0.0), (6.5, 11.5), (-6.5, 11.5), (6.5, -11.5), (0.0, 12.5), (-7.0, 0.0)]
+    for x, y in scene_spots:
+        scene = make_scene(box("spot", x, y, "1 0 0 1"))
+        seen = centroid(take_picture(scene, params)[..., 0] > 128)
+        optical = np.array([[-y, -x, HEIGHT_M - 0.002]])
+        expected, _ = cv2.projectPoints(
+            optical, np.zeros(3), np.zeros(3), k.matrix(), np.array(BARREL)
+        )
+        assert np.abs(seen - expected.ravel()).max() < 0.7, (x, y)
+        straight = k.matrix() @ optical[0] / optical[0, 2]
+        if abs(y) > 10.0:
+            assert np.abs(seen - straight[:2]).max() > 5.0
+
+
+def test_undistort_inverts_distort() -> None:
+    k = np.array(BARREL)
+    ideal = np.stack(np.meshgrid(np.linspace(-0.7, 0.7, 31), np.linspace(-0.4, 0.4, 21)), axis=-1)
+    np.testing.assert_allclose(undistort(distort(ideal, k), k), ideal, atol=1e-10)
+    by_opencv, _ = cv2.projectPoints(
+        np.concatenate([ideal.reshape(-1, 2), np.ones((ideal[..., 0].size, 1))], axis=1),
+        np.zeros(3),
+        np.zeros(3),
+        np.eye(3),
+        k,
+    )
+    np.testing.assert_allclose(distort(ideal, k).reshape(-1, 2), by_opencv[:, 0], atol=1e-12)
+
+
+def test_rig_reports_the_lens_and_the_picture_keeps_its_size() -> None:
+    params = CameraParams(noise_sigma=0.0, distortion=BARREL)
+    scene = make_scene()
+    assert take_picture(scene, params).shape == (480, 848, 3)
+    np.testing.assert_array_equal(CameraSensor(scene, params, 0).intrinsics().distortion, BARREL)
+    raster = make_lens(params).raster
+    assert 848 < raster.width < 1000
+    assert 480 < raster.height < 600
+
+
+@pytest.mark.parametrize(
+    ("params", "message"),
+    [
+        (CameraParams(distortion=(-2.0, 0.0, 0.0, 0.0, 0.0)), r"folds the picture"),
+        (CameraParams(distortion=(-0.35, 0.0, 0.0, 0.0, 0.0), fov_x_deg=110.0), r"folds|raster"),
+        (CameraParams(gain=0.0), r"camera\.gain is 0"),
+        (CameraParams(readout_s=-0.01), r"camera\.readout_s is -0\.01"),
+        (CameraParams(fov_x_deg=180.0), r"camera\.fov_x_deg is 180"),
+        (CameraParams(distortion=(np.nan, 0.0, 0.0, 0.0, 0.0)), r"camera\.distortion"),
+    ],
+)
+def test_impossible_cameras_are_refused(params: CameraParams, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        CameraSensor(make_scene(), params, 0)
+
+
+# ------------------------------------------------------------------------------- exposure
+
+
+def test_gain_multiplies_light() -> None:
+    """Two stops (gain 4) raise a display level by 4^(1/2.2) = 1.878, and clip at white."""
+    scene = make_scene(box("white", 4.0, 0.0, "0.8 0.8 0.8 1"), floor="0.25 0.25 0.25 1")
+    plain, bright = (take_picture(scene, CameraParams(noise_sigma=0.0, gain=g)) for g in (1.0, 4.0))
+    dark = plain[..., 0] < 100
+    np.testing.assert_allclose(bright[dark], np.rint(plain[dark] * 4.0 ** (1 / 2.2)), atol=1)
+    assert (bright[~dark] == 255).all()
+
+
+def test_auto_exposure_brings_the_mean_to_middle_grey_within_its_range() -> None:
+    auto = CameraParams(noise_sigma=0.0, auto_exposure=True)
+    for shade in ("0.3 0.3 0.3 1", "0.7 0.7 0.7 1"):
+        assert take_picture(make_scene(floor=shade), auto).mean() == pytest.approx(110.0, abs=1.0)
+    night = take_picture(make_scene(floor="0.04 0.04 0.04 1"), auto)
+    plain = take_picture(make_scene(floor="0.04 0.04 0.04 1"))
+    assert night.mean() == pytest.approx(plain.mean() * 4.0 ** (1 / 2.2), abs=1.0)
+
+
+# -------------------------------------------------------------------------------- shutter
+
+
+def rolling(params: CameraParams, shifts_m: Array) -> NDArray[np.uint8]:
+    """A picture of a long stripe across the rows, the camera moved sideways between instants."""
+    scene = make_scene(
+        '<geom name="stripe" type="box" size="30 0.2 0.001" pos="0 0 0.001" rgba="1 0 0 1"/>'
+    )
+    data = posed(scene)
+    sensor = CameraSensor(scene, params, 0)
+    instants = []
+    for shift in shifts_m:
+        data.qpos[1] = shift
+        mujoco.mj_forward(scene.model, data)
+        instants.append(sensor.snapshot(data))
+    try:
+        return sensor.render(instants, 0)
+    finally:
+        sensor.close()
+
+
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, BARREL])
+def test_rolling_shutter_shears_what_moves_sideways(distortion: tuple[float, ...]) -> None:
+    """0.2 m to the left in 10 instants of 48 rows: the stripe moves to the right by
+    fx 0.2 / 20 = 6.17 pixels from the first to the last row, and stays put without motion."""
+    params = CameraParams(noise_sigma=0.0, distortion=distortion)  # type: ignore[arg-type]
+    still, moved = rolling(params, np.zeros(10)), rolling(params, np.linspace(0.0, 0.2, 10))
+
+    def column(picture: NDArray[np.uint8], row: int) -> float:
+        return float(np.nonzero(picture[row, :, 0] > 128)[0].mean())
+
+    shift = [column(moved, row) - column(still, row) for row in range(10, 480, 48)]
+    expected = intrinsics_of(params).fx / (HEIGHT_M - 0.002) * np.linspace(0.0, 0.2, 10)
+    np.testing.assert_allclose(shift, expected, atol=0.8)
+
+
+def test_one_instant_is_a_global_shutter() -> None:
+    scene = make_scene(box("spot", 3.0, 4.0, "1 0 0 1"))
+    sensor = CameraSensor(scene, CLEAN, 0)
+    snapshot = sensor.snapshot(posed(scene))
+    whole, banded = sensor.render(snapshot, 0), sensor.render([snapshot] * 7, 0)
+    sensor.close()
+    assert (whole != banded).any(axis=-1).mean() < 1e-3  # rasterisation at the seams
+
+
+def test_readout_must_fit_the_clock() -> None:
+    assert readout_ticks(0.0, SimParams()) == 0
+    assert readout_ticks(0.02, SimParams()) == 12
+    with pytest.raises(ValueError, match=r"camera\.readout_s is 0\.04.*every 0\.03333 s"):
+        readout_ticks(0.04, SimParams())
+
+
+# ------------------------------------------------------------------------------- backends
+
+
+def picture_elsewhere(**environment: str) -> subprocess.CompletedProcess[str]:
+    """A picture taken in a process of its own, without a display: GL libraries are loaded once."""
+    script = (
+        "from support.camera_support import *; import os; "
+        "p = take_picture(make_scene(floor='0 0 1 1')); "
+        "print(os.environ['MUJOCO_GL'], int(p[..., 2].min() > 200))"
+    )
+    hidden = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM")
+    inherited = {k: v for k, v in os.environ.items() if k not in hidden}
+    return subprocess.run(
+        [sys.executable, "-c", script],
+        env=inherited | {"PYTHONPATH": ".:tests"} | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=Path(__file__).parents[3],
+    )
+
+
+def test_a_backend_that_was_asked_for_and_fails_is_not_replaced() -> None:
+    done = picture_elsewhere(MUJOCO_GL="glfw")
+    assert done.returncode != 0
+    assert "no offscreen rendering on this machine (glfw: " in done.stderr
+    assert "osmesa: " not in done.stderr
+
+
+def test_osmesa_takes_over_where_egl_fails() -> None:
+    """EGL is told to use a device that does not exist."""
+    done = picture_elsewhere(MUJOCO_EGL_DEVICE_ID="999")
+    if "no offscreen rendering on this machine" in done.stderr:
+        assert all(f"{name}: " in done.stderr for name in ("egl", "osmesa", "glfw"))
+        pytest.skip("OSMesa is not installed")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split()[-2:] == ["osmesa", "1"]

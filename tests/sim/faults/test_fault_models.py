@@ -1,0 +1,240 @@
+"""Faults of clocks, receivers, wind, rotors and mounts, against known answers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.errors import UsageError
+from touchdown.scenes.api import Scene
+from touchdown.scenes.compose import load_scene
+from touchdown.sim.airframe.rotors import Rotors
+from touchdown.sim.airframe.vehicle import RotorGeometry
+from touchdown.sim.api import (
+    CameraParams,
+    Command,
+    FaultParams,
+    LidarParams,
+    SensorNeeds,
+    SimParams,
+    VehicleModel,
+    WindParams,
+)
+from touchdown.sim.faults.disturbances import Disturbances, gust_speed
+from touchdown.sim.frames import Pose, so3_log
+from touchdown.sim.world import MujocoWorld
+
+from support.fault_support import HZ, STEP, delivered
+from support.lidar_support import DOWN
+
+Array = NDArray[np.float64]
+
+# ------------------------------------------------------------------------------------------ clocks
+
+
+def test_a_skewed_clock_shifts_stamps_by_exactly_so_many_seconds() -> None:
+    clean, skewed = dict(delivered()), dict(delivered("lidar_skew@1.06", skew_s=0.02))
+    assert list(skewed) == list(clean)  # messages arrive as ever
+    for tick, scan in skewed.items():
+        shift = 12 if tick >= 636 else 0  # 0.02 s at 600 Hz
+        assert scan.start_tick == clean[tick].start_tick + shift
+        assert scan.end_tick == clean[tick].end_tick + shift
+        assert scan.end_time_s == scan.end_tick / HZ and scan.start_time_s == scan.start_tick / HZ
+        np.testing.assert_array_equal(scan.ranges, clean[tick].ranges)
+    late = dict(delivered("camera_skew@1.06+0.2", stream="images", skew_s=-0.05))
+    assert [late[t].tick - t + 36 for t in (576, 636, 696, 756)] == [0, -30, -30, 0]
+    assert dict(delivered("gps_skew@0", stream="gps", skew_s=0.1))[636].tick == 660
+    assert dict(delivered("camera_skew@0"))[636].end_tick == 600  # of other sensors: nothing
+
+
+def test_a_clock_that_runs_fast_is_off_by_more_and_more() -> None:
+    # 10 000 millionths of the 2 s from tick 300 to 1500: 12 ticks; of the first 0.5 s: 3
+    drift = dict(delivered("lidar_skew@0.5", skew_s=0.0, skew_ppm=1e4))
+    assert drift[636].end_tick - 600 == 3 and drift[1476].end_tick - 1440 == 11
+
+
+def test_a_spoofed_receiver_is_drawn_away_steadily() -> None:
+    spoofed = dict(delivered("gps_spoof@1", stream="gps", gps_spoof_mps=(0.6, -0.3, 0.0)))
+    for tick, message in spoofed.items():
+        since = max(0.0, message.time_s - 1.0)
+        if tick < 600:
+            np.testing.assert_array_equal(message.velocity_world, 0.0)
+        else:
+            expected = [message.tick / HZ + 0.6 * since, -0.3 * since, 0.0]
+            np.testing.assert_allclose(message.position_world, expected, atol=1e-12)
+            np.testing.assert_allclose(message.velocity_world, [0.6, -0.3, 0.0])
+
+
+# ----------------------------------------------------------------------------- gusts, rotors, mount
+
+ALONG = np.array([0.6, 0.8, 0.0])
+
+
+def blown(*events: str, seconds: float = 20.0, **faults: Any) -> Array:
+    """(N, 3) m/s that gusts add at every tick."""
+    params = FaultParams(events=events, gust_kmh=30.0, gust_rise_s=1.5, **faults)
+    disturbances, found = Disturbances(params, HZ, 12.0, 0), []
+    for tick in range(round(seconds * HZ)):
+        found.append(np.zeros(3))
+        disturbances.add_gust(tick, ALONG, found[-1])
+    return np.array(found)
+
+
+def test_the_shape_of_a_gust() -> None:
+    """V = Vm / 2 (1 - cos): its peak is Vm after the rise, its integral Vm times the rise."""
+    assert [gust_speed(p, 4.0) for p in (0.0, 0.5, 1.0, 2.0)] == pytest.approx([0, 2, 4, 0])
+    single = blown("gust@2")
+    speed = single @ ALONG
+    assert speed.max() == pytest.approx(5.0) and speed.argmax() == 3.5 * HZ  # 30 - 12 km/h
+    np.testing.assert_allclose(single, speed[:, None] * ALONG, atol=1e-12)
+    assert speed.sum() / HZ == pytest.approx(5.0 * 1.5, rel=1e-6)
+    assert not speed[: 2 * HZ + 1].any() and not speed[5 * HZ :].any()
+    row = blown("gust@2+10") @ ALONG  # three whole gusts of 3 s
+    assert row.sum() / HZ == pytest.approx(3 * 7.5, rel=1e-6) and not row[11 * HZ :].any()
+    across = blown("gust@2", gust_direction_deg=90.0)
+    assert across[:, 1].max() == pytest.approx(5.0) and not across[:, [0, 2]].round(12).any()
+
+
+def test_a_weak_motor_loses_the_stated_share_of_its_thrust() -> None:
+    corners = 0.2 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    vehicle = VehicleModel(
+        mass_kg=2.0, inertia_kgm2=np.ones(3), rotor_xy_m=corners,
+        rotor_spin=np.array([1.0, -1.0, 1.0, -1.0]), thrust_coefficient=1e-5,
+        torque_coefficient=2e-7, rotor_speed_min=50.0, rotor_speed_max=1000.0,
+        motor_time_constant_s=0.05, linear_drag=0.0, leg_height_m=0.1, footprint_radius_m=0.4,
+    )  # fmt: skip
+    hubs = np.column_stack([vehicle.rotor_xy_m, np.zeros(4)])
+    geometry = RotorGeometry(positions_body=hubs, radius_m=0.1, drag=0.0, inflow=0.0)
+    disturbances = Disturbances(
+        FaultParams(events=("motor_loss@1+1",), motor=2, motor_loss_share=0.3), HZ, 12.0, 0
+    )
+    wrenches = {}
+    for tick in (599, 600, 1199, 1200):
+        rotors = Rotors(vehicle, geometry, 1.0 / HZ)
+        rotors.demand(np.full(4, 700.0), disturbances.rotor_speed_share(tick))
+        still = (np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3), np.zeros(3), math.inf)
+        for _ in range(600):
+            rotors.step(*still)
+        wrenches[tick] = rotors.wrench.copy()
+    thrust = 1e-5 * 700.0**2
+    assert wrenches[599][2] == pytest.approx(4.0 * thrust, rel=1e-6)
+    assert wrenches[600][2] == pytest.approx(3.7 * thrust, rel=1e-6)
+    # of rotor 2 at (-0.2, -0.2): its torque of 0.3 thrusts is missing, and its drag on the air
+    np.testing.assert_allclose(
+        wrenches[1199][3:], [0.06 * thrust, -0.06 * thrust, -0.3 * 2e-7 * 700.0**2], rtol=1e-5
+    )
+    np.testing.assert_allclose(wrenches[1200], wrenches[599])
+    assert disturbances.summary() == [{"fault": "motor_loss@1+1", "messages": {"commands": 2}}]
+
+
+def test_a_miscalibrated_mount_is_off_by_the_stated_amounts() -> None:
+    told = Pose(DOWN.rotation, np.array([0.1, 0.0, -0.05]))
+
+    def off(seed: int, tick: int) -> tuple[float, float]:
+        true = Disturbances(FaultParams(events=("miscalibration@1",)), HZ, 0.0, seed).lidar_mount(
+            tick, told
+        )
+        turn = so3_log(told.rotation.T @ true.rotation)
+        shift = true.translation - told.translation
+        return math.degrees(float(np.linalg.norm(turn))), float(np.linalg.norm(shift))
+
+    assert off(0, 599) == (0.0, 0.0)
+    assert off(0, 600) == pytest.approx((1.0, 0.02))
+    assert off(5, 10**6) == pytest.approx((1.0, 0.02))
+
+
+# ------------------------------------------------------------------------------------- whole worlds
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    path = tmp_path_factory.mktemp("place") / "place.xml"
+    path.write_text(
+        '<mujoco><worldbody><geom name="lawn" type="plane" size="60 60 0.1" rgba="0.3 0.5 0.2 1"/>'
+        '<geom name="wall" type="box" size="1 4 2" pos="6 0 2"/></worldbody></mujoco>'
+    )
+    return load_scene(str(path), 0)
+
+
+def seconds_in_the_air(place: Scene, *events: str) -> Iterator[bytes]:
+    """All that is sensed and true of each half second in the air, as bytes."""
+    world = MujocoWorld(
+        place, sim=SimParams(threads=1), wind=WindParams(), lidar=LidarParams(), seed=3,
+        camera=CameraParams(width=64, height=36), imu=load_config().imu,
+        needs=SensorNeeds(camera_hz=15, lidar=True, gps=True), faults=FaultParams(events=events),
+    )  # fmt: skip
+    try:
+        world.start_in_air(np.array([0.0, 0.0, 12.0]), 0.3)
+        model = world.rig.vehicle
+        hover = math.sqrt(model.mass_kg * 9.81 / (4.0 * model.thrust_coefficient))
+        for _ in range(3):
+            seen = []
+            for _ in range(HZ // STEP // 2):
+                obs = world.step(Command(rotor_speed_radps=np.full(4, hover)))
+                seen += [m.ranges.tobytes() + m.intensity.tobytes() for m in obs.scans]
+                seen += [m.rgb.tobytes() for m in obs.images]
+                seen += [m.position_world.tobytes() for m in obs.gps]
+                seen += [m.specific_force.tobytes() for m in obs.imu]
+            yield b"".join([*seen, world.truth().world_from_body.translation.tobytes()])
+    finally:
+        world.close()
+
+
+ALL_LATER = tuple(
+    f"{kind}@0.9"
+    for kind in ("fog", "rain", "lens_dirt", "motor_loss", "gust", "miscalibration", "gps_spoof")
+)
+
+
+def test_faults_change_nothing_before_they_begin(place: Scene) -> None:
+    clean, troubled = list(seconds_in_the_air(place)), list(seconds_in_the_air(place, *ALL_LATER))
+    assert troubled[0] == clean[0]
+    assert troubled[2] != clean[2]
+    assert list(seconds_in_the_air(place, *ALL_LATER)) == troubled
+    assert list(seconds_in_the_air(place, "fog@99", "gust@99", "lens_dirt@99")) == clean
+
+
+def test_what_happens_in_the_world_is_counted(place: Scene) -> None:
+    params = FaultParams(events=("fog@0.5", "gust@0.1+3"))
+    world = MujocoWorld(
+        place, sim=SimParams(threads=1), wind=WindParams(), lidar=LidarParams(), seed=3,
+        camera=CameraParams(width=64, height=36), imu=load_config().imu,
+        needs=SensorNeeds(lidar=True), faults=params,
+    )  # fmt: skip
+    for _ in range(HZ // STEP):
+        world.step(Command(rotor_speed_radps=np.zeros(4)))
+    world.close()
+    found = {entry["fault"]: entry["messages"] for entry in
+             world.faults.summary() + world.disturbances.summary()}  # fmt: skip
+    # scans that ended at 0.5 to 0.9 s, the last of which arrived at 0.96 s
+    assert found["fog@0.5"] == {"scans": 5, "images": 0}
+    assert found["gust@0.1+3"] == {"air": 179}  # 0.105 to 0.995 s
+
+
+# ----------------------------------------------------------------------------------------- mistakes
+
+
+@pytest.mark.parametrize(
+    ("overrides", "events", "words"),
+    [
+        (["faults.motor_loss_share=0.6"], (), "motor_loss_share = 0.6 is out of range"),
+        (["faults.motor=4"], (), "give 0 to 3"),
+        (["faults.fog_visibility_m=1.0"], (), "give 5 to 100000"),
+        (["faults.low_sun_deg=0.0"], (), "low_sun_deg"),
+        ([], ("low_sun@5",), "give low_sun@0"),
+        ([], ("low_sun@0+5",), "give low_sun@0"),
+        (["wind.mean_kmh=40.0"], ("gust@5",), "gust_kmh = 30 is below wind.mean_kmh = 40"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(
+    overrides: list[str], events: tuple[str, ...], words: str
+) -> None:
+    with pytest.raises(UsageError, match=words) as caught:
+        load_config(None, overrides, fault=events)
+    assert "\n" not in str(caught.value)

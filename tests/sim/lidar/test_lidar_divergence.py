@@ -1,0 +1,170 @@
+"""Beams with a width: mixed pixels at edges, return modes, and the presets' own figures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import Scene, Surface
+from touchdown.sim.api import LidarParams, LidarScan
+from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
+from touchdown.sim.lidar.patterns.livox import HORIZON, PATTERNS
+from touchdown.sim.lidar.sensor import LidarSensor, beam_parts
+
+Array = NDArray[np.float64]
+
+DOWN = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.zeros(3))
+NOISELESS = LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.0)
+RAYS = replace(NOISELESS, divergence=False)
+BRIGHT = Surface(land_class="other", reflectivity=0.8)
+DARK = Surface(land_class="other", reflectivity=0.05)
+PLANE = '<geom name="plane" type="plane" size="0 0 1"/>'
+
+
+def make_scene(world: str, **surfaces: Surface) -> Scene:
+    return Scene(
+        name="test",
+        seed=0,
+        model=mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{world}</worldbody></mujoco>"),
+        takeoff_xy_m=np.zeros(2),
+        takeoff_yaw=0.0,
+        bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]),
+        surfaces=surfaces,
+        ground=None,
+        moving=(),
+    )
+
+
+def scan_from(height: float, scene: Scene, params: LidarParams) -> LidarScan:
+    times = np.arange(61) / 600.0
+    positions = np.tile([0.0, 0.0, height], (61, 1))
+    quats = np.tile([1.0, 0.0, 0.0, 0.0], (61, 1))
+    sensor = LidarSensor(scene, params, 3)
+    return sensor.scan(0, 60, 600, times, positions, quats, DOWN, {})
+
+
+def points(scan: LidarScan, height: float) -> Array:
+    """World points of `scan_from`."""
+    return DOWN.apply(scan.points.astype(np.float64)) + [0.0, 0.0, height]
+
+
+def half_plane(top: float) -> str:
+    """A block that fills x < 0 up to ``top``; the LIDAR's short axis y runs along -x here, so the
+    beam's long side lies across the edge."""
+    return f'<geom name="block" type="box" size="20 40 {top / 2}" pos="-20 0 {top / 2}"/>'
+
+
+def test_low_step_gives_ranges_in_between() -> None:
+    """0.3 m are less than the pulse is long: one echo at the mean range, and only where the beam
+    reaches over the edge. Its outer parts lie 0.174 degrees off the axis: 9.1 cm at 30 m."""
+    scene = make_scene(PLANE + half_plane(0.3), plane=BRIGHT, block=BRIGHT)
+    wide, thin = (points(scan_from(30.0, scene, p), 30.0) for p in (NOISELESS, RAYS))
+    mixed = (wide[:, 2] > 0.02) & (wide[:, 2] < 0.28)
+    assert not ((thin[:, 2] > 0.02) & (thin[:, 2] < 0.28) & (np.abs(thin[:, 0]) > 1e-3)).any()
+    assert mixed.sum() > 30
+    assert np.abs(thin[mixed, 0]).max() < 0.105 * 1.3
+    inside = (np.abs(thin[:, 0]) > 0.2) | (np.abs(thin[:, 1]) > 38.0)
+    np.testing.assert_array_equal(wide[inside], thin[inside])
+    # The mean follows the share of the beam that lies on the block.
+    order = np.corrcoef(thin[mixed, 0], wide[mixed, 2])[0, 1]
+    assert order < -0.8
+
+
+def test_high_step_gives_one_of_two_echoes() -> None:
+    scene = make_scene(PLANE + half_plane(4.0), plane=BRIGHT, block=DARK)
+    first, strongest = (
+        points(scan_from(30.0, scene, replace(NOISELESS, return_mode=mode)), 30.0)
+        for mode in ("first", "strongest")
+    )
+    for cloud in (first, strongest):
+        beside_wall = np.abs(cloud[:, 0]) > 0.15
+        between = (cloud[:, 2] > 0.05) & (cloud[:, 2] < 3.95)
+        assert not (between & beside_wall).any()
+    differ = np.abs(first[:, 2] - strongest[:, 2]) > 1.0
+    assert differ.sum() > 10
+    assert (first[differ, 2] > strongest[differ, 2]).all()
+
+
+def test_wire_is_seen_by_beams_whose_axis_passes_it() -> None:
+    wire = '<geom name="wire" type="capsule" size="0.008 20" pos="0 0 18" euler="90 0 0"/>'
+    scene = make_scene(PLANE + wire, plane=BRIGHT, wire=BRIGHT)
+    wide, thin = (points(scan_from(30.0, scene, p), 30.0)[:, 2] > 17.5 for p in (NOISELESS, RAYS))
+    assert thin.sum() > 20
+    assert wide.sum() > 1.5 * thin.sum()
+
+
+def test_level_ground_and_walls_are_untouched() -> None:
+    wall = '<geom name="wall" type="box" size="30 0.5 30" pos="0 6 0"/>'
+    scene = make_scene(PLANE + wall, plane=BRIGHT, wall=BRIGHT)
+    wide, thin = (scan_from(20.0, scene, params) for params in (NOISELESS, RAYS))
+    np.testing.assert_allclose(wide.ranges, thin.ranges, atol=0.02)
+
+
+def test_same_seed_same_echoes() -> None:
+    scene = make_scene(PLANE + half_plane(2.0), plane=BRIGHT, block=DARK)
+    one, other = (scan_from(30.0, scene, LidarParams()) for _ in range(2))
+    assert one.ranges.tobytes() == other.ranges.tobytes()
+    assert one.intensity.tobytes() == other.intensity.tobytes()
+
+
+def test_parts_of_a_beam() -> None:
+    """Seven parts of equal power; quantiles of a Gaussian of 0.03 x 0.28 degrees full width at half
+    maximum. The outermost quantile of seven, 1 / 14, lies at 1.4652 standard deviations."""
+    parts = np.rad2deg(beam_parts(HORIZON)[:, :2])
+    assert parts.shape == (6, 2)
+    np.testing.assert_allclose(parts.sum(axis=0), 0.0, atol=1e-12)
+    np.testing.assert_allclose(parts[:2, 1], 1.4652 * 0.28 / 2.3548 * np.array([-1, 1]), rtol=1e-3)
+    assert np.abs(parts[:, 0]).max() == pytest.approx(1.4652 * 0.03 / 2.3548, rel=1e-3)
+
+
+def test_unknown_return_mode_is_named() -> None:
+    params = replace(NOISELESS, return_mode="last")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="'last': choose first or strongest"):
+        LidarSensor(make_scene(PLANE), params, 0)
+
+
+@pytest.mark.parametrize(
+    ("preset", "pulses"), [("horizon", 24_000), ("avia", 24_000), ("mid360", 20_000)]
+)
+def test_presets_scan_at_their_rate(preset: str, pulses: int) -> None:
+    scene = make_scene(PLANE, plane=BRIGHT)
+    scan = scan_from(10.0, scene, replace(NOISELESS, preset=preset))
+    assert scan.ranges.shape == (pulses,)
+    down = scan.directions[:, 2]
+    seen = scan.ranges > 0.0
+    np.testing.assert_allclose(scan.ranges[seen] * down[seen], 10.0, atol=1e-3)
+    assert seen[down > 0.3].all()
+    assert not seen[down <= 0.0].any()
+
+
+@pytest.mark.parametrize(
+    ("preset", "reflectivity", "limit"),
+    [
+        ("horizon", 0.1, 90.0),
+        ("horizon", 0.2, 130.0),
+        ("horizon", 0.8, 260.0),
+        ("avia", 0.1, 190.0),
+        ("avia", 0.2, 230.0),
+        ("mid360", 0.1, 40.0),
+        ("mid360", 0.8, 70.0),
+    ],
+)
+def test_presets_end_where_the_data_sheet_says(
+    preset: str, reflectivity: float, limit: float
+) -> None:
+    """Around the limit, within 5 %, the share of returns falls from all to none. A ball around the
+    sensor is met at right angles everywhere."""
+    surface = Surface(land_class="other", reflectivity=reflectivity)
+
+    def share(distance: float) -> float:
+        ball = f'<geom name="ball" type="sphere" size="{distance}"/>'
+        params = replace(RAYS, preset=preset, max_range_m=1000.0)
+        return float(np.mean(scan_from(0.0, make_scene(ball, ball=surface), params).ranges > 0.0))
+
+    assert PATTERNS[preset].range_limits_m[0] <= limit
+    assert share(0.95 * limit) > 0.98
+    assert share(1.05 * limit) < 0.02

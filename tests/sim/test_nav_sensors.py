@@ -1,0 +1,325 @@
+"""Barometer, magnetometer, rangefinder, and when the small sensors deliver."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import GroundRaster, Scene, Surface
+from touchdown.scenes.compose import load_scene
+from touchdown.sim.api import (
+    BarometerParams,
+    CameraParams,
+    Command,
+    GpsParams,
+    ImuParams,
+    LidarParams,
+    MagnetometerParams,
+    NavParams,
+    Observation,
+    RangefinderParams,
+    SensorNeeds,
+    SimParams,
+    WindParams,
+)
+from touchdown.sim.frames import rotation_from_yaw, so3_exp
+from touchdown.sim.navigation.barometer import SEA_LEVEL_PA, BarometerSensor, height_at, pressure_at
+from touchdown.sim.navigation.magnetometer import MagnetometerSensor, earth_field_world
+from touchdown.sim.navigation.rangefinder import RangefinderSensor
+from touchdown.sim.world import MujocoWorld
+
+Array = NDArray[np.float64]
+
+ALL_NAV = SensorNeeds(gps=True, barometer=True, magnetometer=True, rangefinder=True)
+
+
+# ------------------------------------------------------------------------------- barometer
+
+
+def test_standard_atmosphere() -> None:
+    """ISO 2533: 101325 Pa at sea level, 89 874.6 Pa at 1000 m, about 12 Pa a metre near it."""
+    assert pressure_at(0.0) == SEA_LEVEL_PA
+    assert pressure_at(1000.0) == pytest.approx(89_874.6, abs=1.0)
+    assert pressure_at(0.0) - pressure_at(1.0) == pytest.approx(12.01, abs=0.01)
+    for height in (-200.0, 0.0, 123.4, 4000.0):
+        assert height_at(pressure_at(height)) == pytest.approx(height, abs=1e-6)
+
+
+def test_barometer_without_errors_reads_the_height() -> None:
+    params = BarometerParams(white_sigma_pa=0.0, drift_sigma_pa=0.0, offset_sigma_pa=0.0)
+    sample = BarometerSensor(params, 600, 0).sample(24, 31.5)
+    assert (sample.tick, sample.time_s) == (24, 0.04)
+    assert sample.altitude_m == pytest.approx(31.5, abs=1e-6)
+    assert sample.pressure_pa == pytest.approx(pressure_at(31.5 + params.site_elevation_m))
+
+
+def test_barometer_noise_drift_and_offset() -> None:
+    """Differences of neighbours show the white noise; its removal leaves the drift's increments
+    over a minute, sigma sqrt(2 (1 - exp(-60 / 300)))."""
+    params = BarometerParams()
+    sensor = BarometerSensor(params, 600, 3)
+    series = np.array([sensor.sample(24 * k, 0.0).pressure_pa for k in range(150_000)])
+    assert np.std(np.diff(series)) / math.sqrt(2.0) == pytest.approx(1.2, rel=0.02)
+    smooth = series.reshape(-1, 100).mean(axis=1)  # 4 s
+    steps = np.std(smooth[15:] - smooth[:-15])
+    expected = params.drift_sigma_pa * math.sqrt(2.0 * -math.expm1(-60.0 / 300.0))
+    assert steps == pytest.approx(expected, rel=0.2)
+    first = [BarometerSensor(params, 600, s).sample(0, 0.0).pressure_pa for s in range(500)]
+    spread = math.sqrt(25.0**2 + 4.0**2 + 1.2**2)
+    assert np.std(first) == pytest.approx(spread, rel=0.1)
+
+
+# ---------------------------------------------------------------------------- magnetometer
+
+
+def test_earth_field_points_down_and_along_its_declination() -> None:
+    params = MagnetometerParams(strength_ut=50.0, declination_deg=90.0, inclination_deg=60.0)
+    np.testing.assert_allclose(
+        earth_field_world(params), [25.0, 0.0, -50.0 * math.sqrt(0.75)], atol=1e-12
+    )
+
+
+def test_heading_from_the_field() -> None:
+    """A level vehicle that heads north-west (yaw 135 degrees) recovers its yaw from the field."""
+    params = MagnetometerParams(noise_sigma_ut=0.0, hard_iron_sigma_ut=0.0)
+    rotation = rotation_from_yaw(math.radians(135.0))
+    field = MagnetometerSensor(params, 600, 0).sample(12, rotation).field_body_ut
+    east, north, _ = earth_field_world(params)
+    yaw = math.atan2(north, east) - math.atan2(field[1], field[0])
+    assert math.degrees(yaw) == pytest.approx(135.0, abs=1e-9)
+
+
+def test_hard_iron_is_constant_in_the_body_and_noise_is_white() -> None:
+    sensor = MagnetometerSensor(MagnetometerParams(), 600, 4)
+    truth = earth_field_world(MagnetometerParams())
+    turns = [so3_exp(np.array([0.0, 0.3, 0.001 * k])) for k in range(20_000)]
+    errors = np.array([sensor.sample(0, r).field_body_ut - r.T @ truth for r in turns])
+    np.testing.assert_allclose(errors.mean(axis=0), sensor.hard_iron_ut, atol=0.006)
+    np.testing.assert_allclose(np.std(errors, axis=0), 0.2, rtol=0.03)
+    devices = [MagnetometerSensor(MagnetometerParams(), 600, s).hard_iron_ut for s in range(400)]
+    assert np.std(devices) == pytest.approx(0.7, rel=0.07)
+
+
+def test_a_field_not_of_this_earth_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"magnetometer\.strength_ut is 20 to 70"):
+        MagnetometerSensor(MagnetometerParams(strength_ut=500.0), 600, 0)
+
+
+# ----------------------------------------------------------------------------- rangefinder
+
+PLACE = """<mujoco><worldbody>
+  <geom name="floor" type="plane" size="200 200 0.1"/>
+  <geom name="roof" type="box" size="1 1 0.5" pos="20 0 2.5"/>
+  <geom name="crown" type="sphere" size="2" pos="0 20 4"/>
+  <geom name="pond" type="box" size="5 5 0.1" pos="-30 0 0"/>
+  <geom name="soot" type="box" size="5 5 0.1" pos="0 -30 0"/>
+  <geom name="hidden" type="box" size="5 5 0.1" pos="40 0 4" group="3"/>
+  <body name="vehicle/quadrotor" pos="0 0 10"><freejoint/>
+    <geom name="vehicle/body" type="box" size="0.3 0.3 0.3" mass="1" group="4"/></body>
+</worldbody></mujoco>"""
+CLEAN = RangefinderParams(sigma_m=0.0, position_body_m=(0.0, 0.0, 0.0), resolution_m=1e-9)
+
+
+def make_place(ground: GroundRaster | None = None) -> tuple[Scene, mujoco.MjData]:
+    model = mujoco.MjModel.from_xml_string(PLACE)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    surfaces = {
+        "floor": Surface(land_class="lawn", reflectivity=0.5),
+        "roof": Surface(land_class="building", reflectivity=0.4),
+        "crown": Surface(land_class="trees", reflectivity=0.5, porosity=0.6),
+        "pond": Surface(land_class="water", reflectivity=0.02, water=True),
+        "soot": Surface(land_class="road", reflectivity=0.01),
+    }
+    scene = Scene(
+        name="place",
+        seed=0,
+        model=model,
+        takeoff_xy_m=np.zeros(2),
+        takeoff_yaw=0.0,
+        bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]),
+        surfaces=surfaces,
+        ground=ground,
+        moving=(),
+    )
+    return scene, data
+
+
+def ranges(
+    x: float,
+    y: float,
+    z: float,
+    *,
+    params: RangefinderParams = CLEAN,
+    tilt: float = 0.0,
+    count: int = 1,
+    ground: GroundRaster | None = None,
+) -> Array:
+    """(count,) readings of a vehicle at (x, y, z), pitched by ``tilt`` radians."""
+    scene, data = make_place(ground)
+    sensor = RangefinderSensor(scene, params, 600, 1)
+    rotation = so3_exp(np.array([0.0, tilt, 0.0]))
+    pose = rotation, np.array([x, y, z])
+    return np.array([sensor.sample(12, data, *pose).range_m for _ in range(count)])
+
+
+def test_known_distances() -> None:
+    assert ranges(0, 0, 10.0)[0] == pytest.approx(10.0, abs=1e-6)
+    assert ranges(20, 0, 10.0)[0] == pytest.approx(7.0, abs=1e-6)
+    assert ranges(40, 0, 10.0)[0] == pytest.approx(10.0, abs=1e-6)  # sensors do not see group 3
+    assert ranges(0, 0, 10.0, tilt=0.5)[0] == pytest.approx(10.0 / math.cos(0.5), abs=1e-6)
+    lowered = RangefinderParams(sigma_m=0.0, position_body_m=(0.0, 0.0, -0.13), resolution_m=0.01)
+    assert ranges(0, 0, 10.0, params=lowered)[0] == pytest.approx(9.87, abs=1e-9)
+
+
+def test_noise_and_resolution() -> None:
+    params = RangefinderParams(position_body_m=(0.0, 0.0, 0.0))
+    readings = ranges(0, 0, 10.0, params=params, count=4000)
+    assert np.std(readings) == pytest.approx(0.03, rel=0.05)
+    assert np.mean(readings) == pytest.approx(10.0, abs=0.002)
+    np.testing.assert_allclose(readings * 100.0, np.round(readings * 100.0), atol=1e-6)
+
+
+def test_faint_echoes_are_lost() -> None:
+    """Reflectivity 0.5 is seen to 100 sqrt(5/7) = 84.5 m, 0.01 to 12.0 m; nothing is nearer than
+    the least range; under 60 degrees the reach of the floor shrinks to 59.8 m."""
+    assert ranges(0, 0, 84.0)[0] > 0.0
+    assert ranges(0, 0, 85.0)[0] == 0.0
+    assert ranges(0, -30, 11.9)[0] > 0.0
+    assert ranges(0, -30, 12.3)[0] == 0.0
+    assert ranges(0, 0, 0.05)[0] == 0.0
+    slanted = math.radians(60.0)
+    assert ranges(0, 0, 0.5 * 59.0, tilt=slanted)[0] > 0.0
+    assert ranges(0, 0, 0.5 * 60.5, tilt=slanted)[0] == 0.0
+
+
+def test_water_answers_near_the_vertical_only() -> None:
+    assert ranges(-30, 0, 10.0)[0] == pytest.approx(9.9, abs=1e-6)
+    assert ranges(-28, 0, 10.0, tilt=math.radians(15.0))[0] == 0.0
+
+
+def test_crowns_let_some_pulses_through() -> None:
+    readings = ranges(0, 20, 16.0, count=3000)
+    top, through = np.abs(readings - 10.0) < 0.01, np.abs(readings - 16.0) < 0.01
+    inner = np.abs(readings - 14.0) < 0.03  # the crown's lower skin, from inside
+    assert (top | through | inner).all()
+    assert top.mean() == pytest.approx(0.4, abs=0.03)
+
+
+def test_the_ground_raster_goes_before_the_geom() -> None:
+    raster = GroundRaster(
+        geom_name="floor",
+        origin_xy_m=np.array([-1.0, -1.0]),
+        cell_m=2.0,
+        class_id=np.array([[3]], dtype=np.uint8),
+        reflectivity=np.array([[0.01]], dtype=np.float32),
+    )
+    assert ranges(0, 0, 13.0, ground=raster)[0] == 0.0
+    assert ranges(2, 0, 13.0, ground=raster)[0] > 0.0
+
+
+# ------------------------------------------------------------------------------- the world
+
+MakeWorld = Callable[..., MujocoWorld]
+
+
+@pytest.fixture(scope="module")
+def field(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    path = tmp_path_factory.mktemp("field") / "field.xml"
+    path.write_text(
+        '<mujoco><worldbody><geom name="lawn" type="plane" size="60 60 0.1"/></worldbody></mujoco>'
+    )
+    return load_scene(str(path), 0)
+
+
+@pytest.fixture
+def make_world(field: Scene) -> Iterator[MakeWorld]:
+    made: list[MujocoWorld] = []
+
+    def make(needs: SensorNeeds = ALL_NAV, nav: NavParams | None = None) -> MujocoWorld:
+        world = MujocoWorld(
+            field,
+            sim=SimParams(threads=1),
+            wind=WindParams(),
+            lidar=LidarParams(),
+            camera=CameraParams(width=32, height=24),
+            imu=ImuParams(),
+            nav=nav or NavParams(),
+            needs=needs,
+            seed=3,
+        )
+        made.append(world)
+        return world
+
+    yield make
+    for world in made:
+        world.close()
+
+
+def rest(world: MujocoWorld, steps: int) -> Iterator[Observation]:
+    yield world.reset()
+    for _ in range(steps):
+        yield world.step(Command(rotor_speed_radps=np.zeros(4)))
+
+
+def test_each_sensor_has_its_own_schedule(make_world: MakeWorld) -> None:
+    arrivals: dict[str, list[tuple[int, int]]] = {}
+    names = ("gps", "barometer", "magnetometer", "rangefinder")
+    for obs in rest(make_world(), 150):
+        for name in names:
+            found = arrivals.setdefault(name, [])
+            found += [(obs.tick, sample.tick) for sample in getattr(obs, name)]
+    schedule = {"gps": (120, 72), "barometer": (24, 12), "magnetometer": (12, 3)}
+    for name, (period, latency) in (schedule | {"rangefinder": (12, 6)}).items():
+        measured = range(period, 450 - latency + 1, period)
+        assert arrivals[name] == [(t + latency, t) for t in measured]
+
+
+def test_only_what_is_asked_for_runs(make_world: MakeWorld) -> None:
+    for obs in rest(make_world(SensorNeeds(barometer=True)), 80):
+        assert (obs.gps, obs.magnetometer, obs.rangefinder) == ((), (), ())
+    for obs in rest(make_world(nav=NavParams(gps=GpsParams(preset="denied"))), 80):
+        assert obs.gps == ()
+
+
+def test_readings_at_rest_are_those_of_the_place(make_world: MakeWorld) -> None:
+    world = make_world()
+    observations = list(rest(world, 400))
+    height = float(world.truth().world_from_body.translation[2])
+    antenna = world.truth().world_from_body.apply(np.array(world.rig.nav.gps.antenna_body_m))
+    fixes = [fix for obs in observations for fix in obs.gps]
+    assert len(fixes) == 9
+    for fix in fixes:
+        assert np.linalg.norm((fix.position_world - antenna) / fix.sigma_position_m) < 5.0
+        assert np.linalg.norm(fix.velocity_world) < 0.3
+    echoes = [s.range_m for obs in observations for s in obs.rangefinder]
+    assert np.mean(echoes) == pytest.approx(height - 0.13, abs=0.01)
+    heights = [s.altitude_m for obs in observations for s in obs.barometer]
+    assert np.mean(heights) == pytest.approx(height, abs=3.0 * 26.0 / 12.0)
+
+
+def test_sensors_do_not_disturb_one_another_and_reset_repeats(make_world: MakeWorld) -> None:
+    alone = [
+        s.altitude_m for o in rest(make_world(SensorNeeds(barometer=True)), 60) for s in o.barometer
+    ]
+    world = make_world()
+    together = [s.altitude_m for o in rest(world, 60) for s in o.barometer]
+    again = [s.altitude_m for o in rest(world, 60) for s in o.barometer]
+    assert alone == together == again
+
+
+def test_impossible_parameters_are_named(make_world: MakeWorld) -> None:
+    cases: list[tuple[NavParams, str]] = [
+        (NavParams(gps=GpsParams(period_ticks=7)), r"gps\.period_ticks is 7.*divide"),
+        (NavParams(barometer=BarometerParams(latency_ticks=-1)), r"barometer\.latency_ticks"),
+        (NavParams(barometer=BarometerParams(drift_tau_s=0.0)), r"correlation time 0 s"),
+        (NavParams(rangefinder=RangefinderParams(max_range_m=0.0)), r"rangefinder\.min_range_m"),
+    ]
+    for nav, message in cases:
+        with pytest.raises(ValueError, match=message):
+            make_world(nav=nav)

@@ -1,0 +1,353 @@
+"""The airframe's MJCF, its rotors and its contact with the ground."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import Scene
+from touchdown.scenes.compose import VEHICLE_XML, load_scene
+from touchdown.sim.airframe.battery import DRIVE_EFFICIENCY, HOTEL_LOAD_W, Battery
+from touchdown.sim.airframe.physics import prepare_physics, settle_on_ground
+from touchdown.sim.airframe.rotors import Rotors, ground_effect
+from touchdown.sim.airframe.vehicle import (
+    foot_positions,
+    rotor_geometry,
+    sensor_poses,
+    vehicle_model,
+)
+from touchdown.sim.api import AIR_DENSITY_KGPM3, GRAVITY_MPS2, VehicleModel
+from touchdown.sim.frames import (
+    BODY_FROM_DOWNWARD_OPTICAL,
+    matrix_from_quat_wxyz,
+    rotation_from_yaw,
+)
+
+Array = NDArray[np.float64]
+TICK_HZ = 600
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+STILL = np.zeros(3)
+HIGH = float("inf")
+
+FLAT = """<mujoco><worldbody>
+  <geom name="lawn_floor" type="plane" size="50 50 0.1"/><site name="takeoff" pos="1 2 0"/>
+</worldbody></mujoco>"""
+ROUGH = """<mujoco><asset>
+  <hfield name="rough" nrow="41" ncol="41" size="4 4 0.2 0.5" elevation="{}"/>
+</asset><worldbody>
+  <geom name="lawn_floor" type="hfield" hfield="rough"/><site name="takeoff" pos="0.1 0.2 1"/>
+</worldbody></mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def alone() -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_path(str(VEHICLE_XML))
+
+
+@pytest.fixture(scope="module")
+def vehicle(alone: mujoco.MjModel) -> VehicleModel:
+    return vehicle_model(alone, prefix="")
+
+
+def _scene(folder: Path, xml: str) -> Scene:
+    path = folder / "place.xml"
+    path.write_text(xml)
+    scene = load_scene(str(path), 0)
+    prepare_physics(scene.model, TICK_HZ)
+    return scene
+
+
+def _hover_speed(vehicle: VehicleModel) -> float:
+    return float(np.sqrt(vehicle.mass_kg * GRAVITY_MPS2 / (4.0 * vehicle.thrust_coefficient)))
+
+
+def _spinning(alone: mujoco.MjModel, vehicle: VehicleModel, speed: float) -> Rotors:
+    rotors = Rotors(vehicle, rotor_geometry(alone, prefix=""), tick_s=1.0 / TICK_HZ)
+    rotors.speeds[:] = speed
+    rotors.demand(np.full(4, speed))
+    return rotors
+
+
+# ------------------------------------------------------------------------------- airframe
+
+
+def test_mass_budget_and_balance(alone: mujoco.MjModel, vehicle: VehicleModel) -> None:
+    assert vehicle.mass_kg == pytest.approx(4.2)
+    assert np.abs(alone.body_ipos[1]).max() < 1e-3
+    assert (vehicle.inertia_kgm2 > 0.05).all()
+    products = matrix_from_quat_wxyz(alone.body_iquat[1])
+    tensor = products @ np.diag(alone.body_inertia[1]) @ products.T
+    assert np.abs(tensor - np.diag(np.diag(tensor))).max() < 0.01 * vehicle.inertia_kgm2.min()
+
+
+def test_hover_takes_half_of_the_thrust(vehicle: VehicleModel) -> None:
+    most = 4.0 * vehicle.thrust_coefficient * vehicle.rotor_speed_max**2
+    assert 0.45 < vehicle.mass_kg * GRAVITY_MPS2 / most < 0.6
+
+
+def test_rotors_alternate_and_balance(vehicle: VehicleModel) -> None:
+    np.testing.assert_allclose(vehicle.rotor_xy_m.sum(axis=0), 0.0, atol=1e-12)
+    assert vehicle.rotor_spin.sum() == 0.0
+    # Rotors across from one another spin alike, so pitch and roll need no yaw torque.
+    np.testing.assert_allclose(vehicle.rotor_spin @ vehicle.rotor_xy_m, 0.0, atol=1e-12)
+
+
+def test_geoms_are_hidden_from_sensors_and_named_by_part(alone: mujoco.MjModel) -> None:
+    assert (alone.geom_group == 4).all()
+    for i in range(alone.ngeom):
+        assert alone.geom(i).name.startswith(("leg_", "rotor_", "body_"))
+
+
+def test_sensors_look_down_across_the_flight_direction(alone: mujoco.MjModel) -> None:
+    imu, lidar, camera, right = sensor_poses(alone, prefix="")
+    np.testing.assert_allclose(imu.matrix(), np.eye(4), atol=1e-12)
+    for pose in (lidar, camera, right):
+        np.testing.assert_allclose(pose.rotation, BODY_FROM_DOWNWARD_OPTICAL, atol=1e-12)
+    baseline = camera.inverse().apply(right.translation)
+    np.testing.assert_allclose(baseline, [0.05, 0.0, 0.0], atol=1e-12)
+
+
+def test_mjcf_cameras_match_their_sites(alone: mujoco.MjModel) -> None:
+    for name, pose in zip(
+        ("camera", "camera_right"), sensor_poses(alone, prefix="")[2:], strict=True
+    ):
+        camera = alone.camera(name)
+        rotation = matrix_from_quat_wxyz(camera.quat)
+        np.testing.assert_allclose(rotation, pose.rotation @ np.diag([1.0, -1.0, -1.0]), atol=1e-12)
+        np.testing.assert_allclose(camera.pos, pose.translation)
+        focal, sensor = alone.cam_intrinsic[camera.id, :2], alone.cam_sensorsize[camera.id]
+        field_deg = np.degrees(2.0 * np.arctan(sensor / (2.0 * focal)))
+        np.testing.assert_allclose(field_deg, [69.0, 42.0], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "field_deg"), [(1, (81.7, 25.1)), (2, (69.0, 42.0)), (3, (69.0, 42.0))]
+)
+def test_nothing_of_the_vehicle_is_in_view(
+    alone: mujoco.MjModel, sensor: int, field_deg: tuple[float, float]
+) -> None:
+    """Rays over the whole field of view, from the sensor's front, meet no part of the vehicle."""
+    data = mujoco.MjData(alone)
+    mujoco.mj_forward(alone, data)
+    pose = sensor_poses(alone, prefix="")[sensor]
+    hit = np.zeros(1, dtype=np.int32)
+    x, y = (np.tan(np.radians(np.linspace(-f / 2, f / 2, 41))) for f in field_deg)
+    for direction in np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2):
+        ray = pose.rotation @ np.append(direction, 1.0)
+        start = pose.translation + 1e-4 * pose.rotation[:, 2]
+        assert mujoco.mj_ray(alone, data, start, ray, None, True, -1, hit) < 0.0
+
+
+def test_a_missing_part_is_named() -> None:
+    empty = mujoco.MjModel.from_xml_string("<mujoco/>")
+    with pytest.raises(ValueError, match=r"'vehicle/quadrotor' is missing"):
+        vehicle_model(empty)
+    bare = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body name="vehicle/quadrotor"><geom size="1"/></body></worldbody>'
+        "</mujoco>"
+    )
+    with pytest.raises(ValueError, match=r"no site 'vehicle/rotor_0'"):
+        vehicle_model(bare)
+
+
+# --------------------------------------------------------------------------------- rotors
+
+
+def test_hover_wrench_is_the_weight(alone: mujoco.MjModel, vehicle: VehicleModel) -> None:
+    rotors = _spinning(alone, vehicle, _hover_speed(vehicle))
+    wrench = rotors.step(LEVEL, STILL, STILL, STILL, HIGH)
+    weight = vehicle.mass_kg * GRAVITY_MPS2
+    np.testing.assert_allclose(wrench, [0, 0, weight, 0, 0, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("rotor", range(4))
+def test_one_rotors_wrench_matches_the_vehicle_model(
+    alone: mujoco.MjModel, vehicle: VehicleModel, rotor: int
+) -> None:
+    rotors = _spinning(alone, vehicle, 0.0)
+    rotors.speeds[rotor] = 300.0
+    rotors.demand(np.where(np.arange(4) == rotor, 300.0, 0.0))
+    x, y = vehicle.rotor_xy_m[rotor]
+    thrust = vehicle.thrust_coefficient * 300.0**2
+    yaw = vehicle.rotor_spin[rotor] * vehicle.torque_coefficient * 300.0**2
+    expected = [0.0, 0.0, thrust, y * thrust, -x * thrust, yaw]
+    np.testing.assert_allclose(rotors.step(LEVEL, STILL, STILL, STILL, HIGH), expected, atol=1e-9)
+
+
+def test_motor_reaches_63_percent_at_its_time_constant(
+    alone: mujoco.MjModel, vehicle: VehicleModel
+) -> None:
+    rotors = _spinning(alone, vehicle, 100.0)
+    rotors.demand(np.full(4, 500.0))
+    for _ in range(round(vehicle.motor_time_constant_s * TICK_HZ)):
+        rotors.step(LEVEL, STILL, STILL, STILL, HIGH)
+    np.testing.assert_allclose(rotors.speeds, 100.0 + 400.0 * (1.0 - np.exp(-1.0)), rtol=1e-12)
+
+
+def test_demands_saturate_and_zero_stops(alone: mujoco.MjModel, vehicle: VehicleModel) -> None:
+    rotors = _spinning(alone, vehicle, 200.0)
+    rotors.demand(np.array([0.0, 1.0, 300.0, 9e9]))
+    for _ in range(600):
+        rotors.step(LEVEL, STILL, STILL, STILL, HIGH)
+    expected = [0.0, vehicle.rotor_speed_min, 300.0, vehicle.rotor_speed_max]
+    np.testing.assert_allclose(rotors.speeds, expected, atol=1e-6)
+    with pytest.raises(ValueError, match=r"4 finite rotor speeds"):
+        rotors.demand(np.array([1.0, 2.0, np.nan, 3.0]))
+
+
+def test_rotor_drag_opposes_the_air_in_the_rotor_plane(
+    alone: mujoco.MjModel, vehicle: VehicleModel
+) -> None:
+    rotors = _spinning(alone, vehicle, _hover_speed(vehicle))
+    wind = np.array([2.0, -1.0, 0.0])
+    force = rotors.step(LEVEL, STILL, STILL, wind, HIGH)[:3].copy()
+    np.testing.assert_allclose(force[:2], vehicle.linear_drag * wind[:2], rtol=1e-9)
+    moving = rotors.step(LEVEL, -wind, STILL, STILL, HIGH)[:3]
+    np.testing.assert_allclose(force, moving)
+
+
+def test_wrench_turns_with_the_body(alone: mujoco.MjModel, vehicle: VehicleModel) -> None:
+    turn = rotation_from_yaw(0.7)
+    quat = np.array([np.cos(0.35), 0.0, 0.0, np.sin(0.35)])
+    velocity, rates = np.array([1.0, 2.0, -0.5]), np.array([0.3, -0.2, 0.1])
+    rotors = _spinning(alone, vehicle, 350.0)
+    level = rotors.step(LEVEL, velocity, rates, STILL, 1.0).copy()
+    turned = rotors.step(quat, turn @ velocity, rates, STILL, 1.0)
+    np.testing.assert_allclose(turned, np.concatenate([turn @ level[:3], turn @ level[3:]]))
+
+
+def test_climbing_costs_thrust(alone: mujoco.MjModel, vehicle: VehicleModel) -> None:
+    rotors = _spinning(alone, vehicle, _hover_speed(vehicle))
+    thrusts = [
+        rotors.step(LEVEL, np.array([0, 0, vz]), STILL, STILL, HIGH)[2] for vz in (-1.0, 0.0, 1.0)
+    ]
+    assert thrusts[0] > thrusts[1] > thrusts[2]
+    geometry = rotor_geometry(alone, prefix="")
+    slope = -4.0 * geometry.inflow * _hover_speed(vehicle)
+    assert thrusts[2] - thrusts[1] == pytest.approx(slope)
+
+
+def test_ground_effect_follows_cheeseman_and_bennett(
+    alone: mujoco.MjModel, vehicle: VehicleModel
+) -> None:
+    assert ground_effect(0.19, 0.19) == pytest.approx(16.0 / 15.0)
+    assert ground_effect(0.38, 0.19) == pytest.approx(64.0 / 63.0)
+    assert ground_effect(0.0, 0.19) == ground_effect(0.095, 0.19) == pytest.approx(4.0 / 3.0)
+    assert ground_effect(HIGH, 0.19) == 1.0
+    rotors = _spinning(alone, vehicle, _hover_speed(vehicle))
+    near, far = (
+        rotors.step(LEVEL, STILL, STILL, STILL, h)[2] for h in (vehicle.leg_height_m, HIGH)
+    )
+    height = vehicle.leg_height_m + rotor_geometry(alone, prefix="").positions_body[0, 2]
+    assert near / far == pytest.approx(ground_effect(height, 0.1905))
+
+
+# ---------------------------------------------------------------------------- free motion
+
+
+def _fall(scene: Scene, ticks: int, rotors: Rotors | None, velocity: Array) -> mujoco.MjData:
+    model, data = scene.model, mujoco.MjData(scene.model)
+    data.qpos[2] = 20.0
+    data.qvel[:3] = velocity
+    for _ in range(ticks):
+        if rotors is not None:
+            data.xfrc_applied[1] = rotors.step(
+                data.qpos[3:7], data.qvel[:3], data.qvel[3:6], STILL, HIGH
+            )
+        mujoco.mj_step(model, data)
+    return data
+
+
+def test_free_fall_without_rotors(tmp_path: Path) -> None:
+    ticks = 120
+    data = _fall(_scene(tmp_path, FLAT), ticks, None, STILL)
+    drop = 0.5 * GRAVITY_MPS2 * ticks * (ticks + 1) / TICK_HZ**2
+    assert 20.0 - data.qpos[2] == pytest.approx(drop, abs=1e-3)
+    np.testing.assert_allclose(data.qvel[3:], 0.0, atol=1e-6)
+
+
+def test_hover_speed_holds_altitude_in_open_loop(
+    tmp_path: Path, alone: mujoco.MjModel, vehicle: VehicleModel
+) -> None:
+    rotors = _spinning(alone, vehicle, _hover_speed(vehicle))
+    data = _fall(_scene(tmp_path, FLAT), 300, rotors, STILL)
+    np.testing.assert_allclose(data.qpos[:3], [1.0, 2.0, 20.0], atol=1e-3)
+    np.testing.assert_allclose(data.qpos[3:], LEVEL, atol=1e-4)
+
+
+def test_fuselage_drag_is_that_of_a_bluff_body(tmp_path: Path, vehicle: VehicleModel) -> None:
+    """rho (C_blunt A_front + C_slender (A_max - A_front)) v^2, MuJoCo's ellipsoid model."""
+    scene = _scene(tmp_path, FLAT)
+    data = mujoco.MjData(scene.model)
+    data.qpos[2] = 20.0
+    data.qvel[0] = 5.0
+    mujoco.mj_forward(scene.model, data)
+    front, most = np.pi * 0.12 * 0.055, np.pi * 0.15 * 0.12
+    expected = AIR_DENSITY_KGPM3 * (0.9 * front + 0.45 * (most - front)) * 25.0
+    assert -data.qfrc_passive[0] == pytest.approx(expected, rel=0.02)
+
+
+# -------------------------------------------------------------------------------- contact
+
+
+def test_stands_on_its_four_feet(tmp_path: Path, vehicle: VehicleModel) -> None:
+    scene = _scene(tmp_path, FLAT)
+    data = mujoco.MjData(scene.model)
+    settle_on_ground(scene, data)
+    assert data.qpos[2] == pytest.approx(vehicle.leg_height_m, abs=1e-3)
+    assert np.linalg.norm(data.qvel) < 1e-4
+    assert data.ncon == 4
+    assert foot_positions(scene.model)[:, 2] == pytest.approx(-vehicle.leg_height_m)
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.2, 0.3])
+@pytest.mark.parametrize("place", ["flat", "rough"])
+def test_touchdown_neither_bounces_nor_penetrates(tmp_path: Path, speed: float, place: str) -> None:
+    heights = np.random.default_rng(0).uniform(0.0, 0.1, 41 * 41)
+    xml = FLAT if place == "flat" else ROUGH.format(" ".join(f"{h:.4f}" for h in heights))
+    scene = _scene(tmp_path, xml)
+    data = mujoco.MjData(scene.model)
+    settle_on_ground(scene, data)
+    rest = data.qpos[2]
+    data.qpos[2] += 0.002  # rotors off: harsher than a landing
+    data.qvel[:] = (0.0, 0.0, -speed, 0.0, 0.0, 0.0)
+    deepest, touched, rebound = 0.0, False, 0.0
+    for _ in range(600):
+        mujoco.mj_step(scene.model, data)
+        touched = touched or data.ncon > 0
+        if data.ncon:
+            deepest = max(deepest, -float(data.contact.dist.min()))
+        if touched:
+            rebound = max(rebound, float(data.qpos[2] - rest))
+    assert touched
+    assert deepest < 0.01
+    assert rebound < 0.02
+    assert data.qpos[2] == pytest.approx(rest, abs=0.003)
+
+
+# -------------------------------------------------------------------------------- battery
+
+
+def test_battery_counts_shaft_and_hotel_power() -> None:
+    battery = Battery(1000.0)
+    battery.draw(shaft_power_w=75.0, duration_s=2.0)
+    assert battery.energy_used_j == pytest.approx(2.0 * (75.0 / DRIVE_EFFICIENCY + HOTEL_LOAD_W))
+    assert battery.fraction == pytest.approx(1.0 - battery.energy_used_j / 1000.0)
+    battery.draw(shaft_power_w=1e6, duration_s=1.0)
+    assert battery.empty
+    assert battery.fraction == 0.0
+    with pytest.raises(ValueError, match=r"battery_capacity_j"):
+        Battery(0.0)
+
+
+def test_hover_power_is_that_of_a_four_kilogram_quadrotor(
+    alone: mujoco.MjModel, vehicle: VehicleModel
+) -> None:
+    power = _spinning(alone, vehicle, _hover_speed(vehicle)).shaft_power()
+    assert power == pytest.approx(4.0 * vehicle.torque_coefficient * _hover_speed(vehicle) ** 3)
+    endurance_s = 700e3 / (power / DRIVE_EFFICIENCY + HOTEL_LOAD_W)
+    assert 15.0 < endurance_s / 60.0 < 30.0

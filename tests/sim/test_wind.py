@@ -1,0 +1,144 @@
+"""Mean profile and Dryden turbulence against MIL-F-8785C."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import signal
+
+from touchdown.sim.api import WindParams
+from touchdown.sim.wind import REFERENCE_HEIGHT_M, Wind, _advance_pair, dryden_psd, dryden_scales
+
+Array = NDArray[np.float64]
+HEIGHT_M = 30.0
+AIRSPEED_MPS = 5.0
+
+
+def _gusts(dt_s: float, count: int, *, height_m: float = HEIGHT_M, seed: int = 1) -> Array:
+    """(count, 3) turbulence along the mean wind, to its left, and up."""
+    params = WindParams(mean_kmh=12.0, direction_deg=0.0)
+    wind = Wind(params, seed)
+    series = np.array([wind.step(dt_s, height_m, AIRSPEED_MPS).copy() for _ in range(count)])
+    series[:, 0] -= wind.mean_speed(height_m)
+    return series
+
+
+def test_scales_at_30_m_and_12_kmh() -> None:
+    sigma_uv, sigma_w, scale_uv, scale_w = dryden_scales(HEIGHT_M / 0.3048, 12.0 / 3.6)
+    assert sigma_w == pytest.approx(0.333, abs=0.001)
+    assert sigma_uv == pytest.approx(0.573, abs=0.001)
+    assert scale_uv == pytest.approx(152.0, abs=1.0)
+    assert scale_w == pytest.approx(30.0)
+
+
+def test_height_counts_from_ten_feet() -> None:
+    assert dryden_scales(0.0, 3.0) == dryden_scales(10.0, 3.0) != dryden_scales(11.0, 3.0)
+
+
+def test_mean_profile_is_logarithmic() -> None:
+    wind = Wind(WindParams(mean_kmh=12.0, roughness_length_m=0.1, turbulence=False), 0)
+    assert wind.mean_speed(REFERENCE_HEIGHT_M) == pytest.approx(12.0 / 3.6)
+    assert wind.mean_speed(0.05) == 0.0
+    # One decade of height is as much as from the roughness length to ten times that.
+    assert wind.mean_speed(10.0) - wind.mean_speed(1.0) == pytest.approx(wind.mean_speed(1.0))
+
+
+@pytest.mark.parametrize("direction_deg", [0.0, 90.0, 215.0])
+def test_steady_wind_blows_where_it_is_told(direction_deg: float) -> None:
+    wind = Wind(WindParams(mean_kmh=18.0, direction_deg=direction_deg, turbulence=False), 3)
+    angle = np.radians(direction_deg)
+    expected = 5.0 * np.array([np.cos(angle), np.sin(angle), 0.0])
+    np.testing.assert_allclose(wind.step(0.005, REFERENCE_HEIGHT_M, 3.0), expected, atol=1e-12)
+
+
+def test_turbulence_turns_with_the_mean_wind() -> None:
+    east = Wind(WindParams(direction_deg=0.0), 5)
+    north = Wind(WindParams(direction_deg=90.0), 5)
+    for _ in range(50):
+        x, y, z = east.step(0.01, 20.0, 4.0)
+        np.testing.assert_allclose(north.step(0.01, 20.0, 4.0), [-y, x, z], atol=1e-12)
+
+
+def test_direction_and_gusts_follow_the_seed() -> None:
+    directions = [Wind(WindParams(), seed).mean_direction for seed in range(200)]
+    assert np.linalg.norm(np.mean(directions, axis=0)) < 0.25  # three sigma of a uniform direction
+    first, again, other = (Wind(WindParams(), seed) for seed in (7, 7, 8))
+    a, b, c = (w.step(0.005, 10.0, 3.0).tobytes() for w in (first, again, other))
+    assert a == b != c
+
+
+def test_no_wind_means_still_air() -> None:
+    assert not Wind(WindParams(mean_kmh=0.0), 0).step(0.005, 30.0, 5.0).any()
+
+
+@pytest.mark.parametrize("steps", [1e-5, 1e-3, 0.05, 0.0999, 0.1001, 1.0, 5.0])
+def test_discretisation_keeps_the_stationary_covariance(steps: float) -> None:
+    """P = F P F' + G G' exactly, whatever the step's length relative to L / V."""
+    columns = []
+    for a, b, n, m in np.eye(4):
+        pair = np.array([a, b])
+        _advance_pair(pair, np.array([n, m]), steps)
+        columns.append(pair)
+    transition, gain = np.array(columns[:2]).T, np.array(columns[2:]).T
+    stationary = np.array([[0.5, 0.25], [0.25, 0.25]])
+    propagated = transition @ stationary @ transition.T + gain @ gain.T
+    np.testing.assert_allclose(propagated, stationary, atol=1e-14)
+    output = np.array([np.sqrt(3.0), 1.0 - np.sqrt(3.0)])
+    assert output @ stationary @ output == pytest.approx(1.0)
+
+
+def test_variances_within_sampling_error() -> None:
+    """100 000 s: the estimate of a variance with correlation time T has a relative standard error
+    of about sqrt(2 T / duration); four of them are allowed."""
+    dt_s, count = 0.5, 200_000
+    series = _gusts(dt_s, count)
+    sigma_uv, sigma_w, scale_uv, scale_w = dryden_scales(HEIGHT_M / 0.3048, 12.0 / 3.6)
+    for axis, sigma, scale in (
+        (0, sigma_uv, scale_uv),
+        (1, sigma_uv, scale_uv),
+        (2, sigma_w, scale_w),
+    ):
+        error = 4.0 * np.sqrt(2.0 * (scale / AIRSPEED_MPS) / (dt_s * count))
+        assert np.var(series[:, axis]) == pytest.approx(sigma**2, rel=error)
+    correlation = np.corrcoef(series.T) - np.eye(3)
+    assert np.abs(correlation).max() < 0.12
+
+
+def test_spectrum_is_drydens() -> None:
+    """Welch's estimate, averaged over bands of about an octave, from L / V to a tenth of the
+    sampling rate."""
+    dt_s = 0.05
+    series = _gusts(dt_s, 300_000)
+    sigma_uv, sigma_w, scale_uv, scale_w = dryden_scales(HEIGHT_M / 0.3048, 12.0 / 3.6)
+    frequency, power = signal.welch(series, fs=1.0 / dt_s, nperseg=4096, axis=0)
+    omega = 2.0 * np.pi * frequency
+    cases = (
+        (0, sigma_uv, scale_uv, True),
+        (1, sigma_uv, scale_uv, False),
+        (2, sigma_w, scale_w, False),
+    )
+    for axis, sigma, scale, longitudinal in cases:
+        expected = (
+            2.0 * np.pi * dryden_psd(omega, sigma, scale / AIRSPEED_MPS, longitudinal=longitudinal)
+        )
+        for low in 0.03 * 2.0 ** np.arange(6):
+            band = (frequency >= low) & (frequency < 2.0 * low)
+            ratio = power[band, axis].mean() / expected[band].mean()
+            # Some 146 half-overlapping segments and n bins; five standard errors and 2 % aliasing.
+            tolerance = 5.0 / np.sqrt(100.0 * band.sum()) + 0.02
+            assert ratio == pytest.approx(1.0, abs=tolerance), (axis, low)
+
+
+def test_psd_integrates_to_the_variance() -> None:
+    omega = np.linspace(0.0, 4000.0, 4_000_001)
+    for longitudinal in (True, False):
+        psd = dryden_psd(omega, 0.7, 3.0, longitudinal=longitudinal)
+        assert np.trapezoid(psd, omega) == pytest.approx(0.49, rel=1e-3)
+
+
+def test_bad_parameters_name_the_remedy() -> None:
+    with pytest.raises(ValueError, match=r"wind.mean_kmh must be 0 or more, not -3"):
+        Wind(WindParams(mean_kmh=-3.0), 0)
+    with pytest.raises(ValueError, match=r"wind.roughness_length_m"):
+        Wind(WindParams(roughness_length_m=0.0), 0)

@@ -1,0 +1,394 @@
+"""The world as the main loop sees it: exact arrivals, repeatable flights, truth, clear errors."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import MovingBody, Scene
+from touchdown.scenes.compose import load_scene
+from touchdown.sim.airframe.contacts import ContactSensor
+from touchdown.sim.airframe.ground_probe import GroundProbe
+from touchdown.sim.api import (
+    GRAVITY_MPS2,
+    CameraParams,
+    Command,
+    ImuParams,
+    LidarParams,
+    Observation,
+    SensorNeeds,
+    SimParams,
+    Truth,
+    VehicleModel,
+    WindParams,
+)
+from touchdown.sim.frames import so3_exp, yaw_from_rotation
+from touchdown.sim.moving import MovingBodies
+from touchdown.sim.world import MujocoWorld
+
+Array = NDArray[np.float64]
+
+PLACE = """<mujoco><worldbody>
+  <geom name="lawn_floor" type="plane" size="60 60 0.1" rgba="0.3 0.5 0.2 1"/>
+  <geom name="building_wall" type="box" size="1 4 2" pos="6 0 2"/>
+  <light pos="0 0 20" dir="0 0 -1"/>
+  <site name="takeoff" pos="1 2 0" euler="0 0 30"/>
+  <body name="cart" mocap="true" pos="0 -5 0.5">
+    <geom name="cart_box" type="box" size="0.5 0.3 0.3"/>
+  </body>
+</worldbody></mujoco>"""
+NO_NOISE = ImuParams(
+    gyro_density=0.0,
+    accel_density=0.0,
+    gyro_bias_walk=0.0,
+    accel_bias_walk=0.0,
+    gyro_bias_sigma=0.0,
+    accel_bias_sigma=0.0,
+)
+SQUARE = np.array([[0.0, -9.0, 0.5], [4.0, -9.0, 0.5], [4.0, -5.0, 0.5], [0.0, -5.0, 0.5]])
+SMALL_PICTURE = CameraParams(width=64, height=36)
+
+MakeWorld = Callable[..., MujocoWorld]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    path = tmp_path_factory.mktemp("place") / "place.xml"
+    path.write_text(PLACE)
+    plain = load_scene(str(path), 0)
+    cart = MovingBody(body_name="cart", path_world=SQUARE, speed_mps=2.0, start_m=1.0)
+    fields = {name: getattr(plain, name) for name in plain.__dataclass_fields__}
+    return Scene(**{**fields, "moving": (cart,)})
+
+
+@pytest.fixture
+def make_world(scene: Scene) -> Iterator[MakeWorld]:
+    made: list[MujocoWorld] = []
+
+    def make(
+        sim: SimParams | None = None,
+        needs: SensorNeeds | None = None,
+        imu: ImuParams | None = None,
+        wind: WindParams | None = None,
+        seed: int = 3,
+    ) -> MujocoWorld:
+        world = MujocoWorld(
+            scene,
+            sim=sim or SimParams(threads=1),
+            wind=wind or WindParams(),
+            lidar=LidarParams(),
+            camera=SMALL_PICTURE,
+            imu=imu or ImuParams(),
+            needs=needs or SensorNeeds(),
+            seed=seed,
+        )
+        made.append(world)
+        return world
+
+    yield make
+    for world in made:
+        world.close()
+
+
+def _climb(vehicle: VehicleModel, truth: Truth, *, rate_mps: float = 1.0) -> Command:
+    """Upright and climbing, by the true state: enough of a pilot to get around."""
+    rotation, rates = truth.world_from_body.rotation, truth.angular_velocity_body
+    wanted = np.array([0.0, 0.0, GRAVITY_MPS2 + 2.0 * rate_mps]) - 2.0 * truth.velocity_world
+    wanted[:2] = np.clip(wanted[:2], -2.0, 2.0)
+    axis = rotation.T @ np.cross(rotation[:, 2], wanted / np.linalg.norm(wanted))
+    torque = vehicle.inertia_kgm2 * (60.0 * axis - 14.0 * rates)
+    x, y = vehicle.rotor_xy_m.T
+    yaw = vehicle.rotor_spin * vehicle.torque_coefficient / vehicle.thrust_coefficient
+    force = vehicle.mass_kg * wanted @ rotation[:, 2]
+    thrusts = np.linalg.solve(np.stack([np.ones(4), y, -x, yaw]), [force, *torque])
+    thrusts = np.maximum(thrusts, 0.1)
+    return Command(rotor_speed_radps=np.sqrt(thrusts / vehicle.thrust_coefficient))
+
+
+def _fly(world: MujocoWorld, steps: int) -> Iterator[tuple[Observation, Truth]]:
+    obs = world.reset()
+    yield obs, world.truth()
+    for _ in range(steps):
+        obs = world.step(_climb(world.rig.vehicle, world.truth()))
+        yield obs, world.truth()
+
+
+# -------------------------------------------------------------------------------- arrivals
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_measurements_arrive_on_schedule(make_world: MakeWorld, threads: int) -> None:
+    world = make_world(SimParams(threads=threads), SensorNeeds(camera_hz=10, lidar=True))
+    scans, images, imu = [], [], []
+    for obs, _ in _fly(world, 100):
+        scans += [(obs.tick, s.start_tick, s.end_tick) for s in obs.scans]
+        images += [(obs.tick, i.tick) for i in obs.images]
+        imu += [(obs.tick, s.tick) for s in obs.imu]
+    assert scans == [(60 * (k + 1) + 36, 60 * k, 60 * (k + 1)) for k in range(4)]
+    assert images == [(60 * (k + 1) + 36, 60 * (k + 1)) for k in range(4)]
+    assert imu == [(tick, tick) for tick in range(3, 301, 3)]
+
+
+def test_pulses_between_control_steps_come_at_the_next_one(make_world: MakeWorld) -> None:
+    """30 Hz is every 20 ticks; a result due at tick 56 is first seen at tick 57."""
+    world = make_world(needs=SensorNeeds(camera_hz=30))
+    images = [(obs.tick, i.tick) for obs, _ in _fly(world, 40) for i in obs.images]
+    assert images == [(57, 20), (78, 40), (96, 60), (117, 80)]
+
+
+def test_nothing_unasked_for_is_sensed(make_world: MakeWorld) -> None:
+    for obs, _ in _fly(make_world(), 60):
+        assert obs.scans == ()
+        assert obs.images == ()
+
+
+def test_stereo_sees_two_pictures_and_sensors_can_be_added_before_a_flight(
+    make_world: MakeWorld,
+) -> None:
+    world = make_world()
+    world.require(SensorNeeds(camera_hz=10, stereo=True))
+    images = [i for obs, _ in _fly(world, 40) for i in obs.images]
+    assert images[0].right_rgb is not None
+    assert images[0].right_rgb.shape == images[0].rgb.shape == (36, 64, 3)
+    with pytest.raises(RuntimeError, match=r"before a flight, not at tick 120"):
+        world.require(SensorNeeds(lidar=True))
+
+
+def test_a_rolling_shutter_arrives_like_a_global_one(scene: Scene) -> None:
+    """Same ticks; and the pictures of a vehicle at rest are the same but for the bands' seams."""
+    pictures = {}
+    for readout_s in (0.0, 0.02):
+        world = MujocoWorld(
+            scene,
+            sim=SimParams(threads=1),
+            wind=WindParams(),
+            lidar=LidarParams(),
+            camera=CameraParams(width=64, height=36, readout_s=readout_s),
+            imu=ImuParams(),
+            needs=SensorNeeds(camera_hz=10),
+            seed=3,
+        )
+        rest = Command(rotor_speed_radps=np.zeros(4))
+        observations = [world.reset(), *(world.step(rest) for _ in range(60))]
+        pictures[readout_s] = [(o.tick, i.tick, i.rgb) for o in observations for i in o.images]
+        world.close()
+    (due, tick, still), (due_rolling, tick_rolling, rolled) = (p[0] for p in pictures.values())
+    assert (due, tick) == (due_rolling, tick_rolling) == (96, 60)
+    assert np.abs(still.astype(int) - rolled).mean() < 1.0
+
+
+def test_a_scan_is_cast_from_the_poses_of_its_own_ticks(make_world: MakeWorld) -> None:
+    """In a climb at 1 m/s the first pulses of a scan put the floor at height 0 by the true pose of
+    its start, the last ones by that of its end, 0.1 m higher."""
+    world = make_world(needs=SensorNeeds(lidar=True), wind=WindParams(mean_kmh=0.0))
+    poses, heights = {}, []
+    for obs, truth in _fly(world, 420):
+        poses[truth.tick] = truth.world_from_body
+        for scan in obs.scans:
+            for tick, near in ((scan.start_tick, 0.0), (scan.end_tick, 0.1)):
+                chosen = (scan.ranges > 0.0) & (np.abs(scan.time_offsets - near) < 0.004)
+                if chosen.sum() < 100:
+                    continue
+                points = scan.points[chosen].astype(np.float64)
+                pose = poses[tick] @ world.rig.body_from_lidar
+                heights.append(np.median(pose.apply(points)[:, 2]))
+    assert len(heights) > 10
+    np.testing.assert_allclose(heights, 0.0, atol=0.01)
+
+
+# ------------------------------------------------------------------------------ determinism
+
+
+def _digest(world: MujocoWorld, steps: int = 60) -> str:
+    digest = hashlib.sha256()
+    for obs, truth in _fly(world, steps):
+        for array in (
+            truth.world_from_body.matrix(),
+            truth.velocity_world,
+            truth.angular_velocity_body,
+            truth.wind_world,
+            truth.rotor_speed_radps,
+            *(s.specific_force for s in obs.imu),
+            *(s.ranges for s in obs.scans),
+            *(i.rgb for i in obs.images),
+        ):
+            digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def test_same_seed_same_flight_whatever_the_threads(make_world: MakeWorld) -> None:
+    needs = SensorNeeds(camera_hz=10, lidar=True)
+    one, two = (make_world(SimParams(threads=t), needs) for t in (1, 2))
+    expected = _digest(one)
+    assert _digest(two) == expected
+    assert _digest(one) == expected, "reset starts the same flight again"
+    assert _digest(make_world(needs=needs, seed=4)) != expected
+
+
+# ------------------------------------------------------------------------------------ truth
+
+
+def test_starts_at_rest_at_the_take_off_pose(make_world: MakeWorld, scene: Scene) -> None:
+    world = make_world()
+    obs, truth = world.reset(), world.truth()
+    assert obs.tick == truth.tick == 0
+    start = world.rig.world_from_body_start
+    np.testing.assert_array_equal(start.matrix(), truth.world_from_body.matrix())
+    np.testing.assert_allclose(start.translation[:2], scene.takeoff_xy_m, atol=1e-3)
+    assert start.translation[2] == pytest.approx(world.rig.vehicle.leg_height_m, abs=1e-3)
+    assert yaw_from_rotation(start.rotation) == pytest.approx(scene.takeoff_yaw, abs=1e-4)
+    assert np.linalg.norm(truth.velocity_world) < 1e-3
+    assert {(c.part, c.other) for c in truth.contacts} == {("leg", "lawn_floor")}
+    weight = sum(c.normal_force_n for c in truth.contacts)
+    assert weight == pytest.approx(world.rig.vehicle.mass_kg * GRAVITY_MPS2, rel=1e-3)
+
+
+def test_truth_is_consistent_with_itself(make_world: MakeWorld) -> None:
+    truths = [truth for _, truth in _fly(make_world(), 300)]
+    assert truths[-1].contacts == ()
+    assert truths[-1].energy_used_j > 0.0
+    positions = np.array([t.world_from_body.translation for t in truths])
+    velocities = np.array([t.velocity_world for t in truths])
+    accelerations = np.array([t.acceleration_world for t in truths])
+    np.testing.assert_allclose(np.diff(velocities, axis=0) * 200.0, accelerations[1:], atol=1e-9)
+    mean_velocity = 0.5 * (velocities[1:] + velocities[:-1])
+    np.testing.assert_allclose(np.diff(positions, axis=0) * 200.0, mean_velocity, atol=0.03)
+    assert all(t.peak_contact_accel >= np.linalg.norm(t.acceleration_world) - 1e-9 for t in truths)
+
+
+def test_perfect_imu_integrates_to_the_truth(make_world: MakeWorld) -> None:
+    world = make_world(imu=NO_NOISE, wind=WindParams(mean_kmh=25.0))
+    rotation, velocity = np.eye(3), np.zeros(3)
+    for obs, truth in _fly(world, 600):
+        if obs.tick == 0:
+            rotation, velocity = truth.world_from_body.rotation.copy(), truth.velocity_world.copy()
+        for sample in obs.imu:
+            half = so3_exp(0.5 * sample.angular_velocity / 200.0)
+            force = rotation @ half @ sample.specific_force
+            velocity = velocity + (force - [0.0, 0.0, GRAVITY_MPS2]) / 200.0
+            rotation = rotation @ half @ half
+    np.testing.assert_allclose(velocity, truth.velocity_world, atol=1e-6)
+    np.testing.assert_allclose(rotation, truth.world_from_body.rotation, atol=1e-6)
+
+
+def test_messages_are_read_only(make_world: MakeWorld) -> None:
+    world = make_world()
+    obs, truth = world.reset(), world.truth()
+    for array in (obs.rotor_speed_radps, truth.velocity_world, truth.world_from_body.rotation):
+        with pytest.raises(ValueError, match=r"read-only"):
+            array[0] = 1.0
+
+
+def test_empty_battery_stops_the_rotors(make_world: MakeWorld) -> None:
+    world = make_world(SimParams(threads=1, battery_capacity_j=300.0))
+    *_, (obs, truth) = _fly(world, 600)
+    assert obs.battery_fraction == 0.0
+    assert truth.rotor_speed_radps.max() < 1.0
+
+
+def test_contacts_are_named_by_part(scene: Scene) -> None:
+    """Standing, upside down, and with a rotor in the wall."""
+    model, data = scene.model, mujoco.MjData(scene.model)
+    sensor = ContactSensor(model)
+    poses = {
+        "leg": [1.0, 2.0, 0.309, 1.0, 0.0, 0.0, 0.0],
+        "body": [1.0, 2.0, 0.135, 0.0, 1.0, 0.0, 0.0],
+        "rotor": [4.6, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0],
+    }
+    for part, qpos in poses.items():
+        data.qpos[:] = qpos
+        mujoco.mj_forward(model, data)
+        contacts = sensor.read(data)
+        other = "building_wall" if part == "rotor" else "lawn_floor"
+        assert {(c.part, c.other) for c in contacts} == {(part, other)}
+        assert all(c.normal_force_n > 0.0 for c in contacts)
+
+
+def test_ground_probe_sees_what_is_below_but_not_the_vehicle(scene: Scene) -> None:
+    data = mujoco.MjData(scene.model)
+    mujoco.mj_forward(scene.model, data)
+    probe = GroundProbe(scene.model)
+    assert probe.clearance(data, np.array([1.0, 2.0, 3.0])) == pytest.approx(3.0)
+    assert probe.clearance(data, np.array([6.0, 0.0, 5.0])) == pytest.approx(1.0)
+    assert probe.clearance(data, np.array([900.0, 0.0, 5.0])) == np.inf
+
+
+# --------------------------------------------------------------------------- moving bodies
+
+
+@pytest.mark.parametrize(
+    ("time_s", "xy", "yaw_deg"),
+    [
+        (0.0, (1, -9), 0),
+        (1.0, (3, -9), 0),
+        (2.0, (4, -8), 90),
+        (7.0, (0, -8), -90),
+        (8.0, (1, -9), 0),
+    ],
+)
+def test_moving_body_follows_its_closed_path(
+    scene: Scene, time_s: float, xy: tuple[float, float], yaw_deg: float
+) -> None:
+    bodies, data = MovingBodies(scene), mujoco.MjData(scene.model)
+    bodies.write(data, time_s)
+    np.testing.assert_allclose(data.mocap_pos[0], [*xy, 0.5], atol=1e-9)
+    half = np.radians(yaw_deg) / 2
+    np.testing.assert_allclose(data.mocap_quat[0], [np.cos(half), 0, 0, np.sin(half)], atol=1e-12)
+    positions, quats = bodies.tracks(np.array([0.0, time_s]))["cart"]
+    np.testing.assert_array_equal(positions[1], data.mocap_pos[0])
+    np.testing.assert_array_equal(quats[1], data.mocap_quat[0])
+
+
+def test_the_cart_moves_with_the_clock(make_world: MakeWorld) -> None:
+    world = make_world()
+    for _ in _fly(world, 200):
+        pass
+    np.testing.assert_allclose(world._data.mocap_pos[0], [3.0, -9.0, 0.5], atol=1e-9)
+
+
+def test_a_moving_body_must_be_mocap(scene: Scene) -> None:
+    wrong = MovingBody(body_name="nobody", path_world=SQUARE, speed_mps=1.0, start_m=0.0)
+    fields = {name: getattr(scene, name) for name in scene.__dataclass_fields__}
+    with pytest.raises(ValueError, match=r"'nobody' is not a mocap body"):
+        MovingBodies(Scene(**{**fields, "moving": (wrong,)}))
+
+
+# ----------------------------------------------------------------------------------- errors
+
+
+@pytest.mark.parametrize(
+    ("sim", "needs", "message"),
+    [
+        (SimParams(control_ticks=7), SensorNeeds(), "sim.control_ticks is 7.*one of 1, 2, 3"),
+        (SimParams(lidar_scan_ticks=0), SensorNeeds(), "sim.lidar_scan_ticks is 0"),
+        (SimParams(tick_hz=100), SensorNeeds(), "sim.tick_hz must be 500 or more"),
+        (SimParams(compute_latency_ticks=-1), SensorNeeds(), "sim.compute_latency_ticks"),
+        (SimParams(), SensorNeeds(camera_hz=7), "camera_hz is 7.*30 Hz.*0 or one of 1, 2, 3, 5, 6"),
+        (SimParams(threads=0), SensorNeeds(), "sim.threads must be 1 or 2"),
+        (SimParams(battery_capacity_j=-1.0), SensorNeeds(), "battery_capacity_j"),
+    ],
+)
+def test_bad_parameters_are_named(
+    make_world: MakeWorld, sim: SimParams, needs: SensorNeeds, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_world(sim, needs)
+
+
+def test_diverged_physics_is_an_error(make_world: MakeWorld) -> None:
+    world = make_world()
+    world.reset()
+    world._data.qvel[0] = np.nan
+    with pytest.raises(RuntimeError, match=r"tick 3: the physics diverged"):
+        world.step(Command(rotor_speed_radps=np.zeros(4)))
+
+
+def test_a_command_that_is_not_finite_is_an_error(make_world: MakeWorld) -> None:
+    world = make_world()
+    with pytest.raises(RuntimeError, match=r"tick 0: the command .* is not finite"):
+        world.step(Command(rotor_speed_radps=np.array([1.0, np.nan, 1.0, 1.0])))

@@ -1,0 +1,84 @@
+"""Campaigns of flights that take no time, in this process or in one that can be killed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from touchdown.experiments.campaign.executor import LocalEngine
+from touchdown.experiments.campaign.plan import Plan, load_plan
+from touchdown.experiments.campaign.results_table import TIMING_COLUMNS, load_rows
+from touchdown.experiments.campaign.session import fly_campaign
+
+ROOT = Path(__file__).parents[2]
+RUNNER = "support.campaign_fakes:fly"
+
+
+def make_plan(folder: Path, text: str) -> Plan:
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / "campaign.toml"
+    file.write_text(text, encoding="utf-8")
+    return load_plan(file)
+
+
+def axes(**values: Any) -> str:
+    lists = "".join(f"{name} = {json.dumps(value)}\n" for name, value in values.items())
+    return f'name = "test"\n[axes]\n{lists}'
+
+
+def fly(plan: Plan, out: Path, jobs: int = 1, **options: Any) -> dict[str, Any]:
+    return fly_campaign(plan, out, LocalEngine(jobs), runner=RUNNER, **options)
+
+
+def figures(directory: Path) -> list[dict[str, Any]]:
+    """Rows without what differs between two flights of one configuration."""
+    return [
+        {key: value for key, value in row.items() if not key.startswith(TIMING_COLUMNS)}
+        for row in load_rows(directory)
+    ]
+
+
+def attempts(directory: Path) -> Counter[str]:
+    lines = (directory / "attempts.log").read_text().splitlines()
+    return Counter(line.split()[0] for line in lines)
+
+
+MANY = axes(scene=["flat", "lake"], estimator=["fake:slow", "fake:is_lost"], seeds="0-2")
+
+
+def start_campaign(file: Path, out: Path) -> subprocess.Popen[bytes]:
+    script = (
+        "import signal, sys; "  # what runs in a shell's background is born deaf to Ctrl-C
+        "signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from pathlib import Path; from touchdown.experiments.campaign.plan import load_plan; "
+        "from touchdown.experiments.campaign.session import fly_campaign; "
+        "from touchdown.experiments.campaign.executor import LocalEngine; "
+        f"fly_campaign(load_plan(Path({str(file)!r})), Path({str(out)!r}), LocalEngine(2), "
+        f"runner={RUNNER!r})"
+    )
+    return subprocess.Popen([sys.executable, "-c", script], cwd=ROOT)
+
+
+def wait_for(condition: Any, what: str) -> None:
+    deadline = time.monotonic() + 120.0
+    while not condition():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.02)
+
+
+def flying(out: Path) -> list[int]:
+    """Process numbers of the workers that are in the air."""
+    return [int(path.name.rpartition(".")[2]) for path in out.glob(".partial/*")]
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"

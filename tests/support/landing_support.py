@@ -1,0 +1,171 @@
+"""A rig, analytic scans and hand-made maps for the tests of mapping and landing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import Estimate, GridMap, MapView
+from touchdown.sim.api import (
+    CameraIntrinsics,
+    ImuParams,
+    ImuSample,
+    LidarParams,
+    LidarScan,
+    Observation,
+    SensorRig,
+    VehicleModel,
+)
+from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
+
+Array = NDArray[np.float64]
+
+LEG_HEIGHT = 0.3
+DOWNWARD = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.zeros(3))
+
+
+def make_rig(start: tuple[float, float, float] = (0.0, 0.0, LEG_HEIGHT)) -> SensorRig:
+    vehicle = VehicleModel(
+        mass_kg=4.0,
+        inertia_kgm2=np.array([0.05, 0.05, 0.09]),
+        rotor_xy_m=0.25 * np.array([[1.0, -1], [1, 1], [-1, 1], [-1, -1]]),
+        rotor_spin=np.array([1.0, -1, 1, -1]),
+        thrust_coefficient=4e-5,
+        torque_coefficient=6e-7,
+        rotor_speed_min=80.0,
+        rotor_speed_max=800.0,
+        motor_time_constant_s=0.04,
+        linear_drag=0.3,
+        leg_height_m=LEG_HEIGHT,
+        footprint_radius_m=0.5,
+    )
+    camera = CameraIntrinsics(width=848, height=480, fx=617.0, fy=617.0, cx=423.5, cy=239.5)
+    return SensorRig(
+        tick_hz=600,
+        body_from_imu=Pose.identity(),
+        body_from_lidar=DOWNWARD,
+        body_from_camera=DOWNWARD,
+        body_from_camera_right=DOWNWARD,
+        camera=camera,
+        lidar=LidarParams(),
+        imu=ImuParams(),
+        imu_ticks=3,
+        camera_ticks=20,
+        lidar_scan_ticks=60,
+        compute_latency_ticks=36,
+        world_from_body_start=Pose(np.eye(3), np.array(start)),
+        vehicle=vehicle,
+    )
+
+
+def make_obs(tick: int, **changes: Any) -> Observation:
+    values: dict[str, Any] = {
+        "tick": tick,
+        "time_s": tick / 600.0,
+        "rotor_speed_radps": np.zeros(4),
+        "battery_fraction": 1.0,
+    }
+    return Observation(**(values | changes))
+
+
+def make_estimate(tick: int, pose: Pose, velocity: Any = (0.0, 0.0, 0.0)) -> Estimate:
+    return Estimate(
+        tick=tick,
+        time_s=tick / 600.0,
+        odom_from_body=pose,
+        world_from_odom=Pose.identity(),
+        velocity_odom=np.asarray(velocity, dtype=float),
+        angular_velocity_body=np.zeros(3),
+        acceleration_odom=np.zeros(3),
+        position_covariance=np.eye(3) * 1e-6,
+        rotation_covariance=np.eye(3) * 1e-8,
+    )
+
+
+def make_imu(tick: int, up_mps2: float) -> ImuSample:
+    return ImuSample(
+        tick=tick,
+        time_s=tick / 600.0,
+        angular_velocity=np.zeros(3),
+        specific_force=np.array([0.0, 0.0, up_mps2]),
+    )
+
+
+def cast_scan(
+    start_tick: int,
+    directions: Array,
+    poses: list[Pose],
+    box: tuple[Array, Array] | None = None,
+    hole: tuple[Array, Array] | None = None,
+) -> LidarScan:
+    """Ranges of pulses fired over 60 ticks, pulse i from ``poses[i]`` (world_from_body), against
+    the plane z = 0 and an axis-aligned box; those into ``hole`` (xy corners) stay silent."""
+    n = directions.shape[0]
+    ranges = np.zeros(n)
+    for i, pose in enumerate(poses):
+        beam = pose.rotation @ BODY_FROM_DOWNWARD_OPTICAL @ directions[i]
+        origin = pose.translation
+        distance = -origin[2] / beam[2]
+        if box is not None:
+            with np.errstate(divide="ignore"):
+                near, far = np.sort(np.stack([(box[0] - origin) / beam, (box[1] - origin) / beam]),
+                                    axis=0)  # fmt: skip
+            if near.max() <= far.min() and near.max() > 0.0:
+                distance = min(distance, near.max())
+        end = origin[:2] + distance * beam[:2]
+        silent = hole is not None and (end >= hole[0]).all() and (end <= hole[1]).all()
+        ranges[i] = 0.0 if silent else distance
+    start = start_tick / 600.0
+    return LidarScan(
+        start_tick=start_tick,
+        end_tick=start_tick + 60,
+        start_time_s=start,
+        end_time_s=start + 0.1,
+        directions=directions.astype(np.float32),
+        ranges=ranges.astype(np.float32),
+        time_offsets=np.linspace(0.1 / n, 0.1, n).astype(np.float32),
+        intensity=np.full(n, 40, np.uint8),
+    )
+
+
+def beam_fan(n: int, half_x: float, half_y: float, seed: int) -> Array:
+    """(n, 3) unit directions spread evenly over a field of view, LIDAR frame."""
+    rng = np.random.default_rng(seed)
+    d = np.column_stack([rng.uniform(-half_x, half_x, n), rng.uniform(-half_y, half_y, n),
+                         np.ones(n)])  # fmt: skip
+    return d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+def make_grid(
+    height: Array,
+    cell_m: float = 0.2,
+    *,
+    origin: tuple[float, float] = (0.0, 0.0),
+    returns: int = 40,
+    sigma: float = 0.02,
+    seed: int = 0,
+) -> GridMap:
+    """The map that ``returns`` noisy returns a cell leave of a height raster (NaN: unseen)."""
+    rng = np.random.default_rng(seed)
+    samples = height[None] + sigma * rng.standard_normal((returns, *height.shape))
+    known = np.isfinite(height)
+    shape = height.shape
+    return GridMap(
+        origin_xy_m=np.array(origin),
+        cell_m=cell_m,
+        count=np.where(known, returns, 0).astype(np.float32),
+        height_m=samples.mean(axis=0).astype(np.float32),
+        height_std_m=samples.std(axis=0).astype(np.float32),
+        min_height_m=samples.min(axis=0).astype(np.float32),
+        max_height_m=samples.max(axis=0).astype(np.float32),
+        rgb=np.where(known[..., None], 120.0, np.nan).astype(np.float32).repeat(3, axis=2),
+        intensity=np.full(shape, 40.0, np.float32),
+        missing=np.zeros(shape, np.float32),
+        last_seen_s=np.zeros(shape, np.float32),
+    )
+
+
+def view_of(coarse: GridMap, fine: GridMap | None = None) -> MapView:
+    return MapView(version=1, coarse=coarse, fine=fine)

@@ -1,0 +1,71 @@
+"""Small scenes and parameters for tests of the LIDAR."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import GroundRaster, Scene, Surface
+from touchdown.sim.api import LidarParams
+from touchdown.sim.frames import (
+    BODY_FROM_DOWNWARD_OPTICAL,
+    Pose,
+    quat_wxyz_from_matrix,
+    so3_exp,
+)
+from touchdown.sim.lidar.patterns import livox
+from touchdown.sim.lidar.returns import LinkBudget
+
+Array = NDArray[np.float64]
+
+
+TICK_HZ = 600
+
+
+DOWN = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.zeros(3))
+
+
+PERFECT = LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.0, divergence=False)
+
+
+BUDGET = LinkBudget.of(
+    livox.HORIZON.range_limits_m, livox.HORIZON.range_reflectivities, max_m=260.0
+)
+
+
+BRIGHT = Surface(land_class="other", reflectivity=0.8)
+
+
+def make_scene(
+    world: str,
+    surfaces: Mapping[str, Surface] | None = None,
+    ground: GroundRaster | None = None,
+    assets: str = "",
+) -> Scene:
+    xml = f"<mujoco><asset>{assets}</asset><worldbody>{world}</worldbody></mujoco>"
+    return Scene(
+        name="test",
+        seed=0,
+        model=mujoco.MjModel.from_xml_string(xml),
+        takeoff_xy_m=np.zeros(2),
+        takeoff_yaw=0.0,
+        bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]),
+        surfaces=surfaces or {},
+        ground=ground,
+        moving=(),
+    )
+
+
+def track(
+    ticks: tuple[int, int], height: float, turn_rate: Array | None = None
+) -> tuple[Array, Array, Array]:
+    times = np.arange(ticks[0], ticks[1] + 1) / TICK_HZ
+    rate = np.zeros(3) if turn_rate is None else turn_rate
+    quats = np.array([quat_wxyz_from_matrix(so3_exp(rate * (t - times[0]))) for t in times])
+    return times, np.tile([0.0, 0.0, height], (len(times), 1)), quats
+
+
+PLANE = '<geom name="plane" type="plane" size="0 0 1"/>'

@@ -1,0 +1,119 @@
+"""Painted ground seen by a camera, classifiers that go by colour, and a small network's file."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.landing.api import PlaceOpinion
+from touchdown.landing.classification.decision import Limits
+from touchdown.landing.classification.labels import D_LAND
+from touchdown.landing.classification.weights import INPUT, OUTPUT, NetworkFacts, write_network
+from touchdown.sim.api import CameraImage, SensorRig
+from touchdown.sim.frames import Pose
+
+from support.landing_support import make_rig
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+Paint = Callable[[Array, Array], Array]
+"""x and y (...) to colours (..., 3)"""
+
+COLOURS = {"lawn": (40, 200, 40), "water": (40, 40, 200), "road": (200, 40, 40)}
+
+
+def small_rig() -> SensorRig:
+    """A camera of a quarter of the usual resolution."""
+    rig = make_rig()
+    camera = dataclasses.replace(
+        rig.camera, width=212, height=120, fx=154.25, fy=154.25, cx=105.5, cy=59.5
+    )
+    return dataclasses.replace(rig, camera=camera)
+
+
+def plain(name: str) -> Paint:
+    """One colour, mottled: a picture without contrast is not believed."""
+    return lambda x, y: np.array(COLOURS[name], float) + 8.0 * np.sin(2.1 * x + 1.7 * y)[..., None]
+
+
+def photograph(
+    rig: SensorRig, world_from_body: Pose, paint: Paint, time_s: float, noise: float = 1.0
+) -> CameraImage:
+    """What the camera, without distortion, sees of level ground at z = 0, with noise (levels),
+    since a picture that repeats is not believed."""
+    camera = world_from_body @ rig.body_from_camera
+    col, row = np.meshgrid(np.arange(rig.camera.width), np.arange(rig.camera.height))
+    beams = np.stack([(col - rig.camera.cx) / rig.camera.fx,
+                      (row - rig.camera.cy) / rig.camera.fy, np.ones(col.shape)], -1)  # fmt: skip
+    ways = beams @ camera.rotation.T
+    reach = -camera.translation[2] / ways[..., 2]
+    x, y = (camera.translation[i] + reach * ways[..., i] for i in (0, 1))
+    tick = round(600 * time_s)
+    levels = paint(x, y) + np.random.default_rng(tick).normal(0.0, noise, (*x.shape, 3))
+    rgb = np.round(np.clip(levels, 0, 255)).astype(np.uint8)
+    return CameraImage(tick=tick, time_s=time_s, rgb=rgb)
+
+
+class ByColour:
+    """Says what is red, green or blue, as surely as told; keeps count."""
+
+    image_size = 16
+    least_probability = 0.9
+
+    def __init__(self, sure: float = 0.97, familiar: bool = True) -> None:
+        self.sure, self.familiar = sure, familiar
+        self.batches: list[int] = []
+
+    def look(self, pictures: Picture) -> PlaceOpinion:
+        self.batches.append(len(pictures))
+        names = list(COLOURS)
+        mean = pictures.mean(axis=(1, 2))
+        chances = np.full((len(pictures), len(D_LAND)), (1.0 - self.sure) / (len(D_LAND) - 1))
+        for chance, colour in zip(chances, mean, strict=True):
+            nearest = min(names, key=lambda name: float(np.abs(colour - COLOURS[name]).sum()))
+            chance[D_LAND.index(nearest)] = self.sure
+        return PlaceOpinion(
+            chances=chances, familiar=np.full(len(pictures), self.familiar, np.bool_)
+        )
+
+
+def write_colour_network(
+    path: Path, *, size: int = 16, limits: Limits | None = None, labels: str = "d_land"
+) -> Path:
+    """A network of one filter of 1 x 1 and a mean, float16: lawn where it is green, water where it
+    is blue, road where it is red."""
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    from touchdown.landing.classification.labels import SCHEMES
+
+    classes = SCHEMES[labels]
+    filters = np.zeros((len(classes), 3, 1, 1), np.float16)
+    for name, channel in (("road", 0), ("lawn", 1), ("water", 2)):
+        filters[D_LAND.index(name), channel] = 12.0
+    nodes = [
+        helper.make_node("Cast", ["filters"], ["wide"], to=TensorProto.FLOAT),
+        helper.make_node("Conv", [INPUT, "wide"], ["seen"], kernel_shape=[1, 1]),
+        helper.make_node("GlobalAveragePool", ["seen"], ["pooled"]),
+        helper.make_node("Flatten", ["pooled"], [OUTPUT]),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "by colour",
+        [helper.make_tensor_value_info(INPUT, TensorProto.FLOAT, ["batch", 3, size, size])],
+        [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["batch", len(classes)])],
+        [numpy_helper.from_array(filters, "filters")],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    facts = NetworkFacts(
+        network="by colour", labels=labels, image_size=size, classes=classes,
+        limits=limits or Limits(),
+    )  # fmt: skip
+    helper.set_model_props(model, facts.properties())
+    onnx.checker.check_model(model)
+    write_network(path, model.SerializeToString())
+    return path

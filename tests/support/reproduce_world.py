@@ -1,0 +1,176 @@
+"""A world in which the parts of a reproduction take no time."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import importlib
+import inspect
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.experiments.campaign.worker import Task, execute
+from touchdown.experiments.config.loading import dump_config
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.io.images import write_png
+
+from support.report_support import LANDING, write_run
+
+SCORES = {"loss": 0.5, "macro_f1": 0.6, "recall": 0.7, "top1": 0.75, "top1_interval": [0.7, 0.8]}
+
+
+def fly(config: Config, out: Path) -> dict[str, Any]:
+    """A flight as a campaign's worker would fly it."""
+    landing = None
+    if not config.landing.survey_only:
+        landing = LANDING | {"touchdown_xy_m": [1.0, 2.0], "site_xy_m": [1.1, 2.0]}
+    changes: dict[str, Any] = {
+        "outcome": "COMPLETED" if landing is None else "LANDED",
+        "landing": landing,
+    }
+    run = write_run(out.parent, config.scene, config.estimator, config.seed, **changes)
+    run.rename(out)
+    (out / "config.json").write_text(dump_config(config))
+    result: dict[str, Any] = json.loads((out / "result.json").read_text())
+    return result
+
+
+@dataclasses.dataclass
+class World:
+    """Stands for everything that takes long, and remembers what it was asked for."""
+
+    calls: list[str] = dataclasses.field(default_factory=list)
+    consistent: bool = True
+    broken: str = ""
+    interrupted: str = ""
+
+    def ask(self, what: str) -> None:
+        self.calls.append(what)
+        if what == self.broken:
+            raise RuntimeError("a wing\ncame off")
+        if what == self.interrupted:
+            raise KeyboardInterrupt
+
+    def count(self, what: str) -> int:
+        return self.calls.count(what)
+
+
+def _tell_of(tell: Callable[[Any], None], run_id: str, event: dict[str, Any]) -> None:
+    tell({**event, "run_id": run_id})
+
+
+def draw(*files: Path) -> None:
+    for file in files:
+        write_png(file.with_suffix(".png"), np.full((40, 60, 3), 90, np.uint8))
+        file.with_suffix(".png").rename(file)
+
+
+@pytest.fixture
+def world(monkeypatch: pytest.MonkeyPatch) -> World:
+    found = World()
+
+    def replaced(name: str, what: str) -> Callable[[Callable[..., Any]], None]:
+        module, _, function = name.rpartition(".")
+        real = inspect.signature(
+            getattr(importlib.import_module(f"touchdown.experiments.{module}"), function)
+        )
+
+        def put(made: Callable[..., Any]) -> None:
+            def asked(*args: Any, **options: Any) -> Any:
+                real.bind(*args, **options)
+                found.ask(what)
+                return made(*args, **options)
+
+            monkeypatch.setattr(f"touchdown.experiments.{name}", asked)
+
+        return put
+
+    @replaced("calibration.evaluate.run_calibration", "calibration")
+    def _(config: Config, poses: int, out: Path, pictures: Path, note: Any) -> dict[str, Any]:
+        out.write_text("{}")
+        draw(pictures / "cloud.png", pictures / "boards.png")
+        return {
+            "file": str(out),
+            "views": {"given": poses, "used": poses},
+            "error": {
+                "rotation_deg": 0.012,
+                "translation_m": 0.003,
+                "camera_percent": {"fx": 0.1, "fy": 0.1, "cx": 0.2, "cy": -0.2},
+            },
+            "stated_sigma": {"rotation_deg": [0.003, 0.004, 0.0], "translation_m": [0.002] * 3},
+            "consistency": {"consistent": found.consistent},
+        }
+
+    @replaced("edges.figures.draw_pictures", "edges")
+    def _(folder: Path, seed: int, model: str, notes: Any) -> tuple[Path, Path]:
+        files = folder / "edges.jpg", folder / "smoothness.jpg"
+        draw(*files)
+        return files
+
+    @replaced("scene_tools.render.vehicle_portrait", "vehicle")
+    def _(scene: Any) -> tuple[Any, Any]:
+        facts = SimpleNamespace(mass_kg=4.2, footprint_radius_m=0.53)
+        return np.zeros((40, 60, 3), np.uint8), facts
+
+    monkeypatch.setattr("touchdown.experiments.scene_tools.render.load_place", lambda config: None)
+
+    @replaced("scene_tools.render.render_view", "scene")
+    def _(name: str, seed: int, view: str, out: Path) -> None:
+        draw(out)
+
+    @replaced("benchmarks.site_selection.run", "sites")
+    def _(scenes: tuple[str, ...], pictures: Path, **options: Any) -> dict[str, Any]:
+        draw(*(pictures / f"site_{scene}.jpg" for scene in scenes))
+        place = {"seed": 0, "chosen_safe": True, "accepted": 9, "accepted_safe": 8}
+        return {"scorer": "risk", "places": [{"scene": scene, **place} for scene in scenes]}
+
+    @replaced("benchmarks.site_selection_time.bench_landing", "speed")
+    def _(rounds: int, threads: int, reference: bool) -> dict[str, Any]:
+        names = ("down_sampling", "flatness", "smoothness", "distance", "clustering", "selection")
+        times = {name: 1.5 for name in names}
+        return {"scene": "crossroad", "cells": [300, 400], "stage_ms": times}
+
+    @replaced("classification.render_dataset.render_dataset", "pictures")
+    def _(out: Path, **options: Any) -> None:
+        out.mkdir(parents=True)
+        draw(out / "contact_sheet.png")
+
+    @replaced("classification.train.train_network", "training")
+    def _(data: list[str], out: Path, options: dict[str, Any], *rest: Any) -> dict[str, Any]:
+        out.mkdir(parents=True)
+        (out / "network.onnx").write_text("weights")
+        return {"epochs": options["epochs"]}
+
+    @replaced("classification.evaluate.evaluate_network", "scores")
+    def _(network: Path, data: list[str], split: str, **options: Any) -> dict[str, Any]:
+        assert network.is_file()
+        return {"split": split, "pictures": 90, "rom_mb": 22.4, "image_ms": 3.0, **SCORES}
+
+    def run(todo: list[Task], limits: Any, tell: Callable[[Any], None]) -> None:
+        for task in todo:
+            found.ask(f"{task.run_id}")
+            mine = dataclasses.replace(task, runner="support.reproduce_world:fly")
+            execute(mine, functools.partial(_tell_of, tell, task.run_id))
+
+    engine = SimpleNamespace(name="here", jobs=1, run=run)
+    monkeypatch.setattr(
+        "touchdown.experiments.campaign.session.make_engine", lambda *_, slots: engine
+    )
+    monkeypatch.setattr("touchdown.experiments.reproduce.networks._use_one_thread", lambda: None)
+    monkeypatch.setattr("touchdown.experiments.reproduce.run._check_libraries", lambda parts: None)
+    return found
+
+
+@pytest.fixture
+def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing and resampling take seconds."""
+    monkeypatch.setattr(
+        "touchdown.experiments.reproduce.report.write_reproduction",
+        lambda done, out: out.mkdir(exist_ok=True),
+    )

@@ -1,0 +1,83 @@
+"""Places made to deceive a selector, written as MJCF and surveyed by towed sensors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import Estimate, MapView
+from touchdown.experiments.benchmarks.posed_survey import Surveyed, observe, tow_survey
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.config.schema import Config
+from touchdown.landing.mission.trajectory import PiecewiseTrajectory, State, through
+
+Array = NDArray[np.float64]
+
+SHORT_SURVEY = (
+    "sim.threads=1",
+    "survey.legs=1",
+    "survey.leg_length_m=30.0",
+    "survey.duration_s=9.0",
+    "camera.width=424",
+    "camera.height=240",
+)
+
+
+def box(name: str, low: tuple[float, ...], high: tuple[float, ...], more: str = "") -> str:
+    """An upright box between two corners."""
+    centre, half = np.add(low, high) / 2.0, np.subtract(high, low) / 2.0
+    place = " ".join(f"{value:g}" for value in centre)
+    size = " ".join(f"{value:g}" for value in half)
+    return f'<geom name="{name}" type="box" pos="{place}" size="{size}" {more}/>'
+
+
+LAWN = box("lawn", (-40, -40, -1), (70, 40, 0), 'rgba="0.25 0.5 0.2 1"')
+
+
+def ground_with_gap(gap: tuple[float, float, float, float]) -> str:
+    """Lawn at height 0 but for the rectangle x0, x1, y0, y1, which has no bottom."""
+    x0, x1, y0, y1 = gap
+    green = 'rgba="0.25 0.5 0.2 1"'
+    return "".join([
+        box("lawn_west", (-40, -40, -1), (x0, 40, 0), green),
+        box("lawn_east", (x1, -40, -1), (70, 40, 0), green),
+        box("lawn_south", (x0, -40, -1), (x1, y0, 0), green),
+        box("lawn_north", (x0, y1, -1), (x1, 40, 0), green),
+    ])  # fmt: skip
+
+
+def write(folder: Path, name: str, geoms: str) -> Path:
+    path = folder / f"{name}.xml"
+    path.write_text(
+        '<mujoco><worldbody><light pos="0 0 60" dir="0 0 -1"/>'
+        f'<site name="takeoff" pos="0 0 0"/>{geoms}</worldbody></mujoco>'
+    )
+    return path
+
+
+def config_for(path: Path, *more: str) -> Config:
+    return load_config(
+        None, [*SHORT_SURVEY, *more], scene=str(path), seed=100, estimator="oracle", record=False
+    )
+
+
+def survey(path: Path, *more: str) -> Surveyed:
+    return tow_survey(config_for(path, *more), period_s=0.2)
+
+
+def hover_over(place: Surveyed, xy: Array, height_m: float, seconds: float) -> MapView:
+    """The same map after a stay above ``xy`` with a sweep of 1 m, as the lander's."""
+    end = np.array([xy[0], xy[1], height_m])
+    ahead = end + [1.0, 0.0, 0.0]
+    path: PiecewiseTrajectory = through(
+        [State(end), State(ahead), State(2.0 * end - ahead), State(end)],
+        [0.25 * seconds, 0.5 * seconds, 0.25 * seconds],
+    )
+    view: MapView | None = None
+    for estimate, seen in observe(place.survey, path, start_s=100.0, period_s=0.1):
+        assert isinstance(estimate, Estimate)
+        view = seen
+    assert view is not None
+    return view
