@@ -1,6 +1,6 @@
 """What the rest of the project may know of estimation: estimates, maps, protocols, parameters.
 
-Loads with numpy alone, so that an outside estimator can be written against it.
+Loads with numpy alone, so that an external estimator can be written against it.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ LEAST_CONTRAST = 2.5
 
 
 def some_pixels(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Enough of an image (H, W, 3) for `picture_trouble`, a copy."""
+    """Enough of an image (H, W, 3) for `image_defect`, a copy."""
     return np.ascontiguousarray(rgb[::8, ::8])
 
 
-def picture_trouble(pixels: NDArray[np.uint8], before: NDArray[np.uint8]) -> str:
+def image_defect(pixels: NDArray[np.uint8], before: NDArray[np.uint8]) -> str:
     """Why not to believe some pixels (h, w, 3) of an image, those of the one ``before`` known, in
     words; "": nothing is wrong. Noise never repeats."""
     channels = np.ascontiguousarray(pixels.reshape(-1, 3).T)  # in a row each, a third of the time
@@ -278,13 +278,13 @@ class LivoParams:
     """the same of rotation"""
     keyframes: int = 40
     """remembered images; the most redundant one goes"""
-    look_back: int = 3
+    track_keyframes: int = 3
     """keyframes that each image is tracked from"""
     features: int = 220
     """corners of a keyframe"""
     pixel_sigma: float = 0.3
     """standard deviation of a tracked corner, its landmark's error included"""
-    blend_s: float = 0.15
+    correction_time_s: float = 0.15
     """a correction of the filter reaches control over this time"""
 
 
@@ -334,7 +334,7 @@ class PaperParams:
     """of a landmark's depth by Eq. 12"""
     recent_keyframes: int = 12
     """keyframes whose landmarks give the odometry"""
-    blend_s: float = 0.15
+    correction_time_s: float = 0.15
     """a correction of the filter reaches control over this time"""
     closure_speed_mps: float = 0.1
     """fastest motion of the odometry frame when closures correct the past"""
@@ -353,7 +353,7 @@ class GpsEstimatorParams:
     """of one reading of the magnetometer, ten a second"""
     baro_sigma_m: float = 0.5
     """of one reading of the barometer, its drift included"""
-    blend_s: float = 0.15
+    correction_time_s: float = 0.15
     """a correction of the filter reaches control over this time"""
 
 
@@ -383,7 +383,7 @@ class OpticalFlowParams:
     """of one reading of the barometer, its drift included"""
     drift_share: float = 0.005
     """standard deviation that each metre flown adds to the filter's own"""
-    blend_s: float = 0.15
+    correction_time_s: float = 0.15
     """a correction of the filter reaches control over this time"""
 
 
@@ -413,7 +413,7 @@ class HybridFlowParams:
     """correlation time of the receiver's error"""
     drift_density: float = 0.03
     """m/sqrt(s): random walk of the odometry that the receiver's error is told apart from"""
-    blend_s: float = 0.15
+    correction_time_s: float = 0.15
     """a correction of the filter reaches control over this time"""
 
 
@@ -442,5 +442,5 @@ class StereoParams:
     """m/sqrt(s): random walk of the mean height of the ground in view"""
     drift_share: float = 0.003
     """standard deviation that each metre flown adds to the filter's own"""
-    blend_s: float = 0.15
+    correction_time_s: float = 0.15
     """a correction of the filter reaches control over this time"""

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit, types
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import picture_trouble, some_pixels
+from touchdown.estimator.api import image_defect, some_pixels
 from touchdown.sim.api import CameraImage, ImuSample, LidarScan, Observation, SensorRig
 
 _CLUTTER_M = 10.0
@@ -157,7 +157,7 @@ class InputGuard:
         if rgb.shape != self._shape or rgb.dtype != np.uint8:
             return None, f"{rgb.dtype} of shape {rgb.shape} instead of uint8 {self._shape}"
         pixels = some_pixels(rgb)
-        if trouble := picture_trouble(pixels, self._pixels):
+        if trouble := image_defect(pixels, self._pixels):
             return None, trouble
         self._pixels = pixels
         return image, ""

@@ -48,7 +48,7 @@ class BiasParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RigErrorParams:
+class CalibrationErrorParams:
     """What is wrong with the calibration that estimators are told, drawn from the seed; not used
     where a flight names a calibration file."""
 

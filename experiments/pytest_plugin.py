@@ -128,7 +128,7 @@ def _fly_one(task: tuple[str, str, str]) -> dict[str, Any]:
     from touchdown.experiments.campaign.results_table import CRASHED, make_row
     from touchdown.experiments.config.schema import Config
     from touchdown.experiments.errors import UsageError
-    from touchdown.experiments.external.wrapper import OutsideError
+    from touchdown.experiments.external.wrapper import ExternalEstimatorError
     from touchdown.experiments.flight.platform import rendering_backend
     from touchdown.experiments.flight.run import guarded_fly
 
@@ -138,7 +138,7 @@ def _fly_one(task: tuple[str, str, str]) -> dict[str, Any]:
     try:
         result = guarded_fly(config, Path(out), lambda *_: None)
     except Exception as error:
-        outside = isinstance(error, OutsideError)
+        outside = isinstance(error, ExternalEstimatorError)
         if isinstance(error, UsageError) and not outside:
             raise
         result = {

@@ -52,7 +52,7 @@ class Candidate:
     safe_probability: float = float("nan")
     """of a touchdown that is safe by geometry; NaN where the scorer does not say"""
     class_predicted: str | None = None
-    """what place recognition takes the ground for; None where it was not asked"""
+    """what ground classification takes the ground for; None where it was not asked"""
     class_probability: float = float("nan")
     """of ``class_predicted``"""
 
@@ -111,7 +111,7 @@ class LanderView:
     aborted: bool
     """gave up for another reason (a refused ``--site``, energy)"""
     site_class: str | None = None
-    """what place recognition takes the ground of the site for; None where it is off"""
+    """what ground classification takes the ground of the site for; None where it is off"""
     site_class_probability: float = float("nan")
     """of ``site_class``"""
 
@@ -126,7 +126,7 @@ class PlaceOpinion:
     """(N,) False where a picture is far from all that the classifier was trained on"""
 
 
-class PlaceClassifier(Protocol):
+class GroundClassifier(Protocol):
     """Names the kind of ground in square pictures from the air."""
 
     @property
@@ -250,22 +250,22 @@ class LandingParams:
     sweep_m: float = 1.0
     final_speed_mps: float = 0.6
     touchdown_speed_mps: float = 0.09
-    place_recognition: str = "auto"
+    classifier: str = "auto"
     """``auto``: by the network that comes with the project, if one does; ``off``: sites are judged
     by geometry alone; else the path of a network's file"""
-    place_least_probability: float = 0.0
+    classifier_min_probability: float = 0.0
     """of a safe class, below which a site is refused; 0: what the network's file says"""
     place_batch: int = 3
     """sites that are classified together, before the first safe one ends it"""
     place_rounds: int = 4
     """how often other sites are looked for where none was of a safe class"""
-    place_patch_m: float = 6.4
+    classifier_patch_m: float = 6.4
     """side of the square of ground around a site that is classified"""
     place_pictures: int = 64
     """pictures of the survey that are kept for it"""
     place_batch_latency_s: float = 0.1
     """what a decision takes longer for every batch"""
-    place_threads: int = 1
+    classifier_threads: int = 1
     """of the processor, that classify"""
     allow_risky: bool = False
     """land on roads and roofs too; such a flight is judged on geometry"""

@@ -74,8 +74,8 @@ class GpsEstimator:
         self._nav = Navigator(
             rig,
             self.needs,
-            told_start=False,
-            blend_s=params.blend_s,
+            known_start=False,
+            correction_time_s=params.correction_time_s,
             heading_sigma_deg=params.heading_sigma_deg,
             baro_sigma_m=params.baro_sigma_m,
         )

@@ -96,13 +96,13 @@ class HybridFlowEstimator:
         self._nav = Navigator(
             rig,
             self.needs,
-            told_start=False,
-            blend_s=params.blend_s,
+            known_start=False,
+            correction_time_s=params.correction_time_s,
             heading_sigma_deg=params.heading_sigma_deg,
             baro_sigma_m=params.baro_sigma_m,
         )
         anchor = WanderingAnchor(
-            params.wander_period_s, params.drift_density, white_m=0.02, blend_s=1.0
+            params.wander_period_s, params.drift_density, white_m=0.02, correction_time_s=1.0
         )
         self._satellites = SatelliteAiding(self._nav, anchor)
         self._imu_from_camera = rig.body_from_imu.inverse() @ rig.body_from_camera

@@ -33,7 +33,7 @@ class Navigator:
     """``epochs`` takes an observation and yields the epochs at which to correct ``eskf``; heading
     and height by the small sensors are corrected already. ``estimate`` then gives the belief.
 
-    ``told_start``: whether the take-off attitude is known beforehand. If it is, the magnetometer
+    ``known_start``: whether the take-off attitude is known beforehand. If it is, the magnetometer
     is compared with its own reading at the start, which frees the heading of its offsets. If not,
     attitude comes from gravity and the earth's field.
     """
@@ -43,22 +43,24 @@ class Navigator:
         rig: SensorRig,
         needs: SensorNeeds,
         *,
-        told_start: bool,
-        blend_s: float,
+        known_start: bool,
+        correction_time_s: float,
         heading_sigma_deg: float = math.inf,
         baro_sigma_m: float = math.inf,
     ) -> None:
         self.rig, self.needs = rig, needs
-        self._told_start, self._blend_s = told_start, blend_s
+        self._told_start, self._correction_time_s = known_start, correction_time_s
         self._heading_sigma = math.radians(heading_sigma_deg)
         self._guard = InputGuard(rig, needs.camera_hz)
         self._queue = EpochQueue(rig, needs)
         self._image_period = rig.tick_hz // needs.camera_hz if needs.camera_hz else 0
         self._baro = BaroHeight(rig.tick_hz, baro_sigma_m)
         self._alignment = Alignment(rig)
-        self._filter: InertialFilter | None = InertialFilter(rig, blend_s) if told_start else None
+        self._filter: InertialFilter | None = (
+            InertialFilter(rig, correction_time_s) if known_start else None
+        )
         self._imu_from_body = rig.body_from_imu.inverse()
-        self._azimuth: float | None = None if told_start else field_azimuth(rig.nav.magnetometer)
+        self._azimuth: float | None = None if known_start else field_azimuth(rig.nav.magnetometer)
         self._readings = np.zeros(2)
         self._undistort = _undistortion_maps(rig) if needs.camera_hz else None
         self.skipped = 0
@@ -120,7 +122,7 @@ class Navigator:
 
     def _aligned(self, world_from_body: Pose) -> InertialFilter:
         rig = dataclasses.replace(self.rig, world_from_body_start=world_from_body)
-        inertial = InertialFilter(rig, self._blend_s, attitude_known=False)
+        inertial = InertialFilter(rig, self._correction_time_s, attitude_known=False)
         to_imu = self._imu_from_body.rotation
         spread = np.diag(self._alignment.sigmas() ** 2)
         inertial.eskf.covariance[ROTATION, ROTATION] = to_imu @ spread @ to_imu.T

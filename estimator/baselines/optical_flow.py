@@ -44,8 +44,8 @@ class OpticalFlowEstimator:
         self._nav = Navigator(
             rig,
             self.needs,
-            told_start=True,
-            blend_s=params.blend_s,
+            known_start=True,
+            correction_time_s=params.correction_time_s,
             heading_sigma_deg=params.heading_sigma_deg,
             baro_sigma_m=params.baro_sigma_m,
         )

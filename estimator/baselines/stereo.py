@@ -53,7 +53,9 @@ class StereoEstimator:
         self._rig = rig
         self._params = params = params or StereoParams()
         self.needs = SensorNeeds(camera_hz=params.camera_hz, stereo=True)
-        self._nav = Navigator(rig, self.needs, told_start=True, blend_s=params.blend_s)
+        self._nav = Navigator(
+            rig, self.needs, known_start=True, correction_time_s=params.correction_time_s
+        )
         self._imu_from_camera = rig.body_from_imu.inverse() @ rig.body_from_camera
         self._camera_from_imu = self._imu_from_camera.inverse()
         right_from_left = rig.body_from_camera_right.inverse() @ rig.body_from_camera

@@ -59,9 +59,11 @@ class WanderingAnchor:
     as the error wanders while the odometry does not.
     """
 
-    def __init__(self, tau_s: float, drift_m_sqrt_s: float, white_m: float, blend_s: float) -> None:
+    def __init__(
+        self, tau_s: float, drift_m_sqrt_s: float, white_m: float, correction_time_s: float
+    ) -> None:
         self._tau_s, self._drift, self._white = tau_s, drift_m_sqrt_s, white_m
-        self._blend_s = blend_s
+        self._correction_time_s = correction_time_s
         self._mean = np.zeros((3, 2))
         self._covariance = np.tile(np.diag([_UNKNOWN_M2, 0.0]), (3, 1, 1))
         self._time_s = math.nan
@@ -103,5 +105,5 @@ class WanderingAnchor:
     def step(self, seconds: float) -> None:
         """The frame moves towards where it should be."""
         if self.known:
-            share = -math.expm1(-seconds / self._blend_s)
+            share = -math.expm1(-seconds / self._correction_time_s)
             self.offset = self.offset + share * (self._mean[:, 0] - self.offset)

@@ -121,13 +121,13 @@ def hand_over(
     moments: Array,
     owners: NDArray[np.int16],
     gone: int,
-    heir: int,
+    successor: int,
     rotation: Array,
     translation: Array,
     voxel: float,
 ) -> None:
-    """Voxels of anchor ``gone`` go to ``heir``, moved by (rotation, translation), millimetres: by
-    what that does to their middle. Anchors behind ``gone`` move up by one."""
+    """Voxels of anchor ``gone`` go to ``successor``, moved by (rotation, translation), millimetres:
+    by what that does to their middle. Anchors behind ``gone`` move up by one."""
     mask = (np.int64(1) << np.int64(21)) - 1
     d = np.empty(3)
     for slot in range(keys.shape[0]):
@@ -154,7 +154,7 @@ def hand_over(
             m[9] += 2.0 * d[2] * m[3] + n * d[2] * d[2]
             for a in range(3):
                 m[1 + a] += n * d[a]
-            k = heir
+            k = successor
         owners[slot] = k - 1 if k > gone else k
 
 
@@ -352,11 +352,11 @@ class PlaneMap:
             points_odom, sensor, owner, *terms, self.voxel_m, self.max_points,
         )  # fmt: skip
 
-    def bequeath(self, gone: int, heir: int, move: Pose) -> None:
+    def reassign(self, gone: int, successor: int, move: Pose) -> None:
         """Anchor ``gone`` ends: see ``hand_over``."""
         hand_over(
-            self._keys, self._moments, self._owners, gone, heir, move.rotation, move.translation,
-            self.voxel_m,
+            self._keys, self._moments, self._owners, gone, successor, move.rotation,
+            move.translation, self.voxel_m,
         )  # fmt: skip
 
     def match(

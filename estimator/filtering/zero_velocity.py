@@ -33,7 +33,7 @@ _RATE_SIGMA = 1e-3
 vehicle in the wind creeps on its feet, and that repeats from update to update."""
 
 
-class Stillness:
+class ZeroVelocityUpdate:
     """Zero-velocity, zero-rate and unmoved-pose updates (Foxlin 2005), for as long as it stands."""
 
     def __init__(self, gyro_density: float, step_s: float, attitude_known: bool = True) -> None:

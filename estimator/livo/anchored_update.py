@@ -16,8 +16,8 @@ from touchdown.estimator.filtering.plane_map import PlaneMap
 from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.lidar_update import (
     LidarReport,
-    floored,
     lateral_strength,
+    limit_information,
     normal_noise_information,
     weak_directions,
     without_directions,
@@ -174,10 +174,9 @@ def update_with_scan(
 
     Planes are looked up at the first and the second iteration. With fewer than ``min_matches``
     matches nothing is changed. ``floor_sigmas`` (6,): errors of the scan, and of each clone's part
-    of the map, as a whole, rad and m, see ``floored``. ``weak_sigmas``: rad and m, directions known
-    less well than these are left out of the update (``weak_directions``, less what the normals'
-    noise feigns); None: none are.
-    """
+    of the map, as a whole, rad and m, see ``limit_information``. ``weak_sigmas``: rad and m,
+    directions known less well than these are left out of the update (``weak_directions``, less what
+    the normals' noise feigns); None: none are."""
     prior, clones = eskf.state, eskf.clones
     shared = len(prior.calibration)
     noise = (range_sigma_m, angle_sigma_rad, _PLANE_FLOOR_M)
@@ -206,10 +205,10 @@ def update_with_scan(
             return LidarReport(matched=used, rms_m=rms, lateral_strength=np.zeros(3))
         raw = information[:6, :6].copy()
         if weak_sigmas is not None and fresh:
-            feigned = normal_noise_information(
+            noise_information = normal_noise_information(
                 points, beams, state.rotation, state.position, *planes[:4], *noise, gate
             )
-            weak = weak_directions(raw, feigned, *weak_sigmas)
+            weak = weak_directions(raw, noise_information, *weak_sigmas)
         columns = np.zeros((len(touched), weak[0].shape[1] + weak[1].shape[1]))
         columns[:3, : weak[0].shape[1]] = weak[0]
         columns[3:6, weak[0].shape[1] :] = weak[1]
@@ -217,7 +216,7 @@ def update_with_scan(
         # each clone's part of the map has its own: or else a scan would tie clones to each other
         # as firmly as its points are many
         floors = np.concatenate([floor_sigmas, np.zeros(shared), np.tile(floor_sigmas, len(keys))])
-        information, vector = floored(*eskf.admitted(information, vector), floors)
+        information, vector = limit_information(*eskf.admitted(information, vector), floors)
         offset = eskf.deviation(prior, clones, keys)
         delta = eskf.gain(touched, information, vector + information @ offset)
         eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)

@@ -59,15 +59,15 @@ class Anchors:
         mount = _mount_part(calibration)
         return np.array([mount - c for c in self._calibrations]).reshape(-1, MOUNT_DIM)
 
-    def bequest(self, k: int, clones: list[Pose]) -> tuple[int, Pose]:
+    def reassignment(self, k: int, clones: list[Pose]) -> tuple[int, Pose]:
         """Who inherits the voxels of clone ``k``, the nearest other one, and how they move then, so
         that they stay where the filter now believes them. At least two clones must be there."""
         positions = np.array([clone.translation for clone in clones])
         gap = np.linalg.norm(positions - positions[k], axis=1)
         gap[k] = np.inf
-        heir = int(np.argmin(gap))
-        there = self._poses[heir] @ clones[heir].inverse()
-        return heir, there @ clones[k] @ self._poses[k].inverse()
+        successor = int(np.argmin(gap))
+        there = self._poses[successor] @ clones[successor].inverse()
+        return successor, there @ clones[k] @ self._poses[k].inverse()
 
 
 def _mount_part(calibration: Array) -> Array:

@@ -30,7 +30,7 @@ from touchdown.estimator.filtering.imu_propagation import (
 )
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.plane_map import PlaneMap
-from touchdown.estimator.filtering.zero_velocity import Stillness
+from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
 from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.livo.anchored_update import update_with_scan
 from touchdown.estimator.livo.anchors import Anchors
@@ -101,18 +101,18 @@ class Livo:
         bias_sigmas = np.repeat([rig.imu.gyro_bias_sigma, rig.imu.accel_bias_sigma], 3)
         self._eskf = Eskf(state, np.concatenate([_START_SIGMAS, bias_sigmas, rig_sigmas]) ** 2)
         self._eskf.loose = params.loose
-        self._teach(False)
+        self._enable_calibration(False)
         self._anchors = Anchors()
         self._head = state
         self._head_covariance = self._eskf.covariance[:STATE_DIM, :STATE_DIM].copy()
-        self._stillness = Stillness(rig.imu.gyro_density, step_s)
+        self._zero_velocity = ZeroVelocityUpdate(rig.imu.gyro_density, step_s)
         self._map = PlaneMap(params.voxel_m, params.map_voxels, params.voxel_points)
         self._recent = RecentReturns()
         self._vision = VisualFrontEnd(
             rig.camera,
             self._imu_from_body @ rig.body_from_camera,
             max_keyframes=params.keyframes,
-            look_back=params.look_back,
+            track_keyframes=params.track_keyframes,
             features=params.features,
             sigma_px=params.pixel_sigma,
             open_ticks=2 * rig.tick_hz,
@@ -206,7 +206,7 @@ class Livo:
         self._history_positions = np.concatenate([self._history_positions, positions[1:]])
         self._history_rotations = self._history_rotations[-_HISTORY:]
         self._history_positions = self._history_positions[-_HISTORY:]
-        still = self._stillness.update(self._eskf, gyro, force, resting)
+        still = self._zero_velocity.update(self._eskf, gyro, force, resting)
         self._diagnostics["still"] = float(still)
         if still:
             self._correct_history()
@@ -264,7 +264,7 @@ class Livo:
         params = self._params
         reach = float(np.median(np.linalg.norm(beams, axis=1)))
         self._last_height = reach
-        self._teach(reach >= params.calibrate_above_m)
+        self._enable_calibration(reach >= params.calibrate_above_m)
         if not params.use_lidar:
             return LidarReport(matched=0, rms_m=0.0, lateral_strength=np.zeros(3))
         # the footprint is about 1.75 x 0.5 of the height: so many even cells cover it
@@ -316,8 +316,8 @@ class Livo:
         if gone is None:
             self._anchors.add(eskf.clones[-1], eskf.state.calibration)
             return
-        heir, move = self._anchors.bequest(gone, eskf.clones)
-        self._map.bequeath(gone, heir, move)
+        successor, move = self._anchors.reassignment(gone, eskf.clones)
+        self._map.reassign(gone, successor, move)
         self._anchors.remove(gone)
 
     def _take_image(self, image: CameraImage) -> None:
@@ -328,7 +328,7 @@ class Livo:
         levels = grey_levels(rgb)
         self._vision.measure_open_keyframes(self._eskf, self._recent, image.tick)
         # what a keyframe has wrong repeats from image to image, and would be taken for the rig's
-        self._teach(False)
+        self._enable_calibration(False)
         report = self._vision.update(self._eskf, levels)
         if report.used:
             self._vision_tick = image.tick
@@ -342,7 +342,7 @@ class Livo:
         self._diagnostics |= _visual_diagnostics(report, len(self._vision.keyframes))
         self._diagnostics |= calibration_diagnostics(self._eskf.state.calibration)
 
-    def _teach(self, mount_and_lens: bool) -> None:
+    def _enable_calibration(self, mount_and_lens: bool) -> None:
         """Whether the next measurement corrects these; the camera's clock, which nothing else looks
         like, it always does."""
         self._eskf.learns[:] = mount_and_lens
@@ -392,7 +392,7 @@ class Livo:
 
     def _estimate(self, obs: Observation) -> Estimate:
         head = self._head
-        self._offset = self._offset * np.exp(-self._buffer.step_s / self._params.blend_s)
+        self._offset = self._offset * np.exp(-self._buffer.step_s / self._params.correction_time_s)
         rotation = head.rotation @ so3_exp(self._offset[:3])
         rate_imu = self._gyro - head.gyro_bias
         pose = Pose(rotation, head.position + self._offset[3:6]) @ self._imu_from_body

@@ -126,8 +126,10 @@ def weak_directions(
         following[other] = -rest @ information[other, own]
         schur = following.T @ information @ following
         values, vectors = np.linalg.eigh(0.5 * (schur + schur.T))
-        feigned = np.einsum("ij,ik,kj->j", vectors, following.T @ noise @ following, vectors)
-        weak.append(vectors[:, values - 2.0 * feigned < 1.0 / sigma**2])
+        noise_information = np.einsum(
+            "ij,ik,kj->j", vectors, following.T @ noise @ following, vectors
+        )
+        weak.append(vectors[:, values - 2.0 * noise_information < 1.0 / sigma**2])
     return weak[0], weak[1]
 
 
@@ -143,7 +145,9 @@ def without_directions(information: Array, vector: Array, weak: Array) -> tuple[
     return 0.5 * (left + left.T), keep @ (vector - explained @ (weak.T @ vector))
 
 
-def floored(information: Array, vector: Array, floor_sigmas: Array) -> tuple[Array, Array]:
+def limit_information(
+    information: Array, vector: Array, floor_sigmas: Array
+) -> tuple[Array, Array]:
     """The same measurement, (D, D) and (D,), with independent errors of ``floor_sigmas`` (D,) added
     to it: what it has wrong as a whole, however many its residuals are. With ``F`` the added
     covariance, ``(A^-1 + F)^-1 = (I + A F)^-1 A``, which holds for a singular ``A`` as well.

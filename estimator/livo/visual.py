@@ -205,7 +205,7 @@ class VisualFrontEnd:
         imu_from_camera: Pose,
         *,
         max_keyframes: int,
-        look_back: int,
+        track_keyframes: int,
         features: int,
         sigma_px: float,
         open_ticks: int,
@@ -220,7 +220,7 @@ class VisualFrontEnd:
         self._camera_from_imu = imu_from_camera.inverse()
         self._intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         self._max_keyframes = max_keyframes
-        self._look_back = look_back
+        self._look_back = track_keyframes
         self._features = features
         self._sigma_px = sigma_px
         self._open_ticks = open_ticks

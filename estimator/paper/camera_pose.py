@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import PaperParams
 from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
-from touchdown.estimator.livo.lidar_update import floored
+from touchdown.estimator.livo.lidar_update import limit_information
 from touchdown.estimator.paper.closures import Closures
 from touchdown.estimator.paper.depth_field import DepthField
 from touchdown.estimator.paper.inertial import InertialFilter
@@ -294,7 +294,7 @@ class CameraPositioning:
         )  # fmt: skip
         if solved is None or solved.inliers.sum() < _LEAST_AGREEMENT * len(sightings):
             return False
-        information, _ = floored(solved.information, np.zeros(6), _CLOSURE_FLOOR_SIGMAS)
+        information, _ = limit_information(solved.information, np.zeros(6), _CLOSURE_FLOOR_SIGMAS)
         self._closures.close(keyframes[at], keyframe, solved.pose, information)
         return True
 

@@ -30,7 +30,7 @@ class PaperEstimator:
         self._rig = rig
         self._params = params = params or PaperParams()
         self.needs = SensorNeeds(camera_hz=params.camera_hz, lidar=True)
-        self._filter = InertialFilter(rig, params.blend_s)
+        self._filter = InertialFilter(rig, params.correction_time_s)
         self._edges = edge_detector(params.edge_model)
         self._recent = RecentReturns(scans=15, per_scan=8000)
         self._lidar = LidarPositioning(rig, params, self._filter, self._recent)

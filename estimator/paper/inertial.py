@@ -16,7 +16,7 @@ from touchdown.estimator.api import Estimate, PoseTrack
 from touchdown.estimator.filtering.deskew import deskew
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState, propagate_nominal
-from touchdown.estimator.filtering.zero_velocity import Stillness
+from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
 from touchdown.sim.api import GRAVITY_MPS2, ImuSample, LidarScan, Observation, SensorRig
 from touchdown.sim.frames import Pose, cross, quat_wxyz_from_matrix, so3_exp, so3_log
 
@@ -60,20 +60,22 @@ class _Trail:
 class InertialFilter:
     """An error-state filter at measurement time, its trail, and the state carried to now."""
 
-    def __init__(self, rig: SensorRig, blend_s: float, attitude_known: bool = True) -> None:
+    def __init__(
+        self, rig: SensorRig, correction_time_s: float, attitude_known: bool = True
+    ) -> None:
         self.rig = rig
         self.imu_from_body = rig.body_from_imu.inverse()
         self.imu_from_lidar = self.imu_from_body @ rig.body_from_lidar
         self.imu_from_camera = self.imu_from_body @ rig.body_from_camera
         self.step_s = rig.imu_ticks / rig.tick_hz
-        self._blend_s = blend_s
+        self._correction_time_s = correction_time_s
         start = rig.world_from_body_start @ rig.body_from_imu
         zero = np.zeros(3)
         state = NavState(0, start.rotation, start.translation, zero, zero, zero)
         biases = np.repeat([rig.imu.gyro_bias_sigma, rig.imu.accel_bias_sigma], 3)
         self.eskf = Eskf(state, np.concatenate([_START_SIGMAS, biases]) ** 2)
         self._buffer = ImuBuffer(rig.imu, self.step_s)
-        self._stillness = Stillness(rig.imu.gyro_density, self.step_s, attitude_known)
+        self._zero_velocity = ZeroVelocityUpdate(rig.imu.gyro_density, self.step_s, attitude_known)
         self._head = state
         self._trail = _Trail(np.zeros(1, np.int64), state.rotation[None], state.position[None])
         self._newest = ImuSample(tick=0, time_s=0.0, angular_velocity=zero, specific_force=zero)
@@ -118,7 +120,7 @@ class InertialFilter:
         _, gyro, force, standing = self._buffer.samples(count)
         ticks, rotations, positions = self.eskf.propagate(self._buffer, count)
         self._trail.extend(ticks[1:], rotations[1:], positions[1:])
-        self.still = self._stillness.update(self.eskf, gyro, force, standing)
+        self.still = self._zero_velocity.update(self.eskf, gyro, force, standing)
         self._buffer.drop(count)
         if self.still:
             self._trail.follow(self.eskf.state)
@@ -179,7 +181,8 @@ class InertialFilter:
     # ------------------------------------------------------------------------ output
 
     def catch_up(self) -> None:
-        """Carries the corrected state to now; the jump this makes fades over ``blend_s``."""
+        """Carries the corrected state to now; the jump this makes fades over
+        ``correction_time_s``."""
         before = self._head
         ticks, gyro, force, _ = self._buffer.samples(self._buffer.count)
         after = propagate_nominal(self.eskf.state, ticks, gyro, force, self.step_s)
@@ -199,7 +202,7 @@ class InertialFilter:
         events: tuple[str, ...] = (),
     ) -> Estimate:
         """The belief about now. ``extra_covariance`` (3, 3) m^2 is added to the position's."""
-        self._jump = self._jump * np.exp(-self.step_s / self._blend_s)
+        self._jump = self._jump * np.exp(-self.step_s / self._correction_time_s)
         head, offset = self._head, self.imu_from_body
         rotation = head.rotation @ so3_exp(self._jump[:3])
         rate = self._newest.angular_velocity - head.gyro_bias

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import PaperParams
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
-from touchdown.estimator.livo.lidar_update import floored, lateral_strength
+from touchdown.estimator.livo.lidar_update import lateral_strength, limit_information
 from touchdown.estimator.paper.depth_field import scan_colour_smoothness
 from touchdown.estimator.paper.feature_map import FeatureMap
 from touchdown.estimator.paper.inertial import InertialFilter
@@ -126,7 +126,7 @@ class LidarPositioning:
         )
         if result is None:
             return
-        information, vector = floored(result.information, result.vector, _FLOOR_SIGMAS)
+        information, vector = limit_information(result.information, result.vector, _FLOOR_SIGMAS)
         self._filter.correct(result.pose, information, vector)
         self._report(result)
 

@@ -21,8 +21,8 @@ from touchdown.experiments.benchmarks.posed_survey import SCAN_PERIOD_S, Surveye
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.flight.wiring import build_places
-from touchdown.landing.api import PlaceClassifier
+from touchdown.experiments.flight.wiring import build_classifier
+from touchdown.landing.api import GroundClassifier
 from touchdown.sim.api import Observation, SensorRig
 
 Array = NDArray[np.float64]
@@ -50,13 +50,13 @@ def bench_landing(
     far the two results differ. Medians over ``rounds``, after one to warm up; the reference runs
     once warm. ``place_ms``: see `_place_figures`, where ``network`` is given or comes with the
     project; it works on ``threads``. Raises UsageError and ValueError as `load_config`,
-    `build_places` and `build_scene`.
+    `build_classifier` and `build_scene`.
     """
-    overrides = ["sim.threads=1", f"landing.place_threads={threads}"]
+    overrides = ["sim.threads=1", f"landing.classifier_threads={threads}"]
     if network is not None:
-        overrides.append(f"landing.place_recognition={json.dumps(str(network))}")
+        overrides.append(f"landing.classifier={json.dumps(str(network))}")
     config = load_config(None, overrides, scene=scene, seed=seed, estimator="oracle", record=False)
-    classifier = build_places(config)
+    classifier = build_classifier(config)
     pictures: list[Any] = []
 
     def remember(rig: SensorRig, obs: Observation, estimate: Estimate) -> None:
@@ -92,7 +92,7 @@ def bench_landing(
     }
     if classifier is not None:
         figures |= _place_figures(classifier, pictures[0], surveyed, rounds)
-        figures["place_threads"] = threads
+        figures["classifier_threads"] = threads
     if reference:
         for _ in range(2):
             theirs = stages.reference(view.coarse, estimate.odom_from_body.translation)
@@ -104,7 +104,7 @@ def bench_landing(
 
 
 def _place_figures(
-    classifier: PlaceClassifier, check: Any, surveyed: Surveyed, rounds: int
+    classifier: GroundClassifier, check: Any, surveyed: Surveyed, rounds: int
 ) -> dict[str, Any]:
     """``place_ms.ten_patches``: ten pictures of 128 x 128 to their classes, scaling included;
     ``place_ms.selection``: all of a decision, the pictures cut out and classified best first until
@@ -183,8 +183,8 @@ def selection_stages(config: Config, rig: SensorRig) -> SelectionStages:
     return SelectionStages(ours=ours, reference=reference)
 
 
-def place_check(config: Config, rig: SensorRig, classifier: PlaceClassifier) -> Any:
-    """``landing.classification.site_check.PlaceCheck`` of a flight."""
-    from touchdown.landing.classification.site_check import PlaceCheck
+def place_check(config: Config, rig: SensorRig, classifier: GroundClassifier) -> Any:
+    """``landing.classification.site_check.SiteClassCheck`` of a flight."""
+    from touchdown.landing.classification.site_check import SiteClassCheck
 
-    return PlaceCheck(classifier, rig, config.landing)
+    return SiteClassCheck(classifier, rig, config.landing)

@@ -18,7 +18,7 @@ from touchdown.experiments.campaign.results_table import FAILED, RUNS, refresh
 from touchdown.experiments.campaign.worker import PARTIAL, Task
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.external.loading import code_now, is_outside
+from touchdown.experiments.external.loading import code_now, is_external
 from touchdown.experiments.io.run_directory import utc_now, write_text
 
 PLAN_FILE, SOURCE_FILE, LOCK_FILE = "campaign.json", "campaign.toml", ".lock"
@@ -202,12 +202,12 @@ def _difference(old: Mapping[str, Any], runs: Sequence[PlannedRun], directory: P
     )
 
 
-def check_outside_code(plan: Plan, directory: Path) -> None:
-    """Raises UsageError where finished runs were flown with other code of an outside estimator than
-    there is now: they would not be flown again, and stand beside runs of another program. Runs that
-    do not say what they were flown with pass."""
+def check_external_code(plan: Plan, directory: Path) -> None:
+    """Raises UsageError where finished runs were flown with other code of an external estimator
+    than there is now: they would not be flown again, and stand beside runs of another program. Runs
+    that do not say what they were flown with pass."""
     wanted = {str(run.values["estimator"]) for run in plan.runs}
-    now = {name: code_now(name) for name in sorted(wanted) if is_outside(name)}
+    now = {name: code_now(name) for name in sorted(wanted) if is_external(name)}
     if not now or not (directory / PLAN_FILE).is_file():
         return
     rows = refresh(directory)

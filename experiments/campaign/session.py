@@ -16,7 +16,7 @@ from touchdown.experiments.campaign import expectations
 from touchdown.experiments.campaign.directory import (
     Shard,
     add_session,
-    check_outside_code,
+    check_external_code,
     clear_partial,
     flying_now,
     locked,
@@ -66,11 +66,10 @@ def fly_campaign(
     """Flies what ``directory`` lacks of a plan, and returns `summary`.
 
     Finished runs are never repeated; runs that crashed are tried again. Stopping it at any moment,
-    by whatever means, and calling it again gives the rows of an undisturbed campaign. ``shard``
-    (i, n) flies the i-th of n parts, i from 1. Raises UsageError for a directory that is in use,
-    that belongs to another campaign, or whose disk is full; for an outside estimator that is not to
-    be had, or whose code is not that of the finished runs.
-    """
+    by whatever means, and calling it again gives the rows of an undisturbed campaign. ``shard`` (i,
+    n) flies the i-th of n parts, i from 1. Raises UsageError for a directory that is in use, that
+    belongs to another campaign, or whose disk is full; for an external estimator that is not to be
+    had, or whose code is not that of the finished runs."""
     from touchdown.experiments.flight.wiring import find_estimator
     from touchdown.experiments.io.provenance import git_revision
 
@@ -81,7 +80,7 @@ def fly_campaign(
             find_estimator(name)
     with locked(directory, shard):
         if real:
-            check_outside_code(plan, directory)
+            check_external_code(plan, directory)
         plan = settle_plan(plan, directory, git_revision())
         todo, done = _left(plan, directory, shard, runner)
         session: dict[str, Any] = {

@@ -77,7 +77,7 @@ class _Square:
     depth_m: float
 
 
-def place_patches(
+def scene_patches(
     name: str, seed: int, count: int, pixels: int, variation: int, new_colours: float = 0.0
 ) -> list[Patch]:
     """Up to ``count`` patches of ``pixels`` across of a scene's ``seed``; rare classes first.

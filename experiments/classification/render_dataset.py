@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.classification.optional_import import recognition
-from touchdown.experiments.classification.patches import Patch, place_patches
+from touchdown.experiments.classification.patches import Patch, scene_patches
 from touchdown.experiments.classification.splits import SPLITS, split_of_place
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.io.images import read_picture, write_png
@@ -157,7 +157,7 @@ def _render_place(place: _Place) -> list[dict[str, Any]]:
     folder = Path(place.folder) / place.name
     folder.mkdir()
     rows = []
-    patches = place_patches(
+    patches = scene_patches(
         place.scene, place.seed, place.count, place.pixels, place.variation, place.new_colours
     )
     for number, patch in enumerate(patches):

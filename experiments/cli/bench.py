@@ -66,7 +66,7 @@ def bench_loop(
     return EXIT_DONE if is_good(result["result"]) else EXIT_FAILED
 
 
-@bench.command("workers")
+@bench.command("scaling")
 @click.option("--scene", default="crossroad", show_default=True)
 @click.option("--estimator", default="livo", show_default=True)
 @click.option("--workers", type=click.IntRange(2, 1024), default=2, show_default=True)
@@ -74,14 +74,14 @@ def bench_loop(
               help="Flights of each campaign.")  # fmt: skip
 @click.option("--rounds", type=click.IntRange(1, 100), default=1, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def bench_workers(
+def bench_scaling_command(
     scene: str, estimator: str, workers: int, runs: int, rounds: int, as_json: bool
 ) -> int:
     """The same campaign of short landings by one single-threaded worker and by several.
 
     ratio.one is how many times as many flights they end in a second, their start included.
 
-    Example: touchdown bench workers --json
+    Example: touchdown bench scaling --json
     """
     from touchdown.experiments.benchmarks.scaling import measure_workers
 

@@ -1,4 +1,4 @@
-"""Place recognition: ``touchdown dataset``, ``train``, ``evaluate``, ``classify``."""
+"""Ground classification: ``touchdown dataset``, ``train``, ``evaluate``, ``classify``."""
 
 from __future__ import annotations
 

@@ -72,9 +72,9 @@ def _remark(result: Mapping[str, Any]) -> str:
     from touchdown.scenes.api import RISKY_CLASSES
 
     kind = lookup(result, "landing.class_true")
-    if kind not in RISKY_CLASSES or result.get("place_recognition") != "off":
+    if kind not in RISKY_CLASSES or result.get("classifier") != "off":
         return ""
-    return f"a {kind} is risky ground; place recognition was off"
+    return f"a {kind} is risky ground; ground classification was off"
 
 
 def _last_words(result: Mapping[str, Any]) -> list[str]:

@@ -102,7 +102,7 @@ def check_estimator(
 def _checked(name: str, run: Path | None, seconds: float, overrides: tuple[str, ...]) -> list[Any]:
     from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.external import conformance as contract
-    from touchdown.experiments.external.wrapper import OutsideError
+    from touchdown.experiments.external.wrapper import ExternalEstimatorError
     from touchdown.experiments.flight.platform import limit_threads
     from touchdown.experiments.flight.replay import check_needs, open_run, replay_config, seen_by
     from touchdown.experiments.flight.wiring import build_estimator
@@ -111,32 +111,32 @@ def _checked(name: str, run: Path | None, seconds: float, overrides: tuple[str, 
     if run is None:
         config = load_config(None, overrides, estimator=name)
         build = usage_errors(lambda: _build_function(config))
-        return contract.check_estimator(build, params=config.outside, seconds=seconds)
+        return contract.check_estimator(build, params=config.external, seconds=seconds)
     logged = open_run(run)
     config = replay_config(run, name, overrides)
     build = usage_errors(lambda: _build_function(config))
     rig, observations = logged.sensors.rig, []
     try:
         needs = build_estimator(config, rig).needs
-    except OutsideError:
+    except ExternalEstimatorError:
         # It does not get as far as messages; the contract says why.
-        return contract.check_estimator(build, rig=rig, params=config.outside, seconds=seconds)
+        return contract.check_estimator(build, rig=rig, params=config.external, seconds=seconds)
     check_needs(name, needs, logged.sensors)
     for obs in seen_by(needs, logged.sensors):
         observations.append(obs)
         if obs.time_s >= seconds:
             break
     return contract.check_estimator(
-        build, rig=rig, params=config.outside, observations=observations
+        build, rig=rig, params=config.external, observations=observations
     )
 
 
 def _build_function(config: Any) -> Any:
     """``build(params, rig)`` of the configured estimator. Raises UsageError where there is none."""
-    from touchdown.experiments.external.loading import is_outside, outside_builder
+    from touchdown.experiments.external.loading import external_builder, is_external
     from touchdown.experiments.flight.wiring import build_estimator, check_estimator
 
     check_estimator(config.estimator)
-    if is_outside(config.estimator):
-        return outside_builder(config.estimator)
+    if is_external(config.estimator):
+        return external_builder(config.estimator)
     return lambda _params, rig: build_estimator(config, rig)

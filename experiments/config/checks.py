@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from touchdown.experiments.config.keys import flatten, is_outside_key
+from touchdown.experiments.config.keys import flatten, is_external_key
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.landing.api import SurveyParams
@@ -41,7 +41,7 @@ POSITIVE_EXCEPT = re.compile(r"[_.]latency_ticks$")
 def _check_ranges(config: Config, sources: Mapping[str, str]) -> None:
     """Signs follow the names: a rate, a size or a duration is positive, a spread not negative."""
     for key, value in flatten(json.loads(config.model_dump_json())):
-        if isinstance(value, bool) or not isinstance(value, int | float) or is_outside_key(key):
+        if isinstance(value, bool) or not isinstance(value, int | float) or is_external_key(key):
             continue
         where = f" in {sources[key]}" if key in sources else ""
         if POSITIVE.search(key) and not POSITIVE_EXCEPT.search(key):

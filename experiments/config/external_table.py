@@ -1,4 +1,4 @@
-"""The table ``outside`` of a configuration: whatever somebody's own estimator is built with."""
+"""The table ``external`` of a configuration: whatever somebody's own estimator is built with."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-PREFIX = "outside."
+PREFIX = "external."
 _DEEPEST = 8
 
 
-def wrong_outside_key(values: Mapping[str, Any], estimator: Any) -> tuple[str, str] | None:
+def wrong_external_key(values: Mapping[str, Any], estimator: Any) -> tuple[str, str] | None:
     """The first key of ``values``, by dotted key, that is of the table and cannot be, and why."""
     ours = {key: value for key, value in values.items() if key.startswith(PREFIX)}
     for key, value in ours.items():

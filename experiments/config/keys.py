@@ -8,8 +8,8 @@ from typing import Any
 from touchdown.experiments.config.external_table import PREFIX
 
 
-def is_outside_key(key: str) -> bool:
-    """Whether it is of the table that outside estimators are built with, where any key may be."""
+def is_external_key(key: str) -> bool:
+    """Whether it is of the table that external estimators are built with, where any key may be."""
     return key.startswith(PREFIX)
 
 

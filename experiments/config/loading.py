@@ -26,8 +26,8 @@ from touchdown.experiments.config.checks import (
     _check_rates,
     _check_survey,
 )
-from touchdown.experiments.config.external_table import wrong_outside_key
-from touchdown.experiments.config.keys import flatten, is_outside_key
+from touchdown.experiments.config.external_table import wrong_external_key
+from touchdown.experiments.config.keys import flatten, is_external_key
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, nearest
 
@@ -82,7 +82,7 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
     for key, value in values.items():
         _check_key(key, sources[key])
         _check_finite(key, value, sources[key])
-    if found := wrong_outside_key(values, values.get("estimator", "livo")):
+    if found := wrong_external_key(values, values.get("estimator", "livo")):
         key, reason = found
         raise UsageError(f"{key} in {sources.get(key, 'the configuration')} {reason}")
     config = _validate(values, sources)
@@ -107,7 +107,7 @@ def known_keys() -> tuple[str, ...]:
 
 def is_key(key: str) -> bool:
     """Whether a dotted key may be set."""
-    return key in known_keys() or is_outside_key(key)
+    return key in known_keys() or is_external_key(key)
 
 
 def read_tree(file: Path) -> dict[str, Any]:
@@ -148,16 +148,16 @@ def _check_key(key: str, source: str) -> None:
     keys = known_keys()
     if is_key(key):
         return
-    if key == "outside":
-        keys = ("outside.gain",)
+    if key == "external":
+        keys = ("external.gain",)
     inside = [known for known in keys if known.startswith(f"{key}.")]
     if inside:
         raise UsageError(
             f"'{key}' in {source} is a group, set one of its keys, such as '{inside[0]}'"
         )
     group, _, rest = key.partition(".")
-    if rest and difflib.get_close_matches(group, ["outside"], cutoff=0.7):
-        keys = (*keys, f"outside.{rest}")
+    if rest and difflib.get_close_matches(group, ["external"], cutoff=0.7):
+        keys = (*keys, f"external.{rest}")
     hint = nearest(key, keys) or _same_last_name(key, keys)
     raise UsageError(f"unknown key '{key}' in {source}{hint or f'; groups: {_groups()}'}")
 

@@ -22,7 +22,7 @@ from touchdown.estimator.api import (
     PaperParams,
     StereoParams,
 )
-from touchdown.experiments.api import BiasParams, RefereeParams, RigErrorParams
+from touchdown.experiments.api import BiasParams, CalibrationErrorParams, RefereeParams
 from touchdown.landing.api import LandingParams, SurveyParams
 from touchdown.sim.api import (
     FORBID_EXTRA,
@@ -74,11 +74,11 @@ class Config(BaseModel):
     """seed of the place alone, for flights over one place in other winds and noises; None: ``seed``
     decides that too"""
     estimator: str = "livo"
-    outside: dict[str, Any] = Field(default_factory=dict)
+    external: dict[str, Any] = Field(default_factory=dict)
     """what an estimator of somebody's own, MODULE:FUNCTION, is built with: any keys"""
     calibration: str | None = None
     """path of a file of `touchdown calibrate` that estimators are told instead of the rig's own
-    calibration with the errors of ``rig_error``"""
+    calibration with the errors of ``calibration_error``"""
     record: bool = True
     """write the Rerun recording (trajectories, map and costmap are always written)"""
     sim: SimParams = Field(default_factory=SimParams)
@@ -103,7 +103,7 @@ class Config(BaseModel):
     landing: LandingParams = Field(default_factory=LandingParams)
     referee: RefereeParams = Field(default_factory=RefereeParams)
     bias: BiasParams = Field(default_factory=BiasParams)
-    rig_error: RigErrorParams = Field(default_factory=RigErrorParams)
+    calibration_error: CalibrationErrorParams = Field(default_factory=CalibrationErrorParams)
     log: LogParams = Field(default_factory=LogParams)
 
     @property

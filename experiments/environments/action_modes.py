@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.controller.api import Setpoint
-from touchdown.experiments.environments.wiring import Practice
+from touchdown.experiments.environments.wiring import EnvBackend
 from touchdown.sim.api import Command, Observation
 from touchdown.sim.frames import rotation_from_yaw, yaw_from_rotation
 
@@ -21,7 +21,7 @@ _MAX_ACCELERATION_MPS2 = 4.0
 _LEASH_M = 1.5
 
 
-class Pilot(Protocol):
+class ActionMode(Protocol):
     """Turns actions into rotor commands."""
 
     def hold(self, obs: Observation) -> Command:
@@ -37,13 +37,13 @@ class Pilot(Protocol):
         ...
 
 
-class VelocityPilot:
+class VelocityMode:
     """Flies forward, left, up velocity and yaw rate through the cascade controller. The reference
     accelerates by at most 4 m/s^2 and never runs more than 1.5 m ahead of the vehicle."""
 
-    def __init__(self, practice: Practice) -> None:
-        self._practice = practice
-        self._step_s = practice.step_s
+    def __init__(self, backend: EnvBackend) -> None:
+        self._backend = backend
+        self._step_s = backend.step_s
         self._position: Array | None = None
         self._velocity = np.zeros(3)
         self._yaw = 0.0
@@ -56,7 +56,7 @@ class VelocityPilot:
         self._action = action
 
     def command(self, obs: Observation) -> Command:
-        estimate = self._practice.estimator.update(obs)
+        estimate = self._backend.estimator.update(obs)
         pose = estimate.odom_from_body
         if self._position is None:
             self._position, self._yaw = pose.translation.copy(), yaw_from_rotation(pose.rotation)
@@ -77,15 +77,15 @@ class VelocityPilot:
             yaw_odom=self._yaw,
             yaw_rate=rate,
         )
-        return self._practice.controller.update(estimate, setpoint)
+        return self._backend.controller.update(estimate, setpoint)
 
 
-class RotorPilot:
+class RotorMode:
     """One number for each rotor, linear in thrust from idle (-1) to full (1)."""
 
-    def __init__(self, practice: Practice) -> None:
-        self._autopilot = VelocityPilot(practice)
-        vehicle = practice.world.rig.vehicle
+    def __init__(self, backend: EnvBackend) -> None:
+        self._autopilot = VelocityMode(backend)
+        vehicle = backend.world.rig.vehicle
         self._least, self._most = vehicle.rotor_speed_min**2, vehicle.rotor_speed_max**2
         self._command = Command(rotor_speed_radps=np.zeros(4))
 
@@ -100,7 +100,7 @@ class RotorPilot:
         return self._command
 
 
-PILOTS: Mapping[str, Callable[[Practice], Pilot]] = {
-    "rotors": RotorPilot,
-    "velocity": VelocityPilot,
+ACTION_MODES: Mapping[str, Callable[[EnvBackend], ActionMode]] = {
+    "rotors": RotorMode,
+    "velocity": VelocityMode,
 }

@@ -43,7 +43,7 @@ class TouchdownEnvironment(dm_env.Environment):
     def observation_spec(self) -> dict[str, specs.BoundedArray]:
         return {
             name: specs.BoundedArray(b.shape, b.dtype, b.low, b.high, name)
-            for name, b in self._task.senses.bounds.items()
+            for name, b in self._task.observations.bounds.items()
         }
 
     def action_spec(self) -> specs.BoundedArray:

@@ -34,7 +34,7 @@ class TouchdownEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (4,), np.float32)
         spaces: dict[str, gymnasium.Space[Any]] = {
             name: gymnasium.spaces.Box(b.low, b.high, b.shape, b.dtype)
-            for name, b in self._task.senses.bounds.items()
+            for name, b in self._task.observations.bounds.items()
         }
         self.observation_space = gymnasium.spaces.Dict(spaces)  # type: ignore[assignment]
 

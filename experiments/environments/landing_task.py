@@ -49,9 +49,9 @@ from scipy import ndimage
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.environments.action_modes import PILOTS, Pilot
-from touchdown.experiments.environments.observations import SENSORS, Senses, sensor_needs
-from touchdown.experiments.environments.wiring import Practice, build_practice
+from touchdown.experiments.environments.action_modes import ACTION_MODES, ActionMode
+from touchdown.experiments.environments.observations import SENSORS, Observations, sensor_needs
+from touchdown.experiments.environments.wiring import EnvBackend, build_env_backend
 from touchdown.experiments.flight.truth_lookup import TruthLookup
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.scenes.api import Scene, TruthMaps
@@ -100,8 +100,9 @@ class TaskOptions:
     """of rendered pictures for people"""
 
     def __post_init__(self) -> None:
-        if self.action not in PILOTS:
-            raise ValueError(f"action '{self.action}' is unknown: give one of {', '.join(PILOTS)}")
+        if self.action not in ACTION_MODES:
+            raise ValueError(f"action '{self.action}' is unknown: give one of {',
+            '.join(ACTION_MODES)}")
         unknown = [name for name in self.sensors if name not in SENSORS]
         if unknown or not (self.sensors or self.privileged):
             given = f"'{unknown[0]}'" if unknown else "none"
@@ -154,7 +155,7 @@ class LandingTask:
 
     def __init__(self, options: TaskOptions) -> None:
         self.options = options
-        self.senses = Senses(options.sensors, options.privileged, options.camera_pixels)
+        self.observations = Observations(options.sensors, options.privileged, options.camera_pixels)
         self._config = _configuration(options)
         sim = self._config.sim
         control_hz = sim.tick_hz // sim.control_ticks
@@ -162,29 +163,29 @@ class LandingTask:
             raise ValueError(f"action_hz is {options.action_hz}: give a divisor of {control_hz}")
         self._steps_per_action = control_hz // options.action_hz
         self._layout: Layout | None = None
-        self._practice: Practice | None = None
+        self._backend: EnvBackend | None = None
 
     def reset(self, layout_seed: int | None, rng: np.random.Generator) -> Step:
         """A new episode on the layout of ``layout_seed`` (None: the one there is). ``rng`` draws
         start, wind and sensor errors. The step's reward is 0."""
-        if self._practice is not None:
-            self._practice.close()
-            self._practice = None
+        if self._backend is not None:
+            self._backend.close()
+            self._backend = None
         layout = self._take_layout(layout_seed)
         world_seed = int(rng.integers(2**31))
         config = self._config.model_copy(update={"seed": world_seed})
         needs = sensor_needs(self.options.sensors)
-        practice = build_practice(config, layout.scene, needs, self.options.view_pixels)
-        self._practice = practice
-        self._pilot: Pilot = PILOTS[self.options.action](practice)
-        rig = practice.world.rig
-        self.senses.begin(rig)
+        backend = build_env_backend(config, layout.scene, needs, self.options.view_pixels)
+        self._backend = backend
+        self._action_mode: ActionMode = ACTION_MODES[self.options.action](backend)
+        rig = backend.world.rig
+        self.observations.begin(rig)
         self._home = rig.world_from_body_start.translation - [0.0, 0.0, rig.vehicle.leg_height_m]
-        self._obs = practice.world.start_in_air(*self._start(layout, rng))
-        self._start_z = float(practice.world.truth().world_from_body.translation[2])
+        self._obs = backend.world.start_in_air(*self._start(layout, rng))
+        self._start_z = float(backend.world.truth().world_from_body.translation[2])
         self._start_tick = round(WARM_UP_S * rig.tick_hz)
         while self._obs.tick < self._start_tick:
-            self._advance(self._pilot.hold(self._obs))
+            self._advance(self._action_mode.hold(self._obs))
         self._potential = self._potential_now()
         return Step(self._observation(), 0.0, False, False, self._info(None, False))
 
@@ -193,21 +194,21 @@ class LandingTask:
 
         ValueError: a wrong shape or not finite. RuntimeError: before the first reset.
         """
-        if self._practice is None:
+        if self._backend is None:
             raise RuntimeError("reset the environment before its first step")
         action = np.asarray(action, dtype=np.float64)
         if action.shape != (4,) or not np.all(np.isfinite(action)):
             raise ValueError(f"an action is 4 finite numbers, not {action!r}")
         action = np.clip(action, -1.0, 1.0)
         outcome, safe, ending = None, False, 0.0
-        self._pilot.take(action)
+        self._action_mode.take(action)
         for _ in range(self._steps_per_action):
             before = self._truth
-            self._advance(self._pilot.command(self._obs))
+            self._advance(self._action_mode.command(self._obs))
             outcome, safe, ending = self._judge(before, self._truth)
             if outcome is not None:
                 break
-        time_s = (self._obs.tick - self._start_tick) / self._practice.world.rig.tick_hz
+        time_s = (self._obs.tick - self._start_tick) / self._backend.world.rig.tick_hz
         potential = self._potential_now()
         reward = potential - self._potential
         self._potential = potential
@@ -220,15 +221,15 @@ class LandingTask:
 
     def draw(self) -> NDArray[np.uint8]:
         """(H, W, 3) uint8: what the vehicle sees below it. RuntimeError: before the first reset."""
-        if self._practice is None:
+        if self._backend is None:
             raise RuntimeError("reset the environment before rendering it")
-        return self._practice.draw().copy()
+        return self._backend.draw().copy()
 
     def close(self) -> None:
         """Frees the world; a later ``reset`` makes another."""
-        if self._practice is not None:
-            self._practice.close()
-            self._practice = None
+        if self._backend is not None:
+            self._backend.close()
+            self._backend = None
 
     # ------------------------------------------------------------------------------ inside
 
@@ -249,15 +250,15 @@ class LandingTask:
         return np.array([*xy, z]), float(rng.uniform(-np.pi, np.pi))
 
     def _advance(self, command: Any) -> None:
-        assert self._practice is not None
-        self._obs = self._practice.world.step(command)
-        self._truth: Truth = self._practice.world.truth()
-        self.senses.take(self._obs)
+        assert self._backend is not None
+        self._obs = self._backend.world.step(command)
+        self._truth: Truth = self._backend.world.truth()
+        self.observations.take(self._obs)
 
     def _potential_now(self) -> float:
-        assert self._layout is not None and self._practice is not None
+        assert self._layout is not None and self._backend is not None
         position = self._truth.world_from_body.translation
-        feet = position[2] - self._practice.world.rig.vehicle.leg_height_m
+        feet = position[2] - self._backend.world.rig.vehicle.leg_height_m
         height = float(feet - self._home[2])
         return -_PROGRESS_PER_M * (height + self._layout.distance_at(position[:2]))
 
@@ -292,15 +293,15 @@ class LandingTask:
         return Outcome.LANDED, True, _SAFE * (1.0 - 0.5 * max(down, 0.0) / TOUCH_DOWN_MPS)
 
     def _observation(self) -> dict[str, NDArray[Any]]:
-        assert self._practice is not None
-        height = self._practice.world.height_over_ground()
-        return self.senses.observation(self._truth, self._home, height)
+        assert self._backend is not None
+        height = self._backend.world.height_over_ground()
+        return self.observations.observation(self._truth, self._home, height)
 
     def _info(self, outcome: Outcome | None, safe: bool) -> dict[str, Any]:
-        assert self._practice is not None and self._layout is not None
+        assert self._backend is not None and self._layout is not None
         ticks = self._obs.tick - self._start_tick
         return {
-            "time_s": ticks / self._practice.world.rig.tick_hz,
+            "time_s": ticks / self._backend.world.rig.tick_hz,
             "layout": self._layout.scene.seed,
             "outcome": "" if outcome is None else str(outcome),
             "safe": safe,

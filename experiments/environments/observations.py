@@ -63,7 +63,7 @@ def sensor_needs(sensors: tuple[str, ...]) -> SensorNeeds:
     return needs
 
 
-class Senses:
+class Observations:
     """Keeps the newest of every sensor and makes observations out of it."""
 
     def __init__(

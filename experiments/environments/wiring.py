@@ -20,9 +20,9 @@ from touchdown.sim.api import SensorNeeds
 
 
 @dataclass(slots=True)
-class Practice:
-    """A vehicle in the air over a scene, for a pilot from elsewhere: ``controller``, told the truth
-    by ``estimator``, holds it until the pilot takes over. ``draw()`` is what a camera of
+class EnvBackend:
+    """A vehicle in the air over a scene, for a policy: ``controller``, told the truth
+    by ``estimator``, holds it until the policy takes over. ``draw()`` is what a camera of
     ``view_pixels`` (width, height) on the vehicle sees now, (H, W, 3) uint8."""
 
     scene: Scene
@@ -36,9 +36,9 @@ class Practice:
     close: Callable[[], None]
 
 
-def build_practice(
+def build_env_backend(
     config: Config, scene: Scene, needs: SensorNeeds, view_pixels: tuple[int, int]
-) -> Practice:
+) -> EnvBackend:
     """World and autopilot of ``config``, sensing what ``needs`` asks for."""
     from touchdown.controller.cascade import CascadeController
     from touchdown.estimator.oracle import Oracle
@@ -55,7 +55,7 @@ def build_practice(
         view.close()
         world.close()
 
-    return Practice(
+    return EnvBackend(
         scene=scene,
         world=world,
         estimator=Oracle(world.truth, world.rig),

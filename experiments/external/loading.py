@@ -31,18 +31,18 @@ _AT_IMPORT: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()
 """Hashes of the code behind modules, when they were imported."""
 
 
-def is_outside(name: str) -> bool:
+def is_external(name: str) -> bool:
     """Whether an estimator's name is MODULE:FUNCTION."""
     return ":" in name
 
 
-def outside_builder(name: str) -> Build:
+def external_builder(name: str) -> Build:
     """``my_lab.vio:build`` -> the function ``build`` of the module ``my_lab.vio``.
 
     Modules are also looked for in the current directory, after all other places, so that what lies
     there hides nothing. Raises UsageError.
     """
-    module, function = outside_module(name), name.partition(":")[2]
+    module, function = external_module(name), name.partition(":")[2]
     build: Any = getattr(module, function, None)
     if build is None:
         own = {key: getattr(value, "__module__", "") for key, value in vars(module).items()}
@@ -56,9 +56,9 @@ def outside_builder(name: str) -> Build:
     return build  # type: ignore[no-any-return]
 
 
-def check_outside(name: str) -> None:
+def check_external(name: str) -> None:
     """Raises UsageError unless the builder is there and takes (params, rig)."""
-    reason = wrong_signature(outside_builder(name))
+    reason = wrong_signature(external_builder(name))
     if reason:
         raise UsageError(f"estimator '{name}': {reason}")
 
@@ -80,7 +80,7 @@ def wrong_signature(build: Callable[..., Any]) -> str:
 # ------------------------------------------------------------------------------------- the module
 
 
-def outside_module(name: str) -> ModuleType:
+def external_module(name: str) -> ModuleType:
     """The module of MODULE:FUNCTION, imported. Raises UsageError."""
     if not _NAME.fullmatch(name):
         raise UsageError(
@@ -169,12 +169,12 @@ def location(error: BaseException, module_name: str) -> str:
 def flown_code(name: str) -> dict[str, str]:
     """``estimator_sha`` of a result: twelve hexadecimal digits that name the code of an outside
     estimator as it was imported. Of others nothing: ``git_revision`` tells theirs."""
-    return {"estimator_sha": _AT_IMPORT[outside_module(name)]} if is_outside(name) else {}
+    return {"estimator_sha": _AT_IMPORT[external_module(name)]} if is_external(name) else {}
 
 
 def code_now(name: str) -> str:
     """The same of the code as it lies there now. Raises UsageError."""
-    return _hash(outside_module(name))
+    return _hash(external_module(name))
 
 
 def _hash(module: ModuleType) -> str:

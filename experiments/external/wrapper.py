@@ -1,4 +1,4 @@
-"""An outside estimator in flight: what it does wrong is told in one line, where it does it."""
+"""An external estimator in flight: what it does wrong is told in one line, where it does it."""
 
 from __future__ import annotations
 
@@ -9,26 +9,25 @@ from typing import Any
 from touchdown.estimator.api import Estimate
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.estimate_checks import told, wrong_estimate, wrong_estimator
-from touchdown.experiments.external.loading import location, outside_builder, wrong_signature
+from touchdown.experiments.external.loading import external_builder, location, wrong_signature
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
 
 
-class OutsideError(UsageError):
+class ExternalEstimatorError(UsageError):
     """What an estimator that somebody brings did wrong, in one line."""
 
 
-class OutsideEstimator:
+class ExternalEstimator:
     """Passes observations on to the estimator that ``name``, MODULE:FUNCTION, builds of ``params``
     and ``rig``, and looks at what it returns.
 
-    Raises OutsideError for whatever it raises, in building and in every update, and for an estimate
-    that a flight cannot go on with; UsageError where the function is not there.
-    """
+    Raises ExternalEstimatorError for whatever it raises, in building and in every update, and for
+    an estimate that a flight cannot go on with; UsageError where the function is not there."""
 
     needs: SensorNeeds
 
     def __init__(self, name: str, params: Mapping[str, Any], rig: SensorRig) -> None:
-        build = outside_builder(name)
+        build = external_builder(name)
         self._name = name
         reason = wrong_signature(build)
         if reason:
@@ -54,9 +53,9 @@ class OutsideEstimator:
             raise self._error(f"at {obs.time_s:.3f} s update returned {reason}")
         return estimate
 
-    def _error(self, what: str, error: BaseException | None = None) -> OutsideError:
+    def _error(self, what: str, error: BaseException | None = None) -> ExternalEstimatorError:
         where = "" if error is None else location(error, self._name.partition(":")[0])
-        return OutsideError(
+        return ExternalEstimatorError(
             f"estimator '{self._name}': {what}{where}; "
             f"`touchdown check-estimator {self._name}` tells more"
         )

@@ -8,7 +8,7 @@ from zlib import crc32
 
 import numpy as np
 
-from touchdown.experiments.api import RigErrorParams
+from touchdown.experiments.api import CalibrationErrorParams
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.calibration_file import CalibrationFile, read_calibration
@@ -16,9 +16,9 @@ from touchdown.sim.api import CameraIntrinsics, SensorRig
 from touchdown.sim.frames import Pose, so3_exp
 
 
-def told_rig(rig: SensorRig, config: Config) -> SensorRig:
+def believed_rig(rig: SensorRig, config: Config) -> SensorRig:
     """The true ``rig`` as the estimators of a flight know it: from ``config.calibration`` where a
-    file is named, else with the errors of ``config.rig_error`` drawn from the seed.
+    file is named, else with the errors of ``config.calibration_error`` drawn from the seed.
 
     The camera's mount on the body is taken as known; the LIDAR's follows from it. Raises UsageError
     for a file that cannot be used.
@@ -32,7 +32,7 @@ def told_rig(rig: SensorRig, config: Config) -> SensorRig:
                 f"the flight's has {rig.camera.width} x {rig.camera.height}"
             )
         return _with(rig, told, content.lidar_pose())
-    return erring_rig(rig, config.rig_error, config.seed)
+    return erring_rig(rig, config.calibration_error, config.seed)
 
 
 def check_calibration(config: Config) -> CalibrationFile | None:
@@ -40,7 +40,7 @@ def check_calibration(config: Config) -> CalibrationFile | None:
     return None if config.calibration is None else read_calibration(Path(config.calibration))
 
 
-def erring_rig(rig: SensorRig, params: RigErrorParams, seed: int) -> SensorRig:
+def erring_rig(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
     """The rig with normally distributed errors; itself where all of them are 0."""
     sigmas = (
         params.rotation_sigma_deg,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, Estimator
 from touchdown.experiments.api import Outcome
-from touchdown.experiments.config.keys import is_outside_key
+from touchdown.experiments.config.keys import is_external_key
 from touchdown.experiments.config.loading import dump_config, is_key, load_config, read_tree
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
@@ -39,7 +39,7 @@ _LIFT_OFF_HEIGHT_M = 0.1
 _FLOWN = (
     "scene", "seed", "calibration", "record", "sim", "wind", "lidar", "camera", "imu", "gps",
     "barometer", "magnetometer", "rangefinder", "faults", "mapper", "control", "survey", "landing",
-    "rig_error", "referee",
+    "calibration_error", "referee",
 )  # fmt: skip
 """Keys that decided the flight and that a replay cannot change."""
 
@@ -98,7 +98,7 @@ def replay_config(
     """The configuration of a run, with another estimator or other parameters of it. ``fresh``:
     estimators with today's defaults instead of the run's parameters. Of a run of an earlier version
     whose estimators had parameters that are gone, these are left out, with a warning; so are, with
-    none, those of an outside estimator when another takes its place. Raises UsageError for a key
+    none, those of an external estimator when another takes its place. Raises UsageError for a key
     that decided the flight."""
     if not (run / "config.json").is_file():
         raise UsageError(f"'{run}' is no run directory: it has no config.json")
@@ -114,7 +114,7 @@ def replay_config(
             return True
         if not is_key(key):
             gone.append(key)
-        return not fresh and is_key(key) and (same or not is_outside_key(key))
+        return not fresh and is_key(key) and (same or not is_external_key(key))
 
     config = load_config(run / "config.json", overrides, take, estimator=estimator)
     if gone and not fresh:

@@ -37,7 +37,7 @@ def _result(
         **outcome.deviation.summary(),
         "nees": outcome.consistency.summary(),
         "landing": _landing(outcome, config.landing.site_xy_m),
-        "place_recognition": flight.network or "off",
+        "classifier": flight.network or "off",
         "map": _map_figures(flight, outcome, maps, config.seed),
         "timing": {
             "wall_s": wall_s,

@@ -23,8 +23,8 @@ from touchdown.experiments.flight.stage_timer import StageClock, Timed
 from touchdown.experiments.flight.truth_lookup import TruthLookup
 from touchdown.experiments.flight.wiring import (
     Flight,
+    build_classifier,
     build_flight,
-    build_places,
     build_scene,
     find_estimator,
 )
@@ -61,7 +61,7 @@ def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) 
     """
     find_estimator(config.estimator)
     check_calibration(config)
-    build_places(config)
+    build_classifier(config)
     if out_dir is not None:
         check_out_dir(out_dir)
     limit_threads()
@@ -91,7 +91,9 @@ def _sensor_log(folder: Path, flight: Flight) -> SensorLog:
     from touchdown.experiments.io.sensor_log import FILE_NAME, SensorLog
 
     shared = flight.mapper.needs | flight.lander.needs
-    return SensorLog(folder / FILE_NAME, flight.told, flight.estimator.needs | shared, shared)
+    return SensorLog(
+        folder / FILE_NAME, flight.believed_rig, flight.estimator.needs | shared, shared
+    )
 
 
 def fly_and_judge(
@@ -209,7 +211,7 @@ class _Watcher:
 def guarded_fly(config: Any, out: Path | None, progress: Callable[..., None]) -> dict[str, Any]:
     """Flies. What goes wrong before the first control step is bad input; after it, our fault."""
     from touchdown.experiments.errors import UsageError
-    from touchdown.experiments.external.wrapper import OutsideError
+    from touchdown.experiments.external.wrapper import ExternalEstimatorError
 
     airborne = False
 
@@ -221,6 +223,6 @@ def guarded_fly(config: Any, out: Path | None, progress: Callable[..., None]) ->
     try:
         return fly(config, out, watch)
     except (ValueError, OSError) as error:
-        if airborne or isinstance(error, OutsideError):
+        if airborne or isinstance(error, ExternalEstimatorError):
             raise
         raise UsageError(input_message(error)) from error

@@ -20,17 +20,17 @@ from touchdown.estimator.api import (
 )
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, nearest
-from touchdown.experiments.external.loading import check_outside, is_outside
-from touchdown.experiments.external.wrapper import OutsideEstimator
+from touchdown.experiments.external.loading import check_external, is_external
+from touchdown.experiments.external.wrapper import ExternalEstimator
 from touchdown.experiments.flight.bias_injection import BiasedEstimator
-from touchdown.experiments.flight.estimator_calibration import told_rig
+from touchdown.experiments.flight.estimator_calibration import believed_rig
 from touchdown.landing.api import Lander
 from touchdown.scenes.api import LowSun, Scene
 from touchdown.scenes.registry import scene_names
 from touchdown.sim.api import SensorRig, Truth, World
 
 if TYPE_CHECKING:
-    from touchdown.landing.classification.onboard import NetworkPlaces
+    from touchdown.landing.classification.onboard import OnnxGroundClassifier
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class Flight:
     controller: Controller
     faults: Callable[[], list[dict[str, Any]]]
     """what the scheduled sensor faults have done so far"""
-    told: SensorRig
+    believed_rig: SensorRig
     """the rig as the estimator knows it"""
     network: dict[str, Any] | None = None
     """what recognises places, for the result; None: nothing does"""
@@ -75,10 +75,10 @@ def build_flight(config: Config, scene: Scene) -> Flight:
     from touchdown.landing.mission.lander import SiteLander
 
     make_estimator = _estimator_factory(config)
-    places = build_places(config)
+    places = build_classifier(config)
     world = make_world(config, scene)
     try:
-        rig = told_rig(world.rig, config)
+        rig = believed_rig(world.rig, config)
         estimator = _biased(make_estimator(rig, world.truth), config)
     except ValueError:
         world.close()
@@ -98,17 +98,17 @@ def build_flight(config: Config, scene: Scene) -> Flight:
         lander=lander,
         controller=controller,
         faults=lambda: world.faults.summary() + world.disturbances.summary(),
-        told=rig,
+        believed_rig=rig,
         network=None if places is None else places.description(),
     )
 
 
-def places_file(config: Config) -> Path | None:
+def classifier_file(config: Config) -> Path | None:
     """The network that recognises places in a flight, None where none does: ``off``, nothing to
     choose, or ``auto`` without one that comes with the project."""
     from touchdown.landing.classification.onboard import SHIPPED
 
-    wanted = config.landing.place_recognition
+    wanted = config.landing.classifier
     if wanted == "off" or config.landing.survey_only:
         return None
     if wanted != "auto":
@@ -116,27 +116,29 @@ def places_file(config: Config) -> Path | None:
     return SHIPPED if SHIPPED.is_file() else None
 
 
-def build_places(config: Config) -> NetworkPlaces | None:
+def build_classifier(config: Config) -> OnnxGroundClassifier | None:
     """Raises UsageError where the network's file cannot be used, or its engine is missing."""
-    file, params = places_file(config), config.landing
+    file, params = classifier_file(config), config.landing
     if file is None:
         return None
-    if not params.place_patch_m > 0.0:
-        raise UsageError(f"landing.place_patch_m = {params.place_patch_m:g} must be positive")
-    if not 0.0 <= params.place_least_probability <= 1.0:
+    if not params.classifier_patch_m > 0.0:
         raise UsageError(
-            f"landing.place_least_probability = {params.place_least_probability:g} must be within "
-            "0 to 1"
+            f"landing.classifier_patch_m = {params.classifier_patch_m:g} must be positive"
         )
-    from touchdown.landing.classification.onboard import load_places
+    if not 0.0 <= params.classifier_min_probability <= 1.0:
+        raise UsageError(
+            f"landing.classifier_min_probability = {params.classifier_min_probability:g} must be
+            within " "0 to 1"
+        )
+    from touchdown.landing.classification.onboard import load_onboard_classifier
 
     try:
-        return load_places(file, config.landing.place_threads)
+        return load_onboard_classifier(file, config.landing.classifier_threads)
     except (ValueError, OSError) as error:
-        raise UsageError(f"landing.place_recognition: {error}") from error
+        raise UsageError(f"landing.classifier: {error}") from error
     except ImportError as error:
         raise UsageError(
-            f"landing.place_recognition needs {error.name}: install it, or set it to off"
+            f"landing.classifier needs {error.name}: install it, or set it to off"
         ) from error
 
 
@@ -238,7 +240,7 @@ ESTIMATORS: Mapping[str, Callable[[Config], _EstimatorFactory]] = {
 def check_estimator(name: str) -> None:
     """Raises UsageError naming the nearest known estimator unless ``name`` may be that of one, or
     MODULE:FUNCTION; `find_estimator` looks whether that is there."""
-    if name not in ESTIMATORS and not is_outside(name):
+    if name not in ESTIMATORS and not is_external(name):
         known = ", ".join(ESTIMATORS)
         raise UsageError(
             f"unknown estimator '{name}'{nearest(name, ESTIMATORS)}; "
@@ -249,15 +251,15 @@ def check_estimator(name: str) -> None:
 def find_estimator(name: str) -> None:
     """Raises UsageError unless ``name`` can be built, as far as can be told without a rig."""
     check_estimator(name)
-    if is_outside(name):
-        check_outside(name)
+    if is_external(name):
+        check_external(name)
 
 
 def _estimator_factory(config: Config) -> _EstimatorFactory:
     check_estimator(config.estimator)
     if config.estimator in ESTIMATORS:
         return ESTIMATORS[config.estimator](config)
-    return lambda rig, _truth: OutsideEstimator(config.estimator, config.outside, rig)
+    return lambda rig, _truth: ExternalEstimator(config.estimator, config.external, rig)
 
 
 def check_scene_name(name: str, where: str = "") -> None:

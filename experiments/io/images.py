@@ -29,7 +29,7 @@ def read_picture(path: Path) -> Picture:
         bits = 8 * picture.dtype.itemsize
         raise UsageError(f"'{path}' has {bits} bits a channel: convert it to 8-bit RGB")
     if picture.ndim != 3 or picture.shape[2] not in (3, 4):
-        raise UsageError(f"'{path}' is grey: place recognition needs colour, 8-bit RGB")
+        raise UsageError(f"'{path}' is grey: ground classification needs colour, 8-bit RGB")
     return np.ascontiguousarray(picture[..., 2::-1])
 
 

@@ -55,7 +55,7 @@ class Extent:
 
     quick: bool
     photographs: tuple[str, ...] = ()
-    """further labelled pictures for place recognition, as ``--data`` of `touchdown train`"""
+    """further labelled pictures for ground classification, as ``--data`` of `touchdown train`"""
 
     @property
     def edition(self) -> Edition:

@@ -287,7 +287,7 @@ PARTS: tuple[Part, ...] = (
     ),
     Part(
         name="recognition",
-        title="Place recognition",
+        title="Ground classification",
         shows=("Fig. 5", "Table 3", "Table 4"),
         settings=_recognition_settings,
         run=_recognition,

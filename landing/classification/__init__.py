@@ -1,1 +1,1 @@
-"""Place recognition: what kind of ground a picture from the air shows."""
+"""Ground classification: what kind of ground a picture from the air shows."""

@@ -1,4 +1,4 @@
-"""A network's file as the lander asks it: ``landing.api.PlaceClassifier`` by ONNX Runtime."""
+"""A network's file as the lander asks it: ``landing.api.GroundClassifier`` by ONNX Runtime."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SHIPPED = Path(__file__).with_name("trained") / "network.onnx"
 _LABELS = "d_land"
 
 
-class NetworkPlaces:
+class OnnxGroundClassifier:
     """Raises ValueError, FileNotFoundError, ImportError as `OnnxClassifier`, ValueError for a
     network that tells other classes apart than D_Land."""
 
@@ -53,7 +53,7 @@ class NetworkPlaces:
         }
 
     def look(self, pictures: NDArray[np.uint8]) -> PlaceOpinion:
-        """As `landing.api.PlaceClassifier.look`."""
+        """As `landing.api.GroundClassifier.look`."""
         scores = self._network.scores(pictures)
         return PlaceOpinion(
             chances=probabilities(scores),
@@ -61,9 +61,9 @@ class NetworkPlaces:
         )
 
 
-def load_places(path: Path, threads: int = 1) -> NetworkPlaces:
+def load_onboard_classifier(path: Path, threads: int = 1) -> OnnxGroundClassifier:
     """The network in ``path``, loaded once in a process for as long as the file does not change.
-    Raises as `NetworkPlaces`."""
+    Raises as `OnnxGroundClassifier`."""
     stamps = tuple(_stamp(file) for file in (path, checksum_file(path)))
     return _loaded(path.resolve(), threads, stamps)
 
@@ -76,5 +76,7 @@ def _stamp(file: Path) -> tuple[int, int] | None:
 
 
 @functools.lru_cache(maxsize=2)
-def _loaded(path: Path, threads: int, stamps: tuple[tuple[int, int] | None, ...]) -> NetworkPlaces:
-    return NetworkPlaces(path, threads)
+def _loaded(
+    path: Path, threads: int, stamps: tuple[tuple[int, int] | None, ...]
+) -> OnnxGroundClassifier:
+    return OnnxGroundClassifier(path, threads)

@@ -1,4 +1,4 @@
-"""Is a site that the ground allows also a place to land on? Place recognition in flight.
+"""Is a site that the ground allows also a place to land on? Ground classification in flight.
 
 A classifier sees squares of ground around the sites, best first and a few at a time, until one is
 safe. What it says is weighed with what the LIDAR knows: pulses that never came back speak for
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, MapView
-from touchdown.landing.api import Candidate, LandingParams, PlaceClassifier, Selection
+from touchdown.landing.api import Candidate, GroundClassifier, LandingParams, Selection
 from touchdown.landing.classification.survey_images import KeptPictures
 from touchdown.scenes.api import LAND_CLASSES, RISKY_CLASSES, SAFE_CLASSES
 from touchdown.sim.api import Observation, SensorRig
@@ -51,13 +51,13 @@ class SitePlace:
         return float(self.chances.max())
 
 
-class PlaceCheck:
+class SiteClassCheck:
     """The lander's memory of pictures, and the classifier that looks at them."""
 
-    def __init__(self, classifier: PlaceClassifier, rig: SensorRig, params: LandingParams) -> None:
+    def __init__(self, classifier: GroundClassifier, rig: SensorRig, params: LandingParams) -> None:
         self._classifier = classifier
         self._params = params
-        self._least = params.place_least_probability or classifier.least_probability
+        self._least = params.classifier_min_probability or classifier.least_probability
         self.pictures = KeptPictures(rig, params.place_pictures)
         self.batches = 0
         """that the classifier was asked for so far"""
@@ -154,7 +154,7 @@ class PlaceCheck:
         since_s: float = -np.inf,
     ) -> list[SitePlace | None]:
         """One for each site, from one batch."""
-        size, side = self._classifier.image_size, self._params.place_patch_m
+        size, side = self._classifier.image_size, self._params.classifier_patch_m
         squares = [self.pictures.square(site, side, size, since_s) for site in sites]
         shown = [square for square in squares if square is not None]
         found: list[SitePlace | None] = [None] * len(sites)

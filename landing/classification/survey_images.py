@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import Estimate, picture_trouble, some_pixels
+from touchdown.estimator.api import Estimate, image_defect, some_pixels
 from touchdown.landing.classification.haze import Haze, darkest_light, estimate_haze
 from touchdown.sim.api import CameraImage, CameraIntrinsics, Observation, SensorRig
 from touchdown.sim.frames import Pose, interpolate_pose
@@ -97,7 +97,7 @@ class KeptPictures:
         found = []
         for image in images:
             pixels = some_pixels(image.rgb)
-            if image.time_s <= self._newest_s or picture_trouble(pixels, self._pixels):
+            if image.time_s <= self._newest_s or image_defect(pixels, self._pixels):
                 continue
             self._newest_s, self._pixels = image.time_s, pixels
             found.append(image)

@@ -105,7 +105,7 @@ def _look(flight: Flight, max_shift_m: float, name: str) -> Generator[Setpoint, 
 
 def _unsafe_place(flight: Flight, position: Array) -> str | None:
     """Why the kind of ground at ``position`` (3,) is refused from closer, in words; None: it is
-    safe, or place recognition is off. At 4 m the camera sees too little of the place to ask."""
+    safe, or ground classification is off. At 4 m the camera sees too little of the place to ask."""
     if flight.places is None:
         return None
     place = flight.places.look_again(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
-from touchdown.landing.api import LanderView, LandingParams, Phase, PlaceClassifier, SurveyParams
-from touchdown.landing.classification.site_check import PlaceCheck
+from touchdown.landing.api import GroundClassifier, LanderView, LandingParams, Phase, SurveyParams
+from touchdown.landing.classification.site_check import SiteClassCheck
 from touchdown.landing.mission.health import HealthWatch, give_up
 from touchdown.landing.mission.mission_state import Flight, Steps
 from touchdown.landing.mission.phases import fly
@@ -25,9 +25,9 @@ class SiteLander:
         rig: SensorRig,
         params: LandingParams,
         survey: SurveyParams,
-        places: PlaceClassifier | None = None,
+        places: GroundClassifier | None = None,
     ) -> None:
-        check = None if places is None else PlaceCheck(places, rig, params)
+        check = None if places is None else SiteClassCheck(places, rig, params)
         self._flight = Flight(rig, params, survey, check)
         self._steps: Steps = fly(self._flight)
         self._health = HealthWatch()

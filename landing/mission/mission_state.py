@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import Candidate, CostmapView, LandingParams, Phase, SurveyParams
-from touchdown.landing.classification.site_check import PlaceCheck, SitePlace
+from touchdown.landing.classification.site_check import SiteClassCheck, SitePlace
 from touchdown.landing.mission.energy import (
     RAMP_S,
     emergency_reach_m,
@@ -42,7 +42,7 @@ class Flight:
         rig: SensorRig,
         params: LandingParams,
         survey: SurveyParams,
-        places: PlaceCheck | None = None,
+        places: SiteClassCheck | None = None,
     ) -> None:
         self.rig = rig
         self.params = params
@@ -60,7 +60,7 @@ class Flight:
         self.committed_site_world: Array | None = None
         self.refused_odom: list[Array] = []
         self.places = places
-        """place recognition; None: it is off"""
+        """ground classification; None: it is off"""
         self.site_place: SitePlace | None = None
         self.alike_odom: list[Array] = []
         """sites whose kind of ground was refused"""

@@ -152,7 +152,7 @@ def _decide(flight: Flight) -> Candidate | None:
 
 
 def _batches(flight: Flight) -> int:
-    """That place recognition was asked for so far."""
+    """That ground classification was asked for so far."""
     return 0 if flight.places is None else flight.places.batches
 
 

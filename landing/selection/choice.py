@@ -1,4 +1,4 @@
-"""One decision: the sites that the map offers, and what place recognition leaves of them."""
+"""One decision: the sites that the map offers, and what ground classification leaves of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.landing.api import Candidate, Selection
-from touchdown.landing.classification.site_check import PlaceCheck, least_bad
+from touchdown.landing.classification.site_check import SiteClassCheck, least_bad
 from touchdown.landing.mission.mission_state import Flight
 from touchdown.landing.selection.selector import check_site, select_sites
 
@@ -18,10 +18,9 @@ Array = NDArray[np.float64]
 def choose_sites(flight: Flight) -> tuple[Candidate, ...]:
     """Candidates, accepted ones first, best first; ``flight.costmap`` becomes the decision's.
 
-    With place recognition: where no candidate's ground is safe, others are looked for, rather not
-    on the surfaces that were refused, ``place_rounds`` times in all. In an emergency there is one
-    round, and the least bad of what it refused is accepted.
-    """
+    With ground classification: where no candidate's ground is safe, others are looked for, rather
+    not on the surfaces that were refused, ``place_rounds`` times in all. In an emergency there is
+    one round, and the least bad of what it refused is accepted."""
     selection = _select(flight, ())
     places = flight.places
     if places is None:
@@ -55,7 +54,7 @@ def choose_commanded(flight: Flight, wanted: Array) -> Candidate:
     return judged
 
 
-def _judged(flight: Flight, places: PlaceCheck, selection: Selection) -> list[Candidate]:
+def _judged(flight: Flight, places: SiteClassCheck, selection: Selection) -> list[Candidate]:
     return places.judge(
         selection.candidates,
         flight.map_view,

@@ -74,5 +74,5 @@ def near_traffic(terrain: Terrain, landable: LandableMap) -> Mask:
 
 def traffic_penalty(close: Mask, params: LandingParams) -> Float32:
     """What is taken off C_sum when sites are ranked, (rows, cols): ``traffic_penalty`` in cells
-    that are ``close`` to traffic or to what place recognition refused, else 0."""
+    that are ``close`` to traffic or to what ground classification refused, else 0."""
     return np.where(close, np.float32(params.traffic_penalty), np.float32(0.0))

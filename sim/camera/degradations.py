@@ -60,7 +60,7 @@ class Sight:
     glaring: bool
 
 
-class CameraTrouble:
+class CameraDegradations:
     """Of the camera that draws rasters of ``raster`` in ``model``; the dirt hangs on (seed,
     camera)."""
 

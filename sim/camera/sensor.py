@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams
-from touchdown.sim.camera.degradations import CameraTrouble, Sight
+from touchdown.sim.camera.degradations import CameraDegradations, Sight
 from touchdown.sim.camera.gl import SNAPSHOT_FIELDS, Snapshot, Stage
 from touchdown.sim.camera.optics import (
     NOISE_MARGIN,
@@ -75,9 +75,9 @@ class CameraSensor:
             )
         self._noise_key = [seed, crc32(camera_name.encode())]
         self._noise = noise_tile(params, self._noise_key)
-        self._trouble: CameraTrouble | None = None
+        self._trouble: CameraDegradations | None = None
         if faults is not None and faults.events:
-            trouble = CameraTrouble(
+            trouble = CameraDegradations(
                 faults, tick_hz, params, self._lens.raster, self._model, seed, camera_name
             )
             self._trouble = trouble if trouble.ever else None

@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
-from touchdown.experiments.api import RigErrorParams
+from touchdown.experiments.api import CalibrationErrorParams
 from touchdown.experiments.calibration.evaluate import run_calibration
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.flight.estimator_calibration import erring_rig, told_rig
+from touchdown.experiments.flight.estimator_calibration import believed_rig, erring_rig
 from touchdown.experiments.flight.wiring import build_flight, build_scene
 from touchdown.experiments.io.calibration_file import read_calibration
 from touchdown.sim.api import SensorRig
@@ -60,7 +60,7 @@ def rig() -> SensorRig:
 
 def test_a_flight_is_told_the_file(calibrated: tuple[Path, dict[str, Any]], rig: SensorRig) -> None:
     file, report = calibrated
-    told = told_rig(rig, load_config(None, [], calibration=str(file)))
+    told = believed_rig(rig, load_config(None, [], calibration=str(file)))
     true, found = (r.body_from_camera.inverse() @ r.body_from_lidar for r in (rig, told))
     turn = np.rad2deg(np.linalg.norm(so3_log(found.rotation @ true.rotation.T)))
     shift = np.linalg.norm(found.translation - true.translation)
@@ -78,13 +78,13 @@ def test_a_file_of_another_camera_is_refused(
 ) -> None:
     small = replace(rig, camera=replace(rig.camera, width=424, height=240))
     with pytest.raises(UsageError, match=r"848 x 480 pixels.*424 x 240"):
-        told_rig(small, load_config(None, [], calibration=str(calibrated[0])))
+        believed_rig(small, load_config(None, [], calibration=str(calibrated[0])))
 
 
 def test_stated_errors_are_drawn_from_the_seed(rig: SensorRig) -> None:
-    none = RigErrorParams(rotation_sigma_deg=0.0, translation_sigma_m=0.0, focal_sigma=0.0)
+    none = CalibrationErrorParams(rotation_sigma_deg=0.0, translation_sigma_m=0.0, focal_sigma=0.0)
     assert erring_rig(rig, none, 3) is rig
-    params = RigErrorParams(
+    params = CalibrationErrorParams(
         rotation_sigma_deg=0.03, translation_sigma_m=0.003, focal_sigma=5e-4, center_sigma_px=0.2
     )
     true = rig.body_from_camera.inverse() @ rig.body_from_lidar
@@ -143,7 +143,7 @@ def test_mistakes_in_the_file_are_told_in_one_line(
         (("calibrate", "--poses", "2"), ["--poses", "x>=3"]),
         (("land", "crossroad", "--calibration", "gone.json"), ["gone.json", "does not exist"]),
         (("fly", "crossroad", "--calibration", "torn.json"), ["torn.json", "not valid JSON"]),
-        (("calibrate", "--set", "rig_error.focal_sigma=-1"), ["must not be negative"]),
+        (("calibrate", "--set", "calibration_error.focal_sigma=-1"), ["must not be negative"]),
         (("calibrate", "--set", "camera.fov_x_deg=6", "--poses", "3"), ["only", "3 views"]),
     ],
 )

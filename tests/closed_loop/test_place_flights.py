@@ -1,4 +1,4 @@
-"""Landing flights with place recognition, and networks with smaller weights."""
+"""Landing flights with ground classification, and networks with smaller weights."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.landing.api import LanderView, LandingParams, Phase, PlaceClassifier
+from touchdown.landing.api import GroundClassifier, LanderView, LandingParams, Phase
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.mission.lander import SiteLander
 from touchdown.sim.api import Observation
@@ -37,7 +37,7 @@ class Photographer(SiteLander):
     """A lander that is shown painted ground five times a second."""
 
     def __init__(
-        self, paint: Paint, places: PlaceClassifier | None, params: LandingParams = PARAMS
+        self, paint: Paint, places: GroundClassifier | None, params: LandingParams = PARAMS
     ) -> None:
         self._rig = small_rig()
         super().__init__(self._rig, params, QUICK, places)
@@ -192,7 +192,7 @@ def test_smaller_weights_say_the_same(
     pytest.importorskip("torch")
     pytest.importorskip("onnx")
     from touchdown.experiments.cli import main as cli
-    from touchdown.landing.classification.onboard import load_places
+    from touchdown.landing.classification.onboard import load_onboard_classifier
 
     source = write_colour_network(tmp_path / "network.onnx")
     out = tmp_path / "small" / "network.onnx"
@@ -200,10 +200,10 @@ def test_smaller_weights_say_the_same(
     assert cli.main([*arguments, "--type", weight_type, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["top1"] == report["top1_before"] == 1.0
-    places = load_places(out)
+    places = load_onboard_classifier(out)
     assert places.least_probability == 0.5  # fitted anew: no mistake was made
     shown = np.array([np.full((16, 16, 3), colour) for colour in COLOURS.values()], np.uint8)
-    before = load_places(source).look(shown).chances
+    before = load_onboard_classifier(source).look(shown).chances
     np.testing.assert_allclose(places.look(shown).chances, before, atol=0.03)
     assert cli.main(["evaluate", str(out), "--data", str(pictures), "--no-cost", "--quiet"]) == 0
     assert "pictures of unsafe ground taken for safe" in " ".join(capsys.readouterr().out.split())

@@ -213,7 +213,8 @@ def test_torch_and_ray_are_imported_when_they_are_needed(path: Path) -> None:
             assert all(n == f"{home}.registry" or not n.startswith(home) for n in names)
 
 
-# --------------------------------------------------------------------------------------- readability
+# ---------------------------------------------------------------------------------------
+# readability
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=_id)

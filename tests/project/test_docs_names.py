@@ -25,7 +25,7 @@ SENSOR_KEYS = (
     "barometer",
     "magnetometer",
     "rangefinder",
-    "rig_error",
+    "calibration_error",
 )
 
 # ------------------------------------------------------------------------------------------ names
@@ -65,7 +65,7 @@ def test_dotted_names_are_keys_or_can_be_imported(page: Path) -> None:
             continue
         if section in FOLDERS and key not in (keys.get(section) or {}):
             assert _importable(code), f"{name_of(page)}: {code} is neither a key nor in the code"
-        elif isinstance(keys.get(section), dict) and section != "outside":  # any key goes there
+        elif isinstance(keys.get(section), dict) and section != "external":  # any key goes there
             assert key in keys[section], f"{name_of(page)}: {code} is no key"
 
 
@@ -187,9 +187,9 @@ def test_options_of_the_environments() -> None:
 
 def test_sensors_of_the_environments() -> None:
     pytest.importorskip("gymnasium")
-    from touchdown.experiments.environments.observations import SENSORS, Senses
+    from touchdown.experiments.environments.observations import SENSORS, Observations
 
-    senses = Senses(tuple(SENSORS), privileged=True, camera_pixels=(84, 84))
+    observations = Observations(tuple(SENSORS), privileged=True, camera_pixels=(84, 84))
     listed = {row[0].strip("`"): row[1] for row in rows_of("docs/environments.md", "name")}
-    shapes = {name: str(bounds.shape) for name, bounds in senses.bounds.items()}
+    shapes = {name: str(bounds.shape) for name, bounds in observations.bounds.items()}
     assert listed == shapes | {"camera": "(H, W, 3)"}

@@ -61,7 +61,7 @@ def start_campaign(file: Path, out: Path) -> subprocess.Popen[bytes]:
         f"fly_campaign(load_plan(Path({str(file)!r})), Path({str(out)!r}), LocalEngine(2), "
         f"runner={RUNNER!r})"
     )
-    return subprocess.Popen([sys.executable, "-c", script], cwd=ROOT)
+    return subprocess.Popen([sys.executable, "-c", script], cwd=ROOT / "tests")
 
 
 def wait_for(condition: Any, what: str) -> None:

@@ -101,11 +101,11 @@ def test_leaning_normals_feign_the_information_that_is_predicted() -> None:
         points + np.array([0.0, 0.0, 12.0]), variances, 0.02, 0.0, 0.0, 1e9,
     )  # fmt: skip
     seeming = plane_information(*arguments)[0]
-    feigned = normal_noise_information(*arguments)
+    noise_information = normal_noise_information(*arguments)
     # 4000 / (2 cm)^2 * 0.01^2 = 1000 / m^2 in x and y, nothing in z
-    np.testing.assert_allclose(np.diag(feigned)[3:5], 1000.0, rtol=0.01)
-    np.testing.assert_allclose(np.diag(seeming)[3:5], np.diag(feigned)[3:5], rtol=0.06)
-    assert feigned[5, 5] < 1.0
+    np.testing.assert_allclose(np.diag(noise_information)[3:5], 1000.0, rtol=0.01)
+    np.testing.assert_allclose(np.diag(seeming)[3:5], np.diag(noise_information)[3:5], rtol=0.06)
+    assert noise_information[5, 5] < 1.0
 
 
 @pytest.mark.parametrize("walls", [True, False])

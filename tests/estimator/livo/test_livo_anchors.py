@@ -281,9 +281,9 @@ def test_the_map_follows_its_clone_and_its_heir() -> None:
 
     before = heights()
     np.testing.assert_allclose(np.median(before), -0.03, atol=2e-3)
-    heir, move = anchors.bequest(0, clones)
-    assert heir == 1
-    plane_map.bequeath(0, heir, move)
+    successor, move = anchors.reassignment(0, clones)
+    assert successor == 1
+    plane_map.reassign(0, successor, move)
     anchors.remove(0)
     del clones[0]
     assert (plane_map.match(probes)[5] <= 0).all()

@@ -11,7 +11,7 @@ from touchdown.estimator.filtering.imu_propagation import STATE_DIM
 from touchdown.estimator.filtering.plane_map import PlaneMap, smallest_eigen
 from touchdown.estimator.livo.anchored_update import update_with_scan
 from touchdown.estimator.livo.anchors import Anchors
-from touchdown.estimator.livo.lidar_update import floored, lateral_strength
+from touchdown.estimator.livo.lidar_update import lateral_strength, limit_information
 from touchdown.sim.frames import so3_exp
 
 from support.livo_lidar_support import plane_information, room_points, state_at
@@ -134,7 +134,7 @@ def test_floor_adds_its_covariance() -> None:
     root = rng.normal(size=(6, 8))
     information, mean = root @ root.T, rng.normal(size=6)
     sigmas = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
-    widened, vector = floored(information, information @ mean, sigmas)
+    widened, vector = limit_information(information, information @ mean, sigmas)
     np.testing.assert_allclose(
         np.linalg.inv(widened), np.linalg.inv(information) + np.diag(sigmas**2), rtol=1e-8
     )

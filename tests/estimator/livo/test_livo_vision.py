@@ -146,7 +146,7 @@ def test_reprojection_jacobian_matches_finite_differences() -> None:
 
 def front_end() -> VisualFrontEnd:
     return VisualFrontEnd(
-        CAMERA, IMU_FROM_CAMERA, max_keyframes=4, look_back=2, features=150, sigma_px=0.5,
+        CAMERA, IMU_FROM_CAMERA, max_keyframes=4, track_keyframes=2, features=150, sigma_px=0.5,
         open_ticks=1200,
     )  # fmt: skip
 

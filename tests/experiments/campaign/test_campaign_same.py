@@ -34,7 +34,7 @@ def results(folder: Path, engine: str, jobs: int, threads: int) -> dict[str, dic
     """``result.json`` of every run, without what it took."""
     name = f"{engine}-{jobs}-{threads}"
     file, out = folder / f"{name}.toml", folder / name
-    settings = (*SHORT_SURVEY, f"sim.threads={threads}", f"landing.place_threads={threads}")
+    settings = (*SHORT_SURVEY, f"sim.threads={threads}", f"landing.classifier_threads={threads}")
     file.write_text(PLAN + "\n".join(settings), encoding="utf-8")
     command = [sys.executable, "-m", "touchdown", "campaign", str(file), "--out", str(out),
                "--jobs", str(jobs), "--engine", engine, "--quiet"]  # fmt: skip

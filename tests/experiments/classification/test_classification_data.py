@@ -167,7 +167,7 @@ def test_patches_of_a_place(tmp_path: Path) -> None:
     """Half lawn, half water: both are found, and look as they are painted."""
     place = tmp_path / "place.xml"
     place.write_text(_PLACE, encoding="utf-8")
-    found, again = (patches.place_patches(str(place), 7, 6, 40, 0) for _ in range(2))
+    found, again = (patches.scene_patches(str(place), 7, 6, 40, 0) for _ in range(2))
     assert {patch.land_class for patch in found} == {"lawn", "water"}
     for patch, same in zip(found, again, strict=True):
         assert (patch.rgb == same.rgb).all() and patch.rgb.shape == (40, 40, 3)
@@ -175,7 +175,7 @@ def test_patches_of_a_place(tmp_path: Path) -> None:
         assert (middle[2] > middle[1]) == (patch.land_class == "water")
         assert patch.share >= 0.6 and 4.0 < patch.height_m < 75.0
         assert 3.0 < patch.side_m < 26.0
-    other = patches.place_patches(str(place), 7, 1, 40, 1)[0]
+    other = patches.scene_patches(str(place), 7, 1, 40, 1)[0]
     assert (other.rgb != found[0].rgb).any()
 
 
@@ -183,8 +183,8 @@ def test_new_colours(tmp_path: Path) -> None:
     """The same squares of the same ground, in other colours."""
     place = tmp_path / "place.xml"
     place.write_text(_PLACE, encoding="utf-8")
-    as_it_is = patches.place_patches(str(place), 7, 4, 40, 0)
-    new, again = (patches.place_patches(str(place), 7, 4, 40, 0, 1.0) for _ in range(2))
+    as_it_is = patches.scene_patches(str(place), 7, 4, 40, 0)
+    new, again = (patches.scene_patches(str(place), 7, 4, 40, 0, 1.0) for _ in range(2))
     for before, after, same in zip(as_it_is, new, again, strict=True):
         assert (after.rgb == same.rgb).all() and (after.rgb != before.rgb).any()
         assert (after.land_class, after.side_m) == (before.land_class, before.side_m)
@@ -216,7 +216,7 @@ def _painted(
 
 def test_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten patches of two scenes at four a place; places give two, so that more are needed."""
-    monkeypatch.setattr(patch_dataset, "place_patches", _painted)
+    monkeypatch.setattr(patch_dataset, "scene_patches", _painted)
     out = tmp_path / "patches"
     done = patch_dataset.render_dataset(out, 10, 0, ["lake", "pools"], pixels=48, per_place=4)
     assert done["images"] == 10 and done["splits"]["test"] >= 4
@@ -244,7 +244,7 @@ def test_an_interrupted_dataset_leaves_nothing(
     def stop(*_: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(patch_dataset, "place_patches", stop)
+    monkeypatch.setattr(patch_dataset, "scene_patches", stop)
     with pytest.raises(KeyboardInterrupt):
         patch_dataset.render_dataset(tmp_path / "new", 4, 0, ["lake"])
     assert list(tmp_path.iterdir()) == []

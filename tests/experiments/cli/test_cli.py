@@ -197,10 +197,10 @@ def test_risky_ground_without_place_recognition_is_remarked_on(
     from touchdown.experiments.cli.console import print_result
 
     result = _result("LANDED", class_true=kind, safe_geometry=True)
-    print_result(result | {"place_recognition": recognition}, None, True)
+    print_result(result | {"classifier": recognition}, None, True)
     out = capsys.readouterr().out
     assert "kind of ground" in out and kind in out
-    assert (f"a {kind} is risky ground; place recognition was off" in out) == remark
+    assert (f"a {kind} is risky ground; ground classification was off" in out) == remark
 
 
 def test_a_table_in_a_pipe_is_not_cut(capsys: pytest.CaptureFixture[str]) -> None:

@@ -185,7 +185,7 @@ def test_observations_hold_sensors_only(lawn: str, make_task: MakeTask) -> None:
     assert np.linalg.norm(seen["magnetometer"]) == pytest.approx(54.8, abs=3.0)
     np.testing.assert_allclose(seen["rotors"], 0.7, atol=0.1)
     assert abs(seen["barometer"][0]) < 1.5
-    for name, bounds in task.senses.bounds.items():
+    for name, bounds in task.observations.bounds.items():
         assert seen[name].dtype == bounds.dtype and seen[name].shape == bounds.shape
 
 

@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.api import Estimate
-from touchdown.experiments.campaign.directory import check_outside_code
+from touchdown.experiments.campaign.directory import check_external_code
 from touchdown.experiments.campaign.results_table import make_row, write_table
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import dump_config, load_config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.conformance import TURN_RAD, check_estimator
 from touchdown.experiments.external.conformance_motion import MotionCheck
-from touchdown.experiments.external.loading import code_now, flown_code, outside_builder
+from touchdown.experiments.external.loading import code_now, external_builder, flown_code
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
-from touchdown.experiments.external.wrapper import OutsideError, OutsideEstimator
+from touchdown.experiments.external.wrapper import ExternalEstimator, ExternalEstimatorError
 from touchdown.experiments.flight.replay import replay_config
 from touchdown.experiments.flight.wiring import ESTIMATORS, build_estimator
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
@@ -93,7 +93,7 @@ def test_a_module_of_the_current_directory_is_found_and_hides_nothing(
 ) -> None:
     module = lab(STILL)
     (tmp_path / "json.py").write_text("raise RuntimeError\n")
-    assert outside_builder(f"{module}:build").__module__ == module
+    assert external_builder(f"{module}:build").__module__ == module
     assert sys.path[-1] == str(tmp_path)
 
 
@@ -106,9 +106,8 @@ def test_a_module_of_the_current_directory_is_found_and_hides_nothing(
         ("{package}.vio:build", "import torchh\n", [".vio imports torchh, which is not installed"]),
         ("{package}.vio:build", "x = 1\ndef build(:\n", ["syntax error in", "vio.py:2"]),
         (
-            "{package}.vio:build",
-            "from touchdown.sim.api import SensorNeeds\nclass A:\n    needs = SensorNeeds(gpss=True)\n",
-            ["raised TypeError", "'gpss'", "vio.py:3)"],
+            "{package}.vio:build", "from touchdown.sim.api import SensorNeeds\nclass A:\n    needs =
+            SensorNeeds(gpss=True)\n", ["raised TypeError", "'gpss'", "vio.py:3)"],
         ),
         ("{package}.vio:build", "build = 3\n", ["build is no function"]),
         ("{package}.vio:build", "def build(rig): ...\n", ["build(rig) must take (params, rig)"]),
@@ -148,10 +147,10 @@ def test_what_cannot_be_built_is_told_and_the_contract_says_the_same(
     lab: Callable[..., str], text: str, words: str
 ) -> None:
     name = f"{lab(text)}:build"
-    with pytest.raises(OutsideError) as failure:
-        OutsideEstimator(name, {}, synthetic_rig())
+    with pytest.raises(ExternalEstimatorError) as failure:
+        ExternalEstimator(name, {}, synthetic_rig())
     assert str(failure.value).startswith(f"estimator '{name}': ") and words in str(failure.value)
-    broken = check_estimator(outside_builder(name))
+    broken = check_estimator(external_builder(name))
     assert [found.rule for found in broken] == ["builds"] and words in broken[0].reason
 
 
@@ -179,8 +178,8 @@ def test_what_cannot_be_built_is_told_and_the_contract_says_the_same(
 )  # fmt: skip
 def test_a_wrong_update_is_one_line(lab: Callable[..., str], body: str, words: str) -> None:
     name = f"{lab(_spoilt(body))}:build"
-    estimator = OutsideEstimator(name, {}, synthetic_rig())
-    with pytest.raises(OutsideError) as failure:
+    estimator = ExternalEstimator(name, {}, synthetic_rig())
+    with pytest.raises(ExternalEstimatorError) as failure:
         estimator.update(OBSERVATION)
     told = str(failure.value)
     assert words in told and told.endswith(f"`touchdown check-estimator {name}` tells more")
@@ -188,7 +187,7 @@ def test_a_wrong_update_is_one_line(lab: Callable[..., str], body: str, words: s
 
 
 def test_a_right_update_passes_through_as_it_is(lab: Callable[..., str]) -> None:
-    estimator = OutsideEstimator(f"{lab(STILL)}:build", {}, synthetic_rig())
+    estimator = ExternalEstimator(f"{lab(STILL)}:build", {}, synthetic_rig())
     assert estimator.needs == SensorNeeds()
     assert isinstance(estimator.update(OBSERVATION), Estimate)
 
@@ -207,49 +206,54 @@ def test_a_flight_that_it_ends_leaves_nothing(
 # -------------------------------------------------------------------------------------- parameters
 
 
-def test_outside_keys_reach_the_builder_and_come_back(
+def test_external_keys_reach_the_builder_and_come_back(
     lab: Callable[..., str], tmp_path: Path
 ) -> None:
     name = f"{lab(STILL)}:build"
     file = tmp_path / "mine.toml"
-    file.write_text(f'estimator = "{name}"\n[outside]\ngain = 0.3\n[outside.filter]\nsigma = -1\n')
-    config = load_config(file, ["outside.names=['a', 'b']", "outside.gain=0.5"])
-    assert config.outside == {"gain": 0.5, "filter": {"sigma": -1}, "names": ["a", "b"]}
+    file.write_text(
+        f'estimator = "{name}"\n[external]\ngain = 0.3\n[external.filter]\nsigma = -1\n'
+    )
+    config = load_config(file, ["external.names=['a', 'b']", "external.gain=0.5"])
+    assert config.external == {"gain": 0.5, "filter": {"sigma": -1}, "names": ["a", "b"]}
     built = build_estimator(config, synthetic_rig())
-    assert built.update.__self__._update.__self__.params == config.outside  # type: ignore[attr-defined]
+    assert built.update.__self__._update.__self__.params == config.external  # type: ignore[attr-defined]
     (tmp_path / "config.json").write_text(dump_config(config))
     assert load_config(tmp_path / "config.json") == config
-    assert replay_config(tmp_path).outside == config.outside
+    assert replay_config(tmp_path).outside == config.external
     assert replay_config(tmp_path, "livo").outside == {}
 
 
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        (["outside.gain=1"], "is for an estimator of your own, MODULE:FUNCTION"),
-        (["estimator=a:b", "outside=1"], "'outside' in --set outside=1 is a group"),
-        (["estimator=a:b", "outside.x={y=1}"], "set its keys one by one, such as outside.x.gain"),
-        (["estimator=a:b", "outside.x=1", "outside.x.y=2"], "beside a value of outside.x"),
-        (["estimator=a:b", "outside.x=2024-01-01"], "is a date; text, numbers"),
-        (["estimator=a:b", "outside.x=[[nan]]"], "finite"),
-        (["estimator=a:b", f"outside.{'a.' * 20}b=1"], "nested too deeply"),
-        (["estimator=a:b", "outsid.gain=1"], "did you mean 'outside.gain'"),
+        (["external.gain=1"], "is for an estimator of your own, MODULE:FUNCTION"),
+        (["estimator=a:b", "outside=1"], "'external' in --set outside=1 is a group"),
+        (["estimator=a:b", "external.x={y=1}"], "set its keys one by one, such as outside.x.gain"),
+        (["estimator=a:b", "external.x=1", "external.x.y=2"], "beside a value of outside.x"),
+        (["estimator=a:b", "external.x=2024-01-01"], "is a date; text, numbers"),
+        (["estimator=a:b", "external.x=[[nan]]"], "finite"),
+        (["estimator=a:b", f"external.{'a.' * 20}b=1"], "nested too deeply"),
+        (["estimator=a:b", "outsid.gain=1"], "did you mean 'external.gain'"),
     ],
 )  # fmt: skip
-def test_outside_keys_that_cannot_be_are_refused(overrides: list[str], words: str) -> None:
+def test_external_keys_that_cannot_be_are_refused(overrides: list[str], words: str) -> None:
     with pytest.raises(UsageError) as failure:
         load_config(None, overrides)
     assert words in str(failure.value)
 
 
-def test_outside_keys_are_axes_and_set_for_some_runs(tmp_path: Path) -> None:
-    text = axes(scene=["flat"], estimator=["a:b"]) + "outside.gain = [0.1, 0.2]\n"
+def test_external_keys_are_axes_and_set_for_some_runs(tmp_path: Path) -> None:
+    text = axes(scene=["flat"], estimator=["a:b"]) + "external.gain = [0.1, 0.2]\n"
     plan = make_plan(tmp_path, text)
     assert [run.run_id for run in plan.runs] == ["flat-a.b-s0-gain0.1", "flat-a.b-s0-gain0.2"]
     assert len({run.config_sha for run in plan.runs}) == 2
     some = axes(scene=["flat"], estimator=["gps", "a:b"])
-    some += "[[override]]\nwhen = {estimator = 'a:b'}\nset = {outside = {gain = 0.1}}\n"
-    assert ["outside.gain" in run.values for run in make_plan(tmp_path, some).runs] == [False, True]
+    some += "[[override]]\nwhen = {estimator = 'a:b'}\nset = {external = {gain = 0.1}}\n"
+    assert ["external.gain" in run.values for run in make_plan(tmp_path, some).runs] == [
+        False,
+        True,
+    ]
 
 
 # -------------------------------------------------------------------------------------------- code
@@ -257,7 +261,7 @@ def test_outside_keys_are_axes_and_set_for_some_runs(tmp_path: Path) -> None:
 
 def test_code_is_known_by_all_files_of_its_package(lab: Callable[..., str]) -> None:
     name = f"{lab(STILL)}:build"
-    outside_builder(name)
+    external_builder(name)
     first = code_now(name)
     assert flown_code(name) == {"estimator_sha": first} and flown_code("livo") == {}
     lab("GAIN = 0.3\n", "gains")
@@ -272,7 +276,7 @@ def test_a_campaign_is_not_gone_on_with_on_other_code(
 ) -> None:
     name = f"{lab(STILL)}:build"
     plan, out = make_plan(tmp_path, axes(scene=["flat"], estimator=[name, "gps"])), tmp_path / "out"
-    check_outside_code(plan, out)
+    check_external_code(plan, out)
     for run, sha in zip(plan.runs, (code_now(name), None), strict=True):
         folder = out / "runs" / run.run_id
         folder.mkdir(parents=True)
@@ -281,16 +285,16 @@ def test_a_campaign_is_not_gone_on_with_on_other_code(
         (folder / "result.json").write_text(json.dumps(result))
         write_table([make_row(result, run.run_id, "fly", "0")], folder / "row.parquet")
     (out / "campaign.json").write_text("{}")
-    check_outside_code(plan, out)
+    check_external_code(plan, out)
     lab(STILL + "\nGAIN = 1\n")
     with pytest.raises(UsageError) as failure:
-        check_outside_code(plan, out)
+        check_external_code(plan, out)
     for words in (f"the code of {name} has changed since runs of", plan.runs[0].run_id, "--out"):
         assert words in str(failure.value)
     for file in (out / "runs" / plan.runs[0].run_id).iterdir():
         file.unlink()
     (out / "runs" / plan.runs[0].run_id).rmdir()
-    check_outside_code(plan, out)
+    check_external_code(plan, out)
 
 
 # ------------------------------------------------------------------------------------------ motion

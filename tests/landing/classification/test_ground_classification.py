@@ -1,4 +1,4 @@
-"""Place recognition in flight: what is looked at, what is believed, and what is refused."""
+"""Ground classification in flight: what is looked at, what is believed, and what is refused."""
 
 from __future__ import annotations
 
@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from touchdown.landing.api import Candidate, LandingParams, Selection
 from touchdown.landing.classification import decision, weights
 from touchdown.landing.classification.labels import D_LAND
-from touchdown.landing.classification.site_check import PlaceCheck, SitePlace, least_bad, weighed
+from touchdown.landing.classification.site_check import (
+    SiteClassCheck,
+    SitePlace,
+    least_bad,
+    weighed,
+)
 from touchdown.landing.selection.selector import select_sites
 from touchdown.sim.frames import Pose
 
@@ -106,9 +111,9 @@ def _west_is_water(x: Array, y: Array) -> Array:
     return np.where((x < 0.0)[..., None], COLOURS["water"], COLOURS["lawn"]).astype(float)
 
 
-def _check(classifier: Any, paint: Any = _west_is_water, **params: Any) -> PlaceCheck:
+def _check(classifier: Any, paint: Any = _west_is_water, **params: Any) -> SiteClassCheck:
     rig = small_rig()
-    check = PlaceCheck(classifier, rig, LandingParams(**params))
+    check = SiteClassCheck(classifier, rig, LandingParams(**params))
     obs = make_obs(
         600, images=(photograph(rig, Pose(np.eye(3), np.array([0, 0, 40.0])), paint, 1.0),)
     )
@@ -154,9 +159,11 @@ def test_who_is_not_sure_is_not_believed(classifier: ByColour, words: str) -> No
 
 
 def test_the_configuration_may_ask_for_more_or_less() -> None:
-    (site,) = _check(ByColour(sure=0.6), place_least_probability=0.55).judge(_sites((9, 0)), FLAT)
+    (site,) = _check(ByColour(sure=0.6), classifier_min_probability=0.55).judge(
+        _sites((9, 0)), FLAT
+    )
     assert site.accepted
-    (site,) = _check(ByColour(), place_least_probability=0.999).judge(_sites((9, 0)), FLAT)
+    (site,) = _check(ByColour(), classifier_min_probability=0.999).judge(_sites((9, 0)), FLAT)
     assert "(at least 1.00)" in site.reason and not site.accepted
 
 
@@ -263,20 +270,20 @@ def test_surfaces_that_were_refused_rank_lower() -> None:
 
 def test_the_network_of_a_file_says_what_it_sees(tmp_path: Path) -> None:
     pytest.importorskip("onnx")
-    from touchdown.landing.classification.onboard import load_places
+    from touchdown.landing.classification.onboard import load_onboard_classifier
 
     limits = decision.Limits(least_probability=0.75, least_energy=8.0)
     path = write_colour_network(tmp_path / "network.onnx", limits=limits)
-    places = load_places(path)
+    places = load_onboard_classifier(path)
     assert (places.image_size, places.least_probability) == (16, 0.75)
     pictures = np.zeros((3, 16, 16, 3), np.uint8)
     pictures[0, ..., 2] = pictures[1, ..., 1] = 255
     opinion = places.look(pictures)
     assert [D_LAND[i] for i in opinion.chances.argmax(axis=1)[:2]] == ["water", "lawn"]
     assert opinion.familiar.tolist() == [True, True, False]  # black is like nothing it knows
-    assert load_places(path) is places
+    assert load_onboard_classifier(path) is places
     write_colour_network(path, limits=dataclasses.replace(limits, least_probability=0.5))
-    assert load_places(path).least_probability == 0.5
+    assert load_onboard_classifier(path).least_probability == 0.5
 
 
 def test_one_line_for_a_network_that_cannot_fly(
@@ -298,7 +305,7 @@ def test_one_line_for_a_network_that_cannot_fly(
     ):
         out = tmp_path / "run"
         arguments = ["land", "flat", "--out", str(out), "--quiet"]
-        assert cli.main([*arguments, "--set", f"landing.place_recognition={name}"]) == 2
+        assert cli.main([*arguments, "--set", f"landing.classifier={name}"]) == 2
         told = capsys.readouterr().err
         assert words in told and told.count("\n") == 1 and not out.exists()
 
@@ -308,20 +315,20 @@ def test_off_and_what_comes_with_the_project(
 ) -> None:
     pytest.importorskip("onnx")
     from touchdown.experiments.config.loading import load_config
-    from touchdown.experiments.flight.wiring import build_places
+    from touchdown.experiments.flight.wiring import build_classifier
     from touchdown.landing.classification import onboard as in_flight
 
     shipped = tmp_path / "shipped.onnx"
     monkeypatch.setattr(in_flight, "SHIPPED", shipped)
-    assert build_places(load_config()) is None
+    assert build_classifier(load_config()) is None
     write_colour_network(shipped)
-    found = build_places(load_config())
+    found = build_classifier(load_config())
     assert found is not None and found.description()["network"] == "by colour"
-    for override in ("landing.place_recognition=off", "landing.survey_only=true"):
-        assert build_places(load_config(None, [override])) is None
-    for override in ("landing.place_patch_m=0.0", "landing.place_least_probability=1.5"):
+    for override in ("landing.classifier=off", "landing.survey_only=true"):
+        assert build_classifier(load_config(None, [override])) is None
+    for override in ("landing.classifier_patch_m=0.0", "landing.classifier_min_probability=1.5"):
         with pytest.raises(ValueError, match=override.partition("=")[0]):
-            build_places(load_config(None, [override]))
+            build_classifier(load_config(None, [override]))
 
 
 def test_who_counts_by_class() -> None:

@@ -1,4 +1,4 @@
-"""Networks of place recognition: sizes as published, attention as its equations say."""
+"""Networks of ground classification: sizes as published, attention as its equations say."""
 
 from __future__ import annotations
 

@@ -12,10 +12,14 @@ import cv2
 import numpy as np
 import pytest
 
-from touchdown.experiments.classification.patches import place_patches
+from touchdown.experiments.classification.patches import scene_patches
 from touchdown.experiments.classification.splits import HELD_OUT_SCENES, split_of_place
 from touchdown.experiments.cli import main as cli
-from touchdown.landing.classification.onboard import SHIPPED, NetworkPlaces, load_places
+from touchdown.landing.classification.onboard import (
+    SHIPPED,
+    OnnxGroundClassifier,
+    load_onboard_classifier,
+)
 from touchdown.landing.classification.weights import read_network
 from touchdown.scenes.api import LAND_CLASSES, SAFE_CLASSES
 
@@ -26,11 +30,11 @@ LARGEST_MB = 60.0
 
 
 @pytest.fixture(scope="module")
-def places() -> NetworkPlaces:
-    return load_places(SHIPPED)
+def places() -> OnnxGroundClassifier:
+    return load_onboard_classifier(SHIPPED)
 
 
-def test_what_comes_along(places: NetworkPlaces) -> None:
+def test_what_comes_along(places: OnnxGroundClassifier) -> None:
     assert len(read_network(SHIPPED)) <= LARGEST_MB * 1e6
     description = places.description()
     assert description["network"] == "resnet50_cbam"
@@ -48,10 +52,10 @@ def test_number_of_weights() -> None:
 
 
 @pytest.mark.parametrize("scene", ["lake", "houses", *HELD_OUT_SCENES])
-def test_places_never_seen(scene: str, places: NetworkPlaces) -> None:
+def test_places_never_seen(scene: str, places: OnnxGroundClassifier) -> None:
     """A floor far below the scores on thousands of pictures: `docs/results/recognition.md`."""
     assert split_of_place(scene, SEED) == "test"
-    patches = place_patches(scene, SEED, PICTURES, places.image_size, variation=0)
+    patches = scene_patches(scene, SEED, PICTURES, places.image_size, variation=0)
     opinion = places.look(np.stack([patch.rgb for patch in patches]))
     found = [LAND_CLASSES[best] for best in opinion.chances.argmax(axis=1)]
     true = [patch.land_class for patch in patches]
@@ -66,7 +70,7 @@ def test_commands_that_name_no_network_take_this_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     home = tmp_path / "pictures"
-    patches = place_patches("lake", SEED, 10, 128, variation=0)
+    patches = scene_patches("lake", SEED, 10, 128, variation=0)
     for number, patch in enumerate(patches):
         (home / patch.land_class).mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(home / patch.land_class / f"{number}.png"), patch.rgb[..., ::-1])

@@ -203,7 +203,7 @@ def test_empty_map_gives_no_candidate() -> None:
 def test_commanded_site_outside_the_map_is_refused() -> None:
     site, _ = check_site(view_of(make_grid(ground())), ABOVE, PARAMS, np.array([40.0, 8.0]))
     assert not site.accepted
-    assert "outside" in site.reason
+    assert "external" in site.reason
 
 
 def fine(height: Array, corner: tuple[float, float] = (4.0, 4.0)) -> GridMap:

@@ -16,7 +16,12 @@ from touchdown.scenes.api import LowSun, Scene
 from touchdown.scenes.authoring.light import air_mass, lower_sun, sun_at, sun_colour
 from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import CameraParams, FaultParams, LidarParams, LidarScan
-from touchdown.sim.camera.degradations import AIRLIGHT_LEVEL, CameraTrouble, dirt_map, glare_table
+from touchdown.sim.camera.degradations import (
+    AIRLIGHT_LEVEL,
+    CameraDegradations,
+    dirt_map,
+    glare_table,
+)
 from touchdown.sim.camera.sensor import CameraSensor
 from touchdown.sim.faults.weather import Air, Weather, fog_extinction, rain_extinction
 from touchdown.sim.lidar.patterns.livox import HORIZON
@@ -197,7 +202,7 @@ def test_glare_follows_the_cosine_of_the_sun_on_the_lens() -> None:
         scene = camera_scene(sun, quat_wxyz=f"{math.cos(half)} 0 {-math.sin(half)} 0")
         camera = CameraSensor(scene, CLEAN, 0)
         faults = FaultParams(events=("low_sun@0",), low_sun_deg=11.31, glare=0.05)
-        trouble = CameraTrouble(
+        trouble = CameraDegradations(
             faults, HZ, CLEAN, camera.intrinsics(), scene.model, 0, "vehicle/camera"
         )
         stray = trouble.stray_light(camera.snapshot(posed(scene)))
