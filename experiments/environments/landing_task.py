@@ -101,8 +101,8 @@ class TaskOptions:
 
     def __post_init__(self) -> None:
         if self.action not in ACTION_MODES:
-            raise ValueError(f"action '{self.action}' is unknown: give one of {',
-            '.join(ACTION_MODES)}")
+            known = ", ".join(ACTION_MODES)
+            raise ValueError(f"action '{self.action}' is unknown: give one of {known}")
         unknown = [name for name in self.sensors if name not in SENSORS]
         if unknown or not (self.sensors or self.privileged):
             given = f"'{unknown[0]}'" if unknown else "none"

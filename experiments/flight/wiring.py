@@ -127,8 +127,8 @@ def build_classifier(config: Config) -> OnnxGroundClassifier | None:
         )
     if not 0.0 <= params.classifier_min_probability <= 1.0:
         raise UsageError(
-            f"landing.classifier_min_probability = {params.classifier_min_probability:g} must be
-            within " "0 to 1"
+            "landing.classifier_min_probability = "
+            f"{params.classifier_min_probability:g} must be within 0 to 1"
         )
     from touchdown.landing.classification.onboard import load_onboard_classifier
 

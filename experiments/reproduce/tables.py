@@ -122,8 +122,8 @@ def speed_table(figures: Figures) -> Table:
     ]
     if places:
         notes.append(
-            f"Places: ten patches on {figures['classifier_threads']} threads; total: a whole
-            decision, " f"{figures['place_asked']} sites asked about."
+            f"Places: ten patches on {figures['classifier_threads']} threads; total: a whole "
+            f"decision, {figures['place_asked']} sites asked about."
         )
     else:
         notes.append(

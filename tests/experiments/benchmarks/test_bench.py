@@ -262,7 +262,7 @@ def test_workers_are_compared_by_their_wall_time(
         return next(spent)
 
     monkeypatch.setattr("touchdown.experiments.benchmarks.scaling._flown", fly)
-    assert cli.main(["bench", "workers", "--rounds", "3", "--runs", "4", "--json"]) == 0
+    assert cli.main(["bench", "scaling", "--rounds", "3", "--runs", "4", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["ratio"]["one"] == pytest.approx(1.8)
     assert figures["wall_s"] == {"one": [60.0, 60.0, 72.0], "workers": [30.0, 40.0, 40.0]}
@@ -289,5 +289,5 @@ def test_what_was_measured_while_kernels_were_compiled_is_measured_again() -> No
 
 
 def test_runs_of_the_workers_share_out_evenly(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["bench", "workers", "--runs", "5"]) == 2
+    assert cli.main(["bench", "scaling", "--runs", "5"]) == 2
     assert "--runs 5 do not share out among 2 workers" in capsys.readouterr().err

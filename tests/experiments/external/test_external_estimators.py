@@ -106,8 +106,10 @@ def test_a_module_of_the_current_directory_is_found_and_hides_nothing(
         ("{package}.vio:build", "import torchh\n", [".vio imports torchh, which is not installed"]),
         ("{package}.vio:build", "x = 1\ndef build(:\n", ["syntax error in", "vio.py:2"]),
         (
-            "{package}.vio:build", "from touchdown.sim.api import SensorNeeds\nclass A:\n    needs =
-            SensorNeeds(gpss=True)\n", ["raised TypeError", "'gpss'", "vio.py:3)"],
+            "{package}.vio:build",
+            "from touchdown.sim.api import SensorNeeds\n"
+            "class A:\n    needs = SensorNeeds(gpss=True)\n",
+            ["raised TypeError", "'gpss'", "vio.py:3)"],
         ),
         ("{package}.vio:build", "build = 3\n", ["build is no function"]),
         ("{package}.vio:build", "def build(rig): ...\n", ["build(rig) must take (params, rig)"]),
@@ -228,13 +230,13 @@ def test_external_keys_reach_the_builder_and_come_back(
     ("overrides", "words"),
     [
         (["external.gain=1"], "is for an estimator of your own, MODULE:FUNCTION"),
-        (["estimator=a:b", "outside=1"], "'external' in --set outside=1 is a group"),
-        (["estimator=a:b", "external.x={y=1}"], "set its keys one by one, such as outside.x.gain"),
-        (["estimator=a:b", "external.x=1", "external.x.y=2"], "beside a value of outside.x"),
+        (["estimator=a:b", "external=1"], "'external' in --set outside=1 is a group"),
+        (["estimator=a:b", "external.x={y=1}"], "set its keys one by one, such as external.x.gain"),
+        (["estimator=a:b", "external.x=1", "external.x.y=2"], "beside a value of external.x"),
         (["estimator=a:b", "external.x=2024-01-01"], "is a date; text, numbers"),
         (["estimator=a:b", "external.x=[[nan]]"], "finite"),
         (["estimator=a:b", f"external.{'a.' * 20}b=1"], "nested too deeply"),
-        (["estimator=a:b", "outsid.gain=1"], "did you mean 'external.gain'"),
+        (["estimator=a:b", "externl.gain=1"], "did you mean 'external.gain'"),
     ],
 )  # fmt: skip
 def test_external_keys_that_cannot_be_are_refused(overrides: list[str], words: str) -> None:
