@@ -222,15 +222,15 @@ def test_external_keys_reach_the_builder_and_come_back(
     assert built.update.__self__._update.__self__.params == config.external  # type: ignore[attr-defined]
     (tmp_path / "config.json").write_text(dump_config(config))
     assert load_config(tmp_path / "config.json") == config
-    assert replay_config(tmp_path).outside == config.external
-    assert replay_config(tmp_path, "livo").outside == {}
+    assert replay_config(tmp_path).external == config.external
+    assert replay_config(tmp_path, "livo").external == {}
 
 
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
         (["external.gain=1"], "is for an estimator of your own, MODULE:FUNCTION"),
-        (["estimator=a:b", "external=1"], "'external' in --set outside=1 is a group"),
+        (["estimator=a:b", "external=1"], "'external' in --set external=1 is a group"),
         (["estimator=a:b", "external.x={y=1}"], "set its keys one by one, such as external.x.gain"),
         (["estimator=a:b", "external.x=1", "external.x.y=2"], "beside a value of external.x"),
         (["estimator=a:b", "external.x=2024-01-01"], "is a date; text, numbers"),
