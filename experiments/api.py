@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Annotated, Any
 
-from touchdown.sim.api import FORBID_EXTRA
+from annotated_types import Interval
+
+from touchdown.sim.api import FORBID_EXTRA, NotNegative, Positive
 
 
 class Outcome(StrEnum):
@@ -30,10 +32,12 @@ class RefereeParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    timeout_s: float = 300.0
-    divergence_m: float = 20.0
+    timeout_s: Positive = 300.0
+    """simulated time after which the flight ends as TIMEOUT"""
+    divergence_m: Positive = 20.0
     """position error at which the estimate counts as lost"""
-    tip_tilt_deg: float = 60.0
+    tip_tilt_deg: Annotated[float, Interval(gt=0.0, lt=180.0)] = 60.0
+    """tilt on the ground from which on the vehicle counts as tipped over"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -44,7 +48,9 @@ class BiasParams:
     __pydantic_config__ = FORBID_EXTRA
 
     xy_m: tuple[float, float] = (0.0, 0.0)
-    ramp_s: float = 5.0
+    """offset east and north"""
+    ramp_s: Positive = 5.0
+    """time over which the offset grows to its full size"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,13 +60,13 @@ class CalibrationErrorParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    rotation_sigma_deg: float = 0.03
+    rotation_sigma_deg: NotNegative = 0.03
     """of camera_from_lidar, about each axis"""
-    translation_sigma_m: float = 0.003
+    translation_sigma_m: NotNegative = 0.003
     """of camera_from_lidar, along each axis"""
-    focal_sigma: float = 5e-4
+    focal_sigma: NotNegative = 5e-4
     """relative, of each focal length"""
-    center_sigma_px: float = 0.0
+    center_sigma_px: NotNegative = 0.0
     """of either coordinate of the principal point"""
 
 

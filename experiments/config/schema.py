@@ -8,8 +8,9 @@ Every mistake is a ``UsageError`` with one line: what is wrong, where, what woul
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
+from annotated_types import Interval
 from pydantic import BaseModel, ConfigDict, Field
 
 from touchdown.controller.api import ControlParams
@@ -28,12 +29,15 @@ from touchdown.sim.api import (
     FORBID_EXTRA,
     BarometerParams,
     CameraParams,
+    Count,
+    CountOrZero,
     FaultParams,
     GpsParams,
     ImuParams,
     LidarParams,
     MagnetometerParams,
     NavParams,
+    Positive,
     RangefinderParams,
     SimParams,
     WindParams,
@@ -46,18 +50,19 @@ class LogParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    trajectory_hz: float = 50.0
+    trajectory_hz: Positive = 50.0
     """rows a second in the .tum files"""
-    camera_hz: float = 2.0
+    camera_hz: Positive = 2.0
     """most images a second in the recording"""
-    jpeg_quality: int = 70
-    scan_hz: float = 5.0
+    jpeg_quality: Annotated[int, Interval(ge=1, le=100)] = 70
+    """JPEG quality of recorded images"""
+    scan_hz: Positive = 5.0
     """most LIDAR scans a second in the recording"""
-    scan_points: int = 2500
+    scan_points: Count = 2500
     """most points of a recorded scan"""
-    map_period_s: float = 2.5
+    map_period_s: Positive = 2.5
     """between two updates of the recorded map"""
-    texture_pixels: int = 1600
+    texture_pixels: Count = 1600
     """longer side of the ground texture in the recording"""
     sensors: bool = False
     """write ``sensors.mcap``: every message that reached the estimator, for replay"""
@@ -69,8 +74,8 @@ class Config(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     scene: str = "crossroad"
-    seed: int = 0
-    scene_seed: int | None = None
+    seed: CountOrZero = 0
+    scene_seed: CountOrZero | None = None
     """seed of the place alone, for flights over one place in other winds and noises; None: ``seed``
     decides that too"""
     estimator: str = "livo"
@@ -115,9 +120,3 @@ class Config(BaseModel):
             magnetometer=self.magnetometer,
             rangefinder=self.rangefinder,
         )
-
-
-# ------------------------------------------------------------------------------------- reading
-
-
-# ----------------------------------------------------------------------------------- validation
