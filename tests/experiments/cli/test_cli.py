@@ -242,28 +242,6 @@ def test_a_fault_in_the_air_is_not_told_as_bad_input(monkeypatch: pytest.MonkeyP
         cli.main(["land", "crossroad"])
 
 
-def test_a_viewer_without_a_display_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "flight.rrd").write_bytes(b"RRF")
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(sys, "platform", "linux")
-    opened: list[list[str]] = []
-
-    def start(command: list[str], check: bool) -> subprocess.CompletedProcess[bytes]:
-        opened.append(command)
-        return subprocess.CompletedProcess(command, 0)
-
-    monkeypatch.setattr(subprocess, "run", start)
-    code, _, err = _run(capsys, "view", str(tmp_path))
-    assert code == 2 and "--web" in err and err.count("\n") == 1
-    assert _run(capsys, "view", str(tmp_path), "--web")[0] == 0
-    monkeypatch.setenv("DISPLAY", ":0")
-    assert _run(capsys, "view", str(tmp_path))[0] == 0
-    assert [command[-1] == "--web-viewer" for command in opened] == [True, False]
-
-
 def test_interruption_is_130(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
