@@ -1,4 +1,4 @@
-"""The configuration: its schema is the code, files and options override it.
+"""The schema of the configuration; files and options override its defaults.
 
 Order of precedence, lowest first: the defaults of the ``*Params`` dataclasses in the ``api.py``
 files, a TOML file (or the ``config.json`` of an earlier run), ``--set a.b=c``, explicit options.
@@ -46,7 +46,7 @@ from touchdown.sim.api import (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogParams:
-    """What a run directory keeps, and how densely."""
+    """Content and rates of the files of a run directory."""
 
     __pydantic_config__ = FORBID_EXTRA
 
@@ -65,24 +65,27 @@ class LogParams:
     texture_pixels: Count = 1600
     """longer side of the ground texture in the recording"""
     sensors: bool = False
-    """write ``sensors.mcap``: every message that reached the estimator, for replay"""
+    """write ``sensors.mcap``: every message delivered to the estimator, for replay"""
 
 
 class Config(BaseModel):
-    """Everything that decides a flight; written as ``config.json`` beside its results."""
+    """Configuration of a flight; written as ``config.json`` beside its results."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     scene: str = "crossroad"
+    """name of a scene, or path of an MJCF file"""
     seed: CountOrZero = 0
+    """seed of the scene, the wind and all noise"""
     scene_seed: CountOrZero | None = None
-    """seed of the place alone, for flights over one place in other winds and noises; None: ``seed``
-    decides that too"""
+    """seed of the scene alone, for flights over one scene in different wind and noise; none:
+    ``seed``"""
     estimator: str = "livo"
+    """name of an estimator, or MODULE:FUNCTION of an external one"""
     external: dict[str, Any] = Field(default_factory=dict)
-    """what an estimator of somebody's own, MODULE:FUNCTION, is built with: any keys"""
+    """parameters that an external estimator is built with: any keys"""
     calibration: str | None = None
-    """path of a file of `touchdown calibrate` that estimators are told instead of the rig's own
+    """path of a file of `touchdown calibrate`: the calibration given to estimators; none: the true
     calibration with the errors of ``calibration_error``"""
     record: bool = True
     """write the Rerun recording (trajectories, map and costmap are always written)"""
@@ -113,7 +116,7 @@ class Config(BaseModel):
 
     @property
     def nav(self) -> NavParams:
-        """The small sensors together, as the world takes them."""
+        """Parameters of GPS, barometer, magnetometer and rangefinder in one structure."""
         return NavParams(
             gps=self.gps,
             barometer=self.barometer,

@@ -94,7 +94,7 @@ def test_the_site_has_every_page_once() -> None:
     site = yaml.safe_load(text_of("mkdocs.yml"))
     hooks = _site_hooks()
     written = {str(p.relative_to(ROOT / "docs")) for p in (ROOT / "docs").rglob("*.md")}
-    added = {*hooks.ROOT_PAGES.values(), hooks.COMMANDS_PAGE}
+    added = {*hooks.ROOT_PAGES.values(), hooks.COMMANDS_PAGE, hooks.CONFIGURATION_PAGE}
     assert not written & added, "pages that the site adds would hide pages of docs/"
     assert sorted(_in_nav(site["nav"])) == sorted(written | added)
     assert set(hooks.ROOT_PAGES) == {page.name for page in ROOT.glob("*.md")}
