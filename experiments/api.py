@@ -1,11 +1,10 @@
-"""What the rest of the project may know of experiments: outcomes and their parameters."""
+"""Outcomes of flights, and parameters of referee, bias and calibration error."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated
 
 from annotated_types import Interval
 
@@ -13,6 +12,8 @@ from touchdown.sim.api import FORBID_EXTRA, NotNegative, Positive
 
 
 class Outcome(StrEnum):
+    """The way a flight ended."""
+
     LANDED = "LANDED"
     TIPPED = "TIPPED"
     COLLIDED = "COLLIDED"
@@ -28,7 +29,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RefereeParams:
-    """When a flight is over, whatever the vehicle believes."""
+    """Limits at which the referee ends a flight."""
 
     __pydantic_config__ = FORBID_EXTRA
 
@@ -42,8 +43,8 @@ class RefereeParams:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BiasParams:
-    """An offset ramped into the estimate after take-off. It proves that the loop is closed: the
-    vehicle must end up displaced by minus the bias."""
+    """An offset ramped into the estimate after take-off. In a closed loop it displaces the vehicle
+    by minus the bias."""
 
     __pydantic_config__ = FORBID_EXTRA
 
@@ -55,8 +56,8 @@ class BiasParams:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CalibrationErrorParams:
-    """What is wrong with the calibration that estimators are told, drawn from the seed; not used
-    where a flight names a calibration file."""
+    """Standard deviations of the calibration error of the believed rig, drawn from the seed; unused
+    in flights with a calibration file."""
 
     __pydantic_config__ = FORBID_EXTRA
 
@@ -68,18 +69,3 @@ class CalibrationErrorParams:
     """relative, of each focal length"""
     center_sigma_px: NotNegative = 0.0
     """of either coordinate of the principal point"""
-
-
-def is_good(result: dict[str, Any]) -> bool:
-    """Landed on safe ground, of a safe class where places were recognised; for a survey alone:
-    flown to its end."""
-    if result["outcome"] == "COMPLETED":
-        return True
-    return result["outcome"] == "LANDED" and bool(ground_was_safe(result["landing"] or {}))
-
-
-def ground_was_safe(landing: Mapping[str, Any]) -> bool | None:
-    """By what the flight is judged on; None where the result does not say."""
-    by_class = landing.get("judged_on") == "geometry and class"
-    found = landing.get("safe" if by_class else "safe_geometry")
-    return found if isinstance(found, bool) else None

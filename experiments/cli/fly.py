@@ -10,7 +10,6 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.api import is_good
 from touchdown.experiments.cli.common import (
     EXIT_DONE,
     EXIT_FAILED,
@@ -148,7 +147,7 @@ def fly(context: click.Context, replayed: Path | None, **options: Any) -> int:
 
 def _run_flight(options: dict[str, Any], **more: Any) -> int:
     from touchdown.experiments.config.loading import load_config
-    from touchdown.experiments.flight.run import guarded_fly
+    from touchdown.experiments.flight.run import fly_with_usage_errors
     from touchdown.experiments.io.run_directory import check_log_kept
 
     quiet, out = options["quiet"], options["out"]
@@ -163,11 +162,10 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
         stem = Path(config.scene).stem
         out = Path("runs") / f"{stem}-{config.estimator.replace(':', '.')}-{config.seed}"
     check_log_kept(out, logs=config.log.sensors, force=options["force"])
-    result = guarded_fly(config, out, make_progress(quiet))
+    result = fly_with_usage_errors(config, out, make_progress(quiet))
     end_progress(quiet)
-    good = is_good(result)
     if options["as_json"]:
-        click.echo(json.dumps({**result, "run_dir": str(out)}, indent=2))
+        click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))
     else:
-        print_result(result, out, good)
-    return EXIT_DONE if good else EXIT_FAILED
+        print_result(result, out)
+    return EXIT_DONE if result.is_success else EXIT_FAILED

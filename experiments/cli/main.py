@@ -26,7 +26,7 @@ from touchdown.experiments.cli.control import control
 from touchdown.experiments.cli.edges import edges
 from touchdown.experiments.cli.export import export
 from touchdown.experiments.cli.fly import fly, land
-from touchdown.experiments.cli.replay import check_estimator
+from touchdown.experiments.cli.replay import check_estimator_command
 from touchdown.experiments.cli.report import regress, report
 from touchdown.experiments.cli.reproduce import reproduce
 from touchdown.experiments.cli.scenes import scenes
@@ -58,7 +58,7 @@ cli.add_command(reproduce)
 cli.add_command(scenes)
 cli.add_command(bench)
 bench.add_command(bench_estimator)
-cli.add_command(check_estimator)
+cli.add_command(check_estimator_command)
 cli.add_command(calibrate)
 cli.add_command(campaign)
 cli.add_command(query)

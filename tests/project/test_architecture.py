@@ -47,7 +47,7 @@ ROOM_MAY_IMPORT = {
     "scene_tools",
     "cli": "api benchmarks calibration campaign classification config edges errors export external "
     "flight io reporting reproduce scene_tools terminal",
-    "pytest_plugin": "campaign config errors external flight reporting",
+    "pytest_plugin": "campaign config errors external flight io reporting",
 }
 """Rooms of ``experiments/`` in the order of dependency, and the rooms each may import."""
 ROOT_FILES = {"__init__", "errors", "terminal", "api", "pytest_plugin"}

@@ -25,6 +25,7 @@ from touchdown.experiments.external.synthetic_stream import SyntheticStream, syn
 from touchdown.experiments.external.wrapper import ExternalEstimator, ExternalEstimatorError
 from touchdown.experiments.flight.replay import replay_config
 from touchdown.experiments.flight.wiring import ESTIMATORS, build_estimator
+from touchdown.experiments.io.results import load_result
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
@@ -285,7 +286,8 @@ def test_a_campaign_is_not_gone_on_with_on_other_code(
         result = {"scene": "flat", "estimator": run.values["estimator"], "seed": 0}
         result |= {"outcome": "COMPLETED", "estimator_sha": sha}
         (folder / "result.json").write_text(json.dumps(result))
-        write_table([make_row(result, run.run_id, "fly", "0")], folder / "row.parquet")
+        row = make_row(load_result(folder / "result.json"), run.run_id, "fly", "0")
+        write_table([row], folder / "row.parquet")
     (out / "campaign.json").write_text("{}")
     check_external_code(plan, out)
     lab(STILL + "\nGAIN = 1\n")
