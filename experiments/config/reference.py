@@ -42,7 +42,7 @@ def unit_of(key: str) -> str:
 
 
 @functools.cache
-def meanings(kind: type) -> dict[str, str]:
+def meanings(kind: Any) -> dict[str, str]:
     """The docstring below each field of a class, on one line."""
     (body,) = ast.parse(inspect.getsource(kind)).body
     assert isinstance(body, ast.ClassDef)
@@ -60,7 +60,8 @@ def meaning_of(key: str) -> str:
     group, _, name = key.partition(".")
     if not name:
         return meanings(Config).get(group, "")
-    return meanings(type(getattr(Config(), group))).get(name, "")
+    kind: Any = type(getattr(Config(), group))
+    return meanings(kind).get(name, "")
 
 
 def values_of(key: str) -> str:

@@ -47,10 +47,11 @@ ROOM_MAY_IMPORT = {
     "scene_tools",
     "cli": "api benchmarks calibration campaign classification config edges errors export external "
     "flight io reporting reproduce scene_tools terminal",
+    "python_api": "config errors external flight io terminal",
     "pytest_plugin": "campaign config errors external flight io reporting",
 }
 """Rooms of ``experiments/`` in the order of dependency, and the rooms each may import."""
-ROOT_FILES = {"__init__", "errors", "terminal", "api", "pytest_plugin"}
+ROOT_FILES = {"__init__", "errors", "terminal", "api", "python_api", "pytest_plugin"}
 
 TORCH_FOLDERS = (
     Path("landing/classification/networks"),
