@@ -51,8 +51,8 @@ def test_every_name_is_there() -> None:
 
 def test_importing_is_fast_and_loads_no_simulator() -> None:
     script = (
-        "import sys, time; start = time.perf_counter(); import touchdown; "
-        "took = time.perf_counter() - start; "
+        "import sys, time; start = time.process_time(); import touchdown; "
+        "took = time.process_time() - start; "
         "print([m for m in ('mujoco', 'numpy', 'pydantic', 'cv2') if m in sys.modules]); "
         "print(took); touchdown.load_config; "
         "print([m for m in ('mujoco', 'cv2', 'open3d', 'numba', 'click') if m in sys.modules])"
