@@ -1,4 +1,4 @@
-"""Builds a configuration from files and options.
+"""Loading of configurations from files and options.
 
 Order of precedence, lowest first: the defaults of the ``*Params`` dataclasses in the ``api.py``
 files, a TOML file (or the ``config.json`` of an earlier run), ``--set a.b=c``, explicit options.
@@ -57,7 +57,8 @@ def load_config(
 
     ``file`` is a TOML file or a ``config.json``; ``overrides`` are ``a.b=c`` strings whose values
     are TOML (bare words count as text); ``options`` are the names in ``OPTION_KEYS``, where None
-    means not given. ``take`` says of each key of the file whether it counts. Raises ``UsageError``.
+    means not given. Keys of the file for which ``take`` is false are left out. Raises
+    ``UsageError``.
     """
     values: dict[str, Any] = {}
     sources: dict[str, str] = {}
@@ -77,8 +78,8 @@ def load_config(
 
 
 def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
-    """The configuration that sets ``values``, by dotted key; ``sources`` says where each comes
-    from. Raises ``UsageError``."""
+    """The configuration with ``values`` by dotted key. ``sources`` holds the source of each value,
+    for error messages. Raises ``UsageError``."""
     for key, value in values.items():
         _check_key(key, sources[key])
         _check_finite(key, value, sources[key])
@@ -105,7 +106,7 @@ def known_keys() -> tuple[str, ...]:
 
 
 def is_key(key: str) -> bool:
-    """Whether a dotted key may be set."""
+    """True if a dotted key can be set."""
     return key in known_keys() or is_external_key(key)
 
 

@@ -65,7 +65,7 @@ def _raise(error: BaseException) -> Callable[[Path], None]:
         (errno.ENOSPC, "No space left on device; make room"),
         (errno.EDQUOT, "make room"),
         (errno.EFBIG, "ulimit -f"),
-        (errno.EROFS, "Read-only file system; name a place"),
+        (errno.EROFS, "Read-only file system; name a path"),
         (errno.EACCES, "Permission denied; name one that you may use"),
         (errno.EIO, "may be full"),
     ],
@@ -174,7 +174,7 @@ def test_an_error_line_does_not_steer_the_terminal_and_has_an_end() -> None:
 def test_words_that_are_no_text_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     code, _, err = _run(capsys, "scenes", "export", "flat", "--out", "a\udcff")
     assert (code, _one_line(err)) == (2, True)
-    assert "'a\\udcff' is no text in UTF-8" in err
+    assert "'a\\udcff' is not UTF-8 text" in err
 
 
 def test_the_configuration_of_another_version_is_told_by_its_key(

@@ -230,7 +230,7 @@ def test_external_keys_reach_the_builder_and_come_back(
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        (["external.gain=1"], "is for an estimator of your own, MODULE:FUNCTION"),
+        (["external.gain=1"], "is for an external estimator, MODULE:FUNCTION"),
         (["estimator=a:b", "external=1"], "'external' in --set external=1 is a group"),
         (["estimator=a:b", "external.x={y=1}"], "set its keys one by one, such as external.x.gain"),
         (["estimator=a:b", "external.x=1", "external.x.y=2"], "beside a value of external.x"),
