@@ -1,4 +1,4 @@
-"""Seeded generators of finished runs, campaigns and baselines: good, old, foreign, damaged."""
+"""Seeded generators of runs, campaigns and baselines: valid, old, of other tools, damaged."""
 
 from __future__ import annotations
 

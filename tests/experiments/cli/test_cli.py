@@ -227,14 +227,15 @@ def test_a_lost_estimate_lists_its_events(
 ) -> None:
     events = [{"time_s": 1.5 * i, "text": f"scan {i} refused [no returns]"} for i in range(8)]
     lost = _changed(_result("DIVERGED"), estimator="livo", events=events, event_count=8)
-    monkeypatch.setattr("touchdown.experiments.flight.run.fly", lambda *_args: lost)
+    flown = [lost]
+    monkeypatch.setattr("touchdown.experiments.flight.run.fly", lambda *_args: flown[-1])
     code, out, _ = _run(capsys, "fly", "crossroad", "--quiet")
     assert code == 1
     assert "the last of 8 messages of livo:" in out
     assert "  10.5 s  scan 7 refused [no returns]" in out and "scan 2 " not in out
-    lost |= {"event_count": 900}
+    flown.append(_changed(lost, event_count=900))
     assert "the last of the first 8 of 900 events" in _run(capsys, "fly", "crossroad")[1]
-    lost |= {"outcome": "TIPPED"}
+    flown.append(_changed(lost, outcome="TIPPED"))
     assert "events" not in _run(capsys, "fly", "crossroad", "--quiet")[1]
 
 
