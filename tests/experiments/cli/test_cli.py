@@ -234,9 +234,9 @@ def test_a_lost_estimate_lists_its_events(
     assert "the last of 8 messages of livo:" in out
     assert "  10.5 s  scan 7 refused [no returns]" in out and "scan 2 " not in out
     flown.append(_changed(lost, event_count=900))
-    assert "the last of the first 8 of 900 events" in _run(capsys, "fly", "crossroad")[1]
+    assert "the last of the first 8 of 900 messages" in _run(capsys, "fly", "crossroad")[1]
     flown.append(_changed(lost, outcome="TIPPED"))
-    assert "events" not in _run(capsys, "fly", "crossroad", "--quiet")[1]
+    assert "messages of" not in _run(capsys, "fly", "crossroad", "--quiet")[1]
 
 
 def test_a_fault_in_the_air_is_not_told_as_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
