@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate
-from touchdown.sim.api import FORBID_EXTRA, Command
+from touchdown.sim.api import FORBID_EXTRA, Command, Count, NotNegative, Positive
 
 Array = NDArray[np.float64]
 
@@ -44,29 +45,37 @@ class ControlParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    control_hz: int = 200
-    max_tilt_deg: float = 35.0
-    motor_response_s: float = 0.012
+    control_hz: Count = 200
+    """rate of the control loop, sim.tick_hz / sim.control_ticks"""
+    max_tilt_deg: Annotated[float, Interval(gt=0.0, lt=90.0)] = 35.0
+    """largest tilt that is commanded"""
+    motor_response_s: NotNegative = 0.012
     """time constant of the rotors behind the lead that speeds them up"""
-    rate_radps: float = 28.0
+    rate_radps: Positive = 28.0
     """crossover of the roll and pitch rate loops"""
-    yaw_rate_radps: float = 12.0
-    attitude_radps: float = 9.0
+    yaw_rate_radps: Positive = 12.0
+    """crossover of the yaw rate loop"""
+    attitude_radps: Positive = 9.0
     """crossover of the roll and pitch angle loops"""
-    yaw_radps: float = 4.0
-    velocity_xy_radps: float = 3.5
-    velocity_z_radps: float = 7.0
-    position_xy_radps: float = 1.4
-    position_z_radps: float = 2.5
-    rate_integral_ratio: float = 10.0
+    yaw_radps: Positive = 4.0
+    """crossover of the yaw angle loop"""
+    velocity_xy_radps: Positive = 3.5
+    """crossover of the horizontal velocity loops"""
+    velocity_z_radps: Positive = 7.0
+    """crossover of the vertical velocity loop"""
+    position_xy_radps: Positive = 1.4
+    """crossover of the horizontal position loops"""
+    position_z_radps: Positive = 2.5
+    """crossover of the vertical position loop"""
+    rate_integral_ratio: Positive = 10.0
     """crossover of a rate loop over the corner frequency of its integral"""
-    velocity_integral_ratio: float = 5.0
+    velocity_integral_ratio: Positive = 5.0
     """the same of the velocity loops"""
-    rate_derivative_s: float = 0.012
+    rate_derivative_s: NotNegative = 0.012
     """derivative time of the rate loops' D term"""
-    acceleration_feedback: float = 0.0
+    acceleration_feedback: NotNegative = 0.0
     """D term of the velocity loops: share of the acceleration error that is fed back"""
-    disturbance_radps: float = 6.0
+    disturbance_radps: NotNegative = 6.0
     """bandwidth of the observer of the wind's horizontal force"""
-    max_correction_mps: float = 3.0
+    max_correction_mps: Positive = 3.0
     """bound on the velocity that the position loop may add to the reference's"""

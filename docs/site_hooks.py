@@ -23,6 +23,8 @@ ROOT_PAGES = {
 """File in the root: page of the site."""
 COMMANDS_PAGE = "commands.md"
 """Page with the help of every command."""
+CONFIGURATION_PAGE = "configuration.md"
+"""Page with every configuration key."""
 WIDTH = 96
 """Columns of the help."""
 
@@ -84,10 +86,13 @@ def on_config(config: Any) -> Any:
 def on_files(files: Any, config: Any) -> Any:
     from mkdocs.structure.files import File
 
+    from touchdown.experiments.config.reference import reference_page
+
     for source, page in ROOT_PAGES.items():
         text = (ROOT / source).read_text(encoding="utf-8")
         files.append(File.generated(config, page, content=links_of_the_site(text, source)))
     files.append(File.generated(config, COMMANDS_PAGE, content=help_of_commands()))
+    files.append(File.generated(config, CONFIGURATION_PAGE, content=reference_page()))
     return files
 
 

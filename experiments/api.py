@@ -1,16 +1,19 @@
-"""What the rest of the project may know of experiments: outcomes and their parameters."""
+"""Outcomes of flights, and parameters of referee, bias and calibration error."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Annotated
 
-from touchdown.sim.api import FORBID_EXTRA
+from annotated_types import Interval
+
+from touchdown.sim.api import FORBID_EXTRA, NotNegative, Positive
 
 
 class Outcome(StrEnum):
+    """The way a flight ended."""
+
     LANDED = "LANDED"
     TIPPED = "TIPPED"
     COLLIDED = "COLLIDED"
@@ -26,54 +29,43 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RefereeParams:
-    """When a flight is over, whatever the vehicle believes."""
+    """Limits at which the referee ends a flight."""
 
     __pydantic_config__ = FORBID_EXTRA
 
-    timeout_s: float = 300.0
-    divergence_m: float = 20.0
+    timeout_s: Positive = 300.0
+    """simulated time after which the flight ends as TIMEOUT"""
+    divergence_m: Positive = 20.0
     """position error at which the estimate counts as lost"""
-    tip_tilt_deg: float = 60.0
+    tip_tilt_deg: Annotated[float, Interval(gt=0.0, lt=180.0)] = 60.0
+    """tilt on the ground from which on the vehicle counts as tipped over"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BiasParams:
-    """An offset ramped into the estimate after take-off. It proves that the loop is closed: the
-    vehicle must end up displaced by minus the bias."""
+    """An offset ramped into the estimate after take-off. In a closed loop it displaces the vehicle
+    by minus the bias."""
 
     __pydantic_config__ = FORBID_EXTRA
 
     xy_m: tuple[float, float] = (0.0, 0.0)
-    ramp_s: float = 5.0
+    """offset east and north"""
+    ramp_s: Positive = 5.0
+    """time over which the offset grows to its full size"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CalibrationErrorParams:
-    """What is wrong with the calibration that estimators are told, drawn from the seed; not used
-    where a flight names a calibration file."""
+    """Standard deviations of the calibration error of the believed rig, drawn from the seed; unused
+    in flights with a calibration file."""
 
     __pydantic_config__ = FORBID_EXTRA
 
-    rotation_sigma_deg: float = 0.03
+    rotation_sigma_deg: NotNegative = 0.03
     """of camera_from_lidar, about each axis"""
-    translation_sigma_m: float = 0.003
+    translation_sigma_m: NotNegative = 0.003
     """of camera_from_lidar, along each axis"""
-    focal_sigma: float = 5e-4
+    focal_sigma: NotNegative = 5e-4
     """relative, of each focal length"""
-    center_sigma_px: float = 0.0
+    center_sigma_px: NotNegative = 0.0
     """of either coordinate of the principal point"""
-
-
-def is_good(result: dict[str, Any]) -> bool:
-    """Landed on safe ground, of a safe class where places were recognised; for a survey alone:
-    flown to its end."""
-    if result["outcome"] == "COMPLETED":
-        return True
-    return result["outcome"] == "LANDED" and bool(ground_was_safe(result["landing"] or {}))
-
-
-def ground_was_safe(landing: Mapping[str, Any]) -> bool | None:
-    """By what the flight is judged on; None where the result does not say."""
-    by_class = landing.get("judged_on") == "geometry and class"
-    found = landing.get("safe" if by_class else "safe_geometry")
-    return found if isinstance(found, bool) else None

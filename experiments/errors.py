@@ -1,4 +1,4 @@
-"""The nearest known name, for error messages."""
+"""Errors of the user and of the machine, and their one-line messages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """`` (did you mean 'x'?)`` or an empty string."""
+    """The hint `` (did you mean 'x'?)`` with the nearest known name; "" if none is near."""
     matches = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
     return f" (did you mean '{matches[0]}'?)" if matches else ""
 
@@ -18,11 +18,11 @@ def nearest(name: str, known: Iterable[str]) -> str:
 _REMEDIES = {
     errno.ENOSPC: "make room there and give the command again",
     errno.EDQUOT: "make room there and give the command again",
-    errno.EROFS: "name a place that can be written to",
+    errno.EROFS: "name a path that can be written to",
     errno.EACCES: "name one that you may use, or change its permissions",
     errno.EPERM: "name one that you may use, or change its permissions",
     errno.ENAMETOOLONG: "give a shorter name",
-    errno.ELOOP: "its links lead in a circle; name the place itself",
+    errno.ELOOP: "its links lead in a circle; name the target itself",
     errno.ENOTDIR: "a part of that path is a file; name another",
     errno.EISDIR: "that is a directory; name a file",
     errno.EMFILE: "raise the limit on open files (ulimit -n)",
@@ -33,7 +33,7 @@ _REMEDIES = {
 
 
 def system_message(error: OSError) -> str | None:
-    """What to tell of an error that the machine has and not the program; None for others."""
+    """The message for an error of the machine (disk full, permissions); None for other errors."""
     remedy = _REMEDIES.get(error.errno or 0)
     if remedy is None:
         return None
@@ -42,13 +42,13 @@ def system_message(error: OSError) -> str | None:
 
 
 def input_message(error: ValueError | OSError) -> str:
-    """What to tell of an error that bad input or the machine has caused."""
+    """The message for an error that bad input or the machine has caused."""
     known = system_message(error) if isinstance(error, OSError) else None
     return known or str(error)
 
 
 def usage_errors(action: Callable[[], Any]) -> Any:
-    """Runs ``action``; what it finds wrong with its input becomes a UsageError."""
+    """Runs ``action`` and returns its result. Raises UsageError for its ValueError or OSError."""
 
     try:
         return action()
@@ -57,4 +57,4 @@ def usage_errors(action: Callable[[], Any]) -> Any:
 
 
 class UsageError(ValueError):
-    """A mistake of the user, told in one line; the command line turns it into exit code 2."""
+    """A mistake of the user, with a message of one line. The command line exits with code 2."""

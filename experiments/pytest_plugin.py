@@ -1,7 +1,7 @@
-"""pytest: fly an estimator over scenes and seeds inside a test, and hold its error to a bound.
+"""pytest plugin: flies an estimator over scenes and seeds in a test and bounds its error.
 
-Installed with the project; ``-p no:touchdown`` turns it off. Only pytest is imported here, since
-pytest loads the module whatever it tests.
+Installed with the project; ``-p no:touchdown`` turns it off. It imports nothing but pytest at load
+time, since pytest loads it in every project.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def touchdown_flights(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[..., Rows]:
-    """A function that flies and returns one row a flight; see `fly_all` for its arguments."""
+    """Returns a function that flies and returns one row per flight; arguments as in `fly_all`."""
     out = request.config.getoption("--touchdown-out") or tmp_path_factory.mktemp("touchdown")
     jobs = request.config.getoption("--touchdown-jobs")
 
@@ -89,13 +89,13 @@ def fly_all(
 
     from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.errors import UsageError
-    from touchdown.experiments.flight.wiring import find_estimator
+    from touchdown.experiments.flight.wiring import check_estimator_available
 
     if mode not in ("fly", "land"):
         raise UsageError(f"mode = '{mode}' must be 'fly' or 'land'")
     if jobs < 1:
         raise UsageError(f"--touchdown-jobs {jobs} must be 1 or more")
-    find_estimator(estimator)
+    check_estimator_available(estimator)
     tasks = []
     for scene in scenes:
         for seed in seeds:
@@ -119,7 +119,7 @@ def fly_all(
 
 
 def _one_thread() -> None:
-    """Keeps numerical libraries of a worker on one core; before they are imported."""
+    """Limits numerical libraries of a worker to one core, before they are imported."""
     os.environ.update(dict.fromkeys(_THREADS, "1"))
 
 
@@ -130,36 +130,38 @@ def _fly_one(task: tuple[str, str, str]) -> dict[str, Any]:
     from touchdown.experiments.errors import UsageError
     from touchdown.experiments.external.wrapper import ExternalEstimatorError
     from touchdown.experiments.flight.platform import rendering_backend
-    from touchdown.experiments.flight.run import guarded_fly
+    from touchdown.experiments.flight.run import fly_with_usage_errors
+    from touchdown.experiments.io.results import RunResult
 
     os.environ.setdefault("MUJOCO_GL", rendering_backend())
     text, out, mode = task
     config = Config.model_validate_json(text)
     try:
-        result = guarded_fly(config, Path(out), lambda *_: None)
+        result = fly_with_usage_errors(config, Path(out), lambda *_: None)
     except Exception as error:
-        outside = isinstance(error, ExternalEstimatorError)
-        if isinstance(error, UsageError) and not outside:
+        external = isinstance(error, ExternalEstimatorError)
+        if isinstance(error, UsageError) and not external:
             raise
-        result = {
-            "scene": config.scene,
-            "estimator": config.estimator,
-            "seed": config.seed,
-            "wind_kmh": config.wind.mean_kmh,
-            "outcome": CRASHED,
-            "reason": str(error) if outside else f"{type(error).__name__}: {error}",
-        }
+        result = RunResult(
+            outcome=CRASHED,
+            reason=str(error) if external else f"{type(error).__name__}: {error}",
+            scene=config.scene,
+            seed=config.seed,
+            estimator=config.estimator,
+            wind_kmh=config.wind.mean_kmh,
+        )
     return make_row(result, Path(out).name, mode, config_sha(config))
 
 
 def assert_position_error(
     rows: Iterable[Mapping[str, Any]], *, below: float, key: str = "position_error_m.mean"
 ) -> None:
-    """Fails unless every flight ended as it should with less than ``below`` at ``key``.
+    """Fails unless every flight was successful with less than ``below`` at ``key``.
 
     The message names each flight that does not. Raises ValueError without any flight.
     """
-    from touchdown.experiments.reporting.flights import is_bad, number
+    from touchdown.experiments.campaign.results_table import is_successful
+    from touchdown.experiments.reporting.flights import number
 
     flights = list(rows)
     if not flights:
@@ -168,7 +170,7 @@ def assert_position_error(
     for row in flights:
         error = number(row, key)
         who = f"{row['scene']}, {row['estimator']}, seed {row['seed']}"
-        if is_bad(row):
+        if not is_successful(row):
             failed.append(f"{who}: {row['outcome']} ({row.get('reason') or 'no reason given'})")
         elif error is None or not error < below:
             failed.append(f"{who}: {key} = {error if error is None else f'{error:.4g}'}")

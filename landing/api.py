@@ -4,14 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
-from touchdown.sim.api import FORBID_EXTRA, Observation, SensorNeeds
+from touchdown.sim.api import (
+    FORBID_EXTRA,
+    Count,
+    CountOrZero,
+    Fraction,
+    NotNegative,
+    Observation,
+    Positive,
+    SensorNeeds,
+)
 
 Array = NDArray[np.float64]
 
@@ -158,31 +168,38 @@ class SurveyParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    height_m: float = 30.0
+    height_m: Positive = 30.0
     """above the take-off ground"""
-    legs: int = 3
-    leg_length_m: float = 50.0
-    leg_spacing_m: float = 20.0
-    duration_s: float = 36.0
+    legs: Count = 3
+    """number of parallel legs"""
+    leg_length_m: Positive = 50.0
+    """length of a leg"""
+    leg_spacing_m: Positive = 20.0
+    """distance between neighbouring legs"""
+    duration_s: Positive = 36.0
+    """time from the start of the first leg to the end of the last"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LandingParams:
     __pydantic_config__ = FORBID_EXTRA
 
-    weight_flatness: float = 0.5
-    weight_smoothness: float = 0.3
-    weight_distance: float = 0.2
+    weight_flatness: NotNegative = 0.5
+    """weight of flatness in C_sum (Eq. 13)"""
+    weight_smoothness: NotNegative = 0.3
+    """weight of smoothness in C_sum"""
+    weight_distance: NotNegative = 0.2
+    """weight of distance in C_sum"""
     scorer: Literal["risk", "paper"] = "risk"
     """``risk``: by the probability of a safe touchdown; ``paper``: by C_sum (Eq. 13) among sites
     that pass the check of the ground"""
-    min_safe_probability: float = 0.95
+    min_safe_probability: Fraction = 0.95
     """a site that is less likely to be safe is refused (``risk``)"""
-    energy_weight: float = 0.05
+    energy_weight: NotNegative = 0.05
     """what the farthest site within reach loses beside the nearest one (``risk``)"""
-    level_weight: float = 0.2
+    level_weight: NotNegative = 0.2
     """what ground at ``max_slope_deg`` loses beside level ground (``risk``)"""
-    gust_drift_s: float = 0.02
+    gust_drift_s: NotNegative = 0.02
     """metres that each m/s of wind takes off the room around a site (``risk``)"""
     risk_weights: tuple[
         float, float, float, float, float, float, float, float, float, float, float
@@ -194,7 +211,7 @@ class LandingParams:
     and what that has beyond 0.8. Fitted by ``touchdown bench selector --fit``"""
     emergency: Literal["", "battery"] = ""
     """``battery``: land within ``emergency_s`` on the least bad site; empty: no emergency"""
-    emergency_s: float = 45.0
+    emergency_s: Positive = 45.0
     """from the end of the survey to the ground in an emergency"""
     site_xy_m: tuple[float, float] | None = None
     """a commanded site (world frame) instead of a chosen one"""
@@ -204,68 +221,87 @@ class LandingParams:
     survey_only: bool = False
     """stop after the survey (the positioning experiment)"""
     second_look: bool = True
-    decision_latency_s: float = 0.3
-    max_slope_deg: float = 5.0
-    max_step_m: float = 0.10
-    clear_radius_m: float = 1.5
+    """look at the site again from ``look_height_m`` before landing on it"""
+    decision_latency_s: NotNegative = 0.3
+    """simulated time that a site selection takes"""
+    max_slope_deg: Annotated[float, Interval(gt=0.0, lt=90.0)] = 5.0
+    """steepest ground that is landed on"""
+    max_step_m: Positive = 0.10
+    """highest step or object under the footprint"""
+    clear_radius_m: Positive = 1.5
+    """radius around the site that must be free of taller objects"""
     flatness_form: str = "corrected"
     """``corrected`` or ``literal`` (Eqs. 16 and 17 to the letter)"""
-    flatness_sigma_deg: float = 5.0
+    flatness_sigma_deg: Positive = 5.0
     """sigma of Eq. 16 in the corrected form"""
-    normal_half_width_m: float = 0.5
+    normal_half_width_m: Positive = 0.5
     """half the window that normals are fitted in"""
-    edge_blur_m: float = 0.3
-    edge_low: float = 40.0
-    edge_high: float = 100.0
+    edge_blur_m: NotNegative = 0.3
+    """sigma of the blur before Canny"""
+    edge_low: Annotated[float, Interval(ge=0.0, le=255.0)] = 40.0
+    """lower hysteresis threshold of Canny on the 8-bit colour map"""
+    edge_high: Annotated[float, Interval(ge=0.0, le=255.0)] = 100.0
     """hysteresis thresholds of Canny on the 8-bit colour map"""
-    smoothness_full_m: float = 8.0
+    smoothness_full_m: Positive = 8.0
     """an edge farther away than this costs nothing more"""
-    slope_margin_deg: float = 0.5
-    step_margin_m: float = 0.02
-    map_margin_m: float = 0.35
+    slope_margin_deg: NotNegative = 0.5
+    """taken off ``max_slope_deg`` for the error of the map"""
+    step_margin_m: NotNegative = 0.02
+    """taken off ``max_step_m`` for the error of the map"""
+    map_margin_m: NotNegative = 0.35
     """the footprint is widened by this: error of map and position from survey height"""
-    low_margin_m: float = 0.15
+    low_margin_m: NotNegative = 0.15
     """the same for a look from 10 m and below"""
-    min_returns: float = 4.0
+    min_returns: NotNegative = 4.0
     """a cell with fewer is not trusted"""
-    max_missing_ratio: float = 0.2
+    max_missing_ratio: Annotated[float, Interval(gt=0.0, le=1.0)] = 0.2
     """share of pulses without return above which the ground counts as water"""
-    traffic_penalty: float = 0.3
+    traffic_penalty: NotNegative = 0.3
     """taken off C_sum when sites are ranked, near a surface on which something was seen to move"""
-    max_candidates: int = 12
-    search_legs: int = 1
+    max_candidates: Count = 12
+    """candidates examined in one selection"""
+    search_legs: CountOrZero = 1
     """further survey legs when no site was found"""
-    go_arounds: int = 2
-    unhealthy_hold_s: float = 1.0
+    go_arounds: CountOrZero = 2
+    """landings that may be broken off for another site"""
+    unhealthy_hold_s: NotNegative = 1.0
     """an estimate that says it is unhealthy for this long stops the vehicle where it is"""
-    unhealthy_abort_s: float = 8.0
+    unhealthy_abort_s: NotNegative = 8.0
     """and for this long ends the flight: straight down"""
-    climb_speed_mps: float = 3.0
-    cruise_speed_mps: float = 7.0
-    descent_speed_mps: float = 2.5
-    obstacle_margin_m: float = 6.0
+    climb_speed_mps: Positive = 3.0
+    """vertical speed of the climb"""
+    cruise_speed_mps: Positive = 7.0
+    """horizontal speed between survey and site"""
+    descent_speed_mps: Positive = 2.5
+    """vertical speed of the descent"""
+    obstacle_margin_m: NotNegative = 6.0
     """height above anything mapped while flying over it"""
-    look_height_m: float = 10.0
-    commit_height_m: float = 4.0
-    sweep_m: float = 1.0
-    final_speed_mps: float = 0.6
-    touchdown_speed_mps: float = 0.09
+    look_height_m: Positive = 10.0
+    """height above the site of the second look"""
+    commit_height_m: Positive = 4.0
+    """height above the site at which the site becomes final"""
+    sweep_m: NotNegative = 1.0
+    """half the width of the sweep at ``commit_height_m``"""
+    final_speed_mps: Positive = 0.6
+    """vertical speed below ``commit_height_m``"""
+    touchdown_speed_mps: Positive = 0.09
+    """vertical speed at the first contact"""
     classifier: str = "auto"
     """``auto``: by the network that comes with the project, if one does; ``off``: sites are judged
     by geometry alone; else the path of a network's file"""
-    classifier_min_probability: float = 0.0
+    classifier_min_probability: Fraction = 0.0
     """of a safe class, below which a site is refused; 0: what the network's file says"""
-    place_batch: int = 3
+    place_batch: Count = 3
     """sites that are classified together, before the first safe one ends it"""
-    place_rounds: int = 4
+    place_rounds: Count = 4
     """how often other sites are looked for where none was of a safe class"""
-    classifier_patch_m: float = 6.4
+    classifier_patch_m: Positive = 6.4
     """side of the square of ground around a site that is classified"""
-    place_pictures: int = 64
+    place_pictures: Count = 64
     """pictures of the survey that are kept for it"""
-    place_batch_latency_s: float = 0.1
+    place_batch_latency_s: NotNegative = 0.1
     """what a decision takes longer for every batch"""
-    classifier_threads: int = 1
+    classifier_threads: Count = 1
     """of the processor, that classify"""
     allow_risky: bool = False
     """land on roads and roofs too; such a flight is judged on geometry"""

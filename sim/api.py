@@ -7,9 +7,10 @@ Every array is float64 unless stated. Time is an integer count of ticks of ``Sim
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from touchdown.sim.faults.types import FAULT_KINDS as FAULT_KINDS
@@ -26,6 +27,12 @@ from touchdown.sim.navigation.types import MagnetometerSample as MagnetometerSam
 from touchdown.sim.navigation.types import NavParams as NavParams
 from touchdown.sim.navigation.types import RangefinderParams as RangefinderParams
 from touchdown.sim.navigation.types import RangefinderSample as RangefinderSample
+from touchdown.sim.ranges import Count as Count
+from touchdown.sim.ranges import CountOrZero as CountOrZero
+from touchdown.sim.ranges import Fraction as Fraction
+from touchdown.sim.ranges import Heading as Heading
+from touchdown.sim.ranges import NotNegative as NotNegative
+from touchdown.sim.ranges import Positive as Positive
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -43,18 +50,21 @@ class SimParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    tick_hz: int = 600
-    control_ticks: int = 3
+    tick_hz: Count = 600
+    """physics steps a second, 500 or more; every other rate divides it"""
+    control_ticks: Count = 3
     """Ticks between two controller commands (200 Hz)."""
-    imu_ticks: int = 3
-    camera_ticks: int = 20
+    imu_ticks: Count = 3
+    """ticks between two IMU samples (200 Hz)"""
+    camera_ticks: Count = 20
     """The camera's own clock (30 Hz); images are rendered on its pulses."""
-    lidar_scan_ticks: int = 60
-    compute_latency_ticks: int = 36
+    lidar_scan_ticks: Count = 60
+    """ticks of one LIDAR scan (10 Hz)"""
+    compute_latency_ticks: CountOrZero = 36
     """From the end of a scan, or the exposure of an image, until an estimator may use it."""
-    battery_capacity_j: float = 700e3
+    battery_capacity_j: Positive = 700e3
     """Usable energy at take-off (about 195 Wh)."""
-    threads: int = 2
+    threads: Annotated[int, Interval(ge=1, le=2)] = 2
     """2: rendering and ray casting overlap with each other and with everything else; 1: all of it
     in the calling thread.
     Both give the same result to the bit."""
@@ -66,12 +76,14 @@ class WindParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    mean_kmh: float = 12.0
+    mean_kmh: NotNegative = 12.0
     """Mean speed at 20 ft (6.1 m); also W20 of the Dryden model."""
-    direction_deg: float | None = None
+    direction_deg: Heading | None = None
     """Where the wind blows to, counter-clockwise from east; None: by seed."""
-    roughness_length_m: float = 0.1
+    roughness_length_m: Positive = 0.1
+    """roughness length of the logarithmic profile"""
     turbulence: bool = True
+    """add Dryden turbulence to the mean wind"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -82,15 +94,19 @@ class LidarParams:
 
     preset: str = "horizon"
     """``horizon``, ``avia`` or ``mid360``: pattern, point rate, range limits and beam."""
-    range_sigma_m: float = 0.02
-    angle_sigma_deg: float = 0.05
-    min_range_m: float = 0.5
-    max_range_m: float = 260.0
+    range_sigma_m: NotNegative = 0.02
+    """standard deviation of the range noise"""
+    angle_sigma_deg: NotNegative = 0.05
+    """standard deviation of the beam direction, each axis"""
+    min_range_m: NotNegative = 0.5
+    """nearest range that is reported"""
+    max_range_m: Positive = 260.0
+    """farthest range that is reported; reflectivity limits it further"""
     divergence: bool = True
     """Beams have a width: at edges they split into several echoes. False: mere rays."""
     return_mode: Literal["first", "strongest"] = "first"
     """Which echo of a split beam is reported."""
-    pulse_length_m: float = 1.0
+    pulse_length_m: NotNegative = 1.0
     """Surfaces nearer to one another than this merge into one echo at their mean range."""
 
 
@@ -100,21 +116,25 @@ class CameraParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    width: int = 848
-    height: int = 480
-    fov_x_deg: float = 69.0
-    fov_y_deg: float = 42.0
-    noise_sigma: float = 1.5
+    width: Count = 848
+    """pixels"""
+    height: Count = 480
+    """pixels"""
+    fov_x_deg: Annotated[float, Interval(gt=0.0, lt=180.0)] = 69.0
+    """horizontal field of view"""
+    fov_y_deg: Annotated[float, Interval(gt=0.0, lt=180.0)] = 42.0
+    """vertical field of view"""
+    noise_sigma: NotNegative = 1.5
     """Standard deviation of the grey-level noise (of 255)."""
-    samples: int = 0
+    samples: CountOrZero = 0
     """Multisampling samples a pixel; 4 smooths silhouettes and nearly doubles the drawing time."""
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """k1, k2, p1, p2, k3 of OpenCV's lens model"""
-    gain: float = 1.0
+    gain: Positive = 1.0
     """exposure relative to the scene's own, linear in light; what it clips is lost"""
     auto_exposure: bool = False
     """choose the gain for every picture, within 1/4 to 4, so that its mean is a middle grey"""
-    readout_s: float = 0.0
+    readout_s: NotNegative = 0.0
     """rolling shutter: time from the exposure of the first row to that of the last, in steps of one
     tick; 0: all rows at once"""
 
@@ -125,23 +145,23 @@ class ImuParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    gyro_density: float = 2.44e-4
+    gyro_density: NotNegative = 2.44e-4
     """rad/s/sqrt(Hz)"""
-    accel_density: float = 1.72e-3
+    accel_density: NotNegative = 1.72e-3
     """m/s^2/sqrt(Hz)"""
-    gyro_bias_walk: float = 1.0e-5
+    gyro_bias_walk: NotNegative = 1.0e-5
     """rad/s^2/sqrt(Hz)"""
-    accel_bias_walk: float = 1.0e-4
+    accel_bias_walk: NotNegative = 1.0e-4
     """m/s^3/sqrt(Hz)"""
-    gyro_bias_sigma: float = 3.0e-3
+    gyro_bias_sigma: NotNegative = 3.0e-3
     """rad/s, turn-on"""
-    accel_bias_sigma: float = 3.0e-2
+    accel_bias_sigma: NotNegative = 3.0e-2
     """m/s^2, turn-on"""
-    vibration_gyro_density: float = 0.0
+    vibration_gyro_density: NotNegative = 0.0
     """rad/s/sqrt(Hz) that the propellers shake into the sensor in hover, broad band; grows with the
     square of the rotor speed. 0: a perfectly isolated mount; 4e-3 is the median of unisolated
     sensors on a DJI Phantom 4 (flights of Hurwitz and Klein 2023), a damped mount a tenth of it"""
-    vibration_accel_density: float = 0.0
+    vibration_accel_density: NotNegative = 0.0
     """m/s^2/sqrt(Hz), likewise; 0.12 on the same flights (three times that along the rotor axes)"""
 
 

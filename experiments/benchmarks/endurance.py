@@ -19,6 +19,7 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
 from touchdown.experiments.recording.run_recorder import NullRecorder
+from touchdown.experiments.recording.step_record import StepRecord
 
 _TAIL_S = 15.0
 """climb and hover of a survey: what it takes beside the legs"""
@@ -58,8 +59,8 @@ class _Minutes(NullRecorder):
         self._errors: list[float] = []
         self.rows: list[dict[str, float]] = []
 
-    def tick(self, *event: Any) -> None:
-        truth, _, estimate = event[:3]
+    def tick(self, step: StepRecord) -> None:
+        truth, estimate = step.truth, step.estimate
         gap = estimate.world_from_body.translation - truth.world_from_body.translation
         self._errors.append(float(np.linalg.norm(gap)))
         if truth.time_s - self._from_s >= 60.0:
@@ -88,10 +89,10 @@ def fly_long(config: Config) -> dict[str, Any]:
     (physics, rays, pixels and all), per 0.1 s of flight."""
     from touchdown.experiments.flight.platform import limit_threads
     from touchdown.experiments.flight.run import fly_and_judge
-    from touchdown.experiments.flight.wiring import build_flight, build_scene
+    from touchdown.experiments.flight.wiring import build_flight_stack, build_scene
 
     limit_threads()
-    flight = build_flight(config, build_scene(config))
+    flight = build_flight_stack(config, build_scene(config))
     clock = StageClock(time.thread_time)
     timed = Timed(flight.estimator, "update", "estimator", clock)
     minutes = _Minutes(clock)
@@ -100,7 +101,7 @@ def fly_long(config: Config) -> dict[str, Any]:
         dataclasses.replace(flight, estimator=timed),  # type: ignore[arg-type]
         minutes,
         None,
-    )
+    ).plain()
     first, last = minutes.rows[0], minutes.rows[-1]
     return {
         "scene": config.scene,

@@ -10,6 +10,7 @@ from typing import Any
 from touchdown.experiments.benchmarks.jit_warmup import compiled_before
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.io.results import RunResult
 
 SHORT_SURVEY = (
     "survey.legs=2",
@@ -43,9 +44,7 @@ def measure_loop_overhead(config: Config) -> dict[str, Any]:
         return measure_on_one_core(config, Path(folder) / "run")
 
 
-def measure_loop(
-    config: Config, fly: Callable[[Config, Path], dict[str, Any]]
-) -> dict[str, dict[str, Any]]:
+def measure_loop(config: Config, fly: Callable[[Config, Path], RunResult]) -> dict[str, Any]:
     """Flies into a directory that is thrown away; once more if kernels were compiled in the air.
 
     ``result`` is the flight's result; ``figures`` holds ``real_time_factor``, ``stage_ms`` (wall
@@ -56,13 +55,14 @@ def measure_loop(
         out = Path(folder) / "run"
         result = compiled_before(lambda: fly(config, out))
         recording_mb = (out / "flight.rrd").stat().st_size / 1e6
-    timing = result["timing"]
+    plain = result.plain()
+    timing = plain["timing"]
     per_scan_ms = 100.0 / timing["real_time_factor"]
     stages = timing["stage_ms"]
     figures = {
-        "scene": result["scene"],
-        "estimator": result["estimator"],
-        "outcome": result["outcome"],
+        "scene": result.scene,
+        "estimator": result.estimator,
+        "outcome": result.outcome,
         "sim_s": timing["sim_s"],
         "wall_s": timing["wall_s"],
         "real_time_factor": timing["real_time_factor"],

@@ -135,7 +135,7 @@ def measure(logged: LoggedRun, config: Config, end_s: float = math.inf) -> Measu
         true.append(pose.translation)
     cpu_ms = 1e3 * clock.seconds() / max(data_s / 0.1, 1e-9)
     error_m = evo_error(times, true, believed)
-    return Measured(error_m, own.summary()["mean"] or math.nan, cpu_ms, lost_s)
+    return Measured(error_m, own.summary().mean or math.nan, cpu_ms, lost_s)
 
 
 # ------------------------------------------------------------------------------------- evo
@@ -269,7 +269,8 @@ def bench_estimator(
         tell_of = partial(_tell_of, tell, scene)
         run = logged_survey(scene, seed, runs, tell_of)
         logged = open_run(run)
-        difference[scene] = evo_of_run(run) - float(logged.result["position_error_m"]["mean"])
+        flown_error_m = float(logged.result.value("position_error_m.mean"))
+        difference[scene] = evo_of_run(run) - flown_error_m
         found[scene] = bench_scene(logged, seconds, tell_of)
     return {
         "seed": seed,

@@ -41,7 +41,7 @@ class TowedSurvey:
 
 
 def build_towed_survey(config: Config, scene: Scene) -> TowedSurvey:
-    """A survey without a flight. Raises ValueError as `build_flight`."""
+    """A survey without a flight. Raises ValueError as `build_flight_stack`."""
     from touchdown.estimator.mapping.mapper import GridMapper
     from touchdown.landing.mission.trajectory import survey_trajectory
     from touchdown.landing.selection.selector import select_sites

@@ -29,7 +29,7 @@ from touchdown.experiments.campaign.worker import Task
 from touchdown.experiments.flight.platform import rendering_backend
 
 Event = dict[str, Any]
-"""``run_id`` and ``event``: started, finished (``outcome``, ``good``), failed (``error``), retry
+"""``run_id`` and ``event``: started, finished (``outcome``, ``success``), failed (``error``), retry
 (``error``), unrecorded (``error``)."""
 
 SINGLE_THREAD = {

@@ -1,4 +1,4 @@
-"""Whether the runs of a campaign came to what its file expects of them (``[[expect]]``)."""
+"""Verdicts on the expectations of a campaign (``[[expect]]`` in its file)."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.api import Outcome, ground_was_safe
+from touchdown.experiments.api import Outcome
 from touchdown.experiments.campaign.directory import read_plan_file
-from touchdown.experiments.campaign.results_table import CRASHED, refresh
+from touchdown.experiments.campaign.results_table import CRASHED, refresh, touched_safe_ground
 
 _FELL = (Outcome.TIPPED, Outcome.COLLIDED)
 
 
 @dataclass(slots=True)
 class Verdict:
-    """On one ``[[expect]]``. ``failures``: why a run is not as expected, by its name."""
+    """The verdict on one ``[[expect]]``. ``failures``: reasons of unexpected runs, by run."""
 
     name: str
     runs: int = 0
@@ -36,8 +36,8 @@ class Verdict:
 
 
 def judge_campaign(directory: Path) -> list[Verdict]:
-    """One verdict for every expectation, in the order of the file; none where nothing is expected.
-    Raises UsageError when ``directory`` is no campaign."""
+    """Returns one verdict per expectation, in the order of the file. Raises UsageError where
+    ``directory`` is no campaign."""
     document = read_plan_file(directory)
     expectations = document.get("expect") or []
     if not expectations:
@@ -51,7 +51,7 @@ def judge(
     runs: Sequence[Mapping[str, Any]],
     rows: Mapping[str, Mapping[str, Any]],
 ) -> Verdict:
-    """``runs`` as in ``campaign.json``, ``rows`` by name."""
+    """Returns the verdict on one expectation; ``runs`` as in ``campaign.json``, ``rows`` by run."""
     when = expectation["when"]
     verdict = Verdict(expectation["name"] or _label(when), expected=expected_words(expectation))
     for run in runs:
@@ -73,7 +73,7 @@ def judge(
 
 
 def unexpected(expectation: Mapping[str, Any], row: Mapping[str, Any]) -> str:
-    """What about a run is not as expected, in words; "" if all of it is."""
+    """Returns the reasons why a run is not as expected; "" where it is."""
     outcome, limit = row["outcome"], expectation["position_error_m_max"]
     if outcome == CRASHED:
         return f"crashed: {row['reason']}"
@@ -90,11 +90,10 @@ def unexpected(expectation: Mapping[str, Any], row: Mapping[str, Any]) -> str:
 
 
 def touched_unsafely(row: Mapping[str, Any]) -> bool:
-    """Whether a flight touched ground that is not known to be safe, or fell when it touched."""
+    """True if a flight touched ground that is not known to be safe, tipped over or collided."""
     if row.get("landing.touchdown_xy_m") is None:
         return row["outcome"] in _FELL
-    found = {name: row.get(f"landing.{name}") for name in ("judged_on", "safe", "safe_geometry")}
-    return row["outcome"] in _FELL or ground_was_safe(found) is not True
+    return row["outcome"] in _FELL or touched_safe_ground(row) is not True
 
 
 def expected_words(expectation: Mapping[str, Any]) -> str:
@@ -112,13 +111,13 @@ def as_json(verdicts: Sequence[Verdict]) -> list[dict[str, Any]]:
 
 
 def verdict_of(plain: Mapping[str, Any]) -> Verdict:
-    """Back from `as_json`."""
+    """The verdict of an object of `as_json`."""
     return Verdict(**{key: value for key, value in plain.items() if key != "verdict"})
 
 
 def lines(verdicts: Sequence[Verdict]) -> list[str]:
-    """The verdicts as text, a line each, and below it a line for each run that is not as expected;
-    with a heading, unless there are none."""
+    """Returns the verdicts as lines of text, each followed by its unexpected runs, below a heading;
+    none without verdicts."""
     if not verdicts:
         return []
     width = max(len(verdict.name) for verdict in verdicts)
@@ -133,12 +132,12 @@ def lines(verdicts: Sequence[Verdict]) -> list[str]:
 
 
 def all_as_expected(verdicts: Sequence[Verdict]) -> bool:
-    """Of the runs so far."""
+    """True if every finished run is as expected."""
     return not any(verdict.failures for verdict in verdicts)
 
 
 def _label(when: Mapping[str, Sequence[Any]]) -> str:
-    """What an expectation without a name is called."""
+    """The label of an expectation without a name."""
     parts = []
     for values in when.values():
         texts = (" ".join(map(str, v)) if isinstance(v, list) else str(v) for v in values)

@@ -298,14 +298,14 @@ def _check_settable(values: Iterable[str], axes: Iterable[str], source: str) -> 
 
 def _check_names(axes: Mapping[str, list[Any]], source: str) -> None:
     """Scenes and estimators exist, as far as can be told without building them."""
-    from touchdown.experiments.flight.wiring import check_estimator, check_scene_name
+    from touchdown.experiments.flight.wiring import check_estimator_name, check_scene_name
 
     for axis in ("scene", "estimator"):
         for name in axes[axis]:
             if not isinstance(name, str):
                 raise UsageError(f"{axis} {name!r} in {source} must be text")
     for name in axes["estimator"]:
-        check_estimator(name)
+        check_estimator_name(name)
     for name in axes["scene"]:
         check_scene_name(name, f" in {source}")
 

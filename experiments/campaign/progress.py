@@ -88,10 +88,10 @@ class Display(Watcher):
             self._number += 1
             self._counts[kind] += 1
             took = self._time_left.end(run_id, now)
-            good = event.get("good", False)
-            self._counts["bad"] += kind == "finished" and not good
+            success = event.get("success", False)
+            self._counts["unsuccessful"] += kind == "finished" and not success
             text = event.get("outcome") or f"CRASHED: {event['error']}"
-            if not (self._live and good):
+            if not (self._live and success):
                 self._say(f"[{self._number}/{self._total}] {run_id}  {text}  {took:.0f} s")
         elif kind == "retry":
             self._say(f"{run_id}: {event['error']}; once more")
@@ -103,7 +103,7 @@ class Display(Watcher):
             self._progress.update(
                 self._bar,
                 completed=self._number,
-                description=f"{counts['bad']} bad, {counts['failed']} crashed",
+                description=f"{counts['unsuccessful']} unsuccessful, {counts['failed']} crashed",
                 left="" if left is None else f"{_clock(left)} left",
             )
 

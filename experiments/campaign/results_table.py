@@ -1,4 +1,4 @@
-"""One row a run: from ``result.json`` to Parquet, and back as rows or a database."""
+"""The table of a campaign, one row per run: written to Parquet, read as rows or with DuckDB."""
 
 from __future__ import annotations
 
@@ -13,98 +13,99 @@ from touchdown.experiments.campaign.plan import config_sha
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.results import load_run
+from touchdown.experiments.io.results import (
+    RunResult,
+    columns,
+    ground_safe,
+    is_success,
+    load_result,
+)
 
 CRASHED = "CRASHED"
-"""Outcome of a run that never came to one: its flight raised, died, or went over a limit."""
+"""Outcome of a run whose flight raised, died, or exceeded a limit."""
 
 ROW_FILE, RESULTS_FILE = "row.parquet", "results.parquet"
 RUNS, FAILED = "runs", "failed"
 """Folders of a campaign's directory: finished runs, and one JSON file for every crashed one."""
 
-_POSITION = ("mean", "rmse", "max", "x", "y", "z", "yaw_deg")
-_LANDING = (
-    "touchdown_time_s",
-    "target_offset_m",
-    "slope_deg",
-    "vertical_speed_mps",
-    "horizontal_speed_mps",
-    "vertical_accel_mps2",
-    "impact_peak_mps2",
-    "bounce_m",
-    "tilt_deg",
-    "obstacle_distance_m",
-)
-_STAGES = ("world", "estimator", "mapper", "lander", "controller", "recorder", "referee")
-SCHEMA: Mapping[str, str] = {
+_RUN_COLUMNS: Mapping[str, str] = {
     "run_id": "text",
-    "scene": "text",
-    "estimator": "text",
-    "seed": "int",
-    "wind_kmh": "float",
-    "outcome": "text",
-    "reason": "text",
     "mode": "text",
+    "success": "bool",
+    "ground_safe": "bool",
     "wall_s": "float",
     "cpu_s": "float",
-    "git_revision": "text",
     "config_sha": "text",
     "started_utc": "text",
-    **{f"position_error_m.{name}": "float" for name in _POSITION},
-    "trajectory_error_m": "float",
-    "trajectory_error_max_m": "float",
-    "trajectory_variance_m2": "float",
-    "landing.commanded_xy_m": "floats",
-    "landing.site_xy_m": "floats",
-    "landing.touchdown_xy_m": "floats",
-    **{f"landing.{name}": "float" for name in _LANDING},
-    "landing.class_predicted": "text",
-    "landing.class_true": "text",
-    "landing.safe_geometry": "bool",
-    "landing.safe_class": "bool",
-    "landing.safe": "bool",
-    "map.duration_s": "float",
-    "map.density_per_m2": "float",
-    "map.levelness_error_deg.mean": "float",
-    "map.levelness_error_deg.max": "float",
-    "map.levelness_error_deg.places": "float",
-    "timing.wall_s": "float",
-    "timing.sim_s": "float",
-    "timing.real_time_factor": "float",
-    **{f"timing.stage_ms.{name}": "float" for name in _STAGES},
 }
-"""Columns that every table has, and their types; what else a result holds follows them."""
+"""Columns of a run beside its result. ``success``: see `RunResult.is_success`; ``ground_safe``: the
+ground at the touchdown was safe by what the flight is judged on, null without a touchdown."""
+_FIRST_COLUMNS = (
+    "run_id", "scene", "estimator", "seed", "wind_kmh", "outcome", "success", "reason", "mode",
+    "wall_s", "cpu_s", "git_revision", "config_sha", "started_utc",
+)  # fmt: skip
+
+
+def _schema() -> dict[str, str]:
+    kinds = {**_RUN_COLUMNS, **columns()}
+    return {name: kinds[name] for name in (*_FIRST_COLUMNS, *kinds)}
+
+
+SCHEMA: Mapping[str, str] = _schema()
+"""Columns of every table and their kinds, derived from `RunResult`. Other keys of a result follow
+them."""
 
 TIMING_COLUMNS = ("wall_s", "cpu_s", "started_utc", "timing.")
 """Beginnings of the names of columns that differ between two flights of one configuration."""
 
 
 def make_row(
-    result: Mapping[str, Any], run_id: str, mode: str, sha: str | None, **more: Any
+    result: RunResult, run_id: str, mode: str, sha: str | None, **more: Any
 ) -> dict[str, Any]:
-    """The row of a run: ``result`` flattened, with dots between its keys, and who flew what.
+    """Returns the row of a run: ``result`` flattened, with dots between its keys, and the columns
+    of the run.
 
     ``more`` fills ``wall_s``, ``cpu_s`` and ``started_utc`` where they are known.
     """
-    timing = result.get("timing")
-    wall_s = timing.get("wall_s") if isinstance(timing, dict) else None
     row: dict[str, Any] = dict.fromkeys(SCHEMA)
-    row |= {key: value for key, value in flatten(result) if value is not None}
+    row |= {key: value for key, value in flatten(result.plain()) if value is not None}
+    wall_s = None if result.timing is None else result.timing.wall_s
     row |= {"run_id": run_id, "mode": mode, "config_sha": sha, "wall_s": wall_s}
-    return row | more
+    return row | more | judged_columns(row)
+
+
+def judged_columns(row: Mapping[str, Any]) -> dict[str, bool | None]:
+    """The columns ``success`` and ``ground_safe`` of a row."""
+    safe = ground_safe(
+        row.get("landing.judged_on"),
+        safe=row.get("landing.safe"),
+        safe_geometry=row.get("landing.safe_geometry"),
+    )
+    return {"success": is_success(row["outcome"], safe), "ground_safe": safe}
+
+
+def is_successful(row: Mapping[str, Any]) -> bool:
+    """`RunResult.is_success` of a row."""
+    return judged_columns(row)["success"] is True
+
+
+def touched_safe_ground(row: Mapping[str, Any]) -> bool | None:
+    """`Landing.ground_safe` of a row; None without a touchdown."""
+    return judged_columns(row)["ground_safe"]
 
 
 def crashed_row(record: Mapping[str, Any]) -> dict[str, Any]:
-    """The row of a file of ``failed/``: what it is called, and the error as the reason."""
+    """Returns the row of a file of ``failed/``, with the error as the reason."""
     known = {key: record[key] for key in SCHEMA if key in record}
-    return dict.fromkeys(SCHEMA) | known | {"outcome": CRASHED, "reason": record["error"]}
+    outcome = {"outcome": CRASHED, "reason": record["error"], "success": False}
+    return dict.fromkeys(SCHEMA) | known | outcome
 
 
 # ----------------------------------------------------------------------------------------- tables
 
 
 def table_of(rows: Sequence[Mapping[str, Any]]) -> Any:
-    """``pyarrow.Table`` of rows: the columns of ``SCHEMA``, then all others by name.
+    """Returns a ``pyarrow.Table``: the columns of ``SCHEMA``, then all others by name.
 
     Whole numbers become floats except in ``seed``, lists that are no numbers and mixed columns
     JSON text; a column without any value outside the schema is left out.
@@ -157,13 +158,13 @@ def _cast(value: Any, kind: str) -> Any:
 
 
 def write_table(rows: Sequence[Mapping[str, Any]], path: Path, stamp: str = "") -> None:
-    """Writes Parquet beside ``path`` and moves it there at once."""
+    """Writes a Parquet file, atomically."""
     import pyarrow.parquet as pq
 
     table = table_of(rows).replace_schema_metadata({"touchdown.stamp": stamp})
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        # A row alone would be mostly dictionaries and statistics of one value.
+        # Dictionaries and statistics of a single row are larger than the row.
         pq.write_table(table, partial, use_dictionary=len(rows) > 1, write_statistics=False)
         os.replace(partial, path)
     finally:
@@ -185,10 +186,11 @@ def is_campaign(directory: Path) -> bool:
 
 
 def load_rows(directory: Path) -> list[dict[str, Any]]:
-    """One dictionary a run, keys as in ``SCHEMA`` and more, in the order of scene, estimator, seed.
+    """Returns one dictionary per run, sorted by scene, estimator and seed; keys as in ``SCHEMA``
+    and more.
 
-    ``directory`` is a campaign's (finished, still flying or stopped: crashed runs are rows too), or
-    holds run directories at any depth. Raises UsageError when there is no run.
+    ``directory`` is that of a campaign in any state (crashed runs are rows too), or holds run
+    directories at any depth. Raises UsageError without a run.
     """
     rows = refresh(directory) if is_campaign(directory) else _plain_rows(directory)
     if not rows:
@@ -198,7 +200,8 @@ def load_rows(directory: Path) -> list[dict[str, Any]]:
 
 
 def connect(directory: Path) -> Any:
-    """A DuckDB connection, in memory, with the view ``runs``. Raises UsageError as load_rows."""
+    """Returns an in-memory DuckDB connection with the view ``runs``. Raises UsageError as
+    load_rows."""
     import duckdb
 
     connection = duckdb.connect(":memory:")
@@ -208,7 +211,8 @@ def connect(directory: Path) -> Any:
 
 
 def run_sql(directory: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """Titles and rows that ``sql`` gives over the view ``runs``. Raises UsageError for bad SQL."""
+    """Returns column titles and rows of ``sql`` over the view ``runs``. Raises UsageError for bad
+    SQL."""
     import duckdb
 
     connection = connect(directory)
@@ -221,7 +225,7 @@ def run_sql(directory: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]
 
 
 def refresh(directory: Path) -> list[dict[str, Any]]:
-    """All rows of a campaign; ``results.parquet`` is rewritten when it is not up to date."""
+    """Returns all rows of a campaign; rewrites ``results.parquet`` where it is out of date."""
     results = directory / RESULTS_FILE
     stamp = _stamp(directory)
     rows = _rows_at(results, stamp)
@@ -235,7 +239,7 @@ def refresh(directory: Path) -> list[dict[str, Any]]:
 
 
 def finished_ids(directory: Path) -> set[str]:
-    """Names of the runs that are whole."""
+    """Names of the complete runs."""
     runs = directory / RUNS
     if not runs.is_dir():
         return set()
@@ -243,8 +247,8 @@ def finished_ids(directory: Path) -> set[str]:
 
 
 def is_whole(run: Path) -> bool:
-    """Whether a run directory of a campaign can be read. It appears whole or not at all, but the
-    machine may have failed before its files were on the disk."""
+    """True if a run directory of a campaign is complete. It appears at once, but a power failure
+    may have cut its files short."""
     return _ends_in(run / ROW_FILE, b"PAR1") and _ends_in(run / "result.json", b"}")
 
 
@@ -263,13 +267,13 @@ def _order(row: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def _stamp(directory: Path) -> str:
-    """Changes whenever a run is added or taken away."""
+    """A text that changes whenever a run is added or removed."""
     folders = [directory / name for name in (RUNS, FAILED)]
     return " ".join(str(f.stat().st_mtime_ns) if f.is_dir() else "-" for f in folders)
 
 
 def _rows_at(results: Path, stamp: str) -> list[dict[str, Any]] | None:
-    """The rows of a file that was written at ``stamp``, None where it is older or broken."""
+    """The rows of a file written at ``stamp``; None where it is older or damaged."""
     import pyarrow.lib
     import pyarrow.parquet as pq
 
@@ -289,6 +293,7 @@ def _finished_rows(directory: Path) -> Iterable[dict[str, Any]]:
             rows = _read_table(run / ROW_FILE)
             for row in rows:
                 _check_names(row)
+                row |= judged_columns(row)  # absent in rows of earlier versions
         except (OSError, ValueError) as error:  # of pyarrow, too
             raise UsageError(
                 f"'{run / ROW_FILE}' is damaged; remove the directory '{run}' and give the "
@@ -298,7 +303,7 @@ def _finished_rows(directory: Path) -> Iterable[dict[str, Any]]:
 
 
 def _check_names(row: Mapping[str, Any]) -> None:
-    """Raises ValueError unless a row says which run it is of."""
+    """Raises ValueError unless a row identifies its run."""
     for key in ("run_id", "scene", "estimator", "seed", "outcome"):
         kind = int if key == "seed" else str
         if not isinstance(row.get(key), kind):
@@ -320,22 +325,22 @@ def _crashed_rows(directory: Path) -> Iterable[dict[str, Any]]:
 
 
 def _plain_rows(directory: Path) -> list[dict[str, Any]]:
-    """Rows of runs that were flown one by one."""
+    """Rows of runs outside of a campaign."""
     if not directory.is_dir():
         raise UsageError(f"'{directory}' is no directory of runs")
     rows = []
     for path in sorted(directory.rglob("result.json")):
-        result, name = load_run(path), path.parent.relative_to(directory).as_posix()
+        result, name = load_result(path), path.parent.relative_to(directory).as_posix()
         mode, sha = _mode_and_sha(path.with_name("config.json"), result)
         rows.append(make_row(result, name if name != "." else directory.name, mode, sha))
     return rows
 
 
-def _mode_and_sha(file: Path, result: Mapping[str, Any]) -> tuple[str, str | None]:
-    """Of a run that names neither: from its configuration, unless that is one of another version
-    or missing."""
+def _mode_and_sha(file: Path, result: RunResult) -> tuple[str, str | None]:
+    """Mode and configuration hash of a single run, from its configuration file; where that is
+    missing or of another version, the mode follows from the outcome."""
     try:
         config = load_config(file)
     except UsageError:
-        return ("fly" if result["outcome"] == "COMPLETED" else "land"), None
+        return ("fly" if result.outcome == "COMPLETED" else "land"), None
     return ("fly" if config.landing.survey_only else "land"), config_sha(config)

@@ -35,7 +35,7 @@ from touchdown.experiments.campaign.results_table import (
 )
 from touchdown.experiments.campaign.worker import PARTIAL, REAL_RUNNER, Task, wants_recording
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.results import load_run
+from touchdown.experiments.io.results import load_result
 from touchdown.experiments.io.run_directory import utc_now
 
 _SECONDS_PER_SCAN = 0.1
@@ -70,14 +70,14 @@ def fly_campaign(
     n) flies the i-th of n parts, i from 1. Raises UsageError for a directory that is in use, that
     belongs to another campaign, or whose disk is full; for an external estimator that is not to be
     had, or whose code is not that of the finished runs."""
-    from touchdown.experiments.flight.wiring import find_estimator
+    from touchdown.experiments.flight.wiring import check_estimator_available
     from touchdown.experiments.io.provenance import git_revision
 
     watcher = watcher or Watcher()
     real = runner == REAL_RUNNER
     if real:
         for name in {str(run.values["estimator"]): None for run in plan.runs}:
-            find_estimator(name)
+            check_estimator_available(name)
     with locked(directory, shard):
         if real:
             check_external_code(plan, directory)
@@ -132,7 +132,7 @@ def _lacks_recording(task: Task) -> bool:
     if not task.record_failures:
         return False
     run_dir = Path(task.directory) / RUNS / task.run_id
-    return wants_recording(task, run_dir, load_run(run_dir / "result.json"))
+    return wants_recording(task, run_dir, load_result(run_dir / "result.json"))
 
 
 def _sweep(directory: Path, todo: Sequence[Task], *, whole: bool) -> None:

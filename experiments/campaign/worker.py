@@ -1,7 +1,7 @@
-"""One run of a campaign, in a process of its own: flies it and puts its directory into place.
+"""Worker process of a campaign: flies runs and moves their directories into place.
 
-A worker reads tasks from stdin and answers on stdout, one JSON object a line each. It is started by
-`experiments.campaign.executor.Supervisor` on the machine where it flies, and dies with it.
+A worker reads tasks from stdin and answers on stdout, one JSON object per line. It is started by
+`touchdown.experiments.campaign.executor.Supervisor` on the same machine, and ends with it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.api import is_good
 from touchdown.experiments.campaign.plan import config_for, config_sha
 from touchdown.experiments.campaign.results_table import (
     FAILED,
@@ -35,7 +34,8 @@ from touchdown.experiments.campaign.results_table import (
 )
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.flight.run import guarded_fly
+from touchdown.experiments.flight.run import fly_with_usage_errors
+from touchdown.experiments.io.results import RunResult, load_result
 
 PARTIAL = ".partial"
 """Folder of a campaign's directory in which runs are flown; those of dead processes are swept."""
@@ -44,14 +44,14 @@ RECORDING = "flight.rrd"
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 _PR_SET_PDEATHSIG = 1
 
-REAL_RUNNER = "touchdown.experiments.campaign.worker:fly"
+REAL_RUNNER = "touchdown.experiments.campaign.worker:run_task"
 
 Tell = Callable[[dict[str, Any]], None]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Task:
-    """A run to be flown, as text that any worker understands."""
+    """A run to be flown; serialised as JSON for workers."""
 
     run_id: str
     values: Mapping[str, Any]
@@ -59,7 +59,7 @@ class Task:
     directory: str
     """absolute, of the campaign"""
     record_failures: bool = False
-    """fly a run with a bad outcome once more, for its recording"""
+    """fly an unsuccessful run once more, for its recording"""
     runner: str = REAL_RUNNER
     """MODULE:FUNCTION that takes a configuration and an output directory, fills it and returns the
     result"""
@@ -77,24 +77,23 @@ def execute(task: Task, tell: Tell) -> None:
     run_dir = Path(task.directory) / RUNS / task.run_id
     config = config_for(task.values, f"run {task.run_id}")
     if is_whole(run_dir):
-        result = json.loads((run_dir / "result.json").read_text(encoding="utf-8"))
+        result = load_result(run_dir / "result.json")
     else:
         result = _fly_into_place(task, config, run_dir)
     (Path(task.directory) / FAILED / f"{task.run_id}.json").unlink(missing_ok=True)
-    tell({"event": "finished", "outcome": result["outcome"], "good": is_good(result)})
+    tell({"event": "finished", "outcome": result.outcome, "success": result.is_success})
     if wants_recording(task, run_dir, result):
         _add_recording(task, config, run_dir)
 
 
-def wants_recording(task: Task, run_dir: Path, result: Mapping[str, Any]) -> bool:
-    """Whether a finished run is to be flown again for its recording."""
+def wants_recording(task: Task, run_dir: Path, result: RunResult) -> bool:
+    """True if a finished run is to be flown again for its recording."""
     missing = not (run_dir / RECORDING).exists()
-    return task.record_failures and missing and not is_good(dict(result))
+    return task.record_failures and missing and not result.is_success
 
 
-def _fly_into_place(task: Task, config: Config, run_dir: Path) -> dict[str, Any]:
-    """The row is written into the directory before it is moved, so that neither is without the
-    other."""
+def _fly_into_place(task: Task, config: Config, run_dir: Path) -> RunResult:
+    """Flies and moves the run directory, with its row in it, into place."""
     started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     wall, cpu = time.perf_counter(), time.process_time()
     staging = _staging(task)
@@ -151,29 +150,27 @@ def _staging(task: Task) -> Path:
     return path
 
 
-def _runner(task: Task) -> Callable[[Config, Path], dict[str, Any]]:
+def _runner(task: Task) -> Callable[[Config, Path], RunResult]:
     module, _, function = task.runner.partition(":")
-    runner: Callable[[Config, Path], dict[str, Any]] = getattr(
-        importlib.import_module(module), function
-    )
+    runner: Callable[[Config, Path], RunResult] = getattr(importlib.import_module(module), function)
     return runner
 
 
-def fly(config: Config, out: Path) -> dict[str, Any]:
-    """The runner of every real campaign."""
-    return guarded_fly(config, out, lambda _time_s, _phase, _note: None)
+def run_task(config: Config, out: Path) -> RunResult:
+    """The runner of real campaigns: flies without progress reports."""
+    return fly_with_usage_errors(config, out, lambda _time_s, _phase, _note: None)
 
 
 # ----------------------------------------------------------------------------------------- worker
 
 
 def serve() -> None:
-    """The life of a worker: flies what it is told until stdin ends."""
+    """Main loop of a worker: flies the tasks from stdin until it ends."""
     die_with_parent(int(os.environ.get("TOUCHDOWN_SUPERVISOR", os.getppid())))
     faulthandler.enable()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the supervisor decides
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what libraries print does not get among the answers
+    os.dup2(2, 1)  # keeps the output of libraries out of the answers
 
     def tell(message: dict[str, Any]) -> None:
         answers.write(json.dumps(message) + "\n")
@@ -185,12 +182,12 @@ def serve() -> None:
         try:
             execute(Task(**json.loads(line)), tell)
         except Exception as error:
-            tell(_told(error))
+            tell(_error_message(error))
         else:
             tell({"event": "idle"})
 
 
-def _told(error: Exception) -> dict[str, Any]:
+def _error_message(error: Exception) -> dict[str, Any]:
     kind = "error"
     cause = error.__cause__ or error
     if isinstance(cause, OSError) and cause.errno in _NO_SPACE:
@@ -207,7 +204,7 @@ def _told(error: Exception) -> dict[str, Any]:
 
 
 def _forget_random_state() -> None:
-    """A run must not depend on the runs before it: OpenCV's generator starts afresh."""
+    """Resets the random generator of OpenCV: a run must not depend on the runs before it."""
     if "cv2" in sys.modules:
         sys.modules["cv2"].setRNGSeed(0)
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.api import is_good
 from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, CommandGroup
 from touchdown.experiments.cli.console import print_overhead, print_stages
 from touchdown.experiments.errors import usage_errors
@@ -63,7 +62,7 @@ def bench_loop(
         print_stages(result["result"])
         if ratio:
             print_overhead(figures["ratio"]["bare"], figures["overhead"])
-    return EXIT_DONE if is_good(result["result"]) else EXIT_FAILED
+    return EXIT_DONE if result["result"].is_success else EXIT_FAILED
 
 
 @bench.command("scaling")
@@ -278,9 +277,9 @@ def bench_endurance(
 def _usage_errors_until_airborne(
     measure: Callable[..., dict[str, Any]], config: Any, quiet: bool
 ) -> dict[str, Any]:
-    from touchdown.experiments.flight.run import guarded_fly
+    from touchdown.experiments.flight.run import fly_with_usage_errors
 
     progress = make_progress(quiet)
-    measured = measure(config, lambda cfg, out: guarded_fly(cfg, out, progress))
+    measured = measure(config, lambda cfg, out: fly_with_usage_errors(cfg, out, progress))
     end_progress(quiet)
     return measured

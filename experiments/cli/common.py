@@ -1,4 +1,4 @@
-"""What the commands of the command line share."""
+"""Exit codes and the command group that all commands share."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ EXIT_DONE, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
 
 
 class CommandGroup(click.Group):
-    """Names the nearest command for an unknown one."""
+    """Command group whose error for an unknown command names the nearest one."""
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -1,4 +1,4 @@
-"""What people read on a terminal: progress, tables, one-line errors."""
+"""Tables of commands on the terminal."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from touchdown.experiments.io.results import lookup
 from touchdown.experiments.terminal import make_console
+
+if TYPE_CHECKING:
+    from touchdown.experiments.io.results import RunResult
 
 _ROWS = (
     ("outcome", "outcome", "{}"),
@@ -24,8 +26,8 @@ _ROWS = (
     ("vertical speed", "landing.vertical_speed_mps", "{:.3f} m/s"),
     ("horizontal speed", "landing.horizontal_speed_mps", "{:.3f} m/s"),
     ("tilt at touchdown", "landing.tilt_deg", "{:.2f} deg"),
-    ("kind of ground", "landing.class_true", "{}"),
-    ("taken for", "landing.class_predicted", "{}"),
+    ("ground class", "landing.class_true", "{}"),
+    ("predicted class", "landing.class_predicted", "{}"),
     ("safe geometry", "landing.safe_geometry", "{}"),
     ("map levelness error", "map.levelness_error_deg.mean", "{:.2f} deg"),
     ("simulated time", "timing.sim_s", "{:.1f} s"),
@@ -35,29 +37,30 @@ _LAST_EVENTS = 5
 _STAGE_ORDER = ("world", "estimator", "mapper", "lander", "controller", "recorder", "referee")
 
 
-def print_result(result: Mapping[str, Any], out_dir: Path | None, good: bool) -> None:
-    """The table of a flight, and where its recording is."""
+def print_result(result: RunResult, out_dir: Path | None) -> None:
+    """Prints the table of a flight and the paths of its files."""
     from rich.table import Table
 
     console = make_console()
-    title = "{scene}, {estimator}, seed {seed}, wind {wind_kmh:g} km/h".format(**result)
+    title = f"{result.scene}, {result.estimator}, seed {result.seed}"
+    title += "" if result.wind_kmh is None else f", wind {result.wind_kmh:g} km/h"
     table = Table(title=title, show_header=False, title_justify="left", min_width=52)
     table.add_column(style="dim")
     table.add_column(justify="right")
     for label, path, form in _ROWS:
-        value = lookup(result, path)
+        value = result.value(path)
         if value is None or value == "":
             continue
         if isinstance(value, bool):
             value = "yes" if value else "no"
         text = form.format(value)
         if path == "outcome":
-            text = f"[bold {'green' if good else 'red'}]{text}[/]"
+            text = f"[bold {'green' if result.is_success else 'red'}]{text}[/]"
         table.add_row(label, text)
     if remark := _remark(result):
         table.add_row("remark", remark)
     console.print(table)
-    for line in _last_words(result):
+    for line in _last_events(result):
         console.print(line, soft_wrap=True, markup=False)
     if out_dir is not None:
         console.print(f"run directory: {out_dir}", soft_wrap=True)
@@ -67,37 +70,35 @@ def print_result(result: Mapping[str, Any], out_dir: Path | None, good: bool) ->
             console.print(f"look at it:    {program} view {out_dir}", soft_wrap=True)
 
 
-def _remark(result: Mapping[str, Any]) -> str:
-    """On a touchdown that counts by geometry alone, where the kind of ground is a risky one."""
+def _remark(result: RunResult) -> str:
+    """Remark on a touchdown on risky ground that is judged by geometry alone; "" elsewhere."""
     from touchdown.scenes.api import RISKY_CLASSES
 
-    kind = lookup(result, "landing.class_true")
-    if kind not in RISKY_CLASSES or result.get("classifier") != "off":
+    kind = None if result.landing is None else result.landing.class_true
+    if kind not in RISKY_CLASSES or result.classifier != "off":
         return ""
     return f"a {kind} is risky ground; ground classification was off"
 
 
-def _last_words(result: Mapping[str, Any]) -> list[str]:
-    """Of a flight whose estimate was lost: what its estimator had to tell last."""
-    events = result.get("events") or []
-    if result["outcome"] != "DIVERGED" or not events:
+def _last_events(result: RunResult) -> list[str]:
+    """The last messages of the estimator of a flight that diverged."""
+    events = result.events
+    if result.outcome != "DIVERGED" or not events:
         return []
-    count, kept = result.get("event_count", len(events)), len(events)
+    count, kept = result.event_count or len(events), len(events)
     which = "the last" if count <= kept else f"the last of the first {kept}"
-    lines = [f"{event['time_s']:6.1f} s  {event['text']}" for event in events[-_LAST_EVENTS:]]
-    return [f"{which} of {count} events that {result['estimator']} told:", *lines]
+    lines = [f"{event.time_s:6.1f} s  {event.text}" for event in events[-_LAST_EVENTS:]]
+    return [f"{which} of {count} messages of {result.estimator}:", *lines]
 
 
-def print_stages(result: Mapping[str, Any]) -> None:
-    """Real-time factor and where the time of a flight went."""
+def print_stages(result: RunResult) -> None:
+    """Prints the real-time factor and the wall time of each stage."""
     from rich.table import Table
 
-    timing = result["timing"]
+    timing = result.plain()["timing"]
     stages: dict[str, float] = dict(timing["stage_ms"])
     total = 100.0 / timing["real_time_factor"]
-    table = Table(
-        title=f"{result['scene']}, {result['estimator']}, per 0.1 s of flight", min_width=46
-    )
+    table = Table(title=f"{result.scene}, {result.estimator}, per 0.1 s of flight", min_width=46)
     table.add_column("stage")
     table.add_column("ms", justify="right")
     table.add_column("share", justify="right")

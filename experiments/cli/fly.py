@@ -10,7 +10,6 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.api import is_good
 from touchdown.experiments.cli.common import (
     EXIT_DONE,
     EXIT_FAILED,
@@ -46,12 +45,12 @@ _FLIGHT_OPTIONS = (
         metavar="NAME",
         help="livo, paper, gps, optical_flow, hybrid_flow, stereo, oracle, or MODULE:FUNCTION.",
     ),
-    click.option("--seed", type=int, help="Varies the place, the wind and all noise.  [0]"),
+    click.option("--seed", type=int, help="Varies the scene, the wind and all noise.  [0]"),
     click.option("--wind-kmh", type=float, help="Mean wind speed at 6 m.  [12]"),
     click.option(
         "--calibration",
         metavar="FILE",
-        help="Of `touchdown calibrate`: what the estimator is told of camera and LIDAR.",
+        help="File of `touchdown calibrate`: the calibration given to the estimator.",
     ),
     click.option(
         "--config",
@@ -83,7 +82,7 @@ _FLIGHT_OPTIONS = (
         "--log-sensors",
         is_flag=True,
         default=None,
-        help="Write sensors.mcap, all that sensors said, for --replay and other tools.",
+        help="Write sensors.mcap, every message of the sensors, for --replay and other tools.",
     ),
     click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object."),
     click.option("--quiet", is_flag=True, help="No progress on stderr."),
@@ -91,7 +90,7 @@ _FLIGHT_OPTIONS = (
 
 
 _CONFIG_OPTIONS = ("scene", "estimator", "seed", "wind_kmh", "record", "calibration", "log_sensors")
-"""Those of them that `experiments.config.loading.load_config` takes."""
+"""The options that `experiments.config.loading.load_config` takes."""
 
 
 def _flight_options(command: _Command) -> _Command:
@@ -103,11 +102,11 @@ def _flight_options(command: _Command) -> _Command:
 @click.command()
 @click.argument("scene")
 @_flight_options
-@click.option("--site", type=SiteType(), help="Land here (metres, world frame), do not choose.")
+@click.option("--site", type=SiteType(), help="Land here (metres, world frame).")
 @click.option(
     "--emergency",
     type=click.Choice(["battery"]),
-    help="Down within landing.emergency_s of the survey's end, on the least bad site in reach.",
+    help="Land within landing.emergency_s of the survey's end, on the safest site in reach.",
 )
 def land(site: tuple[float, float] | None, emergency: str | None, **options: Any) -> int:
     """Take off, survey, map, choose a landing site and land on it.
@@ -128,14 +127,14 @@ def land(site: tuple[float, float] | None, emergency: str | None, **options: Any
     "replayed",
     metavar="RUN",
     type=click.Path(path_type=Path),
-    help="A run directory with sensors.mcap: those sensors instead of a flight.",
+    help="Run directory with sensors.mcap: its sensors replace the simulation.",
 )
 @click.pass_context
 def fly(context: click.Context, replayed: Path | None, **options: Any) -> int:
     """Fly the survey alone and report the positioning error.
 
-    With --replay, logged sensors go through an estimator without the simulator; RUN tells the
-    scene, and the result lands in runs/SCENE-ESTIMATOR-SEED-replay unless --out says otherwise.
+    With --replay, logged sensors go through an estimator without the simulator. The scene is that
+    of RUN; the result is written to runs/SCENE-ESTIMATOR-SEED-replay, or to --out.
 
     Example: touchdown fly crossroad --estimator oracle --set survey.height_m=20
     """
@@ -148,7 +147,7 @@ def fly(context: click.Context, replayed: Path | None, **options: Any) -> int:
 
 def _run_flight(options: dict[str, Any], **more: Any) -> int:
     from touchdown.experiments.config.loading import load_config
-    from touchdown.experiments.flight.run import guarded_fly
+    from touchdown.experiments.flight.run import fly_with_usage_errors
     from touchdown.experiments.io.run_directory import check_log_kept
 
     quiet, out = options["quiet"], options["out"]
@@ -163,11 +162,10 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
         stem = Path(config.scene).stem
         out = Path("runs") / f"{stem}-{config.estimator.replace(':', '.')}-{config.seed}"
     check_log_kept(out, logs=config.log.sensors, force=options["force"])
-    result = guarded_fly(config, out, make_progress(quiet))
+    result = fly_with_usage_errors(config, out, make_progress(quiet))
     end_progress(quiet)
-    good = is_good(result)
     if options["as_json"]:
-        click.echo(json.dumps({**result, "run_dir": str(out)}, indent=2))
+        click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))
     else:
-        print_result(result, out, good)
-    return EXIT_DONE if good else EXIT_FAILED
+        print_result(result, out)
+    return EXIT_DONE if result.is_success else EXIT_FAILED

@@ -26,7 +26,7 @@ from touchdown.experiments.cli.control import control
 from touchdown.experiments.cli.edges import edges
 from touchdown.experiments.cli.export import export
 from touchdown.experiments.cli.fly import fly, land
-from touchdown.experiments.cli.replay import check_estimator
+from touchdown.experiments.cli.replay import check_estimator_command
 from touchdown.experiments.cli.report import regress, report
 from touchdown.experiments.cli.reproduce import reproduce
 from touchdown.experiments.cli.scenes import scenes
@@ -58,7 +58,7 @@ cli.add_command(reproduce)
 cli.add_command(scenes)
 cli.add_command(bench)
 bench.add_command(bench_estimator)
-cli.add_command(check_estimator)
+cli.add_command(check_estimator_command)
 cli.add_command(calibrate)
 cli.add_command(campaign)
 cli.add_command(query)
@@ -75,16 +75,15 @@ for _command in (dataset, train, evaluate, quantize, classify):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command and returns its exit code; bad input is one line on stderr."""
     os.environ.setdefault("MUJOCO_GL", rendering_backend())
-    # What it could not write of a recording is told by `experiments.recording.rerun_recorder`, in
-    # one line.
+    # `experiments.recording.rerun_recorder` reports in one line what could not be written.
     os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=off")
     warnings.formatwarning = _one_line_warning
-    # Of numba, about a library that it does without; nothing here has several threads.
+    # A warning of numba about an optional library; nothing here has several threads.
     warnings.filterwarnings("ignore", message=".*TBB threading layer")
     signal.signal(signal.SIGTERM, _interrupt)
     for word in sys.argv[1:] if arguments is None else arguments:
         if not word.isascii() and any("\ud800" <= letter <= "\udfff" for letter in word):
-            return _fail(f"'{word}' is no text in UTF-8; rename the file, or mend the word")
+            return _fail(f"'{word}' is not UTF-8 text; rename the file, or correct the argument")
     try:
         code = cli.main(
             args=None if arguments is None else list(arguments),
@@ -92,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             standalone_mode=False,
         )
         if sys.stdout is not None:
-            sys.stdout.flush()  # what fails here is told below, and not at the interpreter's end
+            sys.stdout.flush()  # errors here are reported below, not at the interpreter's end
     except click.exceptions.NoArgsIsHelpError as error:
         return _fail(_missing_command(error))
     except click.ClickException as error:
@@ -102,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("touchdown: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     except SystemExit:
-        # So click ends where the reader of a pipe has left, which is no failure of ours.
+        # click raises this when the reader of a pipe has gone, which is no failure.
         if not type(sys.stdout).__name__.endswith("PacifyFlushWrapper"):
             raise
         return EXIT_DONE
@@ -133,7 +132,7 @@ def _interrupt(_signal: int, _frame: Any) -> None:
 
 
 def _let_go_of_stdout() -> None:
-    """What could not be written is dropped, lest the interpreter try it again at its end."""
+    """Drops output that could not be written, so that the interpreter does not retry at its end."""
     try:
         sys.stdout.flush()
     except OSError:
@@ -156,7 +155,7 @@ def _missing_command(error: click.exceptions.NoArgsIsHelpError) -> str:
 
 
 def _click_message(error: click.ClickException) -> str:
-    """Click's message in the style of ours, with the way to the help of the command."""
+    """Click's message in one line, with the command that prints the help."""
     message = error.format_message().rstrip(".")
     message = message[:1].lower() + message[1:]
     context = getattr(error, "ctx", None)

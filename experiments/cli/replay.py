@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.api import is_good
 from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED
 from touchdown.experiments.errors import usage_errors
 
@@ -22,11 +21,11 @@ _FLOWN = {
     "fault": "--fault",
     "log_sensors": "--log-sensors",
 }
-"""Options that decide a flight and mean nothing once it is over."""
+"""Options of the flight itself, without meaning in a replay."""
 
 
 def run_replay(run: Path, options: dict[str, Any]) -> int:
-    """Logged sensors of ``run`` through an estimator; ``options`` are those of ``fly``."""
+    """Replays the sensors of ``run``; ``options`` are those of ``fly``. Returns the exit code."""
     from touchdown.experiments.cli.console import print_result
     from touchdown.experiments.errors import UsageError
     from touchdown.experiments.flight.replay import replay, replay_config
@@ -45,17 +44,16 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
         stem = Path(config.scene).stem
         name = config.estimator.replace(":", ".")
         out = Path("runs") / f"{stem}-{name}-{config.seed}-replay"
-    if out.resolve() != run.resolve():  # which is told as such
+    if out.resolve() != run.resolve():  # `replay` reports that with its own message
         check_log_kept(out, logs=False, force=options["force"])
     result = replay(run, config, out, make_progress(quiet))
     end_progress(quiet)
-    good = is_good(result)
     if options["as_json"]:
-        click.echo(json.dumps({**result, "run_dir": str(out)}, indent=2))
+        click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))
     else:
-        print_result(result, out, good)
-        click.echo(f"replayed open loop, judged {result['judged_hz']:g} times a second")
-    return EXIT_DONE if good else EXIT_FAILED
+        print_result(result, out)
+        click.echo(f"replayed open loop, judged at {result.judged_hz:g} Hz")
+    return EXIT_DONE if result.is_success else EXIT_FAILED
 
 
 @click.command("check-estimator")
@@ -65,18 +63,18 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
     "run",
     metavar="RUN",
     type=click.Path(path_type=Path),
-    help="Messages of a run with sensors.mcap instead of made-up ones.",
+    help="Observations of a run with sensors.mcap instead of synthetic ones.",
 )
 @click.option("--seconds", type=float, default=3.0, show_default=True, help="Of messages.")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="May be repeated.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def check_estimator(
+def check_estimator_command(
     name: str, run: Path | None, seconds: float, overrides: tuple[str, ...], as_json: bool
 ) -> int:
-    """Check that an estimator keeps the contract of a flight, without flying.
+    """Check that an estimator conforms to the interface of a flight, without flying.
 
-    NAME is MODULE:FUNCTION of your own, or one of ours. Exit code 0: nothing is wrong; 1: a rule is
-    broken, each with its reason.
+    NAME is MODULE:FUNCTION or a built-in estimator. Exit code 0: it conforms; 1: rules are broken,
+    each printed with its reason.
 
     Example: touchdown check-estimator my_lab.vio:build
     """
@@ -95,13 +93,15 @@ def check_estimator(
             if violation.trace:
                 click.echo(textwrap.indent(violation.trace.rstrip(), "    "))
         broken = len(violations)
-        click.echo(f"{name}: {broken} of {len(RULES)} rules broken" if broken else f"{name}: good")
+        click.echo(
+            f"{name}: {broken} of {len(RULES)} rules broken" if broken else f"{name}: conforms"
+        )
     return EXIT_FAILED if violations else EXIT_DONE
 
 
 def _checked(name: str, run: Path | None, seconds: float, overrides: tuple[str, ...]) -> list[Any]:
     from touchdown.experiments.config.loading import load_config
-    from touchdown.experiments.external import conformance as contract
+    from touchdown.experiments.external.conformance import check_estimator
     from touchdown.experiments.external.wrapper import ExternalEstimatorError
     from touchdown.experiments.flight.platform import limit_threads
     from touchdown.experiments.flight.replay import check_needs, open_run, replay_config, seen_by
@@ -111,7 +111,7 @@ def _checked(name: str, run: Path | None, seconds: float, overrides: tuple[str, 
     if run is None:
         config = load_config(None, overrides, estimator=name)
         build = usage_errors(lambda: _build_function(config))
-        return contract.check_estimator(build, params=config.external, seconds=seconds)
+        return check_estimator(build, params=config.external, seconds=seconds)
     logged = open_run(run)
     config = replay_config(run, name, overrides)
     build = usage_errors(lambda: _build_function(config))
@@ -119,24 +119,22 @@ def _checked(name: str, run: Path | None, seconds: float, overrides: tuple[str, 
     try:
         needs = build_estimator(config, rig).needs
     except ExternalEstimatorError:
-        # It does not get as far as messages; the contract says why.
-        return contract.check_estimator(build, rig=rig, params=config.external, seconds=seconds)
+        # It fails before the first observation; the conformance check states the reason.
+        return check_estimator(build, rig=rig, params=config.external, seconds=seconds)
     check_needs(name, needs, logged.sensors)
     for obs in seen_by(needs, logged.sensors):
         observations.append(obs)
         if obs.time_s >= seconds:
             break
-    return contract.check_estimator(
-        build, rig=rig, params=config.external, observations=observations
-    )
+    return check_estimator(build, rig=rig, params=config.external, observations=observations)
 
 
 def _build_function(config: Any) -> Any:
     """``build(params, rig)`` of the configured estimator. Raises UsageError where there is none."""
     from touchdown.experiments.external.loading import external_builder, is_external
-    from touchdown.experiments.flight.wiring import build_estimator, check_estimator
+    from touchdown.experiments.flight.wiring import build_estimator, check_estimator_name
 
-    check_estimator(config.estimator)
+    check_estimator_name(config.estimator)
     if is_external(config.estimator):
         return external_builder(config.estimator)
     return lambda _params, rig: build_estimator(config, rig)

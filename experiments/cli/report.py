@@ -36,20 +36,21 @@ def report(directory: Path, out: Path | None, as_json: bool) -> int:
 
 
 def _print_table(directory: Path, as_json: bool) -> int:
+    from touchdown.experiments.io.results import load_runs
     from touchdown.experiments.reporting.run_table import (
         LANDING_COLUMNS,
-        load_runs,
+        as_rows,
         markdown_table,
         summary,
         summary_line,
     )
 
-    rows = load_runs(directory)
-    totals = summary(rows)
+    runs = load_runs(directory)
+    totals = summary(runs)
     if as_json:
-        click.echo(json.dumps({"summary": totals, "runs": rows}, indent=2))
+        click.echo(json.dumps({"summary": totals, "runs": as_rows(runs)}, indent=2))
     else:
-        click.echo(markdown_table(rows, LANDING_COLUMNS))
+        click.echo(markdown_table(runs, LANDING_COLUMNS))
         click.echo(f"\n{summary_line(totals)}")
     return EXIT_DONE
 

@@ -1,4 +1,4 @@
-"""Commands about the places to land in: ``touchdown scenes ...``."""
+"""The command group `touchdown scenes`."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ VIEW_NAMES = (
     "class",
     "safe",
 )
-"""The keys of `experiments.scene_tools.views.VIEWS`, here so that help is instant."""
+"""Keys of `experiments.scene_tools.views.VIEWS`, repeated so that help is instant."""
 
 
 @click.group(cls=CommandGroup)
 def scenes() -> int:
-    """The places to land in: names, pictures, MJCF.
+    """Scenes: names, images, MJCF, checks, import of elevation models.
 
     Example: touchdown scenes list
     """
@@ -66,8 +66,8 @@ def scenes_list(as_json: bool) -> int:
     type=click.Choice(VIEW_NAMES),
     default="above",
     show_default=True,
-    help="From above or from a corner; what camera, its depth and one second of LIDAR (coloured by "
-    "intensity) show from 30 m above the take-off; the true height, slope, class and safe ground.",
+    help="From above or from a corner; the camera, its depth and one second of LIDAR (coloured by "
+    "intensity) from 30 m above the take-off; the true height, slope, class and safe ground.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
@@ -81,7 +81,7 @@ def scenes_render(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Write a picture of a scene, or all pictures of one or of every scene.
+    """Write an image of a scene, or all images of one or of every scene.
 
     --all writes DIR/SCENE/VIEW.png and DIR/contact_sheet.png; --all-views writes DIR/VIEW.png.
 
@@ -111,21 +111,21 @@ def scenes_render(
 @scenes.command("check")
 @click.argument("names", nargs=-1, metavar="[SCENE]...")
 @click.option("--seeds", type=click.IntRange(1), default=25, show_default=True,
-              help="Of a named scene; a file has none.")  # fmt: skip
+              help="Seeds of a named scene; a file has none.")  # fmt: skip
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE",
-              help="Of a file's survey, such as survey.legs=1. May be repeated.")  # fmt: skip
+              help="Key of a file's survey, such as survey.legs=1. May be repeated.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
 def scenes_check(
     names: tuple[str, ...], seeds: int, overrides: tuple[str, ...], as_json: bool, quiet: bool
 ) -> int:
-    """Build many seeds of scenes (all, unless named): do they differ, do they offer safe ground?
+    """Check that seeds of scenes (all, unless named) build, differ and offer safe ground.
 
-    Exit code 1 when a seed does not build or two seeds of a scene are the same place. A seed that
-    offers no safe site where the survey looks is named.
+    Exit code 1 when a seed does not build or two seeds of a scene are equal. Seeds without a safe
+    site under the survey are named.
 
-    Of an MJCF file: can it be flown? The take-off spot, the ground under the survey, the share of
-    safe ground, geoms without a class. Exit code 1 when it cannot, with the reason.
+    An MJCF file is checked for a flight: take-off spot, ground under the survey, share of safe
+    ground, geoms without a class. Exit code 1 when it cannot be flown, with the reason.
 
     Example: touchdown scenes check crossroad --seeds 5
     """
@@ -173,7 +173,7 @@ def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int
 @click.option(
     "--ortho",
     type=click.Path(path_type=Path),
-    help="Aerial picture of the same extent, or a GeoTIFF.  [relief in colours]",
+    help="Aerial image of the same extent, or a GeoTIFF.  [relief in colours]",
 )
 @click.option("--cell", "cell_m", type=float, metavar="M", help="Node spacing.  [the model's]")
 @click.option("--window", "window_m", type=float, default=200.0, show_default=True, metavar="M",
@@ -212,8 +212,8 @@ def scenes_import_dem(
 
 
 def import_dem(tif: Path, out: Path, **options: Any) -> tuple[Path, list[str]]:
-    """A scene of an elevation model, as `scenes.importers.dem.import_dem`: the MJCF file, and what
-    the user should know of it."""
+    """Makes a scene of an elevation model with `scenes.importers.dem.import_dem`; returns the MJCF
+    file and the warnings."""
     from touchdown.scenes.importers.dem import import_dem as import_model
 
     with warnings.catch_warnings(record=True) as caught:

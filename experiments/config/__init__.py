@@ -1,1 +1,1 @@
-"""The configuration: schema, loading, checks across keys. Imports no simulator."""
+"""Configuration: schema, loading, ranges, checks across keys. Imports no simulator."""

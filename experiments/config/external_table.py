@@ -1,4 +1,4 @@
-"""The table ``external`` of a configuration: whatever somebody's own estimator is built with."""
+"""The table ``external`` of a configuration: parameters of an external estimator, of any keys."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ _DEEPEST = 8
 
 
 def wrong_external_key(values: Mapping[str, Any], estimator: Any) -> tuple[str, str] | None:
-    """The first key of ``values``, by dotted key, that is of the table and cannot be, and why."""
+    """The first dotted key of the table in ``values`` that is wrong, and the reason; None
+    if all are right."""
     ours = {key: value for key, value in values.items() if key.startswith(PREFIX)}
     for key, value in ours.items():
         if isinstance(estimator, str) and ":" not in estimator:
             return key, (
-                "is for an estimator of your own, MODULE:FUNCTION, which "
+                "is for an external estimator, MODULE:FUNCTION, which "
                 f"'{estimator}' is not; leave it out (in a campaign: set it in an [[override]])"
             )
         if isinstance(value, dict):

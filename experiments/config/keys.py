@@ -9,7 +9,7 @@ from touchdown.experiments.config.external_table import PREFIX
 
 
 def is_external_key(key: str) -> bool:
-    """Whether it is of the table that external estimators are built with, where any key may be."""
+    """True for a key of the table ``external``, where any key is allowed."""
     return key.startswith(PREFIX)
 
 

@@ -1,4 +1,4 @@
-"""Builds a configuration from files and options.
+"""Loading of configurations from files and options.
 
 Order of precedence, lowest first: the defaults of the ``*Params`` dataclasses in the ``api.py``
 files, a TOML file (or the ``config.json`` of an earlier run), ``--set a.b=c``, explicit options.
@@ -20,14 +20,14 @@ from typing import Any
 from pydantic import ValidationError
 
 from touchdown.experiments.config.checks import (
-    _check_faults,
-    _check_map,
-    _check_ranges,
-    _check_rates,
-    _check_survey,
+    check_faults,
+    check_map,
+    check_rates,
+    check_survey,
 )
 from touchdown.experiments.config.external_table import wrong_external_key
 from touchdown.experiments.config.keys import flatten, is_external_key
+from touchdown.experiments.config.ranges import rule_of
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, nearest
 
@@ -57,7 +57,8 @@ def load_config(
 
     ``file`` is a TOML file or a ``config.json``; ``overrides`` are ``a.b=c`` strings whose values
     are TOML (bare words count as text); ``options`` are the names in ``OPTION_KEYS``, where None
-    means not given. ``take`` says of each key of the file whether it counts. Raises ``UsageError``.
+    means not given. Keys of the file for which ``take`` is false are left out. Raises
+    ``UsageError``.
     """
     values: dict[str, Any] = {}
     sources: dict[str, str] = {}
@@ -77,8 +78,8 @@ def load_config(
 
 
 def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
-    """The configuration that sets ``values``, by dotted key; ``sources`` says where each comes
-    from. Raises ``UsageError``."""
+    """The configuration with ``values`` by dotted key. ``sources`` holds the source of each value,
+    for error messages. Raises ``UsageError``."""
     for key, value in values.items():
         _check_key(key, sources[key])
         _check_finite(key, value, sources[key])
@@ -86,11 +87,10 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
         key, reason = found
         raise UsageError(f"{key} in {sources.get(key, 'the configuration')} {reason}")
     config = _validate(values, sources)
-    _check_ranges(config, sources)
-    _check_rates(config)
-    _check_map(config)
-    _check_faults(config, sources)
-    _check_survey(config, sources)
+    check_rates(config)
+    check_map(config)
+    check_faults(config, sources)
+    check_survey(config, sources)
     return config
 
 
@@ -106,7 +106,7 @@ def known_keys() -> tuple[str, ...]:
 
 
 def is_key(key: str) -> bool:
-    """Whether a dotted key may be set."""
+    """True if a dotted key can be set."""
     return key in known_keys() or is_external_key(key)
 
 
@@ -196,17 +196,23 @@ def _validate(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
         # floats but neither text for numbers nor numbers for booleans.
         return Config.model_validate_json(json.dumps(tree, default=str), strict=True)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        location = [str(part) for part in first["loc"] if not str(part).isdigit()]
-        key = next(
-            (
-                ".".join(location[:n])
-                for n in range(len(location), 0, -1)
-                if ".".join(location[:n]) in values
-            ),
-            ".".join(location),
-        )
-        message = first["msg"][:1].lower() + first["msg"][1:]
-        given = json.dumps(values.get(key), default=str)
-        where = sources.get(key, "the configuration")
-        raise UsageError(f"{key} = {given} in {where} is wrong: {message}") from None
+        raise UsageError(_message(error, values, sources)) from None
+
+
+_OUT_OF_RANGE = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
+"""Types of pydantic's errors about a number outside the range of its key."""
+
+
+def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping[str, str]) -> str:
+    """One line about the first mistake that pydantic found."""
+    first = error.errors(include_url=False)[0]
+    location = [str(part) for part in first["loc"] if not str(part).isdigit()]
+    prefixes = [".".join(location[:n]) for n in range(len(location), 0, -1)]
+    key = next((prefix for prefix in prefixes if prefix in values), prefixes[0])
+    value = values.get(key)
+    given = f"{value:g}" if isinstance(value, float) else json.dumps(value, default=str)
+    where = sources.get(key, "the configuration")
+    if first["type"] in _OUT_OF_RANGE:
+        return f"{key} = {given} in {where} {rule_of(key)}"
+    message = first["msg"][:1].lower() + first["msg"][1:]
+    return f"{key} = {given} in {where} is wrong: {message}"

@@ -1,4 +1,4 @@
-"""The configuration: its schema is the code, files and options override it.
+"""The schema of the configuration; files and options override its defaults.
 
 Order of precedence, lowest first: the defaults of the ``*Params`` dataclasses in the ``api.py``
 files, a TOML file (or the ``config.json`` of an earlier run), ``--set a.b=c``, explicit options.
@@ -8,8 +8,9 @@ Every mistake is a ``UsageError`` with one line: what is wrong, where, what woul
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
+from annotated_types import Interval
 from pydantic import BaseModel, ConfigDict, Field
 
 from touchdown.controller.api import ControlParams
@@ -28,12 +29,15 @@ from touchdown.sim.api import (
     FORBID_EXTRA,
     BarometerParams,
     CameraParams,
+    Count,
+    CountOrZero,
     FaultParams,
     GpsParams,
     ImuParams,
     LidarParams,
     MagnetometerParams,
     NavParams,
+    Positive,
     RangefinderParams,
     SimParams,
     WindParams,
@@ -42,42 +46,46 @@ from touchdown.sim.api import (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogParams:
-    """What a run directory keeps, and how densely."""
+    """Content and rates of the files of a run directory."""
 
     __pydantic_config__ = FORBID_EXTRA
 
-    trajectory_hz: float = 50.0
+    trajectory_hz: Positive = 50.0
     """rows a second in the .tum files"""
-    camera_hz: float = 2.0
+    camera_hz: Positive = 2.0
     """most images a second in the recording"""
-    jpeg_quality: int = 70
-    scan_hz: float = 5.0
+    jpeg_quality: Annotated[int, Interval(ge=1, le=100)] = 70
+    """JPEG quality of recorded images"""
+    scan_hz: Positive = 5.0
     """most LIDAR scans a second in the recording"""
-    scan_points: int = 2500
+    scan_points: Count = 2500
     """most points of a recorded scan"""
-    map_period_s: float = 2.5
+    map_period_s: Positive = 2.5
     """between two updates of the recorded map"""
-    texture_pixels: int = 1600
+    texture_pixels: Count = 1600
     """longer side of the ground texture in the recording"""
     sensors: bool = False
-    """write ``sensors.mcap``: every message that reached the estimator, for replay"""
+    """write ``sensors.mcap``: every message delivered to the estimator, for replay"""
 
 
 class Config(BaseModel):
-    """Everything that decides a flight; written as ``config.json`` beside its results."""
+    """Configuration of a flight; written as ``config.json`` beside its results."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     scene: str = "crossroad"
-    seed: int = 0
-    scene_seed: int | None = None
-    """seed of the place alone, for flights over one place in other winds and noises; None: ``seed``
-    decides that too"""
+    """name of a scene, or path of an MJCF file"""
+    seed: CountOrZero = 0
+    """seed of the scene, the wind and all noise"""
+    scene_seed: CountOrZero | None = None
+    """seed of the scene alone, for flights over one scene in different wind and noise; none:
+    ``seed``"""
     estimator: str = "livo"
+    """name of an estimator, or MODULE:FUNCTION of an external one"""
     external: dict[str, Any] = Field(default_factory=dict)
-    """what an estimator of somebody's own, MODULE:FUNCTION, is built with: any keys"""
+    """parameters that an external estimator is built with: any keys"""
     calibration: str | None = None
-    """path of a file of `touchdown calibrate` that estimators are told instead of the rig's own
+    """path of a file of `touchdown calibrate`: the calibration given to estimators; none: the true
     calibration with the errors of ``calibration_error``"""
     record: bool = True
     """write the Rerun recording (trajectories, map and costmap are always written)"""
@@ -108,16 +116,10 @@ class Config(BaseModel):
 
     @property
     def nav(self) -> NavParams:
-        """The small sensors together, as the world takes them."""
+        """Parameters of GPS, barometer, magnetometer and rangefinder in one structure."""
         return NavParams(
             gps=self.gps,
             barometer=self.barometer,
             magnetometer=self.magnetometer,
             rangefinder=self.rangefinder,
         )
-
-
-# ------------------------------------------------------------------------------------- reading
-
-
-# ----------------------------------------------------------------------------------- validation

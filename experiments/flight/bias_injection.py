@@ -1,4 +1,4 @@
-"""An estimator with a deliberate error, to prove that the flight follows the estimate."""
+"""An estimator with a deliberate error; it proves that the flight follows the estimate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The calibration that estimators are told, which is not the simulation's own."""
+"""The believed rig: the calibration that estimators are given, with its errors."""
 
 from __future__ import annotations
 
@@ -17,31 +17,32 @@ from touchdown.sim.frames import Pose, so3_exp
 
 
 def believed_rig(rig: SensorRig, config: Config) -> SensorRig:
-    """The true ``rig`` as the estimators of a flight know it: from ``config.calibration`` where a
-    file is named, else with the errors of ``config.calibration_error`` drawn from the seed.
+    """Returns the rig as estimators believe it: ``rig`` with the calibration file
+    ``config.calibration``, or else with the errors of ``config.calibration_error``, drawn from the
+    seed.
 
-    The camera's mount on the body is taken as known; the LIDAR's follows from it. Raises UsageError
-    for a file that cannot be used.
+    The mount of the camera on the body is exact; that of the LIDAR follows from it. Raises
+    UsageError for a file that cannot be used.
     """
     content = check_calibration(config)
     if content is not None:
-        told = content.intrinsics()
-        if (told.width, told.height) != (rig.camera.width, rig.camera.height):
+        camera = content.intrinsics()
+        if (camera.width, camera.height) != (rig.camera.width, rig.camera.height):
             raise UsageError(
-                f"'{config.calibration}' is of a camera of {told.width} x {told.height} pixels, "
-                f"the flight's has {rig.camera.width} x {rig.camera.height}"
+                f"'{config.calibration}' is of a camera of {camera.width} x {camera.height} "
+                f"pixels, the flight's has {rig.camera.width} x {rig.camera.height}"
             )
-        return _with(rig, told, content.lidar_pose())
+        return _with(rig, camera, content.lidar_pose())
     return erring_rig(rig, config.calibration_error, config.seed)
 
 
 def check_calibration(config: Config) -> CalibrationFile | None:
-    """The file that a flight names, or None where it names none. Raises UsageError."""
+    """Reads the calibration file of a flight; None without one. Raises UsageError."""
     return None if config.calibration is None else read_calibration(Path(config.calibration))
 
 
 def erring_rig(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
-    """The rig with normally distributed errors; itself where all of them are 0."""
+    """Returns the rig with normally distributed errors, or ``rig`` itself where all are 0."""
     sigmas = (
         params.rotation_sigma_deg,
         params.translation_sigma_m,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from touchdown.controller.api import Controller
 from touchdown.estimator.api import Estimator, Mapper
-from touchdown.experiments.flight.referee import FlightResult, Referee
+from touchdown.experiments.flight.referee import Judgement, Referee
 from touchdown.experiments.recording.run_recorder import Recorder
+from touchdown.experiments.recording.step_record import StepRecord
 from touchdown.landing.api import Lander
 from touchdown.sim.api import World
 
@@ -19,7 +20,7 @@ def run_flight(
     controller: Controller,
     recorder: Recorder,
     referee: Referee,
-) -> FlightResult:
+) -> Judgement:
     """Flies until the referee has an outcome; only recorder and referee see the truth."""
     obs = world.reset()
     while True:
@@ -29,7 +30,7 @@ def run_flight(
         command = controller.update(estimate, setpoint)
         truth = world.truth()
         view = lander.view()
-        recorder.tick(truth, obs, estimate, map_view, view, setpoint, command)
+        recorder.tick(StepRecord(truth, obs, estimate, map_view, view, setpoint, command))
         outcome = referee.judge(truth, estimate, view)
         if outcome is not None:
             return referee.result(outcome)

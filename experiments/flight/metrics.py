@@ -1,6 +1,6 @@
-"""The figures by which flights are judged and compared.
+"""Metrics of a flight: positioning error, deviation from the path, NEES, touchdown, levelness.
 
-Running statistics only: nothing here grows with the duration of a flight.
+Running statistics: memory does not grow with the duration of a flight.
 """
 
 from __future__ import annotations
@@ -9,11 +9,13 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
+from touchdown.experiments.io.results import Nees, PositionError
 from touchdown.sim.api import Truth
 from touchdown.sim.frames import Pose, tilt_from_rotation, wrap_angle, yaw_from_rotation
 
@@ -49,20 +51,29 @@ class PositioningError:
         yaw = yaw_from_rotation(believed.rotation) - yaw_from_rotation(true.rotation)
         self.yaw += abs(wrap_angle(yaw))
 
-    def summary(self) -> dict[str, float | None]:
+    def summary(self) -> PositionError:
         """Means over the span in metres and degrees; x, y, z and yaw are mean absolute errors."""
         if self.count == 0:
-            return dict.fromkeys(("mean", "rmse", "max", "x", "y", "z", "yaw_deg"))
+            empty: dict[str, Any] = dict.fromkeys(PositionError.model_fields)
+            return PositionError(**empty)
         x, y, z = (total / self.count for total in self.axes)
-        return {
-            "mean": self.total / self.count,
-            "rmse": float(np.sqrt(self.total_squared / self.count)),
-            "max": self.largest,
-            "x": x,
-            "y": y,
-            "z": z,
-            "yaw_deg": float(np.degrees(self.yaw / self.count)),
-        }
+        return PositionError(
+            mean=self.total / self.count,
+            rmse=float(np.sqrt(self.total_squared / self.count)),
+            max=self.largest,
+            x=x,
+            y=y,
+            z=z,
+            yaw_deg=float(np.degrees(self.yaw / self.count)),
+        )
+
+
+class DeviationSummary(NamedTuple):
+    """Figures of `TrajectoryDeviation`."""
+
+    mean_m: float | None
+    max_m: float | None
+    variance_m2: float | None
 
 
 @dataclass(slots=True)
@@ -86,11 +97,11 @@ class TrajectoryDeviation:
     def variance(self) -> float:
         return self._m2 / self.count if self.count else 0.0
 
-    def summary(self) -> dict[str, float | None]:
-        """Keys of ``result.json``, metres; None where nothing was flown."""
-        figures = (self.mean, self.largest, self.variance) if self.count else (None,) * 3
-        names = ("trajectory_error_m", "trajectory_error_max_m", "trajectory_variance_m2")
-        return dict(zip(names, figures, strict=True))
+    def summary(self) -> DeviationSummary:
+        """Mean, maximum and variance; all None without a sample."""
+        if self.count == 0:
+            return DeviationSummary(None, None, None)
+        return DeviationSummary(self.mean, self.largest, self.variance)
 
 
 NEES_LIMIT = 14.2
@@ -100,8 +111,8 @@ _NEES_LOWEST, _NEES_PER_DECADE, _NEES_BINS = 1e-4, 50, 500
 
 @dataclass(slots=True)
 class Consistency:
-    """Normalised estimation error squared ``e^T P^-1 e`` of the position: whether an estimate's
-    covariance means something (Bar-Shalom et al. 2001, section 5.4). 3 on average if it does.
+    """Normalised estimation error squared (NEES) ``e^T P^-1 e`` of the position (Bar-Shalom et al.
+    2001, section 5.4); 3 on average for a consistent estimator.
 
     A histogram over the logarithm, ten decades from 1e-4, gives the median to 5 %.
     """
@@ -114,8 +125,8 @@ class Consistency:
     )
 
     def add(self, believed: Array, true: Array, covariance: Array) -> None:
-        """Positions (3,) m and covariance (3, 3) m^2, world frame. A covariance that is singular or
-        not a number counts as boundless confidence."""
+        """Adds a sample: positions (3,) m and covariance (3, 3) m^2, world frame. A singular or
+        non-finite covariance counts as the largest NEES of the histogram."""
         error = believed - true
         try:
             value = float(error @ np.linalg.solve(covariance, error))
@@ -129,21 +140,33 @@ class Consistency:
         slot = _NEES_PER_DECADE * math.log10(max(value, _NEES_LOWEST) / _NEES_LOWEST)
         self.histogram[min(int(slot), _NEES_BINS - 1)] += 1
 
-    def summary(self) -> dict[str, float | int | None]:
-        """``below_14_2`` is a share."""
+    def summary(self) -> Nees:
+        """Median, mean and the share below ``NEES_LIMIT``; None without a sample."""
         if self.count == 0:
-            return {"median": None, "mean": None, "below_14_2": None, "samples": 0}
+            return Nees(median=None, mean=None, below_14_2=None, samples=0)
         slot = int(np.searchsorted(np.cumsum(self.histogram), 0.5 * self.count))
-        return {
-            "median": _NEES_LOWEST * 10.0 ** ((slot + 0.5) / _NEES_PER_DECADE),
-            "mean": self.total / self.count,
-            "below_14_2": self.below_limit / self.count,
-            "samples": self.count,
-        }
+        return Nees(
+            median=_NEES_LOWEST * 10.0 ** ((slot + 0.5) / _NEES_PER_DECADE),
+            mean=self.total / self.count,
+            below_14_2=self.below_limit / self.count,
+            samples=self.count,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TouchdownSummary:
+    """Means over the last half second before the first contact, maxima from it on."""
+
+    vertical_speed_mps: float
+    horizontal_speed_mps: float
+    vertical_accel_mps2: float
+    impact_peak_mps2: float
+    bounce_m: float
+    tilt_deg: float
 
 
 class TouchdownWindow:
-    """The last half second of truth before the first contact, and what follows it."""
+    """Truth of the last half second before the first contact and of the time after it."""
 
     def __init__(self, steps_per_s: float) -> None:
         length = max(1, round(TOUCHDOWN_WINDOW_S * steps_per_s))
@@ -177,15 +200,16 @@ class TouchdownWindow:
         self.tilt_deg = max(self.tilt_deg, tilt)
         self.impact_peak_mps2 = max(self.impact_peak_mps2, truth.peak_contact_accel)
 
-    def summary(self) -> dict[str, float]:
-        return {
-            "vertical_speed_mps": float(np.mean(self._vertical_speed)),
-            "horizontal_speed_mps": float(np.mean(self._horizontal_speed)),
-            "vertical_accel_mps2": float(np.mean(self._vertical_accel)),
-            "impact_peak_mps2": self.impact_peak_mps2,
-            "bounce_m": self.bounce_m,
-            "tilt_deg": self.tilt_deg,
-        }
+    def summary(self) -> TouchdownSummary:
+        """Returns the figures of the touchdown so far."""
+        return TouchdownSummary(
+            vertical_speed_mps=float(np.mean(self._vertical_speed)),
+            horizontal_speed_mps=float(np.mean(self._horizontal_speed)),
+            vertical_accel_mps2=float(np.mean(self._vertical_accel)),
+            impact_peak_mps2=self.impact_peak_mps2,
+            bounce_m=self.bounce_m,
+            tilt_deg=self.tilt_deg,
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What the machine offers a flight: display, rendering backend, threads."""
+"""Display, rendering backend and threads of the machine."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 
 
 def has_display() -> bool:
-    """Whether the environment names an X11 or Wayland display."""
+    """True if the environment names an X11 or Wayland display."""
     names = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
     return any(os.environ.get(name) for name in names)
 
@@ -24,8 +24,8 @@ def rendering_backend() -> str:
 
 
 def limit_threads() -> None:
-    """Keeps OpenCV and numba on the calling thread: two cores are shared with the sensors' worker,
-    and one flight must not depend on how many threads a library finds."""
+    """Keeps OpenCV and numba on the calling thread: the sensors' worker needs the other core, and
+    a flight must not depend on the number of threads that a library finds."""
     import cv2
     import numba
 

@@ -1,4 +1,4 @@
-"""Judges a flight by the truth: when it is over, how it ended, and how good it was."""
+"""The referee: judges a flight on the truth and ends it with an outcome."""
 
 from __future__ import annotations
 
@@ -14,9 +14,17 @@ from touchdown.estimator.api import Estimate
 from touchdown.experiments.api import Outcome, RefereeParams
 from touchdown.experiments.flight.metrics import (
     Consistency,
+    DeviationSummary,
     PositioningError,
     TouchdownWindow,
     TrajectoryDeviation,
+)
+from touchdown.experiments.io.results import (
+    JUDGED_BY_CLASS,
+    JUDGED_BY_GEOMETRY,
+    Landing,
+    Nees,
+    PositionError,
 )
 from touchdown.landing.api import LanderView, Phase
 from touchdown.scenes.api import SAFE_CLASSES
@@ -33,8 +41,8 @@ _REST_SPEED_MPS = 0.05
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class FlightResult:
-    """What one flight came to; ``landing`` is None when nothing was touched."""
+class Judgement:
+    """Outcome and figures of one flight; ``landing`` is None where nothing was touched."""
 
     outcome: Outcome
     reason: str
@@ -42,15 +50,19 @@ class FlightResult:
     survey_s: float
     span_s: tuple[float | None, float | None]
     """lift-off and end of the survey, between which positions are judged"""
-    position_error: PositioningError
-    deviation: TrajectoryDeviation
-    consistency: Consistency
-    landing: dict[str, Any] | None
+    position_error: PositionError
+    deviation: DeviationSummary
+    nees: Nees
+    landing: Landing | None
 
 
 class Referee:
-    """``judge_ground(xy)`` looks the true ground up; ``on_survey_end`` is called once;
-    ``by_class``: whether the class of the ground counts, which the result says."""
+    """Judges every control step on the truth.
+
+    ``judge_ground(xy)`` returns the true ground at a point. ``on_survey_end`` is called once.
+    ``by_class``: the class of the ground counts as well as its geometry. ``commanded_xy_m``: the
+    commanded site, stated in the result.
+    """
 
     def __init__(
         self,
@@ -62,6 +74,7 @@ class Referee:
         moving_geoms: frozenset[str] = frozenset(),
         on_survey_end: Callable[[], None] = lambda: None,
         by_class: bool = False,
+        commanded_xy_m: tuple[float, float] | None = None,
     ) -> None:
         self._params = params
         self._upright_cosine = math.cos(math.radians(params.tip_tilt_deg))
@@ -69,7 +82,8 @@ class Referee:
         self._judge_ground = judge_ground
         self._moving_geoms = moving_geoms
         self._on_survey_end = on_survey_end
-        self._judged_on = "geometry and class" if by_class else "geometry"
+        self._judged_on = JUDGED_BY_CLASS if by_class else JUDGED_BY_GEOMETRY
+        self._commanded_xy_m = commanded_xy_m
         self._position_error = PositioningError()
         self._deviation = TrajectoryDeviation()
         self._consistency = Consistency()
@@ -84,7 +98,7 @@ class Referee:
         self._last: tuple[Truth, LanderView] | None = None
 
     def judge(self, truth: Truth, estimate: Estimate, view: LanderView) -> Outcome | None:
-        """Called every control step; an outcome ends the flight."""
+        """Judges one control step; returns the outcome that ends the flight, or None."""
         self._last = (truth, view)
         believed = estimate.world_from_body
         self._follow_phases(truth, view)
@@ -105,22 +119,23 @@ class Referee:
             or self._judge_end(truth, view)
         )
 
-    def result(self, outcome: Outcome) -> FlightResult:
+    def result(self, outcome: Outcome) -> Judgement:
+        """Returns outcome and figures of the flight. Raises RuntimeError before a first judge."""
         if self._last is None:
             raise RuntimeError("result() before the first judge()")
         truth, view = self._last
         survey_s = 0.0
         if self._survey_from_s is not None:
             survey_s = (self._survey_to_s or truth.time_s) - self._survey_from_s
-        return FlightResult(
+        return Judgement(
             outcome=outcome,
             reason=self._reason or ("" if outcome is Outcome.COMPLETED else view.note),
             sim_s=truth.time_s,
             survey_s=survey_s,
             span_s=(self._lift_off_s, self._survey_to_s),
-            position_error=self._position_error,
-            deviation=self._deviation,
-            consistency=self._consistency,
+            position_error=self._position_error.summary(),
+            deviation=self._deviation.summary(),
+            nees=self._consistency.summary(),
             landing=self._landing(view),
         )
 
@@ -131,7 +146,7 @@ class Referee:
         if self._lift_off_s is None and height > self._start_height + _LIFT_OFF_HEIGHT_M:
             self._lift_off_s = truth.time_s
         if (view.no_site or view.aborted) and not self._reason:
-            self._reason = view.note  # why it gave up, not what it did afterwards
+            self._reason = view.note  # of the abort, not of what follows it
         if self._survey_from_s is None and view.phase == Phase.SURVEY:
             self._survey_from_s = truth.time_s
         left_survey = self._survey_from_s is not None and view.phase != Phase.SURVEY
@@ -203,26 +218,33 @@ class Referee:
             self._rest_since_s = truth.time_s
         return truth.time_s - self._rest_since_s >= _REST_S
 
-    def _landing(self, view: LanderView) -> dict[str, Any] | None:
+    def _landing(self, view: LanderView) -> Landing | None:
         contact_xy = self._touchdown.contact_xy
         if contact_xy is None:
             return None
         verdict = self._judge_ground(contact_xy)
         site = view.committed_site_world
         offset = None if site is None else float(np.linalg.norm(contact_xy - site[:2]))
-        return {
-            "site_xy_m": None if site is None else site[:2].tolist(),
-            "touchdown_xy_m": contact_xy.tolist(),
-            "touchdown_time_s": self._touchdown.contact_time_s,
-            "target_offset_m": offset,
-            "slope_deg": verdict.slope_deg,
-            **self._touchdown.summary(),
-            "obstacle_distance_m": verdict.obstacle_distance_m,
-            "class_predicted": view.site_class,
-            "class_probability": view.site_class_probability,
-            "class_true": verdict.land_class,
-            "safe_geometry": verdict.safe_geometry,
-            "safe_class": verdict.land_class in SAFE_CLASSES,
-            "safe": verdict.safe,
-            "judged_on": self._judged_on,
-        }
+        touchdown = self._touchdown.summary()
+        return Landing(
+            commanded_xy_m=self._commanded_xy_m,
+            site_xy_m=None if site is None else (float(site[0]), float(site[1])),
+            touchdown_xy_m=(float(contact_xy[0]), float(contact_xy[1])),
+            touchdown_time_s=self._touchdown.contact_time_s,
+            target_offset_m=offset,
+            slope_deg=verdict.slope_deg,
+            vertical_speed_mps=touchdown.vertical_speed_mps,
+            horizontal_speed_mps=touchdown.horizontal_speed_mps,
+            vertical_accel_mps2=touchdown.vertical_accel_mps2,
+            impact_peak_mps2=touchdown.impact_peak_mps2,
+            bounce_m=touchdown.bounce_m,
+            tilt_deg=touchdown.tilt_deg,
+            obstacle_distance_m=verdict.obstacle_distance_m,
+            class_predicted=view.site_class,
+            class_probability=view.site_class_probability,
+            class_true=verdict.land_class,
+            safe_geometry=bool(verdict.safe_geometry),
+            safe_class=verdict.land_class in SAFE_CLASSES,
+            safe=bool(verdict.safe),
+            judged_on=self._judged_on,
+        )

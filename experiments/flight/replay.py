@@ -1,17 +1,15 @@
-"""Logged sensors through an estimator, without the simulator.
+"""Replay: logged sensors through an estimator, without the simulator.
 
-A replay is open loop: the vehicle flew on another estimator, or on the same one with other
-parameters, and goes where it went then, whatever is believed now.
+A replay is open loop: the trajectory is that of the logged flight, whatever the estimate.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import json
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,13 +25,15 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.loading import flown_code
 from touchdown.experiments.flight.metrics import PositioningError
+from touchdown.experiments.flight.observers import Progress
+from touchdown.experiments.io.provenance import git_revision, versions
+from touchdown.experiments.io.results import RunResult, StageTimes, Timing, load_result
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import TumWriter, read_tum
 from touchdown.sim.api import Observation, SensorNeeds
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str, str], None]
 
 _LIFT_OFF_HEIGHT_M = 0.1
 _FLOWN = (
@@ -41,27 +41,27 @@ _FLOWN = (
     "barometer", "magnetometer", "rangefinder", "faults", "mapper", "control", "survey", "landing",
     "calibration_error", "referee",
 )  # fmt: skip
-"""Keys that decided the flight and that a replay cannot change."""
+"""Configuration keys of the flight, which a replay cannot change."""
 
 
 @dataclass(frozen=True, slots=True)
 class LoggedRun:
-    """What a replay needs of a run directory."""
+    """The content of a run directory that a replay reads."""
 
     path: Path
     sensors: SensorLogReader
     truth: dict[int, Pose]
     """``world_from_body`` by tick, at the rate of ``truth.tum``"""
-    result: dict[str, Any]
+    result: RunResult
     from_s: float
     """lift-off"""
     to_s: float
     """the end of the survey"""
 
     def judged(self, tick: int) -> bool:
-        """Whether positions at ``tick`` count."""
+        """True if positions at ``tick`` count: from lift-off to the end of the survey."""
         time_s = tick / self.sensors.rig.tick_hz
-        # as the referee: the step of the lift-off counts, that of the survey's end no more
+        # as in the referee: the step of the lift-off counts, that of the survey's end does not
         return self.from_s <= time_s < self.to_s
 
 
@@ -73,8 +73,8 @@ def open_run(run: Path) -> LoggedRun:
     from touchdown.experiments.io.sensor_log import FILE_NAME
 
     sensors = SensorLogReader(run / FILE_NAME)
+    result = load_result(run / "result.json")
     try:
-        result = json.loads((run / "result.json").read_text(encoding="utf-8"))
         times, positions, quats = read_tum(run / "truth.tum")
     except (ValueError, OSError) as error:
         raise UsageError(f"'{run}' cannot be read: {error}") from error
@@ -83,7 +83,7 @@ def open_run(run: Path) -> LoggedRun:
         tick: Pose(matrix_from_quat_wxyz(quat), position)
         for tick, position, quat in zip(ticks, positions, quats, strict=True)
     }
-    lift_off, survey_end = result.get("span_s") or (None, None)
+    lift_off, survey_end = result.span_s or (None, None)
     if lift_off is None:
         above = positions[:, 2] > positions[0, 2] + _LIFT_OFF_HEIGHT_M
         lift_off = float(times[np.argmax(above)]) if above.any() else np.inf
@@ -95,11 +95,12 @@ def open_run(run: Path) -> LoggedRun:
 def replay_config(
     run: Path, estimator: str | None = None, overrides: tuple[str, ...] = (), fresh: bool = False
 ) -> Config:
-    """The configuration of a run, with another estimator or other parameters of it. ``fresh``:
-    estimators with today's defaults instead of the run's parameters. Of a run of an earlier version
-    whose estimators had parameters that are gone, these are left out, with a warning; so are, with
-    none, those of an external estimator when another takes its place. Raises UsageError for a key
-    that decided the flight."""
+    """The configuration of a run with another estimator or other parameters.
+
+    ``fresh``: default parameters instead of the run's. Parameters that no longer exist are left
+    out with a warning; those of an external estimator are left out when another replaces it.
+    Raises UsageError for a key of the flight itself.
+    """
     if not (run / "config.json").is_file():
         raise UsageError(f"'{run}' is no run directory: it has no config.json")
     for text in overrides:
@@ -123,7 +124,7 @@ def replay_config(
 
 
 def check_needs(name: str, needs: SensorNeeds, reader: SensorLogReader) -> None:
-    """Raises UsageError naming what the estimator needs and the log has not."""
+    """Raises UsageError naming the sensors that the estimator needs and the log lacks."""
     missing = [
         field.name
         for field in dataclasses.fields(needs)
@@ -142,8 +143,8 @@ def check_needs(name: str, needs: SensorNeeds, reader: SensorLogReader) -> None:
 
 
 def seen_by(needs: SensorNeeds, reader: SensorLogReader) -> Iterator[Observation]:
-    """The log's observations with what a flight of an estimator with these ``needs`` would have
-    simulated, and nothing more."""
+    """The observations of the log, reduced to the sensors that a flight of an estimator with these
+    ``needs`` simulates."""
     wanted = needs | reader.shared
     clock_hz = reader.rig.tick_hz // reader.rig.camera_ticks
     thinned = bool(wanted.camera_hz) and reader.sensed.camera_hz % wanted.camera_hz == 0
@@ -162,7 +163,7 @@ def seen_by(needs: SensorNeeds, reader: SensorLogReader) -> Iterator[Observation
 
 
 class CpuClock:
-    """Processor time of an estimator, in whatever thread, beside that of whoever feeds it."""
+    """CPU time of an estimator in all threads, without that of its caller."""
 
     def __init__(self) -> None:
         self._process = time.process_time()
@@ -170,14 +171,15 @@ class CpuClock:
         self._mark = time.thread_time()
 
     def enter(self) -> None:
-        """The estimator is about to be called."""
+        """Marks the beginning of a call of the estimator."""
         self._elsewhere += time.thread_time() - self._mark
 
     def leave(self) -> None:
+        """Marks the end of a call."""
         self._mark = time.thread_time()
 
     def seconds(self) -> float:
-        """Of all threads so far, less what this thread spent outside of the estimator."""
+        """CPU time of all threads so far, less that of this thread outside of the estimator."""
         outside = self._elsewhere + time.thread_time() - self._mark
         return time.process_time() - self._process - outside
 
@@ -185,7 +187,7 @@ class CpuClock:
 def run_estimator(
     estimator: Estimator, observations: Iterable[Observation], clock: CpuClock | None = None
 ) -> Iterator[tuple[Observation, Estimate]]:
-    """Each observation with what ``estimator`` made of it."""
+    """Yields each observation with the estimate after it."""
     clock = clock or CpuClock()
     for obs in observations:
         clock.enter()
@@ -196,9 +198,9 @@ def run_estimator(
 
 def replay(
     run: Path, config: Config, out_dir: Path | None = None, progress: Progress | None = None
-) -> dict[str, Any]:
-    """Replays ``run`` into the estimator of ``config`` (see `replay_config`); returns what becomes
-    ``result.json`` in ``out_dir``.
+) -> RunResult:
+    """Replays ``run`` into the estimator of ``config`` (see `replay_config`); returns the result
+    and, with ``out_dir``, writes a run directory.
 
     Errors are judged at the rows of the run's ``truth.tum`` (``judged_hz``) between lift-off and
     the end of the survey. ``estimate.tum`` is the same to the byte in every replay; only
@@ -226,7 +228,7 @@ def replay(
             writer.close()
         shutil.copy(run / "truth.tum", partial / "truth.tum")
         (partial / "config.json").write_text(dump_config(config), encoding="utf-8")
-        (partial / "result.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+        (partial / "result.json").write_text(result.to_json(), encoding="utf-8")
     return result
 
 
@@ -236,7 +238,7 @@ def _replay(
     config: Config,
     writer: TumWriter | None,
     progress: Progress | None,
-) -> dict[str, Any]:
+) -> RunResult:
     error, clock, started = PositioningError(), CpuClock(), time.perf_counter()
     outcome, reason, last_s = Outcome.COMPLETED, "", 0.0
     observations = seen_by(estimator.needs, logged.sensors)
@@ -256,17 +258,17 @@ def _replay(
         if progress is not None:
             progress(obs.time_s, "REPLAY", "")
     if outcome is Outcome.COMPLETED and not np.isfinite(logged.from_s):
-        outcome, reason = Outcome.GROUNDED, "the flight that was logged never took off"
+        outcome, reason = Outcome.GROUNDED, "the logged flight never took off"
     wall_s = time.perf_counter() - started
     scans = max(last_s / 0.1, 1e-9)
     return _result(
         logged, config, outcome, reason, error,
-        timing={
-            "wall_s": wall_s,
-            "sim_s": last_s,
-            "real_time_factor": last_s / wall_s,
-            "stage_ms": {"estimator": 1e3 * clock.seconds() / scans},
-        },
+        timing=Timing(
+            wall_s=wall_s,
+            sim_s=last_s,
+            real_time_factor=last_s / wall_s,
+            stage_ms=StageTimes(estimator=1e3 * clock.seconds() / scans),
+        ),
     )  # fmt: skip
 
 
@@ -276,32 +278,30 @@ def _result(
     outcome: Outcome,
     reason: str,
     error: PositioningError,
-    timing: dict[str, Any],
-) -> dict[str, Any]:
-    from touchdown.experiments.io.provenance import git_revision, plain_json, versions
-
-    result = {
-        "outcome": str(outcome),
-        "reason": reason,
-        "scene": config.scene,
-        "seed": config.seed,
-        "estimator": config.estimator,
-        **flown_code(config.estimator),
-        "wind_kmh": config.wind.mean_kmh,
-        "replay_of": str(logged.path),
-        "flown_by": logged.result.get("estimator"),
-        "judged_hz": logged_hz(logged),
-        "position_error_m": error.summary(),
-        "landing": None,
-        "timing": timing,
-        "versions": versions(),
-        "git_revision": git_revision(),
-    }
-    return plain_json(result)
+    timing: Timing,
+) -> RunResult:
+    code: dict[str, Any] = dict(flown_code(config.estimator))
+    return RunResult(
+        outcome=str(outcome),
+        reason=reason,
+        scene=config.scene,
+        seed=config.seed,
+        estimator=config.estimator,
+        **code,
+        wind_kmh=config.wind.mean_kmh,
+        replay_of=str(logged.path),
+        flown_by=logged.result.estimator,
+        judged_hz=logged_hz(logged),
+        position_error_m=error.summary(),
+        landing=None,
+        timing=timing,
+        versions=versions(),
+        git_revision=git_revision(),
+    )
 
 
 def logged_hz(logged: LoggedRun) -> float:
-    """Rows of true poses a second."""
+    """Rate of the true poses in Hz."""
     ticks = sorted(logged.truth)
     span = ticks[-1] - ticks[0]
     return logged.sensors.rig.tick_hz * (len(ticks) - 1) / span if span else 0.0

@@ -1,4 +1,4 @@
-"""The result of a flight."""
+"""The result of a flight, from the referee's judgement, the map and the clock."""
 
 from __future__ import annotations
 
@@ -11,70 +11,80 @@ from touchdown.estimator.api import GridMap
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.external.loading import flown_code
 from touchdown.experiments.flight.metrics import levelness_error_deg
-from touchdown.experiments.flight.referee import FlightResult
+from touchdown.experiments.flight.observers import StepObserver
+from touchdown.experiments.flight.referee import Judgement
 from touchdown.experiments.flight.stage_timer import StageClock
 from touchdown.experiments.flight.truth_lookup import TruthLookup
-from touchdown.experiments.flight.wiring import (
-    Flight,
-)
+from touchdown.experiments.flight.wiring import FlightStack
 from touchdown.experiments.io.provenance import git_revision, versions
+from touchdown.experiments.io.results import (
+    LevelnessError,
+    MapFigures,
+    RunResult,
+    StageTimes,
+    Timing,
+)
 
 
-def _result(
-    config: Config, flight: Flight, outcome: FlightResult, clock: StageClock, maps: list[GridMap]
-) -> dict[str, Any]:
+def make_result(
+    config: Config,
+    stack: FlightStack,
+    judgement: Judgement,
+    clock: StageClock,
+    observer: StepObserver,
+) -> RunResult:
+    """Returns the result of a finished flight."""
+    code: dict[str, Any] = dict(flown_code(config.estimator))
+    return RunResult(
+        outcome=str(judgement.outcome),
+        reason=judgement.reason,
+        scene=config.scene,
+        seed=config.seed,
+        estimator=config.estimator,
+        **code,
+        wind_kmh=config.wind.mean_kmh,
+        position_error_m=judgement.position_error,
+        span_s=judgement.span_s,
+        trajectory_error_m=judgement.deviation.mean_m,
+        trajectory_error_max_m=judgement.deviation.max_m,
+        trajectory_variance_m2=judgement.deviation.variance_m2,
+        nees=judgement.nees,
+        landing=judgement.landing,
+        classifier=stack.network or "off",
+        map=_map_figures(stack, judgement, observer.judged_map, config.seed),
+        timing=_timing(clock, judgement.sim_s),
+        versions=versions(),
+        git_revision=git_revision(),
+        events=observer.events.kept,
+        event_count=observer.events.count,
+        phases=observer.phases.kept,
+        faults=stack.faults(),
+    )
+
+
+def _timing(clock: StageClock, sim_s: float) -> Timing:
     wall_s = clock.wall_s()
-    return {
-        "outcome": str(outcome.outcome),
-        "reason": outcome.reason,
-        "scene": config.scene,
-        "seed": config.seed,
-        "estimator": config.estimator,
-        **flown_code(config.estimator),
-        "wind_kmh": config.wind.mean_kmh,
-        "position_error_m": outcome.position_error.summary(),
-        "span_s": outcome.span_s,
-        **outcome.deviation.summary(),
-        "nees": outcome.consistency.summary(),
-        "landing": _landing(outcome, config.landing.site_xy_m),
-        "classifier": flight.network or "off",
-        "map": _map_figures(flight, outcome, maps, config.seed),
-        "timing": {
-            "wall_s": wall_s,
-            "sim_s": outcome.sim_s,
-            "real_time_factor": outcome.sim_s / wall_s,
-            "stage_ms": clock.stage_ms(outcome.sim_s),
-        },
-        "versions": versions(),
-        "git_revision": git_revision(),
-    }
+    return Timing(
+        wall_s=wall_s,
+        sim_s=sim_s,
+        real_time_factor=sim_s / wall_s,
+        stage_ms=StageTimes(**clock.stage_ms(sim_s)),
+    )
 
 
-def _landing(
-    outcome: FlightResult, commanded_xy_m: tuple[float, float] | None
-) -> dict[str, Any] | None:
-    """What the referee found, and which spot was commanded, if any was."""
-    if outcome.landing is None:
-        return None
-    return {"commanded_xy_m": commanded_xy_m, **outcome.landing}
-
-
-def _map_figures(
-    flight: Flight, outcome: FlightResult, maps: list[GridMap], seed: int
-) -> dict[str, Any]:
+def _map_figures(stack: FlightStack, judgement: Judgement, grid: GridMap, seed: int) -> MapFigures:
     """``density_per_m2``: returns per square metre of the mapped area at the end of the survey."""
-    grid = maps[0]
     seen = grid.count > 0
     area = float(seen.sum()) * grid.cell_m**2
     errors: NDArray[np.float64] = levelness_error_deg(
-        grid, TruthLookup(flight.scene).surface_points, seed
+        grid, TruthLookup(stack.scene).surface_points, seed
     )
-    return {
-        "duration_s": outcome.survey_s,
-        "density_per_m2": float(grid.count[seen].sum()) / area if area > 0 else 0.0,
-        "levelness_error_deg": {
-            "mean": float(errors.mean()) if errors.size else None,
-            "max": float(errors.max()) if errors.size else None,
-            "places": int(errors.size),
-        },
-    }
+    return MapFigures(
+        duration_s=judgement.survey_s,
+        density_per_m2=float(grid.count[seen].sum()) / area if area > 0 else 0.0,
+        levelness_error_deg=LevelnessError(
+            mean=float(errors.mean()) if errors.size else None,
+            max=float(errors.max()) if errors.size else None,
+            places=int(errors.size),
+        ),
+    )

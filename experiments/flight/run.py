@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
-import copy
-import json
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from touchdown.estimator.api import GridMap
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.errors import input_message
+from touchdown.experiments.errors import UsageError, input_message
+from touchdown.experiments.external.wrapper import ExternalEstimatorError
 from touchdown.experiments.flight.estimator_calibration import check_calibration
-from touchdown.experiments.flight.inactive_faults import idle_faults
+from touchdown.experiments.flight.inactive_faults import inactive_faults
 from touchdown.experiments.flight.loop import run_flight
+from touchdown.experiments.flight.observers import Progress, StepObserver
 from touchdown.experiments.flight.platform import limit_threads
 from touchdown.experiments.flight.referee import Referee
-from touchdown.experiments.flight.result import _result
+from touchdown.experiments.flight.result import make_result
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
 from touchdown.experiments.flight.truth_lookup import TruthLookup
 from touchdown.experiments.flight.wiring import (
-    Flight,
+    FlightStack,
     build_classifier,
-    build_flight,
+    build_flight_stack,
     build_scene,
-    find_estimator,
+    check_estimator_available,
 )
-from touchdown.experiments.io.provenance import plain_json
+from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.io.run_directory import check_out_dir, run_directory
 from touchdown.experiments.recording.run_recorder import NullRecorder, Recorder, RunRecorder
 from touchdown.landing.api import LandingParams
@@ -36,12 +35,6 @@ from touchdown.scenes.api import Scene
 
 if TYPE_CHECKING:
     from touchdown.experiments.io.sensor_log import SensorLog
-
-Progress = Callable[[float, str, str], None]
-"""Called with simulated seconds, phase and note."""
-
-_MOST_EVENTS = 200
-"""of the estimator that a result keeps"""
 
 _STAGES = (
     ("world", "step", "world"),
@@ -52,91 +45,99 @@ _STAGES = (
 )
 
 
-def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) -> dict[str, Any]:
-    """Flies one configuration and returns ``result.json`` as a dictionary.
+def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) -> RunResult:
+    """Flies one configuration and returns its result.
 
     With ``out_dir`` the run directory appears there at once, complete, when the flight is over;
     an earlier run of that name is replaced. Raises UsageError for bad input before anything is
     written.
     """
-    find_estimator(config.estimator)
+    check_estimator_available(config.estimator)
     check_calibration(config)
     build_classifier(config)
     if out_dir is not None:
         check_out_dir(out_dir)
     limit_threads()
     scene = build_scene(config)
-    flight = build_flight(config, scene)
-    _warn_of_idle_faults(config, flight)
+    stack = build_flight_stack(config, scene)
+    _warn_of_inactive_faults(config, stack)
     if out_dir is None:
-        return fly_and_judge(config, flight, NullRecorder(), progress)
+        return fly_and_judge(config, stack, NullRecorder(), progress)
     with run_directory(out_dir) as partial:
-        sensors = _sensor_log(partial, flight) if config.log.sensors else None
-        recorder = RunRecorder(partial, scene, flight.world.rig, config, sensors)
-        result = fly_and_judge(config, flight, recorder, progress)
+        sensors = _sensor_log(partial, stack) if config.log.sensors else None
+        recorder = RunRecorder(partial, scene, stack.world.rig, config, sensors)
+        result = fly_and_judge(config, stack, recorder, progress)
         (partial / "config.json").write_text(dump_config(config), encoding="utf-8")
-        (partial / "result.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+        (partial / "result.json").write_text(result.to_json(), encoding="utf-8")
     return result
 
 
-def _warn_of_idle_faults(config: Config, flight: Flight) -> None:
-    needs = flight.estimator.needs
+def fly_with_usage_errors(config: Config, out_dir: Path | None, progress: Progress) -> RunResult:
+    """As `fly`. A ValueError or OSError before the first control step is bad input and becomes a
+    UsageError; a later one is a defect of the program and passes through."""
+    airborne = False
+
+    def watch(time_s: float, phase: str, note: str) -> None:
+        nonlocal airborne
+        airborne = True
+        progress(time_s, phase, note)
+
+    try:
+        return fly(config, out_dir, watch)
+    except (ValueError, OSError) as error:
+        if airborne or isinstance(error, ExternalEstimatorError):
+            raise
+        raise UsageError(input_message(error)) from error
+
+
+def _warn_of_inactive_faults(config: Config, stack: FlightStack) -> None:
+    needs = stack.estimator.needs
     if config.mapper.enabled:
-        needs = needs | flight.mapper.needs | flight.lander.needs
-    for sentence in idle_faults(config, needs):
+        needs = needs | stack.mapper.needs | stack.lander.needs
+    for sentence in inactive_faults(config, needs):
         warnings.warn(sentence, stacklevel=3)
 
 
-def _sensor_log(folder: Path, flight: Flight) -> SensorLog:
+def _sensor_log(folder: Path, stack: FlightStack) -> SensorLog:
     from touchdown.experiments.io.sensor_log import FILE_NAME, SensorLog
 
-    shared = flight.mapper.needs | flight.lander.needs
-    return SensorLog(
-        folder / FILE_NAME, flight.believed_rig, flight.estimator.needs | shared, shared
-    )
+    shared = stack.mapper.needs | stack.lander.needs
+    return SensorLog(folder / FILE_NAME, stack.believed_rig, stack.estimator.needs | shared, shared)
 
 
 def fly_and_judge(
-    config: Config, flight: Flight, recorder: Recorder, progress: Progress | None
-) -> dict[str, Any]:
-    """Flies ``flight`` to its end, closes it and returns ``result.json`` as a dictionary."""
+    config: Config, stack: FlightStack, recorder: Recorder, progress: Progress | None
+) -> RunResult:
+    """Flies ``stack`` to the end, closes it and returns the result."""
     clock = StageClock()
-    surveyed: list[GridMap] = []
-    latest: list[GridMap] = []
-
-    def keep_map() -> None:
-        surveyed.extend(copy.deepcopy(grid) for grid in latest)
-
-    by_class = flight.network is not None and class_counts(config.landing)
-    referee = make_referee(config, flight.scene, keep_map, by_class=by_class)
-    watched = _Watcher(recorder, latest, progress)
-    parts = timed_parts(flight, clock)
+    observer = StepObserver(recorder, progress)
+    by_class = stack.network is not None and class_counts(config.landing)
+    referee = make_referee(config, stack.scene, observer.end_survey, by_class=by_class)
+    parts = timed_parts(stack, clock)
     try:
-        outcome = run_flight(
+        judgement = run_flight(
             **parts,
-            recorder=Timed(watched, "tick", "recorder", clock),  # type: ignore[arg-type]
+            recorder=Timed(observer, "tick", "recorder", clock),  # type: ignore[arg-type]
             referee=Timed(referee, "judge", "referee", clock),  # type: ignore[arg-type]
         )
     finally:
-        flight.world.close()
-        recorder.close()
-    result = _result(config, flight, outcome, clock, surveyed or latest)
-    told = {**watched.events.summary(), "phases": watched.phases.kept}
-    return plain_json({**result, **told, "faults": flight.faults()})
+        stack.world.close()
+        observer.close()
+    return make_result(config, stack, judgement, clock, observer)
 
 
 def class_counts(params: LandingParams) -> bool:
-    """Whether a touchdown must be on ground of a safe class where places are recognised: not where
-    a flight is to land whatever the kind of place."""
-    on_their_word = params.site_xy_m is not None and not params.check_site
-    return not (params.allow_risky or params.emergency or on_their_word)
+    """True if a touchdown must be on ground of a safe class where the ground is classified; False
+    for flights that land whatever the class."""
+    unchecked_site = params.site_xy_m is not None and not params.check_site
+    return not (params.allow_risky or params.emergency or unchecked_site)
 
 
 def make_referee(
     config: Config, scene: Scene, on_survey_end: Callable[[], None], *, by_class: bool = False
 ) -> Referee:
-    """The judge of a flight of ``config`` over ``scene``; ``by_class``: the class of the ground
-    counts as well as its geometry."""
+    """Returns the referee of a flight of ``config`` over ``scene``; ``by_class``: the class of the
+    ground counts as well as its geometry."""
     truth = TruthLookup(scene)
     return Referee(
         config.referee,
@@ -146,83 +147,10 @@ def make_referee(
         moving_geoms=truth.moving_geoms,
         on_survey_end=on_survey_end,
         by_class=by_class,
+        commanded_xy_m=config.landing.site_xy_m,
     )
 
 
-def timed_parts(flight: Flight, clock: StageClock) -> dict[str, Any]:
+def timed_parts(stack: FlightStack, clock: StageClock) -> dict[str, Any]:
     """The parts of a flight as ``run_flight`` takes them, each under the clock."""
-    return {name: Timed(getattr(flight, name), call, stage, clock) for name, call, stage in _STAGES}
-
-
-class EventLog:
-    """What the estimator had to tell; the first ``_MOST_EVENTS`` in full, all of them counted."""
-
-    def __init__(self) -> None:
-        self.kept: list[dict[str, Any]] = []
-        self.count = 0
-
-    def add(self, time_s: float, texts: tuple[str, ...]) -> None:
-        for text in texts:
-            self.count += 1
-            if len(self.kept) < _MOST_EVENTS:
-                self.kept.append({"time_s": time_s, "text": text})
-
-    def summary(self) -> dict[str, Any]:
-        return {"events": self.kept, "event_count": self.count}
-
-
-class PhaseLog:
-    """When each phase began; the first ``_MOST_EVENTS`` changes."""
-
-    def __init__(self) -> None:
-        self.kept: list[dict[str, Any]] = []
-        self._phase = ""
-
-    def add(self, time_s: float, phase: str) -> None:
-        if phase != self._phase and len(self.kept) < _MOST_EVENTS:
-            self.kept.append({"time_s": time_s, "phase": phase})
-        self._phase = phase
-
-
-class _Watcher:
-    """Passes every tick on to the recorder, keeps the newest map at hand, reports progress."""
-
-    def __init__(
-        self, recorder: Recorder, latest: list[GridMap], progress: Progress | None
-    ) -> None:
-        self._recorder = recorder
-        self._latest = latest
-        self._progress = progress
-        self._next_s = 0.0
-        self.events = EventLog()
-        self.phases = PhaseLog()
-
-    def tick(self, *event: Any) -> None:
-        truth, _obs, estimate, map_view, view = event[:5]
-        self.events.add(estimate.time_s, estimate.events)
-        self.phases.add(truth.time_s, str(view.phase))
-        self._latest[:] = [map_view.coarse]
-        if self._progress is not None and truth.time_s >= self._next_s:
-            self._next_s = truth.time_s + 0.5
-            self._progress(truth.time_s, str(view.phase), view.note)
-        self._recorder.tick(*event)
-
-
-def guarded_fly(config: Any, out: Path | None, progress: Callable[..., None]) -> dict[str, Any]:
-    """Flies. What goes wrong before the first control step is bad input; after it, our fault."""
-    from touchdown.experiments.errors import UsageError
-    from touchdown.experiments.external.wrapper import ExternalEstimatorError
-
-    airborne = False
-
-    def watch(time_s: float, phase: str, note: str) -> None:
-        nonlocal airborne
-        airborne = True
-        progress(time_s, phase, note)
-
-    try:
-        return fly(config, out, watch)
-    except (ValueError, OSError) as error:
-        if airborne or isinstance(error, ExternalEstimatorError):
-            raise
-        raise UsageError(input_message(error)) from error
+    return {name: Timed(getattr(stack, name), call, stage, clock) for name, call, stage in _STAGES}

@@ -1,4 +1,4 @@
-"""Where the time of a flight goes: one stopwatch per stage of the main loop."""
+"""Timers of the stages of the main loop."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 
 
 class StageClock:
-    """Accumulates time per stage by ``now``, wall time unless told; constant memory."""
+    """Accumulates time per stage; ``now`` is the clock, wall time by default. Constant memory."""
 
     def __init__(self, now: Callable[[], float] = time.perf_counter) -> None:
         self.now = now
         self.restart()
 
     def restart(self) -> None:
-        """Forgets everything so far."""
+        """Resets all timers."""
         self._seconds: defaultdict[str, float] = defaultdict(float)
         self._started = self.now()
 
@@ -24,7 +24,7 @@ class StageClock:
         self._seconds[stage] += seconds
 
     def wall_s(self) -> float:
-        """All time since the start, whoever spent it."""
+        """Time since the start, inside and outside of stages."""
         return self.now() - self._started
 
     def stage_ms(self, sim_s: float) -> dict[str, float]:
@@ -34,7 +34,7 @@ class StageClock:
 
 
 class Timed:
-    """Stands in for a component and times the calls of one of its methods."""
+    """Proxy of a component that times the calls of one of its methods."""
 
     def __init__(self, target: Any, method: str, stage: str, clock: StageClock) -> None:
         self._target = target

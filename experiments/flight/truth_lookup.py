@@ -1,4 +1,4 @@
-"""The true ground, for referee and metrics."""
+"""The true ground of a scene, for the referee and the metrics."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class TruthLookup:
-    """The true ground, for referee and metrics."""
+    """Looks up the true ground of a scene."""
 
     scene: Scene
 

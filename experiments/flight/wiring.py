@@ -1,7 +1,4 @@
-"""Wires a configuration into the objects of one flight.
-
-With ``experiments._build_tools_left`` the only module that knows all folders.
-"""
+"""The objects of one flight, built from a configuration."""
 
 from __future__ import annotations
 
@@ -36,8 +33,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(slots=True)
-class Flight:
-    """The parts of one flight, ready for ``experiments.flight.loop.run_flight``."""
+class FlightStack:
+    """The parts of one flight, ready for `touchdown.experiments.flight.loop.run_flight`."""
 
     scene: Scene
     world: World
@@ -46,11 +43,11 @@ class Flight:
     lander: Lander
     controller: Controller
     faults: Callable[[], list[dict[str, Any]]]
-    """what the scheduled sensor faults have done so far"""
+    """effects of the scheduled faults so far, for the result"""
     believed_rig: SensorRig
     """the rig as the estimator knows it"""
     network: dict[str, Any] | None = None
-    """what recognises places, for the result; None: nothing does"""
+    """the network of the ground classifier, for the result; None without one"""
 
 
 def build_scene(config: Config) -> Scene:
@@ -62,20 +59,20 @@ def build_scene(config: Config) -> Scene:
 
 
 def low_sun(config: Config) -> LowSun | None:
-    """The sun that the faults of a configuration ask for, None: the scene's own."""
+    """The sun of a ``low_sun`` fault; None leaves the scene's own."""
     faults = config.faults
     if not any(fault.kind == "low_sun" for fault in faults.schedule()):
         return None
     return LowSun(elevation_deg=faults.low_sun_deg, azimuth_deg=faults.low_sun_azimuth_deg)
 
 
-def build_flight(config: Config, scene: Scene) -> Flight:
-    """Everything that flies. The estimator gets the truth only if it is the oracle."""
+def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
+    """Builds all parts of a flight. Only the oracle gets the truth."""
     from touchdown.controller.cascade import CascadeController
     from touchdown.landing.mission.lander import SiteLander
 
     make_estimator = _estimator_factory(config)
-    places = build_classifier(config)
+    classifier = build_classifier(config)
     world = make_world(config, scene)
     try:
         rig = believed_rig(world.rig, config)
@@ -84,13 +81,13 @@ def build_flight(config: Config, scene: Scene) -> Flight:
         world.close()
         raise
     mapper = _mapper(config, rig)
-    lander = SiteLander(rig, config.landing, config.survey, places)
+    lander = SiteLander(rig, config.landing, config.survey, classifier)
     needs = estimator.needs
     if config.mapper.enabled:
         needs = needs | mapper.needs | lander.needs
     world.require(needs)
     controller = CascadeController(world.rig.vehicle, config.control)
-    return Flight(
+    return FlightStack(
         scene=scene,
         world=world,
         estimator=estimator,
@@ -99,13 +96,13 @@ def build_flight(config: Config, scene: Scene) -> Flight:
         controller=controller,
         faults=lambda: world.faults.summary() + world.disturbances.summary(),
         believed_rig=rig,
-        network=None if places is None else places.description(),
+        network=None if classifier is None else classifier.description(),
     )
 
 
 def classifier_file(config: Config) -> Path | None:
-    """The network that recognises places in a flight, None where none does: ``off``, nothing to
-    choose, or ``auto`` without one that comes with the project."""
+    """The network file of the ground classifier. None for ``off``, for a survey alone, and for
+    ``auto`` without a shipped network."""
     from touchdown.landing.classification.onboard import SHIPPED
 
     wanted = config.landing.classifier
@@ -117,7 +114,8 @@ def classifier_file(config: Config) -> Path | None:
 
 
 def build_classifier(config: Config) -> OnnxGroundClassifier | None:
-    """Raises UsageError where the network's file cannot be used, or its engine is missing."""
+    """Loads the ground classifier; None without one. Raises UsageError where the file cannot be
+    used or ONNX Runtime is missing."""
     file, params = classifier_file(config), config.landing
     if file is None:
         return None
@@ -167,12 +165,12 @@ def make_world(config: Config, scene: Scene) -> Any:
 
 
 def build_estimator(config: Config, rig: SensorRig) -> Estimator:
-    """The configured estimator without a world, which the oracle cannot do. Raises UsageError."""
+    """The configured estimator without a world. Raises UsageError; the oracle needs a world."""
     if config.estimator == "oracle":
-        raise UsageError("estimator 'oracle' knows the truth and needs a flight; replay another")
+        raise UsageError("estimator 'oracle' returns the truth and needs a flight; replay another")
 
     def no_truth() -> Truth:
-        raise RuntimeError("no estimator but the oracle asks for the truth")
+        raise RuntimeError("only the oracle may read the truth")
 
     return _biased(_estimator_factory(config)(rig, no_truth), config)
 
@@ -237,9 +235,9 @@ ESTIMATORS: Mapping[str, Callable[[Config], _EstimatorFactory]] = {
 }
 
 
-def check_estimator(name: str) -> None:
-    """Raises UsageError naming the nearest known estimator unless ``name`` may be that of one, or
-    MODULE:FUNCTION; `find_estimator` looks whether that is there."""
+def check_estimator_name(name: str) -> None:
+    """Raises UsageError, naming the nearest estimator, unless ``name`` is a known estimator or has
+    the form MODULE:FUNCTION. Imports nothing; `check_estimator_available` does."""
     if name not in ESTIMATORS and not is_external(name):
         known = ", ".join(ESTIMATORS)
         raise UsageError(
@@ -248,23 +246,23 @@ def check_estimator(name: str) -> None:
         )
 
 
-def find_estimator(name: str) -> None:
-    """Raises UsageError unless ``name`` can be built, as far as can be told without a rig."""
-    check_estimator(name)
+def check_estimator_available(name: str) -> None:
+    """Raises UsageError unless ``name`` is a known estimator or an external one that imports."""
+    check_estimator_name(name)
     if is_external(name):
         check_external(name)
 
 
 def _estimator_factory(config: Config) -> _EstimatorFactory:
-    check_estimator(config.estimator)
+    check_estimator_name(config.estimator)
     if config.estimator in ESTIMATORS:
         return ESTIMATORS[config.estimator](config)
     return lambda rig, _truth: ExternalEstimator(config.estimator, config.external, rig)
 
 
 def check_scene_name(name: str, where: str = "") -> None:
-    """Raises UsageError unless a scene has that name, or a file is there; ``where`` it was given,
-    such as " in FILE"."""
+    """Raises UsageError unless ``name`` is a known scene or an existing file. ``where`` completes
+    the message, such as " in FILE"."""
     if "/" in name or name.endswith(".xml"):
         if not Path(name).is_file():
             raise UsageError(f"scene file '{name}'{where} does not exist")

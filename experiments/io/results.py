@@ -1,18 +1,263 @@
-"""Reads ``result.json``."""
+"""The result of a run: the typed content of ``result.json``, its columns, and reading it back."""
 
 from __future__ import annotations
 
 import json
+import math
+import types
+import typing
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.provenance import plain_json
 
-Row = Mapping[str, Any]
+SUCCESS_WITHOUT_LANDING = "COMPLETED"
+LANDED = "LANDED"
+JUDGED_BY_CLASS, JUDGED_BY_GEOMETRY = "geometry and class", "geometry"
+_LARGEST_SEED = 2**63 - 1
 
 
-def lookup(row: Row, path: str) -> Any:
+def _finite(value: Any) -> Any:
+    """None for NaN and infinities, which JSON has no number for."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+Figure = Annotated[float | None, BeforeValidator(_finite)]
+"""A measured number; None where the run has none."""
+PointXY = Annotated[tuple[float, float] | None, Field(strict=False)]
+"""World x and y in metres; None where the run has no such point."""
+
+
+class _Part(BaseModel):
+    """Part of a result. Keys of other versions and of other tools are kept as they are."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
+
+
+class PositionError(_Part):
+    """Distance of the estimate from the truth between lift-off and the end of the survey, in
+    metres; x, y, z and yaw are mean absolute errors."""
+
+    mean: Figure = None
+    rmse: Figure = None
+    max: Figure = None
+    x: Figure = None
+    y: Figure = None
+    z: Figure = None
+    yaw_deg: Figure = None
+
+
+class Nees(_Part):
+    """Normalised estimation error squared of the position over ``samples`` instants."""
+
+    median: Figure = None
+    mean: Figure = None
+    below_14_2: Figure = None
+    """share of samples"""
+    samples: int = 0
+
+
+class Landing(_Part):
+    """The touchdown, measured on the truth."""
+
+    commanded_xy_m: PointXY = None
+    site_xy_m: PointXY = None
+    """the site as committed at 4 m"""
+    touchdown_xy_m: PointXY = None
+    touchdown_time_s: Figure = None
+    target_offset_m: Figure = None
+    slope_deg: Figure = None
+    vertical_speed_mps: Figure = None
+    horizontal_speed_mps: Figure = None
+    vertical_accel_mps2: Figure = None
+    impact_peak_mps2: Figure = None
+    bounce_m: Figure = None
+    tilt_deg: Figure = None
+    obstacle_distance_m: Figure = None
+    class_predicted: str | None = None
+    class_probability: Figure = None
+    class_true: str | None = None
+    safe_geometry: bool | None = None
+    safe_class: bool | None = None
+    safe: bool | None = None
+    judged_on: str | None = None
+
+    @property
+    def ground_safe(self) -> bool | None:
+        """See `ground_safe`."""
+        return ground_safe(self.judged_on, safe=self.safe, safe_geometry=self.safe_geometry)
+
+
+class LevelnessError(_Part):
+    """Angle between the normals of map and true ground, in degrees, over ``places`` discs."""
+
+    mean: Figure = None
+    max: Figure = None
+    places: int | None = None
+
+
+class MapFigures(_Part):
+    """The map at the end of the survey."""
+
+    duration_s: Figure = None
+    density_per_m2: Figure = None
+    levelness_error_deg: LevelnessError | None = None
+
+
+class StageTimes(_Part):
+    """Milliseconds of wall time per 0.1 s of simulated time; in the order of names."""
+
+    controller: Figure = None
+    estimator: Figure = None
+    lander: Figure = None
+    mapper: Figure = None
+    recorder: Figure = None
+    referee: Figure = None
+    world: Figure = None
+
+
+class Timing(_Part):
+    """Wall time of the loop, simulated time, and their ratio."""
+
+    wall_s: Figure = None
+    sim_s: Figure = None
+    real_time_factor: Figure = None
+    stage_ms: StageTimes | None = None
+
+
+class Event(_Part):
+    """A message of the estimator."""
+
+    time_s: float
+    text: str
+
+
+class PhaseStart(_Part):
+    """The beginning of a phase of the flight."""
+
+    time_s: float
+    phase: str
+
+
+class RunResult(_Part):
+    """The result of one flight or replay. ``plain`` is the content of ``result.json``: the fields
+    that were given, in the order below."""
+
+    outcome: str
+    reason: str = ""
+    scene: str
+    seed: int = Field(ge=-_LARGEST_SEED, le=_LARGEST_SEED)
+    estimator: str
+    estimator_sha: str | None = None
+    """hash of the code of an external estimator"""
+    wind_kmh: Figure = None
+    replay_of: str | None = None
+    flown_by: str | None = None
+    """estimator of the flight that a replay reads"""
+    judged_hz: Figure = None
+    position_error_m: PositionError | None = None
+    span_s: Annotated[tuple[Figure, Figure] | None, Field(strict=False)] = None
+    """lift-off and end of the survey, between which positions are judged"""
+    trajectory_error_m: Figure = None
+    trajectory_error_max_m: Figure = None
+    trajectory_variance_m2: Figure = None
+    nees: Nees | None = None
+    landing: Landing | None = None
+    """None where nothing was touched"""
+    classifier: dict[str, Any] | str | None = None
+    """the network of the ground classifier, or ``off``"""
+    map: MapFigures | None = None
+    timing: Timing | None = None
+    versions: dict[str, str] = {}
+    git_revision: str | None = None
+    events: list[Event] = []
+    event_count: int = 0
+    phases: list[PhaseStart] = []
+    faults: list[dict[str, Any]] = []
+
+    @property
+    def is_success(self) -> bool:
+        """See `is_success`."""
+        return is_success(self.outcome, None if self.landing is None else self.landing.ground_safe)
+
+    def value(self, path: str) -> Any:
+        """The value at a dotted path such as ``landing.slope_deg``; None where there is none."""
+        return lookup(self.plain(), path)
+
+    def plain(self) -> dict[str, Any]:
+        """The content of ``result.json``: JSON types only."""
+        plain: dict[str, Any] = plain_json(self.model_dump(exclude_unset=True))
+        return plain
+
+    def to_json(self) -> str:
+        """The text of ``result.json``."""
+        return json.dumps(self.plain(), indent=2) + "\n"
+
+
+# ------------------------------------------------------------------------------------- the verdict
+
+
+def ground_safe(
+    judged_on: str | None, *, safe: bool | None, safe_geometry: bool | None
+) -> bool | None:
+    """True if the ground at the touchdown is safe by what the flight is judged on: geometry, or
+    geometry and class. None where the result has no such verdict."""
+    return safe if judged_on == JUDGED_BY_CLASS else safe_geometry
+
+
+def is_success(outcome: str, touched_safe_ground: bool | None) -> bool:
+    """The one rule of a successful flight: landed on safe ground, or, for a survey alone, flown to
+    its end."""
+    if outcome == SUCCESS_WITHOUT_LANDING:
+        return True
+    return outcome == LANDED and touched_safe_ground is True
+
+
+# ----------------------------------------------------------------------------------------- columns
+
+
+def columns() -> dict[str, str]:
+    """Dotted keys of all single values of a result and their kinds: ``text``, ``int``, ``float``,
+    ``bool`` or ``floats``. Whole numbers are floats, except the seed."""
+    return dict(_columns(RunResult, ""))
+
+
+def _columns(model: type[BaseModel], prefix: str) -> typing.Iterator[tuple[str, str]]:
+    hints = typing.get_type_hints(model)
+    for name in model.model_fields:
+        kind = _kind(hints[name])
+        if isinstance(kind, str):
+            yield prefix + name, "int" if prefix + name == "seed" else kind
+        elif kind is not None:
+            yield from _columns(kind, f"{prefix}{name}.")
+
+
+_KINDS: Mapping[Any, str] = {str: "text", int: "float", float: "float", bool: "bool"}
+
+
+def _kind(hint: Any) -> str | type[BaseModel] | None:
+    """Kind of a field's column, the model of a nested part, or None for lists and mappings."""
+    parts = [hint]
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        parts = [part for part in typing.get_args(hint) if part is not types.NoneType]
+    if len(parts) != 1:
+        return None
+    (part,) = parts
+    if typing.get_origin(part) is tuple:
+        return "floats"
+    if isinstance(part, type) and issubclass(part, BaseModel):
+        return part
+    return _KINDS.get(part)
+
+
+# ----------------------------------------------------------------------------------------- reading
+
+
+def lookup(row: Mapping[str, Any], path: str) -> Any:
     """The value at a dotted path, None where any key is missing."""
     value: Any = row
     for key in path.split("."):
@@ -22,23 +267,57 @@ def lookup(row: Row, path: str) -> Any:
     return value
 
 
-def load_run(path: Path) -> dict[str, Any]:
-    """One ``result.json``. Raises UsageError when it is none."""
+def load_result(path: Path) -> RunResult:
+    """Reads one ``result.json``. Raises UsageError, one line, where it is none."""
     try:
-        row: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        tree = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise UsageError(f"'{path}' cannot be read: {error}") from error
-    if not isinstance(row, dict):
+    if not isinstance(tree, dict):
         raise UsageError(f"'{path}' is no run's result: it holds no object of keys and values")
-    missing = {"scene", "estimator", "seed", "outcome"} - row.keys()
+    try:
+        return RunResult.model_validate(tree)
+    except ValidationError as error:
+        raise UsageError(f"'{path}' is no run's result: {_one_line(error)}") from error
+
+
+def _one_line(error: ValidationError) -> str:
+    """The missing keys, or else the first wrong value."""
+    faults = error.errors(include_url=False)
+    missing = sorted(
+        ".".join(map(str, fault["loc"])) for fault in faults if fault["type"] == "missing"
+    )
     if missing:
-        raise UsageError(f"'{path}' is no run's result: {', '.join(sorted(missing))} missing")
-    for key in ("scene", "estimator", "outcome"):
-        if not isinstance(row[key], str):
-            raise UsageError(f"'{path}' is no run's result: {key} = {row[key]!r} must be text")
-    seed = row["seed"]
-    if isinstance(seed, bool) or not isinstance(seed, int) or abs(seed) >= 2**63:
-        raise UsageError(
-            f"'{path}' is no run's result: seed = {row['seed']!r} must be a whole number"
-        )
-    return row
+        return f"{', '.join(missing)} missing"
+    fault = faults[0]
+    key = ".".join(str(part) for part in fault["loc"])
+    wanted = {"string_type": "text", "float_type": "a number", "bool_type": "true or false"}
+    wanted |= dict.fromkeys(("int_type", "less_than_equal", "greater_than_equal"), "a whole number")
+    kind = wanted.get(fault["type"])
+    shown = repr(fault["input"])
+    shown = shown if len(shown) <= 80 else f"{shown[:77]}..."
+    if kind is not None:
+        return f"{key} = {shown} must be {kind}"
+    return f"{key} = {shown}: {' '.join(fault['msg'].split())}"
+
+
+def load_runs(directory: Path) -> dict[str, RunResult]:
+    """Every ``result.json`` at or below ``directory``, sorted by scene, estimator and seed. Keys
+    are the run directories, relative to ``directory``.
+
+    Raises UsageError where there is none or one cannot be read.
+    """
+    if not directory.is_dir():
+        raise UsageError(f"'{directory}' is no directory of runs")
+    found = {
+        _run_name(path.parent, directory): load_result(path)
+        for path in sorted(directory.rglob("result.json"))
+    }
+    if not found:
+        raise UsageError(f"'{directory}' holds no finished run (no result.json)")
+    ordered = sorted(found.items(), key=lambda i: (i[1].scene, i[1].estimator, i[1].seed))
+    return dict(ordered)
+
+
+def _run_name(run: Path, directory: Path) -> str:
+    return directory.resolve().name if run == directory else run.relative_to(directory).as_posix()

@@ -17,7 +17,6 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.drawing.map_images import costmap_picture, map_points
@@ -31,6 +30,7 @@ from touchdown.experiments.recording.rerun_batches import (
 from touchdown.experiments.recording.rerun_blueprint import TIMELINE, flight_blueprint
 from touchdown.experiments.recording.rerun_scene import log_moving, log_scene, log_vehicle
 from touchdown.experiments.recording.scan_deskew import OdomTrack, height_colours, scan_points_odom
+from touchdown.experiments.recording.step_record import StepRecord
 from touchdown.landing.api import Candidate, LanderView
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraImage, Command, LidarScan, Observation, SensorRig, Truth
@@ -97,18 +97,10 @@ class RerunLog:
         self._last: tuple[Truth, Estimate, MapView] | None = None
         self._log_static()
 
-    def tick(
-        self,
-        truth: Truth,
-        obs: Observation,
-        estimate: Estimate,
-        map_view: MapView,
-        lander_view: LanderView,
-        setpoint: Setpoint,
-        command: Command,
-    ) -> None:
+    def tick(self, step: StepRecord) -> None:
+        truth, estimate, lander_view = step.truth, step.estimate, step.lander_view
         time_s = truth.time_s
-        self._last = (truth, estimate, map_view)
+        self._last = (truth, estimate, step.map_view)
         self._track.add(estimate)
         if self._pose_due.due(time_s):
             self._poses.add(time_s, truth.world_from_body)
@@ -120,10 +112,10 @@ class RerunLog:
                 reference=lander_view.reference_world,
             )
         if self._scalar_due.due(time_s):
-            self._add_scalars(truth, estimate, lander_view, command)
-        self._log_sensors(obs, estimate)
+            self._add_scalars(truth, estimate, lander_view, step.command)
+        self._log_sensors(step.obs, estimate)
         if self._map_due.due(time_s):
-            self._log_map(time_s, estimate, map_view)
+            self._log_map(time_s, estimate, step.map_view)
         self._log_decisions(time_s, estimate, lander_view)
         self._log_events(time_s, estimate)
         if self._flush_due.due(time_s):

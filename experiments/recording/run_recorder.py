@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.drawing.map_axes import survey_marks
 from touchdown.experiments.io.tum import TumWriter
+from touchdown.experiments.recording.step_record import StepRecord
 from touchdown.landing.api import LanderView
 from touchdown.scenes.api import Scene
-from touchdown.sim.api import Command, Observation, SensorRig, Truth
+from touchdown.sim.api import SensorRig
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
 if TYPE_CHECKING:
@@ -24,16 +24,7 @@ if TYPE_CHECKING:
 class Recorder(Protocol):
     """Sees everything, changes nothing."""
 
-    def tick(
-        self,
-        truth: Truth,
-        obs: Observation,
-        estimate: Estimate,
-        map_view: MapView,
-        lander_view: LanderView,
-        setpoint: Setpoint,
-        command: Command,
-    ) -> None: ...
+    def tick(self, step: StepRecord) -> None: ...
 
     def close(self) -> None: ...
 
@@ -41,16 +32,7 @@ class Recorder(Protocol):
 class NullRecorder:
     """Leaves nothing behind."""
 
-    def tick(
-        self,
-        truth: Truth,
-        obs: Observation,
-        estimate: Estimate,
-        map_view: MapView,
-        lander_view: LanderView,
-        setpoint: Setpoint,
-        command: Command,
-    ) -> None:
+    def tick(self, step: StepRecord) -> None:
         pass
 
     def close(self) -> None:
@@ -92,27 +74,19 @@ class RunRecorder:
 
             self._recording = RerunLog(out_dir / "flight.rrd", scene, rig, config)
 
-    def tick(
-        self,
-        truth: Truth,
-        obs: Observation,
-        estimate: Estimate,
-        map_view: MapView,
-        lander_view: LanderView,
-        setpoint: Setpoint,
-        command: Command,
-    ) -> None:
-        if truth.tick >= self._next_row_tick:
-            self._next_row_tick = truth.tick + self._row_ticks
-            self._write_rows(truth, estimate, lander_view, setpoint)
-        self._last = (estimate, map_view)
+    def tick(self, step: StepRecord) -> None:
+        estimate, lander_view = step.estimate, step.lander_view
+        if step.truth.tick >= self._next_row_tick:
+            self._next_row_tick = step.truth.tick + self._row_ticks
+            self._write_rows(step)
+        self._last = (estimate, step.map_view)
         if self._sensors is not None:
-            self._sensors.add(obs)
+            self._sensors.add(step.obs)
         if lander_view.costmap is not None and lander_view.site_world is not None:
             self._keep_selection(lander_view, estimate)
         elif lander_view.costmap is not None and self._selection is None:
             self._selection = (lander_view, estimate.world_from_odom)
-        self._recording.tick(truth, obs, estimate, map_view, lander_view, setpoint, command)
+        self._recording.tick(step)
 
     def close(self) -> None:
         for writer in (self._truth, self._estimate, self._reference, self._odometry):
@@ -124,19 +98,14 @@ class RunRecorder:
         self._write_map()
         self._write_costmap()
 
-    def _write_rows(
-        self,
-        truth: Truth,
-        estimate: Estimate,
-        lander_view: LanderView,
-        setpoint: Setpoint,
-    ) -> None:
+    def _write_rows(self, step: StepRecord) -> None:
+        truth, estimate = step.truth, step.estimate
         self._truth.add(truth.time_s, truth.world_from_body)
         self._estimate.add(estimate.time_s, estimate.world_from_body)
         if self._odometry is not None:
             self._odometry.add(estimate.time_s, estimate.odom_from_body)
-        heading = estimate.world_from_odom.rotation @ rotation_from_yaw(setpoint.yaw_odom)
-        self._reference.add(truth.time_s, Pose(heading, lander_view.reference_world))
+        heading = estimate.world_from_odom.rotation @ rotation_from_yaw(step.setpoint.yaw_odom)
+        self._reference.add(truth.time_s, Pose(heading, step.lander_view.reference_world))
 
     def _keep_selection(self, lander_view: LanderView, estimate: Estimate) -> None:
         """Keeps each new costmap together with the map's frame of that moment."""

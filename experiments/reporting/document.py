@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.campaign.expectations import Verdict
+from touchdown.experiments.campaign.results_table import is_successful
 from touchdown.experiments.io.run_directory import run_directory, write_text
 from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.drift import add_errors_by_distance, distance_tables
@@ -19,7 +20,6 @@ from touchdown.experiments.reporting.figures import Picture, all_pictures
 from touchdown.experiments.reporting.flights import (
     Row,
     add_path_deviations,
-    is_bad,
     methods_of,
     outcome_counts,
     scenes_of,
@@ -166,7 +166,7 @@ def _ranges(seeds: Sequence[int]) -> str:
 
 def tiles(rows: Sequence[Row]) -> list[tuple[str, str]]:
     """The figures at the head of the page."""
-    good = sum(not is_bad(row) for row in rows)
+    good = sum(is_successful(row) for row in rows)
     return [
         ("flights", str(len(rows))),
         ("ended as they should", f"{good} of {len(rows)}"),

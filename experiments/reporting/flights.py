@@ -1,4 +1,4 @@
-"""The rows that a report is made of: one flat dictionary a flight, with dotted keys."""
+"""Rows of a report: one flat dictionary per flight, with dotted keys."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.campaign.results_table import RUNS, is_campaign, load_rows
+from touchdown.experiments.io.results import JUDGED_BY_CLASS
 from touchdown.experiments.io.tum import read_tum
 from touchdown.sim.frames import matrices_from_quats_wxyz
 
@@ -20,7 +21,6 @@ Row = Mapping[str, Any]
 
 SCENE_ORDER = ("crossroad", "lake", "houses", "forest")
 METHOD_ORDER = ("livo", "paper", "stereo", "hybrid_flow", "gps", "optical_flow", "oracle")
-GOOD_OUTCOMES = frozenset({"COMPLETED", "LANDED"})
 LIFT_OFF_M = 0.1
 
 
@@ -34,8 +34,9 @@ class Trajectory:
 
 
 def load_flights(directory: Path) -> list[dict[str, Any]]:
-    """Every flight of a campaign, or below a plain directory, as `campaign_rows.load_rows` gives
-    them, and the key ``run_dir``. Raises UsageError when there is none or one cannot be read."""
+    """Returns every flight of a campaign, or below a plain directory, as rows of
+    `touchdown.experiments.campaign.results_table.load_rows`, with the key ``run_dir``. Raises
+    UsageError where there is none or one cannot be read."""
     rows = load_rows(directory)
     folder = directory / RUNS if is_campaign(directory) else directory
     for row in rows:
@@ -90,22 +91,9 @@ def cell(rows: Iterable[Row], scene: str | None = None, method: str | None = Non
     ]
 
 
-def is_bad(row: Row) -> bool:
-    """Not flown to the end, or landed on ground that is unsafe."""
-    if row["outcome"] == "LANDED" and touched_safe_ground(row) is False:
-        return True
-    return row["outcome"] not in GOOD_OUTCOMES
-
-
 def judged_by_class(row: Row) -> bool:
-    """Whether the kind of ground counts, and not its geometry alone."""
-    return row.get("landing.judged_on") == "geometry and class"
-
-
-def touched_safe_ground(row: Row) -> bool | None:
-    """By what the flight is judged on; None where nothing was touched."""
-    found = row.get("landing.safe" if judged_by_class(row) else "landing.safe_geometry")
-    return found if isinstance(found, bool) else None
+    """True if the class of the ground counts, and not its geometry alone."""
+    return row.get("landing.judged_on") == JUDGED_BY_CLASS
 
 
 def outcome_counts(rows: Iterable[Row]) -> dict[str, int]:

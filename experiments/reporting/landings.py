@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
+from touchdown.experiments.campaign.results_table import touched_safe_ground
 from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.flights import (
     Row,
@@ -15,7 +16,6 @@ from touchdown.experiments.reporting.flights import (
     number,
     outcome_counts,
     scenes_of,
-    touched_safe_ground,
     values,
 )
 from touchdown.experiments.reporting.statistics import Estimate, mean_interval, share_interval

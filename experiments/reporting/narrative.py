@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from touchdown.experiments.campaign.results_table import is_successful
 from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.flights import (
     Row,
     cell,
-    is_bad,
     methods_of,
     number,
     scenes_of,
@@ -31,7 +31,7 @@ def with_interval(estimate: Estimate, unit: str) -> str:
 def summary_words(rows: Sequence[Row]) -> list[str]:
     """How much was flown and how it ended."""
     scenes, methods = scenes_of(rows), methods_of(rows)
-    bad = [row for row in rows if is_bad(row)]
+    bad = [row for row in rows if not is_successful(row)]
     lines = [
         f"{_count(len(rows), 'flight')}: {_count(len(methods), 'method')} over "
         f"{_count(len(scenes), 'scene')}, {_count(len({row['seed'] for row in rows}), 'seed')}."

@@ -1,27 +1,26 @@
-"""Tables over finished runs."""
+"""The Markdown table of runs outside of a campaign."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from touchdown.experiments.api import ground_was_safe
-from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.results import Row, load_run, lookup
+from touchdown.experiments.io.results import LANDED, RunResult, lookup
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """``path`` leads to the value in result.json, dots between the keys."""
+    """A column of the table; ``path``: the dotted key in ``result.json``."""
 
     title: str
     path: str
     format: str = "{}"
 
-    def text(self, row: Row) -> str:
+    def text(self, row: Mapping[str, Any]) -> str:
+        """The cell of a row."""
         value = lookup(row, self.path)
         if value is None:
             return "–"
@@ -47,35 +46,15 @@ LANDING_COLUMNS: tuple[Column, ...] = (
     Column("tilt (deg)", "landing.tilt_deg", "{:.2f}"),
     Column("safe geometry", "landing.safe_geometry"),
     Column("true class", "landing.class_true"),
-    Column("taken for", "landing.class_predicted"),
+    Column("predicted class", "landing.class_predicted"),
     Column("levelness (deg)", "map.levelness_error_deg.mean", "{:.2f}"),
     Column("real-time factor", "timing.real_time_factor", "{:.2f}"),
 )
 
 
-def load_runs(directory: Path) -> list[dict[str, Any]]:
-    """Every ``result.json`` at or below ``directory``, by scene, estimator and seed, and below
-    ``run`` the directory that it lies in, from ``directory`` on.
-
-    Raises UsageError when there is none or one cannot be read.
-    """
-    if not directory.is_dir():
-        raise UsageError(f"'{directory}' is no directory of runs")
-    rows = [
-        {**load_run(path), "run": _name(path.parent, directory)}
-        for path in sorted(directory.rglob("result.json"))
-    ]
-    if not rows:
-        raise UsageError(f"'{directory}' holds no finished run (no result.json)")
-    return sorted(rows, key=lambda row: (row["scene"], row["estimator"], row["seed"]))
-
-
-def _name(run: Path, directory: Path) -> str:
-    return directory.resolve().name if run == directory else run.relative_to(directory).as_posix()
-
-
-def markdown_table(rows: list[dict[str, Any]], columns: tuple[Column, ...]) -> str:
-    """One row a run; columns without any value are left out."""
+def markdown_table(runs: Mapping[str, RunResult], columns: Sequence[Column]) -> str:
+    """Returns a Markdown table with one line per run; columns without any value are left out."""
+    rows = as_rows(runs)
     kept = [c for c in columns if any(lookup(row, c.path) is not None for row in rows)]
     lines = ["| " + " | ".join(column.title for column in kept) + " |"]
     lines.append("|" + "---|" * len(kept))
@@ -83,26 +62,36 @@ def markdown_table(rows: list[dict[str, Any]], columns: tuple[Column, ...]) -> s
     return "\n".join(lines)
 
 
-def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+def as_rows(runs: Mapping[str, RunResult]) -> list[dict[str, Any]]:
+    """The plain results with the name of each run as ``run``."""
+    return [{**result.plain(), "run": name} for name, result in runs.items()]
+
+
+def summary(runs: Mapping[str, RunResult]) -> dict[str, Any]:
     """Counts of outcomes and unsafe touchdowns, and means over the runs that have the value."""
-    outcomes: dict[str, int] = {}
-    for row in rows:
-        outcomes[row["outcome"]] = outcomes.get(row["outcome"], 0) + 1
-    means: dict[str, float | None] = {}
+    rows = as_rows(runs)
+    means: dict[str, float] = {}
     for column in LANDING_COLUMNS:
         values = [lookup(row, column.path) for row in rows]
-        numbers = [float(v) for v in values if isinstance(v, float)]
+        numbers = [value for value in values if isinstance(value, float)]
         if numbers:
             means[column.path] = fmean(numbers)
     unsafe = sum(
-        row["outcome"] == "LANDED" and ground_was_safe(row.get("landing") or {}) is False
-        for row in rows
+        result.outcome == LANDED
+        and result.landing is not None
+        and result.landing.ground_safe is False
+        for result in runs.values()
     )
-    return {"runs": len(rows), "outcomes": outcomes, "unsafe_touchdowns": unsafe, "means": means}
+    return {
+        "runs": len(runs),
+        "outcomes": dict(Counter(result.outcome for result in runs.values())),
+        "unsafe_touchdowns": unsafe,
+        "means": means,
+    }
 
 
 def summary_line(totals: Mapping[str, Any]) -> str:
-    """``3 runs: LANDED 2, NO_SITE 1; 1 unsafe touchdown``, of `summary`."""
+    """Returns ``3 runs: LANDED 2, NO_SITE 1; 1 unsafe touchdown`` of a `summary`."""
     runs, unsafe = totals["runs"], totals["unsafe_touchdowns"]
     counts = ", ".join(f"{name} {count}" for name, count in sorted(totals["outcomes"].items()))
     line = f"{runs} run{'s' * (runs != 1)}: {counts}"

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from touchdown.experiments.campaign.results_table import is_successful
 from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.flights import (
     Row,
     cell,
-    is_bad,
     methods_of,
     number,
     outcome_counts,
@@ -280,7 +280,7 @@ def outcome_table(rows: Sequence[Row]) -> Table:
                 [name_cell(method), Cell(scene, kind="name"), Cell(str(len(own))), *shown]
             )
             table.numbers.setdefault(method, {})[scene] = counts
-    lost = [row for row in rows if is_bad(row)]
+    lost = [row for row in rows if not is_successful(row)]
     unmeasured = [row for row in lost if number(row, "position_error_m.mean") is None]
     table.notes = [
         f"{len(lost)} of {len(rows)} flights did not end as they should. The errors of a lost "

@@ -5,8 +5,12 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Interval
 
 from touchdown.sim.navigation.types import FORBID_EXTRA
+from touchdown.sim.ranges import Fraction, Heading, NotNegative
 
 FAULT_KINDS: dict[str, tuple[str, ...]] = {
     "lidar_nan": ("scans",),
@@ -81,46 +85,46 @@ class FaultParams:
 
     events: tuple[str, ...] = ()
     """``KIND@START`` or ``KIND@START+DURATION``, seconds of simulated time"""
-    late_s: float = 0.3
+    late_s: NotNegative = 0.3
     """additional delay of ``lidar_late`` and ``camera_late``"""
     gps_jump_m: tuple[float, float, float] = (15.0, -10.0, 5.0)
     """offset of every position of ``gps_jump``, world frame"""
     gps_spoof_mps: tuple[float, float, float] = (0.5, -0.3, 0.0)
     """velocity at which ``gps_spoof`` draws positions away, world frame; it is in the reported
     velocity as well"""
-    skew_s: float = 0.02
+    skew_s: Annotated[float, Interval(ge=-1.0, le=1.0)] = 0.02
     """what ``lidar_skew``, ``camera_skew`` and ``gps_skew`` add to stamps, to the nearest tick"""
-    skew_ppm: float = 0.0
+    skew_ppm: Annotated[float, Interval(ge=-1e4, le=1e4)] = 0.0
     """and by how much such a clock runs fast, millionths"""
-    miscalibration_deg: float = 1.0
+    miscalibration_deg: Annotated[float, Interval(ge=0.0, le=20.0)] = 1.0
     """by which the LIDAR sits turned, about an axis drawn from the seed"""
-    miscalibration_m: float = 0.02
+    miscalibration_m: Annotated[float, Interval(ge=0.0, le=0.5)] = 0.02
     """and shifted, in a direction drawn from the seed"""
-    motor: int = 0
+    motor: Annotated[int, Interval(ge=0, le=3)] = 0
     """the rotor of ``motor_loss``, 0 to 3"""
-    motor_loss_share: float = 0.2
+    motor_loss_share: Annotated[float, Interval(ge=0.0, le=MOST_MOTOR_LOSS)] = 0.2
     """of that rotor's thrust, 0 to 0.5"""
-    gust_kmh: float = 30.0
+    gust_kmh: Annotated[float, Interval(ge=0.0, le=200.0)] = 30.0
     """speed up to which a ``gust`` blows, mean wind included"""
-    gust_rise_s: float = 1.5
+    gust_rise_s: Annotated[float, Interval(ge=0.05, le=60.0)] = 1.5
     """from its beginning to its peak"""
-    gust_direction_deg: float | None = None
+    gust_direction_deg: Heading | None = None
     """where it blows to, counter-clockwise from east; None: where the mean wind does"""
-    fog_visibility_m: float = 200.0
+    fog_visibility_m: Annotated[float, Interval(ge=LEAST_VISIBILITY_M, le=1e5)] = 200.0
     """meteorological optical range in ``fog``: where contrast has fallen to 2 %"""
-    rain_mmph: float = 25.0
+    rain_mmph: Annotated[float, Interval(ge=0.0, le=200.0)] = 25.0
     """rate of ``rain``, millimetres an hour"""
-    dirt_share: float = 0.1
+    dirt_share: Annotated[float, Interval(ge=0.0, le=0.9)] = 0.1
     """of the picture, below ``lens_dirt``"""
-    dirt_size: float = 0.02
+    dirt_size: Annotated[float, Interval(ge=0.002, le=0.2)] = 0.02
     """of its blobs (correlation length), as a share of the picture's width"""
-    dirt_transmission: float = 0.4
+    dirt_transmission: Fraction = 0.4
     """share of light that passes it"""
-    low_sun_deg: float = 10.0
+    low_sun_deg: Annotated[float, Interval(ge=LEAST_SUN_DEG, le=90.0)] = 10.0
     """elevation of ``low_sun``"""
-    low_sun_azimuth_deg: float | None = None
+    low_sun_azimuth_deg: Heading | None = None
     """where it stands, counter-clockwise from east; None: where the scene has it"""
-    glare: float = 0.03
+    glare: Fraction = 0.03
     """share of the sunlight on the lens that strays over the whole picture"""
 
     def schedule(self) -> tuple[Fault, ...]:
@@ -128,13 +132,7 @@ class FaultParams:
         return tuple(parse_fault(text) for text in self.events)
 
     def check(self, mean_wind_kmh: float) -> None:
-        """ValueError: a key that cannot be, or a schedule that cannot happen, in one sentence."""
-        for name, low, high in _BOUNDS:
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(
-                    f"faults.{name} = {value:g} is out of range: give {low:g} to {high:g}"
-                )
+        """Raises ValueError for a schedule that cannot happen in this mean wind."""
         for fault in self.schedule():
             if fault.kind == "low_sun" and (fault.start_s or fault.duration_s is not None):
                 raise ValueError(
@@ -145,26 +143,6 @@ class FaultParams:
                     f"fault '{fault.text}': faults.gust_kmh = {self.gust_kmh:g} is below "
                     f"wind.mean_kmh = {mean_wind_kmh:g}, which it includes"
                 )
-
-
-_BOUNDS = (
-    ("skew_s", -1.0, 1.0),
-    ("skew_ppm", -1e4, 1e4),
-    ("miscalibration_deg", 0.0, 20.0),
-    ("miscalibration_m", 0.0, 0.5),
-    ("motor", 0, 3),
-    ("motor_loss_share", 0.0, MOST_MOTOR_LOSS),
-    ("gust_kmh", 0.0, 200.0),
-    ("gust_rise_s", 0.05, 60.0),
-    ("fog_visibility_m", LEAST_VISIBILITY_M, 1e5),
-    ("rain_mmph", 0.0, 200.0),
-    ("dirt_share", 0.0, 0.9),
-    ("dirt_size", 0.002, 0.2),
-    ("dirt_transmission", 0.0, 1.0),
-    ("low_sun_deg", LEAST_SUN_DEG, 90.0),
-    ("glare", 0.0, 1.0),
-)
-"""What keys may be, ends included."""
 
 
 def parse_fault(text: str) -> Fault:

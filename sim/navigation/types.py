@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
+
+from touchdown.sim.ranges import Count, CountOrZero, NotNegative, Positive
 
 Array = NDArray[np.float64]
 
@@ -24,18 +28,23 @@ class GpsParams:
     __pydantic_config__ = FORBID_EXTRA
 
     preset: str = "paper"
-    period_ticks: int = 120
-    latency_ticks: int = 72
+    """receiver model: ``paper``, ``ublox-m8``, ``rtk`` or ``denied``"""
+    period_ticks: Count = 120
+    """ticks between two fixes (5 Hz)"""
+    latency_ticks: CountOrZero = 72
+    """ticks from measurement to arrival (120 ms)"""
     antenna_body_m: tuple[float, float, float] = (0.0, 0.0, 0.14)
     """where the antenna sits, body frame: on top of the battery"""
-    sigma_xy_m: float | None = None
+    sigma_xy_m: NotNegative | None = None
     """stationary standard deviation of the wandering error, each horizontal axis"""
-    sigma_z_m: float | None = None
-    tau_s: float | None = None
+    sigma_z_m: NotNegative | None = None
+    """the same of the vertical axis"""
+    tau_s: Positive | None = None
     """correlation time of that error"""
-    white_m: float | None = None
+    white_m: NotNegative | None = None
     """white noise of a fix, each axis"""
-    velocity_sigma_mps: float | None = None
+    velocity_sigma_mps: NotNegative | None = None
+    """standard deviation of the velocity, each axis"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,14 +54,19 @@ class BarometerParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    period_ticks: int = 24
-    latency_ticks: int = 12
-    white_sigma_pa: float = 1.2
-    drift_sigma_pa: float = 4.0
-    drift_tau_s: float = 300.0
-    offset_sigma_pa: float = 25.0
+    period_ticks: Count = 24
+    """ticks between two readings (25 Hz)"""
+    latency_ticks: CountOrZero = 12
+    """ticks from measurement to arrival"""
+    white_sigma_pa: NotNegative = 1.2
+    """standard deviation of the white noise"""
+    drift_sigma_pa: NotNegative = 4.0
+    """stationary standard deviation of the drift"""
+    drift_tau_s: Positive = 300.0
+    """correlation time of the drift"""
+    offset_sigma_pa: NotNegative = 25.0
     """turn-on"""
-    site_elevation_m: float = 50.0
+    site_elevation_m: Annotated[float, Interval(ge=-500.0, le=9000.0)] = 50.0
     """of world z = 0 above mean sea level"""
 
 
@@ -64,15 +78,19 @@ class MagnetometerParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    period_ticks: int = 12
-    latency_ticks: int = 3
-    strength_ut: float = 54.8
-    declination_deg: float = -7.2
+    period_ticks: Count = 12
+    """ticks between two readings (50 Hz)"""
+    latency_ticks: CountOrZero = 3
+    """ticks from measurement to arrival"""
+    strength_ut: Positive = 54.8
+    """magnitude of the field"""
+    declination_deg: Annotated[float, Interval(ge=-180.0, le=180.0)] = -7.2
     """east of true north"""
-    inclination_deg: float = 59.3
+    inclination_deg: Annotated[float, Interval(ge=-90.0, le=90.0)] = 59.3
     """below the horizon"""
-    noise_sigma_ut: float = 0.2
-    hard_iron_sigma_ut: float = 0.7
+    noise_sigma_ut: NotNegative = 0.2
+    """standard deviation of the white noise, each axis"""
+    hard_iron_sigma_ut: NotNegative = 0.7
     """what calibration left over, each axis, constant in one flight"""
 
 
@@ -83,12 +101,17 @@ class RangefinderParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    period_ticks: int = 12
-    latency_ticks: int = 6
-    sigma_m: float = 0.03
-    resolution_m: float = 0.01
-    min_range_m: float = 0.1
-    max_range_m: float = 100.0
+    period_ticks: Count = 12
+    """ticks between two readings (50 Hz)"""
+    latency_ticks: CountOrZero = 6
+    """ticks from measurement to arrival"""
+    sigma_m: NotNegative = 0.03
+    """standard deviation of the range noise"""
+    resolution_m: Positive = 0.01
+    """step that readings are rounded to"""
+    min_range_m: NotNegative = 0.1
+    """nearest range that is reported"""
+    max_range_m: Positive = 100.0
     """on a surface of 70 % reflectivity; darker and slanted ones are lost sooner"""
     position_body_m: tuple[float, float, float] = (-0.06, 0.0, -0.13)
     """where the beam starts, body frame; it points along body -z"""

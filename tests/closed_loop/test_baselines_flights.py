@@ -17,7 +17,7 @@ from support.baselines_support import tiny
     [("gps", 3.0), ("optical_flow", 0.3), ("hybrid_flow", 3.0), ("stereo", 0.3)],
 )
 def test_short_survey_in_the_loop(estimator: str, most_m: float) -> None:
-    result = fly(tiny(estimator), None)
+    result = fly(tiny(estimator), None).plain()
     assert result["outcome"] == "COMPLETED"
     assert result["position_error_m"]["mean"] < most_m
     # it flies what it believes: the flown path is off by what the estimate was off, and no more
@@ -50,7 +50,7 @@ def test_gps_over_twenty_seeds_is_what_its_receiver_predicts() -> None:
             seed=seed,
             survey_only=True,
         )
-        result = fly(config, None)
+        result = fly(config, None).plain()
         assert result["outcome"] == "COMPLETED"
         means.append(result["position_error_m"]["mean"])
     # 95 % interval of the mean of twenty flights, by the predicted spread

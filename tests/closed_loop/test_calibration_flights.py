@@ -17,7 +17,7 @@ from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.estimator_calibration import believed_rig, erring_rig
-from touchdown.experiments.flight.wiring import build_flight, build_scene
+from touchdown.experiments.flight.wiring import build_flight_stack, build_scene
 from touchdown.experiments.io.calibration_file import read_calibration
 from touchdown.sim.api import SensorRig
 from touchdown.sim.frames import so3_log
@@ -53,7 +53,7 @@ def test_pictures_are_written(calibrated: tuple[Path, dict[str, Any]]) -> None:
 @pytest.fixture(scope="module")
 def rig() -> SensorRig:
     config = load_config(None, [], scene="flat", estimator="oracle")
-    flight = build_flight(config, build_scene(config))
+    flight = build_flight_stack(config, build_scene(config))
     flight.world.close()
     return flight.world.rig
 

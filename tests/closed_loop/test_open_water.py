@@ -16,7 +16,7 @@ from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.loop import run_flight
 from touchdown.experiments.flight.platform import limit_threads
 from touchdown.experiments.flight.run import make_referee
-from touchdown.experiments.flight.wiring import build_flight, build_scene
+from touchdown.experiments.flight.wiring import build_flight_stack, build_scene
 
 CONFIG = Path(__file__).parents[2] / "configs" / "open_water.toml"
 SPAN_S = 5.0
@@ -31,7 +31,8 @@ class Watch:
     rows: list[Any] = field(default_factory=list)
     events: list[str] = field(default_factory=list)
 
-    def tick(self, truth: Any, obs: Any, estimate: Any, *_others: Any) -> None:
+    def tick(self, step: Any) -> None:
+        truth, estimate = step.truth, step.estimate
         self.events.extend(estimate.events)
         if truth.tick % 30:
             return
@@ -70,7 +71,7 @@ def fly(seed: int, estimator: str, faults: tuple[str, ...] = ()) -> tuple[Figure
         CONFIG, ["sim.threads=1"], scene="open_water", seed=seed, estimator=estimator,
         record=False, fault=faults or None,
     )  # fmt: skip
-    flight = build_flight(config, build_scene(config))
+    flight = build_flight_stack(config, build_scene(config))
     watch = Watch()
     referee = make_referee(config, flight.scene, lambda: None)
     try:

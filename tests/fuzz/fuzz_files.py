@@ -1,4 +1,4 @@
-"""Seeded generators of files that people bring along: MJCF, relief, calibrations, pictures."""
+"""Seeded generators of input files: MJCF, elevation models, calibrations, images."""
 
 from __future__ import annotations
 

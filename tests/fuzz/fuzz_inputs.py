@@ -1,4 +1,4 @@
-"""Seeded generators of inputs that people could give: valid ones, mutated."""
+"""Seeded generators of command lines and configurations: valid ones, mutated."""
 
 from __future__ import annotations
 

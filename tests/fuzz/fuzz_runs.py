@@ -1,4 +1,4 @@
-"""Seeded generators of finished runs, campaigns and baselines: good, old, foreign, damaged."""
+"""Seeded generators of runs, campaigns and baselines: valid, old, of other tools, damaged."""
 
 from __future__ import annotations
 
@@ -103,6 +103,7 @@ def _write_run(rng: Rng, run: Path, home: Path) -> None:
 def _make_campaign(rng: Rng, runs: Path) -> None:
     """The same runs as a campaign's: a plan, rows, a crash."""
     from touchdown.experiments.campaign.results_table import make_row, write_table
+    from touchdown.experiments.io.results import RunResult
 
     inner = runs / "runs"
     inner.mkdir()
@@ -130,7 +131,7 @@ def _make_campaign(rng: Rng, runs: Path) -> None:
         mutate_tree(rng, plan)
     put(rng, runs / "campaign.json", json.dumps(plan), 0.1)
     for run in inner.iterdir():
-        row = make_row(_good_run()[0], run.name, "fly", "0" * 12)
+        row = make_row(RunResult.model_validate(_good_run()[0]), run.name, "fly", "0" * 12)
         if rng.random() < 0.2:
             key = pick(rng, row)
             row[key] = pick(rng, ("x", None, 1.0, [1.0], True))

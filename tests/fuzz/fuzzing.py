@@ -1,8 +1,8 @@
-"""How a fuzzed input is run, and how its end is judged.
+"""Running of fuzzed inputs and the verdict on their end.
 
-A case is a command line in a folder of its own. It may end in three ways: it does what it says
-(exit code 0 or 1), it is refused (exit code 2: one line on stderr, nothing written), or it comes to
-where the long work would begin, where `grounded` ends it. Whatever else happens is a finding.
+A case is a command line in a folder of its own. It may end in three ways: it is done (exit code 0
+or 1), it is refused (exit code 2: one line on stderr, nothing written), or it reaches the beginning
+of the long work, where `grounded` ends it. Any other end is a finding.
 """
 
 from __future__ import annotations

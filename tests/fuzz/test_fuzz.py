@@ -1,4 +1,4 @@
-"""Whatever people type or bring along: it works, or it is one line that names the remedy.
+"""Fuzzing: every input is accepted, or refused in one line that names the remedy.
 
 The short run is part of every test run, the long one (``-m slow``) is ten thousand cases. A finding
 is repeated by its kind and number: the same number is the same input.

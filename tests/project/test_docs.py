@@ -94,7 +94,7 @@ def test_the_site_has_every_page_once() -> None:
     site = yaml.safe_load(text_of("mkdocs.yml"))
     hooks = _site_hooks()
     written = {str(p.relative_to(ROOT / "docs")) for p in (ROOT / "docs").rglob("*.md")}
-    added = {*hooks.ROOT_PAGES.values(), hooks.COMMANDS_PAGE}
+    added = {*hooks.ROOT_PAGES.values(), hooks.COMMANDS_PAGE, hooks.CONFIGURATION_PAGE}
     assert not written & added, "pages that the site adds would hide pages of docs/"
     assert sorted(_in_nav(site["nav"])) == sorted(written | added)
     assert set(hooks.ROOT_PAGES) == {page.name for page in ROOT.glob("*.md")}
@@ -289,3 +289,24 @@ def test_environments_do_what_the_page_says(number: int) -> None:
     with contextlib.redirect_stdout(printed):
         exec(blocks_of(page, "python")[number], {"__name__": "block"})
     assert printed.getvalue().strip() == promised[number]
+
+
+@pytest.mark.slow
+def test_the_blocks_of_the_python_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All but the first, which flies the default survey."""
+    import matplotlib
+
+    matplotlib.use("agg")
+    monkeypatch.chdir(tmp_path)
+    printed = io.StringIO()
+    blocks = blocks_of(ROOT / "docs" / "python.md", "python")
+    assert len(blocks) == 5
+    with contextlib.redirect_stdout(printed):
+        for block in blocks[1:]:
+            exec(compile(block, "python.md", "exec", dont_inherit=True), {"__name__": "block"})
+    assert (tmp_path / "runs" / "study.png").stat().st_size > 0
+    assert [line.split()[:3] for line in printed.getvalue().splitlines()[1:]] == [
+        [estimator, str(seed), "COMPLETED"]
+        for estimator in ("gps", "optical_flow")
+        for seed in (0, 1)
+    ]

@@ -11,9 +11,10 @@ from typing import Any
 
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.io.results import RunResult
 
 
-def fly(config: Config, out: Path) -> dict[str, Any]:
+def fly(config: Config, out: Path) -> RunResult:
     """Fills ``out`` as a flight does; the figures follow from scene, seed and wind alone."""
     behaviour = config.estimator.partition(":")[2]
     with (campaign_dir(out) / "attempts.log").open("a") as log:
@@ -48,7 +49,7 @@ def fly(config: Config, out: Path) -> dict[str, Any]:
     if config.record:
         (partial / "flight.rrd").write_text("seen")
     os.replace(partial, out)
-    return result
+    return RunResult.model_validate(result)
 
 
 def campaign_dir(out: Path) -> Path:

@@ -6,7 +6,6 @@ import dataclasses
 import functools
 import importlib
 import inspect
-import json
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,13 +18,14 @@ from touchdown.experiments.campaign.worker import Task, execute
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.io.images import write_png
+from touchdown.experiments.io.results import RunResult, load_result
 
 from support.report_support import LANDING, write_run
 
 SCORES = {"loss": 0.5, "macro_f1": 0.6, "recall": 0.7, "top1": 0.75, "top1_interval": [0.7, 0.8]}
 
 
-def fly(config: Config, out: Path) -> dict[str, Any]:
+def fly(config: Config, out: Path) -> RunResult:
     """A flight as a campaign's worker would fly it."""
     landing = None
     if not config.landing.survey_only:
@@ -37,8 +37,7 @@ def fly(config: Config, out: Path) -> dict[str, Any]:
     run = write_run(out.parent, config.scene, config.estimator, config.seed, **changes)
     run.rename(out)
     (out / "config.json").write_text(dump_config(config))
-    result: dict[str, Any] = json.loads((out / "result.json").read_text())
-    return result
+    return load_result(out / "result.json")
 
 
 @dataclasses.dataclass

@@ -10,9 +10,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from touchdown.experiments.campaign.results_table import is_successful
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.run_directory import write_text
-from touchdown.experiments.reporting.flights import Row, is_bad, number
+from touchdown.experiments.reporting.flights import Row, number
 
 FORMAT = "touchdown-baseline-1"
 METRIC = "position_error_m.mean"
@@ -59,7 +60,7 @@ def cells_of(rows: Iterable[Row]) -> dict[Key, dict[int, Trial]]:
                 f"{cell_name(key)} was flown twice with seed {seed} ('{row['run_id']}' is one of "
                 "the runs); keep one of them"
             )
-        trials[seed] = Trial(seed, number(row, METRIC), str(row["outcome"]), is_bad(row))
+        trials[seed] = Trial(seed, number(row, METRIC), str(row["outcome"]), not is_successful(row))
     return cells
 
 

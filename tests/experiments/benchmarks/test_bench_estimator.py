@@ -67,7 +67,7 @@ def test_evo_says_what_we_say() -> None:
     for position, truth in zip(believed, true, strict=True):
         own.add(Pose(np.eye(3), position), Pose(np.eye(3), truth))
     found = evo_error(np.arange(400) / 50.0, list(true), list(believed))
-    assert found == pytest.approx(own.summary()["mean"], abs=1e-12)
+    assert found == pytest.approx(own.summary().mean, abs=1e-12)
     assert found == pytest.approx(np.linalg.norm(believed - true, axis=1).mean(), abs=1e-12)
     assert math.isnan(evo_error([], [], []))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,12 +16,12 @@ from touchdown.landing.mission.trajectory import peaks, survey_trajectory
 from touchdown.sim.frames import Pose
 
 
-def event(time_s: float, error_m: float) -> tuple[SimpleNamespace, None, SimpleNamespace]:
+def step(time_s: float, error_m: float) -> Any:
     def at(x: float) -> Pose:
         return Pose(np.eye(3), np.array([x, 0.0, 0.0]))
 
     truth = SimpleNamespace(time_s=time_s, world_from_body=at(0.0))
-    return truth, None, SimpleNamespace(world_from_body=at(error_m))
+    return SimpleNamespace(truth=truth, estimate=SimpleNamespace(world_from_body=at(error_m)))
 
 
 def test_each_minute_has_its_own_time_and_error() -> None:
@@ -30,7 +31,7 @@ def test_each_minute_has_its_own_time_and_error() -> None:
         # 0.02 s of work each second in the first minute, 0.05 s in the second
         clock.add("estimator", 0.02 if second <= 60 else 0.05)
         spent_s[0] += 0.1 if second <= 60 else 0.2  # by all threads
-        minutes.tick(*event(float(second), 0.1 if second <= 60 else 0.3))
+        minutes.tick(step(float(second), 0.1 if second <= 60 else 0.3))
     first, second_ = minutes.rows
     assert (first["until_s"], second_["until_s"]) == (60.0, 120.0)
     assert first["estimator_ms"] == pytest.approx(2.0)  # of ten scans a second

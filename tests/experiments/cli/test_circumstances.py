@@ -19,6 +19,7 @@ from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import dump_config, load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, system_message
+from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.io.run_directory import run_directory, whole_file
 from touchdown.experiments.terminal import error_line
 
@@ -37,16 +38,16 @@ def _one_line(error: str) -> bool:
     return error.startswith("touchdown: error: ") and error.count("\n") == 1
 
 
-def _flight(ends: Callable[[Path], None]) -> Callable[..., dict[str, Any]]:
+def _flight(ends: Callable[[Path], None]) -> Callable[..., RunResult]:
     """A flight that fills its directory half and then meets its fate."""
 
-    def fly(config: Config, out: Path, progress: Any) -> dict[str, Any]:
+    def fly(config: Config, out: Path, progress: Any) -> RunResult:
         with run_directory(out) as partial:
             progress(0.0, "TAKEOFF", "")
             (partial / "truth.tum").write_text("0 0 0")
             ends(partial)
             (partial / "result.json").write_text("{}")
-        return fake_result(config, "COMPLETED")
+        return RunResult.model_validate(fake_result(config, "COMPLETED"))
 
     return fly
 
@@ -64,7 +65,7 @@ def _raise(error: BaseException) -> Callable[[Path], None]:
         (errno.ENOSPC, "No space left on device; make room"),
         (errno.EDQUOT, "make room"),
         (errno.EFBIG, "ulimit -f"),
-        (errno.EROFS, "Read-only file system; name a place"),
+        (errno.EROFS, "Read-only file system; name a path"),
         (errno.EACCES, "Permission denied; name one that you may use"),
         (errno.EIO, "may be full"),
     ],
@@ -173,7 +174,7 @@ def test_an_error_line_does_not_steer_the_terminal_and_has_an_end() -> None:
 def test_words_that_are_no_text_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     code, _, err = _run(capsys, "scenes", "export", "flat", "--out", "a\udcff")
     assert (code, _one_line(err)) == (2, True)
-    assert "'a\\udcff' is no text in UTF-8" in err
+    assert "'a\\udcff' is not UTF-8 text" in err
 
 
 def test_the_configuration_of_another_version_is_told_by_its_key(

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from touchdown.experiments.cli import main as cli
+from touchdown.experiments.io.results import RunResult
 
 ROOT = Path(__file__).parents[3]
 HEAVY = ("mujoco", "open3d", "cv2", "rerun", "numba", "matplotlib", "scipy", "torch", "ray")
@@ -118,8 +119,8 @@ def test_scenes_list_as_json_is_one_object(capsys: pytest.CaptureFixture[str]) -
     assert err == ""
 
 
-def _result(outcome: str, **landing: Any) -> dict[str, Any]:
-    return {
+def _result(outcome: str, **landing: Any) -> RunResult:
+    tree = {
         "outcome": outcome,
         "reason": "",
         "scene": "crossroad",
@@ -129,6 +130,11 @@ def _result(outcome: str, **landing: Any) -> dict[str, Any]:
         "landing": landing or None,
         "timing": {"wall_s": 2.0, "sim_s": 4.0, "real_time_factor": 2.0, "stage_ms": {}},
     }
+    return RunResult.model_validate(tree)
+
+
+def _changed(result: RunResult, **values: Any) -> RunResult:
+    return RunResult.model_validate(result.plain() | values)
 
 
 @pytest.mark.parametrize(
@@ -142,24 +148,24 @@ def _result(outcome: str, **landing: Any) -> dict[str, Any]:
         (_result("COMPLETED"), 0),
     ],
 )
-def test_exit_code_tells_the_outcome(
-    result: dict[str, Any],
+def test_exit_code_follows_the_outcome(
+    result: RunResult,
     code: int,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def fly(_config: Any, _out: Path, progress: Any) -> dict[str, Any]:
+    def fly(_config: Any, _out: Path, progress: Any) -> RunResult:
         progress(0.0, "TAKEOFF", "climbing")
         return result
 
     monkeypatch.setattr("touchdown.experiments.flight.run.fly", fly)
     got, out, err = _run(capsys, "land", "crossroad", "--json")
     assert got == code
-    assert json.loads(out)["outcome"] == result["outcome"]
+    assert json.loads(out)["outcome"] == result.outcome
     assert "TAKEOFF" in err
     got, out, err = _run(capsys, "land", "crossroad", "--quiet")
     assert got == code
-    assert result["outcome"] in out
+    assert result.outcome in out
     assert err == ""
 
 
@@ -188,18 +194,18 @@ def test_a_sensor_log_is_not_replaced_by_a_run_without(
 
 
 @pytest.mark.parametrize(
-    ("kind", "recognition", "remark"),
+    ("kind", "classifier", "remark"),
     [("road", "off", True), ("building", "off", True), ("lawn", "off", False), ("road", "", False)],
 )
-def test_risky_ground_without_place_recognition_is_remarked_on(
-    kind: str, recognition: str, remark: bool, capsys: pytest.CaptureFixture[str]
+def test_risky_ground_without_ground_classification_is_remarked_on(
+    kind: str, classifier: str, remark: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from touchdown.experiments.cli.console import print_result
 
     result = _result("LANDED", class_true=kind, safe_geometry=True)
-    print_result(result | {"classifier": recognition}, None, True)
+    print_result(_changed(result, classifier=classifier), None)
     out = capsys.readouterr().out
-    assert "kind of ground" in out and kind in out
+    assert "ground class" in out and kind in out
     assert (f"a {kind} is risky ground; ground classification was off" in out) == remark
 
 
@@ -216,52 +222,31 @@ def test_a_table_in_a_pipe_is_not_cut(capsys: pytest.CaptureFixture[str]) -> Non
     assert "…" not in out and row["scene"] in out and "safe ground" in out and "s a seed" in out
 
 
-def test_a_lost_estimate_tells_what_it_knew(
+def test_a_lost_estimate_lists_its_events(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     events = [{"time_s": 1.5 * i, "text": f"scan {i} refused [no returns]"} for i in range(8)]
-    lost = _result("DIVERGED") | {"estimator": "livo", "events": events, "event_count": 8}
-    monkeypatch.setattr("touchdown.experiments.flight.run.fly", lambda *_args: lost)
+    lost = _changed(_result("DIVERGED"), estimator="livo", events=events, event_count=8)
+    flown = [lost]
+    monkeypatch.setattr("touchdown.experiments.flight.run.fly", lambda *_args: flown[-1])
     code, out, _ = _run(capsys, "fly", "crossroad", "--quiet")
     assert code == 1
-    assert "the last of 8 events that livo told:" in out
+    assert "the last of 8 messages of livo:" in out
     assert "  10.5 s  scan 7 refused [no returns]" in out and "scan 2 " not in out
-    lost |= {"event_count": 900}
-    assert "the last of the first 8 of 900 events" in _run(capsys, "fly", "crossroad")[1]
-    lost |= {"outcome": "TIPPED"}
-    assert "events" not in _run(capsys, "fly", "crossroad", "--quiet")[1]
+    flown.append(_changed(lost, event_count=900))
+    assert "the last of the first 8 of 900 messages" in _run(capsys, "fly", "crossroad")[1]
+    flown.append(_changed(lost, outcome="TIPPED"))
+    assert "messages of" not in _run(capsys, "fly", "crossroad", "--quiet")[1]
 
 
 def test_a_fault_in_the_air_is_not_told_as_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fly(_config: Any, _out: Path, progress: Any) -> dict[str, Any]:
+    def fly(_config: Any, _out: Path, progress: Any) -> RunResult:
         progress(0.0, "TAKEOFF", "")
         raise ValueError("shapes (3,) and (4,) do not match")
 
     monkeypatch.setattr("touchdown.experiments.flight.run.fly", fly)
     with pytest.raises(ValueError, match="shapes"):
         cli.main(["land", "crossroad"])
-
-
-def test_a_viewer_without_a_display_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "flight.rrd").write_bytes(b"RRF")
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(sys, "platform", "linux")
-    opened: list[list[str]] = []
-
-    def start(command: list[str], check: bool) -> subprocess.CompletedProcess[bytes]:
-        opened.append(command)
-        return subprocess.CompletedProcess(command, 0)
-
-    monkeypatch.setattr(subprocess, "run", start)
-    code, _, err = _run(capsys, "view", str(tmp_path))
-    assert code == 2 and "--web" in err and err.count("\n") == 1
-    assert _run(capsys, "view", str(tmp_path), "--web")[0] == 0
-    monkeypatch.setenv("DISPLAY", ":0")
-    assert _run(capsys, "view", str(tmp_path))[0] == 0
-    assert [command[-1] == "--web-viewer" for command in opened] == [True, False]
 
 
 def test_interruption_is_130(

@@ -1,13 +1,19 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from touchdown.experiments.config.loading import dump_config, known_keys, load_config
+from touchdown.experiments.campaign.plan import load_plan
+from touchdown.experiments.config.loading import dump_config, known_keys, load_config, read_tree
+from touchdown.experiments.config.ranges import bounds_of, range_text, types_of_keys
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
+
+CONFIGS = Path(__file__).parents[3] / "configs"
 
 
 def test_defaults_are_those_of_the_parameter_classes() -> None:
@@ -73,6 +79,13 @@ def test_every_parameter_of_every_group_has_a_key() -> None:
         ("imu.gyro_density=-1e-3", ["imu.gyro_density", "not be negative"]),
         ("mapper.cell_m=0", ["mapper.cell_m", "positive"]),
         ("survey.legs=0", ["survey.legs", "positive"]),
+        ("survey.height_m=-3", ["height_m = -3 in --set survey.height_m=-3 must be positive"]),
+        ("landing.min_safe_probability=1.5", ["= 1.5 in", "must be within 0 to 1"]),
+        ("landing.max_slope_deg=90", ["must be above 0 and below 90"]),
+        ("paper.planar_cells=[56, 0]", ["paper.planar_cells = [56, 0]", "must be positive"]),
+        ("gps.sigma_xy_m=-0.5", ["gps.sigma_xy_m = -0.5", "must not be negative"]),
+        ("sim.threads=3", ["must be within 1 to 2"]),
+        ("scene_seed=-1", ["scene_seed", "must not be negative"]),
         ("camera.fov_x_deg=180", ["camera.fov_x_deg", "below 180"]),
         ("log.jpeg_quality=101", ["log.jpeg_quality", "100"]),
         ("sim.camera_ticks=7", ["sim.camera_ticks", "must divide sim.tick_hz = 600"]),
@@ -130,3 +143,58 @@ def test_one_fault_needs_no_brackets(tmp_path: Path) -> None:
         assert config.faults.events == ("gps_dropout@20",)
     with pytest.raises(UsageError, match="unknown fault 'gps_drop' in 'gps_drop@20'"):
         load_config(None, ["faults.events=gps_drop@20"])
+
+
+# ----------------------------------------------------------------------------- ranges of the schema
+
+WITHOUT_RANGE = {
+    "bias.xy_m",
+    "camera.distortion",
+    "faults.gps_jump_m",
+    "faults.gps_spoof_mps",
+    "gps.antenna_body_m",
+    "landing.risk_weights",
+    "landing.site_xy_m",
+    "rangefinder.position_body_m",
+}
+"""Positions, offsets and coefficients of either sign."""
+
+
+def _numbers(value: Any) -> bool:
+    """True for a number or a tuple of numbers."""
+    values = value if isinstance(value, tuple) else (value,)
+    numbers = [v for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
+    return bool(numbers)
+
+
+def test_every_number_has_a_range_that_holds_its_default() -> None:
+    tree = Config().model_dump()
+    for key, kind in types_of_keys().items():
+        group, _, name = key.partition(".")
+        default = tree[group][name] if name else tree[group]
+        bounds = bounds_of(kind)
+        if "float" in str(kind) or "int" in str(kind):
+            assert bounds or key in WITHOUT_RANGE, f"{key} has no range"
+        if not bounds or default is None:
+            continue
+        assert _numbers(default), key
+        for number in default if isinstance(default, tuple) else (default,):
+            assert bounds.get("gt", -math.inf) < number < bounds.get("lt", math.inf), key
+            assert bounds.get("ge", -math.inf) <= number <= bounds.get("le", math.inf), key
+
+
+def test_bounds_are_read_from_types() -> None:
+    assert bounds_of(types_of_keys()["wind.mean_kmh"]) == {"ge": 0}
+    assert bounds_of(types_of_keys()["gps.tau_s"]) == {"gt": 0}
+    assert bounds_of(types_of_keys()["camera.fov_x_deg"]) == {"gt": 0.0, "lt": 180.0}
+    assert bounds_of(types_of_keys()["scene"]) == {}
+    assert range_text({"ge": 5.0, "le": 1e5}) == "within 5 to 100000"
+    assert range_text({"gt": 0.0, "lt": 90.0}) == "above 0 and below 90"
+
+
+@pytest.mark.parametrize("file", sorted(CONFIGS.glob("*.toml")), ids=lambda path: path.stem)
+def test_shipped_configurations_load(file: Path) -> None:
+    if "axes" in read_tree(file):
+        load_plan(file)
+    else:
+        load_config(file)

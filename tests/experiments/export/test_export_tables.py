@@ -11,7 +11,7 @@ import pytest
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.export.flown_run import ExportOptions, FlownRun
 from touchdown.experiments.export.run import export
-from touchdown.experiments.flight.run import PhaseLog
+from touchdown.experiments.flight.observers import PhaseLog
 from touchdown.experiments.io.tum import read_tum
 
 from support.export_support import OFFSET, make_flown, read_bag
@@ -82,7 +82,7 @@ def test_phases_are_noted_as_they_change() -> None:
     log = PhaseLog()
     for step, phase in enumerate(["INIT", "INIT", "TAKEOFF", "SURVEY", "SURVEY"]):
         log.add(0.5 * step, phase)
-    assert log.kept == [
+    assert [start.model_dump() for start in log.kept] == [
         {"time_s": 0.0, "phase": "INIT"},
         {"time_s": 1.0, "phase": "TAKEOFF"},
         {"time_s": 1.5, "phase": "SURVEY"},

@@ -314,7 +314,7 @@ def test_the_example_of_the_page_flies_a_survey(
     config = load_config(
         estimator="ground_flow_flown:build", scene="crossroad", record=False, survey_only=True
     )
-    result = fly(config, None)
+    result = fly(config, None).plain()
     assert result["outcome"] == "COMPLETED", result["reason"]
     assert result["position_error_m"]["mean"] < 5.0
 
@@ -324,7 +324,7 @@ def test_the_command_passes_the_example(
 ) -> None:
     _module(tmp_path, monkeypatch, "ground_flow_example", _example())
     assert cli.main(["check-estimator", "ground_flow_example:build", "--seconds", "1"]) == 0
-    assert capsys.readouterr().out == "ground_flow_example:build: good\n"
+    assert capsys.readouterr().out == "ground_flow_example:build: conforms\n"
 
 
 def test_the_command_tells_what_is_wrong(

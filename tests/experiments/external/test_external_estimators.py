@@ -25,6 +25,7 @@ from touchdown.experiments.external.synthetic_stream import SyntheticStream, syn
 from touchdown.experiments.external.wrapper import ExternalEstimator, ExternalEstimatorError
 from touchdown.experiments.flight.replay import replay_config
 from touchdown.experiments.flight.wiring import ESTIMATORS, build_estimator
+from touchdown.experiments.io.results import load_result
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
@@ -229,7 +230,7 @@ def test_external_keys_reach_the_builder_and_come_back(
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        (["external.gain=1"], "is for an estimator of your own, MODULE:FUNCTION"),
+        (["external.gain=1"], "is for an external estimator, MODULE:FUNCTION"),
         (["estimator=a:b", "external=1"], "'external' in --set external=1 is a group"),
         (["estimator=a:b", "external.x={y=1}"], "set its keys one by one, such as external.x.gain"),
         (["estimator=a:b", "external.x=1", "external.x.y=2"], "beside a value of external.x"),
@@ -285,7 +286,8 @@ def test_a_campaign_is_not_gone_on_with_on_other_code(
         result = {"scene": "flat", "estimator": run.values["estimator"], "seed": 0}
         result |= {"outcome": "COMPLETED", "estimator_sha": sha}
         (folder / "result.json").write_text(json.dumps(result))
-        write_table([make_row(result, run.run_id, "fly", "0")], folder / "row.parquet")
+        row = make_row(load_result(folder / "result.json"), run.run_id, "fly", "0")
+        write_table([row], folder / "row.parquet")
     (out / "campaign.json").write_text("{}")
     check_external_code(plan, out)
     lab(STILL + "\nGAIN = 1\n")

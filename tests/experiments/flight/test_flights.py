@@ -21,7 +21,7 @@ SHORT = (
 
 def run(out: Path | None, *overrides: str, **options: Any) -> dict[str, Any]:
     config = load_config(None, [*SHORT, *overrides], scene="crossroad", record=False, **options)
-    return fly(config, out)
+    return fly(config, out).plain()
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +74,6 @@ def test_tracking_in_wind_with_the_truth_for_an_estimate() -> None:
     config = load_config(
         None, [], scene="crossroad", record=False, estimator="oracle", seed=5, survey_only=True
     )
-    result = fly(config, None)
+    result = fly(config, None).plain()
     assert result["trajectory_error_m"] <= 0.06
     assert result["trajectory_error_max_m"] <= 0.25

@@ -23,23 +23,23 @@ def test_positioning_error_of_two_samples() -> None:
     error.add(Pose(np.eye(3), np.array([3.0, 0.0, 4.0])), Pose.identity())
     error.add(Pose(rotation_from_yaw(0.2), np.array([0.0, 1.0, 0.0])), Pose.identity())
     summary = error.summary()
-    assert summary["mean"] == pytest.approx(3.0)
-    assert summary["rmse"] == pytest.approx(np.sqrt((25 + 1) / 2))
-    assert summary["max"] == pytest.approx(5.0)
-    assert (summary["x"], summary["y"], summary["z"]) == pytest.approx((1.5, 0.5, 2.0))
-    assert summary["yaw_deg"] == pytest.approx(np.degrees(0.1))
+    assert summary.mean == pytest.approx(3.0)
+    assert summary.rmse == pytest.approx(np.sqrt((25 + 1) / 2))
+    assert summary.max == pytest.approx(5.0)
+    assert (summary.x, summary.y, summary.z) == pytest.approx((1.5, 0.5, 2.0))
+    assert summary.yaw_deg == pytest.approx(np.degrees(0.1))
 
 
 def test_positioning_error_of_nothing_is_null() -> None:
-    assert PositioningError().summary()["mean"] is None
+    assert PositioningError().summary().mean is None
 
 
 def test_trajectory_deviation_mean_and_variance() -> None:
     deviation = TrajectoryDeviation()
     for distance in (1.0, 2.0, 3.0):
         deviation.add(make_truth(0.0, [distance, 0.0, 0.0]), np.zeros(3))
-    assert deviation.summary()["trajectory_error_m"] == pytest.approx(2.0)
-    assert TrajectoryDeviation().summary()["trajectory_error_m"] is None, "nothing was flown"
+    assert deviation.summary().mean_m == pytest.approx(2.0)
+    assert TrajectoryDeviation().summary().mean_m is None, "nothing was flown"
     assert deviation.variance == pytest.approx(2.0 / 3.0)
     assert deviation.largest == pytest.approx(3.0)
 
@@ -59,11 +59,11 @@ def test_touchdown_window_keeps_only_the_last_half_second() -> None:
     for height in (0.30, 0.28, 0.31, 0.28):
         window.add_after(make_truth(2.1, [4.0, 5.0, height], peak_contact_accel=10 * height))
     summary = window.summary()
-    assert summary["vertical_speed_mps"] == pytest.approx(0.2)
-    assert summary["horizontal_speed_mps"] == pytest.approx(0.05)
-    assert summary["vertical_accel_mps2"] == pytest.approx(0.1)
-    assert summary["bounce_m"] == pytest.approx(0.03)
-    assert summary["impact_peak_mps2"] == pytest.approx(3.1)
+    assert summary.vertical_speed_mps == pytest.approx(0.2)
+    assert summary.horizontal_speed_mps == pytest.approx(0.05)
+    assert summary.vertical_accel_mps2 == pytest.approx(0.1)
+    assert summary.bounce_m == pytest.approx(0.03)
+    assert summary.impact_peak_mps2 == pytest.approx(3.1)
     assert window.contact_xy is not None
     np.testing.assert_array_equal(window.contact_xy, [4.0, 5.0])
 
@@ -106,16 +106,21 @@ def test_levelness_error_of_a_map_tilted_by_two_degrees() -> None:
 def test_nees_of_known_errors() -> None:
     """An error of (1, 2, 2) standard deviations has NEES 9."""
     nees = Consistency()
-    assert nees.summary() == {"median": None, "mean": None, "below_14_2": None, "samples": 0}
+    assert nees.summary().model_dump() == {
+        "median": None,
+        "mean": None,
+        "below_14_2": None,
+        "samples": 0,
+    }
     covariance = np.diag([0.01, 0.04, 0.25])
     nees.add(np.array([0.1, 0.4, 1.0]), np.zeros(3), covariance)
     nees.add(np.array([0.0, 0.0, 5.0]), np.zeros(3), covariance)  # 100
     nees.add(np.array([0.1, 0.0, 0.0]), np.zeros(3), covariance)  # 1
     summary = nees.summary()
-    assert summary["mean"] == pytest.approx(110.0 / 3.0)
-    assert summary["median"] == pytest.approx(9.0, rel=0.05)
-    assert summary["below_14_2"] == pytest.approx(2.0 / 3.0)
-    assert summary["samples"] == 3
+    assert summary.mean == pytest.approx(110.0 / 3.0)
+    assert summary.median == pytest.approx(9.0, rel=0.05)
+    assert summary.below_14_2 == pytest.approx(2.0 / 3.0)
+    assert summary.samples == 3
 
 
 def test_nees_of_a_consistent_estimator_is_chi_square() -> None:
@@ -125,12 +130,12 @@ def test_nees_of_a_consistent_estimator_is_chi_square() -> None:
     for error in rng.normal(size=(4000, 3)):
         nees.add(root @ error, np.zeros(3), root @ root.T)
     summary = nees.summary()
-    assert summary["median"] == pytest.approx(2.366, rel=0.08)
-    assert summary["mean"] == pytest.approx(3.0, rel=0.06)
-    assert NEES_LIMIT == 14.2 and summary["below_14_2"] == pytest.approx(0.9973, abs=0.003)
+    assert summary.median == pytest.approx(2.366, rel=0.08)
+    assert summary.mean == pytest.approx(3.0, rel=0.06)
+    assert NEES_LIMIT == 14.2 and summary.below_14_2 == pytest.approx(0.9973, abs=0.003)
 
 
 def test_a_singular_covariance_is_overconfidence() -> None:
     nees = Consistency()
     nees.add(np.ones(3), np.zeros(3), np.zeros((3, 3)))
-    assert nees.summary()["below_14_2"] == 0.0
+    assert nees.summary().below_14_2 == 0.0

@@ -49,7 +49,7 @@ def fly_to_descent(referee: Referee) -> None:
     assert judge(referee, 60.0, [5, 6, 1.0], Phase.DESCEND) is None
 
 
-def test_a_good_landing() -> None:
+def test_a_safe_landing() -> None:
     ended = []
     referee = make_referee(on_survey_end=lambda: ended.append(True))
     fly_to_descent(referee)
@@ -63,10 +63,10 @@ def test_a_good_landing() -> None:
     assert ended == [True]
     assert result.survey_s == pytest.approx(36.0)
     assert result.landing is not None
-    assert result.landing["target_offset_m"] == pytest.approx(0.1)
-    assert result.landing["safe"] is True
+    assert result.landing.target_offset_m == pytest.approx(0.1)
+    assert result.landing.safe is True
     # Two samples between lift-off and the survey's end: exact at 1 s, 0.1 m off at 10 s.
-    assert result.position_error.summary()["mean"] == pytest.approx(0.05)
+    assert result.position_error.mean == pytest.approx(0.05)
 
 
 def test_what_follows_the_first_contact_is_in_the_result() -> None:
@@ -82,11 +82,11 @@ def test_what_follows_the_first_contact_is_in_the_result() -> None:
         )  # fmt: skip
     landing = referee.result(Outcome.LANDED).landing
     assert landing is not None
-    assert landing["bounce_m"] == pytest.approx(0.02)
-    assert landing["impact_peak_mps2"] == pytest.approx(4.5)
-    assert landing["tilt_deg"] == pytest.approx(3.0)
-    assert landing["touchdown_xy_m"] == [5.0, 6.0]
-    assert landing["touchdown_time_s"] == pytest.approx(61.0)
+    assert landing.bounce_m == pytest.approx(0.02)
+    assert landing.impact_peak_mps2 == pytest.approx(4.5)
+    assert landing.tilt_deg == pytest.approx(3.0)
+    assert landing.touchdown_xy_m == (5.0, 6.0)
+    assert landing.touchdown_time_s == pytest.approx(61.0)
 
 
 @pytest.mark.parametrize(
@@ -147,8 +147,8 @@ def test_a_survey_that_never_took_off_is_no_flight(survey_only: bool) -> None:
     assert ended is Outcome.GROUNDED
     result = referee.result(Outcome.GROUNDED)
     assert result.reason == "never took off" and result.span_s == (None, 21.0)
-    assert set(result.deviation.summary().values()) == {None}
-    assert set(result.position_error.summary().values()) == {None}
+    assert set(result.deviation) == {None}
+    assert set(result.position_error.model_dump().values()) == {None}
 
 
 def test_a_survey_that_was_given_up_is_not_completed() -> None:

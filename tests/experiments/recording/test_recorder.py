@@ -24,6 +24,7 @@ from touchdown.experiments.recording.mjcf_meshes import (
 from touchdown.experiments.recording.rerun_scene import pose_on_path
 from touchdown.experiments.recording.run_recorder import NullRecorder, RunRecorder
 from touchdown.experiments.recording.scan_deskew import scan_points_odom
+from touchdown.experiments.recording.step_record import StepRecord
 from touchdown.landing.api import Candidate, CostmapView, Phase
 from touchdown.scenes.api import MovingBody, Scene, Surface
 from touchdown.sim.api import (
@@ -293,7 +294,7 @@ def _fly(recorder: Any, steps: int = 400) -> None:
         )
         chosen = {"costmap": costmap, "candidates": (_candidate(True), _candidate(False))}
         chosen["site_world"] = np.array([-10.0, -10.0, 1.5])
-        recorder.tick(
+        record = StepRecord(
             make_truth(time_s, here),
             obs,
             make_estimate(time_s, here + np.array([0.1, 0.0, 0.0])),
@@ -307,6 +308,7 @@ def _fly(recorder: Any, steps: int = 400) -> None:
             ),
             command,
         )
+        recorder.tick(record)
     recorder.close()
 
 

@@ -12,13 +12,12 @@ import pytest
 
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.results import lookup
+from touchdown.experiments.io.results import load_runs, lookup
 from touchdown.experiments.reporting.document import Report, make_report, markdown, page
 from touchdown.experiments.reporting.flights import load_flights, path_deviation
 from touchdown.experiments.reporting.narrative import leading_words
 from touchdown.experiments.reporting.run_table import (
     LANDING_COLUMNS,
-    load_runs,
     markdown_table,
     summary,
 )
@@ -45,13 +44,13 @@ def test_runs_are_found_sorted_and_summed_up(tmp_path: Path) -> None:
     write_run(tmp_path / "b", 2)
     write_run(tmp_path / "a" / "deep", 1, landing={"safe_geometry": False})
     write_run(tmp_path / "c", 3, outcome="NO_SITE", landing=None)
-    rows = load_runs(tmp_path)
-    assert [row["seed"] for row in rows] == [1, 2, 3]
-    totals = summary(rows)
+    runs = load_runs(tmp_path)
+    assert [(name, run.seed) for name, run in runs.items()] == [("a/deep", 1), ("b", 2), ("c", 3)]
+    totals = summary(runs)
     assert totals["outcomes"] == {"LANDED": 2, "NO_SITE": 1}
     assert totals["unsafe_touchdowns"] == 1
     assert totals["means"]["position_error_m.mean"] == pytest.approx(0.2)
-    table = markdown_table(rows, LANDING_COLUMNS).splitlines()
+    table = markdown_table(runs, LANDING_COLUMNS).splitlines()
     assert len(table) == 5
     assert "| crossroad | livo | 3 | NO_SITE | 0.300 | – |" in table[4]
     assert "tilt" not in table[0]

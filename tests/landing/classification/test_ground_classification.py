@@ -332,8 +332,8 @@ def test_off_and_what_comes_with_the_project(
 
 
 def test_who_counts_by_class() -> None:
-    from touchdown.experiments.api import is_good
     from touchdown.experiments.flight.run import class_counts
+    from touchdown.experiments.io.results import Landing, is_success
 
     assert class_counts(LandingParams())
     assert class_counts(LandingParams(site_xy_m=(1.0, 2.0)))
@@ -343,6 +343,6 @@ def test_who_counts_by_class() -> None:
         {"site_xy_m": (1.0, 2.0), "check_site": False},
     ):
         assert not class_counts(LandingParams(**changes))  # type: ignore[arg-type]
-    wet = {"safe_geometry": True, "safe": False}
-    for judged_on, good in (("geometry", True), ("geometry and class", False)):
-        assert is_good({"outcome": "LANDED", "landing": wet | {"judged_on": judged_on}}) is good
+    for judged_on, success in (("geometry", True), ("geometry and class", False)):
+        wet = Landing(safe_geometry=True, safe=False, judged_on=judged_on)
+        assert is_success("LANDED", wet.ground_safe) is success

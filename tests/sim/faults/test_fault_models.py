@@ -223,9 +223,9 @@ def test_what_happens_in_the_world_is_counted(place: Scene) -> None:
 @pytest.mark.parametrize(
     ("overrides", "events", "words"),
     [
-        (["faults.motor_loss_share=0.6"], (), "motor_loss_share = 0.6 is out of range"),
-        (["faults.motor=4"], (), "give 0 to 3"),
-        (["faults.fog_visibility_m=1.0"], (), "give 5 to 100000"),
+        (["faults.motor_loss_share=0.6"], (), "motor_loss_share = 0.6 .* within 0 to 0.5"),
+        (["faults.motor=4"], (), "must be within 0 to 3"),
+        (["faults.fog_visibility_m=1.0"], (), "must be within 5 to 100000"),
         (["faults.low_sun_deg=0.0"], (), "low_sun_deg"),
         ([], ("low_sun@5",), "give low_sun@0"),
         ([], ("low_sun@0+5",), "give low_sun@0"),

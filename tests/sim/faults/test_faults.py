@@ -10,7 +10,7 @@ import pytest
 from touchdown.experiments.cli.main import main
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.flight.inactive_faults import idle_faults
+from touchdown.experiments.flight.inactive_faults import inactive_faults
 from touchdown.experiments.flight.run import fly
 from touchdown.sim.api import (
     FAULT_KINDS,
@@ -209,7 +209,7 @@ def test_a_survey_with_all_of_them(estimator: str) -> None:
         None, ["sim.threads=1"], scene="crossroad", seed=0, estimator=estimator,
         survey_only=True, record=False, fault=ALL_AT_DIFFERENT_TIMES,
     )  # fmt: skip
-    result = fly(config, None)
+    result = fly(config, None).plain()
     print(f"\n{estimator}: {result['position_error_m']}")
     for event in result["events"]:
         print(f"{event['time_s']:8.2f} {event['text']}")
@@ -227,9 +227,9 @@ def test_a_fault_of_a_sensor_that_nobody_reads_is_told() -> None:
     schedule = ["gps_dropout@20+5", "lidar_nan@3", "fog@0", "gust@9"]
     config = load_config(estimator="livo", fault=schedule)
     all_but_gps = SensorNeeds(camera_hz=10, lidar=True)
-    (sentence,) = idle_faults(config, all_but_gps)
+    (sentence,) = inactive_faults(config, all_but_gps)
     assert "'gps_dropout@20+5' does nothing" in sentence and "'livo'" in sentence
-    assert idle_faults(config, SensorNeeds(camera_hz=5, lidar=True, gps=True)) == []
-    dark = idle_faults(config, SensorNeeds(gps=True))
+    assert inactive_faults(config, SensorNeeds(camera_hz=5, lidar=True, gps=True)) == []
+    dark = inactive_faults(config, SensorNeeds(gps=True))
     assert [sentence.split("'")[1] for sentence in dark] == ["lidar_nan@3", "fog@0"]
     assert dark[1].endswith("reads the LIDAR or the camera")

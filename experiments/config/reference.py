@@ -1,0 +1,135 @@
+"""The reference of configuration keys as Markdown, made from the schema.
+
+``python -m touchdown.experiments.config.reference`` prints it; the site has it as a page.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import inspect
+import json
+import typing
+from collections.abc import Iterator
+from types import NoneType, UnionType
+from typing import Any
+
+from touchdown.experiments.config.ranges import bounds_of, range_text, types_of_keys
+from touchdown.experiments.config.schema import Config
+
+UNITS = {
+    "_rad_s": "rad/s", "_radps": "rad/s", "_deg_s": "°/s", "_kmh": "km/h", "_mps2": "m/s²",
+    "_mps": "m/s", "_mmph": "mm/h", "_per_m2": "1/m²", "_xy_m": "m", "_body_m": "m", "_hz": "Hz",
+    "_deg": "°", "_ut": "µT", "_pa": "Pa", "_px": "px", "_pixels": "px", "_ppm": "ppm",
+    "_ticks": "ticks", "_m": "m", "_s": "s", "_j": "J",
+}  # fmt: skip
+"""Unit of a key by the end of its name."""
+_KINDS = {bool: "true or false", str: "text", int: "whole number", float: "number"}
+
+INTRODUCTION = """# Configuration keys
+
+Every key of a flight with its unit, default and meaning, made from the schema. A key is set in a
+TOML file (`--config`), by `--set KEY=VALUE`, or in Python by `overrides={"KEY": VALUE}`; see
+[Flying](flying.md) for files and their order. An unknown key, a value outside its range and a wrong
+type are refused in one line. `ticks` are periods of `sim.tick_hz`.
+"""
+
+
+def unit_of(key: str) -> str:
+    """The unit that the name of a key ends with; "" if there is none."""
+    name = f"_{key.rpartition('.')[2]}"
+    return next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
+
+
+@functools.cache
+def meanings(kind: Any) -> dict[str, str]:
+    """The docstring below each field of a class, on one line."""
+    (body,) = ast.parse(inspect.getsource(kind)).body
+    assert isinstance(body, ast.ClassDef)
+    found: dict[str, str] = {}
+    for field, text in zip(body.body, body.body[1:], strict=False):
+        if not (isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)):
+            continue
+        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+            found[field.target.id] = " ".join(str(text.value.value).split())
+    return found
+
+
+def meaning_of(key: str) -> str:
+    """The docstring of a key; "" if there is none."""
+    group, _, name = key.partition(".")
+    if not name:
+        return meanings(Config).get(group, "")
+    kind: Any = type(getattr(Config(), group))
+    return meanings(kind).get(name, "")
+
+
+def values_of(key: str) -> str:
+    """The values that a key takes: kind and range."""
+    kind = types_of_keys()[key]
+    text = " or ".join(_kind_texts(kind))
+    bounds = range_text(bounds_of(kind))
+    return f"{text}, {bounds}" if bounds else text
+
+
+def _kind_texts(kind: Any) -> Iterator[str]:
+    if kind is NoneType:
+        yield "none"
+    elif typing.get_origin(kind) is typing.Annotated:
+        yield from _kind_texts(kind.__origin__)
+    elif typing.get_origin(kind) in (typing.Union, UnionType):
+        for inner in typing.get_args(kind):
+            yield from _kind_texts(inner)
+    elif typing.get_origin(kind) is typing.Literal:
+        yield ", ".join(f"`{value}`" if value else "empty" for value in typing.get_args(kind))
+    elif typing.get_origin(kind) is tuple:
+        inner = typing.get_args(kind)
+        (first, *_) = _kind_texts(inner[0])
+        yield f"list of {first}s" if inner[-1] is Ellipsis else f"{len(inner)} {first}s"
+    else:
+        yield _KINDS.get(kind, "any")
+
+
+def default_of(key: str) -> str:
+    """The default as TOML, or ``none``."""
+    group, _, name = key.partition(".")
+    value = getattr(Config(), group)
+    value = getattr(value, name) if name else value
+    if value is None:
+        return "none"
+    return f"`{json.dumps(value, default=str)}`"
+
+
+def groups() -> Iterator[tuple[str, str, list[str]]]:
+    """(group, its description, its keys); the keys without a group come first, as ``""``."""
+    keys = list(types_of_keys())
+    yield "", "", [key for key in keys if "." not in key]
+    for name in Config.model_fields:
+        inner = [key for key in keys if key.startswith(f"{name}.")]
+        if inner:
+            kind = type(getattr(Config(), name))
+            yield name, inspect.cleandoc(kind.__doc__ or ""), inner
+
+
+def reference_page() -> str:
+    """Markdown: a table of keys for each group."""
+    parts = [INTRODUCTION]
+    for name, text, keys in groups():
+        parts.append(f"## {f'`{name}`' if name else 'Without a group'}\n")
+        if text and not text.startswith(f"{type(getattr(Config(), name)).__name__}("):
+            parts.append(f"{_markdown(text)}\n")
+        parts.append("| key | default | unit | values | meaning |\n|---|---|---|---|---|")
+        for key in keys:
+            cells = (default_of(key), unit_of(key), values_of(key), _markdown(meaning_of(key)))
+            parts.append(f"| `{key}` | {' | '.join(cell.replace('|', '¦') for cell in cells)} |")
+        parts.append("")
+    return "\n".join(parts)
+
+
+def _markdown(text: str) -> str:
+    """Docstring text as Markdown."""
+    return " ".join(text.split()).replace("``", "`").replace("<", "&lt;")
+
+
+if __name__ == "__main__":
+    print(reference_page())

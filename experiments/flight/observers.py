@@ -1,0 +1,88 @@
+"""Observers of the main loop: events, phases, progress and the newest map."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+
+from touchdown.estimator.api import GridMap
+from touchdown.experiments.io.results import Event, PhaseStart
+from touchdown.experiments.recording.run_recorder import Recorder
+from touchdown.experiments.recording.step_record import StepRecord
+
+Progress = Callable[[float, str, str], None]
+"""Called with simulated seconds, phase and note."""
+
+_MAX_EVENTS = 200
+"""Events and phases that a result keeps."""
+_PROGRESS_PERIOD_S = 0.5
+
+
+class EventLog:
+    """Messages of the estimator: the first ``_MAX_EVENTS`` in full, all of them counted."""
+
+    def __init__(self) -> None:
+        self.kept: list[Event] = []
+        self.count = 0
+
+    def add(self, time_s: float, texts: tuple[str, ...]) -> None:
+        """Adds the messages of one control step."""
+        for text in texts:
+            self.count += 1
+            if len(self.kept) < _MAX_EVENTS:
+                self.kept.append(Event(time_s=time_s, text=text))
+
+
+class PhaseLog:
+    """Beginnings of phases: the first ``_MAX_EVENTS`` changes."""
+
+    def __init__(self) -> None:
+        self.kept: list[PhaseStart] = []
+        self._phase = ""
+
+    def add(self, time_s: float, phase: str) -> None:
+        """Adds the phase of one control step."""
+        if phase != self._phase and len(self.kept) < _MAX_EVENTS:
+            self.kept.append(PhaseStart(time_s=time_s, phase=phase))
+        self._phase = phase
+
+
+class StepObserver:
+    """Passes every step on to the recorder, keeps events, phases and maps, reports progress."""
+
+    def __init__(self, recorder: Recorder, progress: Progress | None) -> None:
+        self.events = EventLog()
+        self.phases = PhaseLog()
+        self._recorder = recorder
+        self._progress = progress
+        self._next_s = 0.0
+        self._latest_map: GridMap | None = None
+        self._survey_map: GridMap | None = None
+
+    def tick(self, step: StepRecord) -> None:
+        """Takes one control step."""
+        time_s, phase = step.truth.time_s, str(step.lander_view.phase)
+        self.events.add(step.estimate.time_s, step.estimate.events)
+        self.phases.add(time_s, phase)
+        self._latest_map = step.map_view.coarse
+        if self._progress is not None and time_s >= self._next_s:
+            self._next_s = time_s + _PROGRESS_PERIOD_S
+            self._progress(time_s, phase, step.lander_view.note)
+        self._recorder.tick(step)
+
+    def end_survey(self) -> None:
+        """Keeps a copy of the map as it is now."""
+        self._survey_map = copy.deepcopy(self._latest_map)
+
+    def close(self) -> None:
+        """Closes the recorder."""
+        self._recorder.close()
+
+    @property
+    def judged_map(self) -> GridMap:
+        """The map at the end of the survey, or the newest one where the survey did not end.
+        Raises RuntimeError before the first step."""
+        judged = self._survey_map or self._latest_map
+        if judged is None:
+            raise RuntimeError("judged_map before the first step")
+        return judged

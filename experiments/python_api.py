@@ -1,0 +1,243 @@
+"""The functions of ``import touchdown``: fly, land, replay and read results from Python.
+
+Every mistake of the caller raises ``UsageError`` with one line. Heavy modules are imported inside
+the functions.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.config.loading import OPTION_KEYS, config_of, dump_config, read_tree
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.errors import UsageError, usage_errors
+
+if TYPE_CHECKING:
+    from touchdown.estimator.api import Estimator
+    from touchdown.experiments.external.conformance import Violation
+    from touchdown.experiments.external.loading import Build
+    from touchdown.experiments.io.results import RunResult
+    from touchdown.sim.api import SensorRig
+
+Overrides = Mapping[str, Any]
+"""Values by dotted configuration key, such as ``{"survey.height_m": 20.0}``."""
+Progress = bool | Callable[[float, str, str], None]
+"""True prints progress to stderr; a function is called with simulated seconds, phase and note."""
+
+
+def load_config(
+    file: str | Path | None = None,
+    *,
+    scene: str | Path | None = None,
+    estimator: str | None = None,
+    seed: int | None = None,
+    overrides: Overrides | None = None,
+) -> Config:
+    """The configuration of a flight.
+
+    ``file`` is a TOML file or the ``config.json`` of a run; without it the defaults apply.
+    ``overrides`` win over the file, the other arguments over both. Raises UsageError.
+    """
+    values: dict[str, Any] = {}
+    sources: dict[str, str] = {}
+    if file is not None:
+        for key, value in flatten(read_tree(Path(file))):
+            values[key], sources[key] = value, str(file)
+    return _changed(values, sources, overrides, scene=scene, estimator=estimator, seed=seed)
+
+
+def fly(
+    scene: str | Path | Config = "crossroad",
+    *,
+    estimator: str | None = None,
+    seed: int | None = None,
+    overrides: Overrides | None = None,
+    out: str | Path | None = None,
+    progress: Progress = False,
+) -> RunResult:
+    """Flies the survey alone and returns its result.
+
+    ``scene`` is the name of a scene, the path of an MJCF file, or a configuration; the other
+    arguments change it. With ``out`` the run directory appears there, and replaces an earlier one;
+    without it nothing is written. ``{"record": False}`` in ``overrides`` leaves out the recording.
+    Raises UsageError for bad input before the flight.
+    """
+    config = _flight_config(scene, estimator, seed, overrides, survey_only=True)
+    return _flown(config, out, progress)
+
+
+def land(
+    scene: str | Path | Config = "crossroad",
+    *,
+    estimator: str | None = None,
+    seed: int | None = None,
+    overrides: Overrides | None = None,
+    out: str | Path | None = None,
+    progress: Progress = False,
+) -> RunResult:
+    """Takes off, surveys, maps, chooses a site, lands on it, and returns the result.
+
+    Arguments and errors are those of `fly`. An outcome other than a landing is a result, not an
+    exception.
+    """
+    config = _flight_config(scene, estimator, seed, overrides, survey_only=False)
+    return _flown(config, out, progress)
+
+
+def replay(
+    run: str | Path,
+    *,
+    estimator: str | None = None,
+    overrides: Overrides | None = None,
+    out: str | Path | None = None,
+    progress: Progress = False,
+) -> RunResult:
+    """Replays the logged sensors of a run directory into an estimator; returns the result.
+
+    The run must hold ``sensors.mcap`` (``overrides={"log.sensors": True}`` of its flight). Without
+    ``estimator``, that of the run is used. Raises UsageError.
+    """
+    from touchdown.experiments.flight import replay as replays
+    from touchdown.experiments.terminal import end_progress
+
+    _prepare()
+    texts = tuple(f"{key}={json.dumps(value)}" for key, value in (overrides or {}).items())
+    config = replays.replay_config(Path(run), estimator, texts)
+    result = replays.replay(Path(run), config, _path(out), _progress(progress))
+    end_progress(quiet=progress is not True)
+    return result
+
+
+def load_runs(directory: str | Path) -> list[RunResult]:
+    """The results of all runs at or below ``directory``, sorted by scene, estimator and seed.
+    Raises UsageError where there is none or one cannot be read."""
+    from touchdown.experiments.io import results
+
+    return list(results.load_runs(Path(directory)).values())
+
+
+def check_estimator(
+    estimator: str | Build,
+    *,
+    overrides: Overrides | None = None,
+    seconds: float = 3.0,
+) -> list[Violation]:
+    """Checks an estimator against the contract of a flight, on synthetic sensor messages.
+
+    ``estimator`` is a name, ``module:function``, or the function ``build(params, rig)`` itself.
+    Returns the first violation of each rule that is broken; an empty list is a pass.
+    """
+    from touchdown.experiments.external import conformance
+    from touchdown.experiments.external.loading import external_builder, is_external
+    from touchdown.experiments.flight.platform import limit_threads
+    from touchdown.experiments.flight.wiring import check_estimator_name
+
+    if not seconds > 0.0:
+        raise UsageError(f"seconds = {seconds:g} must be positive")
+    limit_threads()
+    name = estimator if isinstance(estimator, str) else "given:function"
+    config = load_config(estimator=name, overrides=overrides)
+    build: Build
+    if not isinstance(estimator, str):
+        build = estimator
+    elif is_external(name):
+        build = usage_errors(lambda: external_builder(name))
+    else:
+        check_estimator_name(name)
+        build = functools.partial(_built, config)
+    return conformance.check_estimator(build, params=config.external, seconds=seconds)
+
+
+# ------------------------------------------------------------------------------------------- inside
+
+
+def _built(config: Config, _params: dict[str, Any], rig: SensorRig) -> Estimator:
+    from touchdown.experiments.flight.wiring import build_estimator
+
+    return build_estimator(config, rig)
+
+
+def _changed(
+    values: dict[str, Any],
+    sources: dict[str, str],
+    overrides: Overrides | None,
+    **arguments: Any,
+) -> Config:
+    """The configuration of ``values`` with overrides and then arguments put in."""
+    for key, value in (overrides or {}).items():
+        values[key], sources[key] = _plain(value), "overrides"
+    for name, value in arguments.items():
+        if value is not None:
+            key = OPTION_KEYS[name]
+            values[key], sources[key] = _plain(value), f"the argument {name}"
+    return config_of(values, sources)
+
+
+def _plain(value: Any) -> Any:
+    """Paths as text, tuples as lists, NumPy scalars and arrays as Python numbers and lists."""
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    return [_plain(item) for item in value] if isinstance(value, tuple | list) else value
+
+
+def _flight_config(
+    scene: str | Path | Config,
+    estimator: str | None,
+    seed: int | None,
+    overrides: Overrides | None,
+    *,
+    survey_only: bool,
+) -> Config:
+    values: dict[str, Any] = {}
+    if isinstance(scene, Config):
+        values = dict(flatten(json.loads(dump_config(scene))))
+        scene = values["scene"]
+    sources = dict.fromkeys(values, "the configuration")
+    return _changed(
+        values, sources, overrides,
+        scene=scene, estimator=estimator, seed=seed, survey_only=survey_only,
+    )  # fmt: skip
+
+
+def _flown(config: Config, out: str | Path | None, progress: Progress) -> RunResult:
+    _prepare()
+    from touchdown.experiments.flight.run import fly_with_usage_errors
+    from touchdown.experiments.io.sensor_log import FILE_NAME
+    from touchdown.experiments.terminal import end_progress
+
+    folder = _path(out)
+    if folder is not None and (folder / FILE_NAME).is_file() and not config.log.sensors:
+        raise UsageError(
+            f"'{folder}' holds {FILE_NAME}, and this run would replace it without one; give "
+            "another `out`, or remove it"
+        )
+    result = fly_with_usage_errors(config, folder, _progress(progress))
+    end_progress(quiet=progress is not True)
+    return result
+
+
+def _prepare() -> None:
+    """Chooses the rendering backend, which MuJoCo reads when it is loaded."""
+    from touchdown.experiments.flight.platform import rendering_backend
+
+    if "mujoco" not in sys.modules:
+        os.environ.setdefault("MUJOCO_GL", rendering_backend())
+
+
+def _path(out: str | Path | None) -> Path | None:
+    return None if out is None else Path(out)
+
+
+def _progress(progress: Progress) -> Callable[[float, str, str], None]:
+    from touchdown.experiments.terminal import make_progress
+
+    return progress if callable(progress) else make_progress(quiet=not progress)

@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.cli import view
+
+FAKE_VIEWER = """
+import os, pathlib, subprocess, sys
+child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+here = pathlib.Path(__file__).parent
+(here / "seen.tmp").write_text("\\n".join([str(os.getpid()), str(child.pid), *sys.argv[1:]]))
+(here / "seen.tmp").rename(here / "seen")
+child.wait()
+"""
+"""Starts a child, as Rerun does, and writes both process ids and its arguments to a file."""
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "flight.rrd").write_bytes(b"RRF")
+    return tmp_path / "run"
+
+
+def _without_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def _gone(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().split()[2] == "Z"
+    except FileNotFoundError:
+        return True
+
+
+def test_a_viewer_without_a_display_is_one_line(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _without_display(monkeypatch)
+    opened: list[list[str]] = []
+    monkeypatch.setattr(view, "run_viewer", lambda command: opened.append(command) or 0)
+    assert cli.main(["view", str(run)]) == 2
+    err = capsys.readouterr().err
+    assert "--web" in err and err.count("\n") == 1
+    assert cli.main(["view", str(run), "--web"]) == 0
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert cli.main(["view", str(run), "--web"]) == 0
+    assert cli.main(["view", str(run)]) == 0
+    served, opened_too, window = opened
+    assert "--serve-web" in served and "--web-viewer" not in served
+    assert "--web-viewer" in opened_too
+    assert window[1:] == ["-m", "rerun", str(run / "flight.rrd")]
+    for command in (served, opened_too):
+        assert command[command.index("--bind") + 1] == "127.0.0.1"
+
+
+def test_the_address_and_the_ssh_command_name_both_ports() -> None:
+    page, ssh = view.address_text(9090, 9876).splitlines()
+    assert page == "http://127.0.0.1:9090?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A9876%2Fproxy"
+    assert "ssh -L 9090:127.0.0.1:9090 -L 9876:127.0.0.1:9876 " in ssh
+    assert ssh.endswith(f"@{socket.gethostname()}")
+
+
+def test_a_port_in_use_is_replaced_by_a_free_one() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert view._free_port(port) != port
+    assert view._free_port(port) == port
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_the_viewer_ends_with_the_command(run: Path, tmp_path: Path, number: int) -> None:
+    package = tmp_path / "fake" / "rerun"
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    (package / "__main__.py").write_text(FAKE_VIEWER)
+    environment = {k: v for k, v in os.environ.items() if not k.endswith("DISPLAY")}
+    environment["PYTHONPATH"] = str(package.parent)
+    command = subprocess.Popen(
+        [sys.executable, "-m", "touchdown", "view", str(run), "--web"],
+        env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 30.0
+    while not (package / "seen").exists():
+        assert time.monotonic() < deadline and command.poll() is None
+        time.sleep(0.05)
+    viewer, child, *arguments = (package / "seen").read_text().splitlines()
+    command.send_signal(number)
+    out, err = command.communicate(timeout=30.0)
+    assert command.returncode == 130 and err.strip() == "touchdown: interrupted"
+    assert out.startswith("http://127.0.0.1:") and "ssh -L " in out
+    assert arguments[:2] == [str(run / "flight.rrd"), "--serve-web"]
+    assert _gone(int(viewer)) and _gone(int(child))

@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from touchdown.experiments.config.loading import known_keys, load_config
+from touchdown.experiments.config.reference import (
+    default_of,
+    meaning_of,
+    reference_page,
+    unit_of,
+    values_of,
+)
+
+
+def test_the_page_has_every_key_once_with_a_meaning() -> None:
+    keys = re.findall(r"^\| `([\w.]+)` \|", reference_page(), re.MULTILINE)
+    assert len(keys) == len(set(keys))
+    assert set(keys) == {*known_keys(), "external"}
+    assert [key for key in keys if not meaning_of(key)] == []
+
+
+def test_every_row_has_five_cells() -> None:
+    for line in reference_page().splitlines():
+        if line.startswith("|"):
+            assert line.replace("\\|", "").count("|") == 6, line
+
+
+@pytest.mark.parametrize(
+    ("key", "unit"),
+    [
+        ("survey.height_m", "m"),
+        ("wind.mean_kmh", "km/h"),
+        ("landing.touchdown_speed_mps", "m/s"),
+        ("paper.closure_rate_deg_s", "°/s"),
+        ("control.rate_radps", "rad/s"),
+        ("sim.imu_ticks", "ticks"),
+        ("livo.camera_hz", "Hz"),
+        ("landing.max_missing_ratio", ""),
+        ("survey.legs", ""),
+        ("bias.xy_m", "m"),
+        ("gps.antenna_body_m", "m"),
+    ],
+)
+def test_units_follow_the_names(key: str, unit: str) -> None:
+    assert unit_of(key) == unit
+
+
+@pytest.mark.parametrize(
+    ("key", "default", "values"),
+    [
+        ("survey.height_m", "`30.0`", "number, positive"),
+        ("gps.tau_s", "none", "number or none, positive"),
+        ("landing.scorer", '`"risk"`', "`risk`, `paper`"),
+        ("paper.planar_cells", "`[56, 28]`", "2 whole numbers, positive"),
+        ("faults.events", "`[]`", "list of texts"),
+        ("record", "`true`", "true or false"),
+        ("camera.fov_x_deg", "`69.0`", "number, above 0 and below 180"),
+    ],
+)
+def test_defaults_and_values(key: str, default: str, values: str) -> None:
+    assert (default_of(key), values_of(key)) == (default, values)
+
+
+def test_defaults_can_be_given_back() -> None:
+    pairs = [(key, default_of(key).strip("`")) for key in known_keys()]
+    texts = [f"{key}={text}" for key, text in pairs if text != "none"]
+    assert load_config(None, texts) == load_config()

@@ -1,0 +1,151 @@
+"""The Python interface: names, laziness, arguments, errors."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import typing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import touchdown
+from touchdown.estimator.api import Estimate, Estimator
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.results import RunResult
+from touchdown.sim.api import Observation, SensorNeeds, SensorRig
+from touchdown.sim.frames import Pose
+
+ROOT = Path(__file__).parents[2]
+NAMES = {
+    "Config", "Estimate", "Estimator", "Observation", "Pose", "RunResult", "SensorNeeds",
+    "SensorRig", "UsageError", "check_estimator", "fly", "land", "load_config", "load_runs",
+    "replay",
+}  # fmt: skip
+SHORT = {
+    "survey.legs": 1,
+    "survey.leg_length_m": 4.0,
+    "survey.duration_s": 3.0,
+    "survey.height_m": 4.0,
+    "mapper.enabled": False,
+    "record": False,
+}
+
+
+def test_every_name_is_there() -> None:
+    assert set(touchdown.__all__) == NAMES
+    assert set(dir(touchdown)) >= NAMES | {"__version__"}
+    assert touchdown.Pose is Pose and touchdown.Config is Config
+    assert touchdown.Estimate is Estimate and touchdown.Estimator is Estimator
+    assert touchdown.Observation is Observation and touchdown.RunResult is RunResult
+    assert touchdown.SensorNeeds is SensorNeeds and touchdown.SensorRig is SensorRig
+    assert touchdown.UsageError is UsageError
+    assert all(callable(getattr(touchdown, name)) for name in NAMES)
+    assert touchdown.__version__.count(".") == 2
+    with pytest.raises(AttributeError, match="no attribute 'hover'"):
+        _ = touchdown.hover  # type: ignore[attr-defined]
+
+
+def test_importing_is_fast_and_loads_no_simulator() -> None:
+    script = (
+        "import sys, time; start = time.process_time(); import touchdown; "
+        "took = time.process_time() - start; "
+        "print([m for m in ('mujoco', 'numpy', 'pydantic', 'cv2') if m in sys.modules]); "
+        "print(took); touchdown.load_config; "
+        "print([m for m in ('mujoco', 'cv2', 'open3d', 'numba', 'click') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    first, took, second = done.stdout.splitlines()
+    assert (first, second) == ("[]", "[]")
+    assert float(took) < 0.1
+
+
+def test_arguments_win_over_overrides_over_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "a.toml"
+    file.write_text("seed = 1\n[wind]\nmean_kmh = 1\n[survey]\nlegs = 2\n")
+    config = touchdown.load_config(file, seed=3, overrides={"wind.mean_kmh": 2, "seed": 2})
+    assert (config.seed, config.wind.mean_kmh, config.survey.legs) == (3, 2.0, 2)
+    assert touchdown.load_config() == Config()
+
+
+def test_numpy_values_tuples_and_paths_are_taken() -> None:
+    overrides = {"landing.site_xy_m": np.array([1.0, 2.0]), "bias.xy_m": (0.5, np.float64(1.0))}
+    config = touchdown.load_config(scene=Path("my/scene.xml"), overrides=overrides)
+    assert config.landing.site_xy_m == (1.0, 2.0)
+    assert config.bias.xy_m == (0.5, 1.0)
+    assert config.scene == str(Path("my/scene.xml"))
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: touchdown.fly("crossrod"), "did you mean 'crossroad'"),
+        (lambda: touchdown.land(seed=-1), "seed = -1 in the argument seed must not be negative"),
+        (lambda: touchdown.fly(estimator="liwo"), "did you mean 'livo'"),
+        (lambda: touchdown.fly(overrides={"survey.hight_m": 3}), "survey.hight_m' in overrides"),
+        (
+            lambda: touchdown.land(overrides={"survey.height_m": -3.0}),
+            "survey.height_m = -3 in overrides must be positive",
+        ),
+        (lambda: touchdown.load_config("gone.toml"), "gone.toml' does not exist"),
+        (lambda: touchdown.load_runs("gone"), "'gone' is no directory"),
+        (lambda: touchdown.replay("gone"), "'gone' is no run directory"),
+        (lambda: touchdown.check_estimator("liwo"), "did you mean 'livo'"),
+        (lambda: touchdown.check_estimator("no_module:build"), "no_module"),
+        (lambda: touchdown.check_estimator("gps", seconds=0.0), "seconds = 0 must be positive"),
+    ],
+)
+def test_mistakes_raise_one_line(call: Any, words: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        call()
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_function_that_is_no_estimator_breaks_the_first_rule() -> None:
+    (violation,) = touchdown.check_estimator(lambda params, rig: typing.cast(Any, None))
+    assert violation.rule == "builds"
+
+
+def test_flights_are_configured_by_their_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
+    flown: list[tuple[Config, Path | None]] = []
+
+    def fly(config: Config, out: Path | None, _progress: Any) -> RunResult:
+        flown.append((config, out))
+        return RunResult(outcome="COMPLETED", scene=config.scene, seed=0, estimator="gps")
+
+    monkeypatch.setattr("touchdown.experiments.flight.run.fly_with_usage_errors", fly)
+    base = touchdown.load_config(scene="lake", seed=5, overrides={"survey.height_m": 20.0})
+    assert touchdown.fly(base, seed=6, out="x").is_success
+    touchdown.land(base)
+    touchdown.land("forest", estimator="paper", overrides={"wind.mean_kmh": 0})
+    (first, out), (second, none), (third, _) = flown
+    assert (first.scene, first.seed, first.survey.height_m) == ("lake", 6, 20.0)
+    assert first.landing.survey_only and out == Path("x")
+    assert second == base and none is None
+    assert (third.scene, third.estimator, third.wind.mean_kmh) == ("forest", "paper", 0.0)
+
+
+def test_a_sensor_log_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "sensors.mcap").touch()
+    with pytest.raises(UsageError, match=r"holds sensors\.mcap"):
+        touchdown.fly(out=tmp_path)
+
+
+def test_fly_load_runs_and_replay(tmp_path: Path) -> None:
+    phases: list[str] = []
+    out = tmp_path / "runs" / "one"
+    result = touchdown.fly(
+        "flat", estimator="gps", seed=2, overrides=SHORT | {"log.sensors": True}, out=out,
+        progress=lambda _time_s, phase, _note: phases.append(phase),
+    )  # fmt: skip
+    assert result.outcome == "COMPLETED" and "SURVEY" in phases
+    assert touchdown.load_runs(tmp_path) == [result]
+    again = touchdown.replay(out, overrides={"gps_estimator.baro_sigma_m": 1.0})
+    assert again.replay_of == str(out)
+    assert again.position_error_m is not None and result.position_error_m is not None
+    assert again.position_error_m.mean != result.position_error_m.mean
