@@ -201,7 +201,7 @@ def main(run: Path, out: Path) -> None:
     times = painter.flight.frame_times
     frames = [painter.frame(t, times[max(i - 1, 0)]) for i, t in enumerate(times)]
     durations = [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
-    rest = {"save_all": True, "append_images": frames[1:], "loop": 0, "method": 6}
+    rest = {"save_all": True, "append_images": frames[1:], "loop": 0, "method": 4}
     frames[0].save(out, duration=durations, quality=QUALITY, **rest)
 
 
