@@ -25,7 +25,7 @@ from touchdown.scenes.compose import load_scene
 from touchdown.sim.moving import MovingBodies
 
 SIZE, VIEW, CAMERA, MAP = (800, 450), (500, 450), (298, 169), (298, 279)
-FRAME_MS, LAST_MS, QUALITY = 100, 2000, 52
+FRAME_MS, LAST_MS, QUALITY = 100, 2000, 28
 FRAMES_OF_PHASES = {"TAKEOFF": 16, "SURVEY": 42, "SELECT": 10, "APPROACH": 14, "DESCEND": 34}
 CHOSEN = (80, 255, 80)
 """colour of the chosen site in costmap.png"""
@@ -200,6 +200,8 @@ def main(run: Path, out: Path) -> None:
     painter = Painter(run)
     times = painter.flight.frame_times
     frames = [painter.frame(t, times[max(i - 1, 0)]) for i, t in enumerate(times)]
+    painter.chase.close()
+    painter.down.close()
     durations = [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
     rest = {"save_all": True, "append_images": frames[1:], "loop": 0, "method": 4}
     frames[0].save(out, duration=durations, quality=QUALITY, **rest)
