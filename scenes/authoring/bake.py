@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.builder import Caster
-from touchdown.scenes.authoring.terrain import Terrain
+from touchdown.scenes.authoring.height_field import HeightField
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -22,7 +22,7 @@ over the sun's own."""
 
 def bake_light(
     casters: list[Caster],
-    terrain: Terrain,
+    terrain: HeightField,
     sun_direction: Array,
     pixels: int,
     ambient: float,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.terrain import Terrain
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.props.meshes import MeshData
 
 Array = NDArray[np.float64]
@@ -28,12 +28,15 @@ class Caster:
 
 
 @dataclass(kw_only=True, slots=True)
-class Builder:
+class SceneBuilder:
     """Adds named things to an MjSpec."""
 
     spec: Any
     rng: np.random.Generator
-    terrain: Terrain
+    terrain: HeightField
+    """what objects stand on"""
+    sun: Array
+    """(3,) unit, the direction in which sunlight travels"""
     surfaces: dict[str, Surface] = field(default_factory=dict)
     casters: list[Caster] = field(default_factory=list)
     occupied: list[tuple[Array, float]] = field(default_factory=list)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import LowSun
 from touchdown.scenes.authoring.bake import bake_light
-from touchdown.scenes.authoring.builder import Builder, fill_texture
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground, shade_ground
 
 Array = NDArray[np.float64]
@@ -99,10 +99,9 @@ def lower_own_sun(spec: Any) -> None:
             return
 
 
-def ground_picture(
-    builder: Builder,
+def ground_texture(
+    builder: SceneBuilder,
     canvas: Canvas,
-    sun: Array,
     pattern_angles: dict[Ground, float],
     hilly: bool = False,
 ) -> NDArray[np.uint8]:
@@ -110,17 +109,5 @@ def ground_picture(
     row = y_max. pattern_angles: as in `scenes.authoring.ground.shade_ground`; hilly: as in
     `scenes.authoring.bake.bake_light`."""
     pixels = len(canvas.material) // 2
-    light = bake_light(builder.casters, builder.terrain, sun, pixels, 0.50, hilly)
+    light = bake_light(builder.casters, builder.terrain, builder.sun, pixels, 0.50, hilly)
     return shade_ground(builder.rng, canvas, light, pattern_angles)
-
-
-def finish_picture(
-    builder: Builder,
-    canvas: Canvas,
-    sun: Array,
-    pattern_angles: dict[Ground, float],
-    hilly: bool = False,
-) -> None:
-    """Gives the terrain its `ground_picture`, the texture `ground`."""
-    picture = ground_picture(builder, canvas, sun, pattern_angles, hilly)
-    fill_texture(builder.spec.texture("ground"), picture)

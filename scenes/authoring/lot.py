@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.relief import Pad
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def unit_circle(steps: int) -> Array:
 
 
 def scatter(
-    builder: Builder,
+    builder: SceneBuilder,
     lot: Lot,
     count: int,
     u: tuple[float, float],
@@ -88,7 +88,9 @@ def scatter(
     return found
 
 
-def claim_area(builder: Builder, lot: Lot, u: tuple[float, float], v: tuple[float, float]) -> None:
+def claim_area(
+    builder: SceneBuilder, lot: Lot, u: tuple[float, float], v: tuple[float, float]
+) -> None:
     """Keeps later random placements off a rectangle of the lot."""
     for along in np.linspace(*u, int((u[1] - u[0]) / 3.0) + 2):
         for across in np.linspace(*v, int((v[1] - v[0]) / 3.0) + 2):

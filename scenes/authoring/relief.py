@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.terrain import Terrain
 
 Array = NDArray[np.float64]
 
@@ -107,11 +107,11 @@ def level_pads(heights: Array, xy: Array, pads: Iterable[Pad]) -> Array:
     return heights
 
 
-def level_takeoff(heights: Array, half_m: float, takeoff_xy_m: Array) -> Terrain:
+def level_takeoff(heights: Array, half_m: float, takeoff_xy_m: Array) -> HeightField:
     """The terrain of ``heights`` (N, N) with a level disc of 2 m around the take-off spot, moved
     up or down so that the height there is 0."""
-    terrain = Terrain(heights_m=heights, half_m=half_m)
+    terrain = HeightField(heights_m=heights, half_m=half_m)
     spot = np.linalg.norm(np.stack(terrain.node_grid(), axis=-1) - takeoff_xy_m, axis=-1)
     level = float(terrain.at(takeoff_xy_m))
     heights = level + (heights - level) * smoothstep(TAKEOFF_FLAT_M + 0.5, TAKEOFF_BLEND_M, spot)
-    return Terrain(heights_m=heights - level, half_m=half_m)
+    return HeightField(heights_m=heights - level, half_m=half_m)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from touchdown.scenes.authoring.builder import GEOM, Builder
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.props.meshes import MeshData, polygon
 from touchdown.scenes.props.street import KERB
@@ -106,7 +106,11 @@ def paint_dashes(canvas: Canvas, street: Street, first_m: float, last_m: float) 
 
 
 def place_street_kerb(
-    builder: Builder, street: Street, side: float, openings_m: list[tuple[float, float]], top: float
+    builder: SceneBuilder,
+    street: Street,
+    side: float,
+    openings_m: list[tuple[float, float]],
+    top: float,
 ) -> None:
     """Kerb stones along one side (+1: left), 0.16 m wide, ``top`` metres over the
     ground beside them; without the stretches ``openings_m`` (first, last)."""
@@ -131,7 +135,7 @@ def place_street_kerb(
 
 
 def _kerb_run(
-    builder: Builder, street: Street, across: float, span: tuple[float, float], top: float
+    builder: SceneBuilder, street: Street, across: float, span: tuple[float, float], top: float
 ) -> list[MeshData]:
     stations = np.linspace(*span, max(2, round((span[1] - span[0]) / 1.5) + 1))
     inner = np.array([street.point(float(s), across - 0.08) for s in stations])
@@ -151,7 +155,7 @@ def _kerb_run(
     return parts
 
 
-def lane_loop(builder: Builder, street: Street, first_m: float, last_m: float) -> Array:
+def lane_loop(builder: SceneBuilder, street: Street, first_m: float, last_m: float) -> Array:
     """(K, 3) closed path on both lanes, right-hand traffic, turning at ``first_m`` and
     ``last_m`` along the street."""
     lane = 0.25 * street.width_m

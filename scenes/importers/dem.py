@@ -14,8 +14,8 @@ from scipy import ndimage
 
 from touchdown.scenes.api import LAND_CLASSES
 from touchdown.scenes.authoring.builder import fill_texture
+from touchdown.scenes.authoring.height_field import HeightField, write_hfield
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.terrain import Terrain, write_hfield
 from touchdown.scenes.export import export_scene
 from touchdown.scenes.importers.geotiff import (
     HeightRaster,
@@ -81,7 +81,7 @@ def import_dem(
     terrain = _resampled(heights, raster, middle, half, step)
     spot = takeoff_spot(terrain)
     level = terrain.point(*spot)
-    terrain = Terrain(heights_m=terrain.heights_m - level, half_m=terrain.half_m)
+    terrain = HeightField(heights_m=terrain.heights_m - level, half_m=terrain.half_m)
     if picture is None or ortho is None:
         colours = relief_picture(terrain)
     else:
@@ -191,7 +191,7 @@ def _filled(raster: HeightRaster, middle: Array, half: float, path: Path) -> Arr
 
 def _resampled(
     heights: Array, raster: HeightRaster, middle: Array, half: float, step: float
-) -> Terrain:
+) -> HeightField:
     """Nodes ``step`` apart, row 0 in the south; exact where nodes meet cells, averaged where nodes
     are farther apart than cells, a cubic spline where they are closer."""
     count = 2 * round(half / step) + 1
@@ -205,10 +205,10 @@ def _resampled(
     order = 3 if step < 0.99 * float(raster.cell_m.min()) else 1
     grid = np.stack(np.meshgrid(rows, cols, indexing="ij"))
     nodes = ndimage.map_coordinates(known, grid, order=order, mode="nearest")
-    return Terrain(heights_m=np.asarray(nodes, np.float64), half_m=half)
+    return HeightField(heights_m=np.asarray(nodes, np.float64), half_m=half)
 
 
-def takeoff_spot(terrain: Terrain) -> Array:
+def takeoff_spot(terrain: HeightField) -> Array:
     """(2,) the place with the least relief within 2.5 m from which a survey to the east and north
     stays inside, near the one that puts the survey in the middle."""
     half = terrain.half_m
@@ -230,7 +230,7 @@ def takeoff_spot(terrain: Terrain) -> Array:
 # ---------------------------------------------------------------------------------------- colours
 
 
-def relief_picture(terrain: Terrain) -> Picture:
+def relief_picture(terrain: HeightField) -> Picture:
     """Colours by height and slope under light from the north-west, with grain and tufts, since a
     camera needs something to hold on to. (P, P, 3) uint8, top row north."""
     rng = np.random.default_rng(len(terrain.heights_m))

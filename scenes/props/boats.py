@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.textures import Colour, to_picture
 from touchdown.scenes.props.meshes import MeshData, box, polygon
@@ -103,7 +103,7 @@ def boat_picture(rng: np.random.Generator, paint: Colour, decked: bool) -> NDArr
     return to_picture(picture)
 
 
-def add_boat_models(builder: Builder, count: int) -> list[tuple[str, str, float]]:
+def add_boat_models(builder: SceneBuilder, count: int) -> list[tuple[str, str, float]]:
     """``count`` differing rowing boats: (mesh, material, length in metres)."""
     models = []
     paints = builder.rng.permutation(len(PAINTS))
@@ -117,7 +117,7 @@ def add_boat_models(builder: Builder, count: int) -> list[tuple[str, str, float]
 
 
 def add_boat(
-    builder: Builder,
+    builder: SceneBuilder,
     model: tuple[str, str, float],
     xy_m: Array,
     heading: float,
@@ -139,7 +139,7 @@ def add_boat(
     builder.claim(xy_m, 0.5 * length + 0.4)
 
 
-def add_sailing_boat(builder: Builder, xy_m: Array, heading: float) -> None:
+def add_sailing_boat(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """A small yacht at anchor, sails furled: cabin, mast of 8 m, boom, stays."""
     rng = builder.rng
     name = builder.unique("yacht")
@@ -181,7 +181,7 @@ def add_sailing_boat(builder: Builder, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 0.5 * length + 1.0)
 
 
-def add_buoy(builder: Builder, xy_m: Array, radius_m: float, rgba: list[float]) -> None:
+def add_buoy(builder: SceneBuilder, xy_m: Array, radius_m: float, rgba: list[float]) -> None:
     """A ball that floats half out of the water; large ones carry a pole with a topmark."""
     z = builder.terrain.point(*xy_m)
     at = np.array([*xy_m, z + 0.3 * radius_m])

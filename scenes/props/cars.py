@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.textures import Colour
 from touchdown.scenes.props.meshes import MeshData, cylinder_y, polygon
 
@@ -243,7 +243,7 @@ def car_atlas(rng: np.random.Generator, shape: CarShape, paint: Colour) -> NDArr
     return np.clip(atlas, 0, 255).astype(np.uint8)
 
 
-def add_car_models(builder: Builder, count: int) -> list[tuple[str, str, CarShape]]:
+def add_car_models(builder: SceneBuilder, count: int) -> list[tuple[str, str, CarShape]]:
     """``count`` differing models: (mesh name, material name, shape)."""
     models = []
     kinds = list(SHAPES)
@@ -259,7 +259,7 @@ def add_car_models(builder: Builder, count: int) -> list[tuple[str, str, CarShap
 
 
 def park_car(
-    builder: Builder, model: tuple[str, str, CarShape], xy_m: Array, heading: float
+    builder: SceneBuilder, model: tuple[str, str, CarShape], xy_m: Array, heading: float
 ) -> None:
     """A parked car on the ground at ``xy_m``."""
     mesh, material, shape = model

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.textures import Colour, facade_bay, flat_roof, roof_tiles
 from touchdown.scenes.props.meshes import MeshData, box, polygon
 
@@ -56,7 +56,7 @@ class HouseLooks:
     roof: str
 
 
-def paint_house_looks(builder: Builder, roofs: list[NDArray[np.uint8]]) -> list[HouseLooks]:
+def paint_house_looks(builder: SceneBuilder, roofs: list[NDArray[np.uint8]]) -> list[HouseLooks]:
     """One set of looks per picture of a pitched roof (see `gable_roof_mesh` for its halves), walls
     in turn."""
     rng = builder.rng
@@ -79,7 +79,7 @@ def tiled_roof(rng: np.random.Generator, length: float, slope_m: float) -> NDArr
     return picture
 
 
-def add_house(builder: Builder, house: House, looks: HouseLooks | None = None) -> None:
+def add_house(builder: SceneBuilder, house: House, looks: HouseLooks | None = None) -> None:
     """Walls, roof and what stands on it, in ``looks`` or in colours of its own. The ground below
     is taken as level."""
     rng = builder.rng
@@ -188,7 +188,7 @@ def _finish_roof(rng: np.random.Generator, picture: NDArray[np.uint8]) -> None:
 
 
 def _add_pitched_roof(
-    builder: Builder, house: House, name: str, origin: Array, looks: HouseLooks | None
+    builder: SceneBuilder, house: House, name: str, origin: Array, looks: HouseLooks | None
 ) -> None:
     rng = builder.rng
     length, width, height = house.size_m
@@ -235,7 +235,7 @@ def _add_skylights(rng: np.random.Generator, picture: NDArray[np.uint8], half_px
         picture[y + 5 : y + 61, x + 5 : x + 41] = (126, 152, 176)
 
 
-def _add_flat_roof(builder: Builder, house: House, name: str, origin: Array) -> None:
+def _add_flat_roof(builder: SceneBuilder, house: House, name: str, origin: Array) -> None:
     rng = builder.rng
     length, width, height = house.size_m
     material = builder.material(f"{name}_roof", flat_roof(rng, (length, width), 48.0))
@@ -265,7 +265,7 @@ def _add_flat_roof(builder: Builder, house: House, name: str, origin: Array) -> 
         )  # fmt: skip
 
 
-def _cast_house(builder: Builder, house: House, origin: Array) -> None:
+def _cast_house(builder: SceneBuilder, house: House, origin: Array) -> None:
     length, width, height = house.size_m
     x, y = 0.5 * length + 0.4, 0.5 * width + 0.4
     corners = [[sx * x, sy * y, z] for sx in (-1, 1) for sy in (-1, 1) for z in (0.0, height)]

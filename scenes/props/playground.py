@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.props.garden import CLOTH, place_mesh
 from touchdown.scenes.props.meshes import box, polygon
 from touchdown.scenes.props.street import WOOD
@@ -25,7 +25,7 @@ def _frame(heading: float) -> tuple[Array, Array]:
     return along, np.array([-along[1], along[0], 0.0])
 
 
-def add_swing(builder: Builder, xy_m: Array, heading: float) -> None:
+def add_swing(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """Two swings under a bar between two A-frames of thin tube."""
     along, left = _frame(heading)
     foot = np.array([*xy_m, builder.terrain.point(*xy_m)])
@@ -45,7 +45,7 @@ def add_swing(builder: Builder, xy_m: Array, heading: float) -> None:
         builder.claim(xy_m + end * along[:2], 1.6)
 
 
-def add_play_slide(builder: Builder, xy_m: Array, heading: float) -> None:
+def add_play_slide(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """A small tower with a roof and a slide along ``heading``."""
     along, _ = _frame(heading)
     deck = [box(np.array([0.6, 0.6, 0.05]), np.array([-1.4, 0.0, 1.4]))]
@@ -75,7 +75,7 @@ def add_play_slide(builder: Builder, xy_m: Array, heading: float) -> None:
         builder.claim(xy_m + reach * along[:2], 1.5)
 
 
-def add_climbing_dome(builder: Builder, xy_m: Array) -> None:
+def add_climbing_dome(builder: SceneBuilder, xy_m: Array) -> None:
     """Three hoops of thin rope tube over the middle."""
     z = builder.terrain.point(*xy_m)
     for turn in np.arange(0.0, 3.0, np.pi / 3.0):
@@ -90,7 +90,7 @@ def add_climbing_dome(builder: Builder, xy_m: Array) -> None:
 
 
 def add_goal(
-    builder: Builder, xy_m: Array, heading: float, width_m: float, height_m: float
+    builder: SceneBuilder, xy_m: Array, heading: float, width_m: float, height_m: float
 ) -> None:
     """A goal of white tube that opens along ``heading``; its net lets most pulses through."""
     along, left = _frame(heading)
@@ -115,7 +115,7 @@ def add_goal(
 
 
 def add_net(
-    builder: Builder, start_xy_m: Array, end_xy_m: Array, band_m: tuple[float, float]
+    builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, band_m: tuple[float, float]
 ) -> None:
     """A net between two posts from ``band_m[0]`` to ``band_m[1]`` above the ground."""
     span = end_xy_m - start_xy_m
@@ -136,7 +136,9 @@ def add_net(
         builder.claim(start_xy_m + share * span, 1.0)
 
 
-def add_slackline(builder: Builder, start_xy_m: Array, end_xy_m: Array, height_m: float) -> None:
+def add_slackline(
+    builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, height_m: float
+) -> None:
     """A webbing of 5 cm between two stakes over the lawn."""
     tops = []
     for end in (start_xy_m, end_xy_m):
@@ -145,7 +147,7 @@ def add_slackline(builder: Builder, start_xy_m: Array, end_xy_m: Array, height_m
     add_wire(builder, tops[0], tops[1], 0.02, [0.86, 0.52, 0.20, 1])
 
 
-def add_flag(builder: Builder, xy_m: Array, height_m: float, rgba: list[float]) -> None:
+def add_flag(builder: SceneBuilder, xy_m: Array, height_m: float, rgba: list[float]) -> None:
     """A flagpole of 8 cm with a limp flag."""
     z = builder.terrain.point(*xy_m)
     add_post(builder, xy_m, height_m, 0.04, [0.90, 0.90, 0.90, 1])
@@ -154,7 +156,7 @@ def add_flag(builder: Builder, xy_m: Array, height_m: float, rgba: list[float]) 
     builder.claim(xy_m, 0.6)
 
 
-def add_towel(builder: Builder, xy_m: Array, size_m: tuple[float, float], heading: float,
+def add_towel(builder: SceneBuilder, xy_m: Array, size_m: tuple[float, float], heading: float,
               rgba: list[float]) -> None:  # fmt: skip
     """A thin cloth on the ground (a towel, a blanket)."""
     half = [0.5 * size_m[0], 0.5 * size_m[1], 0.015]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.lot import Lot
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 from touchdown.scenes.authoring.textures import Picture, to_picture
@@ -67,7 +67,7 @@ def kidney_outline(rng: np.random.Generator, u: float, v: float, radius: float) 
     return np.stack([1.25 * reach * np.cos(turn), 0.85 * reach * np.sin(turn)], -1) + [u, v]
 
 
-def add_pool(builder: Builder, pool: Pool) -> None:
+def add_pool(builder: SceneBuilder, pool: Pool) -> None:
     """Water nearly flush with a stone coping. The ground below is taken as level."""
     middle = pool.outline_m.mean(axis=0)
     where = pool.lot.points(middle)
@@ -215,7 +215,7 @@ def lounger_mesh() -> MeshData:
     return MeshData.join(parts)
 
 
-def add_lounger_models(builder: Builder, count: int) -> list[tuple[str, str]]:
+def add_lounger_models(builder: SceneBuilder, count: int) -> list[tuple[str, str]]:
     """(mesh, material) of loungers in several colours."""
     rng = builder.rng
     mesh = builder.mesh("lounger", lounger_mesh())
@@ -231,7 +231,7 @@ def add_lounger_models(builder: Builder, count: int) -> list[tuple[str, str]]:
     return models
 
 
-def add_lounger(builder: Builder, model: tuple[str, str], xy_m: Array, heading: float) -> None:
+def add_lounger(builder: SceneBuilder, model: tuple[str, str], xy_m: Array, heading: float) -> None:
     """One sun lounger; its head end points along ``heading``."""
     origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
     builder.geom("lounger", WOOD, type=GEOM.mjGEOM_MESH, meshname=model[0], material=model[1],
@@ -243,7 +243,7 @@ def add_lounger(builder: Builder, model: tuple[str, str], xy_m: Array, heading: 
     builder.claim(xy_m, 0.9)
 
 
-def add_umbrella_models(builder: Builder, count: int) -> list[tuple[str, str]]:
+def add_umbrella_models(builder: SceneBuilder, count: int) -> list[tuple[str, str]]:
     """(mesh, material) of canopies 2.8 m across with eight panels in one or two colours."""
     rng = builder.rng
     turn = np.linspace(0.0, 2.0 * np.pi, 9)
@@ -265,7 +265,7 @@ def add_umbrella_models(builder: Builder, count: int) -> list[tuple[str, str]]:
     return models
 
 
-def add_umbrella(builder: Builder, model: tuple[str, str], xy_m: Array) -> None:
+def add_umbrella(builder: SceneBuilder, model: tuple[str, str], xy_m: Array) -> None:
     """A sunshade on a thin pole."""
     z = builder.terrain.point(*xy_m)
     add_post(builder, xy_m, 2.3, 0.025, [0.86, 0.86, 0.84, 1])
@@ -280,7 +280,7 @@ def add_umbrella(builder: Builder, model: tuple[str, str], xy_m: Array) -> None:
     builder.claim(xy_m, 0.6)
 
 
-def add_guard_chair(builder: Builder, xy_m: Array, heading: float) -> None:
+def add_guard_chair(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """A life guard's high chair."""
     parts = [
         box(np.array([0.35, 0.35, 0.04]), np.array([0.0, 0.0, 1.6])),
@@ -294,7 +294,7 @@ def add_guard_chair(builder: Builder, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 1.0)
 
 
-def add_water_slide(builder: Builder, foot_xy_m: Array, heading: float) -> None:
+def add_water_slide(builder: SceneBuilder, foot_xy_m: Array, heading: float) -> None:
     """A tower with a straight chute that ends at ``foot_xy_m``, coming from ``-heading``."""
     back = -np.array([np.cos(heading), np.sin(heading)])
     z = builder.terrain.point(*foot_xy_m)
@@ -331,7 +331,7 @@ def add_water_slide(builder: Builder, foot_xy_m: Array, heading: float) -> None:
         builder.claim(foot_xy_m + share * run * back, 1.3)
 
 
-def add_whirlpool(builder: Builder, xy_m: Array) -> None:
+def add_whirlpool(builder: SceneBuilder, xy_m: Array) -> None:
     """A round raised tub, 0.5 m high, full to the brim."""
     z = builder.terrain.point(*xy_m)
     for stem, radius, low, high, tint, surface in (

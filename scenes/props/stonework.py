@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.textures import Picture, to_picture
 from touchdown.scenes.props.garden import drum, place_mesh, plank_material
@@ -70,7 +70,7 @@ def thatch(rng: np.random.Generator, size_px: tuple[int, int] = (512, 512)) -> P
     return to_picture(picture)
 
 
-def rubble_material(builder: Builder) -> str:
+def rubble_material(builder: SceneBuilder) -> str:
     """The stone that all walls of a scene share."""
     name = "building_rubble"
     if builder.spec.material(name) is None:
@@ -78,7 +78,7 @@ def rubble_material(builder: Builder) -> str:
     return name
 
 
-def add_stone_wall(builder: Builder, line_m: Array, height_m: float) -> None:
+def add_stone_wall(builder: SceneBuilder, line_m: Array, height_m: float) -> None:
     """A dry-stone wall along a polyline, (N, 2), one mesh for each straight piece, with a ragged
     top that follows the ground."""
     rng = builder.rng
@@ -134,7 +134,7 @@ def _wall_parts(x: Array, low: Array, top: Array) -> list[MeshData]:
     return parts
 
 
-def add_well(builder: Builder, xy_m: Array, heading: float) -> None:
+def add_well(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """A round well of rubble under a small roof on two posts."""
     z = builder.terrain.point(*xy_m)
     mesh = builder.mesh(builder.unique("well"), drum(0.75, -0.3, 0.8, 16))
@@ -151,7 +151,7 @@ def add_well(builder: Builder, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 1.5)
 
 
-def add_log_pile(builder: Builder, xy_m: Array, heading: float) -> None:
+def add_log_pile(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """Split logs stacked 1.1 m high between two stakes."""
     parts = [box(np.array([1.3, 0.4, 0.5]), np.array([0.0, 0.0, 0.45]))]
     parts += [box(np.array([0.05, 0.3, 0.65]), np.array([x, 0.0, 0.6])) for x in (-1.38, 1.38)]
@@ -160,7 +160,7 @@ def add_log_pile(builder: Builder, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 1.7)
 
 
-def add_cart(builder: Builder, xy_m: Array, heading: float) -> None:
+def add_cart(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """A two-wheeled hay cart, tipped on its shafts."""
     parts = [box(np.array([1.2, 0.7, 0.05]), np.array([0.0, 0.0, 0.75])),
              box(np.array([1.2, 0.03, 0.25]), np.array([0.0, 0.7, 1.0])),
@@ -175,7 +175,7 @@ def add_cart(builder: Builder, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 2.2)
 
 
-def add_sheep_models(builder: Builder) -> str:
+def add_sheep_models(builder: SceneBuilder) -> str:
     """The mesh of a sheep."""
     rng = builder.rng
     body = blob(rng, np.array([0.52, 0.27, 0.30]), 2.6, 0.05, 7, 1.0)
@@ -186,7 +186,7 @@ def add_sheep_models(builder: Builder) -> str:
     return builder.mesh("sheep", MeshData.join(parts))
 
 
-def add_sheep(builder: Builder, mesh: str, xy_m: Array, heading: float) -> None:
+def add_sheep(builder: SceneBuilder, mesh: str, xy_m: Array, heading: float) -> None:
     """A sheep that grazes on the spot."""
     at = np.array([*xy_m, builder.terrain.point(*xy_m)])
     wool = builder.rng.uniform(0.80, 0.93)
@@ -199,7 +199,7 @@ def add_sheep(builder: Builder, mesh: str, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 0.9)
 
 
-def add_electric_fence(builder: Builder, line_m: Array, height_m: float) -> None:
+def add_electric_fence(builder: SceneBuilder, line_m: Array, height_m: float) -> None:
     """Thin stakes, (N, 2), and one wire from each to the next."""
     tops = []
     for spot in line_m:

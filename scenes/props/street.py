@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.props.meshes import MeshData, box
 
 Array = NDArray[np.float64]
@@ -18,7 +18,7 @@ _STEEL_RGBA = [0.36, 0.39, 0.41, 1.0]
 _WOOD_RGBA = [0.50, 0.38, 0.26, 1.0]
 
 
-def add_lamp(builder: Builder, xy_m: Array, heading: float, height_m: float = 6.5) -> None:
+def add_lamp(builder: SceneBuilder, xy_m: Array, heading: float, height_m: float = 6.5) -> None:
     """A street lamp whose arm points along ``heading``."""
     z = builder.terrain.point(*xy_m)
     arm = np.array([np.cos(heading), np.sin(heading)]) * 1.5
@@ -46,7 +46,7 @@ def add_lamp(builder: Builder, xy_m: Array, heading: float, height_m: float = 6.
     builder.claim(xy_m, 0.6)
 
 
-def add_sign(builder: Builder, xy_m: Array, heading: float, rgba: list[float]) -> None:
+def add_sign(builder: SceneBuilder, xy_m: Array, heading: float, rgba: list[float]) -> None:
     """A round road sign that faces ``heading``."""
     z = builder.terrain.point(*xy_m)
     builder.geom(
@@ -63,7 +63,7 @@ def add_sign(builder: Builder, xy_m: Array, heading: float, rgba: list[float]) -
     builder.claim(xy_m, 0.5)
 
 
-def add_bench(builder: Builder, xy_m: Array, heading: float) -> None:
+def add_bench(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """A bench with a back; its sitter looks along ``heading``."""
     z = builder.terrain.point(*xy_m)
     parts = [
@@ -83,7 +83,7 @@ def add_bench(builder: Builder, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 1.1)
 
 
-def add_bin(builder: Builder, xy_m: Array, rgba: list[float]) -> None:
+def add_bin(builder: SceneBuilder, xy_m: Array, rgba: list[float]) -> None:
     """A wheeled bin or a litter bin."""
     z = builder.terrain.point(*xy_m)
     at = np.array([*xy_m, z + 0.5])
@@ -93,7 +93,7 @@ def add_bin(builder: Builder, xy_m: Array, rgba: list[float]) -> None:
     builder.claim(xy_m, 0.6)
 
 
-def add_fence(builder: Builder, start_xy_m: Array, end_xy_m: Array, rgba: list[float]) -> None:
+def add_fence(builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, rgba: list[float]) -> None:
     """Posts every 2 m, three boards and a cap rail, following the ground in panels."""
     span = end_xy_m - start_xy_m
     length = float(np.hypot(*span))
@@ -129,7 +129,7 @@ def add_fence(builder: Builder, start_xy_m: Array, end_xy_m: Array, rgba: list[f
         builder.claim(knot, 0.8)
 
 
-def add_kerb(builder: Builder, start_xy_m: Array, end_xy_m: Array, top_m: float) -> None:
+def add_kerb(builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, top_m: float) -> None:
     """A row of kerb stones, 0.16 m wide, from below the road to ``top_m`` (world height)."""
     span = end_xy_m - start_xy_m
     middle = 0.5 * (start_xy_m + end_xy_m)

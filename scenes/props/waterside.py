@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.textures import Colour, Picture, to_picture
 from touchdown.scenes.props.meshes import MeshData, blob, box, polygon
@@ -32,7 +32,7 @@ class ReedBed:
     """(mesh name, radius, height in metres)"""
 
 
-def grow_reeds(builder: Builder) -> ReedBed:
+def grow_reeds(builder: SceneBuilder) -> ReedBed:
     """Adds the materials and meshes that all reeds of a scene share."""
     rng = builder.rng
     green = rng.uniform(0.0, 1.0)
@@ -81,7 +81,7 @@ def tuft_mesh(rng: np.random.Generator, radius_m: float, height_m: float) -> Mes
     return MeshData.join(parts)
 
 
-def add_reeds(builder: Builder, bed: ReedBed, xy_m: Array) -> None:
+def add_reeds(builder: SceneBuilder, bed: ReedBed, xy_m: Array) -> None:
     """One tuft, its foot on the ground or in the water."""
     rng = builder.rng
     mesh, radius, height = bed.tufts[int(rng.integers(len(bed.tufts)))]
@@ -136,7 +136,7 @@ class Deck:
         return turned(flat, self.angle, at)[:, :2]
 
 
-def add_deck(builder: Builder, deck: Deck, picture: Picture, surface: Surface = DECK) -> None:
+def add_deck(builder: SceneBuilder, deck: Deck, picture: Picture, surface: Surface = DECK) -> None:
     """The platform with ``picture`` on top."""
     name = builder.unique("deck")
     x, y = 0.5 * deck.size_m[0], 0.5 * deck.size_m[1]
@@ -154,7 +154,7 @@ def add_deck(builder: Builder, deck: Deck, picture: Picture, surface: Surface = 
     builder.cast(turned(top, deck.angle, origin))
 
 
-def add_pile(builder: Builder, xy_m: Array, top_m: float, radius_m: float = 0.09) -> None:
+def add_pile(builder: SceneBuilder, xy_m: Array, top_m: float, radius_m: float = 0.09) -> None:
     """A pile from the ground to the world height ``top_m``."""
     z = builder.terrain.point(*xy_m)
     grey = builder.rng.uniform(0.30, 0.42)
@@ -166,7 +166,7 @@ def add_pile(builder: Builder, xy_m: Array, top_m: float, radius_m: float = 0.09
     builder.cast(np.concatenate([[*xy_m, z] + ring, [*xy_m, top_m] + ring]))
 
 
-def add_net(builder: Builder, xy_m: Array, heading: float) -> None:
+def add_net(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """A volleyball net of 9.5 m between two posts."""
     across = np.array([-np.sin(heading), np.cos(heading)])
     ends = [xy_m + side * 4.75 * across for side in (-1.0, 1.0)]
@@ -183,7 +183,7 @@ def add_net(builder: Builder, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 5.2)
 
 
-def add_molehill(builder: Builder, xy_m: Array) -> None:
+def add_molehill(builder: SceneBuilder, xy_m: Array) -> None:
     """A mound of earth too small to be seen from high up and too high to land on."""
     rng = builder.rng
     half = rng.uniform([0.22, 0.22, 0.14], [0.36, 0.36, 0.24])

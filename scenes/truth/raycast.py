@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
-from touchdown.scenes.authoring.terrain import Terrain
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.compose import VEHICLE_GROUP
 
 Array = NDArray[np.float64]
@@ -139,7 +139,7 @@ def bare_ground(scene: Scene, xy_m: Array, otherwise_m: float) -> Array:
                 unit = model.hfield_data[start : start + rows * cols].reshape(rows, cols)
                 heights = unit.astype(np.float64) * size[2] + z
                 local = xy_m - model.geom_pos[geom, :2]
-                return Terrain(heights_m=heights, half_m=float(size[0])).at(local)
+                return HeightField(heights_m=heights, half_m=float(size[0])).at(local)
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
             return np.full(xy_m.shape[:-1], z)
     return np.full(xy_m.shape[:-1], otherwise_m)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
-from touchdown.scenes.authoring.terrain import Terrain
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.compose import START_GAP_M, VEHICLE_BODY, load_scene
 from touchdown.scenes.export import export_scene
 from touchdown.scenes.places.crossroad.layout import ROAD_DEPTH_M
@@ -123,7 +123,7 @@ def test_terrain_heights_are_mujoco_s(crossroad: Scene) -> None:
     model = crossroad.model
     size, unit = model.hfield_size[0], model.hfield_data.reshape(model.hfield_nrow[0], -1)
     z = float(model.geom("terrain").pos[2])
-    terrain = Terrain(heights_m=unit.astype(float) * size[2] + z, half_m=float(size[0]))
+    terrain = HeightField(heights_m=unit.astype(float) * size[2] + z, half_m=float(size[0]))
     heights, geoms = cast_down(crossroad, np.array([-40.0, -60.0]), 0.37, (40, 40))
     rows, cols = np.nonzero(geoms == model.geom("terrain").id)
     xy = np.stack([-40.0 + (cols + 0.5) * 0.37, -60.0 + (rows + 0.5) * 0.37], axis=-1)

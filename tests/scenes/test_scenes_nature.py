@@ -13,8 +13,8 @@ import pytest
 from scipy import ndimage
 
 from touchdown.scenes.api import LAND_CLASSES, Scene
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.survey_frame import draw_frame
-from touchdown.scenes.authoring.terrain import Terrain
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.places.forest.layout import draw_plan
 from touchdown.scenes.places.forest.relief import (
@@ -59,7 +59,7 @@ def surveyed(name: str, seed: int) -> tuple[object, np.ndarray, np.ndarray]:
     return maps, in_survey(scene, xy), near
 
 
-def shaped(seed: int) -> Terrain:
+def shaped(seed: int) -> HeightField:
     """The forest's ground alone, from a stream of its own."""
     rng = np.random.default_rng(seed)
     return shape_ground(rng, draw_plan(rng))
@@ -132,7 +132,7 @@ def test_brook_falls_all_the_way_below_the_ground() -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         plan = draw_plan(rng)
-        ground = Terrain(heights_m=hills(rng), half_m=64.0)
+        ground = HeightField(heights_m=hills(rng), half_m=64.0)
         bed = brook_profile(plan.brook, ground)
         inside = (np.abs(plan.brook.line_m) < 62.0).all(axis=1)
         steps = np.diff(bed[inside])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import Lot, scatter
 from touchdown.scenes.authoring.relief import Pad
@@ -91,7 +91,7 @@ def paint_croft(canvas: Canvas, croft: Croft) -> None:
 
 
 def build_croft(
-    builder: Builder, croft: Croft, looks: HouseLooks, nursery: Nursery, models: Models
+    builder: SceneBuilder, croft: Croft, looks: HouseLooks, nursery: Nursery, models: Models
 ) -> None:
     """Everything that stands on the croft."""
     rng, lot = builder.rng, croft.lot
@@ -125,7 +125,7 @@ def build_croft(
         add_bush(builder, nursery, spot)
 
 
-def _clutter(builder: Builder, croft: Croft, models: Models) -> None:
+def _clutter(builder: SceneBuilder, croft: Croft, models: Models) -> None:
     """What keeps the level courtyard from being a landing site."""
     rng, lot = builder.rng, croft.lot
     inner = (6.6, 18.4) if croft.wing_u < 8.0 else (2.6, 14.4)
@@ -143,7 +143,7 @@ def _clutter(builder: Builder, croft: Croft, models: Models) -> None:
         add_toys(builder, lot.at(0.5 * sum(inner), 6.8))
 
 
-def _bean_poles(builder: Builder, xy_m: Array, heading: float) -> None:
+def _bean_poles(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """Three wigwams of thin canes, 2.1 m high."""
     along = np.array([np.cos(heading), np.sin(heading)])
     for reach in (-2.2, 0.0, 2.2):

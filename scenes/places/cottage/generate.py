@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from zlib import crc32
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
+from touchdown.scenes.authoring.generation import finish, paint_terrain, start_scene
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.light import draw_sun, finish_picture
 from touchdown.scenes.authoring.lot import Lot, scatter
 from touchdown.scenes.authoring.relief import Ditch
 from touchdown.scenes.authoring.streets import STEP_M, paint_street
-from touchdown.scenes.authoring.terrain import write_hfield
 from touchdown.scenes.places.cottage.crofts import (
     WIDTH_M,
     Croft,
@@ -49,13 +45,10 @@ from touchdown.scenes.props.wires import add_line
 
 Array = NDArray[np.float64]
 
-XML = Path(__file__).with_name("cottage.xml")
-
 
 def generate(seed: int) -> SceneDraft:
     """The place of ``seed``, without the vehicle. Same seed, same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.cottage")])
-    spec = mujoco.MjSpec.from_file(str(XML))
     plan = draw_plan(rng)
     crofts = draw_crofts(rng, plan)
     pads = [pad for croft in crofts for pad in croft.pads()]
@@ -66,23 +59,13 @@ def generate(seed: int) -> SceneDraft:
         depth_m=rng.uniform(0.5, 0.8), half_width_m=1.6,
     )  # fmt: skip
     terrain = shape_ground(rng, plan, pads, [ditch])
-    write_hfield(spec, "terrain", "terrain", terrain, base_m=2.0)
-    sun = draw_sun(rng, spec)
-    builder = Builder(spec=spec, rng=rng, terrain=terrain)
+    builder = start_scene("cottage", rng, terrain)
     place_things(builder, plan, crofts)
     canvas = paint_ground(rng, plan, crofts, ditch)
     turned = dict.fromkeys(Ground, plan.frame.angle)
     turned[Ground.LAWN] = plan.frame.angle + float(rng.uniform(0.2, 1.3))
-    finish_picture(builder, canvas, sun, turned)
-    builder.surfaces["terrain"] = Surface(land_class="lawn", reflectivity=0.45)
-    return SceneDraft(
-        spec=spec,
-        takeoff_xy_m=plan.takeoff_xy_m,
-        takeoff_yaw=plan.takeoff_yaw,
-        bounds_xy_m=np.array([[-HALF_M, -HALF_M], [HALF_M, HALF_M]]),
-        surfaces=builder.surfaces,
-        ground=canvas.raster("terrain"),
-    )
+    ground = paint_terrain(builder, canvas, turned)
+    return finish(plan, builder, ground)
 
 
 def draw_crofts(rng: np.random.Generator, plan: Plan) -> list[Croft]:
@@ -109,7 +92,7 @@ def draw_crofts(rng: np.random.Generator, plan: Plan) -> list[Croft]:
     return crofts
 
 
-def place_things(builder: Builder, plan: Plan, crofts: list[Croft]) -> None:
+def place_things(builder: SceneBuilder, plan: Plan, crofts: list[Croft]) -> None:
     """Everything that stands."""
     rng, frame = builder.rng, plan.frame
     nursery = plant_nursery(builder)
@@ -129,7 +112,7 @@ def place_things(builder: Builder, plan: Plan, crofts: list[Croft]) -> None:
     wire_and_park(builder, plan, models)
 
 
-def wall_the_lane(builder: Builder, plan: Plan, crofts: list[Croft]) -> None:
+def wall_the_lane(builder: SceneBuilder, plan: Plan, crofts: list[Croft]) -> None:
     """Dry-stone walls beside the lane between the crofts, with field gates."""
     rng, lane = builder.rng, plan.lane
     for side in (1.0, -1.0):
@@ -148,7 +131,7 @@ def wall_the_lane(builder: Builder, plan: Plan, crofts: list[Croft]) -> None:
                 add_stone_wall(builder, line, rng.uniform(0.7, 0.95))
 
 
-def hang_laundry(builder: Builder, plan: Plan) -> None:
+def hang_laundry(builder: SceneBuilder, plan: Plan) -> None:
     """A line across half of the drying green, without laundry: hard to see from above."""
     rng = builder.rng
     u, v = plan.lawn_uv
@@ -157,7 +140,7 @@ def hang_laundry(builder: Builder, plan: Plan) -> None:
     add_washing_line(builder, ends[0], ends[1], laundry=False)
 
 
-def graze_meadow(builder: Builder, plan: Plan) -> None:
+def graze_meadow(builder: SceneBuilder, plan: Plan) -> None:
     """Sheep behind an electric fence below the take-off spot, rocks on the hill."""
     rng, frame = builder.rng, plan.frame
     u = np.arange(-58.0, 12.0, 6.0)
@@ -172,7 +155,7 @@ def graze_meadow(builder: Builder, plan: Plan) -> None:
         add_rock(builder, spot, rng.uniform(0.22, 0.4))
 
 
-def plant_trees(builder: Builder, plan: Plan, nursery: Nursery) -> None:
+def plant_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
     """An orchard in rows, oaks on the hill, bushes."""
     rng, frame = builder.rng, plan.frame
     first = rng.uniform(-58.0, -54.0)
@@ -190,7 +173,9 @@ def plant_trees(builder: Builder, plan: Plan, nursery: Nursery) -> None:
         add_bush(builder, nursery, spot)
 
 
-def wire_and_park(builder: Builder, plan: Plan, models: list[tuple[str, str, CarShape]]) -> None:
+def wire_and_park(
+    builder: SceneBuilder, plan: Plan, models: list[tuple[str, str, CarShape]]
+) -> None:
     """A line of poles beside the lane, a bench, a sign, and a car that blocks half the lane."""
     rng, lane = builder.rng, plan.lane
     side = 0.5 * lane.width_m + 0.55

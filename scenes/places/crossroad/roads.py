@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import MovingBody
-from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.traffic import add_mover, path_length
 from touchdown.scenes.authoring.ways import band, paint_wear
@@ -89,7 +89,7 @@ def wear_down(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
         paint_wear(canvas, road, rng, _junction_reach(plan, road))
 
 
-def place_kerbs(builder: Builder, plan: Plan, openings: list[tuple[Array, float]]) -> None:
+def place_kerbs(builder: SceneBuilder, plan: Plan, openings: list[tuple[Array, float]]) -> None:
     """Kerb stones along every straight and corner, lowered away at zebra crossings and at
     ``openings`` (centre, radius: driveways)."""
     top = builder.terrain.point(*plan.main.point(0.0, 0.0)) + ROAD_DEPTH_M + 0.015
@@ -127,7 +127,10 @@ def _cut(
 
 
 def add_traffic(
-    builder: Builder, plan: Plan, models: list[tuple[str, str, CarShape]], rng: np.random.Generator
+    builder: SceneBuilder,
+    plan: Plan,
+    models: list[tuple[str, str, CarShape]],
+    rng: np.random.Generator,
 ) -> tuple[MovingBody, ...]:
     """Two or three cars that drive to the end of a road and come back on the other lane."""
     moving = []
@@ -148,7 +151,7 @@ def add_traffic(
     return tuple(moving)
 
 
-def lane_loop(builder: Builder, road: Road) -> Array:
+def lane_loop(builder: SceneBuilder, road: Road) -> Array:
     """(K, 3) closed path on both lanes, right-hand traffic, turning at the ends of the road."""
     low, high = road.ends_m()
     lane = 0.25 * road.width_m

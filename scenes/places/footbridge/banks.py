@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import MovingBody
-from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import unit_circle
 from touchdown.scenes.authoring.streets import (
@@ -79,7 +79,7 @@ def paint_ground(canvas: Canvas, plan: Plan, paths: list[Array], rng: np.random.
 
 
 def furnish(
-    builder: Builder, plan: Plan, paths: list[Array], nursery: Nursery
+    builder: SceneBuilder, plan: Plan, paths: list[Array], nursery: Nursery
 ) -> tuple[MovingBody, ...]:
     """Lamps, benches, fences, trees, rocks, reeds. Returns the cars that drive below."""
     rng = builder.rng
@@ -99,7 +99,7 @@ def furnish(
     return moving
 
 
-def _beside(builder: Builder, path: Array, station: int, nursery: Nursery) -> None:
+def _beside(builder: SceneBuilder, path: Array, station: int, nursery: Nursery) -> None:
     """A lamp on one side of a path, a bench with a bin on the other."""
     span = path[station + 1] - path[station - 1]
     heading = float(np.arctan2(span[1], span[0]))
@@ -113,7 +113,7 @@ def _beside(builder: Builder, path: Array, station: int, nursery: Nursery) -> No
         add_bin(builder, seat + 1.6 * span / np.linalg.norm(span), [0.20, 0.30, 0.24, 1])
 
 
-def _furnish_road(builder: Builder, plan: Plan) -> tuple[MovingBody, ...]:
+def _furnish_road(builder: SceneBuilder, plan: Plan) -> tuple[MovingBody, ...]:
     """Kerbs, fences at the tops of the cutting, traffic."""
     rng = builder.rng
     course = plan.course
@@ -131,7 +131,7 @@ def _furnish_road(builder: Builder, plan: Plan) -> tuple[MovingBody, ...]:
     return send_round(builder, path, chosen, CAR_SURFACE, float(rng.uniform(6.0, 10.0)))
 
 
-def _furnish_stream(builder: Builder, plan: Plan) -> None:
+def _furnish_stream(builder: SceneBuilder, plan: Plan) -> None:
     """Reeds and boulders along the water's edge."""
     rng = builder.rng
     bed = grow_reeds(builder)
@@ -150,7 +150,7 @@ def _furnish_stream(builder: Builder, plan: Plan) -> None:
             add_rock(builder, spot, rng.uniform(0.35, 0.8))
 
 
-def _plant(builder: Builder, plan: Plan, nursery: Nursery) -> None:
+def _plant(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
     """Trees, bushes, rocks and molehills; fewer trees on the lawns that the survey looks at."""
     rng = builder.rng
     for kind, count, gap in (("tree", 24, 3.0), ("bush", 14, 1.0), ("rock", 5, 1.0),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.textures import Picture, to_picture
 from touchdown.scenes.places.footbridge.layout import Bridge, Plan
@@ -29,7 +29,7 @@ _CONCRETE_RGBA = [0.66, 0.65, 0.62, 1.0]
 _RAILS = ([0.24, 0.34, 0.30, 1.0], [0.34, 0.36, 0.38, 1.0], [0.55, 0.22, 0.16, 1.0])
 
 
-def add_bridge(builder: Builder, plan: Plan) -> None:
+def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
     """Everything of the bridge, with its shadows."""
     bridge = plan.bridge
     rng = builder.rng
@@ -130,7 +130,7 @@ def _rimmed(picture: Picture) -> Picture:
     return picture
 
 
-def _cast_slab(builder: Builder, bridge: Bridge) -> None:
+def _cast_slab(builder: SceneBuilder, bridge: Bridge) -> None:
     """The deck's shadow, in pieces, since it falls on banks and floor."""
     half = 0.5 * bridge.width_m
     for a, b in pairwise(np.linspace(-bridge.reach_m, bridge.reach_m, 15)):
@@ -144,7 +144,7 @@ def _world(bridge: Bridge, local: Array) -> Array:
 
 
 def _add_railing(
-    builder: Builder, bridge: Bridge, side: float, first: float, last: float, rgba: list[float]
+    builder: SceneBuilder, bridge: Bridge, side: float, first: float, last: float, rgba: list[float]
 ) -> None:
     """Posts, a hand rail and four wires along the deck's edge, as one mesh."""
     v = side * (0.5 * bridge.width_m - 0.07)
@@ -174,7 +174,7 @@ def _add_railing(
         builder.cast(_world(bridge, np.array([*ends, [a, v + 0.05, ends[0][2]]])), 0.8)
 
 
-def _add_supports(builder: Builder, plan: Plan) -> None:
+def _add_supports(builder: SceneBuilder, plan: Plan) -> None:
     """Abutments at the tops of the banks, girders, and columns at their feet."""
     bridge = plan.bridge
     quat, half = quat_z(bridge.lot.angle), 0.5 * bridge.width_m
@@ -199,7 +199,9 @@ def _add_supports(builder: Builder, plan: Plan) -> None:
             )  # fmt: skip
 
 
-def _add_stairs(builder: Builder, plan: Plan, side: float, end: float, rgba: list[float]) -> None:
+def _add_stairs(
+    builder: SceneBuilder, plan: Plan, side: float, end: float, rgba: list[float]
+) -> None:
     """Stairs beside the bridge, from the bank's top down to its foot, with a hand rail."""
     bridge = plan.bridge
     top_u = plan.floor_m + plan.bank_m + 0.5

@@ -59,7 +59,7 @@ def _distance_to(line_m: Array) -> NDArray[np.float32]:
 
 def _plough(canvas: Canvas, plan: Plan, clearing: Clearing) -> None:
     """A game plot: a tilled rectangle in the middle of the clearing."""
-    c, s = np.cos(plan.frame.yaw + 0.4), np.sin(plan.frame.yaw + 0.4)
+    c, s = np.cos(plan.frame.takeoff_yaw + 0.4), np.sin(plan.frame.takeoff_yaw + 0.4)
     half = clearing.radius_m * np.array([0.62, 0.50])
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
     canvas.fill(clearing.centre_xy_m + corners @ np.array([[c, s], [-s, c]]), Ground.SOIL)

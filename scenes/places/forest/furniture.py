@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.noise import tileable_noise
 from touchdown.scenes.places.forest.layout import HALF_M, Clearing, Plan
 from touchdown.scenes.places.forest.relief import WATER_DEPTH_M
@@ -24,7 +24,7 @@ _TIMBER = [0.46, 0.37, 0.27, 1.0]
 _WATER_HALF_M = 0.95
 
 
-def furnish(builder: Builder, wood: Wood, plan: Plan) -> None:
+def furnish(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
     """Everything that later plants keep away from."""
     builder.claim(plan.frame.takeoff_xy_m, 5.0)
     add_water(builder, plan)
@@ -45,7 +45,7 @@ def furnish(builder: Builder, wood: Wood, plan: Plan) -> None:
 
 
 def _scatter(
-    builder: Builder, clearing: Clearing, count: int, margin_m: float, gap_m: float
+    builder: SceneBuilder, clearing: Clearing, count: int, margin_m: float, gap_m: float
 ) -> list[Array]:
     """Up to ``count`` free places in a clearing, ``margin_m`` from its edge."""
     rng = builder.rng
@@ -59,7 +59,7 @@ def _scatter(
     return found
 
 
-def _fell(builder: Builder, wood: Wood, clearing: Clearing) -> None:
+def _fell(builder: SceneBuilder, wood: Wood, clearing: Clearing) -> None:
     """A felled patch: low stumps in high grass, and a few trunks left behind."""
     rng = builder.rng
     for spot in _scatter(builder, clearing, 3, 2.0, 2.0):
@@ -70,7 +70,7 @@ def _fell(builder: Builder, wood: Wood, clearing: Clearing) -> None:
         add_stump(builder, wood, spot)
 
 
-def _edge_spot(builder: Builder, plan: Plan, clearing: Clearing) -> Array:
+def _edge_spot(builder: SceneBuilder, plan: Plan, clearing: Clearing) -> Array:
     """(2,) a free place at the edge of a clearing, away from track and brook."""
     turn = builder.rng.uniform(0.0, 2.0 * np.pi) + np.linspace(0.0, 2.0 * np.pi, 24)
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
@@ -80,7 +80,7 @@ def _edge_spot(builder: Builder, plan: Plan, clearing: Clearing) -> Array:
     return np.asarray(spots[int(good[0]) if len(good) else int(room.argmax())])
 
 
-def _strew(builder: Builder, wood: Wood, plan: Plan) -> None:
+def _strew(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
     """Fallen trunks and rocks on the forest floor, rocks in and beside the brook."""
     rng = builder.rng
     spots = rng.uniform(-HALF_M + 6.0, HALF_M - 6.0, (400, 2))
@@ -101,7 +101,7 @@ def _strew(builder: Builder, wood: Wood, plan: Plan) -> None:
             add_rock(builder, spot, float(rng.uniform(0.2, 0.45)))
 
 
-def add_water(builder: Builder, plan: Plan) -> None:
+def add_water(builder: SceneBuilder, plan: Plan) -> None:
     """The brook's surface: level strips that step down the valley. It carries no contact: what
     falls in lands on the bed."""
     brook = plan.brook
@@ -141,7 +141,7 @@ def _ripples(rng: np.random.Generator) -> NDArray[np.uint8]:
     return np.clip(picture, 0.0, 255.0).astype(np.uint8)
 
 
-def add_bridge(builder: Builder, plan: Plan) -> None:
+def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
     """A plank bridge where the track meets the brook."""
     distance, _ = plan.brook.nearest(plan.track.line_m)
     index = int(distance.argmin())
@@ -180,7 +180,7 @@ def add_bridge(builder: Builder, plan: Plan) -> None:
         builder.claim(at + share * np.array([np.cos(heading), np.sin(heading)]), 2.4)
 
 
-def add_hide(builder: Builder, xy_m: Array, toward_xy_m: Array) -> None:
+def add_hide(builder: SceneBuilder, xy_m: Array, toward_xy_m: Array) -> None:
     """A hunter's raised hide that looks towards a clearing: four legs, cabin, roof and ladder."""
     heading = float(np.arctan2(*(toward_xy_m - xy_m)[::-1]))
     ground = builder.terrain.point(*xy_m)
@@ -238,7 +238,7 @@ def _yaw_pitch(yaw: float, pitch: float) -> list[float]:
     return [float(cy * cp), float(-sy * sp), float(cy * sp), float(sy * cp)]
 
 
-def _add_log_pile(builder: Builder, wood: Wood, plan: Plan) -> None:
+def _add_log_pile(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
     """Cut trunks stacked beside the track."""
     rng = builder.rng
     line = plan.track.line_m

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from touchdown.scenes.authoring.lot import Lot
-from touchdown.scenes.authoring.survey_frame import Frame, draw_frame
+from touchdown.scenes.authoring.survey_frame import SurveyFrame, draw_frame
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ class Course:
 class Plan:
     """The forest of one seed."""
 
-    frame: Frame
+    frame: SurveyFrame
     clearings: tuple[Clearing, ...]
     track: Course
     brook: Course

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import claim_area, scatter
 from touchdown.scenes.authoring.relief import Ditch, Mound
@@ -83,7 +83,7 @@ def paint_green(canvas: Canvas, green: Green, rng: np.random.Generator) -> None:
         canvas.fill(spot + blot, Ground.WORN)
 
 
-def build_green(builder: Builder, green: Green, nursery: Nursery) -> None:
+def build_green(builder: SceneBuilder, green: Green, nursery: Nursery) -> None:
     """Trees along the edges, play things, benches, and what is strung over the lawn."""
     rng, frame = builder.rng, green.plan.frame
     start = frame.coordinates(green.plan.takeoff_xy_m)

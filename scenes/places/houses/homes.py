@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import Lot, scatter
 from touchdown.scenes.authoring.relief import Pad
@@ -139,7 +139,7 @@ def _bed(home: Home) -> tuple[float, float]:
 
 
 def build_home(
-    builder: Builder, home: Home, looks: HouseLooks, nursery: Nursery, models: Models
+    builder: SceneBuilder, home: Home, looks: HouseLooks, nursery: Nursery, models: Models
 ) -> None:
     """Everything that stands on the lot but its fences."""
     rng, lot = builder.rng, home.lot
@@ -167,7 +167,7 @@ def build_home(
     _furnish(builder, home, nursery)
 
 
-def _add_garage(builder: Builder, home: Home) -> None:
+def _add_garage(builder: SceneBuilder, home: Home) -> None:
     v = home.front_v + 5.2
     spot = home.lot.at(home.drive_u, v)
     z = builder.terrain.point(*spot)
@@ -187,7 +187,7 @@ def _add_garage(builder: Builder, home: Home) -> None:
     builder.claim(spot, 3.4)
 
 
-def _furnish(builder: Builder, home: Home, nursery: Nursery) -> None:
+def _furnish(builder: SceneBuilder, home: Home, nursery: Nursery) -> None:
     """The back garden."""
     rng, lot, width, back = builder.rng, home.lot, home.width_m, home.back_v
     inside = (1.8, width - 1.8)
@@ -229,7 +229,7 @@ def _furnish(builder: Builder, home: Home, nursery: Nursery) -> None:
         add_bush(builder, nursery, spot)
 
 
-def fence_home(builder: Builder, home: Home, nursery: Nursery, first: bool) -> None:
+def fence_home(builder: SceneBuilder, home: Home, nursery: Nursery, first: bool) -> None:
     """Back boundary and the boundary at u = width; the one at u = 0 where it is the ``first`` of a
     row. Fence or hedge."""
     rng, lot = builder.rng, home.lot

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.lot import Lot
 from touchdown.scenes.authoring.relief import (
     NODES,
@@ -21,7 +22,6 @@ from touchdown.scenes.authoring.relief import (
     smoothstep,
 )
 from touchdown.scenes.authoring.streets import Street, smooth_line
-from touchdown.scenes.authoring.terrain import Terrain
 
 Array = NDArray[np.float64]
 
@@ -111,9 +111,9 @@ def shape_ground(
     pads: list[Pad],
     ditches: list[Ditch],
     mounds: list[Mound],
-) -> Terrain:
+) -> HeightField:
     """Natural ground with mounds, ditches, pads and streets; the take-off spot is at height 0."""
-    terrain = Terrain(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
+    terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
     xy = np.stack(terrain.node_grid(), axis=-1)
     heights = terrain.heights_m + (0.30 - terrain.heights_m.mean())
     heights = level_pads(heights, xy, pads)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.textures import Picture, to_picture
 from touchdown.scenes.props.boats import add_boat, add_boat_models
@@ -19,7 +19,7 @@ FREEBOARD_M = 0.45
 """Of both kinds of deck."""
 
 
-def place_raft(builder: Builder) -> None:
+def place_raft(builder: SceneBuilder) -> None:
     """A bathing raft of boards on drums, a flagpole at a corner, a rowing boat alongside."""
     rng = builder.rng
     size = (float(rng.uniform(6.4, 8.0)), float(rng.uniform(6.0, 7.0)))
@@ -43,7 +43,7 @@ def place_raft(builder: Builder) -> None:
     add_boat(builder, model, spot, deck.angle + rng.uniform(-0.06, 0.06))
 
 
-def place_pontoon(builder: Builder) -> None:
+def place_pontoon(builder: SceneBuilder) -> None:
     """A concrete work pontoon with a painted circle, bollards, a rail and crates."""
     rng = builder.rng
     size = (float(rng.uniform(9.0, 12.0)), float(rng.uniform(6.2, 7.4)))
@@ -98,7 +98,7 @@ def _concrete(rng: np.random.Generator, size_m: tuple[float, float]) -> Picture:
     return to_picture(picture)
 
 
-def _flagpole(builder: Builder, xy_m: Array) -> None:
+def _flagpole(builder: SceneBuilder, xy_m: Array) -> None:
     builder.geom("flagpole", PILE, type=GEOM.mjGEOM_CYLINDER, size=[0.03, 0, 0],
                  fromto=[*xy_m, 0.0, *xy_m, 2.8], rgba=[0.92, 0.92, 0.92, 1])  # fmt: skip
     turn = float(builder.rng.uniform(0.0, 2.0 * np.pi))
@@ -108,7 +108,7 @@ def _flagpole(builder: Builder, xy_m: Array) -> None:
     _square_shadow(builder, xy_m, 0.03, 0.0, 2.8)
 
 
-def _ladder(builder: Builder, deck: Deck, x: float) -> None:
+def _ladder(builder: SceneBuilder, deck: Deck, x: float) -> None:
     """Two bent tubes over the edge at ``x`` of the deck."""
     for y in (-0.25, 0.25):
         foot = deck.points(np.array([[x - 0.05, y]]))[0]
@@ -117,7 +117,7 @@ def _ladder(builder: Builder, deck: Deck, x: float) -> None:
 
 
 def _square_shadow(
-    builder: Builder, xy_m: Array, half_m: float, low_m: float, top_m: float
+    builder: SceneBuilder, xy_m: Array, half_m: float, low_m: float, top_m: float
 ) -> None:
     corners = [[sx * half_m, sy * half_m, z] for sx in (-1, 1) for sy in (-1, 1)
                for z in (low_m, top_m)]  # fmt: skip

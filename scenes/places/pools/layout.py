@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.ground import Ground
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.lot import Lot
 from touchdown.scenes.authoring.relief import (
     NODES,
@@ -18,7 +19,6 @@ from touchdown.scenes.authoring.relief import (
     natural_ground,
     raise_mounds,
 )
-from touchdown.scenes.authoring.terrain import Terrain
 from touchdown.scenes.props.pools import Pool, kidney_outline, rectangle_outline
 
 Array = NDArray[np.float64]
@@ -118,9 +118,9 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     )
 
 
-def shape_ground(rng: np.random.Generator, plan: Plan) -> Terrain:
+def shape_ground(rng: np.random.Generator, plan: Plan) -> HeightField:
     """Lawns as they grew, everything built on level ground; the take-off spot at height 0."""
-    terrain = Terrain(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
+    terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
     xy = np.stack(terrain.node_grid(), axis=-1)
     heights = terrain.heights_m + (0.35 - terrain.heights_m.mean())
     heights = level_pads(raise_mounds(heights, xy, plan.mounds), xy, plan.pads())

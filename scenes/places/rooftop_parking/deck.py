@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.lot import unit_circle
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.terrain import Terrain
 from touchdown.scenes.places.rooftop_parking.layout import (
     BAY_WIDTH_M,
     EDGE_M,
@@ -42,7 +42,7 @@ _UNIT_RGBA = [0.74, 0.76, 0.77, 1.0]
 LINE_M = 0.10
 
 
-def deck_heights(rng: np.random.Generator, plan: Plan, terrain: Terrain) -> Array:
+def deck_heights(rng: np.random.Generator, plan: Plan, terrain: HeightField) -> Array:
     """(N, N) heights over the whole grid of ``terrain``: the ground's, and on the deck's nodes the
     deck's, whose take-off spot is at height 0."""
     x, y = terrain.node_grid()
@@ -50,11 +50,13 @@ def deck_heights(rng: np.random.Generator, plan: Plan, terrain: Terrain) -> Arra
     nearest = np.min([np.abs(y - aisle) for aisle in plan.aisles()], axis=0)
     uneven = 0.004 * fractal_noise(rng, x.shape, 3.0 / NODE_M, 3)
     deck = FALL * np.minimum(nearest, 9.0) + uneven - plan.ramp.depth(xy)
-    level = Terrain(heights_m=deck, half_m=HALF_M).at(plan.takeoff_xy_m)
+    level = HeightField(heights_m=deck, half_m=HALF_M).at(plan.takeoff_xy_m)
     return np.where(plan.inside(xy), deck - level, terrain.heights_m)
 
 
-def write_deck(spec: Any, plan: Plan, both: Terrain, picture: NDArray[np.uint8]) -> NDArray[Any]:
+def write_deck(
+    spec: Any, plan: Plan, both: HeightField, picture: NDArray[np.uint8]
+) -> NDArray[Any]:
     """Fills the height field `deck` with the deck's part of ``both`` and returns its part of the
     ground's picture."""
     first = np.round((plan.low_xy_m + HALF_M) / NODE_M).astype(int)
@@ -180,7 +182,7 @@ def _paint_wear(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
 # ----------------------------------------------------------------------------------------- things
 
 
-def furnish_deck(builder: Builder, plan: Plan, models: Models) -> None:
+def furnish_deck(builder: SceneBuilder, plan: Plan, models: Models) -> None:
     """Parapets, ramp walls, houses of stairs and lift, ventilation, lamps, wheel stops, cars."""
     rng = builder.rng
     builder.claim(plan.takeoff_xy_m, 6.5)
@@ -215,7 +217,7 @@ def furnish_deck(builder: Builder, plan: Plan, models: Models) -> None:
 
 
 def block(
-    builder: Builder,
+    builder: SceneBuilder,
     stem: str,
     surface: Surface,
     first: Sequence[float],
@@ -231,7 +233,7 @@ def block(
     builder.cast(corners)
 
 
-def _add_parapets(builder: Builder, plan: Plan) -> None:
+def _add_parapets(builder: SceneBuilder, plan: Plan) -> None:
     """A wall with a rail on it along every edge."""
     (x0, y0), (x1, y1) = plan.low_xy_m, plan.high_xy_m
     top, foot, wide = PARAPET_M, -0.5, 0.22
@@ -248,7 +250,7 @@ def _add_parapets(builder: Builder, plan: Plan) -> None:
                      size=[*half, 0.04], rgba=[0.40, 0.43, 0.46, 1])  # fmt: skip
 
 
-def _add_ramp_house(builder: Builder, plan: Plan) -> None:
+def _add_ramp_house(builder: SceneBuilder, plan: Plan) -> None:
     """Walls along the ramp, as thick as the node spacing in which the deck drops, and a flat roof
     over its foot, under which the way goes on."""
     ramp = plan.ramp
@@ -268,7 +270,7 @@ def _add_ramp_house(builder: Builder, plan: Plan) -> None:
     builder.claim(np.array([0.5 * (x0 + x1), 0.5 * (ramp.low_y_m + ramp.high_y_m)]), 3.0)
 
 
-def _add_stair_house(builder: Builder, plan: Plan) -> None:
+def _add_stair_house(builder: SceneBuilder, plan: Plan) -> None:
     """Stairs and lift: a block with a door, a lower lift shaft beside it and a flat roof."""
     rng = builder.rng
     y1 = float(plan.high_xy_m[1])
@@ -286,7 +288,7 @@ def _add_stair_house(builder: Builder, plan: Plan) -> None:
     builder.claim(np.array([x, y1 - 2.0]), 4.0)
 
 
-def _add_units(builder: Builder, plan: Plan) -> None:
+def _add_units(builder: SceneBuilder, plan: Plan) -> None:
     """Ventilation units with fans and roof lights along the northern strip, between the stair
     house and the ramp."""
     rng = builder.rng

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import MovingBody, Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.lot import unit_circle
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.relief import NODES, Pad, level_pads, natural_ground, smoothstep
@@ -20,7 +21,6 @@ from touchdown.scenes.authoring.streets import (
     paint_street,
     place_street_kerb,
 )
-from touchdown.scenes.authoring.terrain import Terrain
 from touchdown.scenes.authoring.textures import Picture, to_picture
 from touchdown.scenes.authoring.traffic import send_round
 from touchdown.scenes.authoring.ways import band, paint_wear
@@ -66,11 +66,11 @@ def draw_houses(rng: np.random.Generator, plan: Plan) -> list[House]:
     return houses
 
 
-def shape_town(rng: np.random.Generator, plan: Plan, houses: list[House]) -> Terrain:
+def shape_town(rng: np.random.Generator, plan: Plan, houses: list[House]) -> HeightField:
     """The ground around the building: level under it, streets a kerb's height below pavements."""
     heights = 0.6 * natural_ground(rng, NODES, HALF_M)
     heights += 0.25 - heights.mean()
-    x, y = Terrain(heights_m=heights, half_m=HALF_M).node_grid()
+    x, y = HeightField(heights_m=heights, half_m=HALF_M).node_grid()
     xy = np.stack([x, y], axis=-1)
     pads = [
         Pad(
@@ -86,7 +86,7 @@ def shape_town(rng: np.random.Generator, plan: Plan, houses: list[House]) -> Ter
     corridor = plan.streets[0].pavement_m + 0.5
     heights = heights * smoothstep(corridor, corridor + 4.0, kerb)
     heights = heights - ROAD_DEPTH_M * smoothstep(0.0, GUTTER_M, -kerb)
-    return Terrain(heights_m=heights - plan.height_m, half_m=HALF_M)
+    return HeightField(heights_m=heights - plan.height_m, half_m=HALF_M)
 
 
 # ---------------------------------------------------------------------------------------- picture
@@ -167,7 +167,7 @@ def car_park_bay(rng: np.random.Generator, px: int = 224) -> Picture:
 # ----------------------------------------------------------------------------------------- things
 
 
-def build_walls(builder: Builder, plan: Plan) -> None:
+def build_walls(builder: SceneBuilder, plan: Plan) -> None:
     """The building below the deck, with its shadow on the ground."""
     size = (float(plan.size_m[0]) + 0.4, float(plan.size_m[1]) + 0.4, plan.height_m - 0.5)
     material = builder.material("building_car_park", car_park_bay(builder.rng))
@@ -186,7 +186,7 @@ def build_walls(builder: Builder, plan: Plan) -> None:
 
 
 def furnish_town(
-    builder: Builder, plan: Plan, houses: list[House], nursery: Nursery, models: Models
+    builder: SceneBuilder, plan: Plan, houses: list[House], nursery: Nursery, models: Models
 ) -> tuple[MovingBody, ...]:
     """Houses, kerbs, lamps, parked cars, trees. Returns the cars that drive."""
     for house in houses:
@@ -208,7 +208,7 @@ def furnish_town(
 
 
 def _line_street(
-    builder: Builder, street: Street, side: float, gap: tuple[float, float], models: Models
+    builder: SceneBuilder, street: Street, side: float, gap: tuple[float, float], models: Models
 ) -> None:
     """Lamps on one side, cars at the other kerb, where there are ``models``."""
     rng = builder.rng
@@ -226,7 +226,7 @@ def _line_street(
                 park_car(builder, models[int(rng.integers(len(models)))], spot, heading)
 
 
-def _plant(builder: Builder, plan: Plan, nursery: Nursery) -> None:
+def _plant(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
     """A hedge along the building's blind side, trees and bushes wherever there is room."""
     rng = builder.rng
     (x0, y0), (x1, y1) = plan.low_xy_m - APRON_M - 0.9, plan.high_xy_m + APRON_M + 0.9
@@ -251,7 +251,7 @@ def _plant(builder: Builder, plan: Plan, nursery: Nursery) -> None:
                 add_bench(builder, spot, rng.uniform(0.0, 2.0 * np.pi))
 
 
-def _drive(builder: Builder, street: Street, models: Models) -> tuple[MovingBody, ...]:
+def _drive(builder: SceneBuilder, street: Street, models: Models) -> tuple[MovingBody, ...]:
     """Two or three cars that go to the end of a street and come back."""
     rng = builder.rng
     path = lane_loop(builder, street, 14.0, street.length_m - 14.0)

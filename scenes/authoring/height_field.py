@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Terrain:
+class HeightField:
     """Heights at the nodes of a square grid, world frame.
 
     heights_m: (N, N) float64, row = y, column = x; node (0, 0) is at (-half_m, -half_m) and node
@@ -52,7 +52,7 @@ class Terrain:
         return float(self.at(np.array([x_m, y_m])))
 
 
-def write_hfield(spec: Any, name: str, geom_name: str, terrain: Terrain, base_m: float) -> None:
+def write_hfield(spec: Any, name: str, geom_name: str, terrain: HeightField, base_m: float) -> None:
     """Stores ``terrain`` in the MjSpec's height field ``name`` and lowers ``geom_name`` so that the
     surface lies at the world heights. MuJoCo keeps data in [0, 1] times the elevation scale."""
     lowest = float(terrain.heights_m.min())
