@@ -113,7 +113,7 @@ def _set_physics(spec: Any) -> None:
 def _set_visual(spec: Any) -> None:
     """Clip planes are in units of the model's extent, which is fixed here to keep them absolute.
     Real-time shadows and multisampling would each more than double the render time on a software
-    renderer; pictures for people are rendered large and scaled down instead."""
+    renderer; textures for people are rendered large and scaled down instead."""
     spec.stat.extent = 100.0
     visual = spec.visual
     visual.map.znear, visual.map.zfar = NEAR_M / 100.0, FAR_M / 100.0

@@ -97,9 +97,9 @@ def _file_stem(name: str) -> str:
 def _write_texture(texture: Any, assets: Path) -> None:
     """PNG, and the reference to it in place of the buffer."""
     pixels = np.frombuffer(bytes(texture.data), np.uint8)
-    picture = pixels.reshape(texture.height, texture.width, texture.nchannel)
+    image = pixels.reshape(texture.height, texture.width, texture.nchannel)
     name = f"{_file_stem(texture.name)}.png"
-    ok, encoded = cv2.imencode(".png", picture[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    ok, encoded = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])
     if not ok:
         raise ValueError(f"texture '{texture.name}' cannot be written as PNG")
     (assets / name).write_bytes(encoded.tobytes())

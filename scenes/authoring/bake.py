@@ -1,4 +1,4 @@
-"""Sunlight baked into the ground's picture: shadows along the sun, and the dimness under things.
+"""Sunlight baked into the ground texture: shadows along the sun, and the dimness under things.
 
 Real-time shadow maps would triple the render time on a software renderer.
 """

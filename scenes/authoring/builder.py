@@ -49,9 +49,9 @@ class SceneBuilder:
         self._serial[stem] = number + 1
         return f"{stem}_{number}"
 
-    def material(self, name: str, picture: NDArray[np.uint8], shine: float = 0.0) -> str:
+    def material(self, name: str, image: NDArray[np.uint8], shine: float = 0.0) -> str:
         """A material with a 2-D texture, (H, W, 3) uint8, top row first. Returns its name."""
-        add_texture(self.spec, name, picture)
+        add_texture(self.spec, name, image)
         material = self.spec.add_material(name=name, specular=shine, shininess=0.5 * shine)
         textures = list(material.textures)
         textures[RGB_ROLE] = name
@@ -94,18 +94,18 @@ class SceneBuilder:
         )
 
 
-def add_texture(spec: Any, name: str, picture: NDArray[np.uint8]) -> None:
+def add_texture(spec: Any, name: str, image: NDArray[np.uint8]) -> None:
     """Adds a 2-D texture from memory, (H, W, 3) uint8, top row first."""
     texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, nchannel=3)
-    fill_texture(texture, picture)
+    fill_texture(texture, image)
 
 
-def fill_texture(texture: Any, picture: NDArray[np.uint8]) -> None:
-    """Puts a picture, (H, W, 3) uint8, top row first, into an MjSpec texture."""
+def fill_texture(texture: Any, image: NDArray[np.uint8]) -> None:
+    """Puts a texture, (H, W, 3) uint8, top row first, into an MjSpec texture."""
     texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_NONE
-    texture.height, texture.width = picture.shape[:2]
+    texture.height, texture.width = image.shape[:2]
     texture.nchannel = 3
-    texture.data = np.ascontiguousarray(picture).tobytes()
+    texture.data = np.ascontiguousarray(image).tobytes()
 
 
 def quat_z(angle: float) -> list[float]:

@@ -1,4 +1,4 @@
-"""The ground's picture: a canvas of materials, markings and stains, shaded texel by texel."""
+"""The ground texture: a canvas of materials, markings and stains, shaded texel by texel."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ class Canvas:
 def shade_ground(
     rng: np.random.Generator, canvas: Canvas, light: Float32, pattern_angles: dict[Ground, float]
 ) -> Bytes:
-    """The picture, (rows, cols, 3) uint8 as the canvas is, top row = y_max.
+    """The texture, (rows, cols, 3) uint8 as the canvas is, top row = y_max.
 
     light: (n, n) share of full light, row 0 at y_min (see `scenes.authoring.bake`). pattern_angles:
     radians by which slabs, mowing stripes and furrows of a material are turned."""
@@ -183,12 +183,12 @@ def shade_ground(
     size = canvas.material.shape
     glow = (light * 255.0).astype(np.uint8)
     bright = np.asarray(cv2.resize(glow, size, interpolation=cv2.INTER_LINEAR), np.uint8)
-    picture = np.empty((*size, 3), np.uint8)
+    image = np.empty((*size, 3), np.uint8)
     _shade(
-        picture, canvas.material, canvas.paint, canvas.stain, bright, fine, coarse, patches, hue,
+        image, canvas.material, canvas.paint, canvas.stain, bright, fine, coarse, patches, hue,
         base, gains, hues, ragged, frames, canvas.texel_m, int(rng.integers(1, 2**31)),
     )  # fmt: skip
-    return picture
+    return image
 
 
 @njit(cache=True)
@@ -270,7 +270,7 @@ def _pattern(material: int, u: float, v: float, salt: int) -> float:
 
 @njit(cache=True)
 def _shade(
-    picture: Bytes,
+    image: Bytes,
     material: Bytes,
     paint: Bytes,
     stain: Bytes,
@@ -287,7 +287,7 @@ def _shade(
     texel_m: float,
     salt: int,
 ) -> None:
-    """Fills ``picture`` row by row. All noise is addressed so that nothing repeats in step: the two
+    """Fills ``image`` row by row. All noise is addressed so that nothing repeats in step: the two
     tiles are turned against each other, and grain is hashed from the texel's number."""
     rows, cols = material.shape
     tile = fine.shape[0] - 1
@@ -341,6 +341,6 @@ def _shade(
             glow = bright[row, col] * (1.0 / 255.0)
             # Skylight is bluer than sunlight.
             cool = 1.0 + 0.10 * (1.0 - glow)
-            picture[out_row, col, 0] = min(max(red * glow, 0.0), 255.0)
-            picture[out_row, col, 1] = min(max(green * glow, 0.0), 255.0)
-            picture[out_row, col, 2] = min(max(blue * glow * cool, 0.0), 255.0)
+            image[out_row, col, 0] = min(max(red * glow, 0.0), 255.0)
+            image[out_row, col, 1] = min(max(green * glow, 0.0), 255.0)
+            image[out_row, col, 2] = min(max(blue * glow * cool, 0.0), 255.0)

@@ -1,4 +1,4 @@
-"""The sun of a scene, and the ground's picture under it.
+"""The sun of a scene, and the ground texture under it.
 
 A low sun is redder by what the air on its way takes out of each colour: exp(-m (R + B)) with the
 air mass m of Kasten and Young (Applied Optics 28, 1989), Rayleigh scattering R = 0.008735 w^-4.08

@@ -1,4 +1,4 @@
-"""Curved streets: a centre line from which ground, picture, kerbs and traffic follow."""
+"""Curved streets: a centre line from which ground, texture, kerbs and traffic follow."""
 
 from __future__ import annotations
 
@@ -144,14 +144,14 @@ def _kerb_run(
     ground = builder.terrain.at(np.array([street.point(float(s), beside) for s in stations]))
     high, low = ground + top, ground - 0.3
     parts = []
-    no_picture = np.zeros((4, 2))
+    no_texture = np.zeros((4, 2))
     for i, j in pairwise(range(len(stations))):
         a, b = np.append(inner[i], high[i]), np.append(inner[j], high[j])
         c, d = np.append(outer[j], high[j]), np.append(outer[i], high[i])
-        parts.append(polygon(np.array([a, b, c, d]), no_picture))
+        parts.append(polygon(np.array([a, b, c, d]), no_texture))
         for first, second, z0, z1 in ((b, a, low[j], low[i]), (d, c, low[i], low[j])):
             foot = np.array([[*second[:2], z1], [*first[:2], z0]])
-            parts.append(polygon(np.array([first, second, *foot]), no_picture))
+            parts.append(polygon(np.array([first, second, *foot]), no_texture))
     return parts
 
 

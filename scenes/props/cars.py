@@ -252,8 +252,8 @@ def add_car_models(builder: SceneBuilder, count: int) -> list[tuple[str, str, Ca
     for index in range(count):
         kind = kinds[int(builder.rng.choice(3, p=[0.45, 0.37, 0.18]))]
         paint = PAINTS[int(paints[index % len(PAINTS)])]
-        picture = car_atlas(builder.rng, SHAPES[kind], paint)
-        material = builder.material(f"car_paint_{index}", picture, shine=0.35)
+        image = car_atlas(builder.rng, SHAPES[kind], paint)
+        material = builder.material(f"car_paint_{index}", image, shine=0.35)
         models.append((meshes[kind], material, SHAPES[kind]))
     return models
 

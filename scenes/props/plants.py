@@ -26,7 +26,7 @@ LUMP_RADII_M = (1.0, 1.45, 1.95)
 
 @dataclass(kw_only=True, slots=True)
 class Nursery:
-    """Shared crown meshes and leaf pictures."""
+    """Shared crown meshes and leaf textures."""
 
     leaves: list[str] = field(default_factory=list)
     lumps: list[tuple[str, float]] = field(default_factory=list)

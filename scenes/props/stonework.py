@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.textures import Picture, to_picture
+from touchdown.scenes.authoring.textures import Image, to_texture
 from touchdown.scenes.props.garden import drum, place_mesh, plank_material
 from touchdown.scenes.props.meshes import MeshData, blob, box, polygon
 from touchdown.scenes.props.street import WOOD
@@ -23,10 +23,10 @@ STONE = Surface(land_class="building", reflectivity=0.33)
 FLEECE = Surface(land_class="other", reflectivity=0.60)
 WALL_WIDTH_M = 0.45
 UV_M = 2.4
-"""Metres that one picture of rubble covers."""
+"""Metres that one texture of rubble covers."""
 
 
-def rubble(rng: np.random.Generator, px: int = 384) -> Picture:
+def rubble(rng: np.random.Generator, px: int = 384) -> Image:
     """(px, px, 3): stones of all sizes in dark joints, grown from random seeds."""
     count = 170
     seeds = rng.integers(0, px, (count, 2))
@@ -43,12 +43,12 @@ def rubble(rng: np.random.Generator, px: int = 384) -> Picture:
     tone = table[labels[middle, middle]].astype(np.float32)
     tone *= (1.08 - 0.006 * away[middle, middle])[..., None]
     tone *= 1.0 + 0.06 * fractal_noise(rng, (px, px), 12.0, 3)[..., None]
-    picture = tone * np.array([158.0, 150.0, 136.0], np.float32)
-    picture[joint] *= 0.45
-    return to_picture(picture)
+    image = tone * np.array([158.0, 150.0, 136.0], np.float32)
+    image[joint] *= 0.45
+    return to_texture(image)
 
 
-def thatch(rng: np.random.Generator, size_px: tuple[int, int] = (512, 512)) -> Picture:
+def thatch(rng: np.random.Generator, size_px: tuple[int, int] = (512, 512)) -> Image:
     """Both slopes of a thatched roof, ridge at the top of each half: reed in courses, a cut ridge
     band, moss. size_px: (rows, columns)."""
     rows, cols = size_px
@@ -60,14 +60,14 @@ def thatch(rng: np.random.Generator, size_px: tuple[int, int] = (512, 512)) -> P
     tone *= 1.02 - 0.22 * down
     tone[np.broadcast_to(np.mod(down, 0.25) < 0.012, tone.shape)] *= 0.72
     base = np.array([172.0, 146.0, 98.0]) * rng.uniform([0.75, 0.75, 0.8], [1.0, 1.0, 1.1])
-    picture = tone[..., None] * base.astype(np.float32)
+    image = tone[..., None] * base.astype(np.float32)
     moss = np.clip(fractal_noise(rng, (rows, cols), 45.0, 4, 0.6) - 0.9, 0.0, 0.8)[..., None]
-    picture += moss * (np.array([96.0, 108.0, 62.0], np.float32) - picture)
+    image += moss * (np.array([96.0, 108.0, 62.0], np.float32) - image)
     for first in (0, half):
         band = slice(first, first + half // 9)
-        picture[band] = 0.82 * picture[band] + 12.0
-        picture[first + half // 9 : first + half // 9 + 4] *= 0.6
-    return to_picture(picture)
+        image[band] = 0.82 * image[band] + 12.0
+        image[first + half // 9 : first + half // 9 + 4] *= 0.6
+    return to_texture(image)
 
 
 def rubble_material(builder: SceneBuilder) -> str:

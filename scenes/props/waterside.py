@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.textures import Colour, Picture, to_picture
+from touchdown.scenes.authoring.textures import Colour, Image, to_texture
 from touchdown.scenes.props.meshes import MeshData, blob, box, polygon
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ def grow_reeds(builder: SceneBuilder) -> ReedBed:
     green = rng.uniform(0.0, 1.0)
     foot = (84.0 + 20.0 * green, 104.0 + 16.0 * green, 56.0)
     head = (176.0 - 40.0 * green, 160.0 - 12.0 * green, 96.0)
-    material = builder.material("trees_reed", reed_picture(rng, foot, head))
+    material = builder.material("trees_reed", reed_texture(rng, foot, head))
     tufts = []
     for index, (radius, height) in enumerate(((0.55, 1.5), (0.75, 1.9), (0.95, 2.2), (0.65, 2.0))):
         mesh = builder.mesh(f"reed_{index}", tuft_mesh(rng, radius, height))
@@ -46,16 +46,16 @@ def grow_reeds(builder: SceneBuilder) -> ReedBed:
     return ReedBed(material=material, tufts=tufts)
 
 
-def reed_picture(rng: np.random.Generator, foot: Colour, head: Colour) -> Picture:
+def reed_texture(rng: np.random.Generator, foot: Colour, head: Colour) -> Image:
     """(256, 256, 3): stalks side by side, ``foot`` at the bottom, ``head`` (RGB) at the top, brown
     panicles above."""
     rows = np.linspace(0.0, 1.0, 256, dtype=np.float32)[:, None, None]
     stalk = rng.normal(0.0, 0.18, (1, 256, 1)) + rng.normal(0.0, 0.05, (1, 256, 3))
     colour = np.array(head) * (1.0 - rows) + np.array(foot) * rows
-    picture = colour * (1.0 + stalk) * (1.12 - 0.5 * rows)
+    image = colour * (1.0 + stalk) * (1.12 - 0.5 * rows)
     panicle = (rows[:, 0] < 0.13) & (rng.random((1, 256)) < 0.4)
-    picture[panicle] = np.array([116.0, 84.0, 62.0]) * rng.uniform(0.8, 1.2, (panicle.sum(), 1))
-    return to_picture(picture.astype(np.float32))
+    image[panicle] = np.array([116.0, 84.0, 62.0]) * rng.uniform(0.8, 1.2, (panicle.sum(), 1))
+    return to_texture(image.astype(np.float32))
 
 
 def tuft_mesh(rng: np.random.Generator, radius_m: float, height_m: float) -> MeshData:
@@ -98,25 +98,25 @@ def add_reeds(builder: SceneBuilder, bed: ReedBed, xy_m: Array) -> None:
 
 def planks(
     rng: np.random.Generator, size_m: tuple[float, float], px_per_m: float, base: Colour
-) -> Picture:
-    """Weathered boards across a deck of size_m (length, width), with gaps and nails. The picture's
+) -> Image:
+    """Weathered boards across a deck of size_m (length, width), with gaps and nails. The texture's
     width is the deck's length."""
     width, height = (max(8, round(s * px_per_m)) for s in size_m)
     cols = np.arange(width) / px_per_m / 0.145
     board = np.floor(cols).astype(int)
     tone = 1.0 + 0.13 * rng.standard_normal(board.max() + 1)[board][None, :, None]
     tint = 1.0 + 0.012 * rng.standard_normal((board.max() + 1, 3))[board][None]
-    picture = np.array(base) * tone * tint * np.ones((height, 1, 1))
+    image = np.array(base) * tone * tint * np.ones((height, 1, 1))
     grain = fractal_noise(rng, (height, width), 3.0, 2)[..., None]
     stain = fractal_noise(rng, (height, width), 0.8 * px_per_m, 4, 0.6)[..., None]
-    picture *= 1.0 + 0.05 * grain + 0.08 * stain
+    image *= 1.0 + 0.05 * grain + 0.08 * stain
     within = cols - board
-    picture[:, within < 0.10] *= 0.32
+    image[:, within < 0.10] *= 0.32
     nail = (np.abs(within - 0.5) < 1.2 / (0.145 * px_per_m))[None, :]
     for y in (0.12, size_m[1] - 0.12):
         row = int(y * px_per_m)
-        picture[row : row + 2] *= np.where(nail, 0.45, 1.0)[..., None]
-    return to_picture(picture.astype(np.float32))
+        image[row : row + 2] *= np.where(nail, 0.45, 1.0)[..., None]
+    return to_texture(image.astype(np.float32))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -136,18 +136,18 @@ class Deck:
         return turned(flat, self.angle, at)[:, :2]
 
 
-def add_deck(builder: SceneBuilder, deck: Deck, picture: Picture, surface: Surface = DECK) -> None:
-    """The platform with ``picture`` on top."""
+def add_deck(builder: SceneBuilder, deck: Deck, image: Image, surface: Surface = DECK) -> None:
+    """The platform with ``image`` on top."""
     name = builder.unique("deck")
     x, y = 0.5 * deck.size_m[0], 0.5 * deck.size_m[1]
     top = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
     uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
-    # Under the picture, so that the two tops do not coincide.
+    # Under the texture, so that the two tops do not coincide.
     body = box(np.array([x, y, 0.5 * deck.thick_m]), np.array([0, 0, -0.5 * deck.thick_m - 0.002]))
     shade = np.column_stack([0.02 + 0.01 * (body.uv[:, 0] % 1.0), np.full(len(body.uv), 0.5)])
     skirt = MeshData(vertices=body.vertices, faces=body.faces, uv=shade)
     mesh = builder.mesh(name, MeshData.join([polygon(top, uv), skirt]))
-    material = builder.material(name, picture)
+    material = builder.material(name, image)
     origin = np.array([*deck.centre_xy_m, deck.top_m])
     builder.geom("path_deck", surface, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
                  pos=origin, quat=quat_z(deck.angle))  # fmt: skip

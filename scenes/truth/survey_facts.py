@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from touchdown.scenes.api import Scene
-from touchdown.scenes.render import scene_picture
+from touchdown.scenes.render import render_scene
 from touchdown.scenes.truth.maps import truth_maps
 from touchdown.scenes.truth.raycast import cast_down, class_ids
 
@@ -45,7 +45,7 @@ class Layout:
     class_id: NDArray[np.uint8]
     """(rows, cols)"""
     grey: NDArray[np.float32]
-    """(pixels, pixels) 0..255, picture from above"""
+    """(pixels, pixels) 0..255, image from above"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -57,7 +57,7 @@ class Difference:
     class_share: float
     """of the cells, those whose class differs"""
     grey: float
-    """mean absolute difference of the pictures from above, of 255"""
+    """mean absolute difference of the textures from above, of 255"""
 
 
 def survey_facts(
@@ -99,11 +99,11 @@ def layout(scene: Scene) -> Layout:
     low, high = scene.bounds_xy_m
     cells = np.round((high - low) / LAYOUT_CELL_M).astype(int)
     heights, geoms = cast_down(scene, low, LAYOUT_CELL_M, (int(cells[1]), int(cells[0])))
-    picture = scene_picture(scene, "above", LAYOUT_PIXELS)
+    image = render_scene(scene, "above", LAYOUT_PIXELS)
     return Layout(
         height_m=heights.astype(np.float32),
         class_id=class_ids(scene, low, LAYOUT_CELL_M, geoms),
-        grey=picture.mean(axis=2, dtype=np.float32),
+        grey=image.mean(axis=2, dtype=np.float32),
     )
 
 

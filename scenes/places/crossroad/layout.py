@@ -1,4 +1,4 @@
-"""Where the roads run: a plan in signed distances, from which terrain, picture and kerbs follow."""
+"""Where the roads run: a plan in signed distances, from which terrain, texture and kerbs follow."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ DEPTH_M = 44.0
 
 
 class Theme(Protocol):
-    """The use of a plot: first what it does to the ground, then its picture, then its things."""
+    """The use of a plot: first what it does to the ground, then its texture, then its things."""
 
     pads: list[Pad]
     ditches: list[Ditch]

@@ -1,7 +1,7 @@
 """`flat`: fills flat.xml with a patchwork of lawns and fields drawn from a seed.
 
 The ground is level to the bit and nothing stands on it, so that range alone says nothing about
-motion along it; its picture says all.
+motion along it; its texture says all.
 """
 
 from __future__ import annotations

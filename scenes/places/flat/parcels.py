@@ -1,4 +1,4 @@
-"""The picture of the level ground: parcels, tracks and a marked playing field."""
+"""The texture of the level ground: parcels, tracks and a marked playing field."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ground's picture, and what grows and stands beside the bridge."""
+"""The ground texture, and what grows and stands beside the bridge."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.textures import Picture, to_picture
+from touchdown.scenes.authoring.textures import Image, to_texture
 from touchdown.scenes.places.footbridge.layout import Bridge, Plan
 from touchdown.scenes.props.meshes import MeshData, box, polygon
 from touchdown.scenes.props.waterside import planks
@@ -33,9 +33,9 @@ def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
     """Everything of the bridge, with its shadows."""
     bridge = plan.bridge
     rng = builder.rng
-    picture = asphalt_deck(rng, bridge) if plan.over_road else timber_deck(rng, bridge)
+    image = asphalt_deck(rng, bridge) if plan.over_road else timber_deck(rng, bridge)
     deck = ASPHALT_DECK if plan.over_road else TIMBER_DECK
-    material = builder.material(f"{deck.land_class}_deck", picture)
+    material = builder.material(f"{deck.land_class}_deck", image)
     pose = {"pos": [*bridge.lot.origin_xy_m, 0.0], "quat": quat_z(bridge.lot.angle)}
     for name, first, last in (
         (f"{deck.land_class}_deck", -bridge.half_length_m, bridge.half_length_m),
@@ -62,7 +62,7 @@ def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
 
 def slab_mesh(bridge: Bridge, first: float, last: float) -> MeshData:
     """Deck or ramp between two ``u``: a convex body (things collide with a mesh's hull), its top
-    mapped along and across the whole picture, the rest on the picture's dark rim."""
+    mapped along and across the whole texture, the rest on the texture's dark rim."""
     stations = np.linspace(first, last, 17 if first * last < 0.0 else 2)
     top = bridge.top(stations)
     half, length = 0.5 * bridge.width_m, 2.0 * bridge.reach_m
@@ -96,38 +96,38 @@ def slab_mesh(bridge: Bridge, first: float, last: float) -> MeshData:
     return MeshData.join(parts)
 
 
-def timber_deck(rng: np.random.Generator, bridge: Bridge) -> Picture:
+def timber_deck(rng: np.random.Generator, bridge: Bridge) -> Image:
     """Boards across the way, dark at the rim."""
     base = (150.0, 128.0, 104.0) if rng.random() < 0.5 else (134.0, 128.0, 118.0)
-    picture = planks(rng, (2.0 * bridge.reach_m, bridge.width_m), PX_PER_M, base)
-    return _rimmed(picture)
+    image = planks(rng, (2.0 * bridge.reach_m, bridge.width_m), PX_PER_M, base)
+    return _rimmed(image)
 
 
-def asphalt_deck(rng: np.random.Generator, bridge: Bridge) -> Picture:
+def asphalt_deck(rng: np.random.Generator, bridge: Bridge) -> Image:
     """A red or grey coating with a broken middle line, joints where deck and ramps meet, stains."""
     size = (round(bridge.width_m * PX_PER_M), round(2.0 * bridge.reach_m * PX_PER_M))
     base = (146.0, 96.0, 82.0) if rng.random() < 0.4 else (128.0, 127.0, 124.0)
     tone = 1.0 + 0.05 * fractal_noise(rng, size, 1.2 * PX_PER_M, 4, 0.7)
     tone += 0.09 * fractal_noise(rng, size, 2.5, 2, 0.8)
     tone -= 0.25 * np.clip(fractal_noise(rng, size, 0.5 * PX_PER_M, 3, 0.6) - 1.3, 0.0, 1.0)
-    picture = tone[..., None] * np.array(base, np.float32)
+    image = tone[..., None] * np.array(base, np.float32)
     middle = size[0] // 2
     for start in range(0, size[1] - 60, 120):
-        picture[middle - 2 : middle + 3, start : start + 60] = (
+        image[middle - 2 : middle + 3, start : start + 60] = (
             214.0 * tone[middle - 2 : middle + 3, start : start + 60, None]
         )
     for u in (-bridge.half_length_m, bridge.half_length_m):
         col = round((u + bridge.reach_m) * PX_PER_M)
-        picture[:, max(col - 3, 0) : col + 3] = 58.0
-    return _rimmed(to_picture(picture))
+        image[:, max(col - 3, 0) : col + 3] = 58.0
+    return _rimmed(to_texture(image))
 
 
-def _rimmed(picture: Picture) -> Picture:
-    """The colour of the deck's sides at the picture's edge."""
-    edge = max(3, round(0.016 * picture.shape[0]))
-    picture[:edge], picture[-edge:] = (96, 94, 90), (96, 94, 90)
-    picture[:, :2] = (96, 94, 90)
-    return picture
+def _rimmed(image: Image) -> Image:
+    """The colour of the deck's sides at the texture's edge."""
+    edge = max(3, round(0.016 * image.shape[0]))
+    image[:edge], image[-edge:] = (96, 94, 90), (96, 94, 90)
+    image[:, :2] = (96, 94, 90)
+    return image
 
 
 def _cast_slab(builder: SceneBuilder, bridge: Bridge) -> None:

@@ -1,4 +1,4 @@
-"""The forest floor's picture."""
+"""The forest floor's texture."""
 
 from __future__ import annotations
 

@@ -137,8 +137,8 @@ def _ripples(rng: np.random.Generator) -> NDArray[np.uint8]:
     """(256, 256, 3), periodic: dark water with riffles."""
     tone = 1.0 + 0.16 * tileable_noise(rng, 256, 1.1, 3.0)
     foam = np.clip(tileable_noise(rng, 256, 0.8, 5.0) - 1.9, 0.0, 1.0)
-    picture = tone[..., None] * np.array([70.0, 82.0, 76.0]) + foam[..., None] * 120.0
-    return np.clip(picture, 0.0, 255.0).astype(np.uint8)
+    image = tone[..., None] * np.array([70.0, 82.0, 76.0]) + foam[..., None] * 120.0
+    return np.clip(image, 0.0, 255.0).astype(np.uint8)
 
 
 def add_bridge(builder: SceneBuilder, plan: Plan) -> None:

@@ -12,7 +12,7 @@ from touchdown.scenes.authoring.generation import Flood, finish, paint_terrain, 
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.water import WaterLook, upsample
 from touchdown.scenes.places.lake.layout import HALF_M, draw_plan, shape_basin
-from touchdown.scenes.places.lake.picture import paint_fields, paint_shore, paint_strand
+from touchdown.scenes.places.lake.painting import paint_fields, paint_shore, paint_strand
 from touchdown.scenes.places.lake.things import footpath, place_all
 from touchdown.scenes.props.plants import plant_nursery
 

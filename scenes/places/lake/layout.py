@@ -1,4 +1,4 @@
-"""Where the shore runs and what it is made of: a signed distance from which relief, picture and
+"""Where the shore runs and what it is made of: a signed distance from which relief, texture and
 things follow."""
 
 from __future__ import annotations

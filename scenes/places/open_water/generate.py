@@ -96,7 +96,7 @@ def _place_boats(builder: SceneBuilder) -> None:
 
 
 def _spread_water(builder: SceneBuilder, level_m: float, depth: Float32) -> None:
-    """The sheet and its picture, after everything that throws a shadow on it."""
+    """The sheet and its texture, after everything that throws a shadow on it."""
     spec, rng = builder.spec, builder.rng
     top = HALF_M * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
     uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
@@ -108,14 +108,14 @@ def _spread_water(builder: SceneBuilder, level_m: float, depth: Float32) -> None
     light = bake_light(builder.casters, builder.terrain, builder.sun, TEXELS // 2, ambient=0.50)
     bed = fractal_noise(rng, (_DEPTH_PX, _DEPTH_PX), 20.0, 4, 0.6)
     coarse = np.clip(_SAND * (1.0 + 0.08 * bed[..., None]), 0.0, 255.0).astype(np.uint8)
-    picture = np.asarray(cv2.resize(coarse, (TEXELS, TEXELS)), np.uint8)
-    lay_water(rng, picture, depth, HALF_M, draw_look(rng), builder.sun)
+    image = np.asarray(cv2.resize(coarse, (TEXELS, TEXELS)), np.uint8)
+    lay_water(rng, image, depth, HALF_M, draw_look(rng), builder.sun)
     # A shadow takes the sun from the water's body but leaves the mirrored sky.
     dim = (0.35 + 0.65 * light) / (0.35 + 0.65 * light.max())
     shade = cv2.resize((255.0 * dim[::-1]).astype(np.uint8), (TEXELS, TEXELS))
     for channel in range(3):
-        picture[..., channel] = cv2.multiply(picture[..., channel], shade, scale=1.0 / 255.0)
-    fill_texture(spec.texture("water"), picture)
+        image[..., channel] = cv2.multiply(image[..., channel], shade, scale=1.0 / 255.0)
+    fill_texture(spec.texture("water"), image)
 
 
 def draw_look(rng: np.random.Generator) -> WaterLook:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.textures import Picture, to_picture
+from touchdown.scenes.authoring.textures import Image, to_texture
 from touchdown.scenes.props.boats import add_boat, add_boat_models
 from touchdown.scenes.props.waterside import PILE, Deck, add_deck, planks
 
@@ -78,7 +78,7 @@ def place_pontoon(builder: SceneBuilder) -> None:
                      rgba=[0.30, 0.36 + 0.08 * index, 0.46, 1])  # fmt: skip
 
 
-def _concrete(rng: np.random.Generator, size_m: tuple[float, float]) -> Picture:
+def _concrete(rng: np.random.Generator, size_m: tuple[float, float]) -> Image:
     """Slabs with joints and rust, a yellow edge and a white ring in the middle."""
     px = 96.0
     width, height = (round(s * px) for s in size_m)
@@ -87,15 +87,15 @@ def _concrete(rng: np.random.Generator, size_m: tuple[float, float]) -> Picture:
     tone += 5.0 * rng.standard_normal((height, width), dtype=np.float32)
     pitch = size_m[0] / round(size_m[0] / 2.5)
     tone[((x % pitch) < 0.025) | (np.abs(y - 0.5 * size_m[1]) < 0.012)] *= 0.6
-    picture = tone[..., None] * np.array([1.0, 0.985, 0.955], np.float32)
+    image = tone[..., None] * np.array([1.0, 0.985, 0.955], np.float32)
     rust = np.clip(fractal_noise(rng, (height, width), 0.7 * px, 4, 0.6) - 1.5, 0.0, 0.8)
-    picture += rust[..., None] * (np.array([132.0, 84.0, 56.0], np.float32) - picture)
+    image += rust[..., None] * (np.array([132.0, 84.0, 56.0], np.float32) - image)
     edge = np.minimum(np.minimum(x, size_m[0] - x), np.minimum(y, size_m[1] - y))
     worn = fractal_noise(rng, (height, width), 0.15 * px, 3, 0.6) > -1.1
-    picture[(edge > 0.12) & (edge < 0.27) & worn] = (206.0, 170.0, 48.0)
+    image[(edge > 0.12) & (edge < 0.27) & worn] = (206.0, 170.0, 48.0)
     ring = np.abs(np.hypot(x - 0.5 * size_m[0], y - 0.5 * size_m[1]) - 1.9) < 0.1
-    picture[ring & worn] = (224.0, 224.0, 220.0)
-    return to_picture(picture)
+    image[ring & worn] = (224.0, 224.0, 220.0)
+    return to_texture(image)
 
 
 def _flagpole(builder: SceneBuilder, xy_m: Array) -> None:

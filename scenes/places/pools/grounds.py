@@ -1,4 +1,4 @@
-"""Sports field, beach court, sunbathing lawn, fence and car park; and the picture of it all."""
+"""Sports field, beach court, sunbathing lawn, fence and car park; and the texture of it all."""
 
 from __future__ import annotations
 

@@ -54,11 +54,9 @@ def deck_heights(rng: np.random.Generator, plan: Plan, terrain: HeightField) -> 
     return np.where(plan.inside(xy), deck - level, terrain.heights_m)
 
 
-def write_deck(
-    spec: Any, plan: Plan, both: HeightField, picture: NDArray[np.uint8]
-) -> NDArray[Any]:
+def write_deck(spec: Any, plan: Plan, both: HeightField, image: NDArray[np.uint8]) -> NDArray[Any]:
     """Fills the height field `deck` with the deck's part of ``both`` and returns its part of the
-    ground's picture."""
+    ground texture."""
     first = np.round((plan.low_xy_m + HALF_M) / NODE_M).astype(int)
     last = np.round((plan.high_xy_m + HALF_M) / NODE_M).astype(int)
     heights = both.heights_m[first[1] : last[1] + 1, first[0] : last[0] + 1]
@@ -68,13 +66,13 @@ def write_deck(
     hfield.size = [*(0.5 * plan.size_m), span, plan.height_m - RAMP_DEPTH_M]
     hfield.userdata = ((heights - lowest) / span).astype(np.float32).ravel()
     spec.geom("path_deck").pos = [*plan.centre, lowest]
-    texels = len(picture) / (2.0 * HALF_M)
+    texels = len(image) / (2.0 * HALF_M)
     left, right = np.round((np.array([plan.low_xy_m[0], plan.high_xy_m[0]]) + HALF_M) * texels)
     top, bottom = np.round((HALF_M - np.array([plan.high_xy_m[1], plan.low_xy_m[1]])) * texels)
-    return picture[int(top) : int(bottom), int(left) : int(right)]
+    return image[int(top) : int(bottom), int(left) : int(right)]
 
 
-# ---------------------------------------------------------------------------------------- picture
+# ---------------------------------------------------------------------------------------- texture
 
 
 def paint_deck(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:

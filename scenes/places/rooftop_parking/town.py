@@ -21,7 +21,7 @@ from touchdown.scenes.authoring.streets import (
     paint_street,
     place_street_kerb,
 )
-from touchdown.scenes.authoring.textures import Picture, to_picture
+from touchdown.scenes.authoring.textures import Image, to_texture
 from touchdown.scenes.authoring.traffic import send_round
 from touchdown.scenes.authoring.ways import band, paint_wear
 from touchdown.scenes.places.rooftop_parking.layout import HALF_M, STREET_M, Plan
@@ -89,7 +89,7 @@ def shape_town(rng: np.random.Generator, plan: Plan, houses: list[House]) -> Hei
     return HeightField(heights_m=heights - plan.height_m, half_m=HALF_M)
 
 
-# ---------------------------------------------------------------------------------------- picture
+# ---------------------------------------------------------------------------------------- texture
 
 
 def paint_town(canvas: Canvas, plan: Plan, houses: list[House], rng: np.random.Generator) -> None:
@@ -145,23 +145,23 @@ def _gate_x(plan: Plan) -> float:
     return float(plan.low_xy_m[0]) + 0.3 * float(plan.size_m[0])
 
 
-def car_park_bay(rng: np.random.Generator, px: int = 224) -> Picture:
+def car_park_bay(rng: np.random.Generator, px: int = 224) -> Image:
     """(2 px, px, 3): a bay of an open car park as `scenes.props.houses.wall_mesh` lays it on: a
     concrete balustrade, a dark opening and a column; the lower half is plain concrete."""
     tone = 1.0 + 0.04 * fractal_noise(rng, (2 * px, px), 50.0, 4)
     tone += 0.02 * rng.standard_normal((2 * px, px), dtype=np.float32)
-    picture = tone[..., None] * np.array([178.0, 175.0, 168.0], np.float32)
+    image = tone[..., None] * np.array([178.0, 175.0, 168.0], np.float32)
     top, low = int(0.16 * px), int(0.60 * px)
     depth = np.linspace(0.55, 1.25, low - top)[:, None, None]
-    picture[top:low] = depth * np.array([40.0, 42.0, 46.0])
+    image[top:low] = depth * np.array([40.0, 42.0, 46.0])
     for row in (0.66, 0.98):
-        picture[int(row * px) - 2 : int(row * px) + 1] *= 0.72
+        image[int(row * px) - 2 : int(row * px) + 1] *= 0.72
     column = int(0.12 * px)
-    picture[top:low, :column] = 0.86 * np.array([178.0, 175.0, 168.0])
-    picture[top:low, column : column + 4] *= 0.5
+    image[top:low, :column] = 0.86 * np.array([178.0, 175.0, 168.0])
+    image[top:low, column : column + 4] *= 0.5
     for bar in np.linspace(0.40, 0.56, 3):
-        picture[int(bar * px) : int(bar * px) + 2, column:] = (120.0, 124.0, 128.0)
-    return to_picture(picture.astype(np.float32))
+        image[int(bar * px) : int(bar * px) + 2, column:] = (120.0, 124.0, 128.0)
+    return to_texture(image.astype(np.float32))
 
 
 # ----------------------------------------------------------------------------------------- things

@@ -23,7 +23,7 @@ LINE_M = 0.12
 
 
 class Turf(Protocol):
-    """One kind of turf: its relief first, then its picture, then its things."""
+    """One kind of turf: its relief first, then its texture, then its things."""
 
     lot: Lot
 

@@ -24,7 +24,7 @@ from touchdown.experiments.scene_tools.views import CLASS_RGB, VIEWS, SceneViews
 from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.registry import scene_names
-from touchdown.scenes.render import scene_picture
+from touchdown.scenes.render import render_scene
 from touchdown.scenes.truth.survey_facts import Layout, difference, layout, survey_facts
 from touchdown.sim.hover import HoverView, hover_view
 
@@ -86,14 +86,14 @@ def test_the_command_line_offers_every_view() -> None:
 
 def test_from_above_north_is_up_and_east_is_right(place: Scene) -> None:
     before = place.model.vis.map.zfar, place.model.vis.global_.offwidth
-    picture = scene_picture(place, "above", 400)
+    picture = render_scene(place, "above", 400)
     assert picture.shape == (400, 400, 3)
     assert before == (place.model.vis.map.zfar, place.model.vis.global_.offwidth)
     assert pixel(picture, 0.0, 10.0).argmax() == 0
     assert pixel(picture, 0.0, -10.0).argmax() == 1
     assert pixel(picture, 10.0, -10.0).argmax() == 2
     with pytest.raises(ValueError, match="above, oblique"):
-        scene_picture(place, "below")
+        render_scene(place, "below")
 
 
 def test_hover_sees_true_depth_and_true_points(place: Scene, hover: HoverView) -> None:
