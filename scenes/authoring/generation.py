@@ -1,4 +1,4 @@
-"""First and last steps of every scene generator."""
+"""First and last steps that all scene generators share."""
 
 from __future__ import annotations
 

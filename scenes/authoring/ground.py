@@ -1,4 +1,4 @@
-"""The ground texture: a canvas of materials, markings and stains, shaded texel by texel."""
+"""Ground texture: a canvas of materials, markings and stains, shaded texel by texel."""
 
 from __future__ import annotations
 
@@ -109,16 +109,18 @@ class Canvas:
 
     @staticmethod
     def of_size(half_m: float, texels: int) -> Canvas:
-        """A canvas of (texels, texels) rather than `TEXELS`, a multiple of `RASTER_STRIDE`."""
+        """Returns a canvas of (texels, texels) rather than `TEXELS`, a multiple of
+        `RASTER_STRIDE`."""
         blank = np.zeros((3, texels, texels), np.uint8)
         return Canvas(half_m=half_m, material=blank[0], paint=blank[1], stain=blank[2])
 
     @property
     def texel_m(self) -> float:
+        """Side of a texel in metres."""
         return 2.0 * self.half_m / len(self.material)
 
     def texels(self, xy_m: Array) -> NDArray[np.int32]:
-        """(N, 2) world metres to cv2's fixed-point column and row."""
+        """Converts (N, 2) world metres to cv2's fixed-point column and row."""
         grid = (np.asarray(xy_m) + self.half_m) / self.texel_m - 0.5
         return np.round(grid * 2**_BITS).astype(np.int32)
 
@@ -127,26 +129,26 @@ class Canvas:
         cv2.fillPoly(self.material, [self.texels(outline_m)], int(material), cv2.LINE_8, _BITS)
 
     def mark(self, outline_m: Array, cover: int = 255) -> None:
-        """White paint on a polygon."""
+        """Paints a polygon white."""
         cv2.fillPoly(self.paint, [self.texels(outline_m)], cover, cv2.LINE_AA, _BITS)
 
     def soil(self, outline_m: Array, cover: int) -> None:
-        """A dark stain on a polygon."""
+        """Darkens a polygon."""
         cv2.fillPoly(self.stain, [self.texels(outline_m)], cover, cv2.LINE_AA, _BITS)
 
     def trace(self, line_m: Array, width_m: float, cover: int) -> None:
-        """A dark line (a crack, a tar seam, a joint)."""
+        """Draws a dark line (a crack, a tar seam, a joint)."""
         width = max(1, round(width_m / self.texel_m))
         points = [self.texels(line_m)]
         cv2.polylines(self.stain, points, False, cover, width, cv2.LINE_AA, _BITS)
 
     def track(self, line_m: Array, width_m: float, material: Ground) -> None:
-        """A band of a material along a polyline."""
+        """Fills a band along a polyline with a material."""
         width = max(1, round(width_m / self.texel_m))
         cv2.polylines(self.material, [self.texels(line_m)], False, int(material), width, 8, _BITS)
 
     def raster(self, geom_name: str) -> GroundRaster:
-        """Classes and reflectivities, sampled at cell centres."""
+        """Returns classes and reflectivities, sampled at cell centres."""
         ids = [LAND_CLASSES.index(_TABLE[material][0]) for material in Ground]
         shine = np.array([_TABLE[material][1] for material in Ground], np.float32)
         middle = slice(RASTER_STRIDE // 2, None, RASTER_STRIDE)
@@ -165,7 +167,7 @@ class Canvas:
 def shade_ground(
     rng: np.random.Generator, canvas: Canvas, light: Float32, pattern_angles: dict[Ground, float]
 ) -> Bytes:
-    """The texture, (rows, cols, 3) uint8 as the canvas is, top row = y_max.
+    """Returns the texture, (rows, cols, 3) uint8 as the canvas is, top row = y_max.
 
     light: (n, n) share of full light, row 0 at y_min (see `scenes.authoring.bake`). pattern_angles:
     radians by which slabs, mowing stripes and furrows of a material are turned."""

@@ -1,4 +1,4 @@
-"""The ground as a regular height field, triangulated as MuJoCo triangulates it."""
+"""Regular height fields, triangulated as MuJoCo triangulates them."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ class HeightField:
 
     @property
     def cell_m(self) -> float:
+        """Distance between neighbouring nodes in metres."""
         return 2.0 * self.half_m / (self.heights_m.shape[0] - 1)
 
     def node_grid(self) -> tuple[Array, Array]:

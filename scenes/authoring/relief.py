@@ -1,4 +1,4 @@
-"""The shape of the ground: natural relief, and what people have cut into it."""
+"""Shape of the ground: natural relief, pads, ditches and mounds."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def natural_ground(rng: np.random.Generator, nodes: int, half_m: float) -> Array
 
 
 def dig_ditches(heights: Array, xy: Array, ditches: Iterable[Ditch]) -> Array:
-    """Heights (N, N) at the nodes ``xy`` (N, N, 2) with ``ditches`` cut in."""
+    """Heights (N, N) at the nodes ``xy`` (N, N, 2) with ``ditches`` cut into them."""
     for ditch in ditches:
         distance = segment_distance(xy, ditch.start_xy_m, ditch.end_xy_m)
         heights = heights - ditch.depth_m * (1.0 - smoothstep(0.3, ditch.half_width_m, distance))
@@ -89,7 +89,7 @@ def dig_ditches(heights: Array, xy: Array, ditches: Iterable[Ditch]) -> Array:
 
 
 def raise_mounds(heights: Array, xy: Array, mounds: Iterable[Mound]) -> Array:
-    """Heights (N, N) at the nodes ``xy`` (N, N, 2) with ``mounds`` heaped up."""
+    """Heights (N, N) at the nodes ``xy`` (N, N, 2) raised by ``mounds``."""
     for mound in mounds:
         reach = np.linalg.norm(xy - mound.centre_xy_m, axis=-1) / mound.radius_m
         heights = heights + mound.height_m * np.exp(-0.5 * reach**2)

@@ -1,4 +1,4 @@
-"""Curved streets: a centre line from which ground, texture, kerbs and traffic follow."""
+"""Curved streets: ground, texture, kerbs and traffic derived from one centre line."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ class Street:
 
     @property
     def length_m(self) -> float:
+        """Length of the centre line."""
         return STEP_M * (len(self.line_m) - 1)
 
     @property
@@ -89,8 +90,8 @@ def smooth_line(corners_m: Array, rounds: int = 5) -> Array:
 def paint_street(
     canvas: Canvas, street: Street, roadway: Ground = Ground.ASPHALT, pavement: Ground | None = None
 ) -> None:
-    """One call for every layer: pavements of crossing streets must not cover roadways, so callers
-    paint all pavements (``pavement`` given) first and then all roadways."""
+    """Paints one layer of a street. Pavements of crossing streets must not cover roadways: paint
+    all pavements (``pavement`` given) first and then all roadways."""
     if pavement is not None:
         canvas.track(street.line_m, 2.0 * street.edge_m, pavement)
     else:

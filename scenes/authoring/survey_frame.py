@@ -1,4 +1,4 @@
-"""A survey in the middle of a scene, turned any way."""
+"""Position and heading of the survey in a scene."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SURVEY_MIDDLE_M = np.array([25.0, 20.0])
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SurveyFrame:
-    """The survey's place: u along the take-off heading, v to its left."""
+    """Coordinates of the survey: u along the take-off heading, v to its left."""
 
     takeoff_xy_m: Array
     takeoff_yaw: float
@@ -34,8 +34,8 @@ class SurveyFrame:
 
 
 def draw_frame(rng: np.random.Generator) -> SurveyFrame:
-    """A frame whose survey's middle is within 2 m of the scene's along each axis: all of it lies
-    in a square of 128 m whichever way it is turned."""
+    """A frame whose survey's middle is within 2 m of the scene's along each axis: the survey
+    lies in a square of 128 m for every heading."""
     yaw = float(rng.uniform(-np.pi, np.pi))
     middle = Lot(origin_xy_m=rng.uniform(-2.0, 2.0, 2), angle=yaw)
     return SurveyFrame(takeoff_xy_m=middle.points(-SURVEY_MIDDLE_M), takeoff_yaw=yaw)

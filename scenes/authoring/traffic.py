@@ -1,4 +1,4 @@
-"""Bodies that go round a closed path."""
+"""Bodies that move along a closed path."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands in gardens: sheds, greenhouses, trampolines, washing lines, tables, beds."""
+"""Objects of gardens: sheds, greenhouses, trampolines, washing lines, tables, beds."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ROOF_TINTS = ([0.30, 0.31, 0.33, 1], [0.46, 0.28, 0.22, 1], [0.36, 0.40, 0.36, 
 
 
 def plank_material(builder: SceneBuilder) -> str:
-    """The material of planks that a scene's wooden things share."""
+    """The material of planks that a scene's wooden objects share."""
     name = "other_planks"
     if builder.spec.material(name) is None:
         builder.material(name, planks(builder.rng))
@@ -225,7 +225,7 @@ def _tuft(foot: Array, wide: float, high: float) -> MeshData:
 
 
 def add_toys(builder: SceneBuilder, xy_m: Array) -> None:
-    """Things left on the grass, 0.15 to 0.5 m high: a ball, a bucket, a tricycle."""
+    """Toys left on the grass, 0.15 to 0.5 m high: a ball, a bucket, a tricycle."""
     rng = builder.rng
     for _ in range(int(rng.integers(1, 3))):
         spot = xy_m + rng.normal(0.0, 0.8, 2)

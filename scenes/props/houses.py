@@ -41,7 +41,7 @@ class House:
     size_m: tuple[float, float, float]
     ridge_m: float
     hipped: bool = False
-    """four slopes in place of two and two gables"""
+    """four slopes instead of two and two gables"""
 
     @property
     def gable_m(self) -> float:
@@ -80,7 +80,7 @@ def tiled_roof(rng: np.random.Generator, length: float, slope_m: float) -> NDArr
 
 
 def add_house(builder: SceneBuilder, house: House, looks: HouseLooks | None = None) -> None:
-    """Walls, roof and what stands on it, in ``looks`` or in colours of its own. The ground below
+    """Adds walls, a roof and objects on it, in ``looks`` or in colours of its own. The ground below
     is taken as level."""
     rng = builder.rng
     z = builder.terrain.point(*house.centre_xy_m)

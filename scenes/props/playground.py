@@ -1,4 +1,4 @@
-"""Swings, slides, climbing frames and goals, and what is strung between posts."""
+"""Swings, slides, climbing frames and goals, nets and lines between posts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Swimming pools and what stands around them."""
+"""Swimming pools and their furniture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands in old villages: dry-stone walls, wells, log piles, sheep, electric fences."""
+"""Objects of old villages: dry-stone walls, wells, log piles, sheep, electric fences."""
 
 from __future__ import annotations
 

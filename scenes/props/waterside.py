@@ -1,4 +1,4 @@
-"""Reeds, decks on piles, and what lies about a shore."""
+"""Reeds, decks on piles, and objects of a shore."""
 
 from __future__ import annotations
 

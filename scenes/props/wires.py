@@ -1,4 +1,4 @@
-"""Posts and wires: the thin things that a look from far above misses."""
+"""Posts and wires: thin objects that are invisible from high above."""
 
 from __future__ import annotations
 

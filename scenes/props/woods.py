@@ -33,7 +33,7 @@ CROWN_RADII_M = (2.3, 3.0, 3.8, 4.6)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Crown:
-    """A shared crown mesh whose origin is where its tree meets the ground (conifers) or the
+    """A shared crown mesh whose origin is the foot of its tree (conifers) or the
     crown's middle (broad-leaved)."""
 
     mesh: str
@@ -187,7 +187,7 @@ def add_shrub(builder: SceneBuilder, wood: Wood, xy_m: Array) -> None:
 
 
 def add_stump(builder: SceneBuilder, wood: Wood, xy_m: Array) -> None:
-    """What a saw left standing: 0.24 to 0.42 m, with roots."""
+    """Adds a stump, 0.24 to 0.42 m high, with roots."""
     rng = builder.rng
     stump = wood.stumps[int(rng.integers(len(wood.stumps)))]
     at = np.array([*xy_m, builder.terrain.point(*xy_m)])
@@ -203,7 +203,7 @@ def add_stump(builder: SceneBuilder, wood: Wood, xy_m: Array) -> None:
 def add_log(
     builder: SceneBuilder, wood: Wood, start_xy_m: Array, end_xy_m: Array, radius_m: float
 ) -> None:
-    """A trunk on the ground; it rests on its ends and on what is high between them."""
+    """A trunk on the ground; it rests on its ends and on high ground between them."""
     rng = builder.rng
     span = end_xy_m - start_xy_m
     length = float(np.hypot(*span))

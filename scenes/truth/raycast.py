@@ -1,4 +1,4 @@
-"""Looking straight down on a compiled scene, without the vehicle and the moving bodies."""
+"""Casts rays straight down on a compiled scene without the vehicle and the moving bodies."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _OFF_EDGE_M = np.array([1.37e-4, 2.11e-4])
 def cast_down(
     scene: Scene, origin_xy_m: Array, cell_m: float, shape: tuple[int, int]
 ) -> tuple[Array, NDArray[np.int32]]:
-    """Heights of the top surface at cell centres and the geoms that were hit.
+    """Returns heights of the top surface at cell centres and the geoms that were hit.
 
     origin_xy_m: (2,) corner of cell (0, 0); shape: (rows, cols), row = y. Returns (rows, cols)
     float64 metres, NaN where nothing lies below, and (rows, cols) geom ids, -1 there.
@@ -105,7 +105,8 @@ def _cast_tile(
 def class_ids(
     scene: Scene, origin_xy_m: Array, cell_m: float, geoms: NDArray[np.int32]
 ) -> NDArray[np.uint8]:
-    """Land-class ids of what `cast_down` hit, (rows, cols); `OTHER_CLASS_ID` for the rest."""
+    """Returns the land-class ids of the geoms that `cast_down` hit, (rows, cols); `OTHER_CLASS_ID`
+    for the rest."""
     table = np.full(scene.model.ngeom + 1, OTHER_CLASS_ID, np.uint8)
     for geom in range(scene.model.ngeom):
         surface = scene.surfaces.get(scene.model.geom(geom).name)

@@ -93,7 +93,7 @@ def paint_croft(canvas: Canvas, croft: Croft) -> None:
 def build_croft(
     builder: SceneBuilder, croft: Croft, looks: HouseLooks, nursery: Nursery, models: Models
 ) -> None:
-    """Everything that stands on the croft."""
+    """Adds all objects of the croft."""
     rng, lot = builder.rng, croft.lot
     for house in (croft.house, croft.wing):
         add_house(builder, house, looks)
@@ -126,7 +126,7 @@ def build_croft(
 
 
 def _clutter(builder: SceneBuilder, croft: Croft, models: Models) -> None:
-    """What keeps the level courtyard from being a landing site."""
+    """Adds objects that make the level courtyard unfit for landing."""
     rng, lot = builder.rng, croft.lot
     inner = (6.6, 18.4) if croft.wing_u < 8.0 else (2.6, 14.4)
     add_log_pile(builder, lot.at(inner[1] - 1.0, 7.3), lot.angle)

@@ -47,7 +47,7 @@ Array = NDArray[np.float64]
 
 
 def generate(seed: int) -> SceneDraft:
-    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.cottage")])
     plan = draw_plan(rng)
     crofts = draw_crofts(rng, plan)
@@ -60,7 +60,7 @@ def generate(seed: int) -> SceneDraft:
     )  # fmt: skip
     terrain = shape_ground(rng, plan, pads, [ditch])
     builder = start_scene("cottage", rng, terrain)
-    place_things(builder, plan, crofts)
+    place_objects(builder, plan, crofts)
     canvas = paint_ground(rng, plan, crofts, ditch)
     turned = dict.fromkeys(Ground, plan.frame.angle)
     turned[Ground.LAWN] = plan.frame.angle + float(rng.uniform(0.2, 1.3))
@@ -92,8 +92,8 @@ def draw_crofts(rng: np.random.Generator, plan: Plan) -> list[Croft]:
     return crofts
 
 
-def place_things(builder: SceneBuilder, plan: Plan, crofts: list[Croft]) -> None:
-    """Everything that stands."""
+def place_objects(builder: SceneBuilder, plan: Plan, crofts: list[Croft]) -> None:
+    """Adds all objects."""
     rng, frame = builder.rng, plan.frame
     nursery = plant_nursery(builder)
     models = add_car_models(builder, 4)

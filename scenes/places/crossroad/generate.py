@@ -1,4 +1,4 @@
-"""`crossroad`: fills crossroad.xml with a place drawn from a seed."""
+"""`crossroad`: fills crossroad.xml with a scene drawn from a seed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CAR_MODELS = 8
 
 
 def generate(seed: int) -> SceneDraft:
-    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.crossroad")])
     plan = draw_plan(rng)
     themes = draw_themes(rng, plan)
@@ -35,7 +35,7 @@ def generate(seed: int) -> SceneDraft:
     ditches = [ditch for theme in themes for ditch in theme.ditches]
     terrain = shape_ground(rng, plan, pads, ditches)
     builder = start_scene("crossroad", rng, terrain)
-    moving = place_things(builder, plan, themes)
+    moving = place_objects(builder, plan, themes)
     canvas = paint_ground(rng, plan, themes)
     ground = paint_terrain(builder, canvas, pattern_angles(rng, plan))
     return finish(plan, builder, ground, moving=moving)
@@ -51,8 +51,8 @@ def draw_themes(rng: np.random.Generator, plan: Plan) -> list[Theme]:
     return themes
 
 
-def place_things(builder: SceneBuilder, plan: Plan, themes: list[Theme]) -> tuple[Any, ...]:
-    """Everything that stands or drives. Returns the moving cars."""
+def place_objects(builder: SceneBuilder, plan: Plan, themes: list[Theme]) -> tuple[Any, ...]:
+    """Adds all objects and cars. Returns the moving cars."""
     rng = builder.rng
     nursery = plant_nursery(builder)
     models = add_car_models(builder, CAR_MODELS)

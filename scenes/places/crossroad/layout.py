@@ -1,4 +1,4 @@
-"""Where the roads run: a plan in signed distances, from which terrain, texture and kerbs follow."""
+"""Plan of the roads in signed distances, from which terrain, texture and kerbs are derived."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ QUADRANTS: dict[str, tuple[int, int]] = {"NE": (1, -1), "NW": (1, 1), "SW": (-1,
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Plot:
-    """One quarter of the place with its own coordinates: ``s`` metres along the main road from the
+    """One quarter of the scene with its own coordinates: ``s`` metres along the main road from the
     side road's pavement, ``t`` metres away from the main road's pavement."""
 
     plan: Plan

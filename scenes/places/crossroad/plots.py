@@ -1,4 +1,4 @@
-"""What stands on the four plots between the roads."""
+"""Ground and objects of the four plots between the roads."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DEPTH_M = 44.0
 
 
 class Theme(Protocol):
-    """The use of a plot: first what it does to the ground, then its texture, then its things."""
+    """Use of a plot: its relief first, then its texture, then its objects."""
 
     pads: list[Pad]
     ditches: list[Ditch]
@@ -65,7 +65,7 @@ class _Base(ABC):
         t: tuple[float, float],
         gap: float,
     ) -> list[Array]:
-        """Up to ``count`` free places in a rectangle, at least ``gap`` metres clear."""
+        """Up to ``count`` free spots in a rectangle, at least ``gap`` metres clear."""
         found: list[Array] = []
         for _ in range(12 * count):
             spot = self.at(self.rng.uniform(*s), self.rng.uniform(*t))

@@ -1,7 +1,7 @@
 """`flat`: fills flat.xml with a patchwork of lawns and fields drawn from a seed.
 
-The ground is level to the bit and nothing stands on it, so that range alone says nothing about
-motion along it; its texture says all.
+The ground is exactly level and without objects, so that ranges hold no information about motion
+along it; only the texture does.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ NODES = 9
 
 
 def generate(seed: int) -> SceneDraft:
-    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.flat")])
     # The ground goes on beyond the bounds, so that it is safe up to the very edge.
     terrain = HeightField(heights_m=np.zeros((NODES, NODES)), half_m=HALF_M + MARGIN_M)

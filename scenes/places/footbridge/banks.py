@@ -1,4 +1,4 @@
-"""The ground texture, and what grows and stands beside the bridge."""
+"""Ground texture, plants and objects beside the bridge."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PATH_M = 3.0
 
 
 def draw_paths(rng: np.random.Generator, plan: Plan) -> list[Array]:
-    """(N, 2) each: from the ramps' feet to the edges of the place; one branches off along the
+    """(N, 2) each: from the ramps' feet to the edges of the scene; one branches off along the
     bank."""
     paths = []
     for sign in (-1.0, 1.0):
@@ -151,7 +151,7 @@ def _furnish_stream(builder: SceneBuilder, plan: Plan) -> None:
 
 
 def _plant(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
-    """Trees, bushes, rocks and molehills; fewer trees on the lawns that the survey looks at."""
+    """Trees, bushes, rocks and molehills; fewer trees on the lawns in view of the survey."""
     rng = builder.rng
     for kind, count, gap in (("tree", 24, 3.0), ("bush", 14, 1.0), ("rock", 5, 1.0),
                              ("mole", 6, 0.8)):  # fmt: skip

@@ -30,7 +30,7 @@ _RAILS = ([0.24, 0.34, 0.30, 1.0], [0.34, 0.36, 0.38, 1.0], [0.55, 0.22, 0.16, 1
 
 
 def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
-    """Everything of the bridge, with its shadows."""
+    """Adds all parts of the bridge, with their shadows."""
     bridge = plan.bridge
     rng = builder.rng
     image = asphalt_deck(rng, bridge) if plan.over_road else timber_deck(rng, bridge)
@@ -61,7 +61,7 @@ def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
 
 
 def slab_mesh(bridge: Bridge, first: float, last: float) -> MeshData:
-    """Deck or ramp between two ``u``: a convex body (things collide with a mesh's hull), its top
+    """Deck or ramp between two ``u``: a convex body (contacts use a mesh's hull), its top
     mapped along and across the whole texture, the rest on the texture's dark rim."""
     stations = np.linspace(first, last, 17 if first * last < 0.0 else 2)
     top = bridge.top(stations)

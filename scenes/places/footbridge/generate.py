@@ -1,4 +1,4 @@
-"""`footbridge`: fills footbridge.xml with a place drawn from a seed."""
+"""`footbridge`: fills footbridge.xml with a scene drawn from a seed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 def generate(seed: int) -> SceneDraft:
-    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.footbridge")])
     plan = draw_plan(rng)
     bottom = shape_ground(rng, plan)

@@ -1,4 +1,4 @@
-"""What lies and stands in the wood besides trees: rocks, logs, stumps, a hide, a bridge, water."""
+"""Objects of the wood other than trees: rocks, logs, stumps, a hide, a bridge, water."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _WATER_HALF_M = 0.95
 
 
 def furnish(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
-    """Everything that later plants keep away from."""
+    """Adds the objects that later plants keep away from."""
     builder.claim(plan.frame.takeoff_xy_m, 5.0)
     add_water(builder, plan)
     add_bridge(builder, plan)
@@ -47,7 +47,7 @@ def furnish(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
 def _scatter(
     builder: SceneBuilder, clearing: Clearing, count: int, margin_m: float, gap_m: float
 ) -> list[Array]:
-    """Up to ``count`` free places in a clearing, ``margin_m`` from its edge."""
+    """Up to ``count`` free spots in a clearing, ``margin_m`` from its edge."""
     rng = builder.rng
     reach = clearing.radius_m * 1.2
     found: list[Array] = []
@@ -71,13 +71,13 @@ def _fell(builder: SceneBuilder, wood: Wood, clearing: Clearing) -> None:
 
 
 def _edge_spot(builder: SceneBuilder, plan: Plan, clearing: Clearing) -> Array:
-    """(2,) a free place at the edge of a clearing, away from track and brook."""
+    """(2,) a free spot at the edge of a clearing, away from track and brook."""
     turn = builder.rng.uniform(0.0, 2.0 * np.pi) + np.linspace(0.0, 2.0 * np.pi, 24)
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     spots = clearing.centre_xy_m + (clearing.radius_m + 1.2) * ring
     room = np.minimum(plan.track.nearest(spots)[0] - 4.0, plan.brook.nearest(spots)[0] - 4.5)
-    good = np.flatnonzero(room > 0.0)
-    return np.asarray(spots[int(good[0]) if len(good) else int(room.argmax())])
+    free = np.flatnonzero(room > 0.0)
+    return np.asarray(spots[int(free[0]) if len(free) else int(room.argmax())])
 
 
 def _strew(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
@@ -85,13 +85,13 @@ def _strew(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
     rng = builder.rng
     spots = rng.uniform(-HALF_M + 6.0, HALF_M - 6.0, (400, 2))
     far = np.minimum(plan.track.nearest(spots)[0], plan.brook.nearest(spots)[0])
-    good = spots[(plan.clearing_distance(spots) > 3.0) & (far > 6.0)]
-    for spot in good[:9]:
+    free = spots[(plan.clearing_distance(spots) > 3.0) & (far > 6.0)]
+    for spot in free[:9]:
         angle, half = rng.uniform(0.0, np.pi), 0.5 * rng.uniform(5.0, 9.0)
         axis = half * np.array([np.cos(angle), np.sin(angle)])
         if builder.is_free(spot, 2.0):
             add_log(builder, wood, spot - axis, spot + axis, float(rng.uniform(0.16, 0.30)))
-    for spot in good[9:26]:
+    for spot in free[9:26]:
         if builder.is_free(spot, 0.8):
             add_rock(builder, spot, float(rng.uniform(0.4, 1.1)))
     inside = np.flatnonzero((np.abs(plan.brook.line_m) < HALF_M - 2.0).all(axis=1))
@@ -102,8 +102,8 @@ def _strew(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
 
 
 def add_water(builder: SceneBuilder, plan: Plan) -> None:
-    """The brook's surface: level strips that step down the valley. It carries no contact: what
-    falls in lands on the bed."""
+    """The brook's surface: level strips that step down the valley. It has no contacts:
+    a body that falls in rests on the bed."""
     brook = plan.brook
     name = builder.material("water_brook", _ripples(builder.rng), shine=0.35)
     inside = np.flatnonzero((np.abs(brook.line_m) < HALF_M).all(axis=1))
@@ -142,7 +142,7 @@ def _ripples(rng: np.random.Generator) -> NDArray[np.uint8]:
 
 
 def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
-    """A plank bridge where the track meets the brook."""
+    """Adds a plank bridge at the crossing of track and brook."""
     distance, _ = plan.brook.nearest(plan.track.line_m)
     index = int(distance.argmin())
     at = plan.track.line_m[index]

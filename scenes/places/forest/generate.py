@@ -21,7 +21,7 @@ FLOOR = Surface(land_class="trees", reflectivity=0.35)
 
 
 def generate(seed: int) -> SceneDraft:
-    """The wood of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.forest")])
     plan = draw_plan(rng)
     builder = start_scene("forest", rng, shape_ground(rng, plan))

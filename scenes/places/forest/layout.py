@@ -1,4 +1,4 @@
-"""Where the clearings lie, and where the track and the brook run."""
+"""Plan of the clearings, the track and the brook."""
 
 from __future__ import annotations
 

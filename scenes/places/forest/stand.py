@@ -1,4 +1,4 @@
-"""Which tree stands where."""
+"""Positions and kinds of the trees."""
 
 from __future__ import annotations
 

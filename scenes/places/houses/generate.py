@@ -51,7 +51,7 @@ LOOKS, CAR_MODELS = 6, 7
 
 
 def generate(seed: int) -> SceneDraft:
-    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.houses")])
     plan = draw_plan(rng)
     rows = draw_rows(rng, plan)
@@ -60,7 +60,7 @@ def generate(seed: int) -> SceneDraft:
     pads = [pad for home in homes for pad in home.pads()]
     terrain = shape_ground(rng, plan, pads, [green.ditch], [green.mound])
     builder = start_scene("houses", rng, terrain)
-    moving = place_things(builder, plan, rows, green)
+    moving = place_objects(builder, plan, rows, green)
     canvas = paint_ground(rng, plan, homes, green)
     turned = dict.fromkeys(Ground, plan.frame.angle)
     turned[Ground.LAWN] = plan.frame.angle + float(rng.uniform(0.2, 1.3))
@@ -108,10 +108,10 @@ def draw_rows(rng: np.random.Generator, plan: Plan) -> list[list[Home]]:
     return rows
 
 
-def place_things(
+def place_objects(
     builder: SceneBuilder, plan: Plan, rows: list[list[Home]], green: Green
 ) -> tuple[MovingBody, ...]:
-    """Everything that stands or drives. Returns the moving cars."""
+    """Adds all objects and cars. Returns the moving cars."""
     rng = builder.rng
     nursery = plant_nursery(builder)
     models = add_car_models(builder, CAR_MODELS)
@@ -156,7 +156,7 @@ def place_kerbs(builder: SceneBuilder, plan: Plan, homes: list[Home]) -> None:
 
 
 def _junction_gaps(plan: Plan, street: Street, side: float) -> list[tuple[float, float]]:
-    """Stretches of a kerb that lie on another roadway or outside of the place."""
+    """Stretches of a kerb that lie on another roadway or outside of the scene."""
     stations = np.arange(0.0, street.length_m, 0.5)
     kerb = np.array([street.point(s, side * (0.5 * street.width_m + 0.08)) for s in stations])
     other = [s.kerb_distance(kerb) for s in plan.streets if s is not street]

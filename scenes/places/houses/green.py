@@ -84,7 +84,7 @@ def paint_green(canvas: Canvas, green: Green, rng: np.random.Generator) -> None:
 
 
 def build_green(builder: SceneBuilder, green: Green, nursery: Nursery) -> None:
-    """Trees along the edges, play things, benches, and what is strung over the lawn."""
+    """Adds trees along the edges, play equipment, benches, and lines over the lawn."""
     rng, frame = builder.rng, green.plan.frame
     start = frame.coordinates(green.plan.takeoff_xy_m)
     for spot in green.path_m[::2]:

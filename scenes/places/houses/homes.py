@@ -109,7 +109,7 @@ def draw_home(rng: np.random.Generator, lot: Lot, width: float, depth: float, ga
 
 
 def paint_home(canvas: Canvas, home: Home, rng: np.random.Generator) -> None:
-    """Drive, path, terrace, beds and what the garden's use does to the ground."""
+    """Paints drive, path, terrace, beds and the ground of the garden's use."""
     lot, u, front, back = home.lot, home.house_u, home.front_v, home.back_v
     paving = Ground.PAVERS if rng.random() < 0.6 else Ground.GRAVEL
     drive = (home.drive_u - 0.5 * DRIVE_M, home.drive_u + 0.5 * DRIVE_M)
@@ -141,7 +141,7 @@ def _bed(home: Home) -> tuple[float, float]:
 def build_home(
     builder: SceneBuilder, home: Home, looks: HouseLooks, nursery: Nursery, models: Models
 ) -> None:
-    """Everything that stands on the lot but its fences."""
+    """Adds all objects of the lot but its fences."""
     rng, lot = builder.rng, home.lot
     add_house(builder, home.house, looks)
     door = builder.terrain.point(*home.house.centre_xy_m)

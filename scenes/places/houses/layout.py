@@ -1,4 +1,4 @@
-"""Where the streets of the settlement run, and how the ground between them is shaped."""
+"""Plan of the settlement's streets, and relief of the ground between them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ TURNING_M = 7.2
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Plan:
-    """``frame``: coordinates of the whole place, its main street about along u. The green, with
+    """``frame``: coordinates of the whole scene, its main street about along u. The green, with
     the take-off spot, lies in the quarter of negative u and v."""
 
     frame: Lot

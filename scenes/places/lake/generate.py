@@ -1,4 +1,4 @@
-"""`lake`: fills lake.xml with a place drawn from a seed."""
+"""`lake`: fills lake.xml with a scene drawn from a seed."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from touchdown.scenes.authoring.generation import Flood, finish, paint_terrain, 
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.water import WaterLook, upsample
 from touchdown.scenes.places.lake.layout import HALF_M, draw_plan, shape_basin
+from touchdown.scenes.places.lake.objects import footpath, place_objects
 from touchdown.scenes.places.lake.painting import paint_fields, paint_shore, paint_strand
-from touchdown.scenes.places.lake.things import footpath, place_all
 from touchdown.scenes.props.plants import plant_nursery
 
 Array = NDArray[np.float64]
 
 
 def generate(seed: int) -> SceneDraft:
-    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.lake")])
     plan = draw_plan(rng)
     basin = shape_basin(rng, plan)
     builder = start_scene("lake", rng, basin.terrain)
     nursery = plant_nursery(builder)
     path = footpath(plan, rng)
-    place_all(builder, plan, basin, nursery, path)
+    place_objects(builder, plan, basin, nursery, path)
     canvas = Canvas(half_m=HALF_M)
     paint_shore(rng, canvas, plan, basin)
     paint_fields(rng, canvas)

@@ -1,5 +1,5 @@
-"""Where the shore runs and what it is made of: a signed distance from which relief, texture and
-things follow."""
+"""Course and materials of the shore: a signed distance from which relief, texture and objects are
+derived."""
 
 from __future__ import annotations
 

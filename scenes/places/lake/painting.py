@@ -18,7 +18,7 @@ _CORNERS = (
     ((-54.0, 30.0), (-37.0, 32.0), (-27.0, 70.0), (-55.0, 70.0)),
     ((18.0, -46.0), (18.0, -70.0), (70.0, -70.0), (70.0, -38.0)),
 )
-"""Outlines of the fields (x, y), metres; they end at the edge of the place."""
+"""Outlines of the fields (x, y), metres; they end at the edge of the scene."""
 
 
 def paint_shore(rng: np.random.Generator, canvas: Canvas, plan: Plan, basin: Basin) -> None:
@@ -51,7 +51,7 @@ def paint_shore(rng: np.random.Generator, canvas: Canvas, plan: Plan, basin: Bas
 
 
 def paint_fields(rng: np.random.Generator, canvas: Canvas) -> None:
-    """Fields in two corners of the place, away from the lake."""
+    """Fields in two corners of the scene, away from the lake."""
     kinds = rng.permutation([int(Ground.SOIL), int(Ground.CROPS), int(Ground.LAWN)])
     for corner, kind in zip(_CORNERS, kinds[:2], strict=True):
         outline = np.array(corner) + rng.uniform(-2.0, 2.0, (4, 2))

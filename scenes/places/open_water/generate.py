@@ -1,7 +1,7 @@
-"""`open_water`: fills open_water.xml with a place drawn from a seed.
+"""`open_water`: fills open_water.xml with a scene drawn from a seed.
 
-The water is one level sheet of 256 x 256 m. The only ground to land on is what the vehicle takes
-off from: a raft, a pontoon or an islet, by the seed.
+The water is one level sheet of 256 x 256 m. The only ground to land on is the take-off
+ground: a raft, a pontoon or an islet, by the seed.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _SAND = np.array([198.0, 182.0, 146.0], np.float32)
 
 
 def generate(seed: int) -> SceneDraft:
-    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.open_water")])
     kind = KINDS[int(rng.integers(len(KINDS)))]
     islet = shape_islet(rng) if kind == "islet" else None
@@ -66,7 +66,7 @@ def generate(seed: int) -> SceneDraft:
 
 
 def _surface(level_m: float, islet: Islet | None) -> HeightField:
-    """What things stand or float on: the water, and the islet where it is higher."""
+    """Surface below all objects: the water, and the islet where it is higher."""
     heights = np.full((_NODES, _NODES), level_m)
     terrain = HeightField(heights_m=heights, half_m=HALF_M)
     if islet is not None:
@@ -96,7 +96,7 @@ def _place_boats(builder: SceneBuilder) -> None:
 
 
 def _spread_water(builder: SceneBuilder, level_m: float, depth: Float32) -> None:
-    """The sheet and its texture, after everything that throws a shadow on it."""
+    """The sheet and its texture, after all objects that cast a shadow on it."""
     spec, rng = builder.spec, builder.rng
     top = HALF_M * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
     uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])

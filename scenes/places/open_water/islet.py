@@ -1,4 +1,4 @@
-"""A low islet of sand and grass: relief, texture and what grows on it."""
+"""A low islet of sand and grass: relief, texture and plants."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def bed_depth(islet: Islet, size: int, half_m: float) -> Float32:
 
 
 def add_islet(builder: SceneBuilder, islet: Islet) -> GroundRaster:
-    """The islet with its texture, after everything that throws a shadow on it."""
+    """The islet with its texture, after all objects that cast a shadow on it."""
     spec, rng = builder.spec, builder.rng
     spec.add_texture(name="islet", type=mujoco.mjtTexture.mjTEXTURE_2D, nchannel=3)
     canvas = Canvas.of_size(HALF_M, TEXELS)

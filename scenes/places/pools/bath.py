@@ -29,7 +29,7 @@ Shades = list[tuple[str, str]]
 
 
 def build_bath(builder: SceneBuilder, plan: Plan, nursery: Nursery, shades: Shades) -> None:
-    """Everything on the deck and behind it."""
+    """Adds all objects on the deck and behind it."""
     for pool in plan.pools:
         add_pool(builder, pool)
     _add_slide(builder, plan)

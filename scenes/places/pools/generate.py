@@ -17,7 +17,7 @@ from touchdown.scenes.props.pools import add_umbrella_models
 
 
 def generate(seed: int) -> SceneDraft:
-    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.pools")])
     plan = draw_plan(rng)
     terrain = shape_ground(rng, plan)

@@ -1,4 +1,4 @@
-"""Sports field, beach court, sunbathing lawn, fence and car park; and the texture of it all."""
+"""Sports field, beach court, sunbathing lawn, fence and car park; and the ground texture."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LINE_M = 0.12
 
 
 def build_grounds(builder: SceneBuilder, plan: Plan, nursery: Nursery, shades: Shades) -> None:
-    """Everything off the deck."""
+    """Adds all objects off the deck."""
     _furnish_pitch(builder, plan)
     u, v = plan.court_uv
     (u0, u1), (v0, _) = plan.deck

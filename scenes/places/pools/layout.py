@@ -1,4 +1,4 @@
-"""Where basins, deck, buildings and sports grounds of the bath lie."""
+"""Plan of the bath: basins, deck, buildings and sports grounds."""
 
 from __future__ import annotations
 
@@ -119,7 +119,8 @@ def draw_plan(rng: np.random.Generator) -> Plan:
 
 
 def shape_ground(rng: np.random.Generator, plan: Plan) -> HeightField:
-    """Lawns as they grew, everything built on level ground; the take-off spot at height 0."""
+    """Returns uneven lawns with level pads below all buildings; the take-off spot is at height
+    0."""
     terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
     xy = np.stack(terrain.node_grid(), axis=-1)
     heights = terrain.heights_m + (0.35 - terrain.heights_m.mean())

@@ -1,4 +1,4 @@
-"""The roof: its falls, its markings, and what stands on it."""
+"""The roof: its falls, markings and objects."""
 
 from __future__ import annotations
 
@@ -250,7 +250,7 @@ def _add_parapets(builder: SceneBuilder, plan: Plan) -> None:
 
 def _add_ramp_house(builder: SceneBuilder, plan: Plan) -> None:
     """Walls along the ramp, as thick as the node spacing in which the deck drops, and a flat roof
-    over its foot, under which the way goes on."""
+    over its foot."""
     ramp = plan.ramp
     away = np.sign(ramp.foot_x_m - ramp.top_x_m)
     x0, x1 = sorted((ramp.top_x_m, ramp.foot_x_m + away * 1.5 * NODE_M))

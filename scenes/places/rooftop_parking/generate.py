@@ -1,4 +1,4 @@
-"""`rooftop_parking`: fills rooftop_parking.xml with a place drawn from a seed."""
+"""`rooftop_parking`: fills rooftop_parking.xml with a scene drawn from a seed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Float32 = NDArray[np.float32]
 
 
 def generate(seed: int) -> SceneDraft:
-    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.rooftop_parking")])
     plan = draw_plan(rng)
     houses = draw_houses(rng, plan)

@@ -1,4 +1,4 @@
-"""Where the building stands, how its roof is divided, and where the streets run."""
+"""Plan of the building, the bays on its roof and the streets."""
 
 from __future__ import annotations
 

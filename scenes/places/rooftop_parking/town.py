@@ -1,4 +1,4 @@
-"""What surrounds the building: its walls, streets below, houses, trees."""
+"""Surroundings of the building: walls, streets below, houses, trees."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ APRON_M = 2.0
 
 
 def draw_houses(rng: np.random.Generator, plan: Plan) -> list[House]:
-    """Neighbours on what the building and the streets leave free, lined up with them."""
+    """Returns neighbouring houses on the free ground, aligned with the streets."""
     houses: list[House] = []
     for _ in range(400):
         if len(houses) == 6:

@@ -29,7 +29,7 @@ EDGE_TREES = 42
 
 
 def generate(seed: int) -> SceneDraft:
-    """The turf of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.turf")])
     frame = draw_frame(rng)
     turf = draw_turf(seed, rng, frame)

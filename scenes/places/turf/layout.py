@@ -1,4 +1,4 @@
-"""What the three kinds of turf share: lines, edge planting, a footpath."""
+"""Parts of all three kinds of turf: lines, edge planting, a footpath."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LINE_M = 0.12
 
 
 class Turf(Protocol):
-    """One kind of turf: its relief first, then its texture, then its things."""
+    """One kind of turf: its relief first, then its texture, then its objects."""
 
     lot: Lot
 

@@ -25,7 +25,12 @@ from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.registry import scene_names
 from touchdown.scenes.render import render_scene
-from touchdown.scenes.truth.survey_facts import Layout, difference, layout, survey_facts
+from touchdown.scenes.truth.survey_facts import (
+    LayoutRasters,
+    layout_difference,
+    layout_rasters,
+    survey_facts,
+)
 from touchdown.sim.hover import HoverView, hover_view
 
 PLACE = """
@@ -214,7 +219,7 @@ def test_survey_facts_of_known_ground(place: Scene) -> None:
 
 
 def test_difference_of_layouts_is_exact() -> None:
-    level = Layout(
+    level = LayoutRasters(
         height_m=np.zeros((4, 5), np.float32),
         class_id=np.zeros((4, 5), np.uint8),
         grey=np.zeros((3, 3), np.float32),
@@ -223,20 +228,20 @@ def test_difference_of_layouts_is_exact() -> None:
     height[0, 0] = np.nan
     classes = level.class_id.copy()
     classes[:2] = 1
-    other = Layout(height_m=height, class_id=classes, grey=np.full((3, 3), 7.0, np.float32))
-    found = difference(level, other)
+    other = LayoutRasters(height_m=height, class_id=classes, grey=np.full((3, 3), 7.0, np.float32))
+    found = layout_difference(level, other)
     assert found.height_m == pytest.approx(0.3)
     assert found.class_share == pytest.approx(0.5)
     assert found.grey == pytest.approx(7.0)
-    smaller = Layout(
+    smaller = LayoutRasters(
         height_m=np.zeros((2, 2), np.float32), class_id=classes[:2, :2], grey=other.grey
     )
     with pytest.raises(ValueError, match="extent"):
-        difference(level, smaller)
+        layout_difference(level, smaller)
 
 
 def test_layout_reads_heights_and_classes(place: Scene) -> None:
-    plan = layout(place)
+    plan = layout_rasters(place)
     assert plan.height_m.max() == pytest.approx(0.5, abs=0.01)
     share = float((plan.height_m > 0.25).mean())
     assert share == pytest.approx(8.0 * 6.0 / np.prod(np.ptp(place.bounds_xy_m, axis=0)), rel=0.1)

@@ -1,4 +1,4 @@
-"""What stands, lies and floats around the lake."""
+"""Objects around and on the lake."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TIMBER = (150.0, 134.0, 112.0)
 
 
 class Surroundings:
-    """Where the ground is dry, shallow or deep."""
+    """Distances from the waterline and depths of the ground."""
 
     def __init__(self, plan: Plan, basin: Basin) -> None:
         self.plan, self.basin = plan, basin
@@ -49,7 +49,7 @@ class Surroundings:
     def scatter(
         self, builder: SceneBuilder, count: int, shore_m: tuple[float, float], gap_m: float
     ) -> list[Array]:
-        """Up to ``count`` free places anywhere at such distances from the waterline, claimed."""
+        """Up to ``count`` free spots anywhere at such distances from the waterline, claimed."""
         found: list[Array] = []
         for _ in range(40 * count):
             spot = builder.rng.uniform(-HALF_M + 3.0, HALF_M - 3.0, 2)
@@ -70,7 +70,7 @@ def footpath(plan: Plan, rng: np.random.Generator) -> Array:
     return smooth
 
 
-def place_all(
+def place_objects(
     builder: SceneBuilder, plan: Plan, basin: Basin, nursery: Nursery, path: Array
 ) -> None:
     """Jetty, boats, reeds, beach, trees, benches, rocks, fence and molehills."""
@@ -199,7 +199,7 @@ def _place_rocks(builder: SceneBuilder, around: Surroundings) -> None:
 
 
 def _place_pasture(builder: SceneBuilder, around: Surroundings) -> None:
-    """A fence along an edge of the place, and molehills in the grass near the take-off spot."""
+    """A fence along an edge of the scene, and molehills in the grass near the take-off spot."""
     rng, plan = builder.rng, around.plan
     x = -57.0 + rng.uniform(-2.0, 2.0)
     for start in np.arange(-12.0, 50.0, 21.0):
