@@ -28,7 +28,7 @@ _OUTSIDE, _INSIDE = 0.05, 0.45
 
 
 def hull_mesh(length_m: float, width_m: float, rim_m: float, decked: bool) -> MeshData:
-    """A round hull, bow along x: open with three thwarts, or ``decked`` over."""
+    """Returns a round hull, bow along x: open with three thwarts, or ``decked`` over."""
     share = np.linspace(0.0, 1.0, len(_BEAM))
     x = (share - 0.5) * length_m
     half = 0.5 * width_m * _BEAM
@@ -123,7 +123,7 @@ def add_boat(
     heading: float,
     upturned: bool = False,
 ) -> None:
-    """A rowing boat afloat, or upturned on the ground."""
+    """Adds a rowing boat afloat, or upturned on the ground."""
     mesh, material, length = model
     z = builder.terrain.point(*xy_m) + (0.38 if upturned else 0.0)
     origin = np.array([*xy_m, z])
@@ -140,7 +140,7 @@ def add_boat(
 
 
 def add_sailing_boat(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
-    """A small yacht at anchor, sails furled: cabin, mast of 8 m, boom, stays."""
+    """Adds a small yacht at anchor, sails furled: cabin, mast of 8 m, boom, stays."""
     rng = builder.rng
     name = builder.unique("yacht")
     length = float(rng.uniform(6.2, 8.0))
@@ -182,7 +182,7 @@ def add_sailing_boat(builder: SceneBuilder, xy_m: Array, heading: float) -> None
 
 
 def add_buoy(builder: SceneBuilder, xy_m: Array, radius_m: float, rgba: list[float]) -> None:
-    """A ball that floats half out of the water; large ones carry a pole with a topmark."""
+    """Adds a ball that floats half out of the water; large ones carry a pole with a topmark."""
     z = builder.terrain.point(*xy_m)
     at = np.array([*xy_m, z + 0.3 * radius_m])
     builder.geom("buoy", BUOY, type=GEOM.mjGEOM_SPHERE, size=[radius_m, 0, 0], pos=at, rgba=rgba)

@@ -65,7 +65,7 @@ SHAPES: dict[str, CarShape] = {
 
 
 def car_mesh(shape: CarShape) -> MeshData:
-    """The body (bonnet, cabin, boot) and four wheels; x forward, origin on the ground."""
+    """Returns the body (bonnet, cabin, boot) and four wheels; x forward, origin on the ground."""
     half, top = 0.5 * shape.width_m, 0.36 * shape.width_m
     front, back = 0.5 * shape.length_m, -0.5 * shape.length_m
     sill, belt, roof = 0.24, shape.belt_m, shape.height_m

@@ -36,7 +36,7 @@ def place_mesh(
     builder: SceneBuilder, stem: str, surface: Surface, parts: list[MeshData], xy_m: Array,
     heading: float, **looks: object,
 ) -> None:  # fmt: skip
-    """A mesh of its own on the ground at ``xy_m``, with the shadow of its hull."""
+    """Adds a mesh of its own on the ground at ``xy_m``, with the shadow of its hull."""
     data = MeshData.join(parts)
     origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
     builder.geom(
@@ -49,7 +49,7 @@ def place_mesh(
 def add_shed(
     builder: SceneBuilder, xy_m: Array, heading: float, size_m: tuple[float, float, float]
 ) -> None:
-    """A wooden shed with a low gable roof. size_m: length, width, wall height."""
+    """Adds a wooden shed with a low gable roof. size_m: length, width, wall height."""
     rng = builder.rng
     length, width, height = size_m
     origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
@@ -74,7 +74,7 @@ def add_shed(
 
 
 def add_greenhouse(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
-    """A glass house of 3 x 2.2 m: panes between bars."""
+    """Adds a glass house of 3 x 2.2 m: panes between bars."""
     size = (3.0, 2.2, 1.5)
     z = builder.terrain.point(*xy_m)
     origin = np.array([*xy_m, z])
@@ -130,7 +130,7 @@ def drum(radius: float, low: float, high: float, sides: int = 16) -> MeshData:
 
 
 def add_trampoline(builder: SceneBuilder, xy_m: Array) -> None:
-    """A round trampoline, 3.4 m across and 0.75 m high: from far above a level dark disc."""
+    """Adds a round trampoline, 3.4 m across and 0.75 m high: from far above a level dark disc."""
     origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
     pose = {"pos": origin}
     tint = ([0.16, 0.34, 0.66, 1], [0.20, 0.46, 0.24, 1])[int(builder.rng.integers(2))]
@@ -151,7 +151,7 @@ def add_trampoline(builder: SceneBuilder, xy_m: Array) -> None:
 def add_washing_line(
     builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, laundry: bool = True
 ) -> None:
-    """Two posts with two lines at 1.9 m, some laundry on one of them."""
+    """Adds two posts with two lines at 1.9 m, some laundry on one of them."""
     span = end_xy_m - start_xy_m
     across = np.array([-span[1], span[0]]) / float(np.hypot(*span))
     heading = float(np.arctan2(span[1], span[0]))
@@ -180,7 +180,7 @@ def add_washing_line(
 
 
 def add_table(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
-    """A garden table with four chairs."""
+    """Adds a garden table with four chairs."""
     parts = [box(np.array([0.75, 0.45, 0.025]), np.array([0.0, 0.0, 0.72]))]
     parts += [box(np.array([0.03, 0.03, 0.36]), np.array([sx * 0.66, sy * 0.38, 0.36]))
               for sx in (-1, 1) for sy in (-1, 1)]  # fmt: skip
@@ -225,7 +225,7 @@ def _tuft(foot: Array, wide: float, high: float) -> MeshData:
 
 
 def add_toys(builder: SceneBuilder, xy_m: Array) -> None:
-    """Toys left on the grass, 0.15 to 0.5 m high: a ball, a bucket, a tricycle."""
+    """Adds toys left on the grass, 0.15 to 0.5 m high: a ball, a bucket, a tricycle."""
     rng = builder.rng
     for _ in range(int(rng.integers(1, 3))):
         spot = xy_m + rng.normal(0.0, 0.8, 2)

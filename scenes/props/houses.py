@@ -57,8 +57,8 @@ class HouseLooks:
 
 
 def paint_house_looks(builder: SceneBuilder, roofs: list[NDArray[np.uint8]]) -> list[HouseLooks]:
-    """One set of looks per texture of a pitched roof (see `gable_roof_mesh` for its halves), walls
-    in turn."""
+    """Adds one set of looks per texture of a pitched roof (see `gable_roof_mesh` for its halves),
+    walls in turn."""
     rng = builder.rng
     order = rng.permutation(len(WALLS))
     looks = []
@@ -104,8 +104,8 @@ def add_house(builder: SceneBuilder, house: House, looks: HouseLooks | None = No
 
 
 def wall_mesh(size_m: tuple[float, float, float], ridge_m: float) -> MeshData:
-    """Four walls, whole window bays around, from 0.6 m below the ground; gables where the roof is
-    pitched."""
+    """Returns four walls, whole window bays around, from 0.6 m below the ground, with gables below
+    pitched roofs."""
     length, width, height = size_m
     x, y, low = 0.5 * length, 0.5 * width, -0.6
     storeys = max(1, round(height / STOREY_M))
@@ -132,8 +132,8 @@ def wall_mesh(size_m: tuple[float, float, float], ridge_m: float) -> MeshData:
 
 
 def gable_roof_mesh(length: float, width: float, ridge_m: float, eaves_m: float) -> MeshData:
-    """Two slopes with a thickness of 0.16 m that reach ``eaves_m`` over the walls; the texture's
-    upper half is one slope, the lower half the other, ridge at the top of each."""
+    """Returns two slopes with a thickness of 0.16 m that reach ``eaves_m`` over the walls; the
+    texture's upper half is one slope, the lower half the other, ridge at the top of each."""
     x = 0.5 * length + eaves_m
     drop = eaves_m * ridge_m / (0.5 * width)
     y, low, thick = 0.5 * width + eaves_m, -drop, 0.16
@@ -157,8 +157,8 @@ def gable_roof_mesh(length: float, width: float, ridge_m: float, eaves_m: float)
 
 
 def hip_roof_mesh(length: float, width: float, ridge_m: float, eaves_m: float) -> MeshData:
-    """Four slopes over a rectangle that is longer than wide, mapped as `gable_roof_mesh` maps its
-    two; the hips' ends use a corner of the texture's upper half."""
+    """Returns four slopes over a rectangle that is longer than wide, mapped as `gable_roof_mesh`
+    maps its two; the hips' ends use a corner of the texture's upper half."""
     drop = eaves_m * ridge_m / (0.5 * width)
     x, y, low = 0.5 * length + eaves_m, 0.5 * width + eaves_m, -drop
     reach = max(x - y, 0.3)
@@ -215,7 +215,7 @@ def _add_pitched_roof(
 
 
 def _add_skylights(rng: np.random.Generator, image: NDArray[np.uint8], half_px: int) -> None:
-    """Roof windows, or solar panels on one slope, painted into the roof's texture."""
+    """Adds roof windows, or solar panels on one slope, painted into the roof's texture."""
     width = image.shape[1]
     if rng.random() < 0.45:
         top, left = int(0.22 * half_px), int(rng.uniform(0.12, 0.3) * width)

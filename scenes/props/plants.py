@@ -54,7 +54,7 @@ def plant_nursery(builder: SceneBuilder) -> Nursery:
 
 
 def add_tree(builder: SceneBuilder, nursery: Nursery, xy_m: Array, size: float) -> None:
-    """A broad-leaved tree; ``size`` 1 is about 6 m high with a crown of 4 m."""
+    """Adds a broad-leaved tree; ``size`` 1 is about 6 m high with a crown of 4 m."""
     rng = builder.rng
     z = builder.terrain.point(*xy_m)
     trunk_m = 1.9 * size
@@ -78,7 +78,7 @@ def add_tree(builder: SceneBuilder, nursery: Nursery, xy_m: Array, size: float) 
 
 
 def add_small_tree(builder: SceneBuilder, nursery: Nursery, xy_m: Array, size: float) -> None:
-    """A fruit tree of two lumps; ``size`` 1 is about 3.5 m high."""
+    """Adds a fruit tree of two lumps; ``size`` 1 is about 3.5 m high."""
     rng = builder.rng
     z = builder.terrain.point(*xy_m)
     builder.geom(
@@ -96,7 +96,7 @@ def add_small_tree(builder: SceneBuilder, nursery: Nursery, xy_m: Array, size: f
 
 
 def add_bush(builder: SceneBuilder, nursery: Nursery, xy_m: Array) -> None:
-    """A round bush of 0.7 to 1.3 m."""
+    """Adds a round bush of 0.7 to 1.3 m."""
     rng = builder.rng
     half = rng.uniform(0.45, 0.8) * np.array([1.0, rng.uniform(0.8, 1.2), 0.85])
     mesh = builder.mesh(builder.unique("bush"), blob(rng, half, 2.3, 0.10, 8, 1.2))
@@ -110,7 +110,7 @@ def add_bush(builder: SceneBuilder, nursery: Nursery, xy_m: Array) -> None:
 def add_hedge(
     builder: SceneBuilder, nursery: Nursery, start_xy_m: Array, end_xy_m: Array, height_m: float
 ) -> None:
-    """A clipped hedge along a segment."""
+    """Adds a clipped hedge along a segment."""
     rng = builder.rng
     span = end_xy_m - start_xy_m
     half = np.array([0.5 * np.hypot(*span), 0.38, 0.5 * height_m + 0.25])
@@ -133,7 +133,7 @@ def add_hedge(
 
 
 def add_rock(builder: SceneBuilder, xy_m: Array, radius_m: float) -> None:
-    """A boulder, a third of it in the ground."""
+    """Adds a boulder, a third of it in the ground."""
     rng = builder.rng
     half = radius_m * rng.uniform([0.9, 0.7, 0.55], [1.3, 1.0, 0.85])
     mesh = builder.mesh(builder.unique("rock"), blob(rng, half, 2.6, 0.12, 6, 1.0))

@@ -26,7 +26,7 @@ def _frame(heading: float) -> tuple[Array, Array]:
 
 
 def add_swing(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
-    """Two swings under a bar between two A-frames of thin tube."""
+    """Adds two swings under a bar between two A-frames of thin tube."""
     along, left = _frame(heading)
     foot = np.array([*xy_m, builder.terrain.point(*xy_m)])
     up = np.array([0.0, 0.0, 2.3])
@@ -46,7 +46,7 @@ def add_swing(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
 
 
 def add_play_slide(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
-    """A small tower with a roof and a slide along ``heading``."""
+    """Adds a small tower with a roof and a slide along ``heading``."""
     along, _ = _frame(heading)
     deck = [box(np.array([0.6, 0.6, 0.05]), np.array([-1.4, 0.0, 1.4]))]
     for sx in (-0.55, 0.55):
@@ -76,7 +76,7 @@ def add_play_slide(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
 
 
 def add_climbing_dome(builder: SceneBuilder, xy_m: Array) -> None:
-    """Three hoops of thin rope tube over the middle."""
+    """Adds three hoops of thin rope tube over the middle."""
     z = builder.terrain.point(*xy_m)
     for turn in np.arange(0.0, 3.0, np.pi / 3.0):
         out = np.array([np.cos(turn), np.sin(turn), 0.0])
@@ -92,7 +92,7 @@ def add_climbing_dome(builder: SceneBuilder, xy_m: Array) -> None:
 def add_goal(
     builder: SceneBuilder, xy_m: Array, heading: float, width_m: float, height_m: float
 ) -> None:
-    """A goal of white tube that opens along ``heading``; its net lets most pulses through."""
+    """Adds a goal of white tube that opens along ``heading``; its net lets most pulses through."""
     along, left = _frame(heading)
     foot = np.array([*xy_m, builder.terrain.point(*xy_m)])
     up, white = np.array([0.0, 0.0, height_m]), [0.94, 0.94, 0.93, 1]
@@ -117,7 +117,7 @@ def add_goal(
 def add_net(
     builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, band_m: tuple[float, float]
 ) -> None:
-    """A net between two posts from ``band_m[0]`` to ``band_m[1]`` above the ground."""
+    """Adds a net between two posts from ``band_m[0]`` to ``band_m[1]`` above the ground."""
     span = end_xy_m - start_xy_m
     low, high = band_m
     middle = 0.5 * (start_xy_m + end_xy_m)
@@ -139,7 +139,7 @@ def add_net(
 def add_slackline(
     builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, height_m: float
 ) -> None:
-    """A webbing of 5 cm between two stakes over the lawn."""
+    """Adds a webbing of 5 cm between two stakes over the lawn."""
     tops = []
     for end in (start_xy_m, end_xy_m):
         add_post(builder, end, height_m + 0.15, 0.05, [0.45, 0.36, 0.26, 1])
@@ -148,7 +148,7 @@ def add_slackline(
 
 
 def add_flag(builder: SceneBuilder, xy_m: Array, height_m: float, rgba: list[float]) -> None:
-    """A flagpole of 8 cm with a limp flag."""
+    """Adds a flagpole of 8 cm with a limp flag."""
     z = builder.terrain.point(*xy_m)
     add_post(builder, xy_m, height_m, 0.04, [0.90, 0.90, 0.90, 1])
     builder.geom("flag", CLOTH, type=GEOM.mjGEOM_BOX, size=[0.4, 0.01, 0.6], rgba=rgba,
@@ -158,7 +158,7 @@ def add_flag(builder: SceneBuilder, xy_m: Array, height_m: float, rgba: list[flo
 
 def add_towel(builder: SceneBuilder, xy_m: Array, size_m: tuple[float, float], heading: float,
               rgba: list[float]) -> None:  # fmt: skip
-    """A thin cloth on the ground (a towel, a blanket)."""
+    """Adds a thin cloth on the ground (a towel, a blanket)."""
     half = [0.5 * size_m[0], 0.5 * size_m[1], 0.015]
     c, s = np.cos(heading), np.sin(heading)
     corners = np.array([[sx * half[0], sy * half[1]] for sx in (-1, 1) for sy in (-1, 1)])

@@ -68,7 +68,7 @@ def kidney_outline(rng: np.random.Generator, u: float, v: float, radius: float) 
 
 
 def add_pool(builder: SceneBuilder, pool: Pool) -> None:
-    """Water nearly flush with a stone coping. The ground below is taken as level."""
+    """Adds water nearly flush with a stone coping. The ground below is taken as level."""
     middle = pool.outline_m.mean(axis=0)
     where = pool.lot.points(middle)
     z = float(builder.terrain.at(pool.lot.points(pool.outline_m)).max())
@@ -145,7 +145,7 @@ def _ring(outline: Array, width: float, high: float) -> MeshData:
 
 
 def _basin_texture(rng: np.random.Generator, pool: Pool) -> Image:
-    """Tiles seen through clear water: deeper along u, bright caustics, lane lines."""
+    """Returns tiles seen through clear water: deeper along u, bright caustics, lane lines."""
     low, high = pool.box_m
     width, height = (max(32, round(float(s) * BASIN_PX_PER_M)) for s in high - low)
     rows, cols = np.mgrid[0:height, 0:width].astype(np.float32)
@@ -188,7 +188,7 @@ def _basin_texture(rng: np.random.Generator, pool: Pool) -> Image:
 
 
 def _cover_texture(rng: np.random.Generator, pool: Pool) -> Image:
-    """A grey-green tarpaulin with eyelets, seams and puddles."""
+    """Returns a grey-green tarpaulin with eyelets, seams and puddles."""
     low, high = pool.box_m
     width, height = (max(32, round(float(s) * BASIN_PX_PER_M)) for s in high - low)
     tone = 1.0 + 0.10 * fractal_noise(rng, (height, width), 1.5 * BASIN_PX_PER_M, 4)
@@ -201,7 +201,8 @@ def _cover_texture(rng: np.random.Generator, pool: Pool) -> Image:
 
 
 def lounger_mesh() -> MeshData:
-    """A sun lounger along x with its back up; its upper faces are mapped to a towel's texture."""
+    """Returns a sun lounger along x with its back up; its upper faces are mapped to a towel's
+    texture."""
     parts = []
     steps = ((-0.95, 0.30), (0.35, 0.30), (0.95, 0.62))
     for first, second in pairwise(steps):
@@ -232,7 +233,7 @@ def add_lounger_models(builder: SceneBuilder, count: int) -> list[tuple[str, str
 
 
 def add_lounger(builder: SceneBuilder, model: tuple[str, str], xy_m: Array, heading: float) -> None:
-    """One sun lounger; its head end points along ``heading``."""
+    """Adds one sun lounger; its head end points along ``heading``."""
     origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
     builder.geom("lounger", WOOD, type=GEOM.mjGEOM_MESH, meshname=model[0], material=model[1],
                  pos=origin, quat=quat_z(heading))  # fmt: skip
@@ -266,7 +267,7 @@ def add_umbrella_models(builder: SceneBuilder, count: int) -> list[tuple[str, st
 
 
 def add_umbrella(builder: SceneBuilder, model: tuple[str, str], xy_m: Array) -> None:
-    """A sunshade on a thin pole."""
+    """Adds a sunshade on a thin pole."""
     z = builder.terrain.point(*xy_m)
     add_post(builder, xy_m, 2.3, 0.025, [0.86, 0.86, 0.84, 1])
     heading = float(builder.rng.uniform(0.0, 0.8))
@@ -281,7 +282,7 @@ def add_umbrella(builder: SceneBuilder, model: tuple[str, str], xy_m: Array) -> 
 
 
 def add_guard_chair(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
-    """A life guard's high chair."""
+    """Adds a life guard's high chair."""
     parts = [
         box(np.array([0.35, 0.35, 0.04]), np.array([0.0, 0.0, 1.6])),
         box(np.array([0.04, 0.35, 0.35]), np.array([-0.32, 0.0, 1.95])),
@@ -295,7 +296,7 @@ def add_guard_chair(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
 
 
 def add_water_slide(builder: SceneBuilder, foot_xy_m: Array, heading: float) -> None:
-    """A tower with a straight chute that ends at ``foot_xy_m``, coming from ``-heading``."""
+    """Adds a tower with a straight chute that ends at ``foot_xy_m``, coming from ``-heading``."""
     back = -np.array([np.cos(heading), np.sin(heading)])
     z = builder.terrain.point(*foot_xy_m)
     tint = [0.20, 0.46, 0.74, 1] if builder.rng.random() < 0.5 else [0.90, 0.70, 0.16, 1]
@@ -332,7 +333,7 @@ def add_water_slide(builder: SceneBuilder, foot_xy_m: Array, heading: float) -> 
 
 
 def add_whirlpool(builder: SceneBuilder, xy_m: Array) -> None:
-    """A round raised tub, 0.5 m high, full to the brim."""
+    """Adds a round raised tub, 0.5 m high, full to the brim."""
     z = builder.terrain.point(*xy_m)
     for stem, radius, low, high, tint, surface in (
         ("tub", 1.6, -0.2, 0.50, [0.74, 0.71, 0.66, 1], KERB),

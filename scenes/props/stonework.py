@@ -79,8 +79,8 @@ def rubble_material(builder: SceneBuilder) -> str:
 
 
 def add_stone_wall(builder: SceneBuilder, line_m: Array, height_m: float) -> None:
-    """A dry-stone wall along a polyline, (N, 2), one mesh for each straight piece, with a ragged
-    top that follows the ground."""
+    """Adds a dry-stone wall along a polyline, (N, 2), one mesh for each straight piece, with a
+    ragged top that follows the ground."""
     rng = builder.rng
     material = rubble_material(builder)
     for start, end in pairwise(line_m):
@@ -109,7 +109,7 @@ def add_stone_wall(builder: SceneBuilder, line_m: Array, height_m: float) -> Non
 
 
 def _wall_parts(x: Array, low: Array, top: Array) -> list[MeshData]:
-    """Both faces (leaning in by a tenth), the top and the ends of a wall along x."""
+    """Returns both faces (leaning in by a tenth), the top and the ends of a wall along x."""
     foot, crown = 0.5 * WALL_WIDTH_M, 0.4 * WALL_WIDTH_M
     parts = []
     for i, j in pairwise(range(len(x))):
@@ -135,7 +135,7 @@ def _wall_parts(x: Array, low: Array, top: Array) -> list[MeshData]:
 
 
 def add_well(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
-    """A round well of rubble under a small roof on two posts."""
+    """Adds a round well of rubble under a small roof on two posts."""
     z = builder.terrain.point(*xy_m)
     mesh = builder.mesh(builder.unique("well"), drum(0.75, -0.3, 0.8, 16))
     builder.geom("building_well", STONE, type=GEOM.mjGEOM_MESH, meshname=mesh, pos=[*xy_m, z],
@@ -152,7 +152,7 @@ def add_well(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
 
 
 def add_log_pile(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
-    """Split logs stacked 1.1 m high between two stakes."""
+    """Adds split logs stacked 1.1 m high between two stakes."""
     parts = [box(np.array([1.3, 0.4, 0.5]), np.array([0.0, 0.0, 0.45]))]
     parts += [box(np.array([0.05, 0.3, 0.65]), np.array([x, 0.0, 0.6])) for x in (-1.38, 1.38)]
     place_mesh(builder, "logs", WOOD, parts, xy_m, heading, material=plank_material(builder),
@@ -161,7 +161,7 @@ def add_log_pile(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
 
 
 def add_cart(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
-    """A two-wheeled hay cart, tipped on its shafts."""
+    """Adds a two-wheeled hay cart, tipped on its shafts."""
     parts = [box(np.array([1.2, 0.7, 0.05]), np.array([0.0, 0.0, 0.75])),
              box(np.array([1.2, 0.03, 0.25]), np.array([0.0, 0.7, 1.0])),
              box(np.array([1.2, 0.03, 0.25]), np.array([0.0, -0.7, 1.0]))]  # fmt: skip
@@ -176,7 +176,7 @@ def add_cart(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
 
 
 def add_sheep_models(builder: SceneBuilder) -> str:
-    """The mesh of a sheep."""
+    """Adds the mesh of a sheep."""
     rng = builder.rng
     body = blob(rng, np.array([0.52, 0.27, 0.30]), 2.6, 0.05, 7, 1.0)
     head = blob(rng, np.array([0.20, 0.11, 0.13]), 2.2, 0.02, 4, 1.0)
@@ -187,7 +187,7 @@ def add_sheep_models(builder: SceneBuilder) -> str:
 
 
 def add_sheep(builder: SceneBuilder, mesh: str, xy_m: Array, heading: float) -> None:
-    """A sheep that grazes on the spot."""
+    """Adds a sheep that grazes on the spot."""
     at = np.array([*xy_m, builder.terrain.point(*xy_m)])
     wool = builder.rng.uniform(0.80, 0.93)
     builder.geom("sheep", FLEECE, type=GEOM.mjGEOM_MESH, meshname=mesh, pos=at,
@@ -200,7 +200,7 @@ def add_sheep(builder: SceneBuilder, mesh: str, xy_m: Array, heading: float) -> 
 
 
 def add_electric_fence(builder: SceneBuilder, line_m: Array, height_m: float) -> None:
-    """Thin stakes, (N, 2), and one wire from each to the next."""
+    """Adds thin stakes, (N, 2), and one wire from each to the next."""
     tops = []
     for spot in line_m:
         add_post(builder, spot, height_m + 0.08, 0.014, [0.90, 0.90, 0.88, 1])

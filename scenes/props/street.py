@@ -19,7 +19,7 @@ _WOOD_RGBA = [0.50, 0.38, 0.26, 1.0]
 
 
 def add_lamp(builder: SceneBuilder, xy_m: Array, heading: float, height_m: float = 6.5) -> None:
-    """A street lamp whose arm points along ``heading``."""
+    """Adds a street lamp whose arm points along ``heading``."""
     z = builder.terrain.point(*xy_m)
     arm = np.array([np.cos(heading), np.sin(heading)]) * 1.5
     tip = xy_m + arm
@@ -47,7 +47,7 @@ def add_lamp(builder: SceneBuilder, xy_m: Array, heading: float, height_m: float
 
 
 def add_sign(builder: SceneBuilder, xy_m: Array, heading: float, rgba: list[float]) -> None:
-    """A round road sign that faces ``heading``."""
+    """Adds a round road sign that faces ``heading``."""
     z = builder.terrain.point(*xy_m)
     builder.geom(
         "sign_pole", STEEL, type=GEOM.mjGEOM_CYLINDER, rgba=_STEEL_RGBA,
@@ -64,7 +64,7 @@ def add_sign(builder: SceneBuilder, xy_m: Array, heading: float, rgba: list[floa
 
 
 def add_bench(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
-    """A bench with a back; its sitter looks along ``heading``."""
+    """Adds a bench with a back; its sitter looks along ``heading``."""
     z = builder.terrain.point(*xy_m)
     parts = [
         box(np.array([0.24, 0.85, 0.03]), np.array([0.0, 0.0, 0.45])),
@@ -84,7 +84,7 @@ def add_bench(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
 
 
 def add_bin(builder: SceneBuilder, xy_m: Array, rgba: list[float]) -> None:
-    """A wheeled bin or a litter bin."""
+    """Adds a wheeled bin or a litter bin."""
     z = builder.terrain.point(*xy_m)
     at = np.array([*xy_m, z + 0.5])
     builder.geom("bin", STEEL, type=GEOM.mjGEOM_BOX, rgba=rgba, pos=at, size=[0.28, 0.33, 0.52])
@@ -94,7 +94,7 @@ def add_bin(builder: SceneBuilder, xy_m: Array, rgba: list[float]) -> None:
 
 
 def add_fence(builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, rgba: list[float]) -> None:
-    """Posts every 2 m, three boards and a cap rail, following the ground in panels."""
+    """Adds posts every 2 m, three boards and a cap rail, following the ground in panels."""
     span = end_xy_m - start_xy_m
     length = float(np.hypot(*span))
     panels = max(1, round(length / 2.0))
@@ -130,7 +130,7 @@ def add_fence(builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, rgba: l
 
 
 def add_kerb(builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, top_m: float) -> None:
-    """A row of kerb stones, 0.16 m wide, from below the road to ``top_m`` (world height)."""
+    """Adds a row of kerb stones, 0.16 m wide, from below the road to ``top_m`` (world height)."""
     span = end_xy_m - start_xy_m
     middle = 0.5 * (start_xy_m + end_xy_m)
     builder.geom(

@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 
 
 def conifer_mesh(rng: np.random.Generator, height_m: float, radius_m: float) -> MeshData:
-    """Whorls of drooping branches, each a ragged cone over the next; the foot is at z = 0. Texture:
-    around the trunk and from it outwards."""
+    """Returns whorls of drooping branches, each a ragged cone over the next; the foot is at z = 0.
+    Texture: around the trunk and from it outwards."""
     whorls = 4 if height_m < 4.0 else 6
     spikes = 7 if height_m < 4.0 else 9
     parts = []
@@ -79,8 +79,8 @@ def joined(parts: list[MeshData]) -> MeshData:
 def canopy_mesh(
     rng: np.random.Generator, half: Array, rings: int, metres_per_uv: float
 ) -> MeshData:
-    """A crown like a cauliflower: seen from its middle, the farthest wall of a dozen balls that lie
-    around it. half: (3,) half axes in metres."""
+    """Returns a crown like a cauliflower: seen from its middle, the farthest wall of a dozen balls
+    that lie around it. half: (3,) half axes in metres."""
     theta, phi = np.meshgrid(
         np.linspace(0.0, np.pi, rings + 1), np.linspace(0.0, 2.0 * np.pi, 2 * rings + 1),
         indexing="ij",

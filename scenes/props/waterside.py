@@ -59,7 +59,7 @@ def reed_texture(rng: np.random.Generator, foot: Colour, head: Colour) -> Image:
 
 
 def tuft_mesh(rng: np.random.Generator, radius_m: float, height_m: float) -> MeshData:
-    """A dense core with stalks that lean outwards; the foot is at z = 0."""
+    """Returns a dense core with stalks that lean outwards; the foot is at z = 0."""
     half = np.array([0.50 * radius_m, 0.50 * radius_m, 0.33 * height_m])
     core = blob(rng, half, 2.2, 0.22, 6, 1.0)
     points = core.vertices + [0.0, 0.0, 0.30 * height_m]
@@ -82,7 +82,7 @@ def tuft_mesh(rng: np.random.Generator, radius_m: float, height_m: float) -> Mes
 
 
 def add_reeds(builder: SceneBuilder, bed: ReedBed, xy_m: Array) -> None:
-    """One tuft, its foot on the ground or in the water."""
+    """Adds one tuft, its foot on the ground or in the water."""
     rng = builder.rng
     mesh, radius, height = bed.tufts[int(rng.integers(len(bed.tufts)))]
     at = np.array([*xy_m, builder.terrain.point(*xy_m) - 0.12])
@@ -137,7 +137,7 @@ class Deck:
 
 
 def add_deck(builder: SceneBuilder, deck: Deck, image: Image, surface: Surface = DECK) -> None:
-    """The platform with ``image`` on top."""
+    """Adds the platform with ``image`` on top."""
     name = builder.unique("deck")
     x, y = 0.5 * deck.size_m[0], 0.5 * deck.size_m[1]
     top = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
@@ -155,7 +155,7 @@ def add_deck(builder: SceneBuilder, deck: Deck, image: Image, surface: Surface =
 
 
 def add_pile(builder: SceneBuilder, xy_m: Array, top_m: float, radius_m: float = 0.09) -> None:
-    """A pile from the ground to the world height ``top_m``."""
+    """Adds a pile from the ground to the world height ``top_m``."""
     z = builder.terrain.point(*xy_m)
     grey = builder.rng.uniform(0.30, 0.42)
     builder.geom("pile", PILE, type=GEOM.mjGEOM_CYLINDER, size=[radius_m, 0, 0],
@@ -167,7 +167,7 @@ def add_pile(builder: SceneBuilder, xy_m: Array, top_m: float, radius_m: float =
 
 
 def add_net(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
-    """A volleyball net of 9.5 m between two posts."""
+    """Adds a volleyball net of 9.5 m between two posts."""
     across = np.array([-np.sin(heading), np.cos(heading)])
     ends = [xy_m + side * 4.75 * across for side in (-1.0, 1.0)]
     z = float(np.mean([builder.terrain.point(*end) for end in ends]))
@@ -184,7 +184,7 @@ def add_net(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
 
 
 def add_molehill(builder: SceneBuilder, xy_m: Array) -> None:
-    """A mound of earth too small to be seen from high up and too high to land on."""
+    """Adds a mound of earth too small to be seen from high up and too high to land on."""
     rng = builder.rng
     half = rng.uniform([0.22, 0.22, 0.14], [0.36, 0.36, 0.24])
     at = np.array([*xy_m, builder.terrain.point(*xy_m)])

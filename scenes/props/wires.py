@@ -21,7 +21,7 @@ _TIMBER = [0.36, 0.29, 0.22, 1.0]
 def add_post(
     builder: SceneBuilder, xy_m: Array, height_m: float, radius_m: float, rgba: list[float]
 ) -> None:
-    """An upright post that stands 0.3 m in the ground."""
+    """Adds an upright post that stands 0.3 m in the ground."""
     z = builder.terrain.point(*xy_m)
     builder.geom(
         "post", STEEL, type=GEOM.mjGEOM_CYLINDER, size=[radius_m, 0, 0], rgba=rgba,
@@ -33,7 +33,7 @@ def add_post(
 def add_wire(
     builder: SceneBuilder, start_m: Array, end_m: Array, radius_m: float, rgba: list[float]
 ) -> None:
-    """A straight bar or wire between two world points (3,)."""
+    """Adds a straight bar or wire between two world points (3,)."""
     builder.geom(
         "wire", WIRE, type=GEOM.mjGEOM_CAPSULE, size=[radius_m, 0, 0], rgba=rgba,
         fromto=[*start_m, *end_m],
@@ -51,7 +51,7 @@ def _cast_bar(builder: SceneBuilder, start_m: Array, end_m: Array, radius_m: flo
 def add_sagging_wire(
     builder: SceneBuilder, start_m: Array, end_m: Array, sag_m: float, pieces: int = 2
 ) -> None:
-    """A hanging cable (a parabola) as straight pieces."""
+    """Adds a hanging cable (a parabola) as straight pieces."""
     share = np.linspace(0.0, 1.0, pieces + 1)[:, None]
     points = start_m + share * (end_m - start_m)
     points[:, 2] -= 4.0 * sag_m * (share * (1.0 - share))[:, 0]
@@ -62,7 +62,8 @@ def add_sagging_wire(
 def add_pole(
     builder: SceneBuilder, xy_m: Array, heading: float, height_m: float
 ) -> tuple[Array, Array]:
-    """A timber pole whose crossarm lies square to ``heading``. Returns both insulators, (3,)."""
+    """Adds a timber pole whose crossarm lies square to ``heading``. Returns both insulators,
+    (3,)."""
     z = builder.terrain.point(*xy_m)
     top = np.array([*xy_m, z + height_m])
     builder.geom(
@@ -84,7 +85,8 @@ def add_pole(
 def add_line(
     builder: SceneBuilder, spots_xy_m: list[Array], height_m: float, sag_m: float
 ) -> list[Array]:
-    """Poles at ``spots_xy_m`` with two cables between neighbours. Returns the poles' tops, (3,)."""
+    """Adds poles at ``spots_xy_m`` with two cables between neighbours. Returns the poles' tops,
+    (3,)."""
     tops = []
     previous: tuple[Array, Array] | None = None
     for index, spot in enumerate(spots_xy_m):

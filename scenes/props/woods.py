@@ -122,7 +122,7 @@ def _add_trunk(builder: SceneBuilder, mesh: str, material: str, foot: Array) -> 
 
 
 def add_conifer(builder: SceneBuilder, wood: Wood, xy_m: Array, crown: Crown, needles: str) -> None:
-    """A spruce or pine: trunk and crown."""
+    """Adds a spruce or pine: trunk and crown."""
     rng = builder.rng
     z = builder.terrain.point(*xy_m)
     foot = np.array([*xy_m, z])
@@ -131,7 +131,7 @@ def add_conifer(builder: SceneBuilder, wood: Wood, xy_m: Array, crown: Crown, ne
 
 
 def add_sapling(builder: SceneBuilder, wood: Wood, xy_m: Array) -> None:
-    """A young conifer, branched down to the ground."""
+    """Adds a young conifer, branched down to the ground."""
     rng = builder.rng
     crown = wood.saplings[int(rng.integers(len(wood.saplings)))]
     needles = wood.needles[int(rng.integers(len(wood.needles)))]
@@ -157,8 +157,7 @@ def _add_cone(
 def add_broadleaf(
     builder: SceneBuilder, wood: Wood, xy_m: Array, crown: Crown, leaf: str, trunk_m: float
 ) -> None:
-    """An oak, beech or birch; ``trunk_m``: bare trunk below the crown, one of
-    `TRUNKS_M`."""
+    """Adds an oak, beech or birch; ``trunk_m``: bare trunk below the crown, one of `TRUNKS_M`."""
     rng = builder.rng
     z = builder.terrain.point(*xy_m)
     material = wood.birch if rng.random() < 0.25 else wood.bark
@@ -174,7 +173,7 @@ def add_broadleaf(
 
 
 def add_shrub(builder: SceneBuilder, wood: Wood, xy_m: Array) -> None:
-    """Undergrowth: hazel, bramble, juniper."""
+    """Adds undergrowth: hazel, bramble, juniper."""
     rng = builder.rng
     crown = wood.shrubs[int(rng.integers(len(wood.shrubs)))]
     leaf = wood.leaves[int(rng.integers(len(wood.leaves)))]
@@ -203,7 +202,7 @@ def add_stump(builder: SceneBuilder, wood: Wood, xy_m: Array) -> None:
 def add_log(
     builder: SceneBuilder, wood: Wood, start_xy_m: Array, end_xy_m: Array, radius_m: float
 ) -> None:
-    """A trunk on the ground; it rests on its ends and on high ground between them."""
+    """Adds a trunk on the ground; it rests on its ends and on high ground between them."""
     rng = builder.rng
     span = end_xy_m - start_xy_m
     length = float(np.hypot(*span))

@@ -55,7 +55,7 @@ class Croft:
 
 
 def draw_croft(rng: np.random.Generator, lot: Lot, clutter: str) -> Croft:
-    """A long low cottage and a shorter wing at a right angle."""
+    """Returns a long low cottage and a shorter wing at a right angle."""
     left = bool(rng.random() < 0.5)
     length, width = rng.uniform(10.0, 12.5), rng.uniform(5.8, 6.6)
     wing_u = 3.4 if left else WIDTH_M - 3.4
@@ -76,7 +76,7 @@ def draw_croft(rng: np.random.Generator, lot: Lot, clutter: str) -> Croft:
 
 
 def paint_croft(canvas: Canvas, croft: Croft) -> None:
-    """Cobbled yard, kitchen garden, lawn."""
+    """Paints cobbled yard, kitchen garden, lawn."""
     lot = croft.lot
     canvas.fill(lot.rectangle((0.4, WIDTH_M - 0.4), (0.4, YARD_V)), Ground.LAWN)
     inner = (4.6, WIDTH_M - 1.6) if croft.wing_u < 8.0 else (1.6, WIDTH_M - 4.6)

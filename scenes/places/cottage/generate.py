@@ -69,7 +69,7 @@ def generate(seed: int) -> SceneDraft:
 
 
 def draw_crofts(rng: np.random.Generator, plan: Plan) -> list[Croft]:
-    """Three crofts above the lane, two below it on the side away from the take-off spot."""
+    """Returns three crofts above the lane, two below it on the side away from the take-off spot."""
     local = plan.frame.coordinates(plan.lane.line_m)
     spots = [(u + rng.uniform(-2.5, 2.5), 1.0) for u in (-36.0, -8.0, 20.0)]
     spots += [(u + rng.uniform(-1.5, 1.5), -1.0) for u in (20.0, 46.0)]
@@ -113,7 +113,7 @@ def place_objects(builder: SceneBuilder, plan: Plan, crofts: list[Croft]) -> Non
 
 
 def wall_the_lane(builder: SceneBuilder, plan: Plan, crofts: list[Croft]) -> None:
-    """Dry-stone walls beside the lane between the crofts, with field gates."""
+    """Adds dry-stone walls beside the lane between the crofts, with field gates."""
     rng, lane = builder.rng, plan.lane
     for side in (1.0, -1.0):
         across = side * (0.5 * lane.width_m + 1.1)
@@ -132,7 +132,7 @@ def wall_the_lane(builder: SceneBuilder, plan: Plan, crofts: list[Croft]) -> Non
 
 
 def hang_laundry(builder: SceneBuilder, plan: Plan) -> None:
-    """A line across half of the drying green, without laundry: hard to see from above."""
+    """Adds a line across half of the drying green, without laundry: hard to see from above."""
     rng = builder.rng
     u, v = plan.lawn_uv
     side = 2.1 if rng.random() < 0.5 else -2.1
@@ -141,7 +141,7 @@ def hang_laundry(builder: SceneBuilder, plan: Plan) -> None:
 
 
 def graze_meadow(builder: SceneBuilder, plan: Plan) -> None:
-    """Sheep behind an electric fence below the take-off spot, rocks on the hill."""
+    """Adds sheep behind an electric fence below the take-off spot, rocks on the hill."""
     rng, frame = builder.rng, plan.frame
     u = np.arange(-58.0, 12.0, 6.0)
     fence_v = -33.0 + rng.uniform(-1.0, 1.0) + 0.8 * np.sin(0.1 * u)
@@ -156,7 +156,7 @@ def graze_meadow(builder: SceneBuilder, plan: Plan) -> None:
 
 
 def plant_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
-    """An orchard in rows, oaks on the hill, bushes."""
+    """Adds an orchard in rows, oaks on the hill, bushes."""
     rng, frame = builder.rng, plan.frame
     first = rng.uniform(-58.0, -54.0)
     for u in np.arange(first, -38.0, 6.0):
@@ -176,7 +176,8 @@ def plant_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
 def wire_and_park(
     builder: SceneBuilder, plan: Plan, models: list[tuple[str, str, CarShape]]
 ) -> None:
-    """A line of poles beside the lane, a bench, a sign, and a car that blocks half the lane."""
+    """Adds a line of poles beside the lane, a bench, a sign, and a car that blocks half the
+    lane."""
     rng, lane = builder.rng, plan.lane
     side = 0.5 * lane.width_m + 0.55
     spots = [lane.point(along, side) for along in np.arange(24.0, lane.length_m - 22.0, 29.0)]
@@ -192,7 +193,7 @@ def wire_and_park(
 
 
 def paint_ground(rng: np.random.Generator, plan: Plan, crofts: list[Croft], ditch: Ditch) -> Canvas:
-    """Meadow, orchard, crofts, and the lane with its wheel tracks and grassy edges."""
+    """Paints meadow, orchard, crofts, and the lane with its wheel tracks and grassy edges."""
     canvas = Canvas(half_m=HALF_M)
     frame, lane = plan.frame, plan.lane
     u = np.arange(-100.0, 101.0, 2.0)

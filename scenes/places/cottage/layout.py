@@ -47,7 +47,7 @@ class Plan:
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
-    """A lane with bends along the contour."""
+    """Returns a lane with bends along the contour."""
     angle = 0.5 * np.pi * int(rng.integers(4)) + rng.uniform(-0.06, 0.06)
     frame = Lot(origin_xy_m=rng.uniform(-1.0, 1.0, 2), angle=angle)
     level, bend = rng.uniform(1.0, 4.0), rng.uniform(-4.5, 4.5, 5)
@@ -80,7 +80,8 @@ def hillside(plan: Plan, xy_m: Array) -> Array:
 def shape_ground(
     rng: np.random.Generator, plan: Plan, pads: list[Pad], ditches: list[Ditch]
 ) -> HeightField:
-    """Hillside, terraces, and the lane as a bench along it; the take-off spot is at height 0."""
+    """Returns hillside, terraces, and the lane as a bench along it; the take-off spot is at height
+    0."""
     terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
     xy = np.stack(terrain.node_grid(), axis=-1)
     heights = terrain.heights_m + hillside(plan, xy) + _LIFT_M

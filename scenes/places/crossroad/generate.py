@@ -42,7 +42,8 @@ def generate(seed: int) -> SceneDraft:
 
 
 def draw_themes(rng: np.random.Generator, plan: Plan) -> list[Theme]:
-    """The green in the south-west; houses, a shop and a farm on the other plots in any order."""
+    """Returns the green in the south-west; houses, a shop and a farm on the other plots in any
+    order."""
     kinds: list[Callable[[Plot, np.random.Generator], Theme]] = [Homes, Shop, Farm]
     order = rng.permutation(3)
     themes: list[Theme] = [Common(Plot(plan=plan, signs=QUADRANTS["SW"]), rng)]
@@ -86,7 +87,7 @@ def place_objects(builder: SceneBuilder, plan: Plan, themes: list[Theme]) -> tup
 
 
 def scatter_edge_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
-    """Single trees on the outskirts, where the plots end."""
+    """Adds single trees on the outskirts, where the plots end."""
     rng = builder.rng
     for _ in range(14):
         angle = rng.uniform(0.0, 2.0 * np.pi)
@@ -97,7 +98,7 @@ def scatter_edge_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> N
 
 
 def paint_ground(rng: np.random.Generator, plan: Plan, themes: list[Theme]) -> Canvas:
-    """Materials, markings and stains: plots first, roads over them."""
+    """Paints materials, markings and stains: plots first, roads over them."""
     canvas = Canvas(half_m=HALF_M)
     for theme in themes:
         theme.paint(canvas)

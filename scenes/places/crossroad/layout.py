@@ -92,7 +92,7 @@ class Plan:
         )
 
     def corner_outline(self, signs: tuple[int, int], distance_m: float) -> Array:
-        """The corner's filling between the straight roads and `corner_arc`, (N, 2)."""
+        """Returns the corner's filling between the straight roads and `corner_arc`, (N, 2)."""
         inner = self.offset_point(
             np.array(signs[0] * 0.4 * self.main.width_m),
             np.array(signs[1] * 0.4 * self.side.width_m),
@@ -149,7 +149,7 @@ class Plot:
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
-    """A plan whose roads leave a meadow south-west of the junction for the take-off."""
+    """Returns a plan whose roads leave a meadow south-west of the junction for the take-off."""
     junction = rng.uniform([-5.0, -5.0], [7.0, 7.0])
     angle = rng.uniform(-0.09, 0.09)
     skew = rng.uniform(-0.05, 0.05)

@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 def shape_ground(
     rng: np.random.Generator, plan: Plan, pads: list[Pad], ditches: list[Ditch]
 ) -> HeightField:
-    """Natural ground with the roads, pads, ditches and the take-off spot cut in. The height at
-    the take-off spot is 0."""
+    """Returns natural ground with the roads, pads, ditches and the take-off spot cut in. The height
+    at the take-off spot is 0."""
     terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
     xy = np.stack(terrain.node_grid(), axis=-1)
     heights = terrain.heights_m + (0.35 - terrain.heights_m.mean())

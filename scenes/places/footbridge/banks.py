@@ -30,8 +30,8 @@ PATH_M = 3.0
 
 
 def draw_paths(rng: np.random.Generator, plan: Plan) -> list[Array]:
-    """(N, 2) each: from the ramps' feet to the edges of the scene; one branches off along the
-    bank."""
+    """Returns paths, (N, 2) each, from the ramps' feet to the edges of the scene; one branches
+    off along the bank."""
     paths = []
     for sign in (-1.0, 1.0):
         lot, reach = plan.bridge.lot, plan.bridge.reach_m
@@ -51,8 +51,8 @@ def draw_paths(rng: np.random.Generator, plan: Plan) -> list[Array]:
 
 
 def paint_ground(canvas: Canvas, plan: Plan, paths: list[Array], rng: np.random.Generator) -> None:
-    """Mown lawns about the bridge and the take-off spot, meadows beyond, rough banks, paths, and
-    the road or the stream's bed."""
+    """Paints mown lawns about the bridge and the take-off spot, meadows beyond, rough banks, paths,
+    and the road or the stream's bed."""
     canvas.fill(np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 2.0 * HALF_M, Ground.MEADOW)
     for centre, reach in (
         (plan.takeoff_xy_m, 22.0), (plan.bridge.lot.at(-24.0, 0.0), 24.0),
@@ -114,7 +114,7 @@ def _beside(builder: SceneBuilder, path: Array, station: int, nursery: Nursery) 
 
 
 def _furnish_road(builder: SceneBuilder, plan: Plan) -> tuple[MovingBody, ...]:
-    """Kerbs, fences at the tops of the cutting, traffic."""
+    """Adds kerbs, fences at the tops of the cutting, traffic."""
     rng = builder.rng
     course = plan.course
     for side in (1.0, -1.0):
@@ -132,7 +132,7 @@ def _furnish_road(builder: SceneBuilder, plan: Plan) -> tuple[MovingBody, ...]:
 
 
 def _furnish_stream(builder: SceneBuilder, plan: Plan) -> None:
-    """Reeds and boulders along the water's edge."""
+    """Adds reeds and boulders along the water's edge."""
     rng = builder.rng
     bed = grow_reeds(builder)
     course = plan.course

@@ -61,7 +61,7 @@ def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
 
 
 def slab_mesh(bridge: Bridge, first: float, last: float) -> MeshData:
-    """Deck or ramp between two ``u``: a convex body (contacts use a mesh's hull), its top
+    """Returns a deck or ramp between two ``u``: a convex body (contacts use a mesh's hull), its top
     mapped along and across the whole texture, the rest on the texture's dark rim."""
     stations = np.linspace(first, last, 17 if first * last < 0.0 else 2)
     top = bridge.top(stations)
@@ -146,7 +146,7 @@ def _world(bridge: Bridge, local: Array) -> Array:
 def _add_railing(
     builder: SceneBuilder, bridge: Bridge, side: float, first: float, last: float, rgba: list[float]
 ) -> None:
-    """Posts, a hand rail and four wires along the deck's edge, as one mesh."""
+    """Adds posts, a hand rail and four wires along the deck's edge, as one mesh."""
     v = side * (0.5 * bridge.width_m - 0.07)
     count = max(1, round((last - first) / POST_STEP_M))
     knots = np.linspace(first, last, count + 1)
@@ -175,7 +175,7 @@ def _add_railing(
 
 
 def _add_supports(builder: SceneBuilder, plan: Plan) -> None:
-    """Abutments at the tops of the banks, girders, and columns at their feet."""
+    """Adds abutments at the tops of the banks, girders, and columns at their feet."""
     bridge = plan.bridge
     quat, half = quat_z(bridge.lot.angle), 0.5 * bridge.width_m
     low = bridge.end_m - bridge.thick_m
@@ -202,7 +202,7 @@ def _add_supports(builder: SceneBuilder, plan: Plan) -> None:
 def _add_stairs(
     builder: SceneBuilder, plan: Plan, side: float, end: float, rgba: list[float]
 ) -> None:
-    """Stairs beside the bridge, from the bank's top down to its foot, with a hand rail."""
+    """Adds stairs beside the bridge, from the bank's top down to its foot, with a hand rail."""
     bridge = plan.bridge
     top_u = plan.floor_m + plan.bank_m + 0.5
     low_u = plan.floor_m + (0.2 if plan.over_road else 0.9)

@@ -18,7 +18,8 @@ _GRASS = {"start": Ground.MEADOW, "meadow": Ground.MEADOW, "plot": Ground.MEADOW
 
 
 def paint_floor(rng: np.random.Generator, plan: Plan) -> Canvas:
-    """Litter and ferns, grass in the clearings, the track and its ruts, the brook's muddy banks."""
+    """Paints litter and ferns, grass in the clearings, the track and its ruts, the brook's muddy
+    banks."""
     canvas = Canvas(half_m=HALF_M)
     cell = 2.0 * HALF_M / _COARSE
     axis = -HALF_M + (np.arange(_COARSE) + 0.5) * cell

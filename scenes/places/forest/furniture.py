@@ -102,8 +102,8 @@ def _strew(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
 
 
 def add_water(builder: SceneBuilder, plan: Plan) -> None:
-    """The brook's surface: level strips that step down the valley. It has no contacts:
-    a body that falls in rests on the bed."""
+    """Adds the brook's surface: level strips that step down the valley. It has no contacts: a body
+    that falls in rests on the bed."""
     brook = plan.brook
     name = builder.material("water_brook", _ripples(builder.rng), shine=0.35)
     inside = np.flatnonzero((np.abs(brook.line_m) < HALF_M).all(axis=1))
@@ -181,7 +181,8 @@ def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
 
 
 def add_hide(builder: SceneBuilder, xy_m: Array, toward_xy_m: Array) -> None:
-    """A hunter's raised hide that looks towards a clearing: four legs, cabin, roof and ladder."""
+    """Adds a hunter's raised hide that looks towards a clearing: four legs, cabin, roof and
+    ladder."""
     heading = float(np.arctan2(*(toward_xy_m - xy_m)[::-1]))
     ground = builder.terrain.point(*xy_m)
     floor = 3.2
@@ -239,7 +240,7 @@ def _yaw_pitch(yaw: float, pitch: float) -> list[float]:
 
 
 def _add_log_pile(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
-    """Cut trunks stacked beside the track."""
+    """Adds cut trunks stacked beside the track."""
     rng = builder.rng
     line = plan.track.line_m
     inside = np.flatnonzero((np.abs(line) < HALF_M - 14.0).all(axis=1))

@@ -22,7 +22,7 @@ BROOK_FALL = 0.012
 
 
 def shape_ground(rng: np.random.Generator, plan: Plan) -> HeightField:
-    """The forest's ground; the height at the take-off spot is 0."""
+    """Returns the forest's ground; the height at the take-off spot is 0."""
     heights = hills(rng)
     plain = HeightField(heights_m=heights, half_m=HALF_M)
     xy = np.stack(plain.node_grid(), axis=-1)

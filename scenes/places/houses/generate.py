@@ -69,7 +69,7 @@ def generate(seed: int) -> SceneDraft:
 
 
 def draw_rows(rng: np.random.Generator, plan: Plan) -> list[list[Home]]:
-    """Rows of neighbouring homes along the streets, gardens of all kinds."""
+    """Returns rows of neighbouring homes along the streets, gardens of all kinds."""
     main, south, close, frame = plan.main, plan.south, plan.close, plan.frame
 
     def station(street: Street, u: float | None = None, v: float | None = None) -> float:
@@ -133,7 +133,7 @@ def place_objects(
 
 
 def place_kerbs(builder: SceneBuilder, plan: Plan, homes: list[Home]) -> None:
-    """Kerbs of the three streets with gaps at drives and junctions, and round the turning
+    """Adds kerbs of the three streets with gaps at drives and junctions, and round the turning
     circle."""
     for street in plan.streets:
         for side in (1.0, -1.0):
@@ -167,7 +167,7 @@ def _junction_gaps(plan: Plan, street: Street, side: float) -> list[tuple[float,
 
 
 def string_wires(builder: SceneBuilder, plan: Plan, homes: list[Home]) -> None:
-    """A line of poles along the main street, and cables from its poles down to the houses."""
+    """Adds a line of poles along the main street, and cables from its poles down to the houses."""
     main, rng = plan.main, builder.rng
     side = -(main.edge_m + 0.35) if rng.random() < 0.5 else main.edge_m + 0.35
     first = rng.uniform(24.0, 30.0)
@@ -191,7 +191,7 @@ def string_wires(builder: SceneBuilder, plan: Plan, homes: list[Home]) -> None:
 def light_and_park(
     builder: SceneBuilder, plan: Plan, models: list[tuple[str, str, CarShape]]
 ) -> None:
-    """Lamps along the side streets and cars at their kerbs."""
+    """Adds lamps along the side streets and cars at their kerbs."""
     rng = builder.rng
     for street in (plan.south, plan.close):
         for index, along in enumerate(np.arange(17.0, min(street.length_m, 66.0), 19.0)):
@@ -208,7 +208,7 @@ def light_and_park(
 
 
 def scatter_edge_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
-    """Trees behind the gardens."""
+    """Adds trees behind the gardens."""
     frame, rng = plan.frame, builder.rng
     corners = (
         ((-60.0, -18.0), (40.0, 60.0)),
@@ -225,7 +225,7 @@ def scatter_edge_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> N
 def add_traffic(
     builder: SceneBuilder, plan: Plan, models: list[tuple[str, str, CarShape]]
 ) -> tuple[MovingBody, ...]:
-    """One or two cars on the main street."""
+    """Adds one or two cars on the main street."""
     rng, main = builder.rng, plan.main
     inside = [s for s in np.arange(0.0, main.length_m, 1.0)
               if np.abs(main.point(s, 0.0)).max() < HALF_M - 5.0]  # fmt: skip
@@ -243,7 +243,7 @@ def add_traffic(
 
 
 def paint_ground(rng: np.random.Generator, plan: Plan, homes: list[Home], green: Green) -> Canvas:
-    """Gardens and green first, pavements and roadways over them."""
+    """Paints gardens and green first, pavements and roadways over them."""
     canvas = Canvas(half_m=HALF_M)
     paint_green(canvas, green, rng)
     for home in homes:

@@ -79,7 +79,7 @@ class Home:
 
 
 def draw_home(rng: np.random.Generator, lot: Lot, width: float, depth: float, garden: str) -> Home:
-    """A house of a size that fits the lot, its drive on one side."""
+    """Returns a house of a size that fits the lot, its drive on one side."""
     left = bool(rng.random() < 0.5)
     drive_u = 2.1 if left else width - 2.1
     length = float(np.clip(width - 7.6, 7.5, 11.5))
@@ -230,8 +230,8 @@ def _furnish(builder: SceneBuilder, home: Home, nursery: Nursery) -> None:
 
 
 def fence_home(builder: SceneBuilder, home: Home, nursery: Nursery, first: bool) -> None:
-    """Back boundary and the boundary at u = width; the one at u = 0 where it is the ``first`` of a
-    row. Fence or hedge."""
+    """Adds back boundary and the boundary at u = width; the one at u = 0 where it is the ``first``
+    of a row. Fence or hedge."""
     rng, lot = builder.rng, home.lot
     tint = ([0.86, 0.85, 0.81, 1], [0.48, 0.36, 0.25, 1], [0.58, 0.47, 0.34, 1])
     colour = tint[int(rng.integers(3))]

@@ -66,7 +66,7 @@ class Plan:
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
-    """A main street that swings, a street to the south and a close to the north."""
+    """Returns a main street that swings, a street to the south and a close to the north."""
     angle = 0.5 * np.pi * int(rng.integers(4)) + rng.uniform(-0.06, 0.06)
     frame = Lot(origin_xy_m=rng.uniform(-1.0, 1.0, 2), angle=angle)
 
@@ -112,7 +112,8 @@ def shape_ground(
     ditches: list[Ditch],
     mounds: list[Mound],
 ) -> HeightField:
-    """Natural ground with mounds, ditches, pads and streets; the take-off spot is at height 0."""
+    """Returns natural ground with mounds, ditches, pads and streets; the take-off spot is at height
+    0."""
     terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
     xy = np.stack(terrain.node_grid(), axis=-1)
     heights = terrain.heights_m + (0.30 - terrain.heights_m.mean())

@@ -41,7 +41,7 @@ def generate(seed: int) -> SceneDraft:
 
 
 def draw_look(rng: np.random.Generator) -> WaterLook:
-    """Clear and blue-green, or brown as of a moor."""
+    """Returns the look of water from clear blue-green to brown."""
     peat = float(rng.uniform(0.0, 1.0)) ** 2
     clear, brown = np.array([26.0, 74.0, 84.0]), np.array([44.0, 56.0, 44.0])
     red, green, blue = (1.0 - peat) * clear + peat * brown

@@ -111,7 +111,8 @@ class Basin:
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
-    """A lake in the north-east of the take-off meadow, its nearest shore a beach or reeds."""
+    """Returns a lake in the north-east of the take-off meadow, its nearest shore a beach or
+    reeds."""
     takeoff = np.array([-36.0, -30.0]) + rng.uniform(-2.5, 2.5, 2)
     centre = np.array([9.0, 9.0]) + rng.uniform(-3.0, 3.0, 2)
     orders = np.arange(2, 8)
@@ -173,7 +174,7 @@ def shore_distance(rng: np.random.Generator, plan: Plan, xy: Array) -> Array:
 
 
 def shape_basin(rng: np.random.Generator, plan: Plan) -> Basin:
-    """Meadows, banks and the lake's bed; the height at the take-off spot is 0."""
+    """Returns meadows, banks and the lake's bed; the height at the take-off spot is 0."""
     ground = natural_ground(rng, NODES, HALF_M)
     xy = np.stack(HeightField(heights_m=ground, half_m=HALF_M).node_grid(), axis=-1)
     cell = float(xy[0, 1, 0] - xy[0, 0, 0])

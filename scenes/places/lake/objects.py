@@ -73,7 +73,7 @@ def footpath(plan: Plan, rng: np.random.Generator) -> Array:
 def place_objects(
     builder: SceneBuilder, plan: Plan, basin: Basin, nursery: Nursery, path: Array
 ) -> None:
-    """Jetty, boats, reeds, beach, trees, benches, rocks, fence and molehills."""
+    """Adds jetty, boats, reeds, beach, trees, benches, rocks, fence and molehills."""
     around = Surroundings(plan, basin)
     builder.claim(plan.takeoff_xy_m, 6.0)
     for spot in path[::2]:
@@ -95,7 +95,7 @@ def place_objects(
 
 
 def _place_jetty(builder: SceneBuilder, around: Surroundings) -> None:
-    """A jetty with a head, boats moored to it, a boathouse on land."""
+    """Adds a jetty with a head, boats moored to it, a boathouse on land."""
     rng, plan, level = builder.rng, around.plan, around.basin.level_m
     bearing = plan.jetty_bearing
     root = around.on_shore(bearing, 1.6)
@@ -134,7 +134,7 @@ def _place_jetty(builder: SceneBuilder, around: Surroundings) -> None:
 
 
 def _place_beach(builder: SceneBuilder, around: Surroundings) -> None:
-    """A net on the sand, a line of floats around the bathing water, an upright sign."""
+    """Adds a net on the sand, a line of floats around the bathing water, an upright sign."""
     rng = builder.rng
     middle = around.plan.middle_of(Shore.BEACH)
     side = rng.choice([-0.13, 0.13])
@@ -161,7 +161,7 @@ def _place_islet(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
 
 
 def _place_reeds(builder: SceneBuilder, around: Surroundings, limit: int = 74) -> None:
-    """Tufts close together in the shallows and on the mud of the reedy stretches."""
+    """Adds tufts close together in the shallows and on the mud of the reedy stretches."""
     rng, plan = builder.rng, around.plan
     bed = grow_reeds(builder)
     reedy = np.flatnonzero(plan.kinds == int(Shore.REEDS))
@@ -178,7 +178,7 @@ def _place_reeds(builder: SceneBuilder, around: Surroundings, limit: int = 74) -
 
 
 def _place_benches(builder: SceneBuilder, plan: Plan, path: Array) -> None:
-    """Benches beside the path that look over the lake."""
+    """Adds benches beside the path that look over the lake."""
     for index in range(10, len(path), 34):
         bearing = float(plan.bearing(path[index]))
         spot = path[index] + 1.9 * np.array([np.cos(bearing), np.sin(bearing)])
@@ -188,7 +188,7 @@ def _place_benches(builder: SceneBuilder, plan: Plan, path: Array) -> None:
 
 
 def _place_rocks(builder: SceneBuilder, around: Surroundings) -> None:
-    """Boulders along the shingle, some of them in the water."""
+    """Adds boulders along the shingle, some of them in the water."""
     rng, plan = builder.rng, around.plan
     stony = np.flatnonzero(plan.kinds == int(Shore.SHINGLE))
     for _ in range(18):
@@ -199,7 +199,8 @@ def _place_rocks(builder: SceneBuilder, around: Surroundings) -> None:
 
 
 def _place_pasture(builder: SceneBuilder, around: Surroundings) -> None:
-    """A fence along an edge of the scene, and molehills in the grass near the take-off spot."""
+    """Adds a fence along an edge of the scene, and molehills in the grass near the take-off
+    spot."""
     rng, plan = builder.rng, around.plan
     x = -57.0 + rng.uniform(-2.0, 2.0)
     for start in np.arange(-12.0, 50.0, 21.0):

@@ -77,7 +77,7 @@ def _surface(level_m: float, islet: Islet | None) -> HeightField:
 
 
 def _place_boats(builder: SceneBuilder) -> None:
-    """Yachts at anchor and fairway buoys, none within 70 m: the survey sees nothing but water
+    """Adds yachts at anchor and fairway buoys, none within 70 m: the survey sees nothing but water
     once the take-off spot is out of view."""
     rng = builder.rng
     wanted = int(rng.integers(3, 6))
@@ -119,7 +119,7 @@ def _spread_water(builder: SceneBuilder, level_m: float, depth: Float32) -> None
 
 
 def draw_look(rng: np.random.Generator) -> WaterLook:
-    """From blue over green to grey, with waves of some metres."""
+    """Returns the look of blue, green or grey water with waves of some metres."""
     colours = np.array([[18.0, 66.0, 96.0], [22.0, 80.0, 84.0], [46.0, 76.0, 88.0]])
     red, green, blue = rng.dirichlet(np.ones(3)) @ colours
     return WaterLook(

@@ -41,7 +41,7 @@ class Islet:
 
 
 def shape_islet(rng: np.random.Generator) -> Islet:
-    """Sand that rises out of the water to a grassy hump; the height at the origin is 0."""
+    """Returns sand that rises out of the water to a grassy hump; the height at the origin is 0."""
     flat = HeightField(heights_m=np.zeros((NODES, NODES)), half_m=HALF_M)
     x, y = flat.node_grid()
     order = np.arange(2, 6)
@@ -78,7 +78,7 @@ def bed_depth(islet: Islet, size: int, half_m: float) -> Float32:
 
 
 def add_islet(builder: SceneBuilder, islet: Islet) -> GroundRaster:
-    """The islet with its texture, after all objects that cast a shadow on it."""
+    """Adds the islet with its texture, after all objects that cast a shadow on it."""
     spec, rng = builder.spec, builder.rng
     spec.add_texture(name="islet", type=mujoco.mjtTexture.mjTEXTURE_2D, nchannel=3)
     canvas = Canvas.of_size(HALF_M, TEXELS)
@@ -99,7 +99,7 @@ def add_islet(builder: SceneBuilder, islet: Islet) -> GroundRaster:
 
 
 def place_islet(builder: SceneBuilder, islet: Islet) -> None:
-    """The height field and, around a clear middle, bushes, rocks and a beacon."""
+    """Adds the height field and, around a clear middle, bushes, rocks and a beacon."""
     spec, rng = builder.spec, builder.rng
     material = spec.add_material(name="islet", specular=0.0, shininess=0.0)
     textures = list(material.textures)
@@ -132,7 +132,7 @@ def place_islet(builder: SceneBuilder, islet: Islet) -> None:
 
 
 def add_beacon(builder: SceneBuilder, xy_m: Array) -> None:
-    """A mast of 4.5 m with a striped board."""
+    """Adds a mast of 4.5 m with a striped board."""
     z = builder.terrain.point(*xy_m)
     add_pile(builder, xy_m, z + 4.5, 0.07)
     for index, rgba in enumerate(([0.85, 0.12, 0.10, 1], [0.95, 0.95, 0.93, 1])):

@@ -20,7 +20,7 @@ FREEBOARD_M = 0.45
 
 
 def place_raft(builder: SceneBuilder) -> None:
-    """A bathing raft of boards on drums, a flagpole at a corner, a rowing boat alongside."""
+    """Adds a bathing raft of boards on drums, a flagpole at a corner, a rowing boat alongside."""
     rng = builder.rng
     size = (float(rng.uniform(6.4, 8.0)), float(rng.uniform(6.0, 7.0)))
     deck = Deck(
@@ -44,7 +44,7 @@ def place_raft(builder: SceneBuilder) -> None:
 
 
 def place_pontoon(builder: SceneBuilder) -> None:
-    """A concrete work pontoon with a painted circle, bollards, a rail and crates."""
+    """Adds a concrete work pontoon with a painted circle, bollards, a rail and crates."""
     rng = builder.rng
     size = (float(rng.uniform(9.0, 12.0)), float(rng.uniform(6.2, 7.4)))
     deck = Deck(centre_xy_m=np.zeros(2), angle=float(rng.uniform(-0.6, 0.6)), size_m=size,

@@ -50,7 +50,7 @@ def build_bath(builder: SceneBuilder, plan: Plan, nursery: Nursery, shades: Shad
 
 
 def _add_slide(builder: SceneBuilder, plan: Plan) -> None:
-    """A chute that ends in the leisure pool, coming from behind it."""
+    """Adds a chute that ends in the leisure pool, coming from behind it."""
     pool = plan.pool("leisure")
     low, high = pool.box_m
     u = 0.5 * (low[0] + high[0]) + builder.rng.uniform(-1.5, 1.5)
@@ -82,7 +82,7 @@ def _add_guards(builder: SceneBuilder, plan: Plan) -> None:
 
 
 def _add_buildings(builder: SceneBuilder, plan: Plan) -> None:
-    """The flat-roofed service building, a row of coloured cabins and a kiosk."""
+    """Adds the flat-roofed service building, a row of coloured cabins and a kiosk."""
     rng, frame, u = builder.rng, plan.frame, plan.house_u
     add_house(builder, House(
         centre_xy_m=frame.at(u, 36.5), angle=frame.angle,
@@ -118,7 +118,7 @@ def _add_buildings(builder: SceneBuilder, plan: Plan) -> None:
 
 
 def _add_loungers(builder: SceneBuilder, plan: Plan, shades: Shades) -> None:
-    """Rows of loungers beside the basins, a sunshade between every other pair."""
+    """Adds rows of loungers beside the basins, a sunshade between every other pair."""
     rng, frame = builder.rng, plan.frame
     loungers = add_lounger_models(builder, 5)
     (u0, u1), (v0, v1) = plan.deck

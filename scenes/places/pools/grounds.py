@@ -38,7 +38,7 @@ def build_grounds(builder: SceneBuilder, plan: Plan, nursery: Nursery, shades: S
 
 
 def _furnish_pitch(builder: SceneBuilder, plan: Plan) -> None:
-    """Goals, a training net across one half, corner posts, and a rope round two sides."""
+    """Adds goals, a training net across one half, corner posts, and a rope round two sides."""
     rng, frame = builder.rng, plan.frame
     (u0, u1), (v0, v1) = plan.pitch
     middle = 0.5 * (v0 + v1)
@@ -73,7 +73,7 @@ def _park_cars(builder: SceneBuilder, plan: Plan) -> None:
 
 
 def _fence_in(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
-    """A fence towards the car park, hedges on the other sides."""
+    """Adds a fence towards the car park, hedges on the other sides."""
     frame, rng = plan.frame, builder.rng
     green = [0.24, 0.40, 0.30, 1]
     for first in (-56.0, -36.0, 12.0, 34.0):
@@ -114,7 +114,7 @@ def _dress_lawn(builder: SceneBuilder, plan: Plan, nursery: Nursery, shades: Sha
 
 
 def paint_all(rng: np.random.Generator, plan: Plan) -> Canvas:
-    """Lawns, deck, buildings' paving, sports grounds with their lines, car park."""
+    """Paints lawns, deck, buildings' paving, sports grounds with their lines, car park."""
     canvas = Canvas(half_m=HALF_M)
     frame = plan.frame
     (u0, u1), (v0, v1) = plan.deck
@@ -145,7 +145,7 @@ def paint_all(rng: np.random.Generator, plan: Plan) -> Canvas:
 
 
 def _paint_pitch(canvas: Canvas, plan: Plan) -> None:
-    """A playing field with touch lines, halfway line, circle and penalty areas."""
+    """Paints a playing field with touch lines, halfway line, circle and penalty areas."""
     frame = plan.frame
     (u0, u1), (v0, v1) = plan.pitch
     canvas.fill(frame.rectangle((u0 - 1.0, u1 + 1.0), (v0 - 1.0, v1 + 1.0)), plan.pitch_ground)

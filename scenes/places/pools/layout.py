@@ -68,7 +68,7 @@ class Plan:
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
-    """Three large basins side by side in any order, the paddling pool before them."""
+    """Returns three large basins side by side in any order, the paddling pool before them."""
     angle = 0.5 * np.pi * int(rng.integers(4)) + rng.uniform(-0.06, 0.06)
     frame = Lot(origin_xy_m=rng.uniform(-1.0, 1.0, 2), angle=angle)
     shift = rng.uniform(-1.5, 1.5)

@@ -76,7 +76,7 @@ def write_deck(spec: Any, plan: Plan, both: HeightField, image: NDArray[np.uint8
 
 
 def paint_deck(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
-    """Bays, arrows, hatched areas, joints, gullies and stains."""
+    """Paints bays, arrows, hatched areas, joints, gullies and stains."""
     lot = plan.lot()
     low, high = plan.low_xy_m, plan.high_xy_m
     canvas.fill(lot.rectangle((low[0], high[0]), (low[1], high[1])), Ground.ROOF_DECK)
@@ -146,7 +146,7 @@ def _wheelchair(canvas: Canvas, plan: Plan, x: float, y: float) -> None:
 
 
 def _paint_wear(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
-    """Joints between slabs, sealed cracks, tyre tracks, gullies, oil under the bays."""
+    """Paints joints between slabs, sealed cracks, tyre tracks, gullies, oil under the bays."""
     lot, low, high = plan.lot(), plan.low_xy_m, plan.high_xy_m
     for x in np.arange(low[0] + 7.5, high[0] - 1.0, 7.5):
         canvas.trace(np.array([[x, low[1]], [x, high[1]]]), 0.05, 150)
@@ -181,7 +181,8 @@ def _paint_wear(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
 
 
 def furnish_deck(builder: SceneBuilder, plan: Plan, models: Models) -> None:
-    """Parapets, ramp walls, houses of stairs and lift, ventilation, lamps, wheel stops, cars."""
+    """Adds parapets, ramp walls, houses of stairs and lift, ventilation, lamps, wheel stops,
+    cars."""
     rng = builder.rng
     builder.claim(plan.takeoff_xy_m, 6.5)
     _add_parapets(builder, plan)
@@ -232,7 +233,7 @@ def block(
 
 
 def _add_parapets(builder: SceneBuilder, plan: Plan) -> None:
-    """A wall with a rail on it along every edge."""
+    """Adds a wall with a rail on it along every edge."""
     (x0, y0), (x1, y1) = plan.low_xy_m, plan.high_xy_m
     top, foot, wide = PARAPET_M, -0.5, 0.22
     runs = (
@@ -249,8 +250,8 @@ def _add_parapets(builder: SceneBuilder, plan: Plan) -> None:
 
 
 def _add_ramp_house(builder: SceneBuilder, plan: Plan) -> None:
-    """Walls along the ramp, as thick as the node spacing in which the deck drops, and a flat roof
-    over its foot."""
+    """Adds walls along the ramp, as thick as the node spacing in which the deck drops, and a flat
+    roof over its foot."""
     ramp = plan.ramp
     away = np.sign(ramp.foot_x_m - ramp.top_x_m)
     x0, x1 = sorted((ramp.top_x_m, ramp.foot_x_m + away * 1.5 * NODE_M))
@@ -269,7 +270,7 @@ def _add_ramp_house(builder: SceneBuilder, plan: Plan) -> None:
 
 
 def _add_stair_house(builder: SceneBuilder, plan: Plan) -> None:
-    """Stairs and lift: a block with a door, a lower lift shaft beside it and a flat roof."""
+    """Adds stairs and lift: a block with a door, a lower lift shaft beside it and a flat roof."""
     rng = builder.rng
     y1 = float(plan.high_xy_m[1])
     x, deep = plan.stairs_x_m, 4.6
@@ -287,7 +288,7 @@ def _add_stair_house(builder: SceneBuilder, plan: Plan) -> None:
 
 
 def _add_units(builder: SceneBuilder, plan: Plan) -> None:
-    """Ventilation units with fans and roof lights along the northern strip, between the stair
+    """Adds ventilation units with fans and roof lights along the northern strip, between the stair
     house and the ramp."""
     rng = builder.rng
     strip = float(plan.rows()[3][1]) + 1.2, float(plan.high_xy_m[1]) - 1.0

@@ -102,7 +102,7 @@ class Plan:
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
-    """A roof of 54..60 x 42 m whose south-west corner is below the survey's start."""
+    """Returns a roof of 54..60 x 42 m whose south-west corner is below the survey's start."""
     width = 2.0 * int(rng.integers(27, 31))
     low = np.array([-34.0 + 2.0 * int(rng.integers(0, 2)), -26.0])
     high = low + [width, 42.0]

@@ -67,7 +67,8 @@ def draw_houses(rng: np.random.Generator, plan: Plan) -> list[House]:
 
 
 def shape_town(rng: np.random.Generator, plan: Plan, houses: list[House]) -> HeightField:
-    """The ground around the building: level under it, streets a kerb's height below pavements."""
+    """Returns the ground around the building: level under it, streets a kerb's height below
+    pavements."""
     heights = 0.6 * natural_ground(rng, NODES, HALF_M)
     heights += 0.25 - heights.mean()
     x, y = HeightField(heights_m=heights, half_m=HALF_M).node_grid()
@@ -93,7 +94,7 @@ def shape_town(rng: np.random.Generator, plan: Plan, houses: list[House]) -> Hei
 
 
 def paint_town(canvas: Canvas, plan: Plan, houses: list[House], rng: np.random.Generator) -> None:
-    """Lawns, terraces, apron, pavements, streets with their markings."""
+    """Paints lawns, terraces, apron, pavements, streets with their markings."""
     lot = plan.lot()
     for _ in range(7):
         middle, reach = rng.uniform(-HALF_M, HALF_M, 2), rng.uniform(4.0, 13.0)
@@ -168,7 +169,7 @@ def car_park_bay(rng: np.random.Generator, px: int = 224) -> Image:
 
 
 def build_walls(builder: SceneBuilder, plan: Plan) -> None:
-    """The building below the deck, with its shadow on the ground."""
+    """Adds the building below the deck, with its shadow on the ground."""
     size = (float(plan.size_m[0]) + 0.4, float(plan.size_m[1]) + 0.4, plan.height_m - 0.5)
     material = builder.material("building_car_park", car_park_bay(builder.rng))
     walls = wall_mesh(size, 0.0)
@@ -188,7 +189,7 @@ def build_walls(builder: SceneBuilder, plan: Plan) -> None:
 def furnish_town(
     builder: SceneBuilder, plan: Plan, houses: list[House], nursery: Nursery, models: Models
 ) -> tuple[MovingBody, ...]:
-    """Houses, kerbs, lamps, parked cars, trees. Returns the cars that drive."""
+    """Adds houses, kerbs, lamps, parked cars, trees. Returns the cars that drive."""
     for house in houses:
         add_house(builder, house)
     along_x, along_y = plan.streets
@@ -210,7 +211,7 @@ def furnish_town(
 def _line_street(
     builder: SceneBuilder, street: Street, side: float, gap: tuple[float, float], models: Models
 ) -> None:
-    """Lamps on one side, cars at the other kerb, where there are ``models``."""
+    """Adds lamps on one side, cars at the other kerb, where there are ``models``."""
     rng = builder.rng
     for along in np.arange(rng.uniform(4.0, 12.0), street.length_m, 22.0 if side > 0 else 13.0):
         heading = street.heading(float(along))

@@ -210,7 +210,7 @@ class Airfield:
 
 
 def add_aircraft(builder: SceneBuilder, xy_m: Array, heading: float, livery: list[float]) -> None:
-    """A parked high-winged light aircraft, 8 m long with 11 m of span."""
+    """Adds a parked high-winged light aircraft, 8 m long with 11 m of span."""
     origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
     white = [0.94, 0.94, 0.93, 1]
     stations = np.array([[3.1, 0.18, 1.15], [2.9, 0.42, 1.15], [1.9, 0.56, 1.25], [0.6, 0.60, 1.40],
@@ -251,8 +251,8 @@ def add_aircraft(builder: SceneBuilder, xy_m: Array, heading: float, livery: lis
 
 
 def fuselage_mesh(stations: Array) -> MeshData:
-    """An octagonal hull through ``stations``, (K, 3): position along x, radius, height of the
-    axis."""
+    """Returns an octagonal hull through ``stations``, (K, 3): position along x, radius, height of
+    the axis."""
     turn = np.linspace(0.0, 2.0 * np.pi, 9)
     rings = [np.column_stack([np.full(9, x), r * np.cos(turn), z + 1.05 * r * np.sin(turn)])
              for x, r, z in stations]  # fmt: skip

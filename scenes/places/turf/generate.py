@@ -49,7 +49,7 @@ def generate(seed: int) -> SceneDraft:
 
 
 def draw_turf(seed: int, rng: np.random.Generator, frame: SurveyFrame) -> Turf:
-    """The three kinds take turns, so that few seeds show all of them."""
+    """Returns one of the three kinds, in turn by seed."""
     kinds = (Pitch, Golf, Airfield)
     return kinds[seed % len(kinds)](rng, frame)
 
@@ -57,8 +57,8 @@ def draw_turf(seed: int, rng: np.random.Generator, frame: SurveyFrame) -> Turf:
 def shape_ground(
     rng: np.random.Generator, frame: SurveyFrame, turf: Turf
 ) -> tuple[HeightField, Array]:
-    """The terrain, level water included, and the water's depth at its nodes (N, N), negative on
-    land. The height at the take-off spot is 0."""
+    """Returns the terrain, level water included, and the water's depth at its nodes (N, N),
+    negative on land. The height at the take-off spot is 0."""
     heights = undulation(rng, float(rng.uniform(0.40, 0.60)))
     xy = np.stack(HeightField(heights_m=heights, half_m=HALF_M).node_grid(), axis=-1)
     heights = turf.shape(heights, xy)

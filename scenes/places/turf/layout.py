@@ -63,7 +63,7 @@ def arc(lot: Lot, u: float, v: float, radius: float, span: tuple[float, float]) 
 
 
 def plant_edge(builder: SceneBuilder, wood: Wood, turf: Turf, count: int) -> None:
-    """Trees in loose groups along the edge of the scene, bushes among them."""
+    """Adds trees in loose groups along the edge of the scene, bushes among them."""
     rng = builder.rng
     groups = rng.uniform(-HALF_M + 4.0, HALF_M - 4.0, (400, 2))
     outside = np.abs(groups).max(axis=1) > HALF_M - 17.0
@@ -86,7 +86,7 @@ def plant_edge(builder: SceneBuilder, wood: Wood, turf: Turf, count: int) -> Non
 
 
 def plant_one(builder: SceneBuilder, wood: Wood, xy_m: Array, conifer: bool) -> None:
-    """A single tree."""
+    """Adds a single tree."""
     rng = builder.rng
     if conifer:
         crown = wood.conifers[int(rng.integers(len(wood.conifers)))]
@@ -100,7 +100,8 @@ def plant_one(builder: SceneBuilder, wood: Wood, xy_m: Array, conifer: bool) -> 
 
 
 def furnish_path(builder: SceneBuilder, path_m: Array, way_in: float, lamps: bool) -> None:
-    """Benches, a bin and light poles along a footpath; ``way_in``: heading of the turf from it."""
+    """Adds benches, a bin and light poles along a footpath; ``way_in``: heading of the turf from
+    it."""
     aside = np.array([np.cos(way_in), np.sin(way_in)])
     inside = np.flatnonzero((np.abs(path_m) < HALF_M - 3.0).all(axis=1))
     for index in inside[6::16]:
