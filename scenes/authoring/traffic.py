@@ -48,8 +48,8 @@ def send_round(
     surface: Surface,
     speed_mps: float,
 ) -> tuple[MovingBody, ...]:
-    """Cars ``moving_car_0``, ... spread over one closed path, which all drive at one speed, so that
-    none meets the one ahead. looks: names of mesh and material, one a car."""
+    """Adds cars ``moving_car_0``, ... spread over one closed path, all at one speed, so that none
+    meets the one ahead. looks: names of mesh and material, one a car."""
     moving = []
     for index, look in enumerate(looks):
         share = (index + float(builder.rng.uniform(0.0, 0.6))) / len(looks)

@@ -208,8 +208,8 @@ def _resampled(
 
 
 def takeoff_spot(terrain: HeightField) -> Array:
-    """(2,) the place with the least relief within 2.5 m from which a survey to the east and north
-    stays inside, near the one that puts the survey in the middle."""
+    """Returns (2,) the spot with the least relief within 2.5 m from which a survey to the east and
+    north stays inside, near the one that puts the survey in the middle."""
     half = terrain.half_m
     low = np.full(2, -half + AROUND_M)
     high = np.array([half - AHEAD_M, half - LEFT_M])
@@ -230,8 +230,8 @@ def takeoff_spot(terrain: HeightField) -> Array:
 
 
 def relief_texture(terrain: HeightField) -> Image:
-    """Colours by height and slope under light from the north-west, with grain and tufts, since a
-    camera needs something to hold on to. (P, P, 3) uint8, top row north."""
+    """Colours by height and slope under light from the north-west, with grain and tufts as
+    visual features for a camera. (P, P, 3) uint8, top row north."""
     rng = np.random.default_rng(len(terrain.heights_m))
     pixels = min(MAX_TEXELS, round(2.0 * terrain.half_m / RELIEF_TEXEL_M))
     heights = terrain.heights_m

@@ -177,7 +177,7 @@ def _paint_wear(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
         canvas.soil(np.clip(damp, low, high), int(rng.integers(25, 60)))
 
 
-# ----------------------------------------------------------------------------------------- things
+# ---------------------------------------------------------------------------------------- objects
 
 
 def furnish_deck(builder: SceneBuilder, plan: Plan, models: Models) -> None:
@@ -210,7 +210,7 @@ def furnish_deck(builder: SceneBuilder, plan: Plan, models: Models) -> None:
                 park_car(builder, models[int(rng.integers(len(models)))], middle, turn)
                 # Neighbours in the next bay are no obstacle.
                 builder.occupied[:] = [*free, (middle, 0.9)]
-        # A row each, since things collide with a mesh's convex hull.
+        # A row each, since contacts use a mesh's convex hull.
         mesh = builder.mesh(builder.unique("wheel_stops"), MeshData.join(stops))
         builder.geom("wheel_stops", STOP, type=GEOM.mjGEOM_MESH, meshname=mesh, rgba=_STOP_RGBA)
 

@@ -71,8 +71,8 @@ class Plan:
         return np.asarray(((xy >= low - 1e-9) & (xy <= high + 1e-9)).all(axis=-1))
 
     def rows(self) -> list[tuple[float, float, float]]:
-        """Of every row of bays: y of its edge at the aisle, y of its head, heading of a car that
-        drove in."""
+        """For every row of bays: y of its edge at the aisle, y of its head, heading of a parked
+        car."""
         first = float(self.low_xy_m[1]) + EDGE_M
         north = 0.5 * np.pi
         aisle = first + BAY_DEPTH_M

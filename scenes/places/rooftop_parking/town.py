@@ -165,7 +165,7 @@ def car_park_bay(rng: np.random.Generator, px: int = 224) -> Image:
     return to_texture(image.astype(np.float32))
 
 
-# ----------------------------------------------------------------------------------------- things
+# ---------------------------------------------------------------------------------------- objects
 
 
 def build_walls(builder: SceneBuilder, plan: Plan) -> None:
