@@ -1,1 +1,3 @@
-"""Places to land in: MJCF scenes, their textures and their ground truth."""
+"""Scenes to land in: MJCF models, their generators and textures, and their ground truth.
+
+Other folders use `scenes.api`; `compose.load_scene` builds a scene by name or from a file."""

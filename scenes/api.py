@@ -1,4 +1,4 @@
-"""What the rest of the project may know of scenes."""
+"""Types of a scene that the other folders use."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Surface:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LowSun:
-    """A sun that stands where it is told to instead of where a scene's seed puts it."""
+    """A given position of the sun, in place of the one drawn from a scene's seed."""
 
     elevation_deg: float
     azimuth_deg: float | None = None
-    """where it stands, counter-clockwise from east; None: by the scene's seed"""
+    """of the sun, counter-clockwise from east; None: drawn from the scene's seed"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -68,7 +68,7 @@ class MovingBody:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scene:
-    """A compiled place with the vehicle in it."""
+    """A compiled scene with the vehicle in it."""
 
     name: str
     seed: int
@@ -80,7 +80,7 @@ class Scene:
     bounds_xy_m: Array
     """(2, 2) [[x_min, y_min], [x_max, y_max]]"""
     surfaces: Mapping[str, Surface]
-    """by geom name; the terrain's entry is a default, its raster goes before"""
+    """by geom name; the terrain's entry is a default, its raster takes precedence"""
     ground: GroundRaster | None
     moving: tuple[MovingBody, ...]
     source: str = ""

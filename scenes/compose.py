@@ -1,4 +1,4 @@
-"""One compiled world out of a place and the vehicle."""
+"""Composes a scene and the vehicle into one compiled model."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ NEAR_M, FAR_M = 0.05, 400.0
 _PROBE_HEIGHT_M = 500.0
 
 
-def _told(message: str) -> None:
+def _warn(message: str) -> None:
     warnings.warn(f"MuJoCo: {' '.join(message.split())}", stacklevel=2)
 
 
-# Else MuJoCo appends to a file MUJOCO_LOG.TXT wherever the command was given.
-mujoco.set_mju_user_warning(_told)
+# Otherwise MuJoCo appends to MUJOCO_LOG.TXT in the current folder.
+mujoco.set_mju_user_warning(_warn)
 
 
 def load_scene(name_or_path: str, seed: int, sun: LowSun | None = None) -> Scene:
-    """The place ``name_or_path`` with the vehicle on its take-off spot.
+    """Loads the scene ``name_or_path`` with the vehicle on its take-off spot.
 
     name_or_path: a name of `scenes.registry.scene_names` or the path of an MJCF file (a path has
     a slash or ends in .xml). seed: non-negative; the same seed gives the same model to the byte.
-    A file's place does not depend on it. sun: instead of the scene's own; shadows are baked with
-    it in named scenes, files have no others than their own.
+    A scene from a file does not depend on it. sun: replaces the scene's own; named scenes bake
+    their shadows with it, scenes from files have no baked shadows.
     Raises ValueError (unknown name, negative seed, malformed MJCF) and FileNotFoundError.
     """
     with sun_at(sun):
@@ -53,8 +53,8 @@ def load_scene(name_or_path: str, seed: int, sun: LowSun | None = None) -> Scene
 
 
 def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: str) -> Scene:
-    """The scene of a spec with the vehicle in it, which is put on the ground. Raises ValueError:
-    the spec does not compile, or there is no ground."""
+    """Compiles a spec that holds the vehicle and puts the vehicle on the ground. Raises ValueError
+    for a spec that does not compile or has no ground below the vehicle."""
     try:
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
@@ -75,7 +75,8 @@ def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: st
 
 
 def compose_spec(name_or_path: str, seed: int) -> tuple[Any, SceneDraft]:
-    """The uncompiled MjSpec, vehicle attached at height 0 over the take-off spot, and its draft.
+    """Returns the uncompiled MjSpec, with the vehicle at height 0 over the take-off spot, and its
+    draft.
 
     Raises as `load_scene`.
     """
@@ -85,12 +86,12 @@ def compose_spec(name_or_path: str, seed: int) -> tuple[Any, SceneDraft]:
     draft = read_mjcf(Path(name_or_path)) if is_path else scene_generator(name_or_path)(seed)
     if is_path:
         lower_own_sun(draft.spec)
-    furnish(draft)
+    prepare_spec(draft)
     return draft.spec, draft
 
 
-def furnish(draft: SceneDraft) -> None:
-    """Sets physics and looks of a place's spec and puts the vehicle over its take-off spot."""
+def prepare_spec(draft: SceneDraft) -> None:
+    """Sets a draft's physics and visual options and puts the vehicle over its take-off spot."""
     spec = draft.spec
     _set_physics(spec)
     _set_visual(spec)
@@ -111,9 +112,9 @@ def _set_physics(spec: Any) -> None:
 
 
 def _set_visual(spec: Any) -> None:
-    """Clip planes are in units of the model's extent, which is fixed here to keep them absolute.
-    Real-time shadows and multisampling would each more than double the render time on a software
-    renderer; pictures for people are rendered large and scaled down instead."""
+    """Sets clip planes and quality. Clip planes are in units of the model's extent, which is fixed
+    here to keep them absolute. Real-time shadows and multisampling would each more than double the
+    render time on a software renderer; `scenes.render` renders large and scales down instead."""
     spec.stat.extent = 100.0
     visual = spec.visual
     visual.map.znear, visual.map.zfar = NEAR_M / 100.0, FAR_M / 100.0

@@ -1,4 +1,4 @@
-"""A scene as files that MuJoCo's own viewer opens."""
+"""Writes a scene as files that MuJoCo's own viewer opens."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def export_scene(scene_or_spec: Scene | Any, out_dir: Path) -> Path:
 
 @contextmanager
 def _whole(out_dir: Path) -> Iterator[Path]:
-    """A folder that becomes ``out_dir``, where that is new or empty, if all goes well."""
+    """Yields a temporary folder that becomes ``out_dir`` on success, if that is new or empty."""
     if out_dir.is_dir() and any(out_dir.iterdir()):
         yield out_dir
         return
@@ -77,7 +77,7 @@ def _write(spec: Any, out_dir: Path) -> None:
 
 
 def _copy_file(spec: Any, element: Any, assets: Path) -> None:
-    """Brings a file that the scene refers to beside the exported MJCF."""
+    """Copies a file that the scene refers to beside the exported MJCF."""
     if not element.file or (assets / element.file).is_file():
         return
     for folder in (spec.texturedir, spec.meshdir, ""):
@@ -95,11 +95,11 @@ def _file_stem(name: str) -> str:
 
 
 def _write_texture(texture: Any, assets: Path) -> None:
-    """PNG, and the reference to it in place of the buffer."""
+    """Writes a PNG and refers to it in place of the buffer."""
     pixels = np.frombuffer(bytes(texture.data), np.uint8)
-    picture = pixels.reshape(texture.height, texture.width, texture.nchannel)
+    image = pixels.reshape(texture.height, texture.width, texture.nchannel)
     name = f"{_file_stem(texture.name)}.png"
-    ok, encoded = cv2.imencode(".png", picture[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    ok, encoded = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])
     if not ok:
         raise ValueError(f"texture '{texture.name}' cannot be written as PNG")
     (assets / name).write_bytes(encoded.tobytes())

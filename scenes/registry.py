@@ -1,4 +1,4 @@
-"""The scenes that have a name."""
+"""Registry of the named scenes."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _GENERATORS = {
 
 
 def scene_names() -> list[str]:
-    """Names that `scenes.compose.load_scene` knows, sorted."""
+    """Returns the names that `scenes.compose.load_scene` accepts, sorted."""
     return sorted(_GENERATORS)
 
 
 def scene_generator(name: str) -> Callable[[int], SceneDraft]:
-    """The function seed -> draft of a named scene.
+    """Returns the generator (seed -> draft) of a named scene.
 
     Raises ValueError for an unknown name, with the nearest match and all names.
     """

@@ -1,4 +1,4 @@
-"""Pictures of a scene for people."""
+"""Images of a scene for people."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 """(H, W, 3) RGB"""
 
 VIEWS = ("above", "oblique")
@@ -21,8 +21,8 @@ _VEHICLE_GROUP = 4
 """of its geoms, see ``vehicle/quadrotor.xml``"""
 
 
-def scene_picture(scene: Scene, view: str, pixels: int | None = None) -> Picture:
-    """A picture of a scene as at time 0. The model is left as it was.
+def render_scene(scene: Scene, view: str, pixels: int | None = None) -> Image:
+    """A image of a scene as at time 0. The model is left as it was.
 
     ``above``: map-like, north up, square, ``pixels`` (1080) wide. ``oblique``: 16:9 from the
     south-west, ``pixels`` (1600) wide. Raises ValueError for another view.
@@ -47,9 +47,9 @@ def scene_picture(scene: Scene, view: str, pixels: int | None = None) -> Picture
         return _render(model, data, eye, size)
 
 
-def vehicle_picture(scene: Scene, pixels: int = 1200) -> Picture:
+def render_vehicle(scene: Scene, pixels: int = 1200) -> Image:
     """The vehicle where it takes off, 16:9, ``pixels`` wide, from ahead and aside; sensors never
-    draw it, so that no other picture shows it. The model is left as it was."""
+    draw it, so that no other image shows it. The model is left as it was."""
     model = scene.model
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -84,7 +84,7 @@ def _camera(xy_m: NDArray[np.float64], distance: float, elevation: float, azimut
 
 def _render(
     model: Any, data: Any, camera: Any, size: tuple[int, int], options: Any = None
-) -> Picture:
+) -> Image:
     """(H, W, 3) uint8. Rendered twice as large and scaled down, against jagged edges."""
     width, height = 2 * size[0], 2 * size[1]
     kept = int(model.vis.global_.offwidth), int(model.vis.global_.offheight)
@@ -93,7 +93,7 @@ def _render(
     try:
         with mujoco.Renderer(model, height, width, max_geom=model.ngeom + 200) as renderer:
             renderer.update_scene(data, camera, options)
-            picture = renderer.render()
+            image = renderer.render()
     finally:
         model.vis.global_.offwidth, model.vis.global_.offheight = kept
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)

@@ -1,18 +1,8 @@
-"""The simulated world for people who bring a policy: Gymnasium and dm_env.
+"""The landing task as a reinforcement-learning environment of Gymnasium or dm_env.
 
-Importing this package registers ``Touchdown-v0`` with Gymnasium where that is installed::
-
-    import gymnasium
-    import touchdown.experiments.environments
-
-    env = gymnasium.make("Touchdown-v0", scene="crossroad")
-
-or, in one step, ``gymnasium.make("experiments.environments:Touchdown-v0")``. With dm_env::
-
-    from touchdown.experiments.environments.dm_environment import TouchdownEnvironment
-
-Both need the extra ``rl``. What is sensed, done and rewarded:
-`experiments.environments.landing_task`."""
+Importing this package registers ``Touchdown-v0`` with Gymnasium where that is installed; dm_env
+uses `dm_environment.TouchdownEnvironment`. Both need the extra ``rl``. Actions, observations and
+rewards are documented in `landing_task`."""
 
 from __future__ import annotations
 
@@ -22,7 +12,7 @@ ENVIRONMENT_ID = "Touchdown-v0"
 
 
 def register() -> None:
-    """Makes ``gymnasium.make("Touchdown-v0")`` work; does nothing the second time."""
+    """Registers ``Touchdown-v0`` with Gymnasium, once."""
     import gymnasium
 
     if ENVIRONMENT_ID not in gymnasium.registry:

@@ -1,4 +1,4 @@
-"""What an action means: rotor commands, or velocities that the autopilot flies."""
+"""Action modes: rotor commands, or velocities that an autopilot flies."""
 
 from __future__ import annotations
 
@@ -18,28 +18,29 @@ Array = NDArray[np.float64]
 MAX_VELOCITY_MPS = np.array([4.0, 4.0, 2.5])
 MAX_YAW_RATE = float(np.radians(60.0))
 _MAX_ACCELERATION_MPS2 = 4.0
-_LEASH_M = 1.5
+_MAX_LEAD_M = 1.5
 
 
 class ActionMode(Protocol):
-    """Turns actions into rotor commands."""
+    """Converts actions to rotor commands."""
 
     def hold(self, obs: Observation) -> Command:
-        """Hovers where the vehicle is when first called."""
+        """Returns the command that keeps the position of the first call, before the policy
+        flies."""
         ...
 
-    def take(self, action: Array) -> None:
-        """A new action, (4,) in [-1, 1]."""
+    def set_action(self, action: Array) -> None:
+        """Sets the action of the next steps, (4,) in [-1, 1]."""
         ...
 
     def command(self, obs: Observation) -> Command:
-        """For the next control step."""
+        """Returns the command of the next control step."""
         ...
 
 
 class VelocityMode:
-    """Flies forward, left, up velocity and yaw rate through the cascade controller. The reference
-    accelerates by at most 4 m/s^2 and never runs more than 1.5 m ahead of the vehicle."""
+    """Flies forward, left and up velocity and yaw rate through the cascade controller. The
+    reference accelerates by at most 4 m/s^2 and stays within 1.5 m of the vehicle."""
 
     def __init__(self, backend: EnvBackend) -> None:
         self._backend = backend
@@ -52,7 +53,7 @@ class VelocityMode:
     def hold(self, obs: Observation) -> Command:
         return self.command(obs)
 
-    def take(self, action: Array) -> None:
+    def set_action(self, action: Array) -> None:
         self._action = action
 
     def command(self, obs: Observation) -> Command:
@@ -68,7 +69,7 @@ class VelocityMode:
         change *= min(1.0, limit / max(float(np.linalg.norm(change)), 1e-9))
         self._velocity = self._velocity + change
         ahead = self._position + self._velocity * self._step_s - pose.translation
-        ahead *= min(1.0, _LEASH_M / max(float(np.linalg.norm(ahead)), 1e-9))
+        ahead *= min(1.0, _MAX_LEAD_M / max(float(np.linalg.norm(ahead)), 1e-9))
         self._position = pose.translation + ahead
         setpoint = Setpoint(
             position_odom=self._position,
@@ -81,18 +82,18 @@ class VelocityMode:
 
 
 class RotorMode:
-    """One number for each rotor, linear in thrust from idle (-1) to full (1)."""
+    """Sets the thrust of each rotor, linear from idle (-1) to full (1)."""
 
     def __init__(self, backend: EnvBackend) -> None:
-        self._autopilot = VelocityMode(backend)
+        self._hover = VelocityMode(backend)
         vehicle = backend.world.rig.vehicle
         self._least, self._most = vehicle.rotor_speed_min**2, vehicle.rotor_speed_max**2
         self._command = Command(rotor_speed_radps=np.zeros(4))
 
     def hold(self, obs: Observation) -> Command:
-        return self._autopilot.hold(obs)
+        return self._hover.hold(obs)
 
-    def take(self, action: Array) -> None:
+    def set_action(self, action: Array) -> None:
         squares = self._least + 0.5 * (action + 1.0) * (self._most - self._least)
         self._command = Command(rotor_speed_radps=np.sqrt(squares))
 
@@ -104,3 +105,4 @@ ACTION_MODES: Mapping[str, Callable[[EnvBackend], ActionMode]] = {
     "rotors": RotorMode,
     "velocity": VelocityMode,
 }
+"""By the value of the option ``action``."""

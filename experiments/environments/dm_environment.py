@@ -13,9 +13,9 @@ from touchdown.experiments.environments.landing_task import LandingTask, TaskOpt
 
 
 class TouchdownEnvironment(dm_env.Environment):
-    """Takes the fields of `experiments.environments.landing_task.TaskOptions` and a ``seed``, which
-    decides the layout of the scene and all that is drawn afterwards. Discount 0 at an end, 1 at a
-    cut-off."""
+    """Takes the fields of `experiments.environments.landing_task.TaskOptions` and a ``seed`` for
+    the layout of the scene and all random draws. The discount is 0 at termination and 1 at
+    truncation."""
 
     def __init__(self, seed: int = 0, **options: Any) -> None:
         self._task = LandingTask(TaskOptions(**options))
@@ -24,12 +24,12 @@ class TouchdownEnvironment(dm_env.Environment):
         self._ended = True
 
     def reset(self) -> dm_env.TimeStep:
-        """A new episode on the layout of the seed."""
+        """Begins an episode on the layout of the seed."""
         self._ended = False
         return dm_env.restart(self._task.reset(self._seed, self._rng).observation)
 
     def step(self, action: NDArray[Any]) -> dm_env.TimeStep:
-        """Flies one action; after a last time step it begins a new episode instead."""
+        """Flies one action; after a last time step begins a new episode instead."""
         if self._ended:
             return self.reset()
         done = self._task.step(action)

@@ -17,10 +17,10 @@ class TouchdownEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     """``gymnasium.make("Touchdown-v0", **options)`` with the fields of
     `experiments.environments.landing_task.TaskOptions`.
 
-    ``reset(seed=n)`` builds layout n of the scene and makes all that follows repeatable; a reset
+    ``reset(seed=n)`` builds layout n of the scene and seeds all random draws; a reset
     without seed keeps the layout and draws another start, wind and sensor errors.
-    ``options={"layout": k}`` asks for a layout by number. Render mode ``rgb_array``: what the
-    vehicle sees below it.
+    ``options={"layout": k}`` selects a layout by number. Render mode ``rgb_array`` gives the
+    vehicle's view downwards.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012
@@ -53,12 +53,12 @@ class TouchdownEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return done.observation, done.reward, done.terminated, done.truncated, done.info
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        return self._task.draw() if self.render_mode == "rgb_array" else None
+        return self._task.render() if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
         self._task.close()
 
 
 def _tuples(options: dict[str, Any]) -> dict[str, Any]:
-    """Lists, as they come out of JSON and YAML, count as tuples."""
+    """Converts lists, as read from JSON and YAML, to tuples."""
     return {k: tuple(v) if isinstance(v, list) else v for k, v in options.items()}

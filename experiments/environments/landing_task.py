@@ -1,40 +1,40 @@
-"""One landing as a task: take over from a hover, touch down where it is safe.
+"""The landing task: fly from a hover to a touchdown on safe ground.
 
-**Episode.** The vehicle hovers ``start_height_m`` over a random place near the take-off spot, held
+**Episode.** The vehicle hovers ``start_height_m`` over a random point near the take-off spot, held
 by an autopilot for 0.4 s while the sensors deliver their first measurements; then the policy flies.
 The episode ends with the first contact, a tilt above 75 degrees, leaving the scene or climbing 30 m
 above the start; it is cut off after ``time_limit_s``.
 
 **Action**, (4,) in [-1, 1], held for 1 / ``action_hz``. ``rotors``: one number for each rotor,
 linear in thrust from idle to full; 0 is close to hover. ``velocity``: forward, left, up (4, 4,
-2.5 m/s) and yaw rate (60 deg/s) in the heading frame, flown by the project's cascade controller,
-which is told the true state - the policy is not.
+2.5 m/s) and yaw rate (60 deg/s) in the heading frame, flown by the project's cascade controller
+from the true state, which the policy does not observe.
 
-**Observation**, a dictionary of the chosen ``sensors`` and nothing else of the world; with
-``privileged`` also ``state``, the truth. Real sensors: noisy, biased, late.
+**Observation**, a dictionary of the chosen ``sensors``, with their noise, bias and delay; with
+``privileged`` also ``state``, the true state.
 
 ===============  =========  =====================================================================
 ``imu``          (6,)       mean since the last action: rad/s, m/s^2, IMU frame
-``rangefinder``  (1,)       metres down the body's axis, 0 where nothing came back
+``rangefinder``  (1,)       metres down the body's axis, 0 without a return
 ``barometer``    (1,)       metres above the first reading
 ``magnetometer`` (3,)       microtesla, body frame
 ``rotors``       (4,)       speeds, 1 = full
 ``gps``          (6,)       position of the antenna from the take-off spot and velocity, m and m/s
-``camera``       (H, W, 3)  newest picture, uint8, 10 Hz
+``camera``       (H, W, 3)  newest image, uint8, 10 Hz
 ``state``        (19,)      position from the take-off spot, velocity, rotation matrix by rows, body
-                            rates, height over whatever lies below (at most 1000)
+                            rates, height over the surface below (at most 1000)
 ===============  =========  =====================================================================
 
 **Reward.** Progress is potential-based, so that it changes no optimal policy (Ng, Harada, Russell
 1999): every step gives Phi(now) - Phi(before) with Phi = -0.1 (height + distance), the height of
 the feet over the take-off ground and the horizontal distance to the nearest truly safe point (at
-most 20), both in metres; 0.01 a second is taken for the time. The end gives
+most 20), both in metres; less 0.01 a second. The end gives
 
 - a touchdown on the legs at most 1.5 m/s down, 1 m/s sideways and 20 degrees tilted: 10 on a truly
   safe point, less up to half for vertical speed (linear to 1.5 m/s); -2 on any other ground;
 - anything else that ends the episode: -10.
 
-"Truly safe" is the rule by which all flights are judged (`scenes.api.TruthMaps.safe`).
+"Truly safe" is the rule that the referee applies to all flights (`scenes.api.TruthMaps.safe`).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from touchdown.experiments.api import Outcome
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.environments.action_modes import ACTION_MODES, ActionMode
-from touchdown.experiments.environments.observations import SENSORS, Observations, sensor_needs
+from touchdown.experiments.environments.observations import SENSORS, ObservationBuffer, sensor_needs
 from touchdown.experiments.environments.wiring import EnvBackend, build_env_backend
 from touchdown.experiments.flight.truth_lookup import TruthLookup
 from touchdown.experiments.flight.wiring import build_scene
@@ -78,7 +78,7 @@ _CLEAR_RADIUS_M = 3.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TaskOptions:
-    """Arguments of ``gymnasium.make`` and of the dm_env class. ValueError: impossible ones."""
+    """Arguments of ``gymnasium.make`` and of the dm_env class. Raises ValueError if invalid."""
 
     scene: str = "crossroad"
     """a name or the path of an MJCF file"""
@@ -88,7 +88,7 @@ class TaskOptions:
     privileged: bool = False
     """adds the true state to the observation"""
     start_height_m: float = 10.0
-    """over the highest thing within 3 m of the start"""
+    """above the highest surface within 3 m of the start"""
     start_spread_m: float = 10.0
     """the start lies in a square of twice this side around the take-off spot"""
     time_limit_s: float = 60.0
@@ -97,7 +97,7 @@ class TaskOptions:
     camera_pixels: tuple[int, int] = (84, 84)
     """width, height; the field of view is 69 degrees along the longer side"""
     view_pixels: tuple[int, int] = (424, 240)
-    """of rendered pictures for people"""
+    """of rendered views, width, height"""
 
     def __post_init__(self) -> None:
         if self.action not in ACTION_MODES:
@@ -115,7 +115,7 @@ class TaskOptions:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What one action led to."""
+    """Result of one action."""
 
     observation: dict[str, NDArray[Any]]
     reward: float
@@ -125,8 +125,8 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
-    """A scene with what the task needs to know of its truth."""
+class TaskScene:
+    """A scene with its true safe ground."""
 
     scene: Scene
     maps: TruthMaps
@@ -138,8 +138,8 @@ class Layout:
         cell = _cell_of(self.maps, xy)
         return _MAX_DISTANCE_M if cell is None else float(self.safe_distance_m[cell])
 
-    def top_near(self, xy: Array) -> float:
-        """Height of the highest thing within 3 m; 0 where there is nothing."""
+    def highest_near(self, xy: Array) -> float:
+        """Height of the highest surface within 3 m; 0 where there is none."""
         maps = self.maps
         row, col = np.floor((xy - maps.origin_xy_m) / maps.cell_m).astype(int)[::-1]
         reach = round(_CLEAR_RADIUS_M / maps.cell_m)
@@ -151,22 +151,24 @@ class Layout:
 
 
 class LandingTask:
-    """Episodes after one another; ``reset`` before the first ``step``."""
+    """Runs episodes of the task. Call ``reset`` before the first ``step``."""
 
     def __init__(self, options: TaskOptions) -> None:
         self.options = options
-        self.observations = Observations(options.sensors, options.privileged, options.camera_pixels)
+        self.observations = ObservationBuffer(
+            options.sensors, options.privileged, options.camera_pixels
+        )
         self._config = _configuration(options)
         sim = self._config.sim
         control_hz = sim.tick_hz // sim.control_ticks
         if options.action_hz < 1 or control_hz % options.action_hz:
             raise ValueError(f"action_hz is {options.action_hz}: give a divisor of {control_hz}")
         self._steps_per_action = control_hz // options.action_hz
-        self._layout: Layout | None = None
+        self._layout: TaskScene | None = None
         self._backend: EnvBackend | None = None
 
     def reset(self, layout_seed: int | None, rng: np.random.Generator) -> Step:
-        """A new episode on the layout of ``layout_seed`` (None: the one there is). ``rng`` draws
+        """Begins an episode on the layout of ``layout_seed`` (None: the present one). ``rng`` draws
         start, wind and sensor errors. The step's reward is 0."""
         if self._backend is not None:
             self._backend.close()
@@ -179,7 +181,7 @@ class LandingTask:
         self._backend = backend
         self._action_mode: ActionMode = ACTION_MODES[self.options.action](backend)
         rig = backend.world.rig
-        self.observations.begin(rig)
+        self.observations.reset(rig)
         self._home = rig.world_from_body_start.translation - [0.0, 0.0, rig.vehicle.leg_height_m]
         self._obs = backend.world.start_in_air(*self._start(layout, rng))
         self._start_z = float(backend.world.truth().world_from_body.translation[2])
@@ -190,9 +192,10 @@ class LandingTask:
         return Step(self._observation(), 0.0, False, False, self._info(None, False))
 
     def step(self, action: NDArray[Any]) -> Step:
-        """Flies one action, (4,) in [-1, 1]; what lies outside is clipped.
+        """Flies one action, (4,) clipped to [-1, 1].
 
-        ValueError: a wrong shape or not finite. RuntimeError: before the first reset.
+        Raises ValueError for a wrong shape or values that are not finite, and RuntimeError before
+        the first reset.
         """
         if self._backend is None:
             raise RuntimeError("reset the environment before its first step")
@@ -201,7 +204,7 @@ class LandingTask:
             raise ValueError(f"an action is 4 finite numbers, not {action!r}")
         action = np.clip(action, -1.0, 1.0)
         outcome, safe, ending = None, False, 0.0
-        self._action_mode.take(action)
+        self._action_mode.set_action(action)
         for _ in range(self._steps_per_action):
             before = self._truth
             self._advance(self._action_mode.command(self._obs))
@@ -219,41 +222,42 @@ class LandingTask:
             self._observation(), reward, outcome is not None, truncated, self._info(named, safe)
         )
 
-    def draw(self) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8: what the vehicle sees below it. RuntimeError: before the first reset."""
+    def render(self) -> NDArray[np.uint8]:
+        """Returns the vehicle's view downwards, (H, W, 3) uint8. Raises RuntimeError before the
+        first reset."""
         if self._backend is None:
             raise RuntimeError("reset the environment before rendering it")
-        return self._backend.draw().copy()
+        return self._backend.render().copy()
 
     def close(self) -> None:
-        """Frees the world; a later ``reset`` makes another."""
+        """Frees the world; a later ``reset`` builds another."""
         if self._backend is not None:
             self._backend.close()
             self._backend = None
 
     # ------------------------------------------------------------------------------ inside
 
-    def _take_layout(self, seed: int | None) -> Layout:
+    def _take_layout(self, seed: int | None) -> TaskScene:
         if self._layout is None or seed not in (None, self._layout.scene.seed):
             self._layout = None  # frees the old one first
             scene = build_scene(self._config.model_copy(update={"seed": seed or 0}))
             maps = scene_truth_maps(scene, _MAP_CELL_M)
-            self._layout = Layout(scene, maps, _distances(maps))
+            self._layout = TaskScene(scene, maps, _distances(maps))
         return self._layout
 
-    def _start(self, layout: Layout, rng: np.random.Generator) -> tuple[Array, float]:
+    def _start(self, layout: TaskScene, rng: np.random.Generator) -> tuple[Array, float]:
         spread = self.options.start_spread_m
         low, high = layout.scene.bounds_xy_m + np.array([[_EDGE_M], [-_EDGE_M]])
         xy = layout.scene.takeoff_xy_m + rng.uniform(-spread, spread, 2)
         xy = np.clip(xy, low, high)
-        z = layout.top_near(xy) + self.options.start_height_m
+        z = layout.highest_near(xy) + self.options.start_height_m
         return np.array([*xy, z]), float(rng.uniform(-np.pi, np.pi))
 
     def _advance(self, command: Any) -> None:
         assert self._backend is not None
         self._obs = self._backend.world.step(command)
         self._truth: Truth = self._backend.world.truth()
-        self.observations.take(self._obs)
+        self.observations.update(self._obs)
 
     def _potential_now(self) -> float:
         assert self._layout is not None and self._backend is not None
@@ -263,7 +267,7 @@ class LandingTask:
         return -_PROGRESS_PER_M * (height + self._layout.distance_at(position[:2]))
 
     def _judge(self, before: Truth, now: Truth) -> tuple[Outcome | None, bool, float]:
-        """Outcome (None: flying on), whether the touchdown was safe, and the final reward."""
+        """Returns outcome (None in flight), safety of the touchdown, and final reward."""
         assert self._layout is not None
         if now.contacts:
             return self._judge_contact(before, now)

@@ -1,4 +1,4 @@
-"""From the world's messages to the arrays that a policy sees."""
+"""Observations of a policy: arrays made of the newest sensor measurements."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _FAR_M = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """An array of an observation: shape, dtype, and limits that it is clipped to."""
+    """Shape, dtype and limits of one array of an observation. Values are clipped to the limits."""
 
     shape: tuple[int, ...]
     low: NDArray[Any]
@@ -27,6 +27,7 @@ class Bounds:
 
     @property
     def dtype(self) -> Any:
+        """Numpy dtype of the array."""
         return self.low.dtype
 
 
@@ -39,7 +40,7 @@ SENSORS: Mapping[str, SensorNeeds] = {
     "gps": SensorNeeds(gps=True),
     "camera": SensorNeeds(camera_hz=CAMERA_HZ),
 }
-"""By name: what the world has to simulate for it."""
+"""By name: the sensors that the world simulates for it."""
 
 _GYRO_LIMIT, _ACCEL_LIMIT = float(np.radians(2000.0)), 24.0 * 9.81
 """Full scale of a BMI088."""
@@ -52,19 +53,19 @@ _LIMITS: Mapping[str, tuple[float, Array]] = {
     "gps": (-1.0, np.array([1e4] * 3 + [100.0] * 3)),
     "state": (-1.0, np.array([1e4] * 3 + [100.0] * 3 + [1.0] * 9 + [100.0] * 3 + [_FAR_M])),
 }
-"""By name: the low limit as a factor of the high one, and the high limit of every number."""
+"""By name: the low limit as a factor of the high one, and the high limits."""
 
 
 def sensor_needs(sensors: tuple[str, ...]) -> SensorNeeds:
-    """The union of what the named sensors need."""
+    """Returns the union of the needs of the named sensors."""
     needs = SensorNeeds()
     for name in sensors:
         needs |= SENSORS[name]
     return needs
 
 
-class Observations:
-    """Keeps the newest of every sensor and makes observations out of it."""
+class ObservationBuffer:
+    """Keeps the newest measurement of every sensor and returns observations."""
 
     def __init__(
         self, sensors: tuple[str, ...], privileged: bool, camera_pixels: tuple[int, int]
@@ -72,13 +73,13 @@ class Observations:
         names = (*dict.fromkeys(sensors), *(("state",) if privileged else ()))
         width, height = camera_pixels
         self.bounds: dict[str, Bounds] = {
-            name: _picture_bounds(width, height) if name == "camera" else _number_bounds(name)
+            name: _image_bounds(width, height) if name == "camera" else _number_bounds(name)
             for name in names
         }
 
-    def begin(self, rig: SensorRig) -> None:
-        """Forgets the last episode."""
-        self._pad = rig.world_from_body_start.translation
+    def reset(self, rig: SensorRig) -> None:
+        """Clears all measurements for a new episode."""
+        self._start_position = rig.world_from_body_start.translation
         self._full_speed = rig.vehicle.rotor_speed_max
         self._latest: dict[str, NDArray[Any]] = {
             name: np.zeros(b.shape) for name, b in self.bounds.items()
@@ -86,8 +87,8 @@ class Observations:
         self._imu: list[Array] = []
         self._first_altitude: float | None = None
 
-    def take(self, obs: Observation) -> None:
-        """Everything that arrived."""
+    def update(self, obs: Observation) -> None:
+        """Stores the measurements that arrived in one control step."""
         latest = self._latest
         self._imu += [np.concatenate([s.angular_velocity, s.specific_force]) for s in obs.imu]
         latest["rotors"] = obs.rotor_speed_radps / self._full_speed
@@ -102,14 +103,16 @@ class Observations:
             latest["magnetometer"] = obs.magnetometer[-1].field_body_ut
         if obs.gps:
             fix = obs.gps[-1]
-            latest["gps"] = np.concatenate([fix.position_world - self._pad, fix.velocity_world])
+            position = fix.position_world - self._start_position
+            latest["gps"] = np.concatenate([position, fix.velocity_world])
         if obs.images:
             latest["camera"] = obs.images[-1].rgb
 
     def observation(
         self, truth: Truth, home: Array, height_over_ground_m: float
     ) -> dict[str, NDArray[Any]]:
-        """New arrays within ``bounds``; the IMU's mean begins anew."""
+        """Returns new arrays within ``bounds`` and restarts the mean of the IMU. home: (3,) origin
+        of the true position in ``state``."""
         if self._imu:
             self._latest["imu"] = np.mean(self._imu, axis=0)
             self._imu.clear()
@@ -136,7 +139,7 @@ def _number_bounds(name: str) -> Bounds:
     return Bounds(shape=high.shape, low=np.float32(factor) * high, high=high)
 
 
-def _picture_bounds(width: int, height: int) -> Bounds:
+def _image_bounds(width: int, height: int) -> Bounds:
     shape = (height, width, 3)
     return Bounds(
         shape=shape, low=np.zeros(shape, np.uint8), high=np.full(shape, 255, dtype=np.uint8)

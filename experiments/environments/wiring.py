@@ -1,4 +1,4 @@
-"""World and autopilot of an environment."""
+"""Builds world and autopilot of an environment."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.controller.api import Controller
-from touchdown.estimator.api import (
-    Estimator,
-)
+from touchdown.estimator.api import Estimator
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.wiring import make_world
 from touchdown.scenes.api import Scene
@@ -21,25 +19,28 @@ from touchdown.sim.api import SensorNeeds
 
 @dataclass(slots=True)
 class EnvBackend:
-    """A vehicle in the air over a scene, for a policy: ``controller``, told the truth
-    by ``estimator``, holds it until the policy takes over. ``draw()`` is what a camera of
-    ``view_pixels`` (width, height) on the vehicle sees now, (H, W, 3) uint8."""
+    """World, autopilot and viewing camera of one episode. The autopilot hovers the vehicle until
+    the policy flies."""
 
     scene: Scene
     world: Any
     """``sim.world.MujocoWorld``, whose ``start_in_air`` begins an episode"""
     estimator: Estimator
+    """the oracle: its estimates are the true state"""
     controller: Controller
+    """the cascade controller"""
     step_s: float
-    """of one control step"""
-    draw: Callable[[], NDArray[np.uint8]]
+    """duration of one control step"""
+    render: Callable[[], NDArray[np.uint8]]
+    """returns the present view of the vehicle's camera, (H, W, 3)"""
     close: Callable[[], None]
 
 
 def build_env_backend(
     config: Config, scene: Scene, needs: SensorNeeds, view_pixels: tuple[int, int]
 ) -> EnvBackend:
-    """World and autopilot of ``config``, sensing what ``needs`` asks for."""
+    """Returns world and autopilot of ``config`` with the sensors of ``needs``. view_pixels: (width,
+    height) of rendered views."""
     from touchdown.controller.cascade import CascadeController
     from touchdown.estimator.oracle import Oracle
     from touchdown.sim.api import CameraParams
@@ -61,6 +62,6 @@ def build_env_backend(
         estimator=Oracle(world.truth, world.rig),
         controller=CascadeController(world.rig.vehicle, config.control),
         step_s=config.sim.control_ticks / config.sim.tick_hz,
-        draw=lambda: view.render(world.snapshot(), 0),
+        render=lambda: view.render(world.snapshot(), 0),
         close=close,
     )

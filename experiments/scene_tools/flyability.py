@@ -25,7 +25,7 @@ def check_place(file: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
     """Builds the place of an MJCF file once and looks at what the configured survey needs of it.
 
     ``place``: the file; ``problems``: why it cannot be flown, one sentence each; ``remarks``: what
-    may not be meant; ``facts``: `scenes.truth.place_facts.PlaceFacts` and what
+    may not be meant; ``facts``: `scenes.truth.scene_facts.SceneFacts` and what
     `scenes.truth.survey_facts.SurveyFacts` says of safe ground. Raises UsageError for a file that
     cannot be read."""
     config = load_config(None, list(overrides), scene=file)

@@ -91,7 +91,7 @@ def _views(name: str, seed: int) -> SceneViews:
 
 def vehicle_portrait(scene: Scene) -> tuple[NDArray[np.uint8], VehicleModel]:
     """(H, W, 3) RGB of the vehicle on the ground, and what its controller knows of it."""
-    from touchdown.scenes.render import vehicle_picture
+    from touchdown.scenes.render import render_vehicle
     from touchdown.sim.airframe.vehicle import vehicle_model
 
-    return vehicle_picture(scene), vehicle_model(scene.model)
+    return render_vehicle(scene), vehicle_model(scene.model)

@@ -12,8 +12,7 @@ import numpy as np
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.experiments.scene_tools.survey_facts import survey_facts
-from touchdown.scenes.truth.survey_facts import difference as layout_difference
-from touchdown.scenes.truth.survey_facts import layout as scene_layout
+from touchdown.scenes.truth.survey_facts import layout_difference, layout_rasters
 
 SAME_HEIGHT_M = 0.01
 SAME_CLASS_SHARE = 0.005
@@ -50,7 +49,7 @@ def check_scene(name: str, seeds: int, progress: Callable[[str], None]) -> dict[
             failed[seed] = " ".join(str(error).split())
             continue
         facts[seed] = dataclasses.asdict(survey_facts(config, scene))
-        layout = scene_layout(scene)
+        layout = layout_rasters(scene)
         pairs += [
             {
                 "seeds": [other, seed],

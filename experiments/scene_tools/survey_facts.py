@@ -11,7 +11,7 @@ from touchdown.landing.api import SurveyParams
 from touchdown.scenes.api import Scene
 
 if TYPE_CHECKING:
-    from touchdown.scenes.truth.place_facts import PlaceFacts
+    from touchdown.scenes.truth.scene_facts import SceneFacts
     from touchdown.scenes.truth.survey_facts import SurveyFacts
 
 
@@ -22,9 +22,9 @@ def survey_facts(config: Config, scene: Scene) -> SurveyFacts:
     return facts(scene, *_survey_reach(config.survey))
 
 
-def place_facts(config: Config, scene: Scene) -> PlaceFacts:
+def place_facts(config: Config, scene: Scene) -> SceneFacts:
     """What a file's place offers the configured survey."""
-    from touchdown.scenes.truth.place_facts import place_facts as facts
+    from touchdown.scenes.truth.scene_facts import scene_facts as facts
 
     return facts(scene, *_survey_reach(config.survey))
 

@@ -16,7 +16,7 @@ from touchdown.experiments.drawing.map_axes import PAPER, MapFrame, survey_marks
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.run_directory import whole_file
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene, TruthMaps
-from touchdown.scenes.render import scene_picture
+from touchdown.scenes.render import render_scene
 from touchdown.scenes.truth.maps import truth_maps as scene_truth_maps
 
 if TYPE_CHECKING:
@@ -95,10 +95,10 @@ class SceneViews:
         return scene_truth_maps(self._scene, cell)
 
     def above(self) -> Picture:
-        return scene_picture(self._scene, "above")
+        return render_scene(self._scene, "above")
 
     def oblique(self) -> Picture:
-        return scene_picture(self._scene, "oblique")
+        return render_scene(self._scene, "oblique")
 
     def camera(self) -> Picture:
         return self._hover.rgb

@@ -1,1 +1,1 @@
-"""What scene generators share: terrain, textures, light, roads, plots."""
+"""Building blocks of the scene generators: terrain, textures, light, water, roads, plots."""

@@ -1,4 +1,5 @@
-"""Sunlight baked into the ground's picture: shadows along the sun, and the dimness under things.
+"""Bakes sunlight into the ground texture: shadows along the sun, and ambient occlusion below
+objects.
 
 Real-time shadow maps would triple the render time on a software renderer.
 """
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.builder import Caster
-from touchdown.scenes.authoring.terrain import Terrain
+from touchdown.scenes.authoring.height_field import HeightField
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -22,18 +23,18 @@ over the sun's own."""
 
 def bake_light(
     casters: list[Caster],
-    terrain: Terrain,
+    terrain: HeightField,
     sun_direction: Array,
     pixels: int,
     ambient: float,
     hilly: bool = False,
 ) -> Float32:
-    """Share of full light on the ground, (pixels, pixels) float32 in (0, 1], row 0 at y_min.
+    """Returns the share of full light on the ground, (pixels, pixels) float32 in (0, 1], row 0 at
+    y_min.
 
-    sun_direction: (3,) unit, the way the light travels. ambient: light left in full shadow.
-    Casters are projected on the level ground at their own foot, or, where the place is ``hilly``,
-    on the slope that the shadow falls on; overlaps multiply.
-    """
+    sun_direction: (3,) unit, the direction in which the light travels. ambient: light left in full
+    shadow. Casters are projected on the level ground at their own foot, or, in ``hilly`` scenes, on
+    the slope that the shadow falls on; overlaps multiply."""
     cell = 2.0 * terrain.half_m / pixels
     sun = np.ones((pixels, pixels), np.float32)
     sky = np.ones((pixels // 4, pixels // 4), np.float32)
@@ -48,7 +49,7 @@ def bake_light(
             height = np.maximum(points[:, 2] - terrain.at(shadow), 0.0)
             shadow = points[:, :2] - height[:, None] * sun_direction[:2] / sun_direction[2]
         _darken(sun, shadow, terrain.half_m, cell, 1.0 - caster.opacity)
-        # Low things dim the ground around their foot, high crowns hardly do.
+        # Low objects dim the ground around their foot, high crowns hardly do.
         _darken(sky, points[:, :2], terrain.half_m, 4.0 * cell, 1.0 - 0.55 * np.exp(-lift / 1.5))
     soft = cv2.GaussianBlur(sun, (0, 0), 0.8)
     open_sky = cv2.GaussianBlur(sky, (0, 0), 0.35 / (4.0 * cell))

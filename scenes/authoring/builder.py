@@ -1,4 +1,4 @@
-"""Collects what a generator places: geoms, their surfaces, and what throws a shadow."""
+"""Collects the geoms, surfaces and shadow casters of a scene under construction."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.terrain import Terrain
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.props.meshes import MeshData
 
 Array = NDArray[np.float64]
@@ -28,27 +28,30 @@ class Caster:
 
 
 @dataclass(kw_only=True, slots=True)
-class Builder:
-    """Adds named things to an MjSpec."""
+class SceneBuilder:
+    """Adds named assets and geoms to an MjSpec."""
 
     spec: Any
     rng: np.random.Generator
-    terrain: Terrain
+    terrain: HeightField
+    """what objects stand on"""
+    sun: Array
+    """(3,) unit, the direction in which sunlight travels"""
     surfaces: dict[str, Surface] = field(default_factory=dict)
     casters: list[Caster] = field(default_factory=list)
     occupied: list[tuple[Array, float]] = field(default_factory=list)
-    """(2,) centre and radius of what later random placements keep away from"""
+    """(2,) centre and radius of discs that later random placements avoid"""
     _serial: dict[str, int] = field(default_factory=dict)
 
     def unique(self, stem: str) -> str:
-        """``stem_0``, ``stem_1``, ..."""
+        """Returns ``stem_0``, ``stem_1``, ... at successive calls."""
         number = self._serial.get(stem, 0)
         self._serial[stem] = number + 1
         return f"{stem}_{number}"
 
-    def material(self, name: str, picture: NDArray[np.uint8], shine: float = 0.0) -> str:
-        """A material with a 2-D texture, (H, W, 3) uint8, top row first. Returns its name."""
-        add_texture(self.spec, name, picture)
+    def material(self, name: str, image: NDArray[np.uint8], shine: float = 0.0) -> str:
+        """Adds a material with a 2-D texture, (H, W, 3) uint8, top row first. Returns its name."""
+        add_texture(self.spec, name, image)
         material = self.spec.add_material(name=name, specular=shine, shininess=0.5 * shine)
         textures = list(material.textures)
         textures[RGB_ROLE] = name
@@ -56,7 +59,7 @@ class Builder:
         return name
 
     def mesh(self, name: str, data: MeshData) -> str:
-        """A mesh asset. Returns its name."""
+        """Adds a mesh asset. Returns its name."""
         mesh = self.spec.add_mesh(name=name)
         mesh.uservert = data.vertices.ravel()
         mesh.userface = data.faces.ravel()
@@ -66,12 +69,12 @@ class Builder:
             length = np.linalg.norm(data.normals, axis=1, keepdims=True)
             mesh.usernormal = (data.normals / np.maximum(length, 1e-12)).ravel()
             mesh.userfacenormal = data.faces.ravel()
-        # Static things need no true inertia; the shell's exists for thin and open meshes as well.
+        # Static meshes need no true inertia; the shell's exists for thin and open meshes as well.
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         return name
 
     def geom(self, stem: str, surface: Surface, body: Any = None, **attributes: Any) -> Any:
-        """A geom of the world, or of ``body``, with its surface."""
+        """Adds a geom with its surface to the world, or to ``body``."""
         name = self.unique(stem)
         self.surfaces[name] = surface
         return (body or self.spec.worldbody).add_geom(name=name, **attributes)
@@ -81,36 +84,37 @@ class Builder:
         self.casters.append(Caster(points=np.asarray(points, np.float64), opacity=opacity))
 
     def claim(self, xy_m: Array, radius_m: float) -> None:
-        """Keeps later random placements away."""
+        """Reserves a disc against later random placements."""
         self.occupied.append((np.asarray(xy_m, np.float64), radius_m))
 
     def is_free(self, xy_m: Array, radius_m: float) -> bool:
+        """True if a disc overlaps no reserved one."""
         return all(
             float(np.hypot(*(xy_m - centre))) > radius + radius_m
             for centre, radius in self.occupied
         )
 
 
-def add_texture(spec: Any, name: str, picture: NDArray[np.uint8]) -> None:
+def add_texture(spec: Any, name: str, image: NDArray[np.uint8]) -> None:
     """Adds a 2-D texture from memory, (H, W, 3) uint8, top row first."""
     texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, nchannel=3)
-    fill_texture(texture, picture)
+    fill_texture(texture, image)
 
 
-def fill_texture(texture: Any, picture: NDArray[np.uint8]) -> None:
-    """Puts a picture, (H, W, 3) uint8, top row first, into an MjSpec texture."""
+def fill_texture(texture: Any, image: NDArray[np.uint8]) -> None:
+    """Copies an image, (H, W, 3) uint8, top row first, into an MjSpec texture."""
     texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_NONE
-    texture.height, texture.width = picture.shape[:2]
+    texture.height, texture.width = image.shape[:2]
     texture.nchannel = 3
-    texture.data = np.ascontiguousarray(picture).tobytes()
+    texture.data = np.ascontiguousarray(image).tobytes()
 
 
 def quat_z(angle: float) -> list[float]:
-    """Quaternion wxyz of a turn about +z."""
+    """Returns the quaternion wxyz of a turn about +z."""
     return [float(np.cos(0.5 * angle)), 0.0, 0.0, float(np.sin(0.5 * angle))]
 
 
 def turned(points: Array, angle: float, origin: Array) -> Array:
-    """(N, 3) local points turned about +z and moved to ``origin`` (3,)."""
+    """Returns (N, 3) local points turned about +z and moved to ``origin`` (3,)."""
     c, s = np.cos(angle), np.sin(angle)
     return points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + origin

@@ -1,4 +1,4 @@
-"""A room with a board that can be held anywhere: where camera and LIDAR are calibrated."""
+"""A room with a movable chessboard for calibrating camera and LIDAR."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import Scene, Surface
 from touchdown.scenes.authoring.builder import RGB_ROLE, add_texture
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.compose import compile_scene, furnish
+from touchdown.scenes.compose import compile_scene, prepare_spec
 
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 BOARD_BODY = "board"
-"""A mocap body. Its frame: x along the picture's width, y down the picture, z into the board, with
+"""A mocap body. Its frame: x along the image's width, y down the image, z into the board, with
 the origin in the middle of the face."""
 _THICKNESS_M = 0.01
 _POLE_M = 0.7
@@ -27,15 +27,15 @@ _WOOD = Surface(land_class="other", reflectivity=0.4)
 _CONCRETE = Surface(land_class="road", reflectivity=0.25)
 
 
-def calibration_room(picture: Picture, width_m: float, height_m: float, seed: int) -> Scene:
-    """The vehicle on a concrete floor with crates, and a board of ``width_m`` x ``height_m`` that
-    shows ``picture`` (H, W, 3) RGB, held by a pole from behind. The seed places the crates."""
+def calibration_room(image: Image, width_m: float, height_m: float, seed: int) -> Scene:
+    """Returns the vehicle on a concrete floor with crates and a board of ``width_m`` x ``height_m``
+    that shows ``image`` (H, W, 3) RGB, held by a pole from behind. The seed places the crates."""
     rng = np.random.default_rng([seed, crc32(b"scenes.calibration_room")])
     spec = mujoco.MjSpec()
     surfaces: dict[str, Surface] = {}
     _add_floor(spec, rng, surfaces)
     _add_crates(spec, rng, surfaces)
-    _add_board(spec, picture, width_m, height_m, surfaces)
+    _add_board(spec, image, width_m, height_m, surfaces)
     light = spec.worldbody.add_light(name="lamp", pos=[1.0, -2.0, 9.0], dir=[-0.1, 0.2, -1.0])
     light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     light.diffuse, light.specular = [0.35] * 3, [0.0] * 3
@@ -50,12 +50,12 @@ def calibration_room(picture: Picture, width_m: float, height_m: float, seed: in
         surfaces=surfaces,
         ground=None,
     )
-    furnish(draft)
+    prepare_spec(draft)
     return compile_scene(spec, draft, "calibration_room", seed, "the calibration room")
 
 
-def _add_material(spec: mujoco.MjSpec, name: str, picture: Picture) -> None:
-    add_texture(spec, name, picture)
+def _add_material(spec: mujoco.MjSpec, name: str, image: Image) -> None:
+    add_texture(spec, name, image)
     material = spec.add_material(name=name, specular=0.0, shininess=0.0)
     textures = list(material.textures)
     textures[RGB_ROLE] = name
@@ -79,7 +79,7 @@ def _add_floor(spec: mujoco.MjSpec, rng: np.random.Generator, surfaces: dict[str
 def _add_crates(
     spec: mujoco.MjSpec, rng: np.random.Generator, surfaces: dict[str, Surface]
 ) -> None:
-    """Planes of other sizes than the board's, clear of where the vehicle stands."""
+    """Adds planes of other sizes than the board's, clear of the vehicle."""
     for number in range(_CRATES):
         angle = 2.0 * np.pi * (number + rng.uniform(-0.3, 0.3)) / _CRATES
         distance = rng.uniform(1.2, 3.2)
@@ -99,15 +99,15 @@ def _add_crates(
 
 def _add_board(
     spec: mujoco.MjSpec,
-    picture: Picture,
+    image: Image,
     width_m: float,
     height_m: float,
     surfaces: dict[str, Surface],
 ) -> None:
-    _add_material(spec, "board_picture", picture)
+    _add_material(spec, "board_image", image)
     mesh = spec.add_mesh(name="board_face")
     x, y = 0.5 * width_m, 0.5 * height_m
-    # Counter-clockwise seen from -z, where the board is looked at; v runs down the picture.
+    # Counter-clockwise seen from -z, the side that is seen; v runs down the image.
     faces = np.array([[0, 2, 1], [0, 3, 2]], np.int32)
     mesh.uservert = np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]], float).ravel()
     mesh.userface = faces.ravel()
@@ -120,7 +120,7 @@ def _add_board(
         name="board_face",
         type=mujoco.mjtGeom.mjGEOM_MESH,
         meshname="board_face",
-        material="board_picture",
+        material="board_image",
         contype=0,
         conaffinity=0,
     )

@@ -1,4 +1,4 @@
-"""What a scene generator hands to `scenes.compose`: a place without the vehicle."""
+"""Output of a scene generator, before the vehicle is added and the model compiled."""
 
 from __future__ import annotations
 

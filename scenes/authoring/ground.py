@@ -1,9 +1,10 @@
-"""The ground's picture: a canvas of materials, markings and stains, shaded texel by texel."""
+"""Ground texture: a canvas of materials, markings and stains, shaded texel by texel."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -59,40 +60,53 @@ class Ground(IntEnum):
     ROOF_DECK = 29
 
 
-# land class, reflectivity at 905 nm, RGB, gains of fine noise, coarse noise, grain, large patches;
-# hue drift over large patches (RGB); 1 where the edge to a neighbour of the same kind is ragged.
-_Row = tuple[str, float, tuple[int, int, int], tuple[float, ...], tuple[int, ...], int]
+class _Row(NamedTuple):
+    """Appearance and class of a material."""
+
+    land_class: str
+    reflectivity: float
+    """at 905 nm"""
+    rgb: tuple[int, int, int]
+    gains: tuple[float, ...]
+    """of fine noise, coarse noise, grain, large patches"""
+    hue_drift: tuple[int, ...]
+    """RGB, over large patches"""
+    ragged: int
+    """1 where the edge to a neighbour of the same kind is ragged"""
+
+
 _TABLE: dict[Ground, _Row] = {
-    Ground.LAWN: ("lawn", 0.46, (94, 114, 60), (0.17, 0.11, 0.09, 0.06), (5, 2, 1), 1),
-    Ground.MEADOW: ("lawn", 0.44, (114, 119, 70), (0.20, 0.17, 0.10, 0.06), (6, 2, 1), 1),
-    Ground.SOIL: ("field", 0.25, (126, 98, 72), (0.17, 0.11, 0.08, 0.08), (6, 5, 5), 1),
-    Ground.PAVEMENT: ("path", 0.34, (170, 165, 154), (0.04, 0.04, 0.035, 0.03), (2, 1, -2), 0),
-    Ground.SIDE_PAVEMENT: ("path", 0.34, (166, 161, 151), (0.04, 0.04, 0.035, 0.03), (2, 1, -2), 0),
-    Ground.ASPHALT: ("road", 0.14, (97, 97, 99), (0.08, 0.04, 0.085, 0.05), (2, 1, -1), 0),
-    Ground.NEW_ASPHALT: ("road", 0.10, (72, 72, 75), (0.07, 0.03, 0.075, 0.03), (0, 0, 1), 0),
-    Ground.GRAVEL: ("path", 0.33, (176, 163, 138), (0.13, 0.06, 0.13, 0.04), (4, 3, 0), 1),
-    Ground.PAVERS: ("path", 0.30, (160, 122, 102), (0.04, 0.05, 0.04, 0.04), (3, 1, 0), 0),
-    Ground.MULCH: ("field", 0.22, (88, 66, 50), (0.22, 0.08, 0.14, 0.04), (4, 2, 0), 1),
-    Ground.CAR_PARK: ("road", 0.15, (110, 109, 108), (0.08, 0.05, 0.09, 0.05), (2, 2, 1), 0),
-    Ground.WORN: ("lawn", 0.38, (128, 113, 78), (0.16, 0.12, 0.09, 0.07), (8, 5, 0), 1),
-    Ground.LITTER: ("field", 0.34, (98, 82, 60), (0.24, 0.15, 0.14, 0.08), (7, 5, 2), 1),
-    Ground.FERN: ("trees", 0.40, (78, 92, 48), (0.26, 0.18, 0.14, 0.06), (7, 4, 1), 1),
-    Ground.SAND: ("field", 0.48, (214, 196, 156), (0.05, 0.04, 0.05, 0.03), (3, 2, 0), 0),
-    Ground.FAIRWAY: ("lawn", 0.47, (92, 120, 58), (0.11, 0.09, 0.08, 0.05), (5, 2, 1), 0),
-    Ground.GREEN: ("lawn", 0.48, (110, 140, 72), (0.05, 0.05, 0.05, 0.04), (3, 2, 1), 0),
-    Ground.ROUGH: ("lawn", 0.43, (92, 104, 56), (0.23, 0.17, 0.11, 0.06), (8, 3, 1), 1),
-    Ground.PUDDLE: ("water", 0.05, (74, 80, 78), (0.02, 0.02, 0.01, 0.03), (1, 1, 2), 0),
-    Ground.DECK: ("path", 0.42, (206, 196, 176), (0.03, 0.04, 0.03, 0.03), (3, 2, 0), 0),
-    Ground.PLANKS: ("path", 0.36, (158, 122, 88), (0.06, 0.05, 0.05, 0.04), (3, 2, 1), 0),
-    Ground.PITCH: ("lawn", 0.46, (88, 122, 58), (0.12, 0.08, 0.08, 0.05), (5, 2, 1), 0),
-    Ground.CLAY: ("field", 0.30, (176, 98, 68), (0.06, 0.06, 0.07, 0.05), (5, 3, 2), 0),
-    Ground.LANE: ("road", 0.19, (134, 127, 117), (0.13, 0.07, 0.12, 0.05), (4, 3, 1), 1),
-    Ground.COBBLES: ("path", 0.28, (142, 134, 124), (0.06, 0.07, 0.05, 0.05), (4, 2, 0), 0),
-    Ground.RUBBER: ("field", 0.22, (150, 78, 66), (0.03, 0.03, 0.06, 0.03), (2, 1, 0), 0),
-    Ground.CROPS: ("field", 0.36, (108, 92, 62), (0.17, 0.12, 0.10, 0.06), (6, 5, 4), 1),
-    Ground.BEACH: ("field", 0.42, (198, 182, 146), (0.07, 0.06, 0.08, 0.04), (4, 3, 1), 1),
-    Ground.MUD: ("field", 0.16, (96, 84, 66), (0.14, 0.16, 0.06, 0.07), (3, 3, 1), 1),
-    Ground.ROOF_DECK: ("path", 0.21, (134, 133, 130), (0.05, 0.05, 0.06, 0.06), (3, 2, -1), 0),
+    Ground.LAWN: _Row("lawn", 0.46, (94, 114, 60), (0.17, 0.11, 0.09, 0.06), (5, 2, 1), 1),
+    Ground.MEADOW: _Row("lawn", 0.44, (114, 119, 70), (0.20, 0.17, 0.10, 0.06), (6, 2, 1), 1),
+    Ground.SOIL: _Row("field", 0.25, (126, 98, 72), (0.17, 0.11, 0.08, 0.08), (6, 5, 5), 1),
+    Ground.PAVEMENT: _Row("path", 0.34, (170, 165, 154), (0.04, 0.04, 0.035, 0.03), (2, 1, -2), 0),
+    Ground.SIDE_PAVEMENT: _Row("path", 0.34, (166, 161, 151), (0.04, 0.04, 0.035, 0.03),
+                               (2, 1, -2), 0),
+    Ground.ASPHALT: _Row("road", 0.14, (97, 97, 99), (0.08, 0.04, 0.085, 0.05), (2, 1, -1), 0),
+    Ground.NEW_ASPHALT: _Row("road", 0.10, (72, 72, 75), (0.07, 0.03, 0.075, 0.03), (0, 0, 1), 0),
+    Ground.GRAVEL: _Row("path", 0.33, (176, 163, 138), (0.13, 0.06, 0.13, 0.04), (4, 3, 0), 1),
+    Ground.PAVERS: _Row("path", 0.30, (160, 122, 102), (0.04, 0.05, 0.04, 0.04), (3, 1, 0), 0),
+    Ground.MULCH: _Row("field", 0.22, (88, 66, 50), (0.22, 0.08, 0.14, 0.04), (4, 2, 0), 1),
+    Ground.CAR_PARK: _Row("road", 0.15, (110, 109, 108), (0.08, 0.05, 0.09, 0.05), (2, 2, 1), 0),
+    Ground.WORN: _Row("lawn", 0.38, (128, 113, 78), (0.16, 0.12, 0.09, 0.07), (8, 5, 0), 1),
+    Ground.LITTER: _Row("field", 0.34, (98, 82, 60), (0.24, 0.15, 0.14, 0.08), (7, 5, 2), 1),
+    Ground.FERN: _Row("trees", 0.40, (78, 92, 48), (0.26, 0.18, 0.14, 0.06), (7, 4, 1), 1),
+    Ground.SAND: _Row("field", 0.48, (214, 196, 156), (0.05, 0.04, 0.05, 0.03), (3, 2, 0), 0),
+    Ground.FAIRWAY: _Row("lawn", 0.47, (92, 120, 58), (0.11, 0.09, 0.08, 0.05), (5, 2, 1), 0),
+    Ground.GREEN: _Row("lawn", 0.48, (110, 140, 72), (0.05, 0.05, 0.05, 0.04), (3, 2, 1), 0),
+    Ground.ROUGH: _Row("lawn", 0.43, (92, 104, 56), (0.23, 0.17, 0.11, 0.06), (8, 3, 1), 1),
+    Ground.PUDDLE: _Row("water", 0.05, (74, 80, 78), (0.02, 0.02, 0.01, 0.03), (1, 1, 2), 0),
+    Ground.DECK: _Row("path", 0.42, (206, 196, 176), (0.03, 0.04, 0.03, 0.03), (3, 2, 0), 0),
+    Ground.PLANKS: _Row("path", 0.36, (158, 122, 88), (0.06, 0.05, 0.05, 0.04), (3, 2, 1), 0),
+    Ground.PITCH: _Row("lawn", 0.46, (88, 122, 58), (0.12, 0.08, 0.08, 0.05), (5, 2, 1), 0),
+    Ground.CLAY: _Row("field", 0.30, (176, 98, 68), (0.06, 0.06, 0.07, 0.05), (5, 3, 2), 0),
+    Ground.LANE: _Row("road", 0.19, (134, 127, 117), (0.13, 0.07, 0.12, 0.05), (4, 3, 1), 1),
+    Ground.COBBLES: _Row("path", 0.28, (142, 134, 124), (0.06, 0.07, 0.05, 0.05), (4, 2, 0), 0),
+    Ground.RUBBER: _Row("field", 0.22, (150, 78, 66), (0.03, 0.03, 0.06, 0.03), (2, 1, 0), 0),
+    Ground.CROPS: _Row("field", 0.36, (108, 92, 62), (0.17, 0.12, 0.10, 0.06), (6, 5, 4), 1),
+    Ground.BEACH: _Row("field", 0.42, (198, 182, 146), (0.07, 0.06, 0.08, 0.04), (4, 3, 1), 1),
+    Ground.MUD: _Row("field", 0.16, (96, 84, 66), (0.14, 0.16, 0.06, 0.07), (3, 3, 1), 1),
+    Ground.ROOF_DECK: _Row("path", 0.21, (134, 133, 130), (0.05, 0.05, 0.06, 0.06), (3, 2, -1), 0),
 }  # fmt: skip
 PAINT_REFLECTIVITY = 0.60
 
@@ -109,16 +123,18 @@ class Canvas:
 
     @staticmethod
     def of_size(half_m: float, texels: int) -> Canvas:
-        """A canvas of (texels, texels) rather than `TEXELS`, a multiple of `RASTER_STRIDE`."""
+        """Returns a canvas of (texels, texels) rather than `TEXELS`, a multiple of
+        `RASTER_STRIDE`."""
         blank = np.zeros((3, texels, texels), np.uint8)
         return Canvas(half_m=half_m, material=blank[0], paint=blank[1], stain=blank[2])
 
     @property
     def texel_m(self) -> float:
+        """Side of a texel in metres."""
         return 2.0 * self.half_m / len(self.material)
 
     def texels(self, xy_m: Array) -> NDArray[np.int32]:
-        """(N, 2) world metres to cv2's fixed-point column and row."""
+        """Converts (N, 2) world metres to cv2's fixed-point column and row."""
         grid = (np.asarray(xy_m) + self.half_m) / self.texel_m - 0.5
         return np.round(grid * 2**_BITS).astype(np.int32)
 
@@ -127,28 +143,28 @@ class Canvas:
         cv2.fillPoly(self.material, [self.texels(outline_m)], int(material), cv2.LINE_8, _BITS)
 
     def mark(self, outline_m: Array, cover: int = 255) -> None:
-        """White paint on a polygon."""
+        """Paints a polygon white."""
         cv2.fillPoly(self.paint, [self.texels(outline_m)], cover, cv2.LINE_AA, _BITS)
 
     def soil(self, outline_m: Array, cover: int) -> None:
-        """A dark stain on a polygon."""
+        """Darkens a polygon."""
         cv2.fillPoly(self.stain, [self.texels(outline_m)], cover, cv2.LINE_AA, _BITS)
 
     def trace(self, line_m: Array, width_m: float, cover: int) -> None:
-        """A dark line (a crack, a tar seam, a joint)."""
+        """Draws a dark line (a crack, a tar seam, a joint)."""
         width = max(1, round(width_m / self.texel_m))
         points = [self.texels(line_m)]
         cv2.polylines(self.stain, points, False, cover, width, cv2.LINE_AA, _BITS)
 
     def track(self, line_m: Array, width_m: float, material: Ground) -> None:
-        """A band of a material along a polyline."""
+        """Fills a band along a polyline with a material."""
         width = max(1, round(width_m / self.texel_m))
         cv2.polylines(self.material, [self.texels(line_m)], False, int(material), width, 8, _BITS)
 
     def raster(self, geom_name: str) -> GroundRaster:
-        """Classes and reflectivities, sampled at cell centres."""
-        ids = [LAND_CLASSES.index(_TABLE[material][0]) for material in Ground]
-        shine = np.array([_TABLE[material][1] for material in Ground], np.float32)
+        """Returns classes and reflectivities, sampled at cell centres."""
+        ids = [LAND_CLASSES.index(_TABLE[material].land_class) for material in Ground]
+        shine = np.array([_TABLE[material].reflectivity for material in Ground], np.float32)
         middle = slice(RASTER_STRIDE // 2, None, RASTER_STRIDE)
         material = self.material[middle, middle]
         cover = self.paint[middle, middle].astype(np.float32) / 255.0
@@ -165,15 +181,15 @@ class Canvas:
 def shade_ground(
     rng: np.random.Generator, canvas: Canvas, light: Float32, pattern_angles: dict[Ground, float]
 ) -> Bytes:
-    """The picture, (rows, cols, 3) uint8 as the canvas is, top row = y_max.
+    """Returns the texture, (rows, cols, 3) uint8 as the canvas is, top row = y_max.
 
     light: (n, n) share of full light, row 0 at y_min (see `scenes.authoring.bake`). pattern_angles:
     radians by which slabs, mowing stripes and furrows of a material are turned."""
     count = len(Ground)
-    base = np.array([_TABLE[m][2] for m in Ground], np.float32)
-    gains = np.array([_TABLE[m][3] for m in Ground], np.float32)
-    hues = np.array([_TABLE[m][4] for m in Ground], np.float32)
-    ragged = np.array([_TABLE[m][5] for m in Ground], np.uint8)
+    base = np.array([_TABLE[m].rgb for m in Ground], np.float32)
+    gains = np.array([_TABLE[m].gains for m in Ground], np.float32)
+    hues = np.array([_TABLE[m].hue_drift for m in Ground], np.float32)
+    ragged = np.array([_TABLE[m].ragged for m in Ground], np.uint8)
     angles = np.array([pattern_angles.get(m, 0.0) for m in Ground])
     frames = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(count, 2)
     fine = tileable_noise(rng, _TILE, 0.55, 10.0)
@@ -183,12 +199,12 @@ def shade_ground(
     size = canvas.material.shape
     glow = (light * 255.0).astype(np.uint8)
     bright = np.asarray(cv2.resize(glow, size, interpolation=cv2.INTER_LINEAR), np.uint8)
-    picture = np.empty((*size, 3), np.uint8)
+    image = np.empty((*size, 3), np.uint8)
     _shade(
-        picture, canvas.material, canvas.paint, canvas.stain, bright, fine, coarse, patches, hue,
+        image, canvas.material, canvas.paint, canvas.stain, bright, fine, coarse, patches, hue,
         base, gains, hues, ragged, frames, canvas.texel_m, int(rng.integers(1, 2**31)),
     )  # fmt: skip
-    return picture
+    return image
 
 
 @njit(cache=True)
@@ -270,7 +286,7 @@ def _pattern(material: int, u: float, v: float, salt: int) -> float:
 
 @njit(cache=True)
 def _shade(
-    picture: Bytes,
+    image: Bytes,
     material: Bytes,
     paint: Bytes,
     stain: Bytes,
@@ -287,7 +303,7 @@ def _shade(
     texel_m: float,
     salt: int,
 ) -> None:
-    """Fills ``picture`` row by row. All noise is addressed so that nothing repeats in step: the two
+    """Fills ``image`` row by row. All noise is addressed so that nothing repeats in step: the two
     tiles are turned against each other, and grain is hashed from the texel's number."""
     rows, cols = material.shape
     tile = fine.shape[0] - 1
@@ -341,6 +357,6 @@ def _shade(
             glow = bright[row, col] * (1.0 / 255.0)
             # Skylight is bluer than sunlight.
             cool = 1.0 + 0.10 * (1.0 - glow)
-            picture[out_row, col, 0] = min(max(red * glow, 0.0), 255.0)
-            picture[out_row, col, 1] = min(max(green * glow, 0.0), 255.0)
-            picture[out_row, col, 2] = min(max(blue * glow * cool, 0.0), 255.0)
+            image[out_row, col, 0] = min(max(red * glow, 0.0), 255.0)
+            image[out_row, col, 1] = min(max(green * glow, 0.0), 255.0)
+            image[out_row, col, 2] = min(max(blue * glow * cool, 0.0), 255.0)

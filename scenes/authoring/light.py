@@ -1,10 +1,10 @@
-"""The sun of a scene, and the ground's picture under it.
+"""Sunlight of a scene, and the ground texture under it.
 
-A low sun is redder by what the air on its way takes out of each colour: exp(-m (R + B)) with the
+The light of a low sun is reddened by the atmosphere, by exp(-m (R + B)) for each colour, with the
 air mass m of Kasten and Young (Applied Optics 28, 1989), Rayleigh scattering R = 0.008735 w^-4.08
 (Leckner, Solar Energy 20, 1978) and haze B = 0.05 w^-1.3 (Angstrom's turbidity formula), w the
-wavelength in micrometres. Half of the light on level ground then comes from the sky; a camera is
-exposed for both together.
+wavelength in micrometres. Half of the light on level ground then comes from the sky; the exposure
+of a camera is that for both together.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import LowSun
 from touchdown.scenes.authoring.bake import bake_light
-from touchdown.scenes.authoring.builder import Builder, fill_texture
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground, shade_ground
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ _low_sun: ContextVar[LowSun | None] = ContextVar("low_sun", default=None)
 
 @contextlib.contextmanager
 def sun_at(sun: LowSun | None) -> Iterator[None]:
-    """Scenes made meanwhile have this sun; None: their own."""
+    """Gives this sun to all scenes made inside the context; None leaves each its own."""
     token = _low_sun.set(sun)
     try:
         yield
@@ -43,14 +43,15 @@ def sun_at(sun: LowSun | None) -> Iterator[None]:
 
 
 def air_mass(elevation_deg: float) -> float:
-    """Of the sun's way through the air, 1 from the zenith."""
+    """Returns the relative air mass between the ground and the sun, 1 at the zenith."""
     zenith_deg = 90.0 - elevation_deg
     cosine = np.cos(np.deg2rad(zenith_deg))
     return float(1.0 / (cosine + 0.50572 * (96.07995 - zenith_deg) ** -1.6364))
 
 
 def sun_colour(elevation_deg: float) -> Array:
-    """(3,) red, green and blue of direct sunlight, the largest of them 1; white at the zenith."""
+    """Returns (3,) red, green and blue of direct sunlight, the largest of them 1; white at the
+    zenith."""
     depth = 0.008735 * _WAVELENGTHS_UM**-4.08 + _HAZE * _WAVELENGTHS_UM**-1.3
     colour: Array = np.exp(-(air_mass(elevation_deg) - air_mass(90.0)) * depth)
     return colour / colour.max()
@@ -58,7 +59,7 @@ def sun_colour(elevation_deg: float) -> Array:
 
 def lower_sun(light: Any, sun: LowSun, direction: Array) -> Array:
     """Turns and tints a directional light whose light travelled along ``direction`` (3,). Returns
-    the way that it travels now, (3,) unit."""
+    its new direction, (3,) unit."""
     azimuth = np.arctan2(-direction[1], -direction[0])
     if sun.azimuth_deg is not None:
         azimuth = np.deg2rad(sun.azimuth_deg)
@@ -73,7 +74,7 @@ def lower_sun(light: Any, sun: LowSun, direction: Array) -> Array:
 
 
 def draw_sun(rng: np.random.Generator, spec: Any) -> Array:
-    """Turns and tints the light `sun`. Returns the way it travels, (3,) unit."""
+    """Turns and tints the light `sun`. Returns the direction in which it travels, (3,) unit."""
     elevation, azimuth = np.deg2rad(rng.uniform(38.0, 62.0)), rng.uniform(0.0, 2.0 * np.pi)
     flat = np.cos(elevation)
     direction = -np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
@@ -87,8 +88,7 @@ def draw_sun(rng: np.random.Generator, spec: Any) -> Array:
 
 
 def lower_own_sun(spec: Any) -> None:
-    """Lowers the first directional light of a place whose generator knows no sun, where one was
-    asked for."""
+    """Lowers the first directional light of a scene from a file, inside `sun_at` with a sun."""
     low = _low_sun.get()
     if low is None:
         return
@@ -99,28 +99,15 @@ def lower_own_sun(spec: Any) -> None:
             return
 
 
-def ground_picture(
-    builder: Builder,
+def ground_texture(
+    builder: SceneBuilder,
     canvas: Canvas,
-    sun: Array,
     pattern_angles: dict[Ground, float],
     hilly: bool = False,
 ) -> NDArray[np.uint8]:
-    """The ground under the light and shadows of everything placed so far, (rows, cols, 3), top
-    row = y_max. pattern_angles: as in `scenes.authoring.ground.shade_ground`; hilly: as in
+    """Returns the ground under the light and shadows of everything placed so far, (rows, cols, 3),
+    top row = y_max. pattern_angles: as in `scenes.authoring.ground.shade_ground`; hilly: as in
     `scenes.authoring.bake.bake_light`."""
     pixels = len(canvas.material) // 2
-    light = bake_light(builder.casters, builder.terrain, sun, pixels, 0.50, hilly)
+    light = bake_light(builder.casters, builder.terrain, builder.sun, pixels, 0.50, hilly)
     return shade_ground(builder.rng, canvas, light, pattern_angles)
-
-
-def finish_picture(
-    builder: Builder,
-    canvas: Canvas,
-    sun: Array,
-    pattern_angles: dict[Ground, float],
-    hilly: bool = False,
-) -> None:
-    """Gives the terrain its `ground_picture`, the texture `ground`."""
-    picture = ground_picture(builder, canvas, sun, pattern_angles, hilly)
-    fill_texture(builder.spec.texture("ground"), picture)

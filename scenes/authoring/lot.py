@@ -1,4 +1,4 @@
-"""A piece of ground with its own coordinates."""
+"""Plots of ground with coordinates of their own."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.relief import Pad
 
 Array = NDArray[np.float64]
@@ -15,8 +15,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Lot:
-    """``u`` metres along ``angle`` and ``v`` metres to its left from ``origin_xy_m``; mirrored
-    lots have ``v`` to the right."""
+    """A plot: ``u`` metres along ``angle`` and ``v`` metres to its left from ``origin_xy_m``;
+    mirrored lots have ``v`` to the right."""
 
     origin_xy_m: Array
     angle: float
@@ -71,14 +71,15 @@ def unit_circle(steps: int) -> Array:
 
 
 def scatter(
-    builder: Builder,
+    builder: SceneBuilder,
     lot: Lot,
     count: int,
     u: tuple[float, float],
     v: tuple[float, float],
     gap_m: float,
 ) -> list[Array]:
-    """Up to ``count`` free places in a rectangle of the lot, at least ``gap_m`` clear, claimed."""
+    """Returns up to ``count`` free spots in a rectangle of the lot, at least ``gap_m`` clear,
+    claimed."""
     found: list[Array] = []
     for _ in range(12 * count):
         spot = lot.at(builder.rng.uniform(*u), builder.rng.uniform(*v))
@@ -88,8 +89,10 @@ def scatter(
     return found
 
 
-def claim_area(builder: Builder, lot: Lot, u: tuple[float, float], v: tuple[float, float]) -> None:
-    """Keeps later random placements off a rectangle of the lot."""
+def claim_area(
+    builder: SceneBuilder, lot: Lot, u: tuple[float, float], v: tuple[float, float]
+) -> None:
+    """Reserves a rectangle of the lot against later random placements."""
     for along in np.linspace(*u, int((u[1] - u[0]) / 3.0) + 2):
         for across in np.linspace(*v, int((v[1] - v[0]) / 3.0) + 2):
             builder.claim(lot.at(float(along), float(across)), 2.2)

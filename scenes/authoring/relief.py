@@ -1,4 +1,4 @@
-"""The shape of the ground: natural relief, and what people have cut into it."""
+"""Shape of the ground: natural relief, pads, ditches and mounds."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.terrain import Terrain
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ def natural_ground(rng: np.random.Generator, nodes: int, half_m: float) -> Array
 
 
 def dig_ditches(heights: Array, xy: Array, ditches: Iterable[Ditch]) -> Array:
-    """Heights (N, N) at the nodes ``xy`` (N, N, 2) with ``ditches`` cut in."""
+    """Heights (N, N) at the nodes ``xy`` (N, N, 2) with ``ditches`` cut into them."""
     for ditch in ditches:
         distance = segment_distance(xy, ditch.start_xy_m, ditch.end_xy_m)
         heights = heights - ditch.depth_m * (1.0 - smoothstep(0.3, ditch.half_width_m, distance))
@@ -89,7 +89,7 @@ def dig_ditches(heights: Array, xy: Array, ditches: Iterable[Ditch]) -> Array:
 
 
 def raise_mounds(heights: Array, xy: Array, mounds: Iterable[Mound]) -> Array:
-    """Heights (N, N) at the nodes ``xy`` (N, N, 2) with ``mounds`` heaped up."""
+    """Heights (N, N) at the nodes ``xy`` (N, N, 2) raised by ``mounds``."""
     for mound in mounds:
         reach = np.linalg.norm(xy - mound.centre_xy_m, axis=-1) / mound.radius_m
         heights = heights + mound.height_m * np.exp(-0.5 * reach**2)
@@ -107,11 +107,11 @@ def level_pads(heights: Array, xy: Array, pads: Iterable[Pad]) -> Array:
     return heights
 
 
-def level_takeoff(heights: Array, half_m: float, takeoff_xy_m: Array) -> Terrain:
+def level_takeoff(heights: Array, half_m: float, takeoff_xy_m: Array) -> HeightField:
     """The terrain of ``heights`` (N, N) with a level disc of 2 m around the take-off spot, moved
     up or down so that the height there is 0."""
-    terrain = Terrain(heights_m=heights, half_m=half_m)
+    terrain = HeightField(heights_m=heights, half_m=half_m)
     spot = np.linalg.norm(np.stack(terrain.node_grid(), axis=-1) - takeoff_xy_m, axis=-1)
     level = float(terrain.at(takeoff_xy_m))
     heights = level + (heights - level) * smoothstep(TAKEOFF_FLAT_M + 0.5, TAKEOFF_BLEND_M, spot)
-    return Terrain(heights_m=heights - level, half_m=half_m)
+    return HeightField(heights_m=heights - level, half_m=half_m)

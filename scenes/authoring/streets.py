@@ -1,4 +1,4 @@
-"""Curved streets: a centre line from which ground, picture, kerbs and traffic follow."""
+"""Curved streets: ground, texture, kerbs and traffic derived from one centre line."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from touchdown.scenes.authoring.builder import GEOM, Builder
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.props.meshes import MeshData, polygon
 from touchdown.scenes.props.street import KERB
@@ -30,6 +30,7 @@ class Street:
 
     @property
     def length_m(self) -> float:
+        """Length of the centre line."""
         return STEP_M * (len(self.line_m) - 1)
 
     @property
@@ -89,8 +90,8 @@ def smooth_line(corners_m: Array, rounds: int = 5) -> Array:
 def paint_street(
     canvas: Canvas, street: Street, roadway: Ground = Ground.ASPHALT, pavement: Ground | None = None
 ) -> None:
-    """One call for every layer: pavements of crossing streets must not cover roadways, so callers
-    paint all pavements (``pavement`` given) first and then all roadways."""
+    """Paints one layer of a street. Pavements of crossing streets must not cover roadways: paint
+    all pavements (``pavement`` given) first and then all roadways."""
     if pavement is not None:
         canvas.track(street.line_m, 2.0 * street.edge_m, pavement)
     else:
@@ -106,7 +107,11 @@ def paint_dashes(canvas: Canvas, street: Street, first_m: float, last_m: float) 
 
 
 def place_street_kerb(
-    builder: Builder, street: Street, side: float, openings_m: list[tuple[float, float]], top: float
+    builder: SceneBuilder,
+    street: Street,
+    side: float,
+    openings_m: list[tuple[float, float]],
+    top: float,
 ) -> None:
     """Kerb stones along one side (+1: left), 0.16 m wide, ``top`` metres over the
     ground beside them; without the stretches ``openings_m`` (first, last)."""
@@ -131,7 +136,7 @@ def place_street_kerb(
 
 
 def _kerb_run(
-    builder: Builder, street: Street, across: float, span: tuple[float, float], top: float
+    builder: SceneBuilder, street: Street, across: float, span: tuple[float, float], top: float
 ) -> list[MeshData]:
     stations = np.linspace(*span, max(2, round((span[1] - span[0]) / 1.5) + 1))
     inner = np.array([street.point(float(s), across - 0.08) for s in stations])
@@ -140,18 +145,18 @@ def _kerb_run(
     ground = builder.terrain.at(np.array([street.point(float(s), beside) for s in stations]))
     high, low = ground + top, ground - 0.3
     parts = []
-    no_picture = np.zeros((4, 2))
+    no_texture = np.zeros((4, 2))
     for i, j in pairwise(range(len(stations))):
         a, b = np.append(inner[i], high[i]), np.append(inner[j], high[j])
         c, d = np.append(outer[j], high[j]), np.append(outer[i], high[i])
-        parts.append(polygon(np.array([a, b, c, d]), no_picture))
+        parts.append(polygon(np.array([a, b, c, d]), no_texture))
         for first, second, z0, z1 in ((b, a, low[j], low[i]), (d, c, low[i], low[j])):
             foot = np.array([[*second[:2], z1], [*first[:2], z0]])
-            parts.append(polygon(np.array([first, second, *foot]), no_picture))
+            parts.append(polygon(np.array([first, second, *foot]), no_texture))
     return parts
 
 
-def lane_loop(builder: Builder, street: Street, first_m: float, last_m: float) -> Array:
+def lane_loop(builder: SceneBuilder, street: Street, first_m: float, last_m: float) -> Array:
     """(K, 3) closed path on both lanes, right-hand traffic, turning at ``first_m`` and
     ``last_m`` along the street."""
     lane = 0.25 * street.width_m

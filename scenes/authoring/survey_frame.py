@@ -1,4 +1,4 @@
-"""A survey in the middle of a scene, turned any way."""
+"""Position and heading of the survey in a scene."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ SURVEY_MIDDLE_M = np.array([25.0, 20.0])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Frame:
-    """The survey's place: u along the take-off heading, v to its left."""
+class SurveyFrame:
+    """Coordinates of the survey: u along the take-off heading, v to its left."""
 
     takeoff_xy_m: Array
-    yaw: float
+    takeoff_yaw: float
 
     @property
     def from_takeoff(self) -> Lot:
         """Coordinates from the take-off spot."""
-        return Lot(origin_xy_m=self.takeoff_xy_m, angle=self.yaw)
+        return Lot(origin_xy_m=self.takeoff_xy_m, angle=self.takeoff_yaw)
 
     @property
     def from_middle(self) -> Lot:
         """Coordinates from the survey's middle."""
-        return Lot(origin_xy_m=self.from_takeoff.points(SURVEY_MIDDLE_M), angle=self.yaw)
+        return Lot(origin_xy_m=self.from_takeoff.points(SURVEY_MIDDLE_M), angle=self.takeoff_yaw)
 
 
-def draw_frame(rng: np.random.Generator) -> Frame:
-    """A frame whose survey's middle is within 2 m of the scene's along each axis: all of it lies
-    in a square of 128 m whichever way it is turned."""
+def draw_frame(rng: np.random.Generator) -> SurveyFrame:
+    """A frame whose survey's middle is within 2 m of the scene's along each axis: the survey
+    lies in a square of 128 m for every heading."""
     yaw = float(rng.uniform(-np.pi, np.pi))
     middle = Lot(origin_xy_m=rng.uniform(-2.0, 2.0, 2), angle=yaw)
-    return Frame(takeoff_xy_m=middle.points(-SURVEY_MIDDLE_M), yaw=yaw)
+    return SurveyFrame(takeoff_xy_m=middle.points(-SURVEY_MIDDLE_M), takeoff_yaw=yaw)

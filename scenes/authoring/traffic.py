@@ -1,4 +1,4 @@
-"""Bodies that go round a closed path."""
+"""Bodies that move along a closed path."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import MovingBody, Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ def path_length(path: Array) -> float:
 
 
 def add_mover(
-    builder: Builder, moving: MovingBody, looks: tuple[str, str], stem: str, surface: Surface
+    builder: SceneBuilder, moving: MovingBody, looks: tuple[str, str], stem: str, surface: Surface
 ) -> None:
     """The mocap body that ``moving`` describes, at its start. looks: names of mesh and material;
     stem: of the geom's name."""
@@ -42,10 +42,14 @@ def add_mover(
 
 
 def send_round(
-    builder: Builder, path: Array, looks: list[tuple[str, str]], surface: Surface, speed_mps: float
+    builder: SceneBuilder,
+    path: Array,
+    looks: list[tuple[str, str]],
+    surface: Surface,
+    speed_mps: float,
 ) -> tuple[MovingBody, ...]:
-    """Cars ``moving_car_0``, ... spread over one closed path, which all drive at one speed, so that
-    none meets the one ahead. looks: names of mesh and material, one a car."""
+    """Adds cars ``moving_car_0``, ... spread over one closed path, all at one speed, so that none
+    meets the one ahead. looks: names of mesh and material, one a car."""
     moving = []
     for index, look in enumerate(looks):
         share = (index + float(builder.rng.uniform(0.0, 0.6))) / len(looks)

@@ -1,4 +1,4 @@
-"""Water in the ground's picture: bottom seen through the shallows, ripples, sky and sun on them.
+"""Water in the ground texture: bottom seen through the shallows, ripples, sky and sun on them.
 
 The bottom's colour is dimmed on its way up by absorption, exp(-k d) per channel (Beer and Lambert),
 and gives way to the colour of the water's body; the sheet adds the sky by the slope of its ripples
@@ -53,10 +53,10 @@ def upsample(nodes: Array, size: int) -> Float32:
     scale = (len(nodes) - 1) / size
     matrix = np.array([[scale, 0.0, 0.5 * scale], [0.0, scale, 0.5 * scale]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    picture = cv2.warpAffine(
+    image = cv2.warpAffine(
         nodes.astype(np.float32), matrix, (size, size), flags=flags, borderMode=cv2.BORDER_REPLICATE
     )
-    return np.asarray(picture, np.float32)
+    return np.asarray(image, np.float32)
 
 
 def ripple_tiles(
@@ -82,24 +82,24 @@ def ripple_tiles(
 
 def lay_water(
     rng: np.random.Generator,
-    picture: Bytes,
+    image: Bytes,
     depth_m: Float32,
     half_m: float,
     look: WaterLook,
     sun_direction: Array,
 ) -> None:
-    """Paints water over the bottom in ``picture`` (rows, cols, 3), top row = y_max, in place.
+    """Paints water over the bottom in ``image`` (rows, cols, 3), top row = y_max, in place.
 
     depth_m: (n, n), row 0 at y_min, over the same square; negative above the water. sun_direction:
     (3,) unit, the way the light travels.
     """
-    texel = 2.0 * half_m / len(picture)
+    texel = 2.0 * half_m / len(image)
     along, across = ripple_tiles(rng, look, texel)
     gusts = fractal_noise(rng, (512, 512), 70.0, 3, 0.55)
     shades = fractal_noise(rng, (512, 512), 44.0, 4, 0.6)
     to_sun = -sun_direction[:2] / np.linalg.norm(sun_direction[:2])
     _lay(
-        picture, depth_m, along, across, gusts, shades, np.array(look.body), np.array(look.sky),
+        image, depth_m, along, across, gusts, shades, np.array(look.body), np.array(look.sky),
         1.0 / np.array(look.clarity_m), look.ripple, to_sun, float(-sun_direction[2]),
     )  # fmt: skip
 
@@ -116,7 +116,7 @@ def _sample(field_: Float32, row: float, col: float) -> float:
 
 @njit(cache=True)
 def _lay(
-    picture: Bytes,
+    image: Bytes,
     depth: Float32,
     along: Float32,
     across: Float32,
@@ -129,7 +129,7 @@ def _lay(
     to_sun: Array,
     sun_height: float,
 ) -> None:
-    rows, cols = picture.shape[:2]
+    rows, cols = image.shape[:2]
     to_depth = len(depth) / rows
     to_gust = (len(gusts) - 1.001) / rows
     mask = along.shape[0] - 1
@@ -143,7 +143,7 @@ def _lay(
             if below <= 0.0:
                 wet = 1.0 - 0.36 * (1.0 + below / _WET_M)
                 for c in range(3):
-                    picture[out, col, c] = int(picture[out, col, c] * wet)
+                    image[out, col, c] = int(image[out, col, c] * wet)
                 continue
             gust = _sample(gusts, row * to_gust, col * to_gust)
             shade = _sample(shades, row * to_gust, col * to_gust)
@@ -165,13 +165,13 @@ def _lay(
                 value = body[c] * facing
                 if dimming[c] * below < _OPAQUE:
                     seen = np.exp(-dimming[c] * below)
-                    bottom = picture[out, col, c] * 0.80 * (1.0 + focus)
+                    bottom = image[out, col, c] * 0.80 * (1.0 + focus)
                     value += seen * (bottom - value)
                 value += mirror * (sky[c] - 0.5 * value)
                 value += glint * (250.0 - value)
                 if below < 0.008:
                     value += 14.0
-                picture[out, col, c] = int(min(max(value, 0.0), 255.0))
+                image[out, col, c] = int(min(max(value, 0.0), 255.0))
 
 
 def flood_raster(raster: GroundRaster, depth_m: Float32) -> GroundRaster:

@@ -1,4 +1,4 @@
-"""What roads of any course have in common: rectangles in road coordinates, and wear."""
+"""Roads of any course: rectangles in road coordinates, and wear."""
 
 from __future__ import annotations
 

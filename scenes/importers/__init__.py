@@ -1,1 +1,1 @@
-"""Scenes from files: MJCF and digital elevation models."""
+"""Scenes from files of users: MJCF models and digital elevation models (GeoTIFF)."""

@@ -1,5 +1,5 @@
-"""A scene out of a real elevation model: heights from a GeoTIFF, colours from an aerial picture or
-from the relief itself."""
+"""Makes a scene of a digital elevation model: heights from a GeoTIFF, colours from an aerial image
+or from the relief."""
 
 from __future__ import annotations
 
@@ -14,19 +14,18 @@ from scipy import ndimage
 
 from touchdown.scenes.api import LAND_CLASSES
 from touchdown.scenes.authoring.builder import fill_texture
+from touchdown.scenes.authoring.height_field import HeightField, write_hfield
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.terrain import Terrain, write_hfield
 from touchdown.scenes.export import export_scene
 from touchdown.scenes.importers.geotiff import (
+    Georeference,
     HeightRaster,
-    cell_size,
-    corner,
+    read_georeference,
     read_heights,
-    read_tags,
 )
 
 Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 TEMPLATE = Path(__file__).with_name("dem.xml")
 WINDOW_M = 200.0
@@ -56,17 +55,17 @@ def import_dem(
 ) -> Path:
     """Writes the MJCF scene ``out/scene.xml`` with its assets and returns its path.
 
-    tif: single-band GeoTIFF, north up. ortho: a picture of the same extent, or a GeoTIFF with its
-    own place; without one the relief is coloured by height and slope. cell_m: node spacing of the
-    height field [that of the model, at most 2 m]. window_m: side of the square that is cut out
-    [200, or what the model has]. centre_m: its centre, metres east and north of the model's
-    south-west corner [where the fewest holes are, near the middle]. land_class: of the whole
-    ground, one of `scenes.api.LAND_CLASSES`.
+    tif: single-band GeoTIFF, north up. ortho: an aerial image of the same extent, or a GeoTIFF
+    with coordinates of its own; without one the relief is coloured by height and slope. cell_m:
+    node spacing of the height field [that of the model, at most 2 m]. window_m: side of the square
+    that is cut out [200, or the model's extent]. centre_m: its centre, metres east and north of
+    the model's south-west corner [where the fewest holes are, near the middle]. land_class: of
+    the whole ground, one of `scenes.api.LAND_CLASSES`.
 
     Holes are filled from their rims; one warning states their share. The site ``takeoff`` is the
     flattest spot from which the survey stays inside; the height there is 0. Heading is east.
 
-    Raises FileNotFoundError, and ValueError for what is not an elevation model or not a picture,
+    Raises FileNotFoundError, and ValueError for what is not an elevation model or not an image,
     for a model below 90 m, more than half holes, or a folder that is not empty.
     """
     if land_class not in LAND_CLASSES:
@@ -74,18 +73,18 @@ def import_dem(
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"'{out}' exists already; name a new folder")
     raster = read_heights(tif)
-    picture = None if ortho is None else _read_picture(ortho)
+    image = None if ortho is None else _read_image(ortho)
     half, step = _grid(raster, cell_m, window_m, tif)
     middle = _window_centre(raster, half, centre_m, tif)
     heights = _filled(raster, middle, half, tif)
     terrain = _resampled(heights, raster, middle, half, step)
     spot = takeoff_spot(terrain)
     level = terrain.point(*spot)
-    terrain = Terrain(heights_m=terrain.heights_m - level, half_m=terrain.half_m)
-    if picture is None or ortho is None:
-        colours = relief_picture(terrain)
+    terrain = HeightField(heights_m=terrain.heights_m - level, half_m=terrain.half_m)
+    if image is None or ortho is None:
+        colours = relief_texture(terrain)
     else:
-        colours = _cut_ortho(picture, ortho, raster, middle, terrain.half_m)
+        colours = _cut_ortho(image, ortho, raster, middle, terrain.half_m)
     spec = mujoco.MjSpec.from_file(str(TEMPLATE))
     spec.modelname = tif.stem
     spec.comment = f"{tif.name}: level {level:.2f} m of the model is height 0"
@@ -191,7 +190,7 @@ def _filled(raster: HeightRaster, middle: Array, half: float, path: Path) -> Arr
 
 def _resampled(
     heights: Array, raster: HeightRaster, middle: Array, half: float, step: float
-) -> Terrain:
+) -> HeightField:
     """Nodes ``step`` apart, row 0 in the south; exact where nodes meet cells, averaged where nodes
     are farther apart than cells, a cubic spline where they are closer."""
     count = 2 * round(half / step) + 1
@@ -205,12 +204,12 @@ def _resampled(
     order = 3 if step < 0.99 * float(raster.cell_m.min()) else 1
     grid = np.stack(np.meshgrid(rows, cols, indexing="ij"))
     nodes = ndimage.map_coordinates(known, grid, order=order, mode="nearest")
-    return Terrain(heights_m=np.asarray(nodes, np.float64), half_m=half)
+    return HeightField(heights_m=np.asarray(nodes, np.float64), half_m=half)
 
 
-def takeoff_spot(terrain: Terrain) -> Array:
-    """(2,) the place with the least relief within 2.5 m from which a survey to the east and north
-    stays inside, near the one that puts the survey in the middle."""
+def takeoff_spot(terrain: HeightField) -> Array:
+    """Returns (2,) the spot with the least relief within 2.5 m from which a survey to the east and
+    north stays inside, near the one that puts the survey in the middle."""
     half = terrain.half_m
     low = np.full(2, -half + AROUND_M)
     high = np.array([half - AHEAD_M, half - LEFT_M])
@@ -230,9 +229,9 @@ def takeoff_spot(terrain: Terrain) -> Array:
 # ---------------------------------------------------------------------------------------- colours
 
 
-def relief_picture(terrain: Terrain) -> Picture:
-    """Colours by height and slope under light from the north-west, with grain and tufts, since a
-    camera needs something to hold on to. (P, P, 3) uint8, top row north."""
+def relief_texture(terrain: HeightField) -> Image:
+    """Colours by height and slope under light from the north-west, with grain and tufts as
+    visual features for a camera. (P, P, 3) uint8, top row north."""
     rng = np.random.default_rng(len(terrain.heights_m))
     pixels = min(MAX_TEXELS, round(2.0 * terrain.half_m / RELIEF_TEXEL_M))
     heights = terrain.heights_m
@@ -262,43 +261,41 @@ def relief_picture(terrain: Terrain) -> Picture:
     return np.ascontiguousarray(np.clip(colours, 0.0, 255.0).astype(np.uint8)[::-1])
 
 
-def _read_picture(path: Path) -> Picture:
+def _read_image(path: Path) -> Image:
     """(H, W, 3) uint8 RGB."""
     if not path.is_file():
-        raise FileNotFoundError(f"aerial picture not found: {path}")
+        raise FileNotFoundError(f"aerial image not found: {path}")
     pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if pixels is None or min(pixels.shape[:2]) < 16:
-        raise ValueError(f"{path} is not a picture; give a PNG, JPEG or TIFF with colours")
+        raise ValueError(f"{path} is not an image; give a PNG, JPEG or TIFF with colours")
     return np.ascontiguousarray(pixels[..., ::-1])
 
 
-def _cut_ortho(
-    picture: Picture, path: Path, raster: HeightRaster, middle: Array, half: float
-) -> Picture:
-    """The window's part of an aerial picture, square, at its own resolution up to 4096 texels."""
+def _cut_ortho(image: Image, path: Path, raster: HeightRaster, middle: Array, half: float) -> Image:
+    """The window's part of an aerial image, square, at its own resolution up to 4096 texels."""
     rows, cols = raster.heights_m.shape
     size = np.array([cols, rows]) * raster.cell_m
-    per_m, start = np.array(picture.shape[1::-1]) / size, np.zeros(2)
-    tags = read_tags(path) if path.suffix.lower() in (".tif", ".tiff") else {}
-    own_cell = cell_size(tags, path)
-    own_corner = corner(tags, own_cell)
-    if own_corner is not None and raster.origin is not None:
-        metres = raster.cell_m / raster.unit_cell
-        per_m = 1.0 / (own_cell * metres)
-        start = (own_corner - raster.origin) * np.array([1.0, -1.0]) * metres
+    per_m, start = np.array(image.shape[1::-1]) / size, np.zeros(2)
+    is_tiff = path.suffix.lower() in (".tif", ".tiff")
+    own = read_georeference(path) if is_tiff else Georeference(unit_cell=np.ones(2))
+    model = raster.georeference
+    if own.origin is not None and model.origin is not None:
+        metres = raster.cell_m / model.unit_cell
+        per_m = 1.0 / (own.unit_cell * metres)
+        start = (own.origin - model.origin) * np.array([1.0, -1.0]) * metres
     elif abs(per_m[0] / per_m[1] - 1.0) > 0.03:
         raise ValueError(
-            f"{path} has {picture.shape[1]} x {picture.shape[0]} pixels, the model covers "
+            f"{path} has {image.shape[1]} x {image.shape[0]} pixels, the model covers "
             f"{size[0]:g} x {size[1]:g} m: they must show the same extent"
         )
     centre = (middle[::-1] + 0.5) * raster.cell_m
     first = (centre - half - start) * per_m
     span = 2.0 * half * per_m
-    if (first < -1.0).any() or (first + span > np.array(picture.shape[1::-1]) + 1.0).any():
-        raise ValueError(f"{path} does not cover the window; give a picture of the whole model")
+    if (first < -1.0).any() or (first + span > np.array(image.shape[1::-1]) + 1.0).any():
+        raise ValueError(f"{path} does not cover the window; give an image of the whole model")
     pixels = int(np.clip(np.ceil(span.max()), 64, MAX_TEXELS))
     low = np.maximum(np.floor(first).astype(int), 0)
     high = np.ceil(first + span).astype(int)
-    part = picture[low[1] : high[1], low[0] : high[0]]
+    part = image[low[1] : high[1], low[0] : high[0]]
     method = cv2.INTER_AREA if span.max() > pixels else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(part, (pixels, pixels), interpolation=method), np.uint8)

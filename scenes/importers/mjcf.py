@@ -1,4 +1,4 @@
-"""Scenes by other people: any MJCF file."""
+"""Imports any MJCF file as a scene."""
 
 from __future__ import annotations
 
@@ -28,20 +28,21 @@ _HALF_BOUNDS_M = 80.0
 _SMALL_M, _HUGE_M = 20.0, 20_000.0
 _MAX_GROUND_M = 50.0
 """Rays from above and the camera's clip planes count on ground near height 0."""
-_OURS = "vehicle/"
+_VEHICLE_PREFIX = "vehicle/"
 _MOVING_KINDS = (
     "keys", "sensors", "actuators", "equalities", "tendons", "excludes", "pairs", "tuples",
     "flexes", "skins", "joints",
 )  # fmt: skip
-"""In an order in which nothing refers to what is gone already."""
+"""Ordered so that no element refers to one deleted before it."""
 
-_told: set[tuple[str, str]] = set()
-"""Files, and what was told of them."""
+_warned: set[tuple[str, str]] = set()
+"""Files and the warnings given for them."""
 
 
 def surface_of_name(name: str) -> Surface | None:
-    """The surface of a material's or geom's name that begins with a land class (``lawn_2``,
-    ``roadway``; ``water`` also sets the water flag, ``trees`` a porosity of 0.35); else None."""
+    """Returns the surface for a material's or geom's name that begins with a land class
+    (``lawn_2``, ``roadway``; ``water`` also sets the water flag, ``trees`` a porosity of 0.35);
+    else None."""
     for land_class in LAND_CLASSES:
         if name.lower().startswith(land_class):
             return Surface(
@@ -54,15 +55,15 @@ def surface_of_name(name: str) -> Surface | None:
 
 
 def read_mjcf(path: Path) -> SceneDraft:
-    """A place from an MJCF file.
+    """Reads an MJCF file as a scene.
 
-    The take-off spot is the site or body named ``takeoff``, else where a vehicle of ours stands
-    (a file written by `scenes.export`), else the origin. Classes follow from names
-    (`surface_of_name`); other geoms are class ``other`` with reflectivity 0.30, and one warning
-    says so. Joints, actuators and the like are left out: things stand where the file puts them. A
+    The take-off spot is the site or body named ``takeoff``, else the position of the vehicle in a
+    file written by `scenes.export`, else the origin. Classes follow from names
+    (`surface_of_name`); other geoms get class ``other`` with reflectivity 0.30, and one warning
+    names them. Joints and actuators are left out: bodies keep the pose that the file gives them. A
     file without a light gets a sun. Ground far from height 0 is moved there.
 
-    Raises FileNotFoundError for a missing file or asset, or ValueError for what MuJoCo cannot
+    Raises FileNotFoundError for a missing file or asset, ValueError for a file that MuJoCo cannot
     read and for a take-off spot without ground.
     """
     if not path.is_file():
@@ -71,14 +72,14 @@ def read_mjcf(path: Path) -> SceneDraft:
         spec = mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:
         raise ValueError(f"{path}: not a valid MJCF file: {_one_line(error)}") from error
-    stand_still(spec, path)
+    remove_motion(spec, path)
     model, data = _compiled(spec, path)
     xy, yaw = _takeoff(model, data)
     if _remove_vehicle(spec):
         model, data = _compiled(spec, path)
     ground = _ground_height(model, data, xy)
     if abs(ground) > _MAX_GROUND_M:
-        _lift(spec, -ground)
+        _raise_world(spec, -ground)
     if not spec.lights:
         spec.worldbody.add_light(
             name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=[-0.4, 0.3, -0.86],
@@ -94,11 +95,11 @@ def read_mjcf(path: Path) -> SceneDraft:
     )
 
 
-def stand_still(spec: Any, path: Path) -> None:
-    """Deletes what moves or refers to what moves, and undoes settings that would change the
-    vehicle or hide geoms."""
-    # An exported scene brings our vehicle, which is about to be replaced: not worth a word.
-    joints = [joint for joint in spec.joints if not joint.parent.name.startswith(_OURS)]
+def remove_motion(spec: Any, path: Path) -> None:
+    """Deletes joints, soft bodies and all that refers to them, and resets options that would
+    change the vehicle or hide geoms."""
+    # The vehicle of an exported scene is replaced: no warning for its joint.
+    joints = [joint for joint in spec.joints if not joint.parent.name.startswith(_VEHICLE_PREFIX)]
     moving = len(joints) + len(spec.flexes)
     for kind in _MOVING_KINDS:
         for element in list(getattr(spec, kind)):
@@ -118,21 +119,21 @@ def stand_still(spec: Any, path: Path) -> None:
 
 
 def _remove_vehicle(spec: Any) -> bool:
-    """Deletes bodies called like ours with what belongs to them. Returns whether there were any."""
-    bodies = [body for body in spec.worldbody.bodies if body.name.startswith(_OURS)]
+    """Deletes the vehicle of an exported scene with its assets. True if there was one."""
+    bodies = [body for body in spec.worldbody.bodies if body.name.startswith(_VEHICLE_PREFIX)]
     for body in bodies:
         spec.delete(body)
-    default = spec.find_default(f"{_OURS}main")
+    default = spec.find_default(f"{_VEHICLE_PREFIX}main")
     if default is not None:
         spec.delete(default)
     for kind in ("materials", "textures", "meshes", "hfields", "numerics", "texts"):
-        for element in [e for e in getattr(spec, kind) if e.name.startswith(_OURS)]:
+        for element in [e for e in getattr(spec, kind) if e.name.startswith(_VEHICLE_PREFIX)]:
             spec.delete(element)
     return bool(bodies)
 
 
 def _compiled(spec: Any, path: Path) -> tuple[Any, Any]:
-    """The model, and its data with the poses of time 0."""
+    """Returns the model, and its data with the poses of time 0."""
     try:
         model = spec.copy().compile()
     except (ValueError, mujoco.FatalError) as error:
@@ -180,8 +181,8 @@ def _ground_height(model: Any, data: Any, xy_m: np.ndarray) -> float:
     return top - float(distance)
 
 
-def _lift(spec: Any, by_m: float) -> None:
-    """Moves everything of the world up."""
+def _raise_world(spec: Any, by_m: float) -> None:
+    """Moves all elements of the world up."""
     world = spec.worldbody
     offset = np.array([0.0, 0.0, by_m])
     for element in (*world.geoms, *world.bodies, *world.sites, *world.cameras, *world.lights):
@@ -198,9 +199,9 @@ def _lift(spec: Any, by_m: float) -> None:
 
 
 def _warn_once(path: Path, text: str) -> None:
-    """Once in a process: a file is read again by whoever needs the place."""
-    if (key := (str(path.resolve()), text)) not in _told:
-        _told.add(key)
+    """Warns once in a process, since a file is read several times."""
+    if (key := (str(path.resolve()), text)) not in _warned:
+        _warned.add(key)
         warnings.warn(f"{path}: {text}", stacklevel=4)
 
 
@@ -212,7 +213,7 @@ def _takeoff(model: Any, data: Any) -> tuple[np.ndarray, float]:
     for kind, name, positions, matrices in (
         (mujoco.mjtObj.mjOBJ_SITE, "takeoff", data.site_xpos, data.site_xmat),
         (mujoco.mjtObj.mjOBJ_BODY, "takeoff", data.xpos, data.xmat),
-        (mujoco.mjtObj.mjOBJ_BODY, f"{_OURS}quadrotor", data.xpos, data.xmat),
+        (mujoco.mjtObj.mjOBJ_BODY, f"{_VEHICLE_PREFIX}quadrotor", data.xpos, data.xmat),
     ):
         index = mujoco.mj_name2id(model, kind, name)
         if index >= 0:
@@ -252,7 +253,7 @@ def _surfaces(spec: Any, path: Path) -> dict[str, Surface]:
 
 def _bounds(model: Any, data: Any, takeoff_xy_m: np.ndarray, path: Path) -> np.ndarray:
     """The horizontal box around all finite geoms, cut to 160 m around the take-off spot; that
-    whole square where an infinite plane lies below. Warns of a size that is hardly in metres."""
+    whole square where an infinite plane lies below. Warns of a size that is unlikely in metres."""
     window = np.stack([takeoff_xy_m - _HALF_BOUNDS_M, takeoff_xy_m + _HALF_BOUNDS_M])
     planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
     if bool((planes & (model.geom_size[:, :2] == 0.0).any(axis=1)).any()) or model.ngeom == 0:

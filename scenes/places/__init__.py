@@ -1,1 +1,1 @@
-"""One folder for each scene of the project: its MJCF and its generator."""
+"""The named scenes: one folder each with its MJCF file and its `generate(seed)`."""

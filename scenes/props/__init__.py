@@ -1,1 +1,1 @@
-"""Things that stand on the ground, built as MJCF geoms."""
+"""Objects that stand on the ground, built as MJCF geoms with meshes and textures."""

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.textures import Colour, to_picture
+from touchdown.scenes.authoring.textures import Colour, to_texture
 from touchdown.scenes.props.meshes import MeshData, box, polygon
 
 Array = NDArray[np.float64]
@@ -24,11 +24,11 @@ PAINTS: tuple[Colour, ...] = (
 _BEAM = np.array([0.72, 0.86, 0.96, 1.0, 0.98, 0.90, 0.74, 0.46, 0.05])
 """Half width at stations from the stern to the bow, as a share of the greatest."""
 _OUTSIDE, _INSIDE = 0.05, 0.45
-"""Where a picture's skin and boards begin, as a share of its height."""
+"""Where a texture's skin and boards begin, as a share of its height."""
 
 
 def hull_mesh(length_m: float, width_m: float, rim_m: float, decked: bool) -> MeshData:
-    """A round hull, bow along x: open with three thwarts, or ``decked`` over."""
+    """Returns a round hull, bow along x: open with three thwarts, or ``decked`` over."""
     share = np.linspace(0.0, 1.0, len(_BEAM))
     x = (share - 0.5) * length_m
     half = 0.5 * width_m * _BEAM
@@ -66,7 +66,7 @@ def _section(x: Array, halves: list[Array], heights: list[Array]) -> Array:
 
 
 def _board_uv(along: Array, across: Array, first: float) -> Array:
-    """Texture coordinates of a band of the picture that begins at ``first`` of its height."""
+    """Texture coordinates of a band of the texture that begins at ``first`` of its height."""
     return np.stack([0.5 * along, first + 0.08 + 0.15 * np.clip(across + 0.5, 0.0, 2.0)], axis=-1)
 
 
@@ -85,25 +85,25 @@ def _loft(stations: Array, first: float, length_m: float) -> list[MeshData]:
     return parts
 
 
-def boat_picture(rng: np.random.Generator, paint: Colour, decked: bool) -> NDArray[np.uint8]:
+def boat_texture(rng: np.random.Generator, paint: Colour, decked: bool) -> NDArray[np.uint8]:
     """(256, 256, 3): painted strakes above, boards of the inside or the deck below, rim at the
     foot."""
     rows, cols = np.mgrid[0:256, 0:256] / 256.0
-    picture = np.empty((256, 256, 3), np.float32)
-    picture[:] = np.array(paint, np.float32)
-    picture *= np.where((rows * 28.0) % 1.0 < 0.16, 0.72, 1.0)[..., None]
+    image = np.empty((256, 256, 3), np.float32)
+    image[:] = np.array(paint, np.float32)
+    image *= np.where((rows * 28.0) % 1.0 < 0.16, 0.72, 1.0)[..., None]
     wood = np.array((222.0, 214.0, 196.0) if decked else (164.0, 124.0, 82.0), np.float32)
     boards = (rows > _INSIDE) & (rows < 0.88)
     tone = 1.0 + 0.12 * np.sin(np.floor(rows * 48.0) * 12.9)
     tone *= np.where((rows * 48.0) % 1.0 < 0.14, 0.6, 1.0)
     tone *= np.where(np.abs((cols * 9.0) % 1.0 - 0.5) < 0.05, 0.8 if not decked else 1.0, 1.0)
-    picture[boards] = (tone[..., None] * wood)[boards].astype(np.float32)
-    picture[rows >= 0.88] = (202.0, 176.0, 132.0)
-    picture *= 1.0 + 0.07 * fractal_noise(rng, (256, 256), 40.0, 4)[..., None]
-    return to_picture(picture)
+    image[boards] = (tone[..., None] * wood)[boards].astype(np.float32)
+    image[rows >= 0.88] = (202.0, 176.0, 132.0)
+    image *= 1.0 + 0.07 * fractal_noise(rng, (256, 256), 40.0, 4)[..., None]
+    return to_texture(image)
 
 
-def add_boat_models(builder: Builder, count: int) -> list[tuple[str, str, float]]:
+def add_boat_models(builder: SceneBuilder, count: int) -> list[tuple[str, str, float]]:
     """``count`` differing rowing boats: (mesh, material, length in metres)."""
     models = []
     paints = builder.rng.permutation(len(PAINTS))
@@ -111,19 +111,19 @@ def add_boat_models(builder: Builder, count: int) -> list[tuple[str, str, float]
         length = float(builder.rng.uniform(3.4, 4.8))
         mesh = builder.mesh(f"boat_{index}", hull_mesh(length, 0.36 * length, 0.36, False))
         paint = PAINTS[int(paints[index % len(PAINTS)])]
-        picture = boat_picture(builder.rng, paint, False)
-        models.append((mesh, builder.material(f"boat_paint_{index}", picture, 0.1), length))
+        image = boat_texture(builder.rng, paint, False)
+        models.append((mesh, builder.material(f"boat_paint_{index}", image, 0.1), length))
     return models
 
 
 def add_boat(
-    builder: Builder,
+    builder: SceneBuilder,
     model: tuple[str, str, float],
     xy_m: Array,
     heading: float,
     upturned: bool = False,
 ) -> None:
-    """A rowing boat afloat, or upturned on the ground."""
+    """Adds a rowing boat afloat, or upturned on the ground."""
     mesh, material, length = model
     z = builder.terrain.point(*xy_m) + (0.38 if upturned else 0.0)
     origin = np.array([*xy_m, z])
@@ -139,13 +139,13 @@ def add_boat(
     builder.claim(xy_m, 0.5 * length + 0.4)
 
 
-def add_sailing_boat(builder: Builder, xy_m: Array, heading: float) -> None:
-    """A small yacht at anchor, sails furled: cabin, mast of 8 m, boom, stays."""
+def add_sailing_boat(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
+    """Adds a small yacht at anchor, sails furled: cabin, mast of 8 m, boom, stays."""
     rng = builder.rng
     name = builder.unique("yacht")
     length = float(rng.uniform(6.2, 8.0))
     paint = PAINTS[int(rng.integers(1, 4))]
-    material = builder.material(name, boat_picture(rng, paint, True), 0.2)
+    material = builder.material(name, boat_texture(rng, paint, True), 0.2)
     mesh = builder.mesh(name, hull_mesh(length, 0.33 * length, 0.72, True))
     origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
     pose = {"pos": origin, "quat": quat_z(heading)}
@@ -181,8 +181,8 @@ def add_sailing_boat(builder: Builder, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 0.5 * length + 1.0)
 
 
-def add_buoy(builder: Builder, xy_m: Array, radius_m: float, rgba: list[float]) -> None:
-    """A ball that floats half out of the water; large ones carry a pole with a topmark."""
+def add_buoy(builder: SceneBuilder, xy_m: Array, radius_m: float, rgba: list[float]) -> None:
+    """Adds a ball that floats half out of the water; large ones carry a pole with a topmark."""
     z = builder.terrain.point(*xy_m)
     at = np.array([*xy_m, z + 0.3 * radius_m])
     builder.geom("buoy", BUOY, type=GEOM.mjGEOM_SPHERE, size=[radius_m, 0, 0], pos=at, rgba=rgba)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.textures import Colour
 from touchdown.scenes.props.meshes import MeshData, cylinder_y, polygon
 
@@ -65,7 +65,7 @@ SHAPES: dict[str, CarShape] = {
 
 
 def car_mesh(shape: CarShape) -> MeshData:
-    """The body (bonnet, cabin, boot) and four wheels; x forward, origin on the ground."""
+    """Returns the body (bonnet, cabin, boot) and four wheels; x forward, origin on the ground."""
     half, top = 0.5 * shape.width_m, 0.36 * shape.width_m
     front, back = 0.5 * shape.length_m, -0.5 * shape.length_m
     sill, belt, roof = 0.24, shape.belt_m, shape.height_m
@@ -243,7 +243,7 @@ def car_atlas(rng: np.random.Generator, shape: CarShape, paint: Colour) -> NDArr
     return np.clip(atlas, 0, 255).astype(np.uint8)
 
 
-def add_car_models(builder: Builder, count: int) -> list[tuple[str, str, CarShape]]:
+def add_car_models(builder: SceneBuilder, count: int) -> list[tuple[str, str, CarShape]]:
     """``count`` differing models: (mesh name, material name, shape)."""
     models = []
     kinds = list(SHAPES)
@@ -252,14 +252,14 @@ def add_car_models(builder: Builder, count: int) -> list[tuple[str, str, CarShap
     for index in range(count):
         kind = kinds[int(builder.rng.choice(3, p=[0.45, 0.37, 0.18]))]
         paint = PAINTS[int(paints[index % len(PAINTS)])]
-        picture = car_atlas(builder.rng, SHAPES[kind], paint)
-        material = builder.material(f"car_paint_{index}", picture, shine=0.35)
+        image = car_atlas(builder.rng, SHAPES[kind], paint)
+        material = builder.material(f"car_paint_{index}", image, shine=0.35)
         models.append((meshes[kind], material, SHAPES[kind]))
     return models
 
 
 def park_car(
-    builder: Builder, model: tuple[str, str, CarShape], xy_m: Array, heading: float
+    builder: SceneBuilder, model: tuple[str, str, CarShape], xy_m: Array, heading: float
 ) -> None:
     """A parked car on the ground at ``xy_m``."""
     mesh, material, shape = model

@@ -1,4 +1,4 @@
-"""What stands in gardens: sheds, greenhouses, trampolines, washing lines, tables, beds."""
+"""Objects of gardens: sheds, greenhouses, trampolines, washing lines, tables, beds."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.textures import planks
 from touchdown.scenes.props.houses import gable_roof_mesh, wall_mesh
 from touchdown.scenes.props.meshes import MeshData, box, polygon
@@ -24,8 +24,8 @@ _SHED_TINTS = ([0.62, 0.46, 0.32, 1], [0.50, 0.55, 0.48, 1], [0.42, 0.34, 0.28, 
 _ROOF_TINTS = ([0.30, 0.31, 0.33, 1], [0.46, 0.28, 0.22, 1], [0.36, 0.40, 0.36, 1])
 
 
-def plank_material(builder: Builder) -> str:
-    """The material of planks that a scene's wooden things share."""
+def plank_material(builder: SceneBuilder) -> str:
+    """The material of planks that a scene's wooden objects share."""
     name = "other_planks"
     if builder.spec.material(name) is None:
         builder.material(name, planks(builder.rng))
@@ -33,10 +33,10 @@ def plank_material(builder: Builder) -> str:
 
 
 def place_mesh(
-    builder: Builder, stem: str, surface: Surface, parts: list[MeshData], xy_m: Array,
+    builder: SceneBuilder, stem: str, surface: Surface, parts: list[MeshData], xy_m: Array,
     heading: float, **looks: object,
 ) -> None:  # fmt: skip
-    """A mesh of its own on the ground at ``xy_m``, with the shadow of its hull."""
+    """Adds a mesh of its own on the ground at ``xy_m``, with the shadow of its hull."""
     data = MeshData.join(parts)
     origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
     builder.geom(
@@ -47,9 +47,9 @@ def place_mesh(
 
 
 def add_shed(
-    builder: Builder, xy_m: Array, heading: float, size_m: tuple[float, float, float]
+    builder: SceneBuilder, xy_m: Array, heading: float, size_m: tuple[float, float, float]
 ) -> None:
-    """A wooden shed with a low gable roof. size_m: length, width, wall height."""
+    """Adds a wooden shed with a low gable roof. size_m: length, width, wall height."""
     rng = builder.rng
     length, width, height = size_m
     origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
@@ -73,8 +73,8 @@ def add_shed(
     builder.claim(xy_m, 0.5 * float(np.hypot(length, width)) + 0.6)
 
 
-def add_greenhouse(builder: Builder, xy_m: Array, heading: float) -> None:
-    """A glass house of 3 x 2.2 m: panes between bars."""
+def add_greenhouse(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
+    """Adds a glass house of 3 x 2.2 m: panes between bars."""
     size = (3.0, 2.2, 1.5)
     z = builder.terrain.point(*xy_m)
     origin = np.array([*xy_m, z])
@@ -129,8 +129,8 @@ def drum(radius: float, low: float, high: float, sides: int = 16) -> MeshData:
     return MeshData.join(parts)
 
 
-def add_trampoline(builder: Builder, xy_m: Array) -> None:
-    """A round trampoline, 3.4 m across and 0.75 m high: from far above a level dark disc."""
+def add_trampoline(builder: SceneBuilder, xy_m: Array) -> None:
+    """Adds a round trampoline, 3.4 m across and 0.75 m high: from far above a level dark disc."""
     origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
     pose = {"pos": origin}
     tint = ([0.16, 0.34, 0.66, 1], [0.20, 0.46, 0.24, 1])[int(builder.rng.integers(2))]
@@ -149,9 +149,9 @@ def add_trampoline(builder: Builder, xy_m: Array) -> None:
 
 
 def add_washing_line(
-    builder: Builder, start_xy_m: Array, end_xy_m: Array, laundry: bool = True
+    builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, laundry: bool = True
 ) -> None:
-    """Two posts with two lines at 1.9 m, some laundry on one of them."""
+    """Adds two posts with two lines at 1.9 m, some laundry on one of them."""
     span = end_xy_m - start_xy_m
     across = np.array([-span[1], span[0]]) / float(np.hypot(*span))
     heading = float(np.arctan2(span[1], span[0]))
@@ -179,8 +179,8 @@ def add_washing_line(
         builder.claim(start_xy_m + share * span, 1.0)
 
 
-def add_table(builder: Builder, xy_m: Array, heading: float) -> None:
-    """A garden table with four chairs."""
+def add_table(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
+    """Adds a garden table with four chairs."""
     parts = [box(np.array([0.75, 0.45, 0.025]), np.array([0.0, 0.0, 0.72]))]
     parts += [box(np.array([0.03, 0.03, 0.36]), np.array([sx * 0.66, sy * 0.38, 0.36]))
               for sx in (-1, 1) for sy in (-1, 1)]  # fmt: skip
@@ -194,7 +194,7 @@ def add_table(builder: Builder, xy_m: Array, heading: float) -> None:
 
 
 def add_crop_rows(
-    builder: Builder, xy_m: Array, heading: float, size_m: tuple[float, float], height_m: float
+    builder: SceneBuilder, xy_m: Array, heading: float, size_m: tuple[float, float], height_m: float
 ) -> None:
     """Plants in rows along ``heading`` on a bed of ``size_m`` (along, across), one mesh."""
     rng = builder.rng
@@ -224,8 +224,8 @@ def _tuft(foot: Array, wide: float, high: float) -> MeshData:
     return MeshData.join(parts)
 
 
-def add_toys(builder: Builder, xy_m: Array) -> None:
-    """Things left on the grass, 0.15 to 0.5 m high: a ball, a bucket, a tricycle."""
+def add_toys(builder: SceneBuilder, xy_m: Array) -> None:
+    """Adds toys left on the grass, 0.15 to 0.5 m high: a ball, a bucket, a tricycle."""
     rng = builder.rng
     for _ in range(int(rng.integers(1, 3))):
         spot = xy_m + rng.normal(0.0, 0.8, 2)

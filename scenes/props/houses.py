@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.textures import Colour, facade_bay, flat_roof, roof_tiles
 from touchdown.scenes.props.meshes import MeshData, box, polygon
 
@@ -41,7 +41,7 @@ class House:
     size_m: tuple[float, float, float]
     ridge_m: float
     hipped: bool = False
-    """four slopes in place of two and two gables"""
+    """four slopes instead of two and two gables"""
 
     @property
     def gable_m(self) -> float:
@@ -56,31 +56,31 @@ class HouseLooks:
     roof: str
 
 
-def paint_house_looks(builder: Builder, roofs: list[NDArray[np.uint8]]) -> list[HouseLooks]:
-    """One set of looks per picture of a pitched roof (see `gable_roof_mesh` for its halves), walls
-    in turn."""
+def paint_house_looks(builder: SceneBuilder, roofs: list[NDArray[np.uint8]]) -> list[HouseLooks]:
+    """Adds one set of looks per texture of a pitched roof (see `gable_roof_mesh` for its halves),
+    walls in turn."""
     rng = builder.rng
     order = rng.permutation(len(WALLS))
     looks = []
-    for index, picture in enumerate(roofs):
+    for index, image in enumerate(roofs):
         colour, brick = WALLS[int(order[index % len(WALLS)])]
         wall = builder.material(f"building_wall_{index}", facade_bay(rng, colour, brick))
-        roof = builder.material(f"building_roof_{index}", picture)
+        roof = builder.material(f"building_roof_{index}", image)
         looks.append(HouseLooks(wall=wall, roof=roof))
     return looks
 
 
 def tiled_roof(rng: np.random.Generator, length: float, slope_m: float) -> NDArray[np.uint8]:
-    """A picture for both slopes of a roof, ``slope_m`` from ridge to eaves each, in a colour of
+    """A texture for both slopes of a roof, ``slope_m`` from ridge to eaves each, in a colour of
     its own."""
     base = ROOFS[int(rng.integers(len(ROOFS)))]
-    picture = roof_tiles(rng, base, (length, 2.0 * slope_m), 56.0)
-    _finish_roof(rng, picture)
-    return picture
+    image = roof_tiles(rng, base, (length, 2.0 * slope_m), 56.0)
+    _finish_roof(rng, image)
+    return image
 
 
-def add_house(builder: Builder, house: House, looks: HouseLooks | None = None) -> None:
-    """Walls, roof and what stands on it, in ``looks`` or in colours of its own. The ground below
+def add_house(builder: SceneBuilder, house: House, looks: HouseLooks | None = None) -> None:
+    """Adds walls, a roof and objects on it, in ``looks`` or in colours of its own. The ground below
     is taken as level."""
     rng = builder.rng
     z = builder.terrain.point(*house.centre_xy_m)
@@ -104,8 +104,8 @@ def add_house(builder: Builder, house: House, looks: HouseLooks | None = None) -
 
 
 def wall_mesh(size_m: tuple[float, float, float], ridge_m: float) -> MeshData:
-    """Four walls, whole window bays around, from 0.6 m below the ground; gables where the roof is
-    pitched."""
+    """Returns four walls, whole window bays around, from 0.6 m below the ground, with gables below
+    pitched roofs."""
     length, width, height = size_m
     x, y, low = 0.5 * length, 0.5 * width, -0.6
     storeys = max(1, round(height / STOREY_M))
@@ -132,8 +132,8 @@ def wall_mesh(size_m: tuple[float, float, float], ridge_m: float) -> MeshData:
 
 
 def gable_roof_mesh(length: float, width: float, ridge_m: float, eaves_m: float) -> MeshData:
-    """Two slopes with a thickness of 0.16 m that reach ``eaves_m`` over the walls; the picture's
-    upper half is one slope, the lower half the other, ridge at the top of each."""
+    """Returns two slopes with a thickness of 0.16 m that reach ``eaves_m`` over the walls; the
+    texture's upper half is one slope, the lower half the other, ridge at the top of each."""
     x = 0.5 * length + eaves_m
     drop = eaves_m * ridge_m / (0.5 * width)
     y, low, thick = 0.5 * width + eaves_m, -drop, 0.16
@@ -157,8 +157,8 @@ def gable_roof_mesh(length: float, width: float, ridge_m: float, eaves_m: float)
 
 
 def hip_roof_mesh(length: float, width: float, ridge_m: float, eaves_m: float) -> MeshData:
-    """Four slopes over a rectangle that is longer than wide, mapped as `gable_roof_mesh` maps its
-    two; the hips' ends use a corner of the picture's upper half."""
+    """Returns four slopes over a rectangle that is longer than wide, mapped as `gable_roof_mesh`
+    maps its two; the hips' ends use a corner of the texture's upper half."""
     drop = eaves_m * ridge_m / (0.5 * width)
     x, y, low = 0.5 * length + eaves_m, 0.5 * width + eaves_m, -drop
     reach = max(x - y, 0.3)
@@ -178,25 +178,25 @@ def hip_roof_mesh(length: float, width: float, ridge_m: float, eaves_m: float) -
     return MeshData.join(parts)
 
 
-def _finish_roof(rng: np.random.Generator, picture: NDArray[np.uint8]) -> None:
+def _finish_roof(rng: np.random.Generator, image: NDArray[np.uint8]) -> None:
     """A ridge cap and a gutter line for each slope, roof windows or panels."""
-    half_px = picture.shape[0] // 2
+    half_px = image.shape[0] // 2
     for first in (0, half_px):
-        picture[first : first + 8] = np.clip(picture[first : first + 8] * 1.15 + 12, 0, 255)
-        picture[first + half_px - 14 : first + half_px - 7] = (84, 84, 86)
-    _add_skylights(rng, picture, half_px)
+        image[first : first + 8] = np.clip(image[first : first + 8] * 1.15 + 12, 0, 255)
+        image[first + half_px - 14 : first + half_px - 7] = (84, 84, 86)
+    _add_skylights(rng, image, half_px)
 
 
 def _add_pitched_roof(
-    builder: Builder, house: House, name: str, origin: Array, looks: HouseLooks | None
+    builder: SceneBuilder, house: House, name: str, origin: Array, looks: HouseLooks | None
 ) -> None:
     rng = builder.rng
     length, width, height = house.size_m
     eaves = 0.45
     if looks is None:
         slope_m = float(np.hypot(0.5 * width + eaves, house.ridge_m * (1.0 + 2.0 * eaves / width)))
-        picture = tiled_roof(rng, length + 2 * eaves, slope_m)
-        material = builder.material(f"{name}_roof", picture)
+        image = tiled_roof(rng, length + 2 * eaves, slope_m)
+        material = builder.material(f"{name}_roof", image)
     else:
         material = looks.roof
     shape = hip_roof_mesh if house.hipped else gable_roof_mesh
@@ -214,9 +214,9 @@ def _add_pitched_roof(
     )  # fmt: skip
 
 
-def _add_skylights(rng: np.random.Generator, picture: NDArray[np.uint8], half_px: int) -> None:
-    """Roof windows, or solar panels on one slope, painted into the roof's picture."""
-    width = picture.shape[1]
+def _add_skylights(rng: np.random.Generator, image: NDArray[np.uint8], half_px: int) -> None:
+    """Adds roof windows, or solar panels on one slope, painted into the roof's texture."""
+    width = image.shape[1]
     if rng.random() < 0.45:
         top, left = int(0.22 * half_px), int(rng.uniform(0.12, 0.3) * width)
         columns = int(min(5, (width - left - 20) // 60))
@@ -224,18 +224,18 @@ def _add_skylights(rng: np.random.Generator, picture: NDArray[np.uint8], half_px
             for col in range(columns):
                 y, x = top + row * 96, left + col * 60
                 if y + 92 < half_px - 20:
-                    picture[y : y + 92, x : x + 56] = (186, 190, 194)
-                    picture[y + 3 : y + 89, x + 3 : x + 53] = (24, 32, 62)
-                    picture[y + 3 : y + 89 : 14, x + 3 : x + 53] = (52, 62, 96)
-                    picture[y + 3 : y + 89, x + 28 : x + 30] = (52, 62, 96)
+                    image[y : y + 92, x : x + 56] = (186, 190, 194)
+                    image[y + 3 : y + 89, x + 3 : x + 53] = (24, 32, 62)
+                    image[y + 3 : y + 89 : 14, x + 3 : x + 53] = (52, 62, 96)
+                    image[y + 3 : y + 89, x + 28 : x + 30] = (52, 62, 96)
     for _ in range(int(rng.integers(1, 3))):
         x = int(rng.uniform(0.1, 0.85) * (width - 60))
         y = half_px + int(rng.uniform(0.25, 0.5) * half_px)
-        picture[y : y + 66, x : x + 46] = (70, 72, 76)
-        picture[y + 5 : y + 61, x + 5 : x + 41] = (126, 152, 176)
+        image[y : y + 66, x : x + 46] = (70, 72, 76)
+        image[y + 5 : y + 61, x + 5 : x + 41] = (126, 152, 176)
 
 
-def _add_flat_roof(builder: Builder, house: House, name: str, origin: Array) -> None:
+def _add_flat_roof(builder: SceneBuilder, house: House, name: str, origin: Array) -> None:
     rng = builder.rng
     length, width, height = house.size_m
     material = builder.material(f"{name}_roof", flat_roof(rng, (length, width), 48.0))
@@ -265,7 +265,7 @@ def _add_flat_roof(builder: Builder, house: House, name: str, origin: Array) -> 
         )  # fmt: skip
 
 
-def _cast_house(builder: Builder, house: House, origin: Array) -> None:
+def _cast_house(builder: SceneBuilder, house: House, origin: Array) -> None:
     length, width, height = house.size_m
     x, y = 0.5 * length + 0.4, 0.5 * width + 0.4
     corners = [[sx * x, sy * y, z] for sx in (-1, 1) for sy in (-1, 1) for z in (0.0, height)]

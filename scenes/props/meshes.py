@@ -14,7 +14,7 @@ Ints = NDArray[np.int32]
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MeshData:
     """A triangle mesh. vertices: (N, 3) metres; faces: (M, 3) counter-clockwise seen from
-    outside; uv: (N, 2) texture coordinates, u to the right and v DOWN the picture; normals: (N, 3)
+    outside; uv: (N, 2) texture coordinates, u to the right and v DOWN the texture; normals: (N, 3)
     of any length, None: MuJoCo's."""
 
     vertices: Array
@@ -99,7 +99,7 @@ def blob(
 ) -> MeshData:
     """A lumpy closed surface: the superellipsoid ``sum |x_i / half_i|**exponent = 1`` (2: an
     ellipsoid, 8: a box with round edges), displaced along the radius by ``roughness`` (share of
-    it). Texture: laid on from above and down the sides, ``metres_per_uv`` metres a picture."""
+    it). Texture: laid on from above and down the sides, ``metres_per_uv`` metres a texture."""
     sectors = 2 * rings
     polar = np.linspace(0.0, np.pi, rings + 1)
     azimuth = np.linspace(0.0, 2.0 * np.pi, sectors + 1)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.textures import Colour, foliage, hedge_or_soil_tint
 from touchdown.scenes.props.meshes import blob
 
@@ -26,7 +26,7 @@ LUMP_RADII_M = (1.0, 1.45, 1.95)
 
 @dataclass(kw_only=True, slots=True)
 class Nursery:
-    """Shared crown meshes and leaf pictures."""
+    """Shared crown meshes and leaf textures."""
 
     leaves: list[str] = field(default_factory=list)
     lumps: list[tuple[str, float]] = field(default_factory=list)
@@ -35,7 +35,7 @@ class Nursery:
     rock: str = ""
 
 
-def plant_nursery(builder: Builder) -> Nursery:
+def plant_nursery(builder: SceneBuilder) -> Nursery:
     """Adds the materials and meshes that all plants of a scene share."""
     rng = builder.rng
     nursery = Nursery()
@@ -53,8 +53,8 @@ def plant_nursery(builder: Builder) -> Nursery:
     return nursery
 
 
-def add_tree(builder: Builder, nursery: Nursery, xy_m: Array, size: float) -> None:
-    """A broad-leaved tree; ``size`` 1 is about 6 m high with a crown of 4 m."""
+def add_tree(builder: SceneBuilder, nursery: Nursery, xy_m: Array, size: float) -> None:
+    """Adds a broad-leaved tree; ``size`` 1 is about 6 m high with a crown of 4 m."""
     rng = builder.rng
     z = builder.terrain.point(*xy_m)
     trunk_m = 1.9 * size
@@ -77,8 +77,8 @@ def add_tree(builder: Builder, nursery: Nursery, xy_m: Array, size: float) -> No
     builder.claim(xy_m, 2.2 * size)
 
 
-def add_small_tree(builder: Builder, nursery: Nursery, xy_m: Array, size: float) -> None:
-    """A fruit tree of two lumps; ``size`` 1 is about 3.5 m high."""
+def add_small_tree(builder: SceneBuilder, nursery: Nursery, xy_m: Array, size: float) -> None:
+    """Adds a fruit tree of two lumps; ``size`` 1 is about 3.5 m high."""
     rng = builder.rng
     z = builder.terrain.point(*xy_m)
     builder.geom(
@@ -95,8 +95,8 @@ def add_small_tree(builder: Builder, nursery: Nursery, xy_m: Array, size: float)
     builder.claim(xy_m, 1.6 * size)
 
 
-def add_bush(builder: Builder, nursery: Nursery, xy_m: Array) -> None:
-    """A round bush of 0.7 to 1.3 m."""
+def add_bush(builder: SceneBuilder, nursery: Nursery, xy_m: Array) -> None:
+    """Adds a round bush of 0.7 to 1.3 m."""
     rng = builder.rng
     half = rng.uniform(0.45, 0.8) * np.array([1.0, rng.uniform(0.8, 1.2), 0.85])
     mesh = builder.mesh(builder.unique("bush"), blob(rng, half, 2.3, 0.10, 8, 1.2))
@@ -108,9 +108,9 @@ def add_bush(builder: Builder, nursery: Nursery, xy_m: Array) -> None:
 
 
 def add_hedge(
-    builder: Builder, nursery: Nursery, start_xy_m: Array, end_xy_m: Array, height_m: float
+    builder: SceneBuilder, nursery: Nursery, start_xy_m: Array, end_xy_m: Array, height_m: float
 ) -> None:
-    """A clipped hedge along a segment."""
+    """Adds a clipped hedge along a segment."""
     rng = builder.rng
     span = end_xy_m - start_xy_m
     half = np.array([0.5 * np.hypot(*span), 0.38, 0.5 * height_m + 0.25])
@@ -132,8 +132,8 @@ def add_hedge(
         builder.claim(start_xy_m + share * span, 1.0)
 
 
-def add_rock(builder: Builder, xy_m: Array, radius_m: float) -> None:
-    """A boulder, a third of it in the ground."""
+def add_rock(builder: SceneBuilder, xy_m: Array, radius_m: float) -> None:
+    """Adds a boulder, a third of it in the ground."""
     rng = builder.rng
     half = radius_m * rng.uniform([0.9, 0.7, 0.55], [1.3, 1.0, 0.85])
     mesh = builder.mesh(builder.unique("rock"), blob(rng, half, 2.6, 0.12, 6, 1.0))
@@ -147,7 +147,7 @@ def add_rock(builder: Builder, xy_m: Array, radius_m: float) -> None:
     builder.claim(xy_m, 1.2 * radius_m)
 
 
-def _add_lump(builder: Builder, lump: tuple[str, float], leaf: str, at: Array) -> None:
+def _add_lump(builder: SceneBuilder, lump: tuple[str, float], leaf: str, at: Array) -> None:
     mesh, radius = lump
     builder.geom(
         "trees_crown", CROWN, type=GEOM.mjGEOM_MESH, meshname=mesh, material=leaf, pos=at,

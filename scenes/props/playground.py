@@ -1,4 +1,4 @@
-"""Swings, slides, climbing frames and goals, and what is strung between posts."""
+"""Swings, slides, climbing frames and goals, nets and lines between posts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.props.garden import CLOTH, place_mesh
 from touchdown.scenes.props.meshes import box, polygon
 from touchdown.scenes.props.street import WOOD
@@ -25,8 +25,8 @@ def _frame(heading: float) -> tuple[Array, Array]:
     return along, np.array([-along[1], along[0], 0.0])
 
 
-def add_swing(builder: Builder, xy_m: Array, heading: float) -> None:
-    """Two swings under a bar between two A-frames of thin tube."""
+def add_swing(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
+    """Adds two swings under a bar between two A-frames of thin tube."""
     along, left = _frame(heading)
     foot = np.array([*xy_m, builder.terrain.point(*xy_m)])
     up = np.array([0.0, 0.0, 2.3])
@@ -45,8 +45,8 @@ def add_swing(builder: Builder, xy_m: Array, heading: float) -> None:
         builder.claim(xy_m + end * along[:2], 1.6)
 
 
-def add_play_slide(builder: Builder, xy_m: Array, heading: float) -> None:
-    """A small tower with a roof and a slide along ``heading``."""
+def add_play_slide(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
+    """Adds a small tower with a roof and a slide along ``heading``."""
     along, _ = _frame(heading)
     deck = [box(np.array([0.6, 0.6, 0.05]), np.array([-1.4, 0.0, 1.4]))]
     for sx in (-0.55, 0.55):
@@ -75,8 +75,8 @@ def add_play_slide(builder: Builder, xy_m: Array, heading: float) -> None:
         builder.claim(xy_m + reach * along[:2], 1.5)
 
 
-def add_climbing_dome(builder: Builder, xy_m: Array) -> None:
-    """Three hoops of thin rope tube over the middle."""
+def add_climbing_dome(builder: SceneBuilder, xy_m: Array) -> None:
+    """Adds three hoops of thin rope tube over the middle."""
     z = builder.terrain.point(*xy_m)
     for turn in np.arange(0.0, 3.0, np.pi / 3.0):
         out = np.array([np.cos(turn), np.sin(turn), 0.0])
@@ -90,9 +90,9 @@ def add_climbing_dome(builder: Builder, xy_m: Array) -> None:
 
 
 def add_goal(
-    builder: Builder, xy_m: Array, heading: float, width_m: float, height_m: float
+    builder: SceneBuilder, xy_m: Array, heading: float, width_m: float, height_m: float
 ) -> None:
-    """A goal of white tube that opens along ``heading``; its net lets most pulses through."""
+    """Adds a goal of white tube that opens along ``heading``; its net lets most pulses through."""
     along, left = _frame(heading)
     foot = np.array([*xy_m, builder.terrain.point(*xy_m)])
     up, white = np.array([0.0, 0.0, height_m]), [0.94, 0.94, 0.93, 1]
@@ -115,9 +115,9 @@ def add_goal(
 
 
 def add_net(
-    builder: Builder, start_xy_m: Array, end_xy_m: Array, band_m: tuple[float, float]
+    builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, band_m: tuple[float, float]
 ) -> None:
-    """A net between two posts from ``band_m[0]`` to ``band_m[1]`` above the ground."""
+    """Adds a net between two posts from ``band_m[0]`` to ``band_m[1]`` above the ground."""
     span = end_xy_m - start_xy_m
     low, high = band_m
     middle = 0.5 * (start_xy_m + end_xy_m)
@@ -136,8 +136,10 @@ def add_net(
         builder.claim(start_xy_m + share * span, 1.0)
 
 
-def add_slackline(builder: Builder, start_xy_m: Array, end_xy_m: Array, height_m: float) -> None:
-    """A webbing of 5 cm between two stakes over the lawn."""
+def add_slackline(
+    builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, height_m: float
+) -> None:
+    """Adds a webbing of 5 cm between two stakes over the lawn."""
     tops = []
     for end in (start_xy_m, end_xy_m):
         add_post(builder, end, height_m + 0.15, 0.05, [0.45, 0.36, 0.26, 1])
@@ -145,8 +147,8 @@ def add_slackline(builder: Builder, start_xy_m: Array, end_xy_m: Array, height_m
     add_wire(builder, tops[0], tops[1], 0.02, [0.86, 0.52, 0.20, 1])
 
 
-def add_flag(builder: Builder, xy_m: Array, height_m: float, rgba: list[float]) -> None:
-    """A flagpole of 8 cm with a limp flag."""
+def add_flag(builder: SceneBuilder, xy_m: Array, height_m: float, rgba: list[float]) -> None:
+    """Adds a flagpole of 8 cm with a limp flag."""
     z = builder.terrain.point(*xy_m)
     add_post(builder, xy_m, height_m, 0.04, [0.90, 0.90, 0.90, 1])
     builder.geom("flag", CLOTH, type=GEOM.mjGEOM_BOX, size=[0.4, 0.01, 0.6], rgba=rgba,
@@ -154,9 +156,9 @@ def add_flag(builder: Builder, xy_m: Array, height_m: float, rgba: list[float]) 
     builder.claim(xy_m, 0.6)
 
 
-def add_towel(builder: Builder, xy_m: Array, size_m: tuple[float, float], heading: float,
+def add_towel(builder: SceneBuilder, xy_m: Array, size_m: tuple[float, float], heading: float,
               rgba: list[float]) -> None:  # fmt: skip
-    """A thin cloth on the ground (a towel, a blanket)."""
+    """Adds a thin cloth on the ground (a towel, a blanket)."""
     half = [0.5 * size_m[0], 0.5 * size_m[1], 0.015]
     c, s = np.cos(heading), np.sin(heading)
     corners = np.array([[sx * half[0], sy * half[1]] for sx in (-1, 1) for sy in (-1, 1)])

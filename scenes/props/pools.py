@@ -1,4 +1,4 @@
-"""Swimming pools and what stands around them."""
+"""Swimming pools and their furniture."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.lot import Lot
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
-from touchdown.scenes.authoring.textures import Picture, to_picture
+from touchdown.scenes.authoring.textures import Image, to_texture
 from touchdown.scenes.props.garden import CLOTH, drum, place_mesh
 from touchdown.scenes.props.meshes import MeshData, box, polygon
 from touchdown.scenes.props.street import KERB, WOOD
@@ -67,14 +67,14 @@ def kidney_outline(rng: np.random.Generator, u: float, v: float, radius: float) 
     return np.stack([1.25 * reach * np.cos(turn), 0.85 * reach * np.sin(turn)], -1) + [u, v]
 
 
-def add_pool(builder: Builder, pool: Pool) -> None:
-    """Water nearly flush with a stone coping. The ground below is taken as level."""
+def add_pool(builder: SceneBuilder, pool: Pool) -> None:
+    """Adds water nearly flush with a stone coping. The ground below is taken as level."""
     middle = pool.outline_m.mean(axis=0)
     where = pool.lot.points(middle)
     z = float(builder.terrain.at(pool.lot.points(pool.outline_m)).max())
     name = builder.unique("cover" if pool.covered else "pool")
     low, high = pool.box_m
-    painter = _cover_picture if pool.covered else _basin_picture
+    painter = _cover_texture if pool.covered else _basin_texture
     material = builder.material(f"water_{name}", painter(builder.rng, pool), 0.0)
     outline = pool.lot.points(pool.outline_m)
     uv = (pool.outline_m - low) / (high - low)
@@ -144,8 +144,8 @@ def _ring(outline: Array, width: float, high: float) -> MeshData:
     return MeshData.join(parts)
 
 
-def _basin_picture(rng: np.random.Generator, pool: Pool) -> Picture:
-    """Tiles seen through clear water: deeper along u, bright caustics, lane lines."""
+def _basin_texture(rng: np.random.Generator, pool: Pool) -> Image:
+    """Returns tiles seen through clear water: deeper along u, bright caustics, lane lines."""
     low, high = pool.box_m
     width, height = (max(32, round(float(s) * BASIN_PX_PER_M)) for s in high - low)
     rows, cols = np.mgrid[0:height, 0:width].astype(np.float32)
@@ -157,51 +157,52 @@ def _basin_picture(rng: np.random.Generator, pool: Pool) -> Picture:
     depth = (u / length)[..., None]
     shallow = np.array([126.0, 214.0, 222.0]) * rng.uniform(0.94, 1.04)
     deep = np.array([46.0, 142.0, 186.0]) * rng.uniform(0.92, 1.05)
-    picture = (shallow + (deep - shallow) * depth).astype(np.float32)
+    image = (shallow + (deep - shallow) * depth).astype(np.float32)
     joint = (np.mod(u + bend_u, 0.5) < 0.045) | (np.mod(v + bend_v, 0.5) < 0.045)
-    picture *= np.where(joint, 0.90, 1.0)[..., None]
+    image *= np.where(joint, 0.90, 1.0)[..., None]
     tone = rng.normal(0.0, 0.025, (64, 64)).astype(np.float32)
     tile = (
         np.floor((u + bend_u) / 0.5).astype(int) % 64,
         np.floor((v + bend_v) / 0.5).astype(int) % 64,
     )
-    picture *= 1.0 + tone[tile][..., None]
+    image *= 1.0 + tone[tile][..., None]
     for lane in range(pool.lanes):
         middle = (lane + 0.5) * across / pool.lanes
         line = (np.abs(v + bend_v - middle) < 0.13) & (u > 1.6) & (u < length - 1.6)
         for end in (1.6, length - 1.6):
             line |= (np.abs(u - end) < 0.13) & (np.abs(v + bend_v - middle) < 0.5)
-        picture[line] = np.array([22.0, 58.0, 104.0], np.float32)
+        image[line] = np.array([22.0, 58.0, 104.0], np.float32)
     ripple = tileable_noise(rng, 512, 1.6, 9.0)
     web = 1.0 - np.minimum(np.abs(np.roll(ripple, 40, 0) + 0.6 * ripple.T), 0.55) / 0.55
     stretch = np.tile(web, (height // 512 + 1, width // 512 + 1))[:height, :width]
-    picture *= (0.93 + 0.30 * stretch**2.2)[..., None]
+    image *= (0.93 + 0.30 * stretch**2.2)[..., None]
     for lane in range(1, pool.lanes):
         row = int(lane * across / pool.lanes * BASIN_PX_PER_M)
         beads = np.where(
             (cols[0] // 18).astype(int)[:, None] % 2 == 0, [214.0, 60, 52], [240, 240, 236]
         )
-        picture[row - 2 : row + 2] = beads
+        image[row - 2 : row + 2] = beads
     edge = np.minimum(np.minimum(u, length - u), np.minimum(v, across - v))
-    picture *= (1.0 - 0.22 * np.exp(-edge / 0.25))[..., None]
-    return to_picture(picture)
+    image *= (1.0 - 0.22 * np.exp(-edge / 0.25))[..., None]
+    return to_texture(image)
 
 
-def _cover_picture(rng: np.random.Generator, pool: Pool) -> Picture:
-    """A grey-green tarpaulin with eyelets, seams and puddles."""
+def _cover_texture(rng: np.random.Generator, pool: Pool) -> Image:
+    """Returns a grey-green tarpaulin with eyelets, seams and puddles."""
     low, high = pool.box_m
     width, height = (max(32, round(float(s) * BASIN_PX_PER_M)) for s in high - low)
     tone = 1.0 + 0.10 * fractal_noise(rng, (height, width), 1.5 * BASIN_PX_PER_M, 4)
     tone += 0.03 * rng.standard_normal((height, width), dtype=np.float32)
     tone[:, :: int(2.0 * BASIN_PX_PER_M)] *= 0.7
     base = np.array([[96.0, 108.0, 104.0], [70.0, 96.0, 128.0]])[int(rng.integers(2))]
-    picture = tone[..., None] * base.astype(np.float32)
+    image = tone[..., None] * base.astype(np.float32)
     pool_of_rain = np.clip(fractal_noise(rng, (height, width), 70.0, 2) - 1.2, 0.0, 0.5)[..., None]
-    return to_picture(picture * (1.0 - 0.7 * pool_of_rain))
+    return to_texture(image * (1.0 - 0.7 * pool_of_rain))
 
 
 def lounger_mesh() -> MeshData:
-    """A sun lounger along x with its back up; its upper faces are mapped to a towel's picture."""
+    """Returns a sun lounger along x with its back up; its upper faces are mapped to a towel's
+    texture."""
     parts = []
     steps = ((-0.95, 0.30), (0.35, 0.30), (0.95, 0.62))
     for first, second in pairwise(steps):
@@ -215,24 +216,24 @@ def lounger_mesh() -> MeshData:
     return MeshData.join(parts)
 
 
-def add_lounger_models(builder: Builder, count: int) -> list[tuple[str, str]]:
+def add_lounger_models(builder: SceneBuilder, count: int) -> list[tuple[str, str]]:
     """(mesh, material) of loungers in several colours."""
     rng = builder.rng
     mesh = builder.mesh("lounger", lounger_mesh())
     models = []
     for index in range(count):
         colour = np.array(CANOPIES[int(rng.integers(len(CANOPIES)))], np.float32)
-        picture = np.empty((32, 64, 3), np.float32)
-        picture[:] = 232.0
-        picture[:, 4:60] = colour
+        image = np.empty((32, 64, 3), np.float32)
+        image[:] = 232.0
+        image[:, 4:60] = colour
         if rng.random() < 0.5:
-            picture[:, 4:60:8] = picture[:, 5:60:8] = 236.0
-        models.append((mesh, builder.material(f"lounger_{index}", to_picture(picture))))
+            image[:, 4:60:8] = image[:, 5:60:8] = 236.0
+        models.append((mesh, builder.material(f"lounger_{index}", to_texture(image))))
     return models
 
 
-def add_lounger(builder: Builder, model: tuple[str, str], xy_m: Array, heading: float) -> None:
-    """One sun lounger; its head end points along ``heading``."""
+def add_lounger(builder: SceneBuilder, model: tuple[str, str], xy_m: Array, heading: float) -> None:
+    """Adds one sun lounger; its head end points along ``heading``."""
     origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
     builder.geom("lounger", WOOD, type=GEOM.mjGEOM_MESH, meshname=model[0], material=model[1],
                  pos=origin, quat=quat_z(heading))  # fmt: skip
@@ -243,7 +244,7 @@ def add_lounger(builder: Builder, model: tuple[str, str], xy_m: Array, heading: 
     builder.claim(xy_m, 0.9)
 
 
-def add_umbrella_models(builder: Builder, count: int) -> list[tuple[str, str]]:
+def add_umbrella_models(builder: SceneBuilder, count: int) -> list[tuple[str, str]]:
     """(mesh, material) of canopies 2.8 m across with eight panels in one or two colours."""
     rng = builder.rng
     turn = np.linspace(0.0, 2.0 * np.pi, 9)
@@ -257,16 +258,16 @@ def add_umbrella_models(builder: Builder, count: int) -> list[tuple[str, str]]:
     models = []
     for index in range(count):
         first, second = (CANOPIES[int(k)] for k in rng.choice(len(CANOPIES), 2, replace=False))
-        picture = np.empty((32, 64, 3), np.uint8)
-        picture[:, :32] = first
-        picture[:, 32:] = second if rng.random() < 0.6 else first
-        picture[28:] = 240
-        models.append((mesh, builder.material(f"umbrella_{index}", picture)))
+        image = np.empty((32, 64, 3), np.uint8)
+        image[:, :32] = first
+        image[:, 32:] = second if rng.random() < 0.6 else first
+        image[28:] = 240
+        models.append((mesh, builder.material(f"umbrella_{index}", image)))
     return models
 
 
-def add_umbrella(builder: Builder, model: tuple[str, str], xy_m: Array) -> None:
-    """A sunshade on a thin pole."""
+def add_umbrella(builder: SceneBuilder, model: tuple[str, str], xy_m: Array) -> None:
+    """Adds a sunshade on a thin pole."""
     z = builder.terrain.point(*xy_m)
     add_post(builder, xy_m, 2.3, 0.025, [0.86, 0.86, 0.84, 1])
     heading = float(builder.rng.uniform(0.0, 0.8))
@@ -280,8 +281,8 @@ def add_umbrella(builder: Builder, model: tuple[str, str], xy_m: Array) -> None:
     builder.claim(xy_m, 0.6)
 
 
-def add_guard_chair(builder: Builder, xy_m: Array, heading: float) -> None:
-    """A life guard's high chair."""
+def add_guard_chair(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
+    """Adds a life guard's high chair."""
     parts = [
         box(np.array([0.35, 0.35, 0.04]), np.array([0.0, 0.0, 1.6])),
         box(np.array([0.04, 0.35, 0.35]), np.array([-0.32, 0.0, 1.95])),
@@ -294,8 +295,8 @@ def add_guard_chair(builder: Builder, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 1.0)
 
 
-def add_water_slide(builder: Builder, foot_xy_m: Array, heading: float) -> None:
-    """A tower with a straight chute that ends at ``foot_xy_m``, coming from ``-heading``."""
+def add_water_slide(builder: SceneBuilder, foot_xy_m: Array, heading: float) -> None:
+    """Adds a tower with a straight chute that ends at ``foot_xy_m``, coming from ``-heading``."""
     back = -np.array([np.cos(heading), np.sin(heading)])
     z = builder.terrain.point(*foot_xy_m)
     tint = [0.20, 0.46, 0.74, 1] if builder.rng.random() < 0.5 else [0.90, 0.70, 0.16, 1]
@@ -331,8 +332,8 @@ def add_water_slide(builder: Builder, foot_xy_m: Array, heading: float) -> None:
         builder.claim(foot_xy_m + share * run * back, 1.3)
 
 
-def add_whirlpool(builder: Builder, xy_m: Array) -> None:
-    """A round raised tub, 0.5 m high, full to the brim."""
+def add_whirlpool(builder: SceneBuilder, xy_m: Array) -> None:
+    """Adds a round raised tub, 0.5 m high, full to the brim."""
     z = builder.terrain.point(*xy_m)
     for stem, radius, low, high, tint, surface in (
         ("tub", 1.6, -0.2, 0.50, [0.74, 0.71, 0.66, 1], KERB),

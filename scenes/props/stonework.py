@@ -1,4 +1,4 @@
-"""What stands in old villages: dry-stone walls, wells, log piles, sheep, electric fences."""
+"""Objects of old villages: dry-stone walls, wells, log piles, sheep, electric fences."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.textures import Picture, to_picture
+from touchdown.scenes.authoring.textures import Image, to_texture
 from touchdown.scenes.props.garden import drum, place_mesh, plank_material
 from touchdown.scenes.props.meshes import MeshData, blob, box, polygon
 from touchdown.scenes.props.street import WOOD
@@ -23,10 +23,10 @@ STONE = Surface(land_class="building", reflectivity=0.33)
 FLEECE = Surface(land_class="other", reflectivity=0.60)
 WALL_WIDTH_M = 0.45
 UV_M = 2.4
-"""Metres that one picture of rubble covers."""
+"""Metres that one texture of rubble covers."""
 
 
-def rubble(rng: np.random.Generator, px: int = 384) -> Picture:
+def rubble(rng: np.random.Generator, px: int = 384) -> Image:
     """(px, px, 3): stones of all sizes in dark joints, grown from random seeds."""
     count = 170
     seeds = rng.integers(0, px, (count, 2))
@@ -43,12 +43,12 @@ def rubble(rng: np.random.Generator, px: int = 384) -> Picture:
     tone = table[labels[middle, middle]].astype(np.float32)
     tone *= (1.08 - 0.006 * away[middle, middle])[..., None]
     tone *= 1.0 + 0.06 * fractal_noise(rng, (px, px), 12.0, 3)[..., None]
-    picture = tone * np.array([158.0, 150.0, 136.0], np.float32)
-    picture[joint] *= 0.45
-    return to_picture(picture)
+    image = tone * np.array([158.0, 150.0, 136.0], np.float32)
+    image[joint] *= 0.45
+    return to_texture(image)
 
 
-def thatch(rng: np.random.Generator, size_px: tuple[int, int] = (512, 512)) -> Picture:
+def thatch(rng: np.random.Generator, size_px: tuple[int, int] = (512, 512)) -> Image:
     """Both slopes of a thatched roof, ridge at the top of each half: reed in courses, a cut ridge
     band, moss. size_px: (rows, columns)."""
     rows, cols = size_px
@@ -60,17 +60,17 @@ def thatch(rng: np.random.Generator, size_px: tuple[int, int] = (512, 512)) -> P
     tone *= 1.02 - 0.22 * down
     tone[np.broadcast_to(np.mod(down, 0.25) < 0.012, tone.shape)] *= 0.72
     base = np.array([172.0, 146.0, 98.0]) * rng.uniform([0.75, 0.75, 0.8], [1.0, 1.0, 1.1])
-    picture = tone[..., None] * base.astype(np.float32)
+    image = tone[..., None] * base.astype(np.float32)
     moss = np.clip(fractal_noise(rng, (rows, cols), 45.0, 4, 0.6) - 0.9, 0.0, 0.8)[..., None]
-    picture += moss * (np.array([96.0, 108.0, 62.0], np.float32) - picture)
+    image += moss * (np.array([96.0, 108.0, 62.0], np.float32) - image)
     for first in (0, half):
         band = slice(first, first + half // 9)
-        picture[band] = 0.82 * picture[band] + 12.0
-        picture[first + half // 9 : first + half // 9 + 4] *= 0.6
-    return to_picture(picture)
+        image[band] = 0.82 * image[band] + 12.0
+        image[first + half // 9 : first + half // 9 + 4] *= 0.6
+    return to_texture(image)
 
 
-def rubble_material(builder: Builder) -> str:
+def rubble_material(builder: SceneBuilder) -> str:
     """The stone that all walls of a scene share."""
     name = "building_rubble"
     if builder.spec.material(name) is None:
@@ -78,9 +78,9 @@ def rubble_material(builder: Builder) -> str:
     return name
 
 
-def add_stone_wall(builder: Builder, line_m: Array, height_m: float) -> None:
-    """A dry-stone wall along a polyline, (N, 2), one mesh for each straight piece, with a ragged
-    top that follows the ground."""
+def add_stone_wall(builder: SceneBuilder, line_m: Array, height_m: float) -> None:
+    """Adds a dry-stone wall along a polyline, (N, 2), one mesh for each straight piece, with a
+    ragged top that follows the ground."""
     rng = builder.rng
     material = rubble_material(builder)
     for start, end in pairwise(line_m):
@@ -109,7 +109,7 @@ def add_stone_wall(builder: Builder, line_m: Array, height_m: float) -> None:
 
 
 def _wall_parts(x: Array, low: Array, top: Array) -> list[MeshData]:
-    """Both faces (leaning in by a tenth), the top and the ends of a wall along x."""
+    """Returns both faces (leaning in by a tenth), the top and the ends of a wall along x."""
     foot, crown = 0.5 * WALL_WIDTH_M, 0.4 * WALL_WIDTH_M
     parts = []
     for i, j in pairwise(range(len(x))):
@@ -134,8 +134,8 @@ def _wall_parts(x: Array, low: Array, top: Array) -> list[MeshData]:
     return parts
 
 
-def add_well(builder: Builder, xy_m: Array, heading: float) -> None:
-    """A round well of rubble under a small roof on two posts."""
+def add_well(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
+    """Adds a round well of rubble under a small roof on two posts."""
     z = builder.terrain.point(*xy_m)
     mesh = builder.mesh(builder.unique("well"), drum(0.75, -0.3, 0.8, 16))
     builder.geom("building_well", STONE, type=GEOM.mjGEOM_MESH, meshname=mesh, pos=[*xy_m, z],
@@ -151,8 +151,8 @@ def add_well(builder: Builder, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 1.5)
 
 
-def add_log_pile(builder: Builder, xy_m: Array, heading: float) -> None:
-    """Split logs stacked 1.1 m high between two stakes."""
+def add_log_pile(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
+    """Adds split logs stacked 1.1 m high between two stakes."""
     parts = [box(np.array([1.3, 0.4, 0.5]), np.array([0.0, 0.0, 0.45]))]
     parts += [box(np.array([0.05, 0.3, 0.65]), np.array([x, 0.0, 0.6])) for x in (-1.38, 1.38)]
     place_mesh(builder, "logs", WOOD, parts, xy_m, heading, material=plank_material(builder),
@@ -160,8 +160,8 @@ def add_log_pile(builder: Builder, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 1.7)
 
 
-def add_cart(builder: Builder, xy_m: Array, heading: float) -> None:
-    """A two-wheeled hay cart, tipped on its shafts."""
+def add_cart(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
+    """Adds a two-wheeled hay cart, tipped on its shafts."""
     parts = [box(np.array([1.2, 0.7, 0.05]), np.array([0.0, 0.0, 0.75])),
              box(np.array([1.2, 0.03, 0.25]), np.array([0.0, 0.7, 1.0])),
              box(np.array([1.2, 0.03, 0.25]), np.array([0.0, -0.7, 1.0]))]  # fmt: skip
@@ -175,8 +175,8 @@ def add_cart(builder: Builder, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 2.2)
 
 
-def add_sheep_models(builder: Builder) -> str:
-    """The mesh of a sheep."""
+def add_sheep_models(builder: SceneBuilder) -> str:
+    """Adds the mesh of a sheep."""
     rng = builder.rng
     body = blob(rng, np.array([0.52, 0.27, 0.30]), 2.6, 0.05, 7, 1.0)
     head = blob(rng, np.array([0.20, 0.11, 0.13]), 2.2, 0.02, 4, 1.0)
@@ -186,8 +186,8 @@ def add_sheep_models(builder: Builder) -> str:
     return builder.mesh("sheep", MeshData.join(parts))
 
 
-def add_sheep(builder: Builder, mesh: str, xy_m: Array, heading: float) -> None:
-    """A sheep that grazes on the spot."""
+def add_sheep(builder: SceneBuilder, mesh: str, xy_m: Array, heading: float) -> None:
+    """Adds a sheep that grazes on the spot."""
     at = np.array([*xy_m, builder.terrain.point(*xy_m)])
     wool = builder.rng.uniform(0.80, 0.93)
     builder.geom("sheep", FLEECE, type=GEOM.mjGEOM_MESH, meshname=mesh, pos=at,
@@ -199,8 +199,8 @@ def add_sheep(builder: Builder, mesh: str, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 0.9)
 
 
-def add_electric_fence(builder: Builder, line_m: Array, height_m: float) -> None:
-    """Thin stakes, (N, 2), and one wire from each to the next."""
+def add_electric_fence(builder: SceneBuilder, line_m: Array, height_m: float) -> None:
+    """Adds thin stakes, (N, 2), and one wire from each to the next."""
     tops = []
     for spot in line_m:
         add_post(builder, spot, height_m + 0.08, 0.014, [0.90, 0.90, 0.88, 1])

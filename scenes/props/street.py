@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.props.meshes import MeshData, box
 
 Array = NDArray[np.float64]
@@ -18,8 +18,8 @@ _STEEL_RGBA = [0.36, 0.39, 0.41, 1.0]
 _WOOD_RGBA = [0.50, 0.38, 0.26, 1.0]
 
 
-def add_lamp(builder: Builder, xy_m: Array, heading: float, height_m: float = 6.5) -> None:
-    """A street lamp whose arm points along ``heading``."""
+def add_lamp(builder: SceneBuilder, xy_m: Array, heading: float, height_m: float = 6.5) -> None:
+    """Adds a street lamp whose arm points along ``heading``."""
     z = builder.terrain.point(*xy_m)
     arm = np.array([np.cos(heading), np.sin(heading)]) * 1.5
     tip = xy_m + arm
@@ -46,8 +46,8 @@ def add_lamp(builder: Builder, xy_m: Array, heading: float, height_m: float = 6.
     builder.claim(xy_m, 0.6)
 
 
-def add_sign(builder: Builder, xy_m: Array, heading: float, rgba: list[float]) -> None:
-    """A round road sign that faces ``heading``."""
+def add_sign(builder: SceneBuilder, xy_m: Array, heading: float, rgba: list[float]) -> None:
+    """Adds a round road sign that faces ``heading``."""
     z = builder.terrain.point(*xy_m)
     builder.geom(
         "sign_pole", STEEL, type=GEOM.mjGEOM_CYLINDER, rgba=_STEEL_RGBA,
@@ -63,8 +63,8 @@ def add_sign(builder: Builder, xy_m: Array, heading: float, rgba: list[float]) -
     builder.claim(xy_m, 0.5)
 
 
-def add_bench(builder: Builder, xy_m: Array, heading: float) -> None:
-    """A bench with a back; its sitter looks along ``heading``."""
+def add_bench(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
+    """Adds a bench with a back; its sitter looks along ``heading``."""
     z = builder.terrain.point(*xy_m)
     parts = [
         box(np.array([0.24, 0.85, 0.03]), np.array([0.0, 0.0, 0.45])),
@@ -83,8 +83,8 @@ def add_bench(builder: Builder, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 1.1)
 
 
-def add_bin(builder: Builder, xy_m: Array, rgba: list[float]) -> None:
-    """A wheeled bin or a litter bin."""
+def add_bin(builder: SceneBuilder, xy_m: Array, rgba: list[float]) -> None:
+    """Adds a wheeled bin or a litter bin."""
     z = builder.terrain.point(*xy_m)
     at = np.array([*xy_m, z + 0.5])
     builder.geom("bin", STEEL, type=GEOM.mjGEOM_BOX, rgba=rgba, pos=at, size=[0.28, 0.33, 0.52])
@@ -93,8 +93,8 @@ def add_bin(builder: Builder, xy_m: Array, rgba: list[float]) -> None:
     builder.claim(xy_m, 0.6)
 
 
-def add_fence(builder: Builder, start_xy_m: Array, end_xy_m: Array, rgba: list[float]) -> None:
-    """Posts every 2 m, three boards and a cap rail, following the ground in panels."""
+def add_fence(builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, rgba: list[float]) -> None:
+    """Adds posts every 2 m, three boards and a cap rail, following the ground in panels."""
     span = end_xy_m - start_xy_m
     length = float(np.hypot(*span))
     panels = max(1, round(length / 2.0))
@@ -129,8 +129,8 @@ def add_fence(builder: Builder, start_xy_m: Array, end_xy_m: Array, rgba: list[f
         builder.claim(knot, 0.8)
 
 
-def add_kerb(builder: Builder, start_xy_m: Array, end_xy_m: Array, top_m: float) -> None:
-    """A row of kerb stones, 0.16 m wide, from below the road to ``top_m`` (world height)."""
+def add_kerb(builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, top_m: float) -> None:
+    """Adds a row of kerb stones, 0.16 m wide, from below the road to ``top_m`` (world height)."""
     span = end_xy_m - start_xy_m
     middle = 0.5 * (start_xy_m + end_xy_m)
     builder.geom(

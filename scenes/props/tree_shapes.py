@@ -1,4 +1,4 @@
-"""Meshes and pictures of woodland plants: conifers, crowns, trunks; needles and bark."""
+"""Meshes and textures of woodland plants: conifers, crowns, trunks; needles and bark."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.textures import TILE_PX, Colour, Picture, to_picture
+from touchdown.scenes.authoring.textures import TILE_PX, Colour, Image, to_texture
 from touchdown.scenes.props.meshes import MeshData, wrapped
 
 Array = NDArray[np.float64]
 
 
 def conifer_mesh(rng: np.random.Generator, height_m: float, radius_m: float) -> MeshData:
-    """Whorls of drooping branches, each a ragged cone over the next; the foot is at z = 0. Texture:
-    around the trunk and from it outwards."""
+    """Returns whorls of drooping branches, each a ragged cone over the next; the foot is at z = 0.
+    Texture: around the trunk and from it outwards."""
     whorls = 4 if height_m < 4.0 else 6
     spikes = 7 if height_m < 4.0 else 9
     parts = []
@@ -79,8 +79,8 @@ def joined(parts: list[MeshData]) -> MeshData:
 def canopy_mesh(
     rng: np.random.Generator, half: Array, rings: int, metres_per_uv: float
 ) -> MeshData:
-    """A crown like a cauliflower: seen from its middle, the farthest wall of a dozen balls that lie
-    around it. half: (3,) half axes in metres."""
+    """Returns a crown like a cauliflower: seen from its middle, the farthest wall of a dozen balls
+    that lie around it. half: (3,) half axes in metres."""
     theta, phi = np.meshgrid(
         np.linspace(0.0, np.pi, rings + 1), np.linspace(0.0, 2.0 * np.pi, 2 * rings + 1),
         indexing="ij",
@@ -132,12 +132,12 @@ def lathe(rng: np.random.Generator, profile: Array, sides: int, wobble: float) -
     return joined(parts)
 
 
-def needles(rng: np.random.Generator, base: Colour) -> Picture:
+def needles(rng: np.random.Generator, base: Colour) -> Image:
     """(512, 512, 3), periodic to the right: sprays that hang outwards from the dark inside (top) to
     the young tips (bottom). base: RGB 0..255."""
     size = TILE_PX
     depth = np.linspace(0.0, 1.0, size, dtype=np.float32)[:, None, None]
-    picture = np.array(base, np.float32) * (0.34 + 0.30 * depth) * np.ones((1, size, 1), np.float32)
+    image = np.array(base, np.float32) * (0.34 + 0.30 * depth) * np.ones((1, size, 1), np.float32)
     count = 1500
     tops = np.sort(rng.uniform(-30.0, size, count))
     lefts = rng.uniform(0.0, size, count)
@@ -152,19 +152,19 @@ def needles(rng: np.random.Generator, base: Colour) -> Picture:
             x = lefts[i] + shift
             first = (round(x), round(tops[i]))
             last = (round(x + leans[i] * lengths[i]), round(tops[i] + lengths[i]))
-            cv2.line(picture, first, last, colour, int(widths[i]), cv2.LINE_AA)
-    return to_picture(picture)
+            cv2.line(image, first, last, colour, int(widths[i]), cv2.LINE_AA)
+    return to_texture(image)
 
 
-def bark(rng: np.random.Generator, base: Colour) -> Picture:
+def bark(rng: np.random.Generator, base: Colour) -> Image:
     """(256, 256, 3): furrowed bark above, and in the lowest quarter a sawn face with its rings.
     base: RGB 0..255."""
     size = 256
     furrows = cv2.blur(fractal_noise(rng, (size, size), 9.0, 3, 0.7), (1, 13))
     tone = 1.0 + 0.32 * furrows + 0.06 * rng.standard_normal((size, size), dtype=np.float32)
-    picture = tone[..., None] * np.array(base, np.float32)
+    image = tone[..., None] * np.array(base, np.float32)
     rows, cols = np.mgrid[0:size, 0:size].astype(np.float32) / size
     radius = np.hypot((cols - 0.5) / 0.45, (rows - 0.87) / 0.11)
     rings = 1.0 + 0.10 * np.sin(34.0 * radius) - 0.18 * np.exp(-((radius / 0.12) ** 2))
     face = rings[..., None] * np.array([206.0, 172.0, 122.0], np.float32)
-    return to_picture(np.where((rows > 0.74)[..., None], face, picture).astype(np.float32))
+    return to_texture(np.where((rows > 0.74)[..., None], face, image).astype(np.float32))

@@ -1,4 +1,4 @@
-"""Reeds, decks on piles, and what lies about a shore."""
+"""Reeds, decks on piles, and objects of a shore."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.textures import Colour, Picture, to_picture
+from touchdown.scenes.authoring.textures import Colour, Image, to_texture
 from touchdown.scenes.props.meshes import MeshData, blob, box, polygon
 
 Array = NDArray[np.float64]
@@ -32,13 +32,13 @@ class ReedBed:
     """(mesh name, radius, height in metres)"""
 
 
-def grow_reeds(builder: Builder) -> ReedBed:
+def grow_reeds(builder: SceneBuilder) -> ReedBed:
     """Adds the materials and meshes that all reeds of a scene share."""
     rng = builder.rng
     green = rng.uniform(0.0, 1.0)
     foot = (84.0 + 20.0 * green, 104.0 + 16.0 * green, 56.0)
     head = (176.0 - 40.0 * green, 160.0 - 12.0 * green, 96.0)
-    material = builder.material("trees_reed", reed_picture(rng, foot, head))
+    material = builder.material("trees_reed", reed_texture(rng, foot, head))
     tufts = []
     for index, (radius, height) in enumerate(((0.55, 1.5), (0.75, 1.9), (0.95, 2.2), (0.65, 2.0))):
         mesh = builder.mesh(f"reed_{index}", tuft_mesh(rng, radius, height))
@@ -46,20 +46,20 @@ def grow_reeds(builder: Builder) -> ReedBed:
     return ReedBed(material=material, tufts=tufts)
 
 
-def reed_picture(rng: np.random.Generator, foot: Colour, head: Colour) -> Picture:
+def reed_texture(rng: np.random.Generator, foot: Colour, head: Colour) -> Image:
     """(256, 256, 3): stalks side by side, ``foot`` at the bottom, ``head`` (RGB) at the top, brown
     panicles above."""
     rows = np.linspace(0.0, 1.0, 256, dtype=np.float32)[:, None, None]
     stalk = rng.normal(0.0, 0.18, (1, 256, 1)) + rng.normal(0.0, 0.05, (1, 256, 3))
     colour = np.array(head) * (1.0 - rows) + np.array(foot) * rows
-    picture = colour * (1.0 + stalk) * (1.12 - 0.5 * rows)
+    image = colour * (1.0 + stalk) * (1.12 - 0.5 * rows)
     panicle = (rows[:, 0] < 0.13) & (rng.random((1, 256)) < 0.4)
-    picture[panicle] = np.array([116.0, 84.0, 62.0]) * rng.uniform(0.8, 1.2, (panicle.sum(), 1))
-    return to_picture(picture.astype(np.float32))
+    image[panicle] = np.array([116.0, 84.0, 62.0]) * rng.uniform(0.8, 1.2, (panicle.sum(), 1))
+    return to_texture(image.astype(np.float32))
 
 
 def tuft_mesh(rng: np.random.Generator, radius_m: float, height_m: float) -> MeshData:
-    """A dense core with stalks that lean outwards; the foot is at z = 0."""
+    """Returns a dense core with stalks that lean outwards; the foot is at z = 0."""
     half = np.array([0.50 * radius_m, 0.50 * radius_m, 0.33 * height_m])
     core = blob(rng, half, 2.2, 0.22, 6, 1.0)
     points = core.vertices + [0.0, 0.0, 0.30 * height_m]
@@ -81,8 +81,8 @@ def tuft_mesh(rng: np.random.Generator, radius_m: float, height_m: float) -> Mes
     return MeshData.join(parts)
 
 
-def add_reeds(builder: Builder, bed: ReedBed, xy_m: Array) -> None:
-    """One tuft, its foot on the ground or in the water."""
+def add_reeds(builder: SceneBuilder, bed: ReedBed, xy_m: Array) -> None:
+    """Adds one tuft, its foot on the ground or in the water."""
     rng = builder.rng
     mesh, radius, height = bed.tufts[int(rng.integers(len(bed.tufts)))]
     at = np.array([*xy_m, builder.terrain.point(*xy_m) - 0.12])
@@ -98,25 +98,25 @@ def add_reeds(builder: Builder, bed: ReedBed, xy_m: Array) -> None:
 
 def planks(
     rng: np.random.Generator, size_m: tuple[float, float], px_per_m: float, base: Colour
-) -> Picture:
-    """Weathered boards across a deck of size_m (length, width), with gaps and nails. The picture's
+) -> Image:
+    """Weathered boards across a deck of size_m (length, width), with gaps and nails. The texture's
     width is the deck's length."""
     width, height = (max(8, round(s * px_per_m)) for s in size_m)
     cols = np.arange(width) / px_per_m / 0.145
     board = np.floor(cols).astype(int)
     tone = 1.0 + 0.13 * rng.standard_normal(board.max() + 1)[board][None, :, None]
     tint = 1.0 + 0.012 * rng.standard_normal((board.max() + 1, 3))[board][None]
-    picture = np.array(base) * tone * tint * np.ones((height, 1, 1))
+    image = np.array(base) * tone * tint * np.ones((height, 1, 1))
     grain = fractal_noise(rng, (height, width), 3.0, 2)[..., None]
     stain = fractal_noise(rng, (height, width), 0.8 * px_per_m, 4, 0.6)[..., None]
-    picture *= 1.0 + 0.05 * grain + 0.08 * stain
+    image *= 1.0 + 0.05 * grain + 0.08 * stain
     within = cols - board
-    picture[:, within < 0.10] *= 0.32
+    image[:, within < 0.10] *= 0.32
     nail = (np.abs(within - 0.5) < 1.2 / (0.145 * px_per_m))[None, :]
     for y in (0.12, size_m[1] - 0.12):
         row = int(y * px_per_m)
-        picture[row : row + 2] *= np.where(nail, 0.45, 1.0)[..., None]
-    return to_picture(picture.astype(np.float32))
+        image[row : row + 2] *= np.where(nail, 0.45, 1.0)[..., None]
+    return to_texture(image.astype(np.float32))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -136,26 +136,26 @@ class Deck:
         return turned(flat, self.angle, at)[:, :2]
 
 
-def add_deck(builder: Builder, deck: Deck, picture: Picture, surface: Surface = DECK) -> None:
-    """The platform with ``picture`` on top."""
+def add_deck(builder: SceneBuilder, deck: Deck, image: Image, surface: Surface = DECK) -> None:
+    """Adds the platform with ``image`` on top."""
     name = builder.unique("deck")
     x, y = 0.5 * deck.size_m[0], 0.5 * deck.size_m[1]
     top = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
     uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
-    # Under the picture, so that the two tops do not coincide.
+    # Under the texture, so that the two tops do not coincide.
     body = box(np.array([x, y, 0.5 * deck.thick_m]), np.array([0, 0, -0.5 * deck.thick_m - 0.002]))
     shade = np.column_stack([0.02 + 0.01 * (body.uv[:, 0] % 1.0), np.full(len(body.uv), 0.5)])
     skirt = MeshData(vertices=body.vertices, faces=body.faces, uv=shade)
     mesh = builder.mesh(name, MeshData.join([polygon(top, uv), skirt]))
-    material = builder.material(name, picture)
+    material = builder.material(name, image)
     origin = np.array([*deck.centre_xy_m, deck.top_m])
     builder.geom("path_deck", surface, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
                  pos=origin, quat=quat_z(deck.angle))  # fmt: skip
     builder.cast(turned(top, deck.angle, origin))
 
 
-def add_pile(builder: Builder, xy_m: Array, top_m: float, radius_m: float = 0.09) -> None:
-    """A pile from the ground to the world height ``top_m``."""
+def add_pile(builder: SceneBuilder, xy_m: Array, top_m: float, radius_m: float = 0.09) -> None:
+    """Adds a pile from the ground to the world height ``top_m``."""
     z = builder.terrain.point(*xy_m)
     grey = builder.rng.uniform(0.30, 0.42)
     builder.geom("pile", PILE, type=GEOM.mjGEOM_CYLINDER, size=[radius_m, 0, 0],
@@ -166,8 +166,8 @@ def add_pile(builder: Builder, xy_m: Array, top_m: float, radius_m: float = 0.09
     builder.cast(np.concatenate([[*xy_m, z] + ring, [*xy_m, top_m] + ring]))
 
 
-def add_net(builder: Builder, xy_m: Array, heading: float) -> None:
-    """A volleyball net of 9.5 m between two posts."""
+def add_net(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
+    """Adds a volleyball net of 9.5 m between two posts."""
     across = np.array([-np.sin(heading), np.cos(heading)])
     ends = [xy_m + side * 4.75 * across for side in (-1.0, 1.0)]
     z = float(np.mean([builder.terrain.point(*end) for end in ends]))
@@ -183,8 +183,8 @@ def add_net(builder: Builder, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 5.2)
 
 
-def add_molehill(builder: Builder, xy_m: Array) -> None:
-    """A mound of earth too small to be seen from high up and too high to land on."""
+def add_molehill(builder: SceneBuilder, xy_m: Array) -> None:
+    """Adds a mound of earth too small to be seen from high up and too high to land on."""
     rng = builder.rng
     half = rng.uniform([0.22, 0.22, 0.14], [0.36, 0.36, 0.24])
     at = np.array([*xy_m, builder.terrain.point(*xy_m)])

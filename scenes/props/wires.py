@@ -1,4 +1,4 @@
-"""Posts and wires: the thin things that a look from far above misses."""
+"""Posts and wires: thin objects that are invisible from high above."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.props.street import STEEL
 
 Array = NDArray[np.float64]
@@ -19,9 +19,9 @@ _TIMBER = [0.36, 0.29, 0.22, 1.0]
 
 
 def add_post(
-    builder: Builder, xy_m: Array, height_m: float, radius_m: float, rgba: list[float]
+    builder: SceneBuilder, xy_m: Array, height_m: float, radius_m: float, rgba: list[float]
 ) -> None:
-    """An upright post that stands 0.3 m in the ground."""
+    """Adds an upright post that stands 0.3 m in the ground."""
     z = builder.terrain.point(*xy_m)
     builder.geom(
         "post", STEEL, type=GEOM.mjGEOM_CYLINDER, size=[radius_m, 0, 0], rgba=rgba,
@@ -31,9 +31,9 @@ def add_post(
 
 
 def add_wire(
-    builder: Builder, start_m: Array, end_m: Array, radius_m: float, rgba: list[float]
+    builder: SceneBuilder, start_m: Array, end_m: Array, radius_m: float, rgba: list[float]
 ) -> None:
-    """A straight bar or wire between two world points (3,)."""
+    """Adds a straight bar or wire between two world points (3,)."""
     builder.geom(
         "wire", WIRE, type=GEOM.mjGEOM_CAPSULE, size=[radius_m, 0, 0], rgba=rgba,
         fromto=[*start_m, *end_m],
@@ -41,7 +41,7 @@ def add_wire(
     _cast_bar(builder, start_m, end_m, radius_m)
 
 
-def _cast_bar(builder: Builder, start_m: Array, end_m: Array, radius_m: float) -> None:
+def _cast_bar(builder: SceneBuilder, start_m: Array, end_m: Array, radius_m: float) -> None:
     # Less than a texel wide, a shadow would come out spotted: widen it and let light through.
     wide = max(radius_m, 0.03)
     square = wide * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]], np.float64)
@@ -49,9 +49,9 @@ def _cast_bar(builder: Builder, start_m: Array, end_m: Array, radius_m: float) -
 
 
 def add_sagging_wire(
-    builder: Builder, start_m: Array, end_m: Array, sag_m: float, pieces: int = 2
+    builder: SceneBuilder, start_m: Array, end_m: Array, sag_m: float, pieces: int = 2
 ) -> None:
-    """A hanging cable (a parabola) as straight pieces."""
+    """Adds a hanging cable (a parabola) as straight pieces."""
     share = np.linspace(0.0, 1.0, pieces + 1)[:, None]
     points = start_m + share * (end_m - start_m)
     points[:, 2] -= 4.0 * sag_m * (share * (1.0 - share))[:, 0]
@@ -59,8 +59,11 @@ def add_sagging_wire(
         add_wire(builder, first, second, 0.014, [0.08, 0.08, 0.09, 1])
 
 
-def add_pole(builder: Builder, xy_m: Array, heading: float, height_m: float) -> tuple[Array, Array]:
-    """A timber pole whose crossarm lies square to ``heading``. Returns both insulators, (3,)."""
+def add_pole(
+    builder: SceneBuilder, xy_m: Array, heading: float, height_m: float
+) -> tuple[Array, Array]:
+    """Adds a timber pole whose crossarm lies square to ``heading``. Returns both insulators,
+    (3,)."""
     z = builder.terrain.point(*xy_m)
     top = np.array([*xy_m, z + height_m])
     builder.geom(
@@ -80,9 +83,10 @@ def add_pole(builder: Builder, xy_m: Array, heading: float, height_m: float) -> 
 
 
 def add_line(
-    builder: Builder, spots_xy_m: list[Array], height_m: float, sag_m: float
+    builder: SceneBuilder, spots_xy_m: list[Array], height_m: float, sag_m: float
 ) -> list[Array]:
-    """Poles at ``spots_xy_m`` with two cables between neighbours. Returns the poles' tops, (3,)."""
+    """Adds poles at ``spots_xy_m`` with two cables between neighbours. Returns the poles' tops,
+    (3,)."""
     tops = []
     previous: tuple[Array, Array] | None = None
     for index, spot in enumerate(spots_xy_m):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.textures import Colour, foliage, hedge_or_soil_tint
 from touchdown.scenes.props.plants import HEDGE, TRUNK
 from touchdown.scenes.props.tree_shapes import bark, canopy_mesh, conifer_mesh, lathe, needles
@@ -33,7 +33,7 @@ CROWN_RADII_M = (2.3, 3.0, 3.8, 4.6)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Crown:
-    """A shared crown mesh whose origin is where its tree meets the ground (conifers) or the
+    """A shared crown mesh whose origin is the foot of its tree (conifers) or the
     crown's middle (broad-leaved)."""
 
     mesh: str
@@ -58,7 +58,7 @@ class Wood:
     stumps: list[Crown] = field(default_factory=list)
 
 
-def grow_wood(builder: Builder) -> Wood:
+def grow_wood(builder: SceneBuilder) -> Wood:
     """Adds the shared materials and meshes; the seed decides on the season."""
     rng = builder.rng
     wood = Wood()
@@ -108,21 +108,21 @@ def trunk_key(bare_m: float) -> str:
     return f"trunk_{round(10.0 * bare_m)}"
 
 
-def _trunk(builder: Builder, name: str, radius_m: float, top: tuple[float, float]) -> str:
+def _trunk(builder: SceneBuilder, name: str, radius_m: float, top: tuple[float, float]) -> str:
     """A trunk mesh from below the ground to ``top`` (height, radius)."""
     profile = np.array([[-0.7, 1.3 * radius_m], [0.25, radius_m], [*top]])
     return builder.mesh(name, lathe(builder.rng, profile, 7, 0.06))
 
 
-def _add_trunk(builder: Builder, mesh: str, material: str, foot: Array) -> None:
+def _add_trunk(builder: SceneBuilder, mesh: str, material: str, foot: Array) -> None:
     builder.geom(
         "trees_trunk", TRUNK, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material, pos=foot,
         quat=quat_z(float(builder.rng.uniform(0.0, 2.0 * np.pi))),
     )  # fmt: skip
 
 
-def add_conifer(builder: Builder, wood: Wood, xy_m: Array, crown: Crown, needles: str) -> None:
-    """A spruce or pine: trunk and crown."""
+def add_conifer(builder: SceneBuilder, wood: Wood, xy_m: Array, crown: Crown, needles: str) -> None:
+    """Adds a spruce or pine: trunk and crown."""
     rng = builder.rng
     z = builder.terrain.point(*xy_m)
     foot = np.array([*xy_m, z])
@@ -130,8 +130,8 @@ def add_conifer(builder: Builder, wood: Wood, xy_m: Array, crown: Crown, needles
     _add_cone(builder, "trees_conifer", crown, needles, foot, float(rng.uniform(0.0, 2.0 * np.pi)))
 
 
-def add_sapling(builder: Builder, wood: Wood, xy_m: Array) -> None:
-    """A young conifer, branched down to the ground."""
+def add_sapling(builder: SceneBuilder, wood: Wood, xy_m: Array) -> None:
+    """Adds a young conifer, branched down to the ground."""
     rng = builder.rng
     crown = wood.saplings[int(rng.integers(len(wood.saplings)))]
     needles = wood.needles[int(rng.integers(len(wood.needles)))]
@@ -140,7 +140,7 @@ def add_sapling(builder: Builder, wood: Wood, xy_m: Array) -> None:
 
 
 def _add_cone(
-    builder: Builder, stem: str, crown: Crown, needles: str, foot: Array, turn: float
+    builder: SceneBuilder, stem: str, crown: Crown, needles: str, foot: Array, turn: float
 ) -> None:
     builder.geom(
         stem, CONIFER, type=GEOM.mjGEOM_MESH, meshname=crown.mesh, material=needles, pos=foot,
@@ -155,10 +155,9 @@ def _add_cone(
 
 
 def add_broadleaf(
-    builder: Builder, wood: Wood, xy_m: Array, crown: Crown, leaf: str, trunk_m: float
+    builder: SceneBuilder, wood: Wood, xy_m: Array, crown: Crown, leaf: str, trunk_m: float
 ) -> None:
-    """An oak, beech or birch; ``trunk_m``: bare trunk below the crown, one of
-    `TRUNKS_M`."""
+    """Adds an oak, beech or birch; ``trunk_m``: bare trunk below the crown, one of `TRUNKS_M`."""
     rng = builder.rng
     z = builder.terrain.point(*xy_m)
     material = wood.birch if rng.random() < 0.25 else wood.bark
@@ -173,8 +172,8 @@ def add_broadleaf(
     builder.cast(at + half * _BALL, 1.0 - BROADLEAF.porosity)
 
 
-def add_shrub(builder: Builder, wood: Wood, xy_m: Array) -> None:
-    """Undergrowth: hazel, bramble, juniper."""
+def add_shrub(builder: SceneBuilder, wood: Wood, xy_m: Array) -> None:
+    """Adds undergrowth: hazel, bramble, juniper."""
     rng = builder.rng
     crown = wood.shrubs[int(rng.integers(len(wood.shrubs)))]
     leaf = wood.leaves[int(rng.integers(len(wood.leaves)))]
@@ -186,8 +185,8 @@ def add_shrub(builder: Builder, wood: Wood, xy_m: Array) -> None:
     builder.cast(at + np.array([crown.radius_m, crown.radius_m, crown.height_m]) * _BALL, 0.9)
 
 
-def add_stump(builder: Builder, wood: Wood, xy_m: Array) -> None:
-    """What a saw left standing: 0.24 to 0.42 m, with roots."""
+def add_stump(builder: SceneBuilder, wood: Wood, xy_m: Array) -> None:
+    """Adds a stump, 0.24 to 0.42 m high, with roots."""
     rng = builder.rng
     stump = wood.stumps[int(rng.integers(len(wood.stumps)))]
     at = np.array([*xy_m, builder.terrain.point(*xy_m)])
@@ -201,9 +200,9 @@ def add_stump(builder: Builder, wood: Wood, xy_m: Array) -> None:
 
 
 def add_log(
-    builder: Builder, wood: Wood, start_xy_m: Array, end_xy_m: Array, radius_m: float
+    builder: SceneBuilder, wood: Wood, start_xy_m: Array, end_xy_m: Array, radius_m: float
 ) -> None:
-    """A trunk on the ground; it rests on its ends and on what is high between them."""
+    """Adds a trunk on the ground; it rests on its ends and on high ground between them."""
     rng = builder.rng
     span = end_xy_m - start_xy_m
     length = float(np.hypot(*span))

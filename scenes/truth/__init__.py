@@ -1,1 +1,1 @@
-"""Ground truth from the compiled model, by ray casting."""
+"""Ground truth of a compiled scene by ray casting: height, slope, class and safety."""

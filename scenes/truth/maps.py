@@ -1,7 +1,7 @@
-"""The true ground, seen from above: heights, slopes, classes, and where one may land.
+"""True heights, slopes, classes and landing safety of the ground, seen from above.
 
-Everything holds for time 0; the vehicle and all moving bodies are left out. The geometric rule at
-a point (`scenes.api.TruthMaps.safe_geometry`) is read as follows:
+All values hold for time 0, without the vehicle and the moving bodies. The geometric rule at a
+point (`scenes.api.TruthMaps.safe_geometry`) means:
 
 - slope: the plane fitted within 0.5 m slopes by at most 5 deg, at the point and everywhere within
   0.5 m of it (so that the fits cover the disc of 1.0 m);
@@ -50,16 +50,16 @@ class TouchdownJudgement:
     safe: bool
     """safe_geometry and a safe class"""
     obstacle_distance_m: float
-    """horizontal distance to the nearest thing that stands more than 0.25 m over the ground
+    """horizontal distance to the nearest object that stands more than 0.25 m over the ground
     beneath it; 15 where there is none within 15 m"""
 
 
 def truth_maps(scene: Scene, cell_m: float = 0.1, region: Array | None = None) -> TruthMaps:
-    """Rasters of the whole scene, or of ``region`` [[x_min, y_min], [x_max, y_max]] (2, 2) metres,
-    world frame.
+    """Returns rasters of the whole scene, or of ``region`` [[x_min, y_min], [x_max, y_max]] (2, 2)
+    metres, world frame.
 
-    Cells are looked at in their centres; poles, rails and other geoms narrower than a cell are
-    looked at along their own middle line as well.
+    Cells are sampled at their centres; poles, rails and other geoms narrower than a cell also along
+    their own middle line.
     Raises ValueError for a cell that is not positive and below 0.25 m, or an empty region.
     """
     if not 0.0 < cell_m <= 0.25:
@@ -104,7 +104,7 @@ def point_slope_deg(scene: Scene, xy: Array, radius: float = SLOPE_RADIUS_M) -> 
 
 
 def judge_touchdown(scene: Scene, xy: Array) -> TouchdownJudgement:
-    """Judges one point, (2,) world, with rays 2 cm apart, so that thin things count."""
+    """Judges one point, (2,) world, with rays 2 cm apart, so that thin objects count."""
     point = np.asarray(xy, np.float64)
     cells = int(np.ceil(CLEAR_RADIUS_M / PATCH_CELL_M)) + 1
     heights, geoms = _patch(scene, point, cells)
@@ -225,7 +225,7 @@ def _clear_cells(
     rows, cols = heights.shape
     reach = clear[:, 0].max()
     pad_reach2 = (PAD_RADIUS_M / cell_m + 1e-9) ** 2
-    good = np.zeros((rows, cols), np.bool_)
+    clear_cells = np.zeros((rows, cols), np.bool_)
     for row in range(reach, rows - reach):
         for col in range(reach, cols - reach):
             if not candidate[row, col]:
@@ -246,13 +246,13 @@ def _clear_cells(
                 elif rise > MAX_TALL_M:
                     fits = False
                     break
-            good[row, col] = fits
-    return good
+            clear_cells[row, col] = fits
+    return clear_cells
 
 
 def _obstacle_distance(scene: Scene, point: Array, height_m: float) -> float:
-    """Distance to the nearest cell of 5 cm that stands over the bare ground, or over the point
-    itself where that lies on a deck; tiles outwards."""
+    """Distance to the nearest cell of 5 cm above the bare ground, or above
+    the point where that lies on a deck. Searches squares of growing size."""
     on_deck = height_m - float(bare_ground(scene, point, height_m)) > MAX_TALL_M
     for reach in (2.0, 5.0, SEARCH_M):
         cells = round(reach / SEARCH_CELL_M)

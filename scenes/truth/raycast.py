@@ -1,4 +1,4 @@
-"""Looking straight down on a compiled scene, without the vehicle and the moving bodies."""
+"""Casts rays straight down on a compiled scene without the vehicle and the moving bodies."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
-from touchdown.scenes.authoring.terrain import Terrain
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.compose import VEHICLE_GROUP
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ _OFF_EDGE_M = np.array([1.37e-4, 2.11e-4])
 def cast_down(
     scene: Scene, origin_xy_m: Array, cell_m: float, shape: tuple[int, int]
 ) -> tuple[Array, NDArray[np.int32]]:
-    """Heights of the top surface at cell centres and the geoms that were hit.
+    """Returns heights of the top surface at cell centres and the geoms that were hit.
 
     origin_xy_m: (2,) corner of cell (0, 0); shape: (rows, cols), row = y. Returns (rows, cols)
     float64 metres, NaN where nothing lies below, and (rows, cols) geom ids, -1 there.
@@ -105,7 +105,8 @@ def _cast_tile(
 def class_ids(
     scene: Scene, origin_xy_m: Array, cell_m: float, geoms: NDArray[np.int32]
 ) -> NDArray[np.uint8]:
-    """Land-class ids of what `cast_down` hit, (rows, cols); `OTHER_CLASS_ID` for the rest."""
+    """Returns the land-class ids of the geoms that `cast_down` hit, (rows, cols); `OTHER_CLASS_ID`
+    for the rest."""
     table = np.full(scene.model.ngeom + 1, OTHER_CLASS_ID, np.uint8)
     for geom in range(scene.model.ngeom):
         surface = scene.surfaces.get(scene.model.geom(geom).name)
@@ -139,7 +140,7 @@ def bare_ground(scene: Scene, xy_m: Array, otherwise_m: float) -> Array:
                 unit = model.hfield_data[start : start + rows * cols].reshape(rows, cols)
                 heights = unit.astype(np.float64) * size[2] + z
                 local = xy_m - model.geom_pos[geom, :2]
-                return Terrain(heights_m=heights, half_m=float(size[0])).at(local)
+                return HeightField(heights_m=heights, half_m=float(size[0])).at(local)
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
             return np.full(xy_m.shape[:-1], z)
     return np.full(xy_m.shape[:-1], otherwise_m)

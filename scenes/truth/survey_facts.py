@@ -1,4 +1,4 @@
-"""What a survey finds in a scene, and how much two seeds of a scene differ."""
+"""Safe area in view of a survey, and the difference between two seeds of a scene."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from touchdown.scenes.api import Scene
-from touchdown.scenes.render import scene_picture
+from touchdown.scenes.render import render_scene
 from touchdown.scenes.truth.maps import truth_maps
 from touchdown.scenes.truth.raycast import cast_down, class_ids
 
@@ -22,7 +22,7 @@ LAYOUT_PIXELS = 192
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SurveyFacts:
-    """One seed of a scene."""
+    """Safe area of one seed of a scene."""
 
     seen_m2: float
     """area that the survey sees, inside the scene"""
@@ -37,34 +37,34 @@ class SurveyFacts:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Layout:
-    """A whole scene as compared between seeds, world frame, row = y."""
+class LayoutRasters:
+    """Coarse rasters of a scene, compared between seeds, world frame, row = y."""
 
     height_m: NDArray[np.float32]
     """(rows, cols) of the top surface, NaN where there is none"""
     class_id: NDArray[np.uint8]
     """(rows, cols)"""
     grey: NDArray[np.float32]
-    """(pixels, pixels) 0..255, picture from above"""
+    """(pixels, pixels) 0..255, image from above"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Difference:
-    """Between two layouts."""
+class LayoutDifference:
+    """Difference between two layouts."""
 
     height_m: float
     """mean absolute difference of the top surface"""
     class_share: float
     """of the cells, those whose class differs"""
     grey: float
-    """mean absolute difference of the pictures from above, of 255"""
+    """mean absolute difference of the images from above, 0..255"""
 
 
 def survey_facts(
     scene: Scene, length_m: float, width_m: float, reach_ahead_m: float, reach_aside_m: float
 ) -> SurveyFacts:
-    """Judges the area seen from legs of ``length_m`` along the take-off heading that start at the
-    take-off spot and cover ``width_m`` to the left of it, with a sensor that reaches
+    """Judges the area in view from legs of ``length_m`` along the take-off heading that start at
+    the take-off spot and cover ``width_m`` to the left of it, with a sensor that reaches
     ``reach_ahead_m`` fore and aft and ``reach_aside_m`` to both sides."""
     corners = np.array(
         [
@@ -94,28 +94,28 @@ def survey_facts(
     )
 
 
-def layout(scene: Scene) -> Layout:
-    """The scene at the resolution at which seeds are compared."""
+def layout_rasters(scene: Scene) -> LayoutRasters:
+    """Samples a scene at the resolution of the comparison."""
     low, high = scene.bounds_xy_m
     cells = np.round((high - low) / LAYOUT_CELL_M).astype(int)
     heights, geoms = cast_down(scene, low, LAYOUT_CELL_M, (int(cells[1]), int(cells[0])))
-    picture = scene_picture(scene, "above", LAYOUT_PIXELS)
-    return Layout(
+    image = render_scene(scene, "above", LAYOUT_PIXELS)
+    return LayoutRasters(
         height_m=heights.astype(np.float32),
         class_id=class_ids(scene, low, LAYOUT_CELL_M, geoms),
-        grey=picture.mean(axis=2, dtype=np.float32),
+        grey=image.mean(axis=2, dtype=np.float32),
     )
 
 
-def difference(a: Layout, b: Layout) -> Difference:
-    """Of two seeds of one scene. Raises ValueError when their extents differ."""
+def layout_difference(a: LayoutRasters, b: LayoutRasters) -> LayoutDifference:
+    """Compares two seeds of a scene. Raises ValueError if their extents differ."""
     if a.height_m.shape != b.height_m.shape:
         raise ValueError(
             f"two seeds differ in extent: {a.height_m.shape} and {b.height_m.shape} cells"
         )
     step = np.abs(a.height_m - b.height_m)
     known = np.isfinite(step)
-    return Difference(
+    return LayoutDifference(
         height_m=float(step[known].mean()) if known.any() else 0.0,
         class_share=float((a.class_id != b.class_id).mean()),
         grey=float(np.abs(a.grey - b.grey).mean()),

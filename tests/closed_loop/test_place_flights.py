@@ -18,8 +18,7 @@ from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.mission.lander import SiteLander
 from touchdown.sim.api import Observation
 
-from support.lander_support import ORIGIN, PARAMS, QUICK, Puppet, flat_map, fly
-from support.place_support import (
+from support.ground_classifier_support import (
     COLOURS,
     ByColour,
     Paint,
@@ -28,6 +27,7 @@ from support.place_support import (
     small_rig,
     write_colour_network,
 )
+from support.lander_support import ORIGIN, PARAMS, QUICK, Puppet, flat_map, fly
 
 Array = NDArray[np.float64]
 _PICTURE_TICKS = 120

@@ -187,9 +187,9 @@ def test_options_of_the_environments() -> None:
 
 def test_sensors_of_the_environments() -> None:
     pytest.importorskip("gymnasium")
-    from touchdown.experiments.environments.observations import SENSORS, Observations
+    from touchdown.experiments.environments.observations import SENSORS, ObservationBuffer
 
-    observations = Observations(tuple(SENSORS), privileged=True, camera_pixels=(84, 84))
+    observations = ObservationBuffer(tuple(SENSORS), privileged=True, camera_pixels=(84, 84))
     listed = {row[0].strip("`"): row[1] for row in rows_of("docs/environments.md", "name")}
     shapes = {name: str(bounds.shape) for name, bounds in observations.bounds.items()}
     assert listed == shapes | {"camera": "(H, W, 3)"}

@@ -1,4 +1,4 @@
-"""Elevation models: what the file says is where the vehicle flies, holes and errors included."""
+"""Elevation models: heights, units, holes, aerial images and damaged files."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import os
 import struct
 import warnings
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import rasterio
+from affine import Affine
 from numpy.typing import NDArray
 
 from touchdown.experiments.cli import main as cli
@@ -23,7 +26,8 @@ from touchdown.scenes.truth.raycast import cast_down
 Array = NDArray[np.float64]
 
 METRES = (1, 1, 0, 1, 1024, 0, 1, 1)
-FEET = (1, 1, 0, 2, 1024, 0, 1, 1, 3076, 0, 1, 9002)
+FEET = (1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 2222, 3076, 0, 1, 9002)
+"""EPSG:2222, Arizona East in international feet"""
 DEGREES = (1, 1, 0, 1, 1024, 0, 1, 2)
 
 
@@ -59,6 +63,17 @@ def write_tiff(
     return path
 
 
+def rasterized(path: Path, heights: Array, **profile: Any) -> Path:
+    """A float32 GeoTIFF of cells of 1 m, written by GDAL."""
+    rows, cols = heights.shape
+    profile = {"transform": Affine(1.0, 0.0, 5000.0, 0.0, -1.0, 9000.0), **profile}
+    with rasterio.open(
+        path, "w", driver="GTiff", width=cols, height=rows, count=1, dtype="float32", **profile
+    ) as dataset:
+        dataset.write(heights.astype(np.float32), 1)
+    return path
+
+
 def ramp(rows: int = 121, cols: int = 141) -> Array:
     """0.02 m a cell to the east and 0.05 m to the north, with a knob of 5 m on cell (40, 90)."""
     row, col = np.mgrid[:rows, :cols]
@@ -78,7 +93,7 @@ def height_at(scene: Scene, x: float, y: float) -> float:
     return float(heights[0, 0])
 
 
-def test_heights_are_the_file_s_and_zero_at_the_takeoff(tmp_path: Path) -> None:
+def test_heights_equal_the_model_and_are_zero_at_the_takeoff(tmp_path: Path) -> None:
     tif = write_tiff(tmp_path / "hill.tif", ramp())
     scene = load(import_dem(tif, tmp_path / "out", window_m=120.0))
     x, y = scene.takeoff_xy_m
@@ -118,6 +133,34 @@ def test_cells_in_feet_and_degrees_become_metres(tmp_path: Path) -> None:
     np.testing.assert_array_equal(degrees.heights_m, ramp().astype(np.float32))
 
 
+@pytest.mark.parametrize(
+    "profile",
+    [
+        {"compress": "deflate", "predictor": 3, "tiled": True, "blockxsize": 64, "blockysize": 64},
+        {"compress": "lzw", "predictor": 2},
+        {"compress": "zstd", "BIGTIFF": "YES"},
+        {"compress": "lerc"},
+    ],
+    ids=lambda profile: profile["compress"],
+)
+def test_compressed_models_are_read_exactly(tmp_path: Path, profile: dict[str, Any]) -> None:
+    heights = ramp()
+    heights[3, 5], heights[4, 6] = -5.0, np.nan
+    tif = rasterized(tmp_path / "a.tif", heights, nodata=-5.0, crs="EPSG:32632", **profile)
+    raster = read_heights(tif)
+    expected = heights.astype(np.float32).astype(np.float64)
+    expected[3, 5] = np.nan
+    np.testing.assert_array_equal(raster.heights_m, expected)
+    np.testing.assert_array_equal(raster.georeference.unit_cell, [1.0, 1.0])
+    np.testing.assert_array_equal(raster.georeference.origin, [5000.0, 9000.0])
+
+
+def test_heights_in_feet_become_metres(tmp_path: Path) -> None:
+    vertical = (1, 1, 0, 2, 1024, 0, 1, 1, 4099, 0, 1, 9002)
+    raster = read_heights(write_tiff(tmp_path / "v.tif", ramp(), keys=vertical))
+    np.testing.assert_allclose(raster.heights_m, 0.3048 * ramp(), rtol=1e-6)
+
+
 def test_coarse_models_are_interpolated_smoothly(tmp_path: Path) -> None:
     """A parabola comes back between the cells, which a linear interpolation would miss by 6 cm."""
     heights = np.tile(0.02 * (np.arange(41) - 20.0) ** 2, (41, 1))
@@ -129,7 +172,7 @@ def test_coarse_models_are_interpolated_smoothly(tmp_path: Path) -> None:
         assert rise == pytest.approx(0.02 * (x / 5.0) ** 2, abs=5e-3)
 
 
-def test_holes_are_filled_from_their_rims_with_one_remark(tmp_path: Path) -> None:
+def test_holes_are_filled_from_their_rims_with_one_warning(tmp_path: Path) -> None:
     heights = ramp()
     whole = heights.copy()
     heights[50:60, 60:70] = -9999.0
@@ -148,11 +191,11 @@ def test_holes_are_filled_from_their_rims_with_one_remark(tmp_path: Path) -> Non
         assert height_at(scene, x, y) == pytest.approx(whole[row, col] - level, abs=0.05)
 
 
-def test_picture_lies_as_the_heights_do(tmp_path: Path) -> None:
+def test_aerial_image_is_aligned_with_the_heights(tmp_path: Path) -> None:
     tif = write_tiff(tmp_path / "hill.tif", ramp())
-    picture = np.zeros((4 * 121, 4 * 141, 3), np.uint8)
-    picture[: 2 * 121, : 2 * 141] = (0, 0, 255)
-    cv2.imwrite(str(tmp_path / "photo.png"), picture)
+    image = np.zeros((4 * 121, 4 * 141, 3), np.uint8)
+    image[: 2 * 121, : 2 * 141] = (0, 0, 255)
+    cv2.imwrite(str(tmp_path / "photo.png"), image)
     out = tmp_path / "out"
     import_dem(tif, out, ortho=tmp_path / "photo.png", window_m=100.0)
     texture = cv2.imread(str(out / "assets" / "ground.png"))
@@ -167,7 +210,7 @@ def test_picture_lies_as_the_heights_do(tmp_path: Path) -> None:
 def _bad(tmp_path: Path, kind: str) -> Path:
     path = tmp_path / f"{kind}.tif"
     if kind == "text":
-        path.write_text("no elevation model, though it is called so")
+        path.write_text("not an elevation model in spite of its name")
     elif kind == "empty":
         path.write_bytes(b"")
     elif kind == "holes":
@@ -180,6 +223,11 @@ def _bad(tmp_path: Path, kind: str) -> Path:
         write_tiff(path, np.zeros((50, 70)))
     elif kind == "cut":
         path.write_bytes(write_tiff(path, ramp()).read_bytes()[:5000])
+    elif kind == "pixels":
+        path.write_bytes(rasterized(path, ramp(), compress="lzw").read_bytes()[:-5000])
+    elif kind == "turned":
+        turn = Affine.translation(5000.0, 9000.0) @ Affine.rotation(20.0) @ Affine.scale(1.0, -1.0)
+        rasterized(path, ramp(), transform=turn)
     elif kind == "colour":
         cv2.imwrite(str(path), np.zeros((121, 121, 3), np.uint8))
     return path
@@ -194,6 +242,8 @@ def _bad(tmp_path: Path, kind: str) -> Path:
         ("mostly", "66 % of the window are holes"),
         ("small", "at least 90 m"),
         ("cut", "damaged TIFF file"),
+        ("pixels", "damaged TIFF file"),
+        ("turned", "turned against north"),
         ("colour", "has 3 bands"),
     ],
 )
@@ -204,11 +254,11 @@ def test_bad_models_are_one_clear_line(tmp_path: Path, kind: str, message: str) 
     assert not (tmp_path / "out").exists()
 
 
-def test_bad_pictures_and_places_are_one_clear_line(tmp_path: Path) -> None:
+def test_bad_images_and_windows_are_one_clear_line(tmp_path: Path) -> None:
     tif = write_tiff(tmp_path / "hill.tif", ramp())
     note = tmp_path / "photo.png"
-    note.write_text("no picture")
-    with pytest.raises(ValueError, match="is not a picture"):
+    note.write_text("no image")
+    with pytest.raises(ValueError, match="is not an image"):
         import_dem(tif, tmp_path / "out", ortho=note)
     cv2.imwrite(str(note), np.zeros((100, 400, 3), np.uint8))
     with pytest.raises(ValueError, match="must show the same extent"):

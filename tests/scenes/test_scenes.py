@@ -1,4 +1,4 @@
-"""Scenes: the place that is drawn, the place that is solid and the place that is judged agree."""
+"""Scenes: rendering, collision geometry and truth maps agree."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
-from touchdown.scenes.authoring.terrain import Terrain
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.compose import START_GAP_M, VEHICLE_BODY, load_scene
 from touchdown.scenes.export import export_scene
 from touchdown.scenes.places.crossroad.layout import ROAD_DEPTH_M
@@ -36,17 +36,17 @@ FLAT_WITH_BOX = """
 
 
 @functools.cache
-def place(seed: int) -> Scene:
+def cached_scene(seed: int) -> Scene:
     return load_scene("crossroad", seed)
 
 
 @pytest.fixture(scope="module")
 def crossroad() -> Scene:
-    return place(0)
+    return cached_scene(0)
 
 
 def load_text(tmp_path: Path, text: str) -> Scene:
-    path = tmp_path / "place.xml"
+    path = tmp_path / "model.xml"
     path.write_text(text)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -107,30 +107,30 @@ def test_takeoff_ground_is_level_and_zero(crossroad: Scene) -> None:
     assert np.abs(heights).max() < 0.005
 
 
-def test_same_seed_same_bytes_other_seed_another_place(crossroad: Scene) -> None:
+def test_same_seed_same_bytes_other_seed_another_scene(crossroad: Scene) -> None:
     def parts(model: mujoco.MjModel) -> tuple[bytes, bytes, bytes]:
         return model.tex_data.tobytes(), model.geom_pos.tobytes(), model.hfield_data.tobytes()
 
     first, again = parts(crossroad.model), parts(load_scene("crossroad", 0).model)
     assert first == again
-    assert all(a != b for a, b in zip(first, parts(place(1).model), strict=True))
+    assert all(a != b for a, b in zip(first, parts(cached_scene(1).model), strict=True))
 
 
-# -------------------------------------------------------------------- picture, raster, geometry
+# -------------------------------------------------------------------- image, raster, geometry
 
 
-def test_terrain_heights_are_mujoco_s(crossroad: Scene) -> None:
+def test_terrain_heights_equal_mujoco_s(crossroad: Scene) -> None:
     model = crossroad.model
     size, unit = model.hfield_size[0], model.hfield_data.reshape(model.hfield_nrow[0], -1)
     z = float(model.geom("terrain").pos[2])
-    terrain = Terrain(heights_m=unit.astype(float) * size[2] + z, half_m=float(size[0]))
+    terrain = HeightField(heights_m=unit.astype(float) * size[2] + z, half_m=float(size[0]))
     heights, geoms = cast_down(crossroad, np.array([-40.0, -60.0]), 0.37, (40, 40))
     rows, cols = np.nonzero(geoms == model.geom("terrain").id)
     xy = np.stack([-40.0 + (cols + 0.5) * 0.37, -60.0 + (rows + 0.5) * 0.37], axis=-1)
     np.testing.assert_allclose(heights[rows, cols], terrain.at(xy), atol=2e-3)
 
 
-def test_picture_agrees_with_the_class_raster(crossroad: Scene) -> None:
+def test_texture_agrees_with_the_class_raster(crossroad: Scene) -> None:
     """Seen from above, the raster's lawn is green and its road is grey, cell by cell."""
     model = crossroad.model
     data = mujoco.MjData(model)
@@ -145,14 +145,14 @@ def test_picture_agrees_with_the_class_raster(crossroad: Scene) -> None:
         for index in range(renderer.scene.ngeom):
             if renderer.scene.geoms[index].type != mujoco.mjtGeom.mjGEOM_HFIELD:
                 renderer.scene.geoms[index].rgba[3] = 0.0
-        picture = renderer.render().astype(float)
+        image = renderer.render().astype(float)
     focal = 400.0 / np.tan(0.5 * np.deg2rad(model.vis.global_.fovy))
     axis = np.linspace(-50.0, 50.0, 301)
     x, y = np.meshgrid(axis, axis)
     # The ground lies within decimetres of z = 0: less than a pixel at this distance.
     col = np.round(399.5 + focal * x / 150.0).astype(int)
     row = np.round(399.5 - focal * y / 150.0).astype(int)
-    red, green, blue = np.moveaxis(picture[row, col], -1, 0)
+    red, green, blue = np.moveaxis(image[row, col], -1, 0)
     greenness = green - 0.5 * (red + blue)
     ground = crossroad.ground
     assert ground is not None
@@ -175,8 +175,8 @@ def test_raster_agrees_with_the_relief(crossroad: Scene) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_crossroad_offers_safe_ground(seed: int) -> None:
-    scene = place(seed)
+def test_crossroad_has_safe_ground(seed: int) -> None:
+    scene = cached_scene(seed)
     xy = scene.takeoff_xy_m
     region = np.array([[0.0, -20.0], [50.0, 20.0]]) + xy
     maps = truth_maps(scene, 0.2, region)
@@ -199,7 +199,7 @@ def test_moving_cars_follow_closed_paths_inside_the_scene(crossroad: Scene) -> N
 # -------------------------------------------------------------------------------------- truth
 
 
-def test_ramp_slope_is_exact_and_decides(tmp_path: Path) -> None:
+def test_ramp_slope_is_exact_and_decides_safety(tmp_path: Path) -> None:
     for slope, safe in ((3.0, True), (4.8, True), (5.2, False), (9.0, False)):
         scene = ramp(tmp_path, slope)
         assert abs(point_slope_deg(scene, np.array([1.0, 1.0])) - slope) < 0.05
@@ -213,7 +213,7 @@ def test_ramp_slope_is_exact_and_decides(tmp_path: Path) -> None:
         assert (maps.class_id == LAND_CLASSES.index("field")).all()
 
 
-def test_step_is_refused_within_one_metre_and_far_away_not(tmp_path: Path) -> None:
+def test_step_is_unsafe_within_one_metre_only(tmp_path: Path) -> None:
     scene = ramp(tmp_path, 0.0, step_m=0.15)
     for x, safe in ((3.3, True), (4.2, False), (4.95, False), (6.6, True)):
         assert judge_touchdown(scene, np.array([x, 0.0])).safe_geometry is safe
@@ -248,7 +248,7 @@ def test_boxes_water_and_wire_are_judged_by_the_rule(tmp_path: Path) -> None:
 # -------------------------------------------------------------------- files by others, errors
 
 
-def test_unknown_name_names_the_nearest_and_all() -> None:
+def test_unknown_name_lists_the_nearest_and_all() -> None:
     with pytest.raises(ValueError, match="did you mean 'crossroad'") as caught:
         load_scene("crosroad", 0)
     assert all(name in str(caught.value) for name in scene_names())
@@ -267,8 +267,8 @@ def test_missing_and_malformed_files(tmp_path: Path) -> None:
         load_text(tmp_path, "<mujoco><worldbody/></mujoco>")
 
 
-def test_outside_file_gets_classes_takeoff_and_one_warning(tmp_path: Path) -> None:
-    (tmp_path / "place.xml").write_text(
+def test_imported_file_gets_classes_takeoff_and_one_warning(tmp_path: Path) -> None:
+    (tmp_path / "model.xml").write_text(
         """<mujoco><asset><material name="road_wet"/></asset><worldbody>
         <geom type="plane" size="0 0 1" material="road_wet"/>
         <geom name="thing" type="sphere" size="1" pos="9 9 1"/>
@@ -276,18 +276,18 @@ def test_outside_file_gets_classes_takeoff_and_one_warning(tmp_path: Path) -> No
         <geom name="building_door" size=".3"/></body>
         <site name="takeoff" pos="2 3 0" euler="0 0 90"/></worldbody></mujoco>"""
     )
-    with pytest.warns(UserWarning, match="place") as caught:
-        scene = load_scene(str(tmp_path / "place.xml"), 0)
+    with pytest.warns(UserWarning, match="model") as caught:
+        scene = load_scene(str(tmp_path / "model.xml"), 0)
     assert sum("no known class (thing)" in str(w.message) for w in caught) == 1
     classes = sorted(surface.land_class for surface in scene.surfaces.values())
     assert classes == ["building", "other", "road"]
     np.testing.assert_allclose(scene.takeoff_xy_m, [2.0, 3.0])
     assert abs(scene.takeoff_yaw - 0.5 * np.pi) < 1e-6
     assert scene.model.nq == 7
-    assert scene.name == "place"
+    assert scene.name == "model"
 
 
-def test_export_opens_again_and_is_the_same_place(crossroad: Scene, tmp_path: Path) -> None:
+def test_export_opens_again_and_is_the_same_scene(crossroad: Scene, tmp_path: Path) -> None:
     path = export_scene(crossroad, tmp_path)
     model = mujoco.MjModel.from_xml_path(str(path))
     assert model.ngeom == crossroad.model.ngeom
@@ -297,7 +297,7 @@ def test_export_opens_again_and_is_the_same_place(crossroad: Scene, tmp_path: Pa
     assert str(tmp_path) not in path.read_text()
 
 
-def test_export_brings_the_files_of_an_outside_scene(tmp_path: Path) -> None:
+def test_export_copies_the_files_of_an_imported_scene(tmp_path: Path) -> None:
     scene = ramp(tmp_path, 3.0)
     path = export_scene(scene, tmp_path / "out")
     model = mujoco.MjModel.from_xml_path(str(path))

@@ -1,4 +1,4 @@
-"""Places above the ground: a roof used as a car park, and a footbridge."""
+"""Scenes with decks above the ground: a roof used as a car park, and a footbridge."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ROAD = LAND_CLASSES.index("road")
 
 
 @functools.cache
-def place(name: str, seed: int) -> Scene:
+def cached_scene(name: str, seed: int) -> Scene:
     return load_scene(name, seed)
 
 
@@ -43,7 +43,7 @@ def roof_plan(seed: int) -> roof_layout.Plan:
     return roof_layout.draw_plan(np.random.default_rng([seed, crc32(b"scenes.rooftop_parking")]))
 
 
-def looked_at(scene: Scene, points: Array) -> tuple[Array, NDArray[np.uint8]]:
+def sampled(scene: Scene, points: Array) -> tuple[Array, NDArray[np.uint8]]:
     """Heights and class ids at (N, 2) world points."""
     heights, classes = [], []
     for point in points:
@@ -55,7 +55,7 @@ def looked_at(scene: Scene, points: Array) -> tuple[Array, NDArray[np.uint8]]:
 
 @pytest.mark.parametrize("name", DECKS)
 def test_takeoff_is_level_and_clear_and_the_survey_stays_inside(name: str) -> None:
-    scene = place(name, 0)
+    scene = cached_scene(name, 0)
     judged = judge_touchdown(scene, scene.takeoff_xy_m)
     assert judged.safe and judged.slope_deg < 2.0
     assert judged.obstacle_distance_m > 2.5
@@ -73,8 +73,8 @@ def test_surveys_of_all_seeds_stay_inside(plan: Any) -> None:
 
 
 @pytest.mark.parametrize("name", DECKS)
-def test_every_geom_has_a_surface_and_the_place_is_no_larger_than_it_may_be(name: str) -> None:
-    scene = place(name, 0)
+def test_every_geom_has_a_surface_and_the_model_size_is_bounded(name: str) -> None:
+    scene = cached_scene(name, 0)
     model = scene.model
     names = [model.geom(index).name for index in range(model.ngeom)]
     assert all(n in scene.surfaces for n in names if not n.startswith("vehicle/"))
@@ -83,8 +83,8 @@ def test_every_geom_has_a_surface_and_the_place_is_no_larger_than_it_may_be(name
 
 
 @pytest.mark.parametrize("name", DECKS)
-def test_same_seed_same_bytes_other_seed_another_place(name: str) -> None:
-    first, again = place(name, 0).model, load_scene(name, 0).model
+def test_same_seed_same_bytes_other_seed_another_scene(name: str) -> None:
+    first, again = cached_scene(name, 0).model, load_scene(name, 0).model
     assert first.tex_data.tobytes() == again.tex_data.tobytes()
     assert first.geom_pos.tobytes() == again.geom_pos.tobytes()
     assert first.hfield_data.tobytes() == again.hfield_data.tobytes()
@@ -93,7 +93,7 @@ def test_same_seed_same_bytes_other_seed_another_place(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", DECKS)
-def test_mjcf_of_the_folder_opens_by_itself(name: str) -> None:
+def test_mjcf_file_of_the_folder_compiles_alone(name: str) -> None:
     folder = Path(bridge_layout.__file__).parents[1] / name
     assert mujoco.MjModel.from_xml_path(str(folder / f"{name}.xml")).ngeom >= 1
 
@@ -102,20 +102,20 @@ def test_mjcf_of_the_folder_opens_by_itself(name: str) -> None:
 
 
 def test_roof_is_a_path_high_above_the_streets() -> None:
-    scene, plan = place("rooftop_parking", 0), roof_plan(0)
+    scene, plan = cached_scene("rooftop_parking", 0), roof_plan(0)
     assert plan.height_m >= 5.8
     aisle = np.linspace(plan.low_xy_m[0] + 3.0, plan.high_xy_m[0] - 3.0, 12)
-    heights, classes = looked_at(scene, np.column_stack([aisle, np.full(12, plan.aisles()[0])]))
+    heights, classes = sampled(scene, np.column_stack([aisle, np.full(12, plan.aisles()[0])]))
     assert np.abs(heights).max() < 0.1
     assert (classes == LAND_CLASSES.index("path")).all()
     street = np.array([s.point(float(a), 0.0) for s in plan.streets for a in (20.0, 100.0)])
-    heights, classes = looked_at(scene, street)
+    heights, classes = sampled(scene, street)
     np.testing.assert_allclose(heights, -plan.height_m - 0.12, atol=0.06)
     assert (classes == ROAD).all()
 
 
 def test_probe_and_vehicle_stand_on_the_roof() -> None:
-    scene = place("rooftop_parking", 0)
+    scene = cached_scene("rooftop_parking", 0)
     data = mujoco.MjData(scene.model)
     settle_on_ground(scene, data)
     probe = GroundProbe(scene.model)
@@ -125,7 +125,7 @@ def test_probe_and_vehicle_stand_on_the_roof() -> None:
 
 
 def test_roof_s_dangers_are_unsafe_and_its_aisles_safe() -> None:
-    scene, plan = place("rooftop_parking", 0), roof_plan(0)
+    scene, plan = cached_scene("rooftop_parking", 0), roof_plan(0)
     ramp = plan.ramp
     middle = 0.5 * (ramp.low_y_m + ramp.high_y_m)
     half_way = np.array([ramp.top_x_m + 0.4 * (ramp.foot_x_m - ramp.top_x_m), middle])
@@ -153,12 +153,12 @@ def test_seeds_bridge_streams_and_roads() -> None:
 @pytest.mark.parametrize("seed", [0, 3])
 def test_bridge_is_wide_enough_to_land_on(seed: int) -> None:
     """Over a road it is an asphalt road, over water a timber path."""
-    scene, plan = place("footbridge", seed), bridge_plan(seed)
+    scene, plan = cached_scene("footbridge", seed), bridge_plan(seed)
     bridge, kind = plan.bridge, "road" if plan.over_road else "path"
     assert bridge.width_m >= 4.0
     for u in (0.0, 0.6 * bridge.half_length_m):
         spot = bridge.lot.at(u, 0.0)
-        heights, classes = looked_at(scene, spot[None])
+        heights, classes = sampled(scene, spot[None])
         assert heights[0] == pytest.approx(float(bridge.top(np.array(u))), abs=0.02)
         assert classes[0] == LAND_CLASSES.index(kind)
         judged = judge_touchdown(scene, spot)
@@ -171,10 +171,10 @@ def test_bridge_is_wide_enough_to_land_on(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_below_the_bridge_is_a_road_or_water(seed: int) -> None:
-    scene, plan = place("footbridge", seed), bridge_plan(seed)
+    scene, plan = cached_scene("footbridge", seed), bridge_plan(seed)
     stations = np.array([15.0, 40.0, 90.0, 115.0])
     points = np.array([plan.course.point(float(s), 0.6) for s in stations])
-    heights, classes = looked_at(scene, points)
+    heights, classes = sampled(scene, points)
     if plan.over_road:
         np.testing.assert_allclose(heights, -plan.depth_m - 0.12, atol=0.05)
         assert (classes == ROAD).all()
@@ -192,7 +192,7 @@ def test_below_the_bridge_is_a_road_or_water(seed: int) -> None:
 
 def test_the_vehicle_rests_on_the_deck() -> None:
     spot = bridge_plan(0).bridge.lot.at(0.0, 0.0)
-    scene = replace(place("footbridge", 0), takeoff_xy_m=spot)
+    scene = replace(cached_scene("footbridge", 0), takeoff_xy_m=spot)
     data = mujoco.MjData(scene.model)
     data.qpos[2] = 4.0  # the probe for ground starts here, above the bridge
     settle_on_ground(scene, data)

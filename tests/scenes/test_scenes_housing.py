@@ -1,4 +1,4 @@
-"""The settlement, the cottages and the bath: what a survey finds there is true and lands safely."""
+"""`houses`, `cottage` and `pools`: safe ground, classes, surfaces and determinism."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CELL_M = 0.25
 
 
 @functools.cache
-def place(name: str, seed: int = 0) -> Scene:
+def cached_scene(name: str, seed: int = 0) -> Scene:
     return load_scene(name, seed)
 
 
@@ -42,7 +42,7 @@ def survey_frame(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]
 @functools.cache
 def survey_maps(name: str, seed: int) -> TruthMaps:
     """Truth within the rectangle around the standard survey, 50 m ahead and 40 m to the left."""
-    scene = place(name, seed)
+    scene = cached_scene(name, seed)
     ahead, left = survey_frame(scene)
     corners = np.array(
         [scene.takeoff_xy_m + a * ahead + b * left for a in (0, 50) for b in (0, 40)]
@@ -56,7 +56,7 @@ def share(maps: TruthMaps, land_class: str) -> float:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_takeoff_is_level_and_the_survey_fits_inside(name: str) -> None:
-    scene = place(name)
+    scene = cached_scene(name)
     judgement = judge_touchdown(scene, scene.takeoff_xy_m)
     assert judgement.safe
     assert judgement.slope_deg < 0.2
@@ -72,7 +72,7 @@ def test_takeoff_is_level_and_the_survey_fits_inside(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_nothing_reaches_the_height_of_the_survey(name: str) -> None:
-    scene = place(name)
+    scene = cached_scene(name)
     heights, geoms = cast_down(scene, scene.bounds_xy_m[0], 1.0, (128, 128))
     assert (geoms >= 0).mean() > 0.99
     assert np.nanmax(heights) < 24.0
@@ -82,7 +82,7 @@ def test_nothing_reaches_the_height_of_the_survey(name: str) -> None:
 @pytest.mark.parametrize(
     "seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)]
 )
-def test_survey_offers_safe_ground_of_a_safe_class(name: str, seed: int) -> None:
+def test_survey_contains_safe_ground_of_a_safe_class(name: str, seed: int) -> None:
     maps = survey_maps(name, seed)
     assert maps.safe.mean() > 0.03
     safe_ids = [LAND_CLASSES.index(c) for c in SAFE_CLASSES]
@@ -93,7 +93,7 @@ def test_survey_offers_safe_ground_of_a_safe_class(name: str, seed: int) -> None
         assert away[maps.safe].min() > 1.0
 
 
-def test_cottage_lane_is_the_flat_place_and_the_meadow_is_not() -> None:
+def test_cottage_lane_is_level_and_the_meadow_is_not() -> None:
     maps = survey_maps("cottage", 0)
     lawn = maps.class_id == LAND_CLASSES.index("lawn")
     lane = maps.class_id == LAND_CLASSES.index("road")
@@ -105,7 +105,7 @@ def test_cottage_lane_is_the_flat_place_and_the_meadow_is_not() -> None:
 
 
 def test_pools_are_water_beside_a_safe_field() -> None:
-    scene, maps = place("pools"), survey_maps("pools", 0)
+    scene, maps = cached_scene("pools"), survey_maps("pools", 0)
     field = maps.class_id == LAND_CLASSES.index("field")
     assert share(maps, "water") > 0.05
     assert (maps.safe & field).sum() > 0.3 * field.sum()
@@ -123,7 +123,7 @@ def test_pools_are_water_beside_a_safe_field() -> None:
 
 
 def test_houses_have_streets_homes_and_traffic() -> None:
-    scene, maps = place("houses"), survey_maps("houses", 0)
+    scene, maps = cached_scene("houses"), survey_maps("houses", 0)
     assert share(maps, "road") > 0.08
     walls = [name for name in scene.surfaces if name.startswith("building_wall")]
     assert len(walls) >= 10
@@ -135,7 +135,7 @@ def test_houses_have_streets_homes_and_traffic() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_geom_has_a_surface_and_the_raster_covers_the_ground(name: str) -> None:
-    scene = place(name)
+    scene = cached_scene(name)
     names = [scene.model.geom(i).name for i in range(scene.model.ngeom)]
     own = [n for n in names if not n.startswith("vehicle/")]
     assert set(own) == set(scene.surfaces)
@@ -146,10 +146,10 @@ def test_every_geom_has_a_surface_and_the_raster_covers_the_ground(name: str) ->
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_thin_wires_stand_over_ground_that_looks_free(name: str) -> None:
-    """There is a wire thinner than a pixel from 30 m (5 cm), and the truth refuses the ground
-    below its middle."""
-    scene = place(name)
+def test_thin_wires_make_the_ground_below_unsafe(name: str) -> None:
+    """There is a wire thinner than a pixel from 30 m (5 cm), and the truth maps mark the
+    ground below its middle as unsafe."""
+    scene = cached_scene(name)
     model = scene.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -171,18 +171,18 @@ def _ground(scene: Scene, xy: NDArray[np.float64]) -> float:
     return float(np.min(cells))
 
 
-def test_same_seed_same_place_other_seed_another() -> None:
+def test_same_seed_same_scene_other_seed_another() -> None:
     def parts(scene: Scene) -> tuple[bytes, bytes]:
         return scene.model.geom_pos.tobytes(), scene.model.hfield_data.tobytes()
 
-    first, again = parts(place("pools")), parts(load_scene("pools", 0))
+    first, again = parts(cached_scene("pools")), parts(load_scene("pools", 0))
     assert first == again
-    other = parts(place("pools", 1))
+    other = parts(cached_scene("pools", 1))
     assert all(a != b for a, b in zip(first, other, strict=True))
 
 
 def test_class_of_the_pitch_is_seen_from_above() -> None:
-    scene = place("pools")
+    scene = cached_scene("pools")
     plan = draw_plan(np.random.default_rng([0, crc32(b"scenes.pools")]))
     (u0, u1), (v0, v1) = plan.pitch
     middle = plan.frame.at(0.5 * (u0 + u1), 0.5 * (v0 + v1))

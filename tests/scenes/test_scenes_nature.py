@@ -1,4 +1,4 @@
-"""`forest` and `turf`: rugged where they should be, safe where they promise, and built alike."""
+"""`forest` and `turf`: relief, safe sites, surfaces and determinism."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import pytest
 from scipy import ndimage
 
 from touchdown.scenes.api import LAND_CLASSES, Scene
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.survey_frame import draw_frame
-from touchdown.scenes.authoring.terrain import Terrain
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.places.forest.layout import draw_plan
 from touchdown.scenes.places.forest.relief import (
@@ -37,12 +37,12 @@ WATER, TREES = LAND_CLASSES.index("water"), LAND_CLASSES.index("trees")
 
 
 @functools.cache
-def place(name: str, seed: int) -> Scene:
+def cached_scene(name: str, seed: int) -> Scene:
     return load_scene(name, seed)
 
 
 def in_survey(scene: Scene, xy: np.ndarray) -> np.ndarray:
-    """(..., 2) world -> (...) whether the point is inside the survey's legs."""
+    """(..., 2) world -> (...) True for points inside the survey's legs."""
     c, s = np.cos(scene.takeoff_yaw), np.sin(scene.takeoff_yaw)
     ahead_left = (xy - scene.takeoff_xy_m) @ np.array([[c, -s], [s, c]])
     return ((ahead_left > 0.0) & (ahead_left < SURVEY_M)).all(axis=-1)
@@ -51,7 +51,7 @@ def in_survey(scene: Scene, xy: np.ndarray) -> np.ndarray:
 @functools.cache
 def surveyed(name: str, seed: int) -> tuple[object, np.ndarray, np.ndarray]:
     """Truth maps around the survey, the cells of the survey, and those near the take-off."""
-    scene = place(name, seed)
+    scene = cached_scene(name, seed)
     maps = truth_maps(scene, CELL_M, np.array([[-42.0, -42.0], [42.0, 42.0]]))
     rows, cols = np.indices(maps.safe.shape)
     xy = maps.origin_xy_m + CELL_M * (np.stack([cols, rows], axis=-1) + 0.5)
@@ -59,7 +59,7 @@ def surveyed(name: str, seed: int) -> tuple[object, np.ndarray, np.ndarray]:
     return maps, in_survey(scene, xy), near
 
 
-def shaped(seed: int) -> Terrain:
+def shaped(seed: int) -> HeightField:
     """The forest's ground alone, from a stream of its own."""
     rng = np.random.default_rng(seed)
     return shape_ground(rng, draw_plan(rng))
@@ -69,17 +69,17 @@ CASES = [("forest", 1), ("turf", 0), ("turf", 1), ("turf", 2)]
 
 
 @pytest.mark.parametrize(("name", "seed"), CASES)
-def test_survey_offers_a_safe_site_away_from_the_takeoff(name: str, seed: int) -> None:
+def test_survey_contains_a_safe_site_away_from_the_takeoff(name: str, seed: int) -> None:
     maps, survey, near = surveyed(name, seed)
     labels, count = ndimage.label(maps.safe & survey & ~near)  # type: ignore[attr-defined]
     areas = ndimage.sum(np.ones_like(labels), labels, range(1, count + 1)) * CELL_M**2
     assert max(areas) > 20.0
-    assert judge_touchdown(place(name, seed), place(name, seed).takeoff_xy_m).safe
+    assert judge_touchdown(cached_scene(name, seed), cached_scene(name, seed).takeoff_xy_m).safe
 
 
 @pytest.mark.parametrize(("name", "seed"), CASES)
 def test_survey_is_inside_and_its_height_is_free(name: str, seed: int) -> None:
-    scene = place(name, seed)
+    scene = cached_scene(name, seed)
     c, s = np.cos(scene.takeoff_yaw), np.sin(scene.takeoff_yaw)
     corners = [[u, v] for u in (-OVERSHOOT_M, 50.0 + OVERSHOOT_M) for v in (0.0, 40.0)]
     world = scene.takeoff_xy_m + np.array(corners) @ np.array([[c, s], [-s, c]])
@@ -98,7 +98,7 @@ def test_survey_is_inside_and_its_height_is_free(name: str, seed: int) -> None:
 
 @pytest.mark.parametrize(("name", "seed"), CASES)
 def test_every_geom_has_a_surface_and_the_size_is_bounded(name: str, seed: int) -> None:
-    scene = place(name, seed)
+    scene = cached_scene(name, seed)
     names = [scene.model.geom(g).name for g in range(scene.model.ngeom)]
     own = {n for n in names if not n.startswith("vehicle/")}
     assert own == set(scene.surfaces)
@@ -108,7 +108,7 @@ def test_every_geom_has_a_surface_and_the_size_is_bounded(name: str, seed: int) 
 
 def test_forest_is_rugged_and_wooded() -> None:
     maps, _, _ = surveyed("forest", 1)
-    scene = place("forest", 1)
+    scene = cached_scene("forest", 1)
     assert scene.model.hfield_size[0, 2] > 6.0
     ground = shaped(1)
     rise = np.gradient(ground.heights_m, ground.cell_m)
@@ -120,7 +120,7 @@ def test_forest_is_rugged_and_wooded() -> None:
 
 
 def test_crowns_let_pulses_through_and_trunks_do_not() -> None:
-    surfaces = place("forest", 1).surfaces
+    surfaces = cached_scene("forest", 1).surfaces
     crowns = [s for n, s in surfaces.items() if n.startswith(("trees_conifer", "trees_crown"))]
     trunks = [s for n, s in surfaces.items() if n.startswith("trees_trunk")]
     assert len(crowns) == len(trunks) > 150
@@ -132,7 +132,7 @@ def test_brook_falls_all_the_way_below_the_ground() -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         plan = draw_plan(rng)
-        ground = Terrain(heights_m=hills(rng), half_m=64.0)
+        ground = HeightField(heights_m=hills(rng), half_m=64.0)
         bed = brook_profile(plan.brook, ground)
         inside = (np.abs(plan.brook.line_m) < 62.0).all(axis=1)
         steps = np.diff(bed[inside])
@@ -197,6 +197,6 @@ def test_meshes_are_wound_outwards() -> None:
 
 
 def test_same_seed_same_bytes() -> None:
-    first, again = place("forest", 1).model, load_scene("forest", 1).model
+    first, again = cached_scene("forest", 1).model, load_scene("forest", 1).model
     for part in ("tex_data", "geom_pos", "hfield_data", "mesh_vert"):
         assert getattr(first, part).tobytes() == getattr(again, part).tobytes()

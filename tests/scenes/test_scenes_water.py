@@ -1,4 +1,4 @@
-"""`lake`, `open_water`, `flat`: water is level and never safe, and each is what it is for."""
+"""`lake`, `open_water`, `flat`: level and unsafe water, take-off spots and textures."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CAMERA_HALF_DIAGONAL_M = 27.0
 
 
 @functools.cache
-def place(name: str, seed: int) -> Scene:
+def cached_scene(name: str, seed: int) -> Scene:
     return load_scene(name, seed)
 
 
@@ -33,7 +33,7 @@ def around_takeoff(scene: Scene, half_m: float) -> np.ndarray:
 
 
 def below(scene: Scene, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Heights, geoms and classes of the whole place, seen from above."""
+    """Heights, geoms and classes of the whole scene, seen from above."""
     low, high = scene.bounds_xy_m
     shape = tuple(np.round((high - low)[::-1] / cell_m).astype(int))
     heights, geoms = cast_down(scene, low, cell_m, (shape[0], shape[1]))
@@ -41,18 +41,20 @@ def below(scene: Scene, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_same_seed_same_bytes_other_seed_another_place(name: str) -> None:
+def test_same_seed_same_bytes_other_seed_another_scene(name: str) -> None:
     def parts(model: mujoco.MjModel) -> tuple[bytes, bytes]:
         return model.tex_data.tobytes(), model.light_dir.tobytes() + model.qpos0.tobytes()
 
-    first = parts(place(name, 0).model)
+    first = parts(cached_scene(name, 0).model)
     assert first == parts(load_scene(name, 0).model)
-    assert all(a != b for a, b in zip(first, parts(place(name, SEEDS[name][1]).model), strict=True))
+    assert all(
+        a != b for a, b in zip(first, parts(cached_scene(name, SEEDS[name][1]).model), strict=True)
+    )
 
 
 @pytest.mark.parametrize(("name", "seed"), PLACES)
 def test_takeoff_spot_is_level_clear_and_safe(name: str, seed: int) -> None:
-    scene = place(name, seed)
+    scene = cached_scene(name, seed)
     judgement = judge_touchdown(scene, scene.takeoff_xy_m)
     assert judgement.safe
     assert judgement.slope_deg < 0.5
@@ -63,7 +65,7 @@ def test_takeoff_spot_is_level_clear_and_safe(name: str, seed: int) -> None:
 
 
 def test_lake_water_is_level_and_never_safe() -> None:
-    scene = place("lake", 0)
+    scene = cached_scene("lake", 0)
     heights, geoms, classes = below(scene, 0.5)
     wet = (classes == WATER) & (geoms == scene.model.geom("terrain").id)
     level = float(np.median(heights[wet]))
@@ -80,7 +82,7 @@ def test_lake_water_is_level_and_never_safe() -> None:
 
 
 def test_lake_jetty_is_a_path_too_narrow_to_land_on() -> None:
-    scene = place("lake", 0)
+    scene = cached_scene("lake", 0)
     decks = [name for name in scene.surfaces if name.startswith("path_deck")]
     assert len(decks) == 2
     for name in decks:
@@ -90,14 +92,16 @@ def test_lake_jetty_is_a_path_too_narrow_to_land_on() -> None:
 
 
 def test_reeds_let_pulses_through_and_count_as_plants() -> None:
-    reeds = [s for name, s in place("lake", 0).surfaces.items() if name.startswith("trees_reed")]
+    reeds = [
+        s for name, s in cached_scene("lake", 0).surfaces.items() if name.startswith("trees_reed")
+    ]
     assert len(reeds) > 30
     assert all(s.land_class == "trees" and 0.2 < s.porosity < 0.8 for s in reeds)
 
 
 @pytest.mark.parametrize("seed", SEEDS["open_water"])
-def test_open_water_can_be_landed_on_at_the_start_alone(seed: int) -> None:
-    scene = place("open_water", seed)
+def test_open_water_is_safe_at_the_takeoff_spot_only(seed: int) -> None:
+    scene = cached_scene("open_water", seed)
     maps = truth_maps(scene, 0.2, around_takeoff(scene, 40.0))
     rows, cols = np.nonzero(maps.safe)
     assert 5.0 < len(rows) * 0.04 < 150.0
@@ -110,7 +114,7 @@ def test_open_water_can_be_landed_on_at_the_start_alone(seed: int) -> None:
 @pytest.mark.parametrize("seed", SEEDS["open_water"])
 def test_open_water_has_no_shore_in_view_for_most_of_a_survey_leg(seed: int) -> None:
     """A leg of 50 m flown in 10 s: at least its last half shows water and nothing else."""
-    scene = place("open_water", seed)
+    scene = cached_scene("open_water", seed)
     assert (np.ptp(scene.bounds_xy_m, axis=0) >= 200.0).all()
     heights, _, classes = below(scene, 1.0)
     rows, cols = np.nonzero(classes != WATER)
@@ -134,26 +138,26 @@ def test_open_water_has_no_shore_in_view_for_most_of_a_survey_leg(seed: int) -> 
 
 
 def test_flat_is_level_to_the_bit_and_safe_everywhere() -> None:
-    scene = place("flat", 0)
+    scene = cached_scene("flat", 0)
     assert np.ptp(scene.model.hfield_data) == 0.0
     maps = truth_maps(scene, 0.25)
     assert maps.safe.all()
     assert np.ptp(maps.height_m) < 1e-4
     visible = [name for name in scene.surfaces if not name.startswith("vehicle")]
     assert visible == ["terrain"]
-    picture = scene.model.tex_data[-3 * 4_000_000 :]
-    assert picture.std() > 15.0
+    image = scene.model.tex_data[-3 * 4_000_000 :]
+    assert image.std() > 15.0
 
 
 def test_water_hides_the_bottom_with_depth() -> None:
     """Red light is dimmed first: a bright bottom turns from its own colour to the body's."""
     size = 512
     depth = np.repeat(np.linspace(-1.0, 8.0, size, dtype=np.float32)[None], size, axis=0)
-    picture = np.full((size, size, 3), 200, np.uint8)
+    image = np.full((size, size, 3), 200, np.uint8)
     look = WaterLook(body=(20.0, 60.0, 80.0), clarity_m=(0.5, 1.0, 1.2), ripple=0.2)
     sun = np.array([0.5, 0.0, -np.sqrt(0.75)])
-    lay_water(np.random.default_rng(1), picture, depth, 12.0, look, sun)
-    columns = picture.mean(axis=0)
+    lay_water(np.random.default_rng(1), image, depth, 12.0, look, sun)
+    columns = image.mean(axis=0)
     dry, shallow, deep = columns[:40], columns[75:80], columns[-60:]
     assert (dry == 200.0).all()
     assert (shallow[:, 0].mean() < shallow[:, 2].mean() < 200.0) and shallow[:, 0].mean() > 60.0

@@ -1,4 +1,4 @@
-"""Places made to deceive a selector, written as MJCF and surveyed by towed sensors."""
+"""MJCF scenes with ground that deceives a site selector, surveyed by posed sensors."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ SHORT_SURVEY = (
 def box(name: str, low: tuple[float, ...], high: tuple[float, ...], more: str = "") -> str:
     """An upright box between two corners."""
     centre, half = np.add(low, high) / 2.0, np.subtract(high, low) / 2.0
-    place = " ".join(f"{value:g}" for value in centre)
+    middle = " ".join(f"{value:g}" for value in centre)
     size = " ".join(f"{value:g}" for value in half)
-    return f'<geom name="{name}" type="box" pos="{place}" size="{size}" {more}/>'
+    return f'<geom name="{name}" type="box" pos="{middle}" size="{size}" {more}/>'
 
 
 LAWN = box("lawn", (-40, -40, -1), (70, 40, 0), 'rgba="0.25 0.5 0.2 1"')
 
 
 def ground_with_gap(gap: tuple[float, float, float, float]) -> str:
-    """Lawn at height 0 but for the rectangle x0, x1, y0, y1, which has no bottom."""
+    """Lawn at height 0 except the rectangle x0, x1, y0, y1, which has no ground."""
     x0, x1, y0, y1 = gap
     green = 'rgba="0.25 0.5 0.2 1"'
     return "".join([
@@ -67,8 +67,8 @@ def survey(path: Path, *more: str) -> Surveyed:
     return tow_survey(config_for(path, *more), period_s=0.2)
 
 
-def hover_over(place: Surveyed, xy: Array, height_m: float, seconds: float) -> MapView:
-    """The same map after a stay above ``xy`` with a sweep of 1 m, as the lander's."""
+def hover_over(surveyed: Surveyed, xy: Array, height_m: float, seconds: float) -> MapView:
+    """Returns the map after a hover above ``xy`` with a sweep of 1 m, as the lander flies it."""
     end = np.array([xy[0], xy[1], height_m])
     ahead = end + [1.0, 0.0, 0.0]
     path: PiecewiseTrajectory = through(
@@ -76,7 +76,7 @@ def hover_over(place: Surveyed, xy: Array, height_m: float, seconds: float) -> M
         [0.25 * seconds, 0.5 * seconds, 0.25 * seconds],
     )
     view: MapView | None = None
-    for estimate, seen in observe(place.survey, path, start_s=100.0, period_s=0.1):
+    for estimate, seen in observe(surveyed.survey, path, start_s=100.0, period_s=0.1):
         assert isinstance(estimate, Estimate)
         view = seen
     assert view is not None

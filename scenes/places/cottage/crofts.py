@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import Lot, scatter
 from touchdown.scenes.authoring.relief import Pad
@@ -55,7 +55,7 @@ class Croft:
 
 
 def draw_croft(rng: np.random.Generator, lot: Lot, clutter: str) -> Croft:
-    """A long low cottage and a shorter wing at a right angle."""
+    """Returns a long low cottage and a shorter wing at a right angle."""
     left = bool(rng.random() < 0.5)
     length, width = rng.uniform(10.0, 12.5), rng.uniform(5.8, 6.6)
     wing_u = 3.4 if left else WIDTH_M - 3.4
@@ -76,7 +76,7 @@ def draw_croft(rng: np.random.Generator, lot: Lot, clutter: str) -> Croft:
 
 
 def paint_croft(canvas: Canvas, croft: Croft) -> None:
-    """Cobbled yard, kitchen garden, lawn."""
+    """Paints cobbled yard, kitchen garden, lawn."""
     lot = croft.lot
     canvas.fill(lot.rectangle((0.4, WIDTH_M - 0.4), (0.4, YARD_V)), Ground.LAWN)
     inner = (4.6, WIDTH_M - 1.6) if croft.wing_u < 8.0 else (1.6, WIDTH_M - 4.6)
@@ -91,9 +91,9 @@ def paint_croft(canvas: Canvas, croft: Croft) -> None:
 
 
 def build_croft(
-    builder: Builder, croft: Croft, looks: HouseLooks, nursery: Nursery, models: Models
+    builder: SceneBuilder, croft: Croft, looks: HouseLooks, nursery: Nursery, models: Models
 ) -> None:
-    """Everything that stands on the croft."""
+    """Adds all objects of the croft."""
     rng, lot = builder.rng, croft.lot
     for house in (croft.house, croft.wing):
         add_house(builder, house, looks)
@@ -125,8 +125,8 @@ def build_croft(
         add_bush(builder, nursery, spot)
 
 
-def _clutter(builder: Builder, croft: Croft, models: Models) -> None:
-    """What keeps the level courtyard from being a landing site."""
+def _clutter(builder: SceneBuilder, croft: Croft, models: Models) -> None:
+    """Adds objects that make the level courtyard unfit for landing."""
     rng, lot = builder.rng, croft.lot
     inner = (6.6, 18.4) if croft.wing_u < 8.0 else (2.6, 14.4)
     add_log_pile(builder, lot.at(inner[1] - 1.0, 7.3), lot.angle)
@@ -143,7 +143,7 @@ def _clutter(builder: Builder, croft: Croft, models: Models) -> None:
         add_toys(builder, lot.at(0.5 * sum(inner), 6.8))
 
 
-def _bean_poles(builder: Builder, xy_m: Array, heading: float) -> None:
+def _bean_poles(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """Three wigwams of thin canes, 2.1 m high."""
     along = np.array([np.cos(heading), np.sin(heading)])
     for reach in (-2.2, 0.0, 2.2):

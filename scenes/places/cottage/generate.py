@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from zlib import crc32
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
+from touchdown.scenes.authoring.generation import finish, paint_terrain, start_scene
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.light import draw_sun, finish_picture
 from touchdown.scenes.authoring.lot import Lot, scatter
 from touchdown.scenes.authoring.relief import Ditch
 from touchdown.scenes.authoring.streets import STEP_M, paint_street
-from touchdown.scenes.authoring.terrain import write_hfield
 from touchdown.scenes.places.cottage.crofts import (
     WIDTH_M,
     Croft,
@@ -49,13 +45,10 @@ from touchdown.scenes.props.wires import add_line
 
 Array = NDArray[np.float64]
 
-XML = Path(__file__).with_name("cottage.xml")
-
 
 def generate(seed: int) -> SceneDraft:
-    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.cottage")])
-    spec = mujoco.MjSpec.from_file(str(XML))
     plan = draw_plan(rng)
     crofts = draw_crofts(rng, plan)
     pads = [pad for croft in crofts for pad in croft.pads()]
@@ -66,27 +59,17 @@ def generate(seed: int) -> SceneDraft:
         depth_m=rng.uniform(0.5, 0.8), half_width_m=1.6,
     )  # fmt: skip
     terrain = shape_ground(rng, plan, pads, [ditch])
-    write_hfield(spec, "terrain", "terrain", terrain, base_m=2.0)
-    sun = draw_sun(rng, spec)
-    builder = Builder(spec=spec, rng=rng, terrain=terrain)
-    place_things(builder, plan, crofts)
+    builder = start_scene("cottage", rng, terrain)
+    place_objects(builder, plan, crofts)
     canvas = paint_ground(rng, plan, crofts, ditch)
     turned = dict.fromkeys(Ground, plan.frame.angle)
     turned[Ground.LAWN] = plan.frame.angle + float(rng.uniform(0.2, 1.3))
-    finish_picture(builder, canvas, sun, turned)
-    builder.surfaces["terrain"] = Surface(land_class="lawn", reflectivity=0.45)
-    return SceneDraft(
-        spec=spec,
-        takeoff_xy_m=plan.takeoff_xy_m,
-        takeoff_yaw=plan.takeoff_yaw,
-        bounds_xy_m=np.array([[-HALF_M, -HALF_M], [HALF_M, HALF_M]]),
-        surfaces=builder.surfaces,
-        ground=canvas.raster("terrain"),
-    )
+    ground = paint_terrain(builder, canvas, turned)
+    return finish(plan, builder, ground)
 
 
 def draw_crofts(rng: np.random.Generator, plan: Plan) -> list[Croft]:
-    """Three crofts above the lane, two below it on the side away from the take-off spot."""
+    """Returns three crofts above the lane, two below it on the side away from the take-off spot."""
     local = plan.frame.coordinates(plan.lane.line_m)
     spots = [(u + rng.uniform(-2.5, 2.5), 1.0) for u in (-36.0, -8.0, 20.0)]
     spots += [(u + rng.uniform(-1.5, 1.5), -1.0) for u in (20.0, 46.0)]
@@ -109,8 +92,8 @@ def draw_crofts(rng: np.random.Generator, plan: Plan) -> list[Croft]:
     return crofts
 
 
-def place_things(builder: Builder, plan: Plan, crofts: list[Croft]) -> None:
-    """Everything that stands."""
+def place_objects(builder: SceneBuilder, plan: Plan, crofts: list[Croft]) -> None:
+    """Adds all objects."""
     rng, frame = builder.rng, plan.frame
     nursery = plant_nursery(builder)
     models = add_car_models(builder, 4)
@@ -129,8 +112,8 @@ def place_things(builder: Builder, plan: Plan, crofts: list[Croft]) -> None:
     wire_and_park(builder, plan, models)
 
 
-def wall_the_lane(builder: Builder, plan: Plan, crofts: list[Croft]) -> None:
-    """Dry-stone walls beside the lane between the crofts, with field gates."""
+def wall_the_lane(builder: SceneBuilder, plan: Plan, crofts: list[Croft]) -> None:
+    """Adds dry-stone walls beside the lane between the crofts, with field gates."""
     rng, lane = builder.rng, plan.lane
     for side in (1.0, -1.0):
         across = side * (0.5 * lane.width_m + 1.1)
@@ -148,8 +131,8 @@ def wall_the_lane(builder: Builder, plan: Plan, crofts: list[Croft]) -> None:
                 add_stone_wall(builder, line, rng.uniform(0.7, 0.95))
 
 
-def hang_laundry(builder: Builder, plan: Plan) -> None:
-    """A line across half of the drying green, without laundry: hard to see from above."""
+def hang_laundry(builder: SceneBuilder, plan: Plan) -> None:
+    """Adds a line across half of the drying green, without laundry: hard to see from above."""
     rng = builder.rng
     u, v = plan.lawn_uv
     side = 2.1 if rng.random() < 0.5 else -2.1
@@ -157,8 +140,8 @@ def hang_laundry(builder: Builder, plan: Plan) -> None:
     add_washing_line(builder, ends[0], ends[1], laundry=False)
 
 
-def graze_meadow(builder: Builder, plan: Plan) -> None:
-    """Sheep behind an electric fence below the take-off spot, rocks on the hill."""
+def graze_meadow(builder: SceneBuilder, plan: Plan) -> None:
+    """Adds sheep behind an electric fence below the take-off spot, rocks on the hill."""
     rng, frame = builder.rng, plan.frame
     u = np.arange(-58.0, 12.0, 6.0)
     fence_v = -33.0 + rng.uniform(-1.0, 1.0) + 0.8 * np.sin(0.1 * u)
@@ -172,8 +155,8 @@ def graze_meadow(builder: Builder, plan: Plan) -> None:
         add_rock(builder, spot, rng.uniform(0.22, 0.4))
 
 
-def plant_trees(builder: Builder, plan: Plan, nursery: Nursery) -> None:
-    """An orchard in rows, oaks on the hill, bushes."""
+def plant_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
+    """Adds an orchard in rows, oaks on the hill, bushes."""
     rng, frame = builder.rng, plan.frame
     first = rng.uniform(-58.0, -54.0)
     for u in np.arange(first, -38.0, 6.0):
@@ -190,8 +173,11 @@ def plant_trees(builder: Builder, plan: Plan, nursery: Nursery) -> None:
         add_bush(builder, nursery, spot)
 
 
-def wire_and_park(builder: Builder, plan: Plan, models: list[tuple[str, str, CarShape]]) -> None:
-    """A line of poles beside the lane, a bench, a sign, and a car that blocks half the lane."""
+def wire_and_park(
+    builder: SceneBuilder, plan: Plan, models: list[tuple[str, str, CarShape]]
+) -> None:
+    """Adds a line of poles beside the lane, a bench, a sign, and a car that blocks half the
+    lane."""
     rng, lane = builder.rng, plan.lane
     side = 0.5 * lane.width_m + 0.55
     spots = [lane.point(along, side) for along in np.arange(24.0, lane.length_m - 22.0, 29.0)]
@@ -207,7 +193,7 @@ def wire_and_park(builder: Builder, plan: Plan, models: list[tuple[str, str, Car
 
 
 def paint_ground(rng: np.random.Generator, plan: Plan, crofts: list[Croft], ditch: Ditch) -> Canvas:
-    """Meadow, orchard, crofts, and the lane with its wheel tracks and grassy edges."""
+    """Paints meadow, orchard, crofts, and the lane with its wheel tracks and grassy edges."""
     canvas = Canvas(half_m=HALF_M)
     frame, lane = plan.frame, plan.lane
     u = np.arange(-100.0, 101.0, 2.0)

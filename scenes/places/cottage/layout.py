@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.lot import Lot
 from touchdown.scenes.authoring.relief import (
     NODES,
@@ -19,7 +20,6 @@ from touchdown.scenes.authoring.relief import (
     smoothstep,
 )
 from touchdown.scenes.authoring.streets import Street, smooth_line
-from touchdown.scenes.authoring.terrain import Terrain
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class Plan:
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
-    """A lane with bends along the contour."""
+    """Returns a lane with bends along the contour."""
     angle = 0.5 * np.pi * int(rng.integers(4)) + rng.uniform(-0.06, 0.06)
     frame = Lot(origin_xy_m=rng.uniform(-1.0, 1.0, 2), angle=angle)
     level, bend = rng.uniform(1.0, 4.0), rng.uniform(-4.5, 4.5, 5)
@@ -79,13 +79,14 @@ def hillside(plan: Plan, xy_m: Array) -> Array:
 
 def shape_ground(
     rng: np.random.Generator, plan: Plan, pads: list[Pad], ditches: list[Ditch]
-) -> Terrain:
-    """Hillside, terraces, and the lane as a bench along it; the take-off spot is at height 0."""
-    terrain = Terrain(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
+) -> HeightField:
+    """Returns hillside, terraces, and the lane as a bench along it; the take-off spot is at height
+    0."""
+    terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
     xy = np.stack(terrain.node_grid(), axis=-1)
     heights = terrain.heights_m + hillside(plan, xy) + _LIFT_M
     heights = level_pads(dig_ditches(heights, xy, ditches), xy, pads)
-    rough = Terrain(heights_m=heights, half_m=HALF_M)
+    rough = HeightField(heights_m=heights, half_m=HALF_M)
     along_line = rough.at(plan.lane.line_m)
     window = np.hanning(61)
     padded = np.pad(along_line, 30, mode="edge")

@@ -1,22 +1,18 @@
-"""`crossroad`: fills crossroad.xml with a place drawn from a seed."""
+"""`crossroad`: fills crossroad.xml with a scene drawn from a seed."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
+from touchdown.scenes.authoring.generation import finish, paint_terrain, start_scene
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.light import draw_sun, finish_picture
-from touchdown.scenes.authoring.terrain import write_hfield
 from touchdown.scenes.places.crossroad import roads
 from touchdown.scenes.places.crossroad.layout import HALF_M, QUADRANTS, Plan, Plot, draw_plan
 from touchdown.scenes.places.crossroad.plots import Common, Farm, Homes, Shop, Theme
@@ -27,39 +23,27 @@ from touchdown.scenes.props.street import add_lamp, add_sign
 
 Array = NDArray[np.float64]
 
-XML = Path(__file__).with_name("crossroad.xml")
 CAR_MODELS = 8
 
 
 def generate(seed: int) -> SceneDraft:
-    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.crossroad")])
-    spec = mujoco.MjSpec.from_file(str(XML))
     plan = draw_plan(rng)
     themes = draw_themes(rng, plan)
     pads = [pad for theme in themes for pad in theme.pads]
     ditches = [ditch for theme in themes for ditch in theme.ditches]
     terrain = shape_ground(rng, plan, pads, ditches)
-    write_hfield(spec, "terrain", "terrain", terrain, base_m=2.0)
-    sun = draw_sun(rng, spec)
-    builder = Builder(spec=spec, rng=rng, terrain=terrain)
-    moving = place_things(builder, plan, themes)
+    builder = start_scene("crossroad", rng, terrain)
+    moving = place_objects(builder, plan, themes)
     canvas = paint_ground(rng, plan, themes)
-    finish_picture(builder, canvas, sun, pattern_angles(rng, plan))
-    builder.surfaces["terrain"] = Surface(land_class="lawn", reflectivity=0.45)
-    return SceneDraft(
-        spec=spec,
-        takeoff_xy_m=plan.takeoff_xy_m,
-        takeoff_yaw=plan.takeoff_yaw,
-        bounds_xy_m=np.array([[-HALF_M, -HALF_M], [HALF_M, HALF_M]]),
-        surfaces=builder.surfaces,
-        ground=canvas.raster("terrain"),
-        moving=moving,
-    )
+    ground = paint_terrain(builder, canvas, pattern_angles(rng, plan))
+    return finish(plan, builder, ground, moving=moving)
 
 
 def draw_themes(rng: np.random.Generator, plan: Plan) -> list[Theme]:
-    """The green in the south-west; houses, a shop and a farm on the other plots in any order."""
+    """Returns the green in the south-west; houses, a shop and a farm on the other plots in any
+    order."""
     kinds: list[Callable[[Plot, np.random.Generator], Theme]] = [Homes, Shop, Farm]
     order = rng.permutation(3)
     themes: list[Theme] = [Common(Plot(plan=plan, signs=QUADRANTS["SW"]), rng)]
@@ -68,8 +52,8 @@ def draw_themes(rng: np.random.Generator, plan: Plan) -> list[Theme]:
     return themes
 
 
-def place_things(builder: Builder, plan: Plan, themes: list[Theme]) -> tuple[Any, ...]:
-    """Everything that stands or drives. Returns the moving cars."""
+def place_objects(builder: SceneBuilder, plan: Plan, themes: list[Theme]) -> tuple[Any, ...]:
+    """Adds all objects and cars. Returns the moving cars."""
     rng = builder.rng
     nursery = plant_nursery(builder)
     models = add_car_models(builder, CAR_MODELS)
@@ -102,8 +86,8 @@ def place_things(builder: Builder, plan: Plan, themes: list[Theme]) -> tuple[Any
     return roads.add_traffic(builder, plan, models, rng)
 
 
-def scatter_edge_trees(builder: Builder, plan: Plan, nursery: Nursery) -> None:
-    """Single trees on the outskirts, where the plots end."""
+def scatter_edge_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
+    """Adds single trees on the outskirts, where the plots end."""
     rng = builder.rng
     for _ in range(14):
         angle = rng.uniform(0.0, 2.0 * np.pi)
@@ -114,7 +98,7 @@ def scatter_edge_trees(builder: Builder, plan: Plan, nursery: Nursery) -> None:
 
 
 def paint_ground(rng: np.random.Generator, plan: Plan, themes: list[Theme]) -> Canvas:
-    """Materials, markings and stains: plots first, roads over them."""
+    """Paints materials, markings and stains: plots first, roads over them."""
     canvas = Canvas(half_m=HALF_M)
     for theme in themes:
         theme.paint(canvas)

@@ -1,4 +1,4 @@
-"""Where the roads run: a plan in signed distances, from which terrain, picture and kerbs follow."""
+"""Plan of the roads in signed distances, from which terrain, texture and kerbs are derived."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class Plan:
         )
 
     def corner_outline(self, signs: tuple[int, int], distance_m: float) -> Array:
-        """The corner's filling between the straight roads and `corner_arc`, (N, 2)."""
+        """Returns the corner's filling between the straight roads and `corner_arc`, (N, 2)."""
         inner = self.offset_point(
             np.array(signs[0] * 0.4 * self.main.width_m),
             np.array(signs[1] * 0.4 * self.side.width_m),
@@ -116,7 +116,7 @@ QUADRANTS: dict[str, tuple[int, int]] = {"NE": (1, -1), "NW": (1, 1), "SW": (-1,
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Plot:
-    """One quarter of the place with its own coordinates: ``s`` metres along the main road from the
+    """One quarter of the scene with its own coordinates: ``s`` metres along the main road from the
     side road's pavement, ``t`` metres away from the main road's pavement."""
 
     plan: Plan
@@ -149,7 +149,7 @@ class Plot:
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
-    """A plan whose roads leave a meadow south-west of the junction for the take-off."""
+    """Returns a plan whose roads leave a meadow south-west of the junction for the take-off."""
     junction = rng.uniform([-5.0, -5.0], [7.0, 7.0])
     angle = rng.uniform(-0.09, 0.09)
     skew = rng.uniform(-0.05, 0.05)

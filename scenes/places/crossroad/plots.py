@@ -1,4 +1,4 @@
-"""What stands on the four plots between the roads."""
+"""Ground and objects of the four plots between the roads."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.relief import Ditch, Pad
 from touchdown.scenes.places.crossroad.layout import Plot
@@ -28,7 +28,7 @@ DEPTH_M = 44.0
 
 
 class Theme(Protocol):
-    """The use of a plot: first what it does to the ground, then its picture, then its things."""
+    """Use of a plot: its relief first, then its texture, then its objects."""
 
     pads: list[Pad]
     ditches: list[Ditch]
@@ -36,7 +36,7 @@ class Theme(Protocol):
 
     def paint(self, canvas: Canvas) -> None: ...
 
-    def build(self, builder: Builder, nursery: Nursery, models: Models) -> None: ...
+    def build(self, builder: SceneBuilder, nursery: Nursery, models: Models) -> None: ...
 
 
 @dataclass(kw_only=True, slots=True)
@@ -59,13 +59,13 @@ class _Base(ABC):
 
     def scatter(
         self,
-        builder: Builder,
+        builder: SceneBuilder,
         count: int,
         s: tuple[float, float],
         t: tuple[float, float],
         gap: float,
     ) -> list[Array]:
-        """Up to ``count`` free places in a rectangle, at least ``gap`` metres clear."""
+        """Up to ``count`` free spots in a rectangle, at least ``gap`` metres clear."""
         found: list[Array] = []
         for _ in range(12 * count):
             spot = self.at(self.rng.uniform(*s), self.rng.uniform(*t))
@@ -78,7 +78,7 @@ class _Base(ABC):
     def paint(self, canvas: Canvas) -> None: ...
 
     @abstractmethod
-    def build(self, builder: Builder, nursery: Nursery, models: Models) -> None: ...
+    def build(self, builder: SceneBuilder, nursery: Nursery, models: Models) -> None: ...
 
 
 class Homes(_Base):
@@ -115,7 +115,7 @@ class Homes(_Base):
             canvas.fill(plot.rectangle(*bed), Ground.MULCH)
             canvas.fill(plot.rectangle((first + 1.0, first + 5.5), (26.0, 31.0)), Ground.SOIL)
 
-    def build(self, builder: Builder, nursery: Nursery, models: Models) -> None:
+    def build(self, builder: SceneBuilder, nursery: Nursery, models: Models) -> None:
         rng, plot = self.rng, self.plot
         for first, house in self.lots:
             add_house(builder, house)
@@ -194,7 +194,7 @@ class Shop(_Base):
             steps = self.rng.normal(0.0, 0.25, (24, 2)) + self.rng.normal(0.0, 0.15, 2)
             canvas.trace(start + np.cumsum(steps, axis=0), 0.03, 170)
 
-    def build(self, builder: Builder, nursery: Nursery, models: Models) -> None:
+    def build(self, builder: SceneBuilder, nursery: Nursery, models: Models) -> None:
         rng, plot, shift = self.rng, self.plot, self.shift
         add_house(builder, self.house)
         for bay in np.arange(4.0, 24.0, 2.7):
@@ -241,7 +241,7 @@ class Farm(_Base):
         ditch = self.ditches[0]
         canvas.track(np.array([ditch.start_xy_m, ditch.end_xy_m]), 0.9, Ground.WORN)
 
-    def build(self, builder: Builder, nursery: Nursery, models: Models) -> None:
+    def build(self, builder: SceneBuilder, nursery: Nursery, models: Models) -> None:
         rng = self.rng
         builder.claim(self.at(20.0, 30.0), 6.0)
         for s in np.arange(11.0, 46.0, rng.uniform(6.5, 8.5)):
@@ -260,7 +260,7 @@ class Farm(_Base):
         for spot in self.scatter(builder, 6, (5.0, 50.0), (3.5, 50.0), 1.0):
             add_bush(builder, nursery, spot)
 
-    def _bale(self, builder: Builder, spot: Array) -> None:
+    def _bale(self, builder: SceneBuilder, spot: Array) -> None:
         """A round bale on its side."""
         radius, half = 0.72, 0.62
         turn = self.rng.uniform(0.0, np.pi)
@@ -301,7 +301,7 @@ class Common(_Base):
         if float(np.hypot(*(bed - plot.plan.takeoff_xy_m))) > 7.0:
             canvas.fill(bed + 1.9 * ring, Ground.MULCH)
 
-    def build(self, builder: Builder, nursery: Nursery, models: Models) -> None:
+    def build(self, builder: SceneBuilder, nursery: Nursery, models: Models) -> None:
         rng, plot = self.rng, self.plot
         builder.claim(plot.plan.takeoff_xy_m, 6.0)
         for spot in self.path[::2]:

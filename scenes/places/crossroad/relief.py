@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.relief import (
     NODES,
     Ditch,
@@ -15,7 +16,6 @@ from touchdown.scenes.authoring.relief import (
     natural_ground,
     smoothstep,
 )
-from touchdown.scenes.authoring.terrain import Terrain
 from touchdown.scenes.places.crossroad.layout import GUTTER_M, HALF_M, ROAD_DEPTH_M, Plan
 
 Array = NDArray[np.float64]
@@ -23,10 +23,10 @@ Array = NDArray[np.float64]
 
 def shape_ground(
     rng: np.random.Generator, plan: Plan, pads: list[Pad], ditches: list[Ditch]
-) -> Terrain:
-    """Natural ground with the roads, pads, ditches and the take-off spot cut in. The height at
-    the take-off spot is 0."""
-    terrain = Terrain(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
+) -> HeightField:
+    """Returns natural ground with the roads, pads, ditches and the take-off spot cut in. The height
+    at the take-off spot is 0."""
+    terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
     xy = np.stack(terrain.node_grid(), axis=-1)
     heights = terrain.heights_m + (0.35 - terrain.heights_m.mean())
     heights = level_pads(dig_ditches(heights, xy, ditches), xy, pads)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import MovingBody
-from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.traffic import add_mover, path_length
 from touchdown.scenes.authoring.ways import band, paint_wear
@@ -24,7 +24,7 @@ STOP_LINE_GAP_M, STOP_LINE_M = 1.0, 0.45
 
 
 def paint_surfaces(canvas: Canvas, plan: Plan) -> None:
-    """Pavements first, then the roadway over them."""
+    """Paints pavements first, then the roadway over them."""
     far = 2.0 * HALF_M
     pairs = ((plan.side, Ground.SIDE_PAVEMENT), (plan.main, Ground.PAVEMENT))
     for road, material in pairs:
@@ -46,8 +46,8 @@ def _junction_reach(plan: Plan, road: Road) -> float:
 
 
 def paint_markings(canvas: Canvas, plan: Plan) -> None:
-    """Zebra crossings, stop lines, a solid centre line near the junction and dashes beyond it,
-    edge lines."""
+    """Paints zebra crossings, stop lines, a solid centre line near the junction and dashes beyond
+    it, edge lines."""
     far = 1.6 * HALF_M
     for road in (plan.main, plan.side):
         reach = _junction_reach(plan, road)
@@ -84,13 +84,13 @@ def _arrow(canvas: Canvas, road: Road, along: float, across: float, way: float) 
 
 
 def wear_down(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
-    """Patches, cracks and stains on both roads."""
+    """Paints patches, cracks and stains on both roads."""
     for road in (plan.main, plan.side):
         paint_wear(canvas, road, rng, _junction_reach(plan, road))
 
 
-def place_kerbs(builder: Builder, plan: Plan, openings: list[tuple[Array, float]]) -> None:
-    """Kerb stones along every straight and corner, lowered away at zebra crossings and at
+def place_kerbs(builder: SceneBuilder, plan: Plan, openings: list[tuple[Array, float]]) -> None:
+    """Adds kerb stones along every straight and corner, lowered away at zebra crossings and at
     ``openings`` (centre, radius: driveways)."""
     top = builder.terrain.point(*plan.main.point(0.0, 0.0)) + ROAD_DEPTH_M + 0.015
     for signs in QUADRANTS.values():
@@ -127,9 +127,12 @@ def _cut(
 
 
 def add_traffic(
-    builder: Builder, plan: Plan, models: list[tuple[str, str, CarShape]], rng: np.random.Generator
+    builder: SceneBuilder,
+    plan: Plan,
+    models: list[tuple[str, str, CarShape]],
+    rng: np.random.Generator,
 ) -> tuple[MovingBody, ...]:
-    """Two or three cars that drive to the end of a road and come back on the other lane."""
+    """Adds two or three cars that drive to the end of a road and come back on the other lane."""
     moving = []
     count = int(rng.integers(2, 4))
     for index in range(count):
@@ -148,7 +151,7 @@ def add_traffic(
     return tuple(moving)
 
 
-def lane_loop(builder: Builder, road: Road) -> Array:
+def lane_loop(builder: SceneBuilder, road: Road) -> Array:
     """(K, 3) closed path on both lanes, right-hand traffic, turning at the ends of the road."""
     low, high = road.ends_m()
     lane = 0.25 * road.width_m

@@ -1,4 +1,4 @@
-"""The picture of the level ground: parcels, tracks and a marked playing field."""
+"""The texture of the level ground: parcels, tracks and a marked playing field."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ _LINE_M = 0.12
 
 
 def paint_parcels(rng: np.random.Generator, canvas: Canvas, angle: float) -> None:
-    """Grass with strips of fields between headlands, edges frayed, and worn tracks along them."""
+    """Paints grass with strips of fields between headlands, edges frayed, and worn tracks along
+    them."""
     size = len(canvas.material) // 4
     half = canvas.half_m
     axis = (np.arange(size) + 0.5) / size * 2.0 * half - half
@@ -64,7 +65,7 @@ def _stretches(rng: np.random.Generator) -> list[tuple[float, float]]:
 
 
 def paint_pitch(rng: np.random.Generator, canvas: Canvas, centre_xy_m: Array) -> None:
-    """White lines of a playing field on mown grass."""
+    """Paints white lines of a playing field on mown grass."""
     turn = float(rng.uniform(0.0, np.pi))
     half = rng.uniform([15.0, 9.5], [19.0, 12.5])
     c, s = np.cos(turn), np.sin(turn)
@@ -98,7 +99,7 @@ def _stripe(canvas: Canvas, line_m: Array) -> None:
 
 
 def draw_rows(rng: np.random.Generator, angle: float) -> dict[Ground, float]:
-    """Furrows along the parcels, mowing stripes askew."""
+    """Returns pattern angles: furrows along the parcels, mowing stripes oblique."""
     rows = dict.fromkeys(Ground, angle)
     rows[Ground.LAWN] = angle + float(rng.uniform(0.2, 1.3))
     return rows

@@ -1,4 +1,4 @@
-"""The ground's picture, and what grows and stands beside the bridge."""
+"""Ground texture, plants and objects beside the bridge."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import MovingBody
-from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import unit_circle
 from touchdown.scenes.authoring.streets import (
@@ -30,8 +30,8 @@ PATH_M = 3.0
 
 
 def draw_paths(rng: np.random.Generator, plan: Plan) -> list[Array]:
-    """(N, 2) each: from the ramps' feet to the edges of the place; one branches off along the
-    bank."""
+    """Returns paths, (N, 2) each, from the ramps' feet to the edges of the scene; one branches
+    off along the bank."""
     paths = []
     for sign in (-1.0, 1.0):
         lot, reach = plan.bridge.lot, plan.bridge.reach_m
@@ -51,8 +51,8 @@ def draw_paths(rng: np.random.Generator, plan: Plan) -> list[Array]:
 
 
 def paint_ground(canvas: Canvas, plan: Plan, paths: list[Array], rng: np.random.Generator) -> None:
-    """Mown lawns about the bridge and the take-off spot, meadows beyond, rough banks, paths, and
-    the road or the stream's bed."""
+    """Paints mown lawns about the bridge and the take-off spot, meadows beyond, rough banks, paths,
+    and the road or the stream's bed."""
     canvas.fill(np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 2.0 * HALF_M, Ground.MEADOW)
     for centre, reach in (
         (plan.takeoff_xy_m, 22.0), (plan.bridge.lot.at(-24.0, 0.0), 24.0),
@@ -79,7 +79,7 @@ def paint_ground(canvas: Canvas, plan: Plan, paths: list[Array], rng: np.random.
 
 
 def furnish(
-    builder: Builder, plan: Plan, paths: list[Array], nursery: Nursery
+    builder: SceneBuilder, plan: Plan, paths: list[Array], nursery: Nursery
 ) -> tuple[MovingBody, ...]:
     """Lamps, benches, fences, trees, rocks, reeds. Returns the cars that drive below."""
     rng = builder.rng
@@ -99,7 +99,7 @@ def furnish(
     return moving
 
 
-def _beside(builder: Builder, path: Array, station: int, nursery: Nursery) -> None:
+def _beside(builder: SceneBuilder, path: Array, station: int, nursery: Nursery) -> None:
     """A lamp on one side of a path, a bench with a bin on the other."""
     span = path[station + 1] - path[station - 1]
     heading = float(np.arctan2(span[1], span[0]))
@@ -113,8 +113,8 @@ def _beside(builder: Builder, path: Array, station: int, nursery: Nursery) -> No
         add_bin(builder, seat + 1.6 * span / np.linalg.norm(span), [0.20, 0.30, 0.24, 1])
 
 
-def _furnish_road(builder: Builder, plan: Plan) -> tuple[MovingBody, ...]:
-    """Kerbs, fences at the tops of the cutting, traffic."""
+def _furnish_road(builder: SceneBuilder, plan: Plan) -> tuple[MovingBody, ...]:
+    """Adds kerbs, fences at the tops of the cutting, traffic."""
     rng = builder.rng
     course = plan.course
     for side in (1.0, -1.0):
@@ -131,8 +131,8 @@ def _furnish_road(builder: Builder, plan: Plan) -> tuple[MovingBody, ...]:
     return send_round(builder, path, chosen, CAR_SURFACE, float(rng.uniform(6.0, 10.0)))
 
 
-def _furnish_stream(builder: Builder, plan: Plan) -> None:
-    """Reeds and boulders along the water's edge."""
+def _furnish_stream(builder: SceneBuilder, plan: Plan) -> None:
+    """Adds reeds and boulders along the water's edge."""
     rng = builder.rng
     bed = grow_reeds(builder)
     course = plan.course
@@ -150,8 +150,8 @@ def _furnish_stream(builder: Builder, plan: Plan) -> None:
             add_rock(builder, spot, rng.uniform(0.35, 0.8))
 
 
-def _plant(builder: Builder, plan: Plan, nursery: Nursery) -> None:
-    """Trees, bushes, rocks and molehills; fewer trees on the lawns that the survey looks at."""
+def _plant(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
+    """Trees, bushes, rocks and molehills; fewer trees on the lawns in view of the survey."""
     rng = builder.rng
     for kind, count, gap in (("tree", 24, 3.0), ("bush", 14, 1.0), ("rock", 5, 1.0),
                              ("mole", 6, 0.8)):  # fmt: skip

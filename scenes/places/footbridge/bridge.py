@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.textures import Picture, to_picture
+from touchdown.scenes.authoring.textures import Image, to_texture
 from touchdown.scenes.places.footbridge.layout import Bridge, Plan
 from touchdown.scenes.props.meshes import MeshData, box, polygon
 from touchdown.scenes.props.waterside import planks
@@ -29,13 +29,13 @@ _CONCRETE_RGBA = [0.66, 0.65, 0.62, 1.0]
 _RAILS = ([0.24, 0.34, 0.30, 1.0], [0.34, 0.36, 0.38, 1.0], [0.55, 0.22, 0.16, 1.0])
 
 
-def add_bridge(builder: Builder, plan: Plan) -> None:
-    """Everything of the bridge, with its shadows."""
+def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
+    """Adds all parts of the bridge, with their shadows."""
     bridge = plan.bridge
     rng = builder.rng
-    picture = asphalt_deck(rng, bridge) if plan.over_road else timber_deck(rng, bridge)
+    image = asphalt_deck(rng, bridge) if plan.over_road else timber_deck(rng, bridge)
     deck = ASPHALT_DECK if plan.over_road else TIMBER_DECK
-    material = builder.material(f"{deck.land_class}_deck", picture)
+    material = builder.material(f"{deck.land_class}_deck", image)
     pose = {"pos": [*bridge.lot.origin_xy_m, 0.0], "quat": quat_z(bridge.lot.angle)}
     for name, first, last in (
         (f"{deck.land_class}_deck", -bridge.half_length_m, bridge.half_length_m),
@@ -61,8 +61,8 @@ def add_bridge(builder: Builder, plan: Plan) -> None:
 
 
 def slab_mesh(bridge: Bridge, first: float, last: float) -> MeshData:
-    """Deck or ramp between two ``u``: a convex body (things collide with a mesh's hull), its top
-    mapped along and across the whole picture, the rest on the picture's dark rim."""
+    """Returns a deck or ramp between two ``u``: a convex body (contacts use a mesh's hull), its top
+    mapped along and across the whole texture, the rest on the texture's dark rim."""
     stations = np.linspace(first, last, 17 if first * last < 0.0 else 2)
     top = bridge.top(stations)
     half, length = 0.5 * bridge.width_m, 2.0 * bridge.reach_m
@@ -96,41 +96,41 @@ def slab_mesh(bridge: Bridge, first: float, last: float) -> MeshData:
     return MeshData.join(parts)
 
 
-def timber_deck(rng: np.random.Generator, bridge: Bridge) -> Picture:
+def timber_deck(rng: np.random.Generator, bridge: Bridge) -> Image:
     """Boards across the way, dark at the rim."""
     base = (150.0, 128.0, 104.0) if rng.random() < 0.5 else (134.0, 128.0, 118.0)
-    picture = planks(rng, (2.0 * bridge.reach_m, bridge.width_m), PX_PER_M, base)
-    return _rimmed(picture)
+    image = planks(rng, (2.0 * bridge.reach_m, bridge.width_m), PX_PER_M, base)
+    return _rimmed(image)
 
 
-def asphalt_deck(rng: np.random.Generator, bridge: Bridge) -> Picture:
+def asphalt_deck(rng: np.random.Generator, bridge: Bridge) -> Image:
     """A red or grey coating with a broken middle line, joints where deck and ramps meet, stains."""
     size = (round(bridge.width_m * PX_PER_M), round(2.0 * bridge.reach_m * PX_PER_M))
     base = (146.0, 96.0, 82.0) if rng.random() < 0.4 else (128.0, 127.0, 124.0)
     tone = 1.0 + 0.05 * fractal_noise(rng, size, 1.2 * PX_PER_M, 4, 0.7)
     tone += 0.09 * fractal_noise(rng, size, 2.5, 2, 0.8)
     tone -= 0.25 * np.clip(fractal_noise(rng, size, 0.5 * PX_PER_M, 3, 0.6) - 1.3, 0.0, 1.0)
-    picture = tone[..., None] * np.array(base, np.float32)
+    image = tone[..., None] * np.array(base, np.float32)
     middle = size[0] // 2
     for start in range(0, size[1] - 60, 120):
-        picture[middle - 2 : middle + 3, start : start + 60] = (
+        image[middle - 2 : middle + 3, start : start + 60] = (
             214.0 * tone[middle - 2 : middle + 3, start : start + 60, None]
         )
     for u in (-bridge.half_length_m, bridge.half_length_m):
         col = round((u + bridge.reach_m) * PX_PER_M)
-        picture[:, max(col - 3, 0) : col + 3] = 58.0
-    return _rimmed(to_picture(picture))
+        image[:, max(col - 3, 0) : col + 3] = 58.0
+    return _rimmed(to_texture(image))
 
 
-def _rimmed(picture: Picture) -> Picture:
-    """The colour of the deck's sides at the picture's edge."""
-    edge = max(3, round(0.016 * picture.shape[0]))
-    picture[:edge], picture[-edge:] = (96, 94, 90), (96, 94, 90)
-    picture[:, :2] = (96, 94, 90)
-    return picture
+def _rimmed(image: Image) -> Image:
+    """The colour of the deck's sides at the texture's edge."""
+    edge = max(3, round(0.016 * image.shape[0]))
+    image[:edge], image[-edge:] = (96, 94, 90), (96, 94, 90)
+    image[:, :2] = (96, 94, 90)
+    return image
 
 
-def _cast_slab(builder: Builder, bridge: Bridge) -> None:
+def _cast_slab(builder: SceneBuilder, bridge: Bridge) -> None:
     """The deck's shadow, in pieces, since it falls on banks and floor."""
     half = 0.5 * bridge.width_m
     for a, b in pairwise(np.linspace(-bridge.reach_m, bridge.reach_m, 15)):
@@ -144,9 +144,9 @@ def _world(bridge: Bridge, local: Array) -> Array:
 
 
 def _add_railing(
-    builder: Builder, bridge: Bridge, side: float, first: float, last: float, rgba: list[float]
+    builder: SceneBuilder, bridge: Bridge, side: float, first: float, last: float, rgba: list[float]
 ) -> None:
-    """Posts, a hand rail and four wires along the deck's edge, as one mesh."""
+    """Adds posts, a hand rail and four wires along the deck's edge, as one mesh."""
     v = side * (0.5 * bridge.width_m - 0.07)
     count = max(1, round((last - first) / POST_STEP_M))
     knots = np.linspace(first, last, count + 1)
@@ -174,8 +174,8 @@ def _add_railing(
         builder.cast(_world(bridge, np.array([*ends, [a, v + 0.05, ends[0][2]]])), 0.8)
 
 
-def _add_supports(builder: Builder, plan: Plan) -> None:
-    """Abutments at the tops of the banks, girders, and columns at their feet."""
+def _add_supports(builder: SceneBuilder, plan: Plan) -> None:
+    """Adds abutments at the tops of the banks, girders, and columns at their feet."""
     bridge = plan.bridge
     quat, half = quat_z(bridge.lot.angle), 0.5 * bridge.width_m
     low = bridge.end_m - bridge.thick_m
@@ -199,8 +199,10 @@ def _add_supports(builder: Builder, plan: Plan) -> None:
             )  # fmt: skip
 
 
-def _add_stairs(builder: Builder, plan: Plan, side: float, end: float, rgba: list[float]) -> None:
-    """Stairs beside the bridge, from the bank's top down to its foot, with a hand rail."""
+def _add_stairs(
+    builder: SceneBuilder, plan: Plan, side: float, end: float, rgba: list[float]
+) -> None:
+    """Adds stairs beside the bridge, from the bank's top down to its foot, with a hand rail."""
     bridge = plan.bridge
     top_u = plan.floor_m + plan.bank_m + 0.5
     low_u = plan.floor_m + (0.2 if plan.over_road else 0.9)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.lot import Lot
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.relief import NODES, natural_ground, smoothstep
 from touchdown.scenes.authoring.streets import Street, smooth_line
-from touchdown.scenes.authoring.terrain import Terrain
 
 Array = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ class Plan:
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
-    """A stream or a road, east of a lawn for the take-off."""
+    """Returns a stream or a road, east of a lawn for the take-off."""
     over_road = bool(rng.random() < 0.5)
     y = np.linspace(-HALF_M, HALF_M, 9)
     swing = rng.uniform(1.5, 3.0) if over_road else rng.uniform(3.0, 5.5)
@@ -115,9 +115,9 @@ def draw_plan(rng: np.random.Generator) -> Plan:
 
 
 def shape_ground(rng: np.random.Generator, plan: Plan) -> Array:
-    """(N, N) heights without the water. The banks' tops are rugged lawns about height 0; level at
-    0 around the take-off spot and along the way over the bridge."""
-    terrain = Terrain(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
+    """Returns (N, N) heights without the water. The banks' tops are rugged lawns about height 0;
+    level at 0 around the take-off spot and along the way over the bridge."""
+    terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
     xy = np.stack(terrain.node_grid(), axis=-1)
     heights = terrain.heights_m - terrain.heights_m.mean() + 0.15
     spot = np.linalg.norm(xy - plan.takeoff_xy_m, axis=-1)

@@ -1,4 +1,4 @@
-"""The forest floor's picture."""
+"""The forest floor's texture."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ _GRASS = {"start": Ground.MEADOW, "meadow": Ground.MEADOW, "plot": Ground.MEADOW
 
 
 def paint_floor(rng: np.random.Generator, plan: Plan) -> Canvas:
-    """Litter and ferns, grass in the clearings, the track and its ruts, the brook's muddy banks."""
+    """Paints litter and ferns, grass in the clearings, the track and its ruts, the brook's muddy
+    banks."""
     canvas = Canvas(half_m=HALF_M)
     cell = 2.0 * HALF_M / _COARSE
     axis = -HALF_M + (np.arange(_COARSE) + 0.5) * cell
@@ -59,7 +60,7 @@ def _distance_to(line_m: Array) -> NDArray[np.float32]:
 
 def _plough(canvas: Canvas, plan: Plan, clearing: Clearing) -> None:
     """A game plot: a tilled rectangle in the middle of the clearing."""
-    c, s = np.cos(plan.frame.yaw + 0.4), np.sin(plan.frame.yaw + 0.4)
+    c, s = np.cos(plan.frame.takeoff_yaw + 0.4), np.sin(plan.frame.takeoff_yaw + 0.4)
     half = clearing.radius_m * np.array([0.62, 0.50])
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
     canvas.fill(clearing.centre_xy_m + corners @ np.array([[c, s], [-s, c]]), Ground.SOIL)

@@ -1,4 +1,4 @@
-"""What lies and stands in the wood besides trees: rocks, logs, stumps, a hide, a bridge, water."""
+"""Objects of the wood other than trees: rocks, logs, stumps, a hide, a bridge, water."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.noise import tileable_noise
 from touchdown.scenes.places.forest.layout import HALF_M, Clearing, Plan
 from touchdown.scenes.places.forest.relief import WATER_DEPTH_M
@@ -24,8 +24,8 @@ _TIMBER = [0.46, 0.37, 0.27, 1.0]
 _WATER_HALF_M = 0.95
 
 
-def furnish(builder: Builder, wood: Wood, plan: Plan) -> None:
-    """Everything that later plants keep away from."""
+def furnish(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
+    """Adds the objects that later plants keep away from."""
     builder.claim(plan.frame.takeoff_xy_m, 5.0)
     add_water(builder, plan)
     add_bridge(builder, plan)
@@ -45,9 +45,9 @@ def furnish(builder: Builder, wood: Wood, plan: Plan) -> None:
 
 
 def _scatter(
-    builder: Builder, clearing: Clearing, count: int, margin_m: float, gap_m: float
+    builder: SceneBuilder, clearing: Clearing, count: int, margin_m: float, gap_m: float
 ) -> list[Array]:
-    """Up to ``count`` free places in a clearing, ``margin_m`` from its edge."""
+    """Up to ``count`` free spots in a clearing, ``margin_m`` from its edge."""
     rng = builder.rng
     reach = clearing.radius_m * 1.2
     found: list[Array] = []
@@ -59,7 +59,7 @@ def _scatter(
     return found
 
 
-def _fell(builder: Builder, wood: Wood, clearing: Clearing) -> None:
+def _fell(builder: SceneBuilder, wood: Wood, clearing: Clearing) -> None:
     """A felled patch: low stumps in high grass, and a few trunks left behind."""
     rng = builder.rng
     for spot in _scatter(builder, clearing, 3, 2.0, 2.0):
@@ -70,28 +70,28 @@ def _fell(builder: Builder, wood: Wood, clearing: Clearing) -> None:
         add_stump(builder, wood, spot)
 
 
-def _edge_spot(builder: Builder, plan: Plan, clearing: Clearing) -> Array:
-    """(2,) a free place at the edge of a clearing, away from track and brook."""
+def _edge_spot(builder: SceneBuilder, plan: Plan, clearing: Clearing) -> Array:
+    """(2,) a free spot at the edge of a clearing, away from track and brook."""
     turn = builder.rng.uniform(0.0, 2.0 * np.pi) + np.linspace(0.0, 2.0 * np.pi, 24)
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     spots = clearing.centre_xy_m + (clearing.radius_m + 1.2) * ring
     room = np.minimum(plan.track.nearest(spots)[0] - 4.0, plan.brook.nearest(spots)[0] - 4.5)
-    good = np.flatnonzero(room > 0.0)
-    return np.asarray(spots[int(good[0]) if len(good) else int(room.argmax())])
+    free = np.flatnonzero(room > 0.0)
+    return np.asarray(spots[int(free[0]) if len(free) else int(room.argmax())])
 
 
-def _strew(builder: Builder, wood: Wood, plan: Plan) -> None:
+def _strew(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
     """Fallen trunks and rocks on the forest floor, rocks in and beside the brook."""
     rng = builder.rng
     spots = rng.uniform(-HALF_M + 6.0, HALF_M - 6.0, (400, 2))
     far = np.minimum(plan.track.nearest(spots)[0], plan.brook.nearest(spots)[0])
-    good = spots[(plan.clearing_distance(spots) > 3.0) & (far > 6.0)]
-    for spot in good[:9]:
+    free = spots[(plan.clearing_distance(spots) > 3.0) & (far > 6.0)]
+    for spot in free[:9]:
         angle, half = rng.uniform(0.0, np.pi), 0.5 * rng.uniform(5.0, 9.0)
         axis = half * np.array([np.cos(angle), np.sin(angle)])
         if builder.is_free(spot, 2.0):
             add_log(builder, wood, spot - axis, spot + axis, float(rng.uniform(0.16, 0.30)))
-    for spot in good[9:26]:
+    for spot in free[9:26]:
         if builder.is_free(spot, 0.8):
             add_rock(builder, spot, float(rng.uniform(0.4, 1.1)))
     inside = np.flatnonzero((np.abs(plan.brook.line_m) < HALF_M - 2.0).all(axis=1))
@@ -101,9 +101,9 @@ def _strew(builder: Builder, wood: Wood, plan: Plan) -> None:
             add_rock(builder, spot, float(rng.uniform(0.2, 0.45)))
 
 
-def add_water(builder: Builder, plan: Plan) -> None:
-    """The brook's surface: level strips that step down the valley. It carries no contact: what
-    falls in lands on the bed."""
+def add_water(builder: SceneBuilder, plan: Plan) -> None:
+    """Adds the brook's surface: level strips that step down the valley. It has no contacts: a body
+    that falls in rests on the bed."""
     brook = plan.brook
     name = builder.material("water_brook", _ripples(builder.rng), shine=0.35)
     inside = np.flatnonzero((np.abs(brook.line_m) < HALF_M).all(axis=1))
@@ -137,12 +137,12 @@ def _ripples(rng: np.random.Generator) -> NDArray[np.uint8]:
     """(256, 256, 3), periodic: dark water with riffles."""
     tone = 1.0 + 0.16 * tileable_noise(rng, 256, 1.1, 3.0)
     foam = np.clip(tileable_noise(rng, 256, 0.8, 5.0) - 1.9, 0.0, 1.0)
-    picture = tone[..., None] * np.array([70.0, 82.0, 76.0]) + foam[..., None] * 120.0
-    return np.clip(picture, 0.0, 255.0).astype(np.uint8)
+    image = tone[..., None] * np.array([70.0, 82.0, 76.0]) + foam[..., None] * 120.0
+    return np.clip(image, 0.0, 255.0).astype(np.uint8)
 
 
-def add_bridge(builder: Builder, plan: Plan) -> None:
-    """A plank bridge where the track meets the brook."""
+def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
+    """Adds a plank bridge at the crossing of track and brook."""
     distance, _ = plan.brook.nearest(plan.track.line_m)
     index = int(distance.argmin())
     at = plan.track.line_m[index]
@@ -180,8 +180,9 @@ def add_bridge(builder: Builder, plan: Plan) -> None:
         builder.claim(at + share * np.array([np.cos(heading), np.sin(heading)]), 2.4)
 
 
-def add_hide(builder: Builder, xy_m: Array, toward_xy_m: Array) -> None:
-    """A hunter's raised hide that looks towards a clearing: four legs, cabin, roof and ladder."""
+def add_hide(builder: SceneBuilder, xy_m: Array, toward_xy_m: Array) -> None:
+    """Adds a hunter's raised hide that looks towards a clearing: four legs, cabin, roof and
+    ladder."""
     heading = float(np.arctan2(*(toward_xy_m - xy_m)[::-1]))
     ground = builder.terrain.point(*xy_m)
     floor = 3.2
@@ -238,8 +239,8 @@ def _yaw_pitch(yaw: float, pitch: float) -> list[float]:
     return [float(cy * cp), float(-sy * sp), float(cy * sp), float(sy * cp)]
 
 
-def _add_log_pile(builder: Builder, wood: Wood, plan: Plan) -> None:
-    """Cut trunks stacked beside the track."""
+def _add_log_pile(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
+    """Adds cut trunks stacked beside the track."""
     rng = builder.rng
     line = plan.track.line_m
     inside = np.flatnonzero((np.abs(line) < HALF_M - 14.0).all(axis=1))

@@ -1,4 +1,4 @@
-"""Where the clearings lie, and where the track and the brook run."""
+"""Plan of the clearings, the track and the brook."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from touchdown.scenes.authoring.lot import Lot
-from touchdown.scenes.authoring.survey_frame import Frame, draw_frame
+from touchdown.scenes.authoring.survey_frame import SurveyFrame, draw_frame
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ class Course:
 class Plan:
     """The forest of one seed."""
 
-    frame: Frame
+    frame: SurveyFrame
     clearings: tuple[Clearing, ...]
     track: Course
     brook: Course
@@ -79,7 +79,7 @@ class Plan:
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
-    """A plan with its survey in the middle of the scene, turned any way."""
+    """Returns a plan with its survey in the middle of the scene, turned any way."""
     frame = draw_frame(rng)
     lot = frame.from_takeoff
     along_is_track = bool(rng.random() < 0.5)
@@ -96,8 +96,8 @@ def draw_plan(rng: np.random.Generator) -> Plan:
 
 
 def _draw_clearings(rng: np.random.Generator, lot: Lot) -> tuple[Clearing, ...]:
-    """The take-off's, one that is safe on one of the first three slots, the bad ones on the
-    rest."""
+    """Returns the take-off's clearing, a safe one on one of the first three slots, and unsafe ones
+    on the others."""
     safe_slot = int(rng.integers(3))
     others = [slot for index, slot in enumerate(SLOTS_M) if index != safe_slot]
     kinds = [KINDS[int(k)] for k in rng.permutation(3)]

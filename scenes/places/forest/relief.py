@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.relief import level_takeoff, smoothstep
-from touchdown.scenes.authoring.terrain import Terrain
 from touchdown.scenes.places.forest.layout import HALF_M, Clearing, Course, Plan
 
 Array = NDArray[np.float64]
@@ -21,10 +21,10 @@ BROOK_FALL = 0.012
 """Metres down per metre along."""
 
 
-def shape_ground(rng: np.random.Generator, plan: Plan) -> Terrain:
-    """The forest's ground; the height at the take-off spot is 0."""
+def shape_ground(rng: np.random.Generator, plan: Plan) -> HeightField:
+    """Returns the forest's ground; the height at the take-off spot is 0."""
     heights = hills(rng)
-    plain = Terrain(heights_m=heights, half_m=HALF_M)
+    plain = HeightField(heights_m=heights, half_m=HALF_M)
     xy = np.stack(plain.node_grid(), axis=-1)
     to_brook, at_brook = plan.brook.nearest(xy)
     bed = brook_profile(plan.brook, plain)
@@ -35,7 +35,7 @@ def shape_ground(rng: np.random.Generator, plan: Plan) -> Terrain:
     for clearing in plan.clearings:
         heights = _clear(rng, heights, xy, clearing, rough)
     to_track, at_track = plan.track.nearest(xy)
-    course = Terrain(heights_m=heights, half_m=HALF_M).at(plan.track.line_m)
+    course = HeightField(heights_m=heights, half_m=HALF_M).at(plan.track.line_m)
     over, nearest = plan.brook.nearest(plan.track.line_m)
     bridge = bed[nearest] + BROOK_DEPTH_M + 0.2
     even = gaussian_filter1d(course, 7.0, mode="nearest")
@@ -62,7 +62,7 @@ def hummocks(rng: np.random.Generator) -> Array:
     return np.asarray(rng.uniform(0.09, 0.13) * noise, np.float64)
 
 
-def brook_profile(brook: Course, terrain: Terrain) -> Array:
+def brook_profile(brook: Course, terrain: HeightField) -> Array:
     """(N,) height of the bed along the brook: it always falls, and lies below the ground. Of the
     two ways to run it takes the one that cuts less."""
     inside = (np.abs(brook.line_m) < HALF_M).all(axis=1)

@@ -1,11 +1,11 @@
-"""Which tree stands where."""
+"""Positions and kinds of the trees."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.places.forest.layout import HALF_M, Plan
 from touchdown.scenes.props.woods import (
@@ -28,7 +28,7 @@ _OVERLAP = 0.62
 """Neighbouring crowns reach into one another: share of their radii that stays apart."""
 
 
-def plant(builder: Builder, wood: Wood, plan: Plan) -> None:
+def plant(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
     """Trees in groups of their kind, dense except where the ground is clear; undergrowth between
     them and along the edges."""
     rng = builder.rng
@@ -60,7 +60,7 @@ def open_ground(plan: Plan, xy_m: Array) -> Array:
 
 
 def _plant_one(
-    builder: Builder,
+    builder: SceneBuilder,
     wood: Wood,
     spot: Array,
     conifer: bool,
@@ -95,7 +95,7 @@ def _plant_one(
     return 0.0
 
 
-def _undergrow(builder: Builder, wood: Wood, plan: Plan, standing: Array) -> None:
+def _undergrow(builder: SceneBuilder, wood: Wood, plan: Plan, standing: Array) -> None:
     """Saplings and shrubs wherever no trunk is near, most of them at the edges of clearings."""
     rng = builder.rng
     spots = rng.uniform(-HALF_M + 1.0, HALF_M - 1.0, (2600, 2))

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from zlib import crc32
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import MovingBody, Surface
-from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.api import MovingBody
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
+from touchdown.scenes.authoring.generation import finish, paint_terrain, start_scene
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.light import draw_sun, finish_picture
 from touchdown.scenes.authoring.lot import Lot, scatter, unit_circle
 from touchdown.scenes.authoring.streets import (
     Street,
@@ -22,7 +20,6 @@ from touchdown.scenes.authoring.streets import (
     paint_street,
     place_street_kerb,
 )
-from touchdown.scenes.authoring.terrain import write_hfield
 from touchdown.scenes.authoring.traffic import add_mover, path_length
 from touchdown.scenes.authoring.ways import paint_wear
 from touchdown.scenes.places.houses.green import Green, build_green, draw_green, paint_green
@@ -50,42 +47,29 @@ from touchdown.scenes.props.wires import add_line, add_sagging_wire
 
 Array = NDArray[np.float64]
 
-XML = Path(__file__).with_name("houses.xml")
 LOOKS, CAR_MODELS = 6, 7
 
 
 def generate(seed: int) -> SceneDraft:
-    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.houses")])
-    spec = mujoco.MjSpec.from_file(str(XML))
     plan = draw_plan(rng)
     rows = draw_rows(rng, plan)
     homes = [home for row in rows for home in row]
     green = draw_green(rng, plan)
     pads = [pad for home in homes for pad in home.pads()]
     terrain = shape_ground(rng, plan, pads, [green.ditch], [green.mound])
-    write_hfield(spec, "terrain", "terrain", terrain, base_m=2.0)
-    sun = draw_sun(rng, spec)
-    builder = Builder(spec=spec, rng=rng, terrain=terrain)
-    moving = place_things(builder, plan, rows, green)
+    builder = start_scene("houses", rng, terrain)
+    moving = place_objects(builder, plan, rows, green)
     canvas = paint_ground(rng, plan, homes, green)
     turned = dict.fromkeys(Ground, plan.frame.angle)
     turned[Ground.LAWN] = plan.frame.angle + float(rng.uniform(0.2, 1.3))
-    finish_picture(builder, canvas, sun, turned)
-    builder.surfaces["terrain"] = Surface(land_class="lawn", reflectivity=0.45)
-    return SceneDraft(
-        spec=spec,
-        takeoff_xy_m=plan.takeoff_xy_m,
-        takeoff_yaw=plan.takeoff_yaw,
-        bounds_xy_m=np.array([[-HALF_M, -HALF_M], [HALF_M, HALF_M]]),
-        surfaces=builder.surfaces,
-        ground=canvas.raster("terrain"),
-        moving=moving,
-    )
+    ground = paint_terrain(builder, canvas, turned)
+    return finish(plan, builder, ground, moving=moving)
 
 
 def draw_rows(rng: np.random.Generator, plan: Plan) -> list[list[Home]]:
-    """Rows of neighbouring homes along the streets, gardens of all kinds."""
+    """Returns rows of neighbouring homes along the streets, gardens of all kinds."""
     main, south, close, frame = plan.main, plan.south, plan.close, plan.frame
 
     def station(street: Street, u: float | None = None, v: float | None = None) -> float:
@@ -124,10 +108,10 @@ def draw_rows(rng: np.random.Generator, plan: Plan) -> list[list[Home]]:
     return rows
 
 
-def place_things(
-    builder: Builder, plan: Plan, rows: list[list[Home]], green: Green
+def place_objects(
+    builder: SceneBuilder, plan: Plan, rows: list[list[Home]], green: Green
 ) -> tuple[MovingBody, ...]:
-    """Everything that stands or drives. Returns the moving cars."""
+    """Adds all objects and cars. Returns the moving cars."""
     rng = builder.rng
     nursery = plant_nursery(builder)
     models = add_car_models(builder, CAR_MODELS)
@@ -148,8 +132,8 @@ def place_things(
     return add_traffic(builder, plan, models)
 
 
-def place_kerbs(builder: Builder, plan: Plan, homes: list[Home]) -> None:
-    """Kerbs of the three streets with gaps at drives and junctions, and round the turning
+def place_kerbs(builder: SceneBuilder, plan: Plan, homes: list[Home]) -> None:
+    """Adds kerbs of the three streets with gaps at drives and junctions, and round the turning
     circle."""
     for street in plan.streets:
         for side in (1.0, -1.0):
@@ -172,7 +156,7 @@ def place_kerbs(builder: Builder, plan: Plan, homes: list[Home]) -> None:
 
 
 def _junction_gaps(plan: Plan, street: Street, side: float) -> list[tuple[float, float]]:
-    """Stretches of a kerb that lie on another roadway or outside of the place."""
+    """Stretches of a kerb that lie on another roadway or outside of the scene."""
     stations = np.arange(0.0, street.length_m, 0.5)
     kerb = np.array([street.point(s, side * (0.5 * street.width_m + 0.08)) for s in stations])
     other = [s.kerb_distance(kerb) for s in plan.streets if s is not street]
@@ -182,8 +166,8 @@ def _junction_gaps(plan: Plan, street: Street, side: float) -> list[tuple[float,
     return [(float(s) - 0.3, float(s) + 0.3) for s in stations[inside]]
 
 
-def string_wires(builder: Builder, plan: Plan, homes: list[Home]) -> None:
-    """A line of poles along the main street, and cables from its poles down to the houses."""
+def string_wires(builder: SceneBuilder, plan: Plan, homes: list[Home]) -> None:
+    """Adds a line of poles along the main street, and cables from its poles down to the houses."""
     main, rng = plan.main, builder.rng
     side = -(main.edge_m + 0.35) if rng.random() < 0.5 else main.edge_m + 0.35
     first = rng.uniform(24.0, 30.0)
@@ -204,8 +188,10 @@ def string_wires(builder: Builder, plan: Plan, homes: list[Home]) -> None:
             add_sagging_wire(builder, tops[nearest], np.array([*eaves, z]), 0.0, 1)
 
 
-def light_and_park(builder: Builder, plan: Plan, models: list[tuple[str, str, CarShape]]) -> None:
-    """Lamps along the side streets and cars at their kerbs."""
+def light_and_park(
+    builder: SceneBuilder, plan: Plan, models: list[tuple[str, str, CarShape]]
+) -> None:
+    """Adds lamps along the side streets and cars at their kerbs."""
     rng = builder.rng
     for street in (plan.south, plan.close):
         for index, along in enumerate(np.arange(17.0, min(street.length_m, 66.0), 19.0)):
@@ -221,8 +207,8 @@ def light_and_park(builder: Builder, plan: Plan, models: list[tuple[str, str, Ca
                 park_car(builder, models[int(rng.integers(len(models)))], spot, way)
 
 
-def scatter_edge_trees(builder: Builder, plan: Plan, nursery: Nursery) -> None:
-    """Trees behind the gardens."""
+def scatter_edge_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
+    """Adds trees behind the gardens."""
     frame, rng = plan.frame, builder.rng
     corners = (
         ((-60.0, -18.0), (40.0, 60.0)),
@@ -237,9 +223,9 @@ def scatter_edge_trees(builder: Builder, plan: Plan, nursery: Nursery) -> None:
 
 
 def add_traffic(
-    builder: Builder, plan: Plan, models: list[tuple[str, str, CarShape]]
+    builder: SceneBuilder, plan: Plan, models: list[tuple[str, str, CarShape]]
 ) -> tuple[MovingBody, ...]:
-    """One or two cars on the main street."""
+    """Adds one or two cars on the main street."""
     rng, main = builder.rng, plan.main
     inside = [s for s in np.arange(0.0, main.length_m, 1.0)
               if np.abs(main.point(s, 0.0)).max() < HALF_M - 5.0]  # fmt: skip
@@ -257,7 +243,7 @@ def add_traffic(
 
 
 def paint_ground(rng: np.random.Generator, plan: Plan, homes: list[Home], green: Green) -> Canvas:
-    """Gardens and green first, pavements and roadways over them."""
+    """Paints gardens and green first, pavements and roadways over them."""
     canvas = Canvas(half_m=HALF_M)
     paint_green(canvas, green, rng)
     for home in homes:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import claim_area, scatter
 from touchdown.scenes.authoring.relief import Ditch, Mound
@@ -44,7 +44,8 @@ class Green:
 
 
 def draw_green(rng: np.random.Generator, plan: Plan) -> Green:
-    """Playground in the south-west corner, a slope that looks like lawn, a grassed ditch."""
+    """Returns the green: a playground in the south-west corner, a slope with the look of lawn,
+    a grassed ditch."""
     frame = plan.frame
     local = [frame.coordinates(plan.south.point(s, -plan.south.edge_m)) for s in (20.0, 45.0)]
     east = float(min(point[0] for point in local)) - 0.8
@@ -66,7 +67,7 @@ def draw_green(rng: np.random.Generator, plan: Plan) -> Green:
 
 
 def paint_green(canvas: Canvas, green: Green, rng: np.random.Generator) -> None:
-    """Footpath, safety surface, meadow beyond the ditch, bare patches before the goal."""
+    """Paints footpath, safety surface, meadow beyond the ditch, bare patches before the goal."""
     frame = green.plan.frame
     meadow = [frame.at(u, -50.5 + 0.6 * np.sin(0.3 * u)) for u in np.arange(-70.0, green.east, 2.0)]
     canvas.fill(
@@ -83,8 +84,8 @@ def paint_green(canvas: Canvas, green: Green, rng: np.random.Generator) -> None:
         canvas.fill(spot + blot, Ground.WORN)
 
 
-def build_green(builder: Builder, green: Green, nursery: Nursery) -> None:
-    """Trees along the edges, play things, benches, and what is strung over the lawn."""
+def build_green(builder: SceneBuilder, green: Green, nursery: Nursery) -> None:
+    """Adds trees along the edges, play equipment, benches, and lines over the lawn."""
     rng, frame = builder.rng, green.plan.frame
     start = frame.coordinates(green.plan.takeoff_xy_m)
     for spot in green.path_m[::2]:

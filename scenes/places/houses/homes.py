@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import Lot, scatter
 from touchdown.scenes.authoring.relief import Pad
@@ -79,7 +79,7 @@ class Home:
 
 
 def draw_home(rng: np.random.Generator, lot: Lot, width: float, depth: float, garden: str) -> Home:
-    """A house of a size that fits the lot, its drive on one side."""
+    """Returns a house of a size that fits the lot, its drive on one side."""
     left = bool(rng.random() < 0.5)
     drive_u = 2.1 if left else width - 2.1
     length = float(np.clip(width - 7.6, 7.5, 11.5))
@@ -109,7 +109,7 @@ def draw_home(rng: np.random.Generator, lot: Lot, width: float, depth: float, ga
 
 
 def paint_home(canvas: Canvas, home: Home, rng: np.random.Generator) -> None:
-    """Drive, path, terrace, beds and what the garden's use does to the ground."""
+    """Paints drive, path, terrace, beds and the ground of the garden's use."""
     lot, u, front, back = home.lot, home.house_u, home.front_v, home.back_v
     paving = Ground.PAVERS if rng.random() < 0.6 else Ground.GRAVEL
     drive = (home.drive_u - 0.5 * DRIVE_M, home.drive_u + 0.5 * DRIVE_M)
@@ -139,9 +139,9 @@ def _bed(home: Home) -> tuple[float, float]:
 
 
 def build_home(
-    builder: Builder, home: Home, looks: HouseLooks, nursery: Nursery, models: Models
+    builder: SceneBuilder, home: Home, looks: HouseLooks, nursery: Nursery, models: Models
 ) -> None:
-    """Everything that stands on the lot but its fences."""
+    """Adds all objects of the lot but its fences."""
     rng, lot = builder.rng, home.lot
     add_house(builder, home.house, looks)
     door = builder.terrain.point(*home.house.centre_xy_m)
@@ -167,7 +167,7 @@ def build_home(
     _furnish(builder, home, nursery)
 
 
-def _add_garage(builder: Builder, home: Home) -> None:
+def _add_garage(builder: SceneBuilder, home: Home) -> None:
     v = home.front_v + 5.2
     spot = home.lot.at(home.drive_u, v)
     z = builder.terrain.point(*spot)
@@ -187,7 +187,7 @@ def _add_garage(builder: Builder, home: Home) -> None:
     builder.claim(spot, 3.4)
 
 
-def _furnish(builder: Builder, home: Home, nursery: Nursery) -> None:
+def _furnish(builder: SceneBuilder, home: Home, nursery: Nursery) -> None:
     """The back garden."""
     rng, lot, width, back = builder.rng, home.lot, home.width_m, home.back_v
     inside = (1.8, width - 1.8)
@@ -229,9 +229,9 @@ def _furnish(builder: Builder, home: Home, nursery: Nursery) -> None:
         add_bush(builder, nursery, spot)
 
 
-def fence_home(builder: Builder, home: Home, nursery: Nursery, first: bool) -> None:
-    """Back boundary and the boundary at u = width; the one at u = 0 where it is the ``first`` of a
-    row. Fence or hedge."""
+def fence_home(builder: SceneBuilder, home: Home, nursery: Nursery, first: bool) -> None:
+    """Adds back boundary and the boundary at u = width; the one at u = 0 where it is the ``first``
+    of a row. Fence or hedge."""
     rng, lot = builder.rng, home.lot
     tint = ([0.86, 0.85, 0.81, 1], [0.48, 0.36, 0.25, 1], [0.58, 0.47, 0.34, 1])
     colour = tint[int(rng.integers(3))]

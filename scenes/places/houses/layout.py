@@ -1,4 +1,4 @@
-"""Where the streets of the settlement run, and how the ground between them is shaped."""
+"""Plan of the settlement's streets, and relief of the ground between them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.lot import Lot
 from touchdown.scenes.authoring.relief import (
     NODES,
@@ -21,7 +22,6 @@ from touchdown.scenes.authoring.relief import (
     smoothstep,
 )
 from touchdown.scenes.authoring.streets import Street, smooth_line
-from touchdown.scenes.authoring.terrain import Terrain
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ TURNING_M = 7.2
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Plan:
-    """``frame``: coordinates of the whole place, its main street about along u. The green, with
+    """``frame``: coordinates of the whole scene, its main street about along u. The green, with
     the take-off spot, lies in the quarter of negative u and v."""
 
     frame: Lot
@@ -66,7 +66,7 @@ class Plan:
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
-    """A main street that swings, a street to the south and a close to the north."""
+    """Returns a main street that swings, a street to the south and a close to the north."""
     angle = 0.5 * np.pi * int(rng.integers(4)) + rng.uniform(-0.06, 0.06)
     frame = Lot(origin_xy_m=rng.uniform(-1.0, 1.0, 2), angle=angle)
 
@@ -111,9 +111,10 @@ def shape_ground(
     pads: list[Pad],
     ditches: list[Ditch],
     mounds: list[Mound],
-) -> Terrain:
-    """Natural ground with mounds, ditches, pads and streets; the take-off spot is at height 0."""
-    terrain = Terrain(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
+) -> HeightField:
+    """Returns natural ground with mounds, ditches, pads and streets; the take-off spot is at height
+    0."""
+    terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
     xy = np.stack(terrain.node_grid(), axis=-1)
     heights = terrain.heights_m + (0.30 - terrain.heights_m.mean())
     heights = level_pads(heights, xy, pads)

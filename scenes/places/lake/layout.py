@@ -1,5 +1,5 @@
-"""Where the shore runs and what it is made of: a signed distance from which relief, picture and
-things follow."""
+"""Course and materials of the shore: a signed distance from which relief, texture and objects are
+derived."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.relief import level_takeoff, natural_ground, smoothstep
-from touchdown.scenes.authoring.terrain import Terrain
 
 Array = NDArray[np.float64]
 
@@ -100,7 +100,7 @@ class Plan:
 class Basin:
     """The relief of a plan."""
 
-    terrain: Terrain
+    terrain: HeightField
     """what stands above the water, and the level water"""
     bottom_m: Array
     """(N, N) heights at the terrain's nodes without the water"""
@@ -111,7 +111,8 @@ class Basin:
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
-    """A lake in the north-east of the take-off meadow, its nearest shore a beach or reeds."""
+    """Returns a lake in the north-east of the take-off meadow, its nearest shore a beach or
+    reeds."""
     takeoff = np.array([-36.0, -30.0]) + rng.uniform(-2.5, 2.5, 2)
     centre = np.array([9.0, 9.0]) + rng.uniform(-3.0, 3.0, 2)
     orders = np.arange(2, 8)
@@ -173,9 +174,9 @@ def shore_distance(rng: np.random.Generator, plan: Plan, xy: Array) -> Array:
 
 
 def shape_basin(rng: np.random.Generator, plan: Plan) -> Basin:
-    """Meadows, banks and the lake's bed; the height at the take-off spot is 0."""
+    """Returns meadows, banks and the lake's bed; the height at the take-off spot is 0."""
     ground = natural_ground(rng, NODES, HALF_M)
-    xy = np.stack(Terrain(heights_m=ground, half_m=HALF_M).node_grid(), axis=-1)
+    xy = np.stack(HeightField(heights_m=ground, half_m=HALF_M).node_grid(), axis=-1)
     cell = float(xy[0, 1, 0] - xy[0, 0, 0])
     shore = shore_distance(rng, plan, xy)
     row = profile(plan, plan.bearing(xy))
@@ -194,7 +195,7 @@ def shape_basin(rng: np.random.Generator, plan: Plan) -> Basin:
     bed = -(1.0 - sink) * fall * out - sink * rng.uniform(2.6, 3.6)
     bed += bumps * smoothstep(0.4, 2.5, out)
     heights = np.where(shore >= 0.0, land, bed)
-    takeoff = float(Terrain(heights_m=heights, half_m=HALF_M).at(plan.takeoff_xy_m))
+    takeoff = float(HeightField(heights_m=heights, half_m=HALF_M).at(plan.takeoff_xy_m))
     bottom = level_takeoff(heights, HALF_M, plan.takeoff_xy_m).heights_m
-    terrain = Terrain(heights_m=np.maximum(bottom, -takeoff), half_m=HALF_M)
+    terrain = HeightField(heights_m=np.maximum(bottom, -takeoff), half_m=HALF_M)
     return Basin(terrain=terrain, bottom_m=bottom, shore_m=shore, level_m=-takeoff)

@@ -1,1 +1,1 @@
-"""Open water around a raft, a pontoon or an islet: the only place to land."""
+"""Open water around a raft, a pontoon or an islet: the only ground to land on."""

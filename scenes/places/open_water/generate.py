@@ -1,28 +1,25 @@
-"""`open_water`: fills open_water.xml with a place drawn from a seed.
+"""`open_water`: fills open_water.xml with a scene drawn from a seed.
 
-The water is one level sheet of 256 x 256 m. The only ground to land on is what the vehicle takes
-off from: a raft, a pontoon or an islet, by the seed.
+The water is one level sheet of 256 x 256 m. The only ground to land on is the take-off
+ground: a raft, a pontoon or an islet, by the seed.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
 from zlib import crc32
 
 import cv2
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import GroundRaster, Surface
+from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.bake import bake_light
-from touchdown.scenes.authoring.builder import GEOM, Builder, fill_texture
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, fill_texture
 from touchdown.scenes.authoring.draft import SceneDraft
+from touchdown.scenes.authoring.generation import Takeoff, finish, start_scene
 from touchdown.scenes.authoring.ground import TEXELS
-from touchdown.scenes.authoring.light import draw_sun
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.terrain import Terrain
 from touchdown.scenes.authoring.water import WATER_REFLECTIVITY, Float32, WaterLook, lay_water
 from touchdown.scenes.places.open_water.islet import (
     Islet,
@@ -37,7 +34,6 @@ from touchdown.scenes.props.meshes import MeshData, box, polygon
 
 Array = NDArray[np.float64]
 
-XML = Path(__file__).with_name("open_water.xml")
 HALF_M = 128.0
 KINDS = ("islet", "raft", "pontoon")
 _NODES = 257
@@ -46,14 +42,12 @@ _SAND = np.array([198.0, 182.0, 146.0], np.float32)
 
 
 def generate(seed: int) -> SceneDraft:
-    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.open_water")])
-    spec = mujoco.MjSpec.from_file(str(XML))
     kind = KINDS[int(rng.integers(len(KINDS)))]
     islet = shape_islet(rng) if kind == "islet" else None
     level = islet.level_m if islet else -FREEBOARD_M
-    sun = draw_sun(rng, spec)
-    builder = Builder(spec=spec, rng=rng, terrain=_surface(level, islet))
+    builder = start_scene("open_water", rng, _surface(level, islet))
     if islet:
         place_islet(builder, islet)
     elif kind == "raft":
@@ -61,30 +55,20 @@ def generate(seed: int) -> SceneDraft:
     else:
         place_pontoon(builder)
     _place_boats(builder)
-    ground = add_islet(builder, islet, sun) if islet else None
+    ground = add_islet(builder, islet) if islet else None
     if islet:
         depth = bed_depth(islet, _DEPTH_PX, HALF_M)
     else:
         depth = np.full((_DEPTH_PX, _DEPTH_PX), 7.0, np.float32)
-    _spread_water(builder, level, depth, sun)
-    return _draft(spec, builder, ground)
+    _spread_water(builder, level, depth)
+    plan = Takeoff(takeoff_xy_m=np.zeros(2), takeoff_yaw=float(rng.uniform(-np.pi, np.pi)))
+    return finish(plan, builder, ground)
 
 
-def _draft(spec: Any, builder: Builder, ground: GroundRaster | None) -> SceneDraft:
-    return SceneDraft(
-        spec=spec,
-        takeoff_xy_m=np.zeros(2),
-        takeoff_yaw=float(builder.rng.uniform(-np.pi, np.pi)),
-        bounds_xy_m=np.array([[-HALF_M, -HALF_M], [HALF_M, HALF_M]]),
-        surfaces=builder.surfaces,
-        ground=ground,
-    )
-
-
-def _surface(level_m: float, islet: Islet | None) -> Terrain:
-    """What things stand or float on: the water, and the islet where it is higher."""
+def _surface(level_m: float, islet: Islet | None) -> HeightField:
+    """Surface below all objects: the water, and the islet where it is higher."""
     heights = np.full((_NODES, _NODES), level_m)
-    terrain = Terrain(heights_m=heights, half_m=HALF_M)
+    terrain = HeightField(heights_m=heights, half_m=HALF_M)
     if islet is not None:
         xy = np.stack(terrain.node_grid(), axis=-1)
         near = (np.abs(xy) < islet.terrain.half_m).all(axis=-1)
@@ -92,8 +76,8 @@ def _surface(level_m: float, islet: Islet | None) -> Terrain:
     return terrain
 
 
-def _place_boats(builder: Builder) -> None:
-    """Yachts at anchor and fairway buoys, none within 70 m: the survey sees nothing but water
+def _place_boats(builder: SceneBuilder) -> None:
+    """Adds yachts at anchor and fairway buoys, none within 70 m: the survey sees nothing but water
     once the take-off spot is out of view."""
     rng = builder.rng
     wanted = int(rng.integers(3, 6))
@@ -111,8 +95,8 @@ def _place_boats(builder: Builder) -> None:
         add_buoy(builder, spot, 0.55, colour)
 
 
-def _spread_water(builder: Builder, level_m: float, depth: Float32, sun: Array) -> None:
-    """The sheet and its picture, after everything that throws a shadow on it."""
+def _spread_water(builder: SceneBuilder, level_m: float, depth: Float32) -> None:
+    """The sheet and its texture, after all objects that cast a shadow on it."""
     spec, rng = builder.spec, builder.rng
     top = HALF_M * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
     uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
@@ -121,21 +105,21 @@ def _spread_water(builder: Builder, level_m: float, depth: Float32, sun: Array) 
     water = Surface(land_class="water", reflectivity=WATER_REFLECTIVITY, water=True)
     builder.geom("water", water, type=GEOM.mjGEOM_MESH, meshname=mesh, material="water",
                  pos=[0.0, 0.0, level_m])  # fmt: skip
-    light = bake_light(builder.casters, builder.terrain, sun, TEXELS // 2, ambient=0.50)
+    light = bake_light(builder.casters, builder.terrain, builder.sun, TEXELS // 2, ambient=0.50)
     bed = fractal_noise(rng, (_DEPTH_PX, _DEPTH_PX), 20.0, 4, 0.6)
     coarse = np.clip(_SAND * (1.0 + 0.08 * bed[..., None]), 0.0, 255.0).astype(np.uint8)
-    picture = np.asarray(cv2.resize(coarse, (TEXELS, TEXELS)), np.uint8)
-    lay_water(rng, picture, depth, HALF_M, draw_look(rng), sun)
+    image = np.asarray(cv2.resize(coarse, (TEXELS, TEXELS)), np.uint8)
+    lay_water(rng, image, depth, HALF_M, draw_look(rng), builder.sun)
     # A shadow takes the sun from the water's body but leaves the mirrored sky.
     dim = (0.35 + 0.65 * light) / (0.35 + 0.65 * light.max())
     shade = cv2.resize((255.0 * dim[::-1]).astype(np.uint8), (TEXELS, TEXELS))
     for channel in range(3):
-        picture[..., channel] = cv2.multiply(picture[..., channel], shade, scale=1.0 / 255.0)
-    fill_texture(spec.texture("water"), picture)
+        image[..., channel] = cv2.multiply(image[..., channel], shade, scale=1.0 / 255.0)
+    fill_texture(spec.texture("water"), image)
 
 
 def draw_look(rng: np.random.Generator) -> WaterLook:
-    """From blue over green to grey, with waves of some metres."""
+    """Returns the look of blue, green or grey water with waves of some metres."""
     colours = np.array([[18.0, 66.0, 96.0], [22.0, 80.0, 84.0], [46.0, 76.0, 88.0]])
     red, green, blue = rng.dirichlet(np.ones(3)) @ colours
     return WaterLook(

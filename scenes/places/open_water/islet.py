@@ -1,4 +1,4 @@
-"""A low islet of sand and grass: relief, picture and what grows on it."""
+"""A low islet of sand and grass: relief, texture and plants."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import GroundRaster, Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, fill_texture
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, fill_texture
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.light import ground_picture
+from touchdown.scenes.authoring.height_field import HeightField, write_hfield
+from touchdown.scenes.authoring.light import ground_texture
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.relief import level_takeoff, smoothstep
-from touchdown.scenes.authoring.terrain import Terrain, write_hfield
 from touchdown.scenes.authoring.water import Float32, flood_raster, upsample
 from touchdown.scenes.props.plants import Nursery, add_bush, add_rock, plant_nursery
 from touchdown.scenes.props.waterside import add_pile
@@ -26,14 +26,14 @@ HALF_M = 16.0
 NODES = 97
 TEXELS = 1280
 _SUNK_M = 0.2
-"""The height field ends this far below the water, the bed goes on in the picture alone."""
+"""The height field ends this far below the water, the bed goes on in the texture alone."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Islet:
     """An islet about the origin."""
 
-    terrain: Terrain
+    terrain: HeightField
     """sunk to `_SUNK_M` below the water at the rim"""
     shore_m: Array
     """(N, N) metres from the waterline at its nodes, negative in the water"""
@@ -41,8 +41,8 @@ class Islet:
 
 
 def shape_islet(rng: np.random.Generator) -> Islet:
-    """Sand that rises out of the water to a grassy hump; the height at the origin is 0."""
-    flat = Terrain(heights_m=np.zeros((NODES, NODES)), half_m=HALF_M)
+    """Returns sand that rises out of the water to a grassy hump; the height at the origin is 0."""
+    flat = HeightField(heights_m=np.zeros((NODES, NODES)), half_m=HALF_M)
     x, y = flat.node_grid()
     order = np.arange(2, 6)
     amplitude = rng.uniform(0.3, 1.0, 4) * np.array([0.16, 0.08, 0.05, 0.04])
@@ -57,7 +57,7 @@ def shape_islet(rng: np.random.Generator) -> Islet:
     lumps = 0.05 * fractal_noise(rng, x.shape, 2.0 / flat.cell_m, 2).astype(np.float64)
     land = hump + lumps * smoothstep(1.0, 3.0, shore)
     heights = np.where(shore > 0.0, land, np.maximum(0.16 * shore, -_SUNK_M))
-    level = -float(Terrain(heights_m=heights, half_m=HALF_M).point(0.0, 0.0))
+    level = -float(HeightField(heights_m=heights, half_m=HALF_M).point(0.0, 0.0))
     return Islet(terrain=level_takeoff(heights, HALF_M, np.zeros(2)), shore_m=shore, level_m=level)
 
 
@@ -77,8 +77,8 @@ def bed_depth(islet: Islet, size: int, half_m: float) -> Float32:
     return np.asarray(0.16 * np.minimum(out, 6.0) + 6.0 * far, np.float32)
 
 
-def add_islet(builder: Builder, islet: Islet, sun: Array) -> GroundRaster:
-    """The islet with its picture, after everything that throws a shadow on it."""
+def add_islet(builder: SceneBuilder, islet: Islet) -> GroundRaster:
+    """Adds the islet with its texture, after all objects that cast a shadow on it."""
     spec, rng = builder.spec, builder.rng
     spec.add_texture(name="islet", type=mujoco.mjtTexture.mjTEXTURE_2D, nchannel=3)
     canvas = Canvas.of_size(HALF_M, TEXELS)
@@ -89,17 +89,17 @@ def add_islet(builder: Builder, islet: Islet, sun: Array) -> GroundRaster:
     canvas.material[(shore > 3.0 + 0.5 * fray) & (fray > -0.5)] = int(Ground.LAWN)
     canvas.material[(shore < 0.7) & (fray > 0.7)] = int(Ground.GRAVEL)
     local = replace(builder, terrain=islet.terrain)
-    picture = ground_picture(local, canvas, sun, dict.fromkeys(Ground, float(rng.uniform(0, 3))))
+    texture = ground_texture(local, canvas, dict.fromkeys(Ground, float(rng.uniform(0, 3))))
     # The strand is wet up to a hand's breadth above the water.
     wet = np.clip(1.0 - shore / 0.6, 0.0, 1.0)[::-1, :, None]
-    picture[:] = (picture * (1.0 - 0.34 * wet)).astype(np.uint8)
-    fill_texture(spec.texture("islet"), picture)
+    texture[:] = (texture * (1.0 - 0.34 * wet)).astype(np.uint8)
+    fill_texture(spec.texture("islet"), texture)
     depth = upsample(islet.level_m - islet.terrain.heights_m, TEXELS)
     return flood_raster(canvas.raster("islet"), depth)
 
 
-def place_islet(builder: Builder, islet: Islet) -> None:
-    """The height field and, around a clear middle, bushes, rocks and a beacon."""
+def place_islet(builder: SceneBuilder, islet: Islet) -> None:
+    """Adds the height field and, around a clear middle, bushes, rocks and a beacon."""
     spec, rng = builder.spec, builder.rng
     material = spec.add_material(name="islet", specular=0.0, shininess=0.0)
     textures = list(material.textures)
@@ -114,7 +114,7 @@ def place_islet(builder: Builder, islet: Islet) -> None:
     write_hfield(spec, "islet", "islet", islet.terrain, base_m=0.3)
     builder.claim(np.zeros(2), 3.2)
     nursery: Nursery = plant_nursery(builder)
-    shore = Terrain(heights_m=islet.shore_m, half_m=HALF_M)
+    shore = HeightField(heights_m=islet.shore_m, half_m=HALF_M)
     wanted = {"bush": int(rng.integers(2, 5)), "rock": int(rng.integers(7, 12)), "beacon": 1}
     ranges = {"bush": (1.6, 4.5), "rock": (-1.2, 1.2), "beacon": (1.0, 3.5)}
     for what, count in wanted.items():
@@ -131,8 +131,8 @@ def place_islet(builder: Builder, islet: Islet) -> None:
                     add_beacon(builder, spot)
 
 
-def add_beacon(builder: Builder, xy_m: Array) -> None:
-    """A mast of 4.5 m with a striped board."""
+def add_beacon(builder: SceneBuilder, xy_m: Array) -> None:
+    """Adds a mast of 4.5 m with a striped board."""
     z = builder.terrain.point(*xy_m)
     add_pile(builder, xy_m, z + 4.5, 0.07)
     for index, rgba in enumerate(([0.85, 0.12, 0.10, 1], [0.95, 0.95, 0.93, 1])):

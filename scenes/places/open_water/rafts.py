@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.textures import Picture, to_picture
+from touchdown.scenes.authoring.textures import Image, to_texture
 from touchdown.scenes.props.boats import add_boat, add_boat_models
 from touchdown.scenes.props.waterside import PILE, Deck, add_deck, planks
 
@@ -19,8 +19,8 @@ FREEBOARD_M = 0.45
 """Of both kinds of deck."""
 
 
-def place_raft(builder: Builder) -> None:
-    """A bathing raft of boards on drums, a flagpole at a corner, a rowing boat alongside."""
+def place_raft(builder: SceneBuilder) -> None:
+    """Adds a bathing raft of boards on drums, a flagpole at a corner, a rowing boat alongside."""
     rng = builder.rng
     size = (float(rng.uniform(6.4, 8.0)), float(rng.uniform(6.0, 7.0)))
     deck = Deck(
@@ -43,8 +43,8 @@ def place_raft(builder: Builder) -> None:
     add_boat(builder, model, spot, deck.angle + rng.uniform(-0.06, 0.06))
 
 
-def place_pontoon(builder: Builder) -> None:
-    """A concrete work pontoon with a painted circle, bollards, a rail and crates."""
+def place_pontoon(builder: SceneBuilder) -> None:
+    """Adds a concrete work pontoon with a painted circle, bollards, a rail and crates."""
     rng = builder.rng
     size = (float(rng.uniform(9.0, 12.0)), float(rng.uniform(6.2, 7.4)))
     deck = Deck(centre_xy_m=np.zeros(2), angle=float(rng.uniform(-0.6, 0.6)), size_m=size,
@@ -78,7 +78,7 @@ def place_pontoon(builder: Builder) -> None:
                      rgba=[0.30, 0.36 + 0.08 * index, 0.46, 1])  # fmt: skip
 
 
-def _concrete(rng: np.random.Generator, size_m: tuple[float, float]) -> Picture:
+def _concrete(rng: np.random.Generator, size_m: tuple[float, float]) -> Image:
     """Slabs with joints and rust, a yellow edge and a white ring in the middle."""
     px = 96.0
     width, height = (round(s * px) for s in size_m)
@@ -87,18 +87,18 @@ def _concrete(rng: np.random.Generator, size_m: tuple[float, float]) -> Picture:
     tone += 5.0 * rng.standard_normal((height, width), dtype=np.float32)
     pitch = size_m[0] / round(size_m[0] / 2.5)
     tone[((x % pitch) < 0.025) | (np.abs(y - 0.5 * size_m[1]) < 0.012)] *= 0.6
-    picture = tone[..., None] * np.array([1.0, 0.985, 0.955], np.float32)
+    image = tone[..., None] * np.array([1.0, 0.985, 0.955], np.float32)
     rust = np.clip(fractal_noise(rng, (height, width), 0.7 * px, 4, 0.6) - 1.5, 0.0, 0.8)
-    picture += rust[..., None] * (np.array([132.0, 84.0, 56.0], np.float32) - picture)
+    image += rust[..., None] * (np.array([132.0, 84.0, 56.0], np.float32) - image)
     edge = np.minimum(np.minimum(x, size_m[0] - x), np.minimum(y, size_m[1] - y))
     worn = fractal_noise(rng, (height, width), 0.15 * px, 3, 0.6) > -1.1
-    picture[(edge > 0.12) & (edge < 0.27) & worn] = (206.0, 170.0, 48.0)
+    image[(edge > 0.12) & (edge < 0.27) & worn] = (206.0, 170.0, 48.0)
     ring = np.abs(np.hypot(x - 0.5 * size_m[0], y - 0.5 * size_m[1]) - 1.9) < 0.1
-    picture[ring & worn] = (224.0, 224.0, 220.0)
-    return to_picture(picture)
+    image[ring & worn] = (224.0, 224.0, 220.0)
+    return to_texture(image)
 
 
-def _flagpole(builder: Builder, xy_m: Array) -> None:
+def _flagpole(builder: SceneBuilder, xy_m: Array) -> None:
     builder.geom("flagpole", PILE, type=GEOM.mjGEOM_CYLINDER, size=[0.03, 0, 0],
                  fromto=[*xy_m, 0.0, *xy_m, 2.8], rgba=[0.92, 0.92, 0.92, 1])  # fmt: skip
     turn = float(builder.rng.uniform(0.0, 2.0 * np.pi))
@@ -108,7 +108,7 @@ def _flagpole(builder: Builder, xy_m: Array) -> None:
     _square_shadow(builder, xy_m, 0.03, 0.0, 2.8)
 
 
-def _ladder(builder: Builder, deck: Deck, x: float) -> None:
+def _ladder(builder: SceneBuilder, deck: Deck, x: float) -> None:
     """Two bent tubes over the edge at ``x`` of the deck."""
     for y in (-0.25, 0.25):
         foot = deck.points(np.array([[x - 0.05, y]]))[0]
@@ -117,7 +117,7 @@ def _ladder(builder: Builder, deck: Deck, x: float) -> None:
 
 
 def _square_shadow(
-    builder: Builder, xy_m: Array, half_m: float, low_m: float, top_m: float
+    builder: SceneBuilder, xy_m: Array, half_m: float, low_m: float, top_m: float
 ) -> None:
     corners = [[sx * half_m, sy * half_m, z] for sx in (-1, 1) for sy in (-1, 1)
                for z in (low_m, top_m)]  # fmt: skip

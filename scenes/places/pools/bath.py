@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.places.pools.layout import Plan
 from touchdown.scenes.props.garden import SHED, add_table
 from touchdown.scenes.props.houses import House, add_house
@@ -28,8 +28,8 @@ Shades = list[tuple[str, str]]
 """(mesh, material) of sunshades"""
 
 
-def build_bath(builder: Builder, plan: Plan, nursery: Nursery, shades: Shades) -> None:
-    """Everything on the deck and behind it."""
+def build_bath(builder: SceneBuilder, plan: Plan, nursery: Nursery, shades: Shades) -> None:
+    """Adds all objects on the deck and behind it."""
     for pool in plan.pools:
         add_pool(builder, pool)
     _add_slide(builder, plan)
@@ -49,8 +49,8 @@ def build_bath(builder: Builder, plan: Plan, nursery: Nursery, shades: Shades) -
         add_bin(builder, frame.at(u, v0 + 0.9), [0.20, 0.42, 0.62, 1])
 
 
-def _add_slide(builder: Builder, plan: Plan) -> None:
-    """A chute that ends in the leisure pool, coming from behind it."""
+def _add_slide(builder: SceneBuilder, plan: Plan) -> None:
+    """Adds a chute that ends in the leisure pool, coming from behind it."""
     pool = plan.pool("leisure")
     low, high = pool.box_m
     u = 0.5 * (low[0] + high[0]) + builder.rng.uniform(-1.5, 1.5)
@@ -60,7 +60,7 @@ def _add_slide(builder: Builder, plan: Plan) -> None:
     )
 
 
-def _add_guards(builder: Builder, plan: Plan) -> None:
+def _add_guards(builder: SceneBuilder, plan: Plan) -> None:
     low, high = plan.pool("lanes").box_m
     frame = plan.frame
     add_guard_chair(builder, frame.at(0.5 * (low[0] + high[0]), low[1] - 1.3), frame.away)
@@ -81,8 +81,8 @@ def _add_guards(builder: Builder, plan: Plan) -> None:
         add_whirlpool(builder, spot)
 
 
-def _add_buildings(builder: Builder, plan: Plan) -> None:
-    """The flat-roofed service building, a row of coloured cabins and a kiosk."""
+def _add_buildings(builder: SceneBuilder, plan: Plan) -> None:
+    """Adds the flat-roofed service building, a row of coloured cabins and a kiosk."""
     rng, frame, u = builder.rng, plan.frame, plan.house_u
     add_house(builder, House(
         centre_xy_m=frame.at(u, 36.5), angle=frame.angle,
@@ -117,8 +117,8 @@ def _add_buildings(builder: Builder, plan: Plan) -> None:
     add_bench(builder, frame.at(u, 30.4), frame.away + np.pi)
 
 
-def _add_loungers(builder: Builder, plan: Plan, shades: Shades) -> None:
-    """Rows of loungers beside the basins, a sunshade between every other pair."""
+def _add_loungers(builder: SceneBuilder, plan: Plan, shades: Shades) -> None:
+    """Adds rows of loungers beside the basins, a sunshade between every other pair."""
     rng, frame = builder.rng, plan.frame
     loungers = add_lounger_models(builder, 5)
     (u0, u1), (v0, v1) = plan.deck

@@ -1,4 +1,4 @@
-"""Sports field, beach court, sunbathing lawn, fence and car park; and the picture of it all."""
+"""Sports field, beach court, sunbathing lawn, fence and car park; and the ground texture."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import claim_area, scatter
 from touchdown.scenes.places.pools.bath import Shades, outline
@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 LINE_M = 0.12
 
 
-def build_grounds(builder: Builder, plan: Plan, nursery: Nursery, shades: Shades) -> None:
-    """Everything off the deck."""
+def build_grounds(builder: SceneBuilder, plan: Plan, nursery: Nursery, shades: Shades) -> None:
+    """Adds all objects off the deck."""
     _furnish_pitch(builder, plan)
     u, v = plan.court_uv
     (u0, u1), (v0, _) = plan.deck
@@ -37,8 +37,8 @@ def build_grounds(builder: Builder, plan: Plan, nursery: Nursery, shades: Shades
     _dress_lawn(builder, plan, nursery, shades)
 
 
-def _furnish_pitch(builder: Builder, plan: Plan) -> None:
-    """Goals, a training net across one half, corner posts, and a rope round two sides."""
+def _furnish_pitch(builder: SceneBuilder, plan: Plan) -> None:
+    """Adds goals, a training net across one half, corner posts, and a rope round two sides."""
     rng, frame = builder.rng, plan.frame
     (u0, u1), (v0, v1) = plan.pitch
     middle = 0.5 * (v0 + v1)
@@ -60,7 +60,7 @@ def _furnish_pitch(builder: Builder, plan: Plan) -> None:
     claim_area(builder, frame, (u0, u1), (v0, v1))
 
 
-def _park_cars(builder: Builder, plan: Plan) -> None:
+def _park_cars(builder: SceneBuilder, plan: Plan) -> None:
     rng, frame = builder.rng, plan.frame
     models = add_car_models(builder, 6)
     for u in np.arange(-34.0, 34.0, 2.7):
@@ -72,8 +72,8 @@ def _park_cars(builder: Builder, plan: Plan) -> None:
                 )
 
 
-def _fence_in(builder: Builder, plan: Plan, nursery: Nursery) -> None:
-    """A fence towards the car park, hedges on the other sides."""
+def _fence_in(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
+    """Adds a fence towards the car park, hedges on the other sides."""
     frame, rng = plan.frame, builder.rng
     green = [0.24, 0.40, 0.30, 1]
     for first in (-56.0, -36.0, 12.0, 34.0):
@@ -86,7 +86,7 @@ def _fence_in(builder: Builder, plan: Plan, nursery: Nursery) -> None:
         add_hedge(builder, nursery, frame.at(u, -56.5), frame.at(u + 27.5, -56.5), height)
 
 
-def _dress_lawn(builder: Builder, plan: Plan, nursery: Nursery, shades: Shades) -> None:
+def _dress_lawn(builder: SceneBuilder, plan: Plan, nursery: Nursery, shades: Shades) -> None:
     """Shade trees, towels, a few sunshades, benches."""
     rng, frame = builder.rng, plan.frame
     start = frame.coordinates(plan.takeoff_xy_m)
@@ -114,7 +114,7 @@ def _dress_lawn(builder: Builder, plan: Plan, nursery: Nursery, shades: Shades) 
 
 
 def paint_all(rng: np.random.Generator, plan: Plan) -> Canvas:
-    """Lawns, deck, buildings' paving, sports grounds with their lines, car park."""
+    """Paints lawns, deck, buildings' paving, sports grounds with their lines, car park."""
     canvas = Canvas(half_m=HALF_M)
     frame = plan.frame
     (u0, u1), (v0, v1) = plan.deck
@@ -145,7 +145,7 @@ def paint_all(rng: np.random.Generator, plan: Plan) -> Canvas:
 
 
 def _paint_pitch(canvas: Canvas, plan: Plan) -> None:
-    """A playing field with touch lines, halfway line, circle and penalty areas."""
+    """Paints a playing field with touch lines, halfway line, circle and penalty areas."""
     frame = plan.frame
     (u0, u1), (v0, v1) = plan.pitch
     canvas.fill(frame.rectangle((u0 - 1.0, u1 + 1.0), (v0 - 1.0, v1 + 1.0)), plan.pitch_ground)

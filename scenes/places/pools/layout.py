@@ -1,4 +1,4 @@
-"""Where basins, deck, buildings and sports grounds of the bath lie."""
+"""Plan of the bath: basins, deck, buildings and sports grounds."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.ground import Ground
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.lot import Lot
 from touchdown.scenes.authoring.relief import (
     NODES,
@@ -18,7 +19,6 @@ from touchdown.scenes.authoring.relief import (
     natural_ground,
     raise_mounds,
 )
-from touchdown.scenes.authoring.terrain import Terrain
 from touchdown.scenes.props.pools import Pool, kidney_outline, rectangle_outline
 
 Array = NDArray[np.float64]
@@ -68,7 +68,7 @@ class Plan:
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
-    """Three large basins side by side in any order, the paddling pool before them."""
+    """Returns three large basins side by side in any order, the paddling pool before them."""
     angle = 0.5 * np.pi * int(rng.integers(4)) + rng.uniform(-0.06, 0.06)
     frame = Lot(origin_xy_m=rng.uniform(-1.0, 1.0, 2), angle=angle)
     shift = rng.uniform(-1.5, 1.5)
@@ -118,9 +118,10 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     )
 
 
-def shape_ground(rng: np.random.Generator, plan: Plan) -> Terrain:
-    """Lawns as they grew, everything built on level ground; the take-off spot at height 0."""
-    terrain = Terrain(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
+def shape_ground(rng: np.random.Generator, plan: Plan) -> HeightField:
+    """Returns uneven lawns with level pads below all buildings; the take-off spot is at height
+    0."""
+    terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
     xy = np.stack(terrain.node_grid(), axis=-1)
     heights = terrain.heights_m + (0.35 - terrain.heights_m.mean())
     heights = level_pads(raise_mounds(heights, xy, plan.mounds), xy, plan.pads())

@@ -1,4 +1,4 @@
-"""The roof: its falls, its markings, and what stands on it."""
+"""The roof: its falls, markings and objects."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.lot import unit_circle
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.terrain import Terrain
 from touchdown.scenes.places.rooftop_parking.layout import (
     BAY_WIDTH_M,
     EDGE_M,
@@ -42,7 +42,7 @@ _UNIT_RGBA = [0.74, 0.76, 0.77, 1.0]
 LINE_M = 0.10
 
 
-def deck_heights(rng: np.random.Generator, plan: Plan, terrain: Terrain) -> Array:
+def deck_heights(rng: np.random.Generator, plan: Plan, terrain: HeightField) -> Array:
     """(N, N) heights over the whole grid of ``terrain``: the ground's, and on the deck's nodes the
     deck's, whose take-off spot is at height 0."""
     x, y = terrain.node_grid()
@@ -50,13 +50,13 @@ def deck_heights(rng: np.random.Generator, plan: Plan, terrain: Terrain) -> Arra
     nearest = np.min([np.abs(y - aisle) for aisle in plan.aisles()], axis=0)
     uneven = 0.004 * fractal_noise(rng, x.shape, 3.0 / NODE_M, 3)
     deck = FALL * np.minimum(nearest, 9.0) + uneven - plan.ramp.depth(xy)
-    level = Terrain(heights_m=deck, half_m=HALF_M).at(plan.takeoff_xy_m)
+    level = HeightField(heights_m=deck, half_m=HALF_M).at(plan.takeoff_xy_m)
     return np.where(plan.inside(xy), deck - level, terrain.heights_m)
 
 
-def write_deck(spec: Any, plan: Plan, both: Terrain, picture: NDArray[np.uint8]) -> NDArray[Any]:
+def write_deck(spec: Any, plan: Plan, both: HeightField, image: NDArray[np.uint8]) -> NDArray[Any]:
     """Fills the height field `deck` with the deck's part of ``both`` and returns its part of the
-    ground's picture."""
+    ground texture."""
     first = np.round((plan.low_xy_m + HALF_M) / NODE_M).astype(int)
     last = np.round((plan.high_xy_m + HALF_M) / NODE_M).astype(int)
     heights = both.heights_m[first[1] : last[1] + 1, first[0] : last[0] + 1]
@@ -66,17 +66,17 @@ def write_deck(spec: Any, plan: Plan, both: Terrain, picture: NDArray[np.uint8])
     hfield.size = [*(0.5 * plan.size_m), span, plan.height_m - RAMP_DEPTH_M]
     hfield.userdata = ((heights - lowest) / span).astype(np.float32).ravel()
     spec.geom("path_deck").pos = [*plan.centre, lowest]
-    texels = len(picture) / (2.0 * HALF_M)
+    texels = len(image) / (2.0 * HALF_M)
     left, right = np.round((np.array([plan.low_xy_m[0], plan.high_xy_m[0]]) + HALF_M) * texels)
     top, bottom = np.round((HALF_M - np.array([plan.high_xy_m[1], plan.low_xy_m[1]])) * texels)
-    return picture[int(top) : int(bottom), int(left) : int(right)]
+    return image[int(top) : int(bottom), int(left) : int(right)]
 
 
-# ---------------------------------------------------------------------------------------- picture
+# ---------------------------------------------------------------------------------------- texture
 
 
 def paint_deck(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
-    """Bays, arrows, hatched areas, joints, gullies and stains."""
+    """Paints bays, arrows, hatched areas, joints, gullies and stains."""
     lot = plan.lot()
     low, high = plan.low_xy_m, plan.high_xy_m
     canvas.fill(lot.rectangle((low[0], high[0]), (low[1], high[1])), Ground.ROOF_DECK)
@@ -146,7 +146,7 @@ def _wheelchair(canvas: Canvas, plan: Plan, x: float, y: float) -> None:
 
 
 def _paint_wear(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
-    """Joints between slabs, sealed cracks, tyre tracks, gullies, oil under the bays."""
+    """Paints joints between slabs, sealed cracks, tyre tracks, gullies, oil under the bays."""
     lot, low, high = plan.lot(), plan.low_xy_m, plan.high_xy_m
     for x in np.arange(low[0] + 7.5, high[0] - 1.0, 7.5):
         canvas.trace(np.array([[x, low[1]], [x, high[1]]]), 0.05, 150)
@@ -177,11 +177,12 @@ def _paint_wear(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
         canvas.soil(np.clip(damp, low, high), int(rng.integers(25, 60)))
 
 
-# ----------------------------------------------------------------------------------------- things
+# ---------------------------------------------------------------------------------------- objects
 
 
-def furnish_deck(builder: Builder, plan: Plan, models: Models) -> None:
-    """Parapets, ramp walls, houses of stairs and lift, ventilation, lamps, wheel stops, cars."""
+def furnish_deck(builder: SceneBuilder, plan: Plan, models: Models) -> None:
+    """Adds parapets, ramp walls, houses of stairs and lift, ventilation, lamps, wheel stops,
+    cars."""
     rng = builder.rng
     builder.claim(plan.takeoff_xy_m, 6.5)
     _add_parapets(builder, plan)
@@ -209,13 +210,13 @@ def furnish_deck(builder: Builder, plan: Plan, models: Models) -> None:
                 park_car(builder, models[int(rng.integers(len(models)))], middle, turn)
                 # Neighbours in the next bay are no obstacle.
                 builder.occupied[:] = [*free, (middle, 0.9)]
-        # A row each, since things collide with a mesh's convex hull.
+        # A row each, since contacts use a mesh's convex hull.
         mesh = builder.mesh(builder.unique("wheel_stops"), MeshData.join(stops))
         builder.geom("wheel_stops", STOP, type=GEOM.mjGEOM_MESH, meshname=mesh, rgba=_STOP_RGBA)
 
 
 def block(
-    builder: Builder,
+    builder: SceneBuilder,
     stem: str,
     surface: Surface,
     first: Sequence[float],
@@ -231,8 +232,8 @@ def block(
     builder.cast(corners)
 
 
-def _add_parapets(builder: Builder, plan: Plan) -> None:
-    """A wall with a rail on it along every edge."""
+def _add_parapets(builder: SceneBuilder, plan: Plan) -> None:
+    """Adds a wall with a rail on it along every edge."""
     (x0, y0), (x1, y1) = plan.low_xy_m, plan.high_xy_m
     top, foot, wide = PARAPET_M, -0.5, 0.22
     runs = (
@@ -248,9 +249,9 @@ def _add_parapets(builder: Builder, plan: Plan) -> None:
                      size=[*half, 0.04], rgba=[0.40, 0.43, 0.46, 1])  # fmt: skip
 
 
-def _add_ramp_house(builder: Builder, plan: Plan) -> None:
-    """Walls along the ramp, as thick as the node spacing in which the deck drops, and a flat roof
-    over its foot, under which the way goes on."""
+def _add_ramp_house(builder: SceneBuilder, plan: Plan) -> None:
+    """Adds walls along the ramp, as thick as the node spacing in which the deck drops, and a flat
+    roof over its foot."""
     ramp = plan.ramp
     away = np.sign(ramp.foot_x_m - ramp.top_x_m)
     x0, x1 = sorted((ramp.top_x_m, ramp.foot_x_m + away * 1.5 * NODE_M))
@@ -268,8 +269,8 @@ def _add_ramp_house(builder: Builder, plan: Plan) -> None:
     builder.claim(np.array([0.5 * (x0 + x1), 0.5 * (ramp.low_y_m + ramp.high_y_m)]), 3.0)
 
 
-def _add_stair_house(builder: Builder, plan: Plan) -> None:
-    """Stairs and lift: a block with a door, a lower lift shaft beside it and a flat roof."""
+def _add_stair_house(builder: SceneBuilder, plan: Plan) -> None:
+    """Adds stairs and lift: a block with a door, a lower lift shaft beside it and a flat roof."""
     rng = builder.rng
     y1 = float(plan.high_xy_m[1])
     x, deep = plan.stairs_x_m, 4.6
@@ -286,8 +287,8 @@ def _add_stair_house(builder: Builder, plan: Plan) -> None:
     builder.claim(np.array([x, y1 - 2.0]), 4.0)
 
 
-def _add_units(builder: Builder, plan: Plan) -> None:
-    """Ventilation units with fans and roof lights along the northern strip, between the stair
+def _add_units(builder: SceneBuilder, plan: Plan) -> None:
+    """Adds ventilation units with fans and roof lights along the northern strip, between the stair
     house and the ramp."""
     rng = builder.rng
     strip = float(plan.rows()[3][1]) + 1.2, float(plan.high_xy_m[1]) - 1.0

@@ -1,21 +1,19 @@
-"""`rooftop_parking`: fills rooftop_parking.xml with a place drawn from a seed."""
+"""`rooftop_parking`: fills rooftop_parking.xml with a scene drawn from a seed."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from zlib import crc32
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.bake import bake_light
-from touchdown.scenes.authoring.builder import Builder, Caster, fill_texture
+from touchdown.scenes.authoring.builder import SceneBuilder, fill_texture
 from touchdown.scenes.authoring.draft import SceneDraft
+from touchdown.scenes.authoring.generation import finish, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground, shade_ground
-from touchdown.scenes.authoring.light import draw_sun
-from touchdown.scenes.authoring.terrain import Terrain, write_hfield
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.places.rooftop_parking.deck import (
     deck_heights,
     furnish_deck,
@@ -36,24 +34,18 @@ from touchdown.scenes.props.plants import plant_nursery
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
-XML = Path(__file__).with_name("rooftop_parking.xml")
-CAR_MODELS = 8
-
 
 def generate(seed: int) -> SceneDraft:
-    """The place of ``seed``, without the vehicle. Same seed, same bytes."""
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.rooftop_parking")])
-    spec = mujoco.MjSpec.from_file(str(XML))
     plan = draw_plan(rng)
     houses = draw_houses(rng, plan)
     ground = shape_town(rng, plan, houses)
-    write_hfield(spec, "terrain", "terrain", ground, base_m=2.0)
-    # Things stand on the deck where there is one: one height field that holds both.
-    both = Terrain(heights_m=deck_heights(rng, plan, ground), half_m=HALF_M)
-    sun = draw_sun(rng, spec)
-    builder = Builder(spec=spec, rng=rng, terrain=both)
+    # Objects stand on the deck where there is one: one height field holds both.
+    both = HeightField(heights_m=deck_heights(rng, plan, ground), half_m=HALF_M)
+    builder = start_scene("rooftop_parking", rng, ground, support=both)
     nursery = plant_nursery(builder)
-    models = add_car_models(builder, CAR_MODELS)
+    models = add_car_models(builder, 8)
     build_walls(builder, plan)
     moving = furnish_town(builder, plan, houses, nursery, models)
     below = len(builder.casters)
@@ -61,33 +53,24 @@ def generate(seed: int) -> SceneDraft:
     canvas = Canvas(half_m=HALF_M)
     paint_town(canvas, plan, houses, rng)
     paint_deck(canvas, plan, rng)
-    light = _light(builder.casters, below, plan, ground, both, sun)
+    light = _light(builder, below, plan, ground)
     turned = dict.fromkeys(Ground, plan.streets[0].heading(1.0))
     turned[Ground.LAWN] = float(rng.uniform(0.0, np.pi))
-    picture = shade_ground(rng, canvas, light, turned)
-    fill_texture(spec.texture("ground"), picture)
-    fill_texture(spec.texture("deck"), write_deck(spec, plan, both, picture))
-    builder.surfaces["terrain"] = Surface(land_class="lawn", reflectivity=0.45)
+    texture = shade_ground(rng, canvas, light, turned)
+    texture_of = builder.spec.texture
+    fill_texture(texture_of("ground"), texture)
+    fill_texture(texture_of("deck"), write_deck(builder.spec, plan, both, texture))
     builder.surfaces["path_deck"] = Surface(land_class="path", reflectivity=0.22)
-    return SceneDraft(
-        spec=spec,
-        takeoff_xy_m=plan.takeoff_xy_m,
-        takeoff_yaw=plan.takeoff_yaw,
-        bounds_xy_m=np.array([[-HALF_M, -HALF_M], [HALF_M, HALF_M]]),
-        surfaces=builder.surfaces,
-        ground=canvas.raster("terrain"),
-        moving=moving,
-    )
+    return finish(plan, builder, canvas.raster("terrain"), moving=moving)
 
 
-def _light(
-    casters: list[Caster], below: int, plan: Plan, ground: Terrain, both: Terrain, sun: Array
-) -> Float32:
+def _light(builder: SceneBuilder, below: int, plan: Plan, ground: HeightField) -> Float32:
     """Light on the ground and, over the building, on the deck, (n, n), row 0 at y_min: the first
     ``below`` casters stand on the ground, the others on the deck."""
     pixels = TEXELS // 2
+    casters, sun = builder.casters, builder.sun
     light = bake_light(casters[:below], ground, sun, pixels, 0.50)
-    on_deck = bake_light(casters[below:], both, sun, pixels, 0.50)
+    on_deck = bake_light(casters[below:], builder.terrain, sun, pixels, 0.50)
     per_m = pixels / (2.0 * HALF_M)
     (c0, r0), (c1, r1) = (
         np.round((corner + HALF_M) * per_m).astype(int)

@@ -1,4 +1,4 @@
-"""Where the building stands, how its roof is divided, and where the streets run."""
+"""Plan of the building, the bays on its roof and the streets."""
 
 from __future__ import annotations
 
@@ -71,8 +71,8 @@ class Plan:
         return np.asarray(((xy >= low - 1e-9) & (xy <= high + 1e-9)).all(axis=-1))
 
     def rows(self) -> list[tuple[float, float, float]]:
-        """Of every row of bays: y of its edge at the aisle, y of its head, heading of a car that
-        drove in."""
+        """For every row of bays: y of its edge at the aisle, y of its head, heading of a parked
+        car."""
         first = float(self.low_xy_m[1]) + EDGE_M
         north = 0.5 * np.pi
         aisle = first + BAY_DEPTH_M
@@ -102,7 +102,7 @@ class Plan:
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
-    """A roof of 54..60 x 42 m whose south-west corner is below the survey's start."""
+    """Returns a roof of 54..60 x 42 m whose south-west corner is below the survey's start."""
     width = 2.0 * int(rng.integers(27, 31))
     low = np.array([-34.0 + 2.0 * int(rng.integers(0, 2)), -26.0])
     high = low + [width, 42.0]

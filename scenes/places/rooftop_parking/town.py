@@ -1,4 +1,4 @@
-"""What surrounds the building: its walls, streets below, houses, trees."""
+"""Surroundings of the building: walls, streets below, houses, trees."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import MovingBody, Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.lot import unit_circle
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.relief import NODES, Pad, level_pads, natural_ground, smoothstep
@@ -20,8 +21,7 @@ from touchdown.scenes.authoring.streets import (
     paint_street,
     place_street_kerb,
 )
-from touchdown.scenes.authoring.terrain import Terrain
-from touchdown.scenes.authoring.textures import Picture, to_picture
+from touchdown.scenes.authoring.textures import Image, to_texture
 from touchdown.scenes.authoring.traffic import send_round
 from touchdown.scenes.authoring.ways import band, paint_wear
 from touchdown.scenes.places.rooftop_parking.layout import HALF_M, STREET_M, Plan
@@ -40,7 +40,7 @@ APRON_M = 2.0
 
 
 def draw_houses(rng: np.random.Generator, plan: Plan) -> list[House]:
-    """Neighbours on what the building and the streets leave free, lined up with them."""
+    """Returns neighbouring houses on the free ground, aligned with the streets."""
     houses: list[House] = []
     for _ in range(400):
         if len(houses) == 6:
@@ -66,11 +66,12 @@ def draw_houses(rng: np.random.Generator, plan: Plan) -> list[House]:
     return houses
 
 
-def shape_town(rng: np.random.Generator, plan: Plan, houses: list[House]) -> Terrain:
-    """The ground around the building: level under it, streets a kerb's height below pavements."""
+def shape_town(rng: np.random.Generator, plan: Plan, houses: list[House]) -> HeightField:
+    """Returns the ground around the building: level under it, streets a kerb's height below
+    pavements."""
     heights = 0.6 * natural_ground(rng, NODES, HALF_M)
     heights += 0.25 - heights.mean()
-    x, y = Terrain(heights_m=heights, half_m=HALF_M).node_grid()
+    x, y = HeightField(heights_m=heights, half_m=HALF_M).node_grid()
     xy = np.stack([x, y], axis=-1)
     pads = [
         Pad(
@@ -86,14 +87,14 @@ def shape_town(rng: np.random.Generator, plan: Plan, houses: list[House]) -> Ter
     corridor = plan.streets[0].pavement_m + 0.5
     heights = heights * smoothstep(corridor, corridor + 4.0, kerb)
     heights = heights - ROAD_DEPTH_M * smoothstep(0.0, GUTTER_M, -kerb)
-    return Terrain(heights_m=heights - plan.height_m, half_m=HALF_M)
+    return HeightField(heights_m=heights - plan.height_m, half_m=HALF_M)
 
 
-# ---------------------------------------------------------------------------------------- picture
+# ---------------------------------------------------------------------------------------- texture
 
 
 def paint_town(canvas: Canvas, plan: Plan, houses: list[House], rng: np.random.Generator) -> None:
-    """Lawns, terraces, apron, pavements, streets with their markings."""
+    """Paints lawns, terraces, apron, pavements, streets with their markings."""
     lot = plan.lot()
     for _ in range(7):
         middle, reach = rng.uniform(-HALF_M, HALF_M, 2), rng.uniform(4.0, 13.0)
@@ -145,30 +146,30 @@ def _gate_x(plan: Plan) -> float:
     return float(plan.low_xy_m[0]) + 0.3 * float(plan.size_m[0])
 
 
-def car_park_bay(rng: np.random.Generator, px: int = 224) -> Picture:
+def car_park_bay(rng: np.random.Generator, px: int = 224) -> Image:
     """(2 px, px, 3): a bay of an open car park as `scenes.props.houses.wall_mesh` lays it on: a
     concrete balustrade, a dark opening and a column; the lower half is plain concrete."""
     tone = 1.0 + 0.04 * fractal_noise(rng, (2 * px, px), 50.0, 4)
     tone += 0.02 * rng.standard_normal((2 * px, px), dtype=np.float32)
-    picture = tone[..., None] * np.array([178.0, 175.0, 168.0], np.float32)
+    image = tone[..., None] * np.array([178.0, 175.0, 168.0], np.float32)
     top, low = int(0.16 * px), int(0.60 * px)
     depth = np.linspace(0.55, 1.25, low - top)[:, None, None]
-    picture[top:low] = depth * np.array([40.0, 42.0, 46.0])
+    image[top:low] = depth * np.array([40.0, 42.0, 46.0])
     for row in (0.66, 0.98):
-        picture[int(row * px) - 2 : int(row * px) + 1] *= 0.72
+        image[int(row * px) - 2 : int(row * px) + 1] *= 0.72
     column = int(0.12 * px)
-    picture[top:low, :column] = 0.86 * np.array([178.0, 175.0, 168.0])
-    picture[top:low, column : column + 4] *= 0.5
+    image[top:low, :column] = 0.86 * np.array([178.0, 175.0, 168.0])
+    image[top:low, column : column + 4] *= 0.5
     for bar in np.linspace(0.40, 0.56, 3):
-        picture[int(bar * px) : int(bar * px) + 2, column:] = (120.0, 124.0, 128.0)
-    return to_picture(picture.astype(np.float32))
+        image[int(bar * px) : int(bar * px) + 2, column:] = (120.0, 124.0, 128.0)
+    return to_texture(image.astype(np.float32))
 
 
-# ----------------------------------------------------------------------------------------- things
+# ---------------------------------------------------------------------------------------- objects
 
 
-def build_walls(builder: Builder, plan: Plan) -> None:
-    """The building below the deck, with its shadow on the ground."""
+def build_walls(builder: SceneBuilder, plan: Plan) -> None:
+    """Adds the building below the deck, with its shadow on the ground."""
     size = (float(plan.size_m[0]) + 0.4, float(plan.size_m[1]) + 0.4, plan.height_m - 0.5)
     material = builder.material("building_car_park", car_park_bay(builder.rng))
     walls = wall_mesh(size, 0.0)
@@ -186,9 +187,9 @@ def build_walls(builder: Builder, plan: Plan) -> None:
 
 
 def furnish_town(
-    builder: Builder, plan: Plan, houses: list[House], nursery: Nursery, models: Models
+    builder: SceneBuilder, plan: Plan, houses: list[House], nursery: Nursery, models: Models
 ) -> tuple[MovingBody, ...]:
-    """Houses, kerbs, lamps, parked cars, trees. Returns the cars that drive."""
+    """Adds houses, kerbs, lamps, parked cars, trees. Returns the cars that drive."""
     for house in houses:
         add_house(builder, house)
     along_x, along_y = plan.streets
@@ -208,9 +209,9 @@ def furnish_town(
 
 
 def _line_street(
-    builder: Builder, street: Street, side: float, gap: tuple[float, float], models: Models
+    builder: SceneBuilder, street: Street, side: float, gap: tuple[float, float], models: Models
 ) -> None:
-    """Lamps on one side, cars at the other kerb, where there are ``models``."""
+    """Adds lamps on one side, cars at the other kerb, where there are ``models``."""
     rng = builder.rng
     for along in np.arange(rng.uniform(4.0, 12.0), street.length_m, 22.0 if side > 0 else 13.0):
         heading = street.heading(float(along))
@@ -226,7 +227,7 @@ def _line_street(
                 park_car(builder, models[int(rng.integers(len(models)))], spot, heading)
 
 
-def _plant(builder: Builder, plan: Plan, nursery: Nursery) -> None:
+def _plant(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
     """A hedge along the building's blind side, trees and bushes wherever there is room."""
     rng = builder.rng
     (x0, y0), (x1, y1) = plan.low_xy_m - APRON_M - 0.9, plan.high_xy_m + APRON_M + 0.9
@@ -251,7 +252,7 @@ def _plant(builder: Builder, plan: Plan, nursery: Nursery) -> None:
                 add_bench(builder, spot, rng.uniform(0.0, 2.0 * np.pi))
 
 
-def _drive(builder: Builder, street: Street, models: Models) -> tuple[MovingBody, ...]:
+def _drive(builder: SceneBuilder, street: Street, models: Models) -> tuple[MovingBody, ...]:
     """Two or three cars that go to the end of a street and come back."""
     rng = builder.rng
     path = lane_loop(builder, street, 14.0, street.length_m - 14.0)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import Lot
 from touchdown.scenes.authoring.relief import (
@@ -18,7 +18,7 @@ from touchdown.scenes.authoring.relief import (
     segment_distance,
     smoothstep,
 )
-from touchdown.scenes.authoring.survey_frame import Frame
+from touchdown.scenes.authoring.survey_frame import SurveyFrame
 from touchdown.scenes.places.turf.layout import HALF_M, furnish_path, stroke
 from touchdown.scenes.props.garden import add_table
 from touchdown.scenes.props.houses import House, add_house
@@ -44,7 +44,7 @@ _STROKES = {"a": ((0, 2), (1, 2)), "b": ((1, 2), (1, 1)), "c": ((1, 1), (1, 0)),
 class Airfield:
     """The take-off spot lies beside the runway, which runs along the survey."""
 
-    def __init__(self, rng: np.random.Generator, frame: Frame) -> None:
+    def __init__(self, rng: np.random.Generator, frame: SurveyFrame) -> None:
         self.lot: Lot = frame.from_middle
         self.runway_v = float(rng.uniform(-9.0, -5.0))
         self.half_width = float(rng.uniform(9.0, 11.0))
@@ -144,7 +144,7 @@ class Airfield:
                                       self.runway_v + sign * right])  # fmt: skip
                 stroke(canvas, self.lot.points(uv), 0.5, 225)
 
-    def build(self, builder: Builder, wood: Wood) -> None:
+    def build(self, builder: SceneBuilder, wood: Wood) -> None:
         lot, rng = self.lot, builder.rng
         add_house(builder, self.hangar)
         add_house(builder, self.clubhouse)
@@ -174,7 +174,7 @@ class Airfield:
                 add_fence(builder, *ends, [0.50, 0.40, 0.30, 1])
         furnish_path(builder, self.path, lot.angle - 0.5 * np.pi, lamps=False)
 
-    def _markers(self, builder: Builder) -> None:
+    def _markers(self, builder: SceneBuilder) -> None:
         """White boards like low roofs along the edges of the runway."""
         v, w, half = self.runway_v, self.half_width, self.half_length
         profile = np.array([[-0.55, 0.0], [0.55, 0.0], [0.0, 0.26]])
@@ -193,7 +193,7 @@ class Airfield:
                 builder.cast(turned(np.concatenate(ends), self.lot.angle, at))
                 builder.claim(spot, 1.0)
 
-    def _windsock(self, builder: Builder, xy_m: Array) -> None:
+    def _windsock(self, builder: SceneBuilder, xy_m: Array) -> None:
         """A pole of 6 m with a striped sleeve in the wind."""
         add_post(builder, xy_m, 6.0, 0.06, [0.90, 0.90, 0.90, 1])
         wind = float(builder.rng.uniform(0.0, 2.0 * np.pi))
@@ -209,8 +209,8 @@ class Airfield:
         builder.claim(xy_m, 1.0)
 
 
-def add_aircraft(builder: Builder, xy_m: Array, heading: float, livery: list[float]) -> None:
-    """A parked high-winged light aircraft, 8 m long with 11 m of span."""
+def add_aircraft(builder: SceneBuilder, xy_m: Array, heading: float, livery: list[float]) -> None:
+    """Adds a parked high-winged light aircraft, 8 m long with 11 m of span."""
     origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
     white = [0.94, 0.94, 0.93, 1]
     stations = np.array([[3.1, 0.18, 1.15], [2.9, 0.42, 1.15], [1.9, 0.56, 1.25], [0.6, 0.60, 1.40],
@@ -251,8 +251,8 @@ def add_aircraft(builder: Builder, xy_m: Array, heading: float, livery: list[flo
 
 
 def fuselage_mesh(stations: Array) -> MeshData:
-    """An octagonal hull through ``stations``, (K, 3): position along x, radius, height of the
-    axis."""
+    """Returns an octagonal hull through ``stations``, (K, 3): position along x, radius, height of
+    the axis."""
     turn = np.linspace(0.0, 2.0 * np.pi, 9)
     rings = [np.column_stack([np.full(9, x), r * np.cos(turn), z + 1.05 * r * np.sin(turn)])
              for x, r, z in stations]  # fmt: skip

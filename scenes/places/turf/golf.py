@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import Lot
 from touchdown.scenes.authoring.relief import smoothstep
-from touchdown.scenes.authoring.survey_frame import Frame
+from touchdown.scenes.authoring.survey_frame import SurveyFrame
 from touchdown.scenes.places.turf.layout import HALF_M, furnish_path, plant_one
 from touchdown.scenes.props.garden import place_mesh
 from touchdown.scenes.props.meshes import box
@@ -27,7 +27,7 @@ _COARSE = 1280
 class Golf:
     """The take-off spot lies on the fairway; the green and its bunkers lie ahead."""
 
-    def __init__(self, rng: np.random.Generator, frame: Frame) -> None:
+    def __init__(self, rng: np.random.Generator, frame: SurveyFrame) -> None:
         self.lot: Lot = frame.from_middle
         u = np.arange(-80.0, 27.0)
         v = -17.0 + 21.0 * smoothstep(rng.uniform(-36.0, -28.0), rng.uniform(22.0, 32.0), u)
@@ -117,7 +117,7 @@ class Golf:
         canvas.track(self.path, 2.2, Ground.GRAVEL)
         canvas.soil(self.lot.ring(float(self.pin[0]), float(self.pin[1]), 0.09, 12), 255)
 
-    def build(self, builder: Builder, wood: Wood) -> None:
+    def build(self, builder: SceneBuilder, wood: Wood) -> None:
         rng, lot = builder.rng, self.lot
         pin = lot.at(*self.pin)
         add_post(builder, pin, 2.3, 0.02, [0.95, 0.93, 0.90, 1])
@@ -139,7 +139,7 @@ class Golf:
                 plant_one(builder, wood, spot, bool(rng.random() < 0.35))
         furnish_path(builder, self.path, lot.angle + 0.5 * np.pi, lamps=False)
 
-    def _cart(self, builder: Builder, xy_m: Array) -> None:
+    def _cart(self, builder: SceneBuilder, xy_m: Array) -> None:
         """An electric cart on the path: body, roof, seats, wheels."""
         heading = self.lot.angle + 0.2
         white = [0.92, 0.92, 0.90, 1]
@@ -158,7 +158,7 @@ class Golf:
         place_mesh(builder, "cart_wheels", WOOD, wheels, xy_m, heading, rgba=[0.1, 0.1, 0.1, 1])
         builder.claim(xy_m, 1.8)
 
-    def _rake(self, builder: Builder) -> None:
+    def _rake(self, builder: SceneBuilder) -> None:
         """A rake beside each bunker: too thin to see from 30 m."""
         for index, centre in enumerate(self.bunkers):
             away = centre - self.green

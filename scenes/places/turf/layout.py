@@ -1,4 +1,4 @@
-"""What the three kinds of turf share: lines, edge planting, a footpath."""
+"""Parts of all three kinds of turf: lines, edge planting, a footpath."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.authoring.builder import Builder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas
 from touchdown.scenes.authoring.lot import Lot
 from touchdown.scenes.authoring.noise import fractal_noise
@@ -23,7 +23,7 @@ LINE_M = 0.12
 
 
 class Turf(Protocol):
-    """One kind of turf: its relief first, then its picture, then its things."""
+    """One kind of turf: its relief first, then its texture, then its objects."""
 
     lot: Lot
 
@@ -33,7 +33,7 @@ class Turf(Protocol):
 
     def paint(self, canvas: Canvas, rng: np.random.Generator) -> None: ...
 
-    def build(self, builder: Builder, wood: Wood) -> None: ...
+    def build(self, builder: SceneBuilder, wood: Wood) -> None: ...
 
     def free(self, xy_m: Array) -> Array: ...
 
@@ -62,8 +62,8 @@ def arc(lot: Lot, u: float, v: float, radius: float, span: tuple[float, float]) 
     return lot.points(np.array([u, v]) + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1))
 
 
-def plant_edge(builder: Builder, wood: Wood, turf: Turf, count: int) -> None:
-    """Trees in loose groups along the edge of the scene, bushes among them."""
+def plant_edge(builder: SceneBuilder, wood: Wood, turf: Turf, count: int) -> None:
+    """Adds trees in loose groups along the edge of the scene, bushes among them."""
     rng = builder.rng
     groups = rng.uniform(-HALF_M + 4.0, HALF_M - 4.0, (400, 2))
     outside = np.abs(groups).max(axis=1) > HALF_M - 17.0
@@ -85,8 +85,8 @@ def plant_edge(builder: Builder, wood: Wood, turf: Turf, count: int) -> None:
             add_shrub(builder, wood, shrub)
 
 
-def plant_one(builder: Builder, wood: Wood, xy_m: Array, conifer: bool) -> None:
-    """A single tree."""
+def plant_one(builder: SceneBuilder, wood: Wood, xy_m: Array, conifer: bool) -> None:
+    """Adds a single tree."""
     rng = builder.rng
     if conifer:
         crown = wood.conifers[int(rng.integers(len(wood.conifers)))]
@@ -99,8 +99,9 @@ def plant_one(builder: Builder, wood: Wood, xy_m: Array, conifer: bool) -> None:
     builder.claim(xy_m, 2.0)
 
 
-def furnish_path(builder: Builder, path_m: Array, way_in: float, lamps: bool) -> None:
-    """Benches, a bin and light poles along a footpath; ``way_in``: heading of the turf from it."""
+def furnish_path(builder: SceneBuilder, path_m: Array, way_in: float, lamps: bool) -> None:
+    """Adds benches, a bin and light poles along a footpath; ``way_in``: heading of the turf from
+    it."""
     aside = np.array([np.cos(way_in), np.sin(way_in)])
     inside = np.flatnonzero((np.abs(path_m) < HALF_M - 3.0).all(axis=1))
     for index in inside[6::16]:

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, Builder, quat_z, turned
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import Lot, unit_circle
 from touchdown.scenes.authoring.relief import Ditch, dig_ditches, smoothstep
-from touchdown.scenes.authoring.survey_frame import Frame
+from touchdown.scenes.authoring.survey_frame import SurveyFrame
 from touchdown.scenes.places.turf.layout import arc, furnish_path, stroke
 from touchdown.scenes.props.garden import place_mesh
 from touchdown.scenes.props.meshes import box
@@ -34,7 +34,7 @@ CROWN = 0.005
 class Pitch:
     """The take-off spot lies near a corner of the field of play."""
 
-    def __init__(self, rng: np.random.Generator, frame: Frame) -> None:
+    def __init__(self, rng: np.random.Generator, frame: SurveyFrame) -> None:
         self.lot: Lot = frame.from_middle
         self.half = np.array([rng.uniform(41.0, 44.0), rng.uniform(26.5, 29.0)])
         self.bank = 1.0 if rng.random() < 0.5 else -1.0
@@ -124,7 +124,7 @@ class Pitch:
                 span = (first - 0.25 * np.pi, first + 0.25 * np.pi)
                 stroke(canvas, arc(lot, sign * a, side * b, 1.0, span))
 
-    def build(self, builder: Builder, wood: Wood) -> None:
+    def build(self, builder: SceneBuilder, wood: Wood) -> None:
         lot, (a, b) = self.lot, self.half
         for sign in (1.0, -1.0):
             add_goal(builder, lot.at(sign * a, 0.0), lot.angle + (np.pi if sign > 0 else 0.0),
@@ -141,13 +141,13 @@ class Pitch:
             self._boards(builder, sign)
         furnish_path(builder, self.path, inward + np.pi, lamps=True)
 
-    def _corner_flag(self, builder: Builder, xy_m: Array) -> None:
+    def _corner_flag(self, builder: SceneBuilder, xy_m: Array) -> None:
         add_post(builder, xy_m, 1.5, 0.02, [0.95, 0.85, 0.2, 1])
         z = builder.terrain.point(*xy_m)
         builder.geom("flag", WOOD, type=GEOM.mjGEOM_BOX, size=[0.2, 0.01, 0.13], rgba=self.tint,
                      pos=[xy_m[0] + 0.2, xy_m[1], z + 1.36])  # fmt: skip
 
-    def _floodlight(self, builder: Builder, xy_m: Array) -> None:
+    def _floodlight(self, builder: SceneBuilder, xy_m: Array) -> None:
         """A mast of 13 m with a row of lamps that look at the middle."""
         add_post(builder, xy_m, 13.0, 0.14, [0.62, 0.64, 0.66, 1])
         heading = float(np.arctan2(*(self.lot.origin_xy_m - xy_m)[::-1]))
@@ -161,7 +161,7 @@ class Pitch:
             builder.cast(turned(half, heading, at))
         builder.claim(xy_m, 1.2)
 
-    def _stand(self, builder: Builder, xy_m: Array, heading: float) -> None:
+    def _stand(self, builder: SceneBuilder, xy_m: Array, heading: float) -> None:
         """Five rows of benches on steps."""
         parts = [box(np.array([0.42, 12.0, 0.2 + 0.2 * row]),
                      np.array([-0.85 * row, 0.0, 0.2 * row])) for row in range(5)]  # fmt: skip
@@ -174,7 +174,7 @@ class Pitch:
         for v in np.arange(-12.0, 12.1, 3.0):
             builder.claim(xy_m + v * np.array([-np.sin(heading), np.cos(heading)]), 3.5)
 
-    def _dugout(self, builder: Builder, xy_m: Array, heading: float) -> None:
+    def _dugout(self, builder: SceneBuilder, xy_m: Array, heading: float) -> None:
         """The substitutes' shelter, open to the field behind it."""
         parts = [
             box(np.array([0.04, 2.6, 1.0]), np.array([0.75, 0.0, 1.0])),
@@ -187,7 +187,7 @@ class Pitch:
         for v in (-1.5, 1.5):
             builder.claim(xy_m + v * np.array([-np.sin(heading), np.cos(heading)]), 1.8)
 
-    def _railing(self, builder: Builder) -> None:
+    def _railing(self, builder: SceneBuilder) -> None:
         """A rail at hip height before the bank."""
         v = self.bank * (self.half[1] + 3.4)
         ends = [np.array([*self.lot.at(u, v), 0.0]) for u in np.linspace(-40.0, 40.0, 9)]
@@ -200,7 +200,7 @@ class Pitch:
             flat = np.array([[0.03, 0.03, 0.0], [-0.03, -0.03, 0.0], [0.03, -0.03, 0.05]])
             builder.cast(np.concatenate([first + flat, second + flat]))
 
-    def _boards(self, builder: Builder, sign: float) -> None:
+    def _boards(self, builder: SceneBuilder, sign: float) -> None:
         """Advertising boards behind a goal."""
         tints = ([0.90, 0.88, 0.84, 1], self.tint, [0.92, 0.78, 0.22, 1], [0.2, 0.3, 0.5, 1])
         for v in np.linspace(-15.0, 15.0, 6):

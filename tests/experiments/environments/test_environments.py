@@ -1,4 +1,4 @@
-"""The landing task behind Gymnasium and dm_env: interfaces, rewards, ends, repeatability."""
+"""The landing task behind Gymnasium and dm_env: interfaces, rewards, endings, determinism."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ HALF_LAWN = """<mujoco><worldbody>
 </worldbody></mujoco>"""
 
 
-def write_place(folder: Path, x: float) -> str:
-    path = folder / f"place_{x:g}.xml"
+def write_scene(folder: Path, x: float) -> str:
+    path = folder / f"scene_{x:g}.xml"
     path.write_text(HALF_LAWN.format(x=x))
     return str(path)
 
 
 @pytest.fixture(scope="module")
 def lawn(tmp_path_factory: pytest.TempPathFactory) -> str:
-    return write_place(tmp_path_factory.mktemp("lawn"), -20.0)
+    return write_scene(tmp_path_factory.mktemp("lawn"), -20.0)
 
 
 @pytest.fixture(scope="module")
 def road(tmp_path_factory: pytest.TempPathFactory) -> str:
-    return write_place(tmp_path_factory.mktemp("road"), 12.0)
+    return write_scene(tmp_path_factory.mktemp("road"), 12.0)
 
 
 @pytest.fixture
@@ -81,8 +81,8 @@ def descend(task: LandingTask, seed: int = 0, speed: float = 0.3) -> tuple[Step,
 # ------------------------------------------------------------------------------- Gymnasium
 
 
-def test_gymnasium_finds_nothing_wrong(lawn: str) -> None:
-    """Its own checker, without a single warning of its own."""
+def test_gymnasium_checker_passes(lawn: str) -> None:
+    """`check_env` raises nothing and gives no warning."""
     env = gymnasium.make(
         "Touchdown-v0",
         scene=lawn,
@@ -115,15 +115,15 @@ def test_registered_once_under_its_name(lawn: str) -> None:
 def test_rendering_shows_the_ground_below(lawn: str) -> None:
     env = gymnasium.make("Touchdown-v0", scene=lawn, render_mode="rgb_array", **SMALL)
     env.reset(seed=0)
-    picture = env.render()
-    assert picture.shape == (48, 64, 3) and picture.dtype == np.uint8
-    assert picture[..., 1].mean() > picture[..., 0].mean() + 10  # the lawn is green
+    view = env.render()
+    assert view.shape == (48, 64, 3) and view.dtype == np.uint8
+    assert view[..., 1].mean() > view[..., 0].mean() + 10  # the lawn is green
     env.close()
     with pytest.raises(ValueError, match=r"render_mode 'ansi'"):
         TouchdownEnv(render_mode="ansi", scene=lawn)
 
 
-def test_several_environments_live_beside_one_another(lawn: str) -> None:
+def test_vectorized_environments_are_independent(lawn: str) -> None:
     envs = gymnasium.make_vec("Touchdown-v0", num_envs=2, scene=lawn, **SMALL)
     envs.reset(seed=[1, 2])
     obs, reward, *_ = envs.step(np.zeros((2, 4), dtype=np.float32))
@@ -141,16 +141,16 @@ def test_several_environments_live_beside_one_another(lawn: str) -> None:
 
 
 class TestDmEnv(test_utils.EnvironmentTestMixin, absltest.TestCase):  # type: ignore[misc]
-    """dm_env's own checks; full thrust climbs out of the episode, so that ends are seen."""
+    """dm_env's own checks; full thrust climbs out of the episode, so that terminations occur."""
 
-    place: str
+    scene: str
 
     @pytest.fixture(autouse=True)
-    def _take_place(self, lawn: str) -> None:
-        TestDmEnv.place = lawn
+    def _set_scene(self, lawn: str) -> None:
+        TestDmEnv.scene = lawn
 
     def make_object_under_test(self) -> TouchdownEnvironment:
-        return TouchdownEnvironment(seed=1, scene=self.place, time_limit_s=0.5, **SMALL)
+        return TouchdownEnvironment(seed=1, scene=self.scene, time_limit_s=0.5, **SMALL)
 
     def make_action_sequence(self) -> Iterator[Array]:
         for _ in range(60):
@@ -202,7 +202,7 @@ def test_privileged_state_is_the_truth(lawn: str, make_task: MakeTask) -> None:
     assert first["camera"].shape == (24, 32, 3) and first["camera"].max() > 0
 
 
-def test_a_soft_touchdown_on_the_lawn_is_rewarded(lawn: str, make_task: MakeTask) -> None:
+def test_soft_touchdown_on_the_lawn_is_rewarded(lawn: str, make_task: MakeTask) -> None:
     task = make_task(lawn, action="velocity")
     _, steps = descend(task)
     last = steps[-1]
@@ -213,9 +213,9 @@ def test_a_soft_touchdown_on_the_lawn_is_rewarded(lawn: str, make_task: MakeTask
     assert sum(s.reward for s in steps) == pytest.approx(last.reward + 0.1 * 4.0, abs=0.3)
 
 
-def test_progress_telescopes(lawn: str, make_task: MakeTask) -> None:
-    """Whatever is flown on the way, the shaping adds up to the difference of the potentials: 0.1 a
-    metre of height here, where safe ground is below throughout."""
+def test_shaping_telescopes(lawn: str, make_task: MakeTask) -> None:
+    """The shaping sums to the difference of the potentials for any path: 0.1 a metre of height over
+    safe ground."""
     task = make_task(lawn, action="velocity", privileged=True, sensors=("rotors",))
     first = task.reset(0, np.random.default_rng(5))
     rng = np.random.default_rng(1)
@@ -225,13 +225,13 @@ def test_progress_telescopes(lawn: str, make_task: MakeTask) -> None:
     assert sum(s.reward for s in steps) == pytest.approx(expected, abs=1e-4)
 
 
-def test_a_road_is_no_place_to_land(road: str, make_task: MakeTask) -> None:
+def test_landing_on_a_road_is_penalized(road: str, make_task: MakeTask) -> None:
     _, steps = descend(make_task(road, action="velocity"))
     assert (steps[-1].info["outcome"], steps[-1].info["safe"]) == ("LANDED", False)
     assert steps[-1].reward == pytest.approx(-2.0, abs=0.1)
 
 
-def test_moving_towards_safe_ground_is_progress(road: str, make_task: MakeTask) -> None:
+def test_moving_towards_safe_ground_is_rewarded(road: str, make_task: MakeTask) -> None:
     """From the road, 12 m east of the lawn's safe part, flying west gains 0.1 a metre."""
     task = make_task(road, action="velocity", privileged=True, start_spread_m=0.0)
     first = task.reset(0, np.random.default_rng(2)).observation["state"]
@@ -253,7 +253,9 @@ def test_moving_towards_safe_ground_is_progress(road: str, make_task: MakeTask) 
         ([1.0, 1.0, 1.0, 1.0], "ABORTED"),
     ],
 )
-def test_bad_endings(lawn: str, make_task: MakeTask, action: list[float], outcome: str) -> None:
+def test_failures_are_penalized(
+    lawn: str, make_task: MakeTask, action: list[float], outcome: str
+) -> None:
     task = make_task(lawn, start_height_m=12.0)
     task.reset(0, np.random.default_rng(1))
     for _ in range(600):
@@ -264,7 +266,7 @@ def test_bad_endings(lawn: str, make_task: MakeTask, action: list[float], outcom
     assert last.reward == pytest.approx(-10.0, abs=0.5)
 
 
-def test_time_runs_out(lawn: str, make_task: MakeTask) -> None:
+def test_time_limit_truncates(lawn: str, make_task: MakeTask) -> None:
     task = make_task(lawn, time_limit_s=0.2)
     task.reset(0, np.random.default_rng(1))
     ends = [task.step(np.zeros(4)) for _ in range(10)]
@@ -273,7 +275,7 @@ def test_time_runs_out(lawn: str, make_task: MakeTask) -> None:
     assert ends[-1].info["time_s"] == pytest.approx(0.2)
 
 
-def test_seeds_repeat_and_differ(lawn: str, make_task: MakeTask) -> None:
+def test_equal_seeds_repeat_and_others_differ(lawn: str, make_task: MakeTask) -> None:
     first, second, other = (
         [s.observation["imu"] for s in descend(make_task(lawn), seed, 0.0)[1][:40]]
         for seed in (1, 1, 2)
@@ -282,7 +284,7 @@ def test_seeds_repeat_and_differ(lawn: str, make_task: MakeTask) -> None:
     assert not np.array_equal(first, other)
 
 
-def test_wrong_options_and_actions_are_named(lawn: str, make_task: MakeTask) -> None:
+def test_invalid_options_and_actions_raise(lawn: str, make_task: MakeTask) -> None:
     cases: list[tuple[dict[str, Any], str]] = [
         ({"action": "thrust"}, r"action 'thrust' is unknown: give one of rotors, velocity"),
         ({"sensors": ("sonar",)}, r"'sonar': give some of imu"),
@@ -306,7 +308,7 @@ def test_wrong_options_and_actions_are_named(lawn: str, make_task: MakeTask) -> 
 
 
 @pytest.mark.slow
-def test_a_seed_is_another_layout() -> None:
+def test_seed_selects_the_layout() -> None:
     env = gymnasium.make("Touchdown-v0", scene="crossroad", **SMALL)
     _, info = env.reset(seed=1)
     first = env.unwrapped._task._layout.scene.model.geom_pos.copy()

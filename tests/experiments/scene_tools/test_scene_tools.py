@@ -24,8 +24,13 @@ from touchdown.experiments.scene_tools.views import CLASS_RGB, VIEWS, SceneViews
 from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.registry import scene_names
-from touchdown.scenes.render import scene_picture
-from touchdown.scenes.truth.survey_facts import Layout, difference, layout, survey_facts
+from touchdown.scenes.render import render_scene
+from touchdown.scenes.truth.survey_facts import (
+    LayoutRasters,
+    layout_difference,
+    layout_rasters,
+    survey_facts,
+)
 from touchdown.sim.hover import HoverView, hover_view
 
 PLACE = """
@@ -86,14 +91,14 @@ def test_the_command_line_offers_every_view() -> None:
 
 def test_from_above_north_is_up_and_east_is_right(place: Scene) -> None:
     before = place.model.vis.map.zfar, place.model.vis.global_.offwidth
-    picture = scene_picture(place, "above", 400)
+    picture = render_scene(place, "above", 400)
     assert picture.shape == (400, 400, 3)
     assert before == (place.model.vis.map.zfar, place.model.vis.global_.offwidth)
     assert pixel(picture, 0.0, 10.0).argmax() == 0
     assert pixel(picture, 0.0, -10.0).argmax() == 1
     assert pixel(picture, 10.0, -10.0).argmax() == 2
     with pytest.raises(ValueError, match="above, oblique"):
-        scene_picture(place, "below")
+        render_scene(place, "below")
 
 
 def test_hover_sees_true_depth_and_true_points(place: Scene, hover: HoverView) -> None:
@@ -214,7 +219,7 @@ def test_survey_facts_of_known_ground(place: Scene) -> None:
 
 
 def test_difference_of_layouts_is_exact() -> None:
-    level = Layout(
+    level = LayoutRasters(
         height_m=np.zeros((4, 5), np.float32),
         class_id=np.zeros((4, 5), np.uint8),
         grey=np.zeros((3, 3), np.float32),
@@ -223,20 +228,20 @@ def test_difference_of_layouts_is_exact() -> None:
     height[0, 0] = np.nan
     classes = level.class_id.copy()
     classes[:2] = 1
-    other = Layout(height_m=height, class_id=classes, grey=np.full((3, 3), 7.0, np.float32))
-    found = difference(level, other)
+    other = LayoutRasters(height_m=height, class_id=classes, grey=np.full((3, 3), 7.0, np.float32))
+    found = layout_difference(level, other)
     assert found.height_m == pytest.approx(0.3)
     assert found.class_share == pytest.approx(0.5)
     assert found.grey == pytest.approx(7.0)
-    smaller = Layout(
+    smaller = LayoutRasters(
         height_m=np.zeros((2, 2), np.float32), class_id=classes[:2, :2], grey=other.grey
     )
     with pytest.raises(ValueError, match="extent"):
-        difference(level, smaller)
+        layout_difference(level, smaller)
 
 
 def test_layout_reads_heights_and_classes(place: Scene) -> None:
-    plan = layout(place)
+    plan = layout_rasters(place)
     assert plan.height_m.max() == pytest.approx(0.5, abs=0.01)
     share = float((plan.height_m > 0.25).mean())
     assert share == pytest.approx(8.0 * 6.0 / np.prod(np.ptp(place.bounds_xy_m, axis=0)), rel=0.1)

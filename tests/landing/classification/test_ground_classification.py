@@ -22,8 +22,7 @@ from touchdown.landing.classification.site_check import (
 from touchdown.landing.selection.selector import select_sites
 from touchdown.sim.frames import Pose
 
-from support.landing_support import make_estimate, make_grid, make_obs, view_of
-from support.place_support import (
+from support.ground_classifier_support import (
     COLOURS,
     ByColour,
     photograph,
@@ -31,6 +30,7 @@ from support.place_support import (
     small_rig,
     write_colour_network,
 )
+from support.landing_support import make_estimate, make_grid, make_obs, view_of
 
 Array = NDArray[np.float64]
 ABOVE = Pose(np.eye(3), np.array([0.0, 0.0, 20.0]))

@@ -10,8 +10,8 @@ from touchdown.landing.classification.haze import Haze, darkest_light, estimate_
 from touchdown.landing.classification.survey_images import KeptPictures
 from touchdown.sim.frames import Pose
 
+from support.ground_classifier_support import photograph, small_rig
 from support.landing_support import make_estimate, make_obs
-from support.place_support import photograph, small_rig
 
 Array = NDArray[np.float64]
 FOG = Haze(0.02, 0.5)

@@ -13,8 +13,8 @@ from touchdown.landing.classification.survey_images import KeptPictures, project
 from touchdown.sim.api import CameraImage
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
 
+from support.ground_classifier_support import photograph, plain, small_rig
 from support.landing_support import make_estimate, make_obs
-from support.place_support import photograph, plain, small_rig
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""The ground as a regular height field, triangulated as MuJoCo triangulates it."""
+"""Regular height fields, triangulated as MuJoCo triangulates them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Terrain:
+class HeightField:
     """Heights at the nodes of a square grid, world frame.
 
     heights_m: (N, N) float64, row = y, column = x; node (0, 0) is at (-half_m, -half_m) and node
@@ -24,6 +24,7 @@ class Terrain:
 
     @property
     def cell_m(self) -> float:
+        """Distance between neighbouring nodes in metres."""
         return 2.0 * self.half_m / (self.heights_m.shape[0] - 1)
 
     def node_grid(self) -> tuple[Array, Array]:
@@ -52,7 +53,7 @@ class Terrain:
         return float(self.at(np.array([x_m, y_m])))
 
 
-def write_hfield(spec: Any, name: str, geom_name: str, terrain: Terrain, base_m: float) -> None:
+def write_hfield(spec: Any, name: str, geom_name: str, terrain: HeightField, base_m: float) -> None:
     """Stores ``terrain`` in the MjSpec's height field ``name`` and lowers ``geom_name`` so that the
     surface lies at the world heights. MuJoCo keeps data in [0, 1] times the elevation scale."""
     lowest = float(terrain.heights_m.min())

@@ -1,4 +1,4 @@
-"""Painted ground seen by a camera, classifiers that go by colour, and a small network's file."""
+"""Images of painted ground, classifiers by colour, and the file of a small network."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from touchdown.sim.frames import Pose
 from support.landing_support import make_rig
 
 Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 Paint = Callable[[Array, Array], Array]
 """x and y (...) to colours (..., 3)"""
 
@@ -36,15 +36,15 @@ def small_rig() -> SensorRig:
 
 
 def plain(name: str) -> Paint:
-    """One colour, mottled: a picture without contrast is not believed."""
+    """One mottled colour: images without contrast are rejected."""
     return lambda x, y: np.array(COLOURS[name], float) + 8.0 * np.sin(2.1 * x + 1.7 * y)[..., None]
 
 
 def photograph(
     rig: SensorRig, world_from_body: Pose, paint: Paint, time_s: float, noise: float = 1.0
 ) -> CameraImage:
-    """What the camera, without distortion, sees of level ground at z = 0, with noise (levels),
-    since a picture that repeats is not believed."""
+    """Returns an undistorted image of level ground at z = 0, with noise (levels), since repeated
+    images are rejected."""
     camera = world_from_body @ rig.body_from_camera
     col, row = np.meshgrid(np.arange(rig.camera.width), np.arange(rig.camera.height))
     beams = np.stack([(col - rig.camera.cx) / rig.camera.fx,
@@ -59,7 +59,7 @@ def photograph(
 
 
 class ByColour:
-    """Says what is red, green or blue, as surely as told; keeps count."""
+    """Classifies red, green and blue ground with a given probability; counts its batches."""
 
     image_size = 16
     least_probability = 0.9
@@ -68,17 +68,15 @@ class ByColour:
         self.sure, self.familiar = sure, familiar
         self.batches: list[int] = []
 
-    def look(self, pictures: Picture) -> PlaceOpinion:
-        self.batches.append(len(pictures))
+    def look(self, images: Image) -> PlaceOpinion:
+        self.batches.append(len(images))
         names = list(COLOURS)
-        mean = pictures.mean(axis=(1, 2))
-        chances = np.full((len(pictures), len(D_LAND)), (1.0 - self.sure) / (len(D_LAND) - 1))
+        mean = images.mean(axis=(1, 2))
+        chances = np.full((len(images), len(D_LAND)), (1.0 - self.sure) / (len(D_LAND) - 1))
         for chance, colour in zip(chances, mean, strict=True):
             nearest = min(names, key=lambda name: float(np.abs(colour - COLOURS[name]).sum()))
             chance[D_LAND.index(nearest)] = self.sure
-        return PlaceOpinion(
-            chances=chances, familiar=np.full(len(pictures), self.familiar, np.bool_)
-        )
+        return PlaceOpinion(chances=chances, familiar=np.full(len(images), self.familiar, np.bool_))
 
 
 def write_colour_network(

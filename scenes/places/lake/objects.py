@@ -1,12 +1,12 @@
-"""What stands, lies and floats around the lake."""
+"""Objects around and on the lake."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.authoring.builder import Builder
-from touchdown.scenes.authoring.terrain import Terrain
+from touchdown.scenes.authoring.builder import SceneBuilder
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.places.lake.layout import HALF_M, Basin, Plan, Shore
 from touchdown.scenes.props.boats import add_boat, add_boat_models, add_buoy, add_sailing_boat
 from touchdown.scenes.props.houses import House, add_house
@@ -29,11 +29,11 @@ TIMBER = (150.0, 134.0, 112.0)
 
 
 class Surroundings:
-    """Where the ground is dry, shallow or deep."""
+    """Distances from the waterline and depths of the ground."""
 
     def __init__(self, plan: Plan, basin: Basin) -> None:
         self.plan, self.basin = plan, basin
-        self._shore = Terrain(heights_m=basin.shore_m, half_m=HALF_M)
+        self._shore = HeightField(heights_m=basin.shore_m, half_m=HALF_M)
 
     def shore_m(self, xy_m: Array) -> float:
         """Metres from the waterline, negative in the lake."""
@@ -47,9 +47,9 @@ class Surroundings:
         return points[int(np.argmin(np.abs(self._shore.at(points) - out_m)))]
 
     def scatter(
-        self, builder: Builder, count: int, shore_m: tuple[float, float], gap_m: float
+        self, builder: SceneBuilder, count: int, shore_m: tuple[float, float], gap_m: float
     ) -> list[Array]:
-        """Up to ``count`` free places anywhere at such distances from the waterline, claimed."""
+        """Up to ``count`` free spots anywhere at such distances from the waterline, claimed."""
         found: list[Array] = []
         for _ in range(40 * count):
             spot = builder.rng.uniform(-HALF_M + 3.0, HALF_M - 3.0, 2)
@@ -70,8 +70,10 @@ def footpath(plan: Plan, rng: np.random.Generator) -> Array:
     return smooth
 
 
-def place_all(builder: Builder, plan: Plan, basin: Basin, nursery: Nursery, path: Array) -> None:
-    """Jetty, boats, reeds, beach, trees, benches, rocks, fence and molehills."""
+def place_objects(
+    builder: SceneBuilder, plan: Plan, basin: Basin, nursery: Nursery, path: Array
+) -> None:
+    """Adds jetty, boats, reeds, beach, trees, benches, rocks, fence and molehills."""
     around = Surroundings(plan, basin)
     builder.claim(plan.takeoff_xy_m, 6.0)
     for spot in path[::2]:
@@ -92,8 +94,8 @@ def place_all(builder: Builder, plan: Plan, basin: Basin, nursery: Nursery, path
         add_rock(builder, spot, rng.uniform(0.22, 0.5))
 
 
-def _place_jetty(builder: Builder, around: Surroundings) -> None:
-    """A jetty with a head, boats moored to it, a boathouse on land."""
+def _place_jetty(builder: SceneBuilder, around: Surroundings) -> None:
+    """Adds a jetty with a head, boats moored to it, a boathouse on land."""
     rng, plan, level = builder.rng, around.plan, around.basin.level_m
     bearing = plan.jetty_bearing
     root = around.on_shore(bearing, 1.6)
@@ -131,8 +133,8 @@ def _place_jetty(builder: Builder, around: Surroundings) -> None:
     add_house(builder, House(centre_xy_m=shed, angle=inward, size_m=(6.0, 4.4, 2.3), ridge_m=1.5))
 
 
-def _place_beach(builder: Builder, around: Surroundings) -> None:
-    """A net on the sand, a line of floats around the bathing water, an upright sign."""
+def _place_beach(builder: SceneBuilder, around: Surroundings) -> None:
+    """Adds a net on the sand, a line of floats around the bathing water, an upright sign."""
     rng = builder.rng
     middle = around.plan.middle_of(Shore.BEACH)
     side = rng.choice([-0.13, 0.13])
@@ -146,7 +148,7 @@ def _place_beach(builder: Builder, around: Surroundings) -> None:
     add_bin(builder, around.on_shore(middle - 1.4 * side, 9.4), [0.16, 0.30, 0.20, 1])
 
 
-def _place_islet(builder: Builder, plan: Plan, nursery: Nursery) -> None:
+def _place_islet(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
     if plan.islet_radius_m < 0.0:
         return
     add_tree(builder, nursery, plan.islet_xy_m, float(builder.rng.uniform(0.7, 0.95)))
@@ -158,8 +160,8 @@ def _place_islet(builder: Builder, plan: Plan, nursery: Nursery) -> None:
     builder.claim(plan.islet_xy_m, plan.islet_radius_m + 1.5)
 
 
-def _place_reeds(builder: Builder, around: Surroundings, limit: int = 74) -> None:
-    """Tufts close together in the shallows and on the mud of the reedy stretches."""
+def _place_reeds(builder: SceneBuilder, around: Surroundings, limit: int = 74) -> None:
+    """Adds tufts close together in the shallows and on the mud of the reedy stretches."""
     rng, plan = builder.rng, around.plan
     bed = grow_reeds(builder)
     reedy = np.flatnonzero(plan.kinds == int(Shore.REEDS))
@@ -175,8 +177,8 @@ def _place_reeds(builder: Builder, around: Surroundings, limit: int = 74) -> Non
             grown += 1
 
 
-def _place_benches(builder: Builder, plan: Plan, path: Array) -> None:
-    """Benches beside the path that look over the lake."""
+def _place_benches(builder: SceneBuilder, plan: Plan, path: Array) -> None:
+    """Adds benches beside the path that look over the lake."""
     for index in range(10, len(path), 34):
         bearing = float(plan.bearing(path[index]))
         spot = path[index] + 1.9 * np.array([np.cos(bearing), np.sin(bearing)])
@@ -185,8 +187,8 @@ def _place_benches(builder: Builder, plan: Plan, path: Array) -> None:
             add_bench(builder, spot, bearing + np.pi)
 
 
-def _place_rocks(builder: Builder, around: Surroundings) -> None:
-    """Boulders along the shingle, some of them in the water."""
+def _place_rocks(builder: SceneBuilder, around: Surroundings) -> None:
+    """Adds boulders along the shingle, some of them in the water."""
     rng, plan = builder.rng, around.plan
     stony = np.flatnonzero(plan.kinds == int(Shore.SHINGLE))
     for _ in range(18):
@@ -196,8 +198,9 @@ def _place_rocks(builder: Builder, around: Surroundings) -> None:
             add_rock(builder, spot, rng.uniform(0.25, 0.8))
 
 
-def _place_pasture(builder: Builder, around: Surroundings) -> None:
-    """A fence along an edge of the place, and molehills in the grass near the take-off spot."""
+def _place_pasture(builder: SceneBuilder, around: Surroundings) -> None:
+    """Adds a fence along an edge of the scene, and molehills in the grass near the take-off
+    spot."""
     rng, plan = builder.rng, around.plan
     x = -57.0 + rng.uniform(-2.0, 2.0)
     for start in np.arange(-12.0, 50.0, 21.0):

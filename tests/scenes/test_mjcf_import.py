@@ -1,4 +1,4 @@
-"""Files by other people: whatever MuJoCo opens becomes a place to land in, or one clear line."""
+"""Import of MJCF files: names, take-off, assets, lights, units and error messages."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ MACHINE = """<mujoco>
 </mujoco>"""
 
 
-def write(tmp_path: Path, text: str, name: str = "place.xml") -> str:
+def write(tmp_path: Path, text: str, name: str = "model.xml") -> str:
     path = tmp_path / name
     path.parent.mkdir(exist_ok=True, parents=True)
     path.write_text(text)
@@ -63,7 +63,7 @@ def test_names_give_class_and_reflectivity() -> None:
     assert surface_of_name("pool") is None
 
 
-def test_a_machine_stands_still_and_the_vehicle_is_unchanged(tmp_path: Path) -> None:
+def test_joints_are_removed_and_the_vehicle_is_unchanged(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="3 joints") as caught:
         scene = load_scene(write(tmp_path, MACHINE), 0)
     assert len(caught) == 1
@@ -83,7 +83,7 @@ def test_a_machine_stands_still_and_the_vehicle_is_unchanged(tmp_path: Path) -> 
     assert scene.surfaces["road_tar_1"].land_class == "road"
 
 
-def test_includes_meshes_and_pictures_are_found_beside_the_file(
+def test_includes_meshes_and_textures_are_found_beside_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "deep" / "models").mkdir(parents=True)
@@ -99,16 +99,16 @@ def test_includes_meshes_and_pictures_are_found_beside_the_file(
         </asset></mujoco>""",
         "deep/parts.xml",
     )
-    place = write(
+    path = write(
         tmp_path,
         """<mujoco><compiler meshdir="models" texturedir="models"/><include file="parts.xml"/>
         <asset><hfield name="hill" file="hill.bin" size="30 30 6 1"/></asset>
         <worldbody><geom name="field" type="hfield" hfield="hill" material="road"/>
         <geom name="building" type="mesh" mesh="hut" pos="9 9 6"/></worldbody></mujoco>""",
-        "deep/place.xml",
+        "deep/model.xml",
     )
     monkeypatch.chdir(tmp_path)
-    scene = load_scene(place, 0)
+    scene = load_scene(path, 0)
     # The hill rises from 0 m in the west to 6 m in the east: 3 m in the middle.
     heights, _ = cast_down(scene, np.array([-0.05, -0.05]), 0.1, (1, 1))
     assert heights[0, 0] == pytest.approx(3.0, abs=0.01)
@@ -161,7 +161,7 @@ def test_missing_include_is_one_line(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_body_called_like_ours_makes_room(tmp_path: Path) -> None:
+def test_vehicle_of_an_exported_file_is_replaced(tmp_path: Path) -> None:
     body = """<body name="vehicle/quadrotor" pos="3 4 1" euler="0 0 90"><freejoint/>
     <geom name="vehicle/leg_0" size=".1"/><site name="vehicle/imu"/></body>
     <body name="quadrotor" pos="9 9 1"><geom name="path_quad" size=".1"/></body>"""
@@ -172,7 +172,7 @@ def test_a_body_called_like_ours_makes_room(tmp_path: Path) -> None:
     assert scene.takeoff_yaw == pytest.approx(0.5 * np.pi)
 
 
-def test_an_exported_scene_is_a_scene_again(tmp_path: Path) -> None:
+def test_an_exported_scene_can_be_imported(tmp_path: Path) -> None:
     first = load(tmp_path, FLOOR + '<site name="start"/>')
     again = load_scene(str(export_scene(first, tmp_path / "out")), 0)
     assert again.model.ngeom == first.model.ngeom
@@ -193,7 +193,7 @@ def test_high_ground_is_moved_to_zero(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [0.4, 40_000.0])
-def test_odd_units_are_remarked_on(tmp_path: Path, size: float) -> None:
+def test_unlikely_units_give_a_warning(tmp_path: Path, size: float) -> None:
     text = f"<mujoco><worldbody><geom name='lawn' type='box' size='{size} {size} 1'/></worldbody>"
     with pytest.warns(UserWarning, match="across; are its lengths in metres"):
         load_scene(write(tmp_path, text + "</mujoco>"), 0)

@@ -1,4 +1,5 @@
-"""Can a file's place be flown over: the take-off spot, the ground under the survey, the classes."""
+"""Facts that decide if a survey can be flown over a scene: take-off spot, ground, obstacles,
+classes."""
 
 from __future__ import annotations
 
@@ -14,37 +15,37 @@ Array = NDArray[np.float64]
 
 CELL_M = 0.5
 _AROUND_M = (4.0, 12.0)
-"""distances from the take-off spot at which the ground around it is looked at"""
+"""distances from the take-off spot between which the surrounding ground is sampled"""
 _CLEAR_OF_LEGS_M = 3.0
-"""what stands this near to the legs' rectangle may be met"""
+"""objects this near to the legs' rectangle count as obstacles"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PlaceFacts:
-    """One place, as a survey of it would find it."""
+class SceneFacts:
+    """Facts of one scene for one survey."""
 
     takeoff_xy_m: tuple[float, float]
     takeoff_yaw_deg: float
     takeoff_geom: str
-    """what the vehicle stands on"""
+    """geom below the vehicle"""
     takeoff_class: str
     """its land class, or ``other``"""
     takeoff_above_m: float
-    """above the ground around it (median)"""
+    """height above the surrounding ground (median)"""
     legs_share: float
-    """of the rectangle of the survey's legs, that which has ground below"""
+    """share of the legs' rectangle with ground below"""
     seen_share: float
-    """the same of all that the sensors see from there"""
+    """the same for the area in view of the sensors"""
     highest_m: float
-    """the highest thing within `_CLEAR_OF_LEGS_M` of that rectangle, above the take-off spot"""
+    """the highest object within `_CLEAR_OF_LEGS_M` of that rectangle, above the take-off spot"""
     without_class: tuple[str, ...]
     """names of geoms that count as ``other``"""
 
 
-def place_facts(
+def scene_facts(
     scene: Scene, length_m: float, width_m: float, reach_ahead_m: float, reach_aside_m: float
-) -> PlaceFacts:
-    """Looks at the place around legs of ``length_m`` along the take-off heading that start at the
+) -> SceneFacts:
+    """Samples a scene around legs of ``length_m`` along the take-off heading that start at the
     take-off spot and cover ``width_m`` to the left of it, with a sensor that reaches
     ``reach_ahead_m`` fore and aft and ``reach_aside_m`` to both sides."""
     local, heights, geoms = _around_the_legs(
@@ -61,7 +62,7 @@ def place_facts(
     around = ground & (distance >= _AROUND_M[0]) & (distance <= _AROUND_M[1])
     name = scene.model.geom(int(geoms.flat[start])).name
     x, y = scene.takeoff_xy_m.tolist()
-    return PlaceFacts(
+    return SceneFacts(
         takeoff_xy_m=(x, y),
         takeoff_yaw_deg=float(np.rad2deg(scene.takeoff_yaw)),
         takeoff_geom=name,

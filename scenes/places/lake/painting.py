@@ -18,11 +18,12 @@ _CORNERS = (
     ((-54.0, 30.0), (-37.0, 32.0), (-27.0, 70.0), (-55.0, 70.0)),
     ((18.0, -46.0), (18.0, -70.0), (70.0, -70.0), (70.0, -38.0)),
 )
-"""Outlines of the fields (x, y), metres; they end at the edge of the place."""
+"""Outlines of the fields (x, y), metres; they end at the edge of the scene."""
 
 
 def paint_shore(rng: np.random.Generator, canvas: Canvas, plan: Plan, basin: Basin) -> None:
-    """Meadow, mown grass about the take-off spot, and the shore by its kind, edges frayed."""
+    """Paints meadow, mown grass about the take-off spot, and the shore by its kind, edges
+    frayed."""
     axis = (np.arange(_SIZE) + 0.5) / _SIZE * 2.0 * HALF_M - HALF_M
     xy = np.stack(np.meshgrid(axis, axis), axis=-1)
     shore = upsample(basin.shore_m, _SIZE)
@@ -51,7 +52,7 @@ def paint_shore(rng: np.random.Generator, canvas: Canvas, plan: Plan, basin: Bas
 
 
 def paint_fields(rng: np.random.Generator, canvas: Canvas) -> None:
-    """Fields in two corners of the place, away from the lake."""
+    """Paints fields in two corners of the scene, away from the lake."""
     kinds = rng.permutation([int(Ground.SOIL), int(Ground.CROPS), int(Ground.LAWN)])
     for corner, kind in zip(_CORNERS, kinds[:2], strict=True):
         outline = np.array(corner) + rng.uniform(-2.0, 2.0, (4, 2))
@@ -59,7 +60,7 @@ def paint_fields(rng: np.random.Generator, canvas: Canvas) -> None:
 
 
 def paint_strand(rng: np.random.Generator, canvas: Canvas, plan: Plan) -> None:
-    """Drift lines on the beach."""
+    """Paints drift lines on the beach."""
     for index in range(2):
         out = 0.7 + 1.5 * index + rng.uniform(-0.2, 0.2)
         beach = plan.middle_of(Shore.BEACH)

@@ -1,0 +1,124 @@
+"""First and last steps that all scene generators share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import GroundRaster, MovingBody, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder, fill_texture
+from touchdown.scenes.authoring.draft import SceneDraft
+from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.authoring.height_field import HeightField, write_hfield
+from touchdown.scenes.authoring.light import draw_sun, ground_texture
+from touchdown.scenes.authoring.water import Float32, WaterLook, flood_raster, lay_water
+
+Array = NDArray[np.float64]
+
+PLACES = Path(__file__).parents[1] / "places"
+LAWN = Surface(land_class="lawn", reflectivity=0.45)
+
+
+class TakeoffPlan(Protocol):
+    """A plan that fixes the take-off pose."""
+
+    @property
+    def takeoff_xy_m(self) -> Array:
+        """(2,) world"""
+
+    @property
+    def takeoff_yaw(self) -> float:
+        """radians"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Takeoff:
+    """A take-off pose of its own, for scenes without a plan."""
+
+    takeoff_xy_m: Array
+    """(2,) world"""
+    takeoff_yaw: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Flood:
+    """Water on the terrain."""
+
+    depth_m: Float32
+    """(n, n) over the terrain's square, row 0 at y_min; negative above the water"""
+    draw_look: Callable[[np.random.Generator], WaterLook]
+    """called once the ground below the water is painted"""
+
+
+def start_scene(
+    name: str,
+    rng: np.random.Generator,
+    terrain: HeightField,
+    *,
+    base_m: float = 2.0,
+    support: HeightField | None = None,
+) -> SceneBuilder:
+    """Reads the MJCF of the scene ``name``, fills its height field `terrain` if it has one, draws
+    the sun, and returns the builder.
+
+    base_m: thickness of the ground below the lowest node. support: the surface that objects
+    stand on where it is not ``terrain`` (the bed of a stream, the deck of a building).
+    """
+    spec = mujoco.MjSpec.from_file(str(PLACES / name / f"{name}.xml"))
+    if spec.hfield("terrain") is not None:
+        write_hfield(spec, "terrain", "terrain", terrain, base_m)
+    return SceneBuilder(spec=spec, rng=rng, terrain=support or terrain, sun=draw_sun(rng, spec))
+
+
+def paint_terrain(
+    builder: SceneBuilder,
+    canvas: Canvas,
+    pattern_angles: dict[Ground, float],
+    *,
+    hilly: bool = False,
+    flood: Flood | None = None,
+) -> GroundRaster:
+    """Writes the texture `ground` under the light and shadows of everything placed so far, and
+    returns the terrain's class raster. pattern_angles, hilly: as in `light.ground_texture`."""
+    texture = ground_texture(builder, canvas, pattern_angles, hilly)
+    raster = canvas.raster("terrain")
+    if flood is not None:
+        look = flood.draw_look(builder.rng)
+        lay_water(builder.rng, texture, flood.depth_m, canvas.half_m, look, builder.sun)
+        raster = flood_raster(raster, flood.depth_m)
+    fill_texture(builder.spec.texture("ground"), texture)
+    return raster
+
+
+def finish(
+    plan: TakeoffPlan,
+    builder: SceneBuilder,
+    ground: GroundRaster | None,
+    *,
+    half_m: float | None = None,
+    terrain: Surface = LAWN,
+    moving: tuple[MovingBody, ...] = (),
+) -> SceneDraft:
+    """Returns the draft of everything placed.
+
+    ground: class raster of the ground's geom. half_m: half the side of the scene's bounds, by
+    default that of the terrain. terrain: surface of the geom `terrain` outside of its raster.
+    """
+    half = builder.terrain.half_m if half_m is None else half_m
+    if builder.spec.geom("terrain") is not None:
+        builder.surfaces["terrain"] = terrain
+    return SceneDraft(
+        spec=builder.spec,
+        takeoff_xy_m=plan.takeoff_xy_m,
+        takeoff_yaw=plan.takeoff_yaw,
+        bounds_xy_m=np.array([[-half, -half], [half, half]]),
+        surfaces=builder.surfaces,
+        ground=ground,
+        moving=moving,
+    )
