@@ -38,9 +38,9 @@ def update(
         covariance = covariance * (squared / (gate * gate))
     weight = np.linalg.inv(covariance)
     information = jacobian.T @ weight @ jacobian
-    delta = eskf.gain(touched, information, jacobian.T @ (weight @ residual))
+    delta = eskf.correction(touched, information, jacobian.T @ (weight @ residual))
     eskf.state, eskf.clones = eskf.boxplus(eskf.state, eskf.clones, delta)
-    eskf.absorb(touched, information)
+    eskf.update_covariance(touched, information)
     return math.sqrt(squared)
 
 

@@ -16,8 +16,8 @@ from touchdown.estimator.baselines.alignment import Alignment, field_azimuth
 from touchdown.estimator.baselines.epochs import Epoch, EpochQueue
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import ROTATION
+from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.guard import InputGuard
-from touchdown.estimator.livo.estimator import _undistortion_maps
 from touchdown.estimator.paper.inertial import InertialFilter
 from touchdown.sim.api import MagnetometerSample, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
@@ -62,7 +62,7 @@ class Navigator:
         self._imu_from_body = rig.body_from_imu.inverse()
         self._azimuth: float | None = None if known_start else field_azimuth(rig.nav.magnetometer)
         self._readings = np.zeros(2)
-        self._undistort = _undistortion_maps(rig) if needs.camera_hz else None
+        self._undistort = Undistorter(rig)
         self.skipped = 0
         self.rate_imu: Array = np.zeros(3)
         """(3,) rad/s at the newest sample, bias removed"""
@@ -140,11 +140,8 @@ class Navigator:
             update_heading(self.eskf, field_imu, self._azimuth, self._heading_sigma)
 
     def grey(self, rgb: NDArray[np.uint8]) -> Grey:
-        """(H, W) uint8 without the lens's distortion."""
-        grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-        if self._undistort is not None:
-            grey = cv2.remap(grey, self._undistort[0], self._undistort[1], cv2.INTER_LINEAR)
-        return np.asarray(grey, np.uint8)
+        """Returns the undistorted grey image (H, W) uint8."""
+        return self._undistort(np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8))
 
     def estimate(
         self,

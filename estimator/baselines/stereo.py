@@ -18,7 +18,7 @@ from touchdown.estimator.baselines.disparity import GroundHeight, disparities, i
 from touchdown.estimator.baselines.navigator import Grey, Navigator
 from touchdown.estimator.filtering.imu_propagation import STATE_DIM
 from touchdown.estimator.filtering.keyframes import bearing_rays, detect_features
-from touchdown.estimator.livo.visual import reprojection_information
+from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
 from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
@@ -141,25 +141,23 @@ class StereoEstimator:
     def _iterate(self, pixels: Array, landmarks: Array) -> tuple[int, float]:
         """Iterated update by reprojections (frame to keyframe); nothing changes if fewer than
         ``_LEAST_USED`` agree. Returns how many did and their rms in pixels."""
-        eskf, camera = self._nav.eskf, self._rig.camera
+        eskf = self._nav.eskf
+        camera = MountedCamera(self._rig.camera, self._imu_from_camera)
         prior, clones = eskf.state, eskf.clones
-        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         touched = np.r_[0:6, STATE_DIM : STATE_DIM + 6]
         information, used, rms = np.zeros((12, 12)), 0, 0.0
         for gate in _GATES_PX:
             information, vector, used, rms = reprojection_information(
-                pixels, landmarks, eskf.state.rotation, eskf.state.position,
-                eskf.clones[0].rotation, eskf.clones[0].translation,
-                self._camera_from_imu.rotation, self._camera_from_imu.translation,
-                intrinsics, self._params.pixel_sigma, gate,
+                pixels, landmarks, eskf.state.pose, eskf.clones[0], camera,
+                sigma_px=self._params.pixel_sigma, gate_px=gate,
             )  # fmt: skip
             if used < _LEAST_USED:
                 eskf.state, eskf.clones = prior, clones
                 return 0, 0.0
             offset = eskf.deviation(prior, clones, [0])
-            delta = eskf.gain(touched, information, vector + information @ offset)
+            delta = eskf.correction(touched, information, vector + information @ offset)
             eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)
-        eskf.absorb(touched, information)
+        eskf.update_covariance(touched, information)
         return used, rms
 
     def _look(self, left: Grey, right: Grey, time_s: float, *, new_keyframe: bool) -> None:

@@ -43,7 +43,7 @@ class Eskf:
     def __init__(self, state: NavState, variances: Array) -> None:
         self.state = state
         self.base = len(variances)
-        self.learns = np.ones(len(state.calibration), np.bool_)
+        self.calibration_enabled = np.ones(len(state.calibration), np.bool_)
         """(C,) which numbers of the calibration measurements correct; the doubt of the others still
         counts in what they say of the rest (Schmidt's "consider" filter)"""
         self.rate = np.zeros(3)
@@ -53,7 +53,7 @@ class Eskf:
                 f"Eskf: {self.base} variances do not fit {len(state.calibration)} numbers of "
                 f"calibration; give {STATE_DIM + len(state.calibration)}"
             )
-        self.loose = False
+        self.loosely_coupled = False
         """whether measurements speak of the present pose alone: clones and calibration are taken
         for certain"""
         self.covariance: Array = np.diag(np.asarray(variances, dtype=np.float64))
@@ -129,30 +129,30 @@ class Eskf:
 
     # ------------------------------------------------------------------------ update
 
-    def admitted(self, information: Array, vector: Array) -> tuple[Array, Array]:
+    def coupled(self, information: Array, vector: Array) -> tuple[Array, Array]:
         """A measurement of ``touched`` coordinates as the filter is to take it."""
-        if not self.loose:
+        if not self.loosely_coupled:
             return information, vector
         information, vector = information.copy(), vector.copy()
         information[CLONE_DIM:], information[:, CLONE_DIM:], vector[CLONE_DIM:] = 0.0, 0.0, 0.0
         return information, vector
 
-    def gain(self, touched: NDArray[np.int64], information: Array, vector: Array) -> Array:
+    def correction(self, touched: NDArray[np.int64], information: Array, vector: Array) -> Array:
         """Error-state correction (B + 6K,) of the prior mean by ``A``, ``b`` on ``touched``."""
         local = self.covariance[np.ix_(touched, touched)]
         solved = np.linalg.solve(np.eye(len(touched)) + information @ local, vector)
         delta: Array = self.covariance[:, touched] @ solved
-        delta[STATE_DIM : self.base] *= self.learns
+        delta[STATE_DIM : self.base] *= self.calibration_enabled
         return delta
 
-    def absorb(self, touched: NDArray[np.int64], information: Array) -> None:
+    def update_covariance(self, touched: NDArray[np.int64], information: Array) -> None:
         """Covariance after the update; ``P - P_t (I + A P_tt)^-1 A P_t^T``."""
         columns = self.covariance[:, touched]
         local = columns[touched]
         middle = np.linalg.solve(np.eye(len(touched)) + information @ local, information)
         middle = 0.5 * (middle + middle.T)
         # the same product from both sides keeps the matrix symmetric to rounding
-        held = np.flatnonzero(~self.learns) + STATE_DIM
+        held = np.flatnonzero(~self.calibration_enabled) + STATE_DIM
         kept = self.covariance[np.ix_(held, held)]
         self.covariance = self.covariance - (columns @ middle) @ columns.T
         self.covariance = 0.5 * (self.covariance + self.covariance.T)

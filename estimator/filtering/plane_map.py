@@ -9,6 +9,8 @@ hangs on (``estimator/livo/anchors.py``).
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -16,6 +18,25 @@ from numpy.typing import NDArray
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
+
+
+class PlaneMatches(NamedTuple):
+    """Planes of the map found for N points."""
+
+    found: NDArray[np.bool_]
+    """(N,)"""
+    normals: Array
+    """(N, 3) unit"""
+    centres: Array
+    """(N, 3) m, a point on each plane"""
+    variances: Array
+    """(N, 3): m^2 of the returns about the plane (its thickness); m^2 of the plane's height at the
+    point; rad^2 of the normal about either axis"""
+    sensors: Array
+    """(N, 3) m, position that each plane was first seen from"""
+    anchors: NDArray[np.signedinteger]
+    """(N,) index of the anchor that each plane belongs to; -1: none"""
+
 
 _EMPTY = np.int64(-1)
 _OFFSET = 1 << 20
@@ -264,23 +285,19 @@ def match_planes(
     margin: float,
     min_count: int,
     max_thickness: float,
-) -> tuple[NDArray[np.bool_], Array, Array, Array, Array, NDArray[np.int16]]:
-    """The plane of the voxel of each of (N, 3) points.
+) -> PlaneMatches:
+    """Returns the plane of the voxel of each of (N, 3) points.
 
-    Returns found (N,), unit normals (N, 3), plane points (N, 3), and variances (N, 3): of the
-    plane's height at the point, m^2, its thickness (what single returns scatter) and its own
-    uncertainty; and of the normal about either axis, rad^2. Then from where it was first seen
-    (N, 3), and the anchors (N,).
     A voxel is planar if its smallest standard deviation is below ``max_thickness`` and three times
     below the next one.
     """
     count = points.shape[0]
     found = np.zeros(count, dtype=np.bool_)
     normals = np.zeros((count, 3))
-    anchors = np.zeros((count, 3))
+    centres = np.zeros((count, 3))
     variances = np.zeros((count, 3))
     sensors = np.zeros((count, 3))
-    anchor_of = np.full(count, _NO_ANCHOR, dtype=np.int16)
+    anchors = np.full(count, _NO_ANCHOR, dtype=np.int16)
     total = np.zeros(_MOMENTS + 1)
     cov = np.zeros((3, 3))
     for i in range(count):
@@ -308,14 +325,14 @@ def match_planes(
         reach2 = dx * dx + dy * dy + dz * dz - along * along
         found[i] = True
         normals[i, 0], normals[i, 1], normals[i, 2] = nx, ny, nz
-        anchors[i, 0], anchors[i, 1], anchors[i, 2] = cx + mx, cy + my, cz + mz
+        centres[i, 0], centres[i, 1], centres[i, 2] = cx + mx, cy + my, cz + mz
         variances[i, 0] = low
         variances[i, 1] = low / n * (1.0 + reach2 / mid)
         variances[i, 2] = low / (n * mid)
         slot = int(total[_MOMENTS])
         sensors[i] = seen_from[slot]
-        anchor_of[i] = owners[slot]
-    return found, normals, anchors, variances, sensors, anchor_of
+        anchors[i] = owners[slot]
+    return PlaneMatches(found, normals, centres, variances, sensors, anchors)
 
 
 class PlaneMap:
@@ -361,9 +378,9 @@ class PlaneMap:
 
     def match(
         self, points_odom: Array, min_count: int = 8, max_thickness_m: float = 0.05
-    ) -> tuple[NDArray[np.bool_], Array, Array, Array, Array, NDArray[np.int16]]:
-        """See ``match_planes``. What is thicker is leaves: their height changes with the angle that
-        they are seen at."""
+    ) -> PlaneMatches:
+        """Returns the planes of (N, 3) points, see ``match_planes``. Anything thicker than
+        ``max_thickness_m`` is foliage, whose height changes with the viewing angle."""
         margin = 0.12 * self.voxel_m
         return match_planes(
             self._keys, self._moments, self._owners, self._seen_from,

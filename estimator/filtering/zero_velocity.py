@@ -86,7 +86,7 @@ class ZeroVelocityUpdate:
         if not self._attitude_known:
             variances[ROTATION] = np.inf
         information = np.diag(1.0 / variances)
-        delta = eskf.gain(touched, information, residual / variances)
+        delta = eskf.correction(touched, information, residual / variances)
         eskf.state, eskf.clones = eskf.boxplus(state, eskf.clones, delta)
-        eskf.absorb(touched, information)
+        eskf.update_covariance(touched, information)
         return True

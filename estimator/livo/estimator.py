@@ -13,12 +13,11 @@ state carried over the buffered IMU samples to now.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, LivoParams, PoseTrack
-from touchdown.estimator.filtering.deskew import clear_of_blind_zone, deskew, thin_out
+from touchdown.estimator.filtering.deskew import PlacedScan, place_scan, screen_scan, thin_out
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import (
     STATE_DIM,
@@ -30,9 +29,11 @@ from touchdown.estimator.filtering.imu_propagation import (
 )
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.plane_map import PlaneMap
+from touchdown.estimator.filtering.reprojection import MountedCamera
+from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
 from touchdown.estimator.guard import InputGuard
-from touchdown.estimator.livo.anchored_update import update_with_scan
+from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
 from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.lidar_update import DegeneracyWatch, LidarReport
 from touchdown.estimator.livo.online_calibration import (
@@ -42,7 +43,7 @@ from touchdown.estimator.livo.online_calibration import (
     prior_sigmas,
 )
 from touchdown.estimator.livo.patch_tracker import grey_levels
-from touchdown.estimator.livo.visual import VisualFrontEnd, VisualReport
+from touchdown.estimator.livo.visual import VisualFrontEnd, VisualParams, VisualReport
 from touchdown.sim.api import (
     GRAVITY_MPS2,
     CameraImage,
@@ -100,7 +101,7 @@ class Livo:
         )
         bias_sigmas = np.repeat([rig.imu.gyro_bias_sigma, rig.imu.accel_bias_sigma], 3)
         self._eskf = Eskf(state, np.concatenate([_START_SIGMAS, bias_sigmas, rig_sigmas]) ** 2)
-        self._eskf.loose = params.loose
+        self._eskf.loosely_coupled = params.loose
         self._enable_calibration(False)
         self._anchors = Anchors()
         self._head = state
@@ -109,24 +110,23 @@ class Livo:
         self._map = PlaneMap(params.voxel_m, params.map_voxels, params.voxel_points)
         self._recent = RecentReturns()
         self._vision = VisualFrontEnd(
-            rig.camera,
-            self._imu_from_body @ rig.body_from_camera,
-            max_keyframes=params.keyframes,
-            track_keyframes=params.track_keyframes,
-            features=params.features,
-            sigma_px=params.pixel_sigma,
-            open_ticks=2 * rig.tick_hz,
+            MountedCamera(rig.camera, self._imu_from_body @ rig.body_from_camera),
+            VisualParams(
+                max_keyframes=params.keyframes,
+                track_keyframes=params.track_keyframes,
+                features=params.features,
+                sigma_px=params.pixel_sigma,
+                open_ticks=2 * rig.tick_hz,
+                newest_only=None if params.use_closures else _LAST_FEW,
+                depth_sigma_m=params.depth_sigma_m,
+                height_sigma_m=params.anchor_height_m,
+            ),
             lidar_in_camera=(rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
-            oldest=None if params.use_closures else _LAST_FEW,
-            depth_sigma_m=params.depth_sigma_m,
-            height_sigma_m=params.anchor_height_m,
             on_change=self._follow_clones,
         )
-        self._weak_sigmas: tuple[float, float] | None = None
-        if params.use_degeneracy:
-            self._weak_sigmas = float(np.radians(params.weak_sigma_deg)), params.weak_sigma_m
+        self._scan_errors = _scan_errors(rig, params)
         self._degeneracy = DegeneracyWatch()
-        self._undistort = _undistortion_maps(rig)
+        self._undistort = Undistorter(rig)
         self._history_ticks = np.zeros(1, dtype=np.int64)
         self._history_rotations = state.rotation[None]
         self._history_positions = state.position[None]
@@ -207,7 +207,7 @@ class Livo:
         self._history_rotations = self._history_rotations[-_HISTORY:]
         self._history_positions = self._history_positions[-_HISTORY:]
         still = self._zero_velocity.update(self._eskf, gyro, force, resting)
-        self._diagnostics["still"] = float(still)
+        self._diagnostics["stationary"] = float(still)
         if still:
             self._correct_history()
         self._buffer.drop(count)
@@ -234,23 +234,21 @@ class Livo:
         mount = self._imu_from_lidar
         if len(self._eskf.state.calibration):
             mount = corrected_mount(mount, self._eskf.state.calibration)
-        points, beams = deskew(
-            scan.directions, scan.ranges, scan.time_offsets, mount.rotation, mount.translation,
-            self._history_rotations[first:], self._history_positions[first:],
-            self._buffer.step_s, self._rig.lidar.min_range_m, self._rig.lidar.max_range_m,
+        pulses = screen_scan(scan, self._rig.lidar, check_blind_zone=True)
+        placed = place_scan(
+            scan, pulses, mount, self._history_rotations[first:],
+            self._history_positions[first:], self._buffer.step_s,
         )  # fmt: skip
-        lidar = self._rig.lidar
-        points, beams = clear_of_blind_zone(points, beams, lidar.min_range_m, lidar.range_sigma_m)
         report = LidarReport(matched=0, rms_m=0.0, lateral_strength=np.zeros(3))
-        if len(points) >= _FEWEST_RETURNS:
-            report = self._update_with_points(points, beams)
+        if len(placed) >= _FEWEST_RETURNS:
+            report = self._update_with_scan(placed)
             self._events += self._degeneracy.events(report)
         self._correct_history()
-        self._learn(points, mount.translation, scan.end_tick)
+        self._extend_map(placed.points, mount.translation, scan.end_tick)
         self._scan_tick = scan.end_tick
         self._scan_track = self._track_over(first)
         self._diagnostics |= {
-            "scan_returns": float(len(points)),
+            "scan_returns": float(len(placed)),
             "lidar_matched": float(report.matched),
             "lidar_rms_m": report.rms_m,
             "lidar_lateral_weakest": float(report.lateral_strength[0]),
@@ -260,31 +258,21 @@ class Livo:
             "map_voxels": float(self._map.used),
         }
 
-    def _update_with_points(self, points: Array, beams: Array) -> LidarReport:
+    def _update_with_scan(self, scan: PlacedScan) -> LidarReport:
         params = self._params
-        reach = float(np.median(np.linalg.norm(beams, axis=1)))
+        reach = float(np.median(np.linalg.norm(scan.beams, axis=1)))
         self._last_height = reach
         self._enable_calibration(reach >= params.calibrate_above_m)
         if not params.use_lidar:
             return LidarReport(matched=0, rms_m=0.0, lateral_strength=np.zeros(3))
         # the footprint is about 1.75 x 0.5 of the height: so many even cells cover it
         cell = np.sqrt(1.75 * 0.5 / params.scan_points) * reach
-        chosen = thin_out(points, float(cell), 15)[: 2 * params.scan_points]
-        tilt, yaw = np.radians([params.scan_tilt_sigma_deg, params.scan_yaw_sigma_deg])
-        aside, height = params.scan_lateral_sigma_m, params.scan_height_sigma_m
+        chosen = thin_out(scan.points, float(cell), 15)[: 2 * params.scan_points]
         return update_with_scan(
-            self._eskf,
-            self._map,
-            self._anchors,
-            points[chosen],
-            beams[chosen],
-            range_sigma_m=self._rig.lidar.range_sigma_m,
-            angle_sigma_rad=float(np.radians(self._rig.lidar.angle_sigma_deg)),
-            floor_sigmas=np.array([tilt, tilt, yaw, aside, aside, height]),
-            weak_sigmas=self._weak_sigmas,
+            self._eskf, self._map, self._anchors, scan.select(chosen), self._scan_errors
         )
 
-    def _learn(self, points: Array, lidar_position: Array, tick: int) -> None:
+    def _extend_map(self, points: Array, lidar_position: Array, tick: int) -> None:
         """Adds (N, 3) points of the scan just used, IMU frame, to the map."""
         state = self._eskf.state
         if len(points) >= _FEWEST_RETURNS and self._lacks_anchor(tick):
@@ -321,11 +309,7 @@ class Livo:
         self._anchors.remove(gone)
 
     def _take_image(self, image: CameraImage) -> None:
-        rgb = image.rgb
-        if self._undistort is not None:
-            flat = cv2.remap(rgb, self._undistort[0], self._undistort[1], cv2.INTER_LINEAR)
-            rgb = np.asarray(flat, dtype=np.uint8)
-        levels = grey_levels(rgb)
+        levels = grey_levels(self._undistort(image.rgb))
         self._vision.measure_open_keyframes(self._eskf, self._recent, image.tick)
         # what a keyframe has wrong repeats from image to image, and would be taken for the rig's
         self._enable_calibration(False)
@@ -345,8 +329,8 @@ class Livo:
     def _enable_calibration(self, mount_and_lens: bool) -> None:
         """Whether the next measurement corrects these; the camera's clock, which nothing else looks
         like, it always does."""
-        self._eskf.learns[:] = mount_and_lens
-        self._eskf.learns[CLOCK:] = True
+        self._eskf.calibration_enabled[:] = mount_and_lens
+        self._eskf.calibration_enabled[CLOCK:] = True
 
     def _track_over(self, first: int) -> PoseTrack:
         imu_from_body = self._imu_from_body
@@ -428,22 +412,23 @@ def _name_of(message: LidarScan | CameraImage) -> str:
     return "scan" if isinstance(message, LidarScan) else "image"
 
 
+def _scan_errors(rig: SensorRig, params: LivoParams) -> ScanErrors:
+    tilt, yaw = np.radians([params.scan_tilt_sigma_deg, params.scan_yaw_sigma_deg])
+    aside, height = params.scan_lateral_sigma_m, params.scan_height_sigma_m
+    weak = float(np.radians(params.weak_sigma_deg)), params.weak_sigma_m
+    return ScanErrors(
+        range_sigma_m=rig.lidar.range_sigma_m,
+        angle_sigma_rad=float(np.radians(rig.lidar.angle_sigma_deg)),
+        floor_sigmas=np.array([tilt, tilt, yaw, aside, aside, height]),
+        weak_sigmas=weak if params.use_degeneracy else None,
+    )
+
+
 def _visual_diagnostics(report: VisualReport, keyframes: int) -> dict[str, float]:
     return {
         "features_tracked": float(report.used),
         "visual_rms_px": report.rms_px,
-        "looked_back": float(report.looked_back),
+        "keyframes_tracked": float(report.keyframes_tracked),
         "overlap": report.best_share,
         "keyframes": float(keyframes),
     }
-
-
-def _undistortion_maps(rig: SensorRig) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
-    """Remapping to a pinhole with the same K, or None for a lens without distortion."""
-    camera = rig.camera
-    if not np.any(camera.distortion):
-        return None
-    size = (camera.width, camera.height)
-    matrix = camera.matrix()
-    maps = cv2.initUndistortRectifyMap(matrix, camera.distortion, None, matrix, size, cv2.CV_32FC1)
-    return np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)

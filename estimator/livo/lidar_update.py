@@ -10,11 +10,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_LEVEL = np.array([0, 1, 5])
-"""rotation x, rotation y, position z: what level ground measures"""
-_LATERAL = np.array([2, 3, 4])
-"""rotation z, position x, y: what needs slopes and walls"""
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LidarReport:
@@ -143,30 +138,6 @@ def without_directions(information: Array, vector: Array, weak: Array) -> tuple[
     keep = np.eye(len(vector)) - weak @ weak.T
     left = keep @ (information - explained @ across.T) @ keep
     return 0.5 * (left + left.T), keep @ (vector - explained @ (weak.T @ vector))
-
-
-def limit_information(
-    information: Array, vector: Array, floor_sigmas: Array
-) -> tuple[Array, Array]:
-    """The same measurement, (D, D) and (D,), with independent errors of ``floor_sigmas`` (D,) added
-    to it: what it has wrong as a whole, however many its residuals are. With ``F`` the added
-    covariance, ``(A^-1 + F)^-1 = (I + A F)^-1 A``, which holds for a singular ``A`` as well.
-    """
-    size = len(vector)
-    widened = np.eye(size) + information * floor_sigmas**2
-    solved = np.linalg.solve(widened, np.column_stack([information, vector]))
-    symmetric: Array = 0.5 * (solved[:, :size] + solved[:, :size].T)
-    return symmetric, np.asarray(solved[:, size], dtype=np.float64)
-
-
-def lateral_strength(information: Array) -> Array:
-    """Eigenvalues (3,), ascending, of what a scan says of x, y (1/m^2) and yaw (1/rad^2) once
-    height, roll and pitch are allowed to follow (Schur complement): near zero, the scan is
-    degenerate in that direction, as over a plane."""
-    level = information[np.ix_(_LEVEL, _LEVEL)] + 1e-9 * np.eye(3)
-    cross = information[np.ix_(_LATERAL, _LEVEL)]
-    schur = information[np.ix_(_LATERAL, _LATERAL)] - cross @ np.linalg.solve(level, cross.T)
-    return np.linalg.eigvalsh(0.5 * (schur + schur.T))
 
 
 class DegeneracyWatch:

@@ -59,7 +59,8 @@ def deskew(
     origins: Float32,
     beams: Float32,
 ) -> None:
-    """Origin and direction of every pulse in the odom frame, from the pose of its own instant.
+    """Origin and direction of every pulse in the odom frame, from the pose of its own instant,
+    pulses without return included (``locate_missing`` needs them).
 
     directions: (N, 3) float32, LIDAR frame; time_offsets: (N,) float32 seconds, ascending; the
     track: (M,), (M, 3), (M, 4) wxyz, M >= 2; lidar_*: body_from_lidar. Writes ``origins`` and

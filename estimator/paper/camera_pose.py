@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import PaperParams
+from touchdown.estimator.filtering.information import limit_information
 from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
-from touchdown.estimator.livo.lidar_update import limit_information
+from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.paper.closures import Closures
 from touchdown.estimator.paper.depth_field import DepthField
 from touchdown.estimator.paper.inertial import InertialFilter
@@ -22,7 +23,7 @@ from touchdown.estimator.paper.visual_map import (
     VisualMap,
     no_sightings,
 )
-from touchdown.estimator.paper.window import adjust_window
+from touchdown.estimator.paper.window import LocalisedImage, adjust_window
 from touchdown.sim.api import CameraImage, SensorRig
 from touchdown.sim.frames import Pose, skew
 
@@ -133,12 +134,14 @@ class CameraPositioning:
     def _adjust(self, pose: Pose, sightings: Sightings) -> Pose:
         if not self._params.use_bundle:
             return pose
-        sigmas = self._sigmas(np.arange(2))
         return adjust_window(
-            self._map.keyframes[-self._params.bundle_keyframes :], pose, sightings,
-            self._map.by_number(), self._rig.camera, self._imu_from_camera,
-            np.sqrt(2.0) * sigmas, self._params.depth_sigma_m,
-        )  # fmt: skip
+            self._map.keyframes[-self._params.bundle_keyframes :],
+            LocalisedImage(pose, sightings),
+            self._map.by_number(),
+            MountedCamera(self._rig.camera, self._imu_from_camera),
+            np.sqrt(2.0) * self._sigmas(np.arange(2)),
+            self._params.depth_sigma_m,
+        )
 
     def _odom_frames(self, sightings: Sightings) -> dict[int, Pose]:
         known = self._map.by_number()

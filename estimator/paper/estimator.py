@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, PaperParams, PoseTrack
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.guard import InputGuard
-from touchdown.estimator.livo.estimator import _undistortion_maps
 from touchdown.estimator.paper.camera_pose import CameraPositioning
 from touchdown.estimator.paper.depth_field import half_size_energy
 from touchdown.estimator.paper.inertial import InertialFilter
@@ -35,7 +34,7 @@ class PaperEstimator:
         self._recent = RecentReturns(scans=15, per_scan=8000)
         self._lidar = LidarPositioning(rig, params, self._filter, self._recent)
         self._camera = CameraPositioning(rig, params, self._filter, self._recent)
-        self._undistort = _undistortion_maps(rig)
+        self._undistort = Undistorter(rig)
         self._images: deque[CameraImage] = deque(maxlen=3)
         self._energy: tuple[int, NDArray[np.float32]] = (-1, np.zeros((0, 0), np.float32))
         self._scan_track: PoseTrack | None = None
@@ -72,10 +71,10 @@ class PaperEstimator:
 
     def _flat(self, image: CameraImage) -> CameraImage:
         """The image without the lens's distortion."""
-        if self._undistort is None:
+        if self._undistort.is_identity:
             return image
-        rgb = cv2.remap(image.rgb, self._undistort[0], self._undistort[1], cv2.INTER_LINEAR)
-        return CameraImage(tick=image.tick, time_s=image.time_s, rgb=np.asarray(rgb, np.uint8))
+        rgb = self._undistort(image.rgb)
+        return CameraImage(tick=image.tick, time_s=image.time_s, rgb=rgb)
 
     def _take(self, message: LidarScan | CameraImage) -> None:
         tick = _order(message)[0]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, PoseTrack
-from touchdown.estimator.filtering.deskew import deskew
+from touchdown.estimator.filtering.deskew import PlacedScan, place_scan, screen_scan
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState, propagate_nominal
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
@@ -127,22 +127,15 @@ class InertialFilter:
 
     # ------------------------------------------------------------------------ measurements
 
-    def unroll(self, scan: LidarScan) -> tuple[Array, Array, NDArray[np.int64], PoseTrack] | None:
-        """The scan as seen from its end: points and beams (N, 3) in the IMU frame, the numbers (N,)
-        of their pulses, and the poses it was unrolled with. None if the trail does not span it."""
+    def place_scan(self, scan: LidarScan) -> PlacedScan | None:
+        """Returns the valid returns of a scan, deskewed to its end; None if the trail does not span
+        the scan."""
         first = self._trail.start_of(scan)
         if first is None:
             return None
-        lidar = self.rig.lidar
+        pulses = screen_scan(scan, self.rig.lidar)
         rotations, positions = self._trail.rotations[first:], self._trail.positions[first:]
-        points, beams = deskew(
-            scan.directions, scan.ranges, scan.time_offsets,
-            self.imu_from_lidar.rotation, self.imu_from_lidar.translation,
-            rotations, positions, self.step_s, lidar.min_range_m, lidar.max_range_m,
-        )  # fmt: skip
-        valid = (scan.ranges >= lidar.min_range_m) & (scan.ranges <= lidar.max_range_m)
-        pulses = np.flatnonzero(valid & (scan.time_offsets >= 0.0))
-        return points, beams, pulses, self._track(first)
+        return place_scan(scan, pulses, self.imu_from_lidar, rotations, positions, self.step_s)
 
     def _track(self, first: int) -> PoseTrack:
         trail, offset = self._trail, self.imu_from_body
@@ -173,9 +166,9 @@ class InertialFilter:
             [so3_log(prior.rotation.T @ pose.rotation), pose.translation - prior.position]
         )
         touched = self.eskf.touched([])
-        delta = self.eskf.gain(touched, information, vector + information @ offset)
+        delta = self.eskf.correction(touched, information, vector + information @ offset)
         self.eskf.state, self.eskf.clones = self.eskf.boxplus(prior, self.eskf.clones, delta)
-        self.eskf.absorb(touched, information)
+        self.eskf.update_covariance(touched, information)
         self._trail.follow(self.eskf.state)
 
     # ------------------------------------------------------------------------ output

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.livo.visual import reprojection_information
+from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
@@ -68,21 +68,21 @@ def solve_pnp(
     plane tilt and sideways motion look alike) at the guess; it is not in the information returned.
     None with fewer than ``min_inliers`` landmarks within 3 pixels in the end.
     """
-    camera_from_imu = imu_from_camera.inverse()
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    eye, zero = np.eye(3), np.zeros(3)
+    mounted = MountedCamera(camera, imu_from_camera)
+    # the landmarks are global: their frame takes the place of the keyframe's
+    origin = Pose.identity()
     groups = [(s, np.flatnonzero(sigmas_px == s)) for s in np.unique(sigmas_px)]
 
     def accumulate(pose: Pose, gate: float) -> tuple[Array, Array, int]:
         information, vector, used = np.zeros((6, 6)), np.zeros(6), 0
         for sigma, members in groups:
-            part, part_vector, count, _ = reprojection_information(
-                pixels[members], landmarks[members], pose.rotation, pose.translation, eye, zero,
-                camera_from_imu.rotation, camera_from_imu.translation, intrinsics, sigma, gate,
+            part = reprojection_information(
+                pixels[members], landmarks[members], pose, origin, mounted,
+                sigma_px=sigma, gate_px=gate,
             )  # fmt: skip
-            information += part[:6, :6]
-            vector += part_vector[:6]
-            used += count
+            information += part.information[:6, :6]
+            vector += part.vector[:6]
+            used += part.used
         return information, vector, used
 
     pose = guess

@@ -8,7 +8,7 @@ import pytest
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import STATE_DIM
 from touchdown.estimator.filtering.plane_map import PlaneMap
-from touchdown.estimator.livo.anchored_update import update_with_scan
+from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
 from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.lidar_update import (
     DegeneracyWatch,
@@ -20,7 +20,7 @@ from touchdown.estimator.livo.lidar_update import (
 from touchdown.estimator.livo.plane_extension import common_plane
 from touchdown.sim.frames import so3_exp
 
-from support.livo_lidar_support import plane_information, room_points, state_at
+from support.livo_lidar_support import placed, plane_information, room_points, state_at
 
 NOTHING = np.zeros((6, 6))
 
@@ -120,8 +120,11 @@ def test_level_ground_leaves_the_lateral_pose_alone(walls: bool) -> None:
     start = position + np.array([0.05, -0.04, 0.03])
     eskf = Eskf(state_at(np.eye(3), start), np.full(STATE_DIM, 1e-4))
     report = update_with_scan(
-        eskf, plane_map, Anchors(), points, points, range_sigma_m=0.02, angle_sigma_rad=1e-3,
-        floor_sigmas=np.full(6, 1e-4), weak_sigmas=(0.005, 0.1),
+        eskf, plane_map, Anchors(), placed(points),
+        ScanErrors(
+            range_sigma_m=0.02, angle_sigma_rad=1e-3, floor_sigmas=np.full(6, 1e-4),
+            weak_sigmas=(0.005, 0.1),
+        ),
     )  # fmt: skip
     sigma = np.sqrt(np.diag(eskf.covariance))
     assert abs(eskf.state.position[2] - 12.0) < 0.01 and sigma[5] < 1e-3

@@ -9,8 +9,13 @@ import pytest
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import STATE_DIM, NavState
 from touchdown.estimator.filtering.keyframes import bearing_rays
-from touchdown.estimator.filtering.plane_map import PlaneMap
-from touchdown.estimator.livo.anchored_update import anchored_information, update_with_scan
+from touchdown.estimator.filtering.plane_map import PlaneMap, PlaneMatches
+from touchdown.estimator.filtering.reprojection import calibrated_information
+from touchdown.estimator.livo.anchored_update import (
+    ScanErrors,
+    anchored_information,
+    update_with_scan,
+)
 from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.online_calibration import (
     CALIBRATION_DIM,
@@ -20,12 +25,11 @@ from touchdown.estimator.livo.online_calibration import (
     exposed,
     landmark_jacobians,
 )
-from touchdown.estimator.livo.visual import calibrated_information
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
 from support.livo_filter_support import filled_buffer, random_state
-from support.livo_lidar_support import room_points, state_at
+from support.livo_lidar_support import placed, room_points, state_at
 
 CAMERA = CameraIntrinsics(width=848, height=480, fx=617.0, fy=625.0, cx=423.5, cy=239.5)
 IMU_FROM_CAMERA = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.05, 0.02, -0.1]))
@@ -52,7 +56,7 @@ def test_anchored_jacobian_matches_finite_differences() -> None:
         return float((turn @ in_clone) @ (point - (turn @ beam_then + lever + shift)))
 
     sensor, anchor = clone.apply(lever), clone.apply(beam_then + lever)
-    planes = (
+    planes = PlaneMatches(
         np.array([True]), normal[None], anchor[None], np.array([[1.0, 0.0, 0.0]]), sensor[None],
         np.array([0]),
     )  # fmt: skip
@@ -187,7 +191,7 @@ def test_calibration_is_carried_and_corrected() -> None:
     assert len(touched) == 6 + CALIBRATION_DIM + 6
     row = rng.normal(size=len(touched))
     information, prior = np.outer(row, row), eskf.covariance.copy()
-    delta = eskf.gain(touched, information, row)
+    delta = eskf.correction(touched, information, row)
     _, kept = eskf.boxplus(eskf.state, eskf.clones, delta)
     assert len(kept) == 1
     full = np.zeros(len(prior))
@@ -195,16 +199,16 @@ def test_calibration_is_carried_and_corrected() -> None:
     expected = prior @ full / (full @ prior @ full + 1.0)
     np.testing.assert_allclose(delta, expected, atol=1e-10)
     # not learning: the calibration stays, the rest moves as before and is as sure as before
-    eskf.learns[:] = False
-    eskf.learns[CLOCK] = True
-    some = eskf.gain(touched, information, row)[STATE_DIM:base]
+    eskf.calibration_enabled[:] = False
+    eskf.calibration_enabled[CLOCK] = True
+    some = eskf.correction(touched, information, row)[STATE_DIM:base]
     assert some[CLOCK] == delta[STATE_DIM + CLOCK] != 0.0
     np.testing.assert_array_equal(np.delete(some, CLOCK), 0.0)
-    eskf.learns[CLOCK] = False
-    held = eskf.gain(touched, information, row)
+    eskf.calibration_enabled[CLOCK] = False
+    held = eskf.correction(touched, information, row)
     np.testing.assert_array_equal(held[STATE_DIM:base], 0.0)
     np.testing.assert_array_equal(held[:STATE_DIM], delta[:STATE_DIM])
-    eskf.absorb(touched, information)
+    eskf.update_covariance(touched, information)
     shared = slice(STATE_DIM, base)
     np.testing.assert_array_equal(eskf.covariance[shared, shared], prior[shared, shared])
     posterior = prior - np.outer(expected, full @ prior)
@@ -216,9 +220,9 @@ def test_a_loose_filter_admits_only_the_pose() -> None:
     eskf = Eskf(state_at(np.eye(3), np.zeros(3)), np.ones(STATE_DIM))
     eskf.add_clone()
     information, vector = np.ones((12, 12)), np.ones(12)
-    assert eskf.admitted(information, vector)[0] is information
-    eskf.loose = True
-    left, pull = eskf.admitted(information, vector)
+    assert eskf.coupled(information, vector)[0] is information
+    eskf.loosely_coupled = True
+    left, pull = eskf.coupled(information, vector)
     assert left.sum() == 36.0 and pull.sum() == 6.0 and information.sum() == 144.0
 
 
@@ -247,8 +251,8 @@ def test_a_scan_measures_the_pose_against_the_clone_that_its_planes_hang_on() ->
     eskf.covariance[3:6, 3:6] += 0.1**2 * np.eye(3)
     points = world - position
     update_with_scan(
-        eskf, plane_map, anchors, points, points, range_sigma_m=0.02, angle_sigma_rad=1e-3,
-        floor_sigmas=np.full(6, 1e-3),
+        eskf, plane_map, anchors, placed(points),
+        ScanErrors(range_sigma_m=0.02, angle_sigma_rad=1e-3, floor_sigmas=np.full(6, 1e-3)),
     )  # fmt: skip
     own = np.sqrt(np.diag(eskf.covariance)[3:6])
     np.testing.assert_allclose(own, 0.05, rtol=0.1)
@@ -272,12 +276,11 @@ def test_the_map_follows_its_clone_and_its_heir() -> None:
     probes = np.column_stack([rng.uniform(-9, 9, (200, 2)), np.zeros(200)])
 
     def heights() -> np.ndarray:
-        found, _, middles, _, _, owners = plane_map.match(probes)
+        matched = plane_map.match(probes)
         rotations, translations = anchors.now_from_kept(clones)
-        inside = middles[found]
-        return np.einsum(
-            "ij,ij->i", rotations[owners[found], 2], inside
-        ) + translations[owners[found], 2]  # fmt: skip
+        inside, owners = matched.centres[matched.found], matched.anchors[matched.found]
+        turned = np.einsum("ij,ij->i", rotations[owners, 2], inside)
+        return turned + translations[owners, 2]
 
     before = heights()
     np.testing.assert_allclose(np.median(before), -0.03, atol=2e-3)
@@ -286,7 +289,7 @@ def test_the_map_follows_its_clone_and_its_heir() -> None:
     plane_map.reassign(0, successor, move)
     anchors.remove(0)
     del clones[0]
-    assert (plane_map.match(probes)[5] <= 0).all()
+    assert (plane_map.match(probes).anchors <= 0).all()
     np.testing.assert_allclose(heights(), before, atol=1e-6)
 
 
@@ -315,8 +318,10 @@ def flown(seed: int, walls: bool, drift_m: float) -> tuple[Eskf, np.ndarray, np.
         if anchors:
             points = mount.apply(beams)
             update_with_scan(
-                eskf, plane_map, anchors, points, points - mount.translation, range_sigma_m=0.01,
-                angle_sigma_rad=1e-3, floor_sigmas=FLOORS[walls],
+                eskf, plane_map, anchors, placed(points, points - mount.translation),
+                ScanErrors(
+                    range_sigma_m=0.01, angle_sigma_rad=1e-3, floor_sigmas=FLOORS[walls]
+                ),
             )  # fmt: skip
             mount = corrected_mount(told, eskf.state.calibration)
         state = eskf.state
@@ -333,9 +338,9 @@ def flown(seed: int, walls: bool, drift_m: float) -> tuple[Eskf, np.ndarray, np.
         eskf.covariance[3:6, 3:6] += drift_m**2 * np.eye(3)
         # an accelerometer that knows level, a compass that knows north
         attitude, touched = 1e8 * np.eye(3), np.arange(3)
-        delta = eskf.gain(touched, attitude, attitude @ so3_log(eskf.state.rotation.T))
+        delta = eskf.correction(touched, attitude, attitude @ so3_log(eskf.state.rotation.T))
         eskf.state, eskf.clones = eskf.boxplus(eskf.state, eskf.clones, delta)
-        eskf.absorb(touched, attitude)
+        eskf.update_covariance(touched, attitude)
     return eskf, error, position
 
 

@@ -15,7 +15,12 @@ from touchdown.estimator.paper.landmarks import BRISK, SIFT, LandmarkDetector, s
 from touchdown.estimator.paper.matching import match_near
 from touchdown.estimator.paper.pnp import reprojection_errors, solve_pnp
 from touchdown.estimator.paper.pose_graph import Edge, PoseGraph, edge_residual
-from touchdown.estimator.paper.registration import register_scan
+from touchdown.estimator.paper.registration import (
+    FeatureMaps,
+    PosePrior,
+    ScanFeatures,
+    register_scan,
+)
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log
 
@@ -44,25 +49,25 @@ def room(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
     return planes, edges
 
 
-def room_maps() -> tuple[FeatureMap, FeatureMap]:
+def room_maps() -> FeatureMaps:
     planes, edges = room(np.random.default_rng(0), 4000)
     plane_map, edge_map = FeatureMap(0.5, 1 << 12), FeatureMap(0.3, 1 << 10, reach=2)
     plane_map.insert(planes)
     edge_map.insert(edges)
-    return edge_map, plane_map
+    return FeatureMaps(edges=edge_map, planes=plane_map)
 
 
 def test_algorithm_1_finds_the_pose_in_spite_of_strangers() -> None:
     rng = np.random.default_rng(1)
-    edge_map, plane_map = room_maps()
+    maps = room_maps()
     planes, edges = room(rng, 300)
     planes[::10, 2] += 0.25
     truth = Pose(so3_exp(np.array([0.02, -0.01, 0.03])), np.array([0.1, -0.08, 0.05]))
     guess = Pose(np.eye(3), np.zeros(3))
     back = truth.inverse()
     result = register_scan(
-        back.apply(edges), back.apply(planes), edge_map, plane_map, guess, 1e-3 * np.eye(6),
-        edge_sigma_m=0.05, plane_sigma_m=0.02,
+        ScanFeatures(back.apply(edges), back.apply(planes)), maps,
+        PosePrior(guess, 1e-3 * np.eye(6)), edge_sigma_m=0.05, plane_sigma_m=0.02,
     )  # fmt: skip
     assert result is not None and result.edges > 200 and result.planes > 400
     np.testing.assert_allclose(result.pose.translation, truth.translation, atol=0.012)
@@ -78,7 +83,8 @@ def test_algorithm_1_over_a_plane_stays_at_the_guess_where_nothing_holds_it() ->
     seen = np.column_stack([rng.uniform(-5, 5, (500, 2)), np.full(500, -10.0)])
     guess = Pose(so3_exp(np.array([0.01, 0.0, 0.0])), np.array([0.0, 0.0, 10.1]))
     result = register_scan(
-        np.zeros((0, 3)), seen, edge_map, plane_map, guess, LOOSE,
+        ScanFeatures(np.zeros((0, 3)), seen), FeatureMaps(edge_map, plane_map),
+        PosePrior(guess, LOOSE),
         edge_sigma_m=0.05, plane_sigma_m=0.02,
     )  # fmt: skip
     assert result is not None
@@ -90,14 +96,10 @@ def test_algorithm_1_over_a_plane_stays_at_the_guess_where_nothing_holds_it() ->
 
 def test_algorithm_1_needs_matches() -> None:
     empty = FeatureMap(0.5, 1 << 8)
-    points = np.zeros((100, 3))
-    identity = Pose.identity()
-    assert (
-        register_scan(
-            points, points, empty, empty, identity, np.eye(6), edge_sigma_m=0.1, plane_sigma_m=0.1
-        )
-        is None
-    )
+    features = ScanFeatures(np.zeros((100, 3)), np.zeros((100, 3)))
+    prior = PosePrior(Pose.identity(), np.eye(6))
+    maps = FeatureMaps(empty, empty)
+    assert register_scan(features, maps, prior, edge_sigma_m=0.1, plane_sigma_m=0.1) is None
 
 
 def test_feature_map_returns_the_five_nearest_in_order_and_keeps_its_size() -> None:
