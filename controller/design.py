@@ -36,7 +36,7 @@ class LoopMargin:
 
     name: str
     gain_margin_db: float
-    """the smaller of what the gain may rise and what it may fall by"""
+    """the smaller of the factors by which the gain may rise or fall"""
     phase_margin_deg: float
     """smallest over all crossovers"""
     crossover_rad_s: float
@@ -57,13 +57,14 @@ class _Stage:
 
     @property
     def feedback(self) -> System:
-        """1 x number of outputs: all that the loop feeds back."""
+        """1 x number of outputs: total feedback of the loop."""
         direct = self.forward * self.measured
         return direct if self.damping is None else direct + self.damping
 
 
 def loop_margins(vehicle: VehicleModel, params: ControlParams) -> list[LoopMargin]:
-    """Margins of every loop of ``CascadeController(vehicle, params)``, inner loops first."""
+    """Returns the margins of every loop of ``CascadeController(vehicle, params)``, inner loops
+    first."""
     rows = []
     for axes, plant, stages in _chains(vehicle.motor_time_constant_s, params):
         rows += [_margin(name, loop) for name, loop in _cut_loops(plant, stages)]
@@ -235,8 +236,8 @@ def _cut_at_actuator(plant: System, stages: list[_Stage]) -> System:
 
 
 def _margin(name: str, loop: System) -> LoopMargin:
-    """Margins from the frequency response: exact enough on a fine grid, and free of the rounding
-    that polynomials with many poles near z = 1 suffer from."""
+    """Returns the margins from the frequency response on a fine grid, which avoids the rounding
+    errors of polynomials with many poles near z = 1."""
     import control
 
     grid = np.geomspace(0.01, 0.999 * np.pi / loop.dt, 1_500)

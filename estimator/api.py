@@ -1,4 +1,4 @@
-"""What the rest of the project may know of estimation: estimates, maps, protocols, parameters.
+"""Interface of the estimators: estimates, maps, protocols and parameters.
 
 Loads with numpy alone, so that an external estimator can be written against it.
 """
@@ -18,17 +18,17 @@ from touchdown.sim.frames import Pose
 Array = NDArray[np.float64]
 
 LEAST_CONTRAST = 2.5
-"""standard deviation of each channel's levels below which an image shows nothing but noise"""
+"""standard deviation of each channel's levels below which an image holds noise only"""
 
 
 def some_pixels(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Enough of an image (H, W, 3) for `image_defect`, a copy."""
+    """Returns a subsample of an image (H, W, 3) for `image_defect`, a copy."""
     return np.ascontiguousarray(rgb[::8, ::8])
 
 
 def image_defect(pixels: NDArray[np.uint8], before: NDArray[np.uint8]) -> str:
-    """Why not to believe some pixels (h, w, 3) of an image, those of the one ``before`` known, in
-    words; "": nothing is wrong. Noise never repeats."""
+    """Returns the defect of an image, from its pixels (h, w, 3) and those of the image ``before``;
+    "" if there is none. Noise makes identical images impossible."""
     channels = np.ascontiguousarray(pixels.reshape(-1, 3).T)  # in a row each, a third of the time
     if float(channels.std(axis=1).max()) < LEAST_CONTRAST:
         return "no contrast"
@@ -49,11 +49,11 @@ class PoseTrack:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Estimate:
-    """Belief about the vehicle at ``time_s``: the time of the newest observation, reached by IMU
-    propagation from the newest scan or image.
+    """State estimate at ``time_s``: the time of the newest observation, reached by IMU propagation
+    from the newest scan or image.
 
     Control uses ``odom_from_body``, which never jumps; ``world_from_odom`` moves at a bounded rate
-    when closures correct the past. ``world_from_body`` composes both.
+    when loop closures correct the past. ``world_from_body`` composes both.
     """
 
     tick: int
@@ -72,13 +72,13 @@ class Estimate:
     """(3, 3) rad^2, body frame"""
     healthy: bool = True
     scan_track: PoseTrack | None = None
-    """Best known poses that span the scans in this observation, if there are any and the estimator
-    offers them; otherwise the mapper interpolates the causal estimates."""
+    """Best poses that span the scans in this observation, if the estimator provides them; otherwise
+    the mapper interpolates the causal estimates."""
     diagnostics: Mapping[str, float] = field(default_factory=dict)
     """Named scalars for the recording (features tracked, residuals, degenerate directions...)."""
     events: tuple[str, ...] = ()
-    """What happened since the last update that a person should know, in words: a message refused
-    and why, a sensor silent, a direction that nothing measures."""
+    """Messages about the time since the last update: a rejected message and the reason, a sensor
+    dropout, a degenerate direction."""
 
     @property
     def world_from_body(self) -> Pose:
@@ -116,14 +116,15 @@ class GridMap:
     intensity: NDArray[np.float32]
     """mean LIDAR intensity 0..255"""
     missing: NDArray[np.float32]
-    """pulses that should have hit this cell (at the surrounding height) and did not come back"""
+    """pulses without return that were expected to hit this cell, at the height of its
+    surroundings"""
     last_seen_s: NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MapView:
-    """The mapper's state, cheap to hand over (views, no copies). ``version`` rises with every scan
-    integrated. ``fine`` covers a window below the vehicle once it is low."""
+    """The mapper's state as views without copies. ``version`` increases with every scan integrated.
+    ``fine`` covers a window below the vehicle at low height; None above it."""
 
     version: int
     coarse: GridMap
@@ -139,12 +140,13 @@ class Mapper(Protocol):
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Chessboard:
     """A chessboard on a plate. Its frame: origin in the middle, x along the columns, y down the
-    rows, z away from who looks at it."""
+    rows, z away from the viewer."""
 
     columns: int = 11
     """inner corners along x"""
     rows: int = 8
-    """inner corners along y; odd and even, so that the board upside down is not the board"""
+    """inner corners along y; one count is odd and one even, so that the orientation is
+    unambiguous"""
     square_m: float = 0.09
     margin_m: float = 0.06
     """white rim of the plate around the squares"""
@@ -160,7 +162,7 @@ class Chessboard:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CalibrationView:
-    """One placement of the board as camera and LIDAR saw it."""
+    """One placement of the board, seen by camera and LIDAR."""
 
     rgb: NDArray[np.uint8]
     """(H, W, 3)"""
@@ -170,8 +172,8 @@ class CalibrationView:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CalibrationResult:
-    """What chessboards tell about camera and LIDAR. Covariances follow from the normal equations;
-    that of the extrinsics includes what the camera's planes got wrong."""
+    """Intrinsics and extrinsics from chessboards. Covariances follow from the normal equations;
+    that of the extrinsics includes the errors of the camera's planes."""
 
     camera: CameraIntrinsics
     camera_covariance: Array
@@ -181,11 +183,11 @@ class CalibrationResult:
     """(6, 6) of a small rotation (rad) applied on the left, then of the translation (m)"""
     reprojection_rms_px: float
     plane_rms_m: float
-    """of the board's points in the LIDAR about the camera's planes"""
+    """of the board's LIDAR points about the camera's planes"""
     used: tuple[int, ...]
     """indices of the views that were used"""
     refused: Mapping[int, str]
-    """why the others were not"""
+    """reasons for rejecting the other views"""
     corners: Mapping[int, Array]
     """(rows * columns, 2) pixels of the views whose board the camera found"""
     board_points: Mapping[int, Array]
@@ -203,20 +205,20 @@ class MapperParams:
     __pydantic_config__ = FORBID_EXTRA
 
     enabled: bool = True
-    """false: no map, and no LIDAR unless the estimator wants it; for surveys only"""
+    """false: no map, and no LIDAR unless the estimator needs it; for surveys only"""
     cell_m: float = 0.2
     extent_m: float = 160.0
     """side of the square coarse grid, centred on the take-off spot"""
     fine_cell_m: float = 0.05
     fine_extent_m: float = 24.0
     fine_below_m: float = 14.0
-    """height above ground below which the fine grid fills"""
+    """height above ground below which the fine grid is filled"""
     fine_recentre_m: float = 6.0
     """the fine window follows once the vehicle is this far from its centre"""
     count_cap: float = 200.0
-    """returns that a cell remembers; older ones fade"""
+    """effective number of returns per cell; older ones fade"""
     extreme_memory_s: float = 60.0
-    """time constant with which unconfirmed lowest and highest returns are forgotten"""
+    """time constant with which unconfirmed extremes decay"""
     missing_min_reach_m: float = 1.5
     missing_max_reach_m: float = 60.0
     """a pulse without return counts as missing only where the ground is expected within these"""
@@ -234,50 +236,49 @@ class LivoParams:
     map_voxels: int = 131072
     """capacity of the plane map, a power of two; it never grows"""
     voxel_points: int = 150
-    """a voxel stops learning after so many returns: the oldest carry the least drift"""
+    """a voxel ignores further returns after so many: the oldest carry the least drift"""
     scan_points: int = 2000
     """returns of a scan that are matched, spread evenly"""
     scan_tilt_sigma_deg: float = 1.0
-    """errors of a scan as a whole, beside those of its points and of the keyframes that the map
-    hangs on"""
+    """information floor: errors of a scan as a whole, beside those of its points and of the
+    keyframes that the map is anchored to"""
     scan_height_sigma_m: float = 0.01
     scan_lateral_sigma_m: float = 0.3
     scan_yaw_sigma_deg: float = 0.5
     anchor_height_m: float = 0.004
-    """error that all planes and landmarks of a keyframe have in common"""
+    """height error shared by all planes and landmarks of a keyframe"""
     depth_sigma_m: float = 0.02
     """of a landmark along its ray"""
     use_lidar: bool = True
-    """whether scans correct the pose; without, they still give depth to features"""
+    """scans correct the pose; if false, they still give depth to features"""
     use_vision: bool = True
-    """whether images are used"""
+    """images correct the pose"""
     use_closures: bool = True
-    """whether images are compared with keyframes older than the last few: those of neighbouring
-    strips, and of places seen again"""
+    """images are tracked from keyframes older than the last few: those of neighbouring strips and
+    of revisited ground"""
     loose: bool = False
-    """each sensor gives a pose against a map taken for certain, instead of measuring pose and map
-    together"""
+    """loose coupling: each sensor measures the pose against a map without errors; if false, pose
+    and map are estimated jointly"""
     use_calibration: bool = True
-    """whether the mount of the LIDAR and the lens are estimated along"""
+    """the LIDAR's mount, the lens and the camera's clock are estimated online"""
     calibrate_above_m: float = 15.0
-    """height above ground from which on; lower, the returns' noise is no small share of a depth and
-    what it does to a keyframe would be taken for the rig's"""
+    """height above ground from which mount and lens are estimated; lower, the range noise is a
+    large share of a depth, and its effect on a keyframe would be attributed to the calibration"""
     mount_turn_sigma_deg: float = 0.03
-    """how far off the told rig may be: LIDAR against camera and IMU"""
+    """prior of the calibration errors: LIDAR relative to camera and IMU"""
     mount_shift_sigma_m: float = 0.003
     focal_sigma: float = 5e-4
     center_sigma_px: float = 0.1
     camera_clock_sigma_s: float = 0.005
-    """how far the camera's clock may be ahead of the IMU's, or behind; 0: it is not"""
+    """prior of the offset of the camera's clock from the IMU's; 0: no offset"""
     use_degeneracy: bool = True
-    """whether a scan is kept from correcting what it does not measure, as sideways motion over
-    level ground"""
+    """scans do not correct degenerate directions, such as lateral motion over level ground"""
     weak_sigma_m: float = 0.1
-    """a direction that a scan knows less well than this it does not measure"""
+    """a direction with a larger standard deviation than this counts as degenerate"""
     weak_sigma_deg: float = 0.3
-    """the same of rotation"""
+    """the same for rotation"""
     keyframes: int = 40
-    """remembered images; the most redundant one goes"""
+    """capacity; beyond it the most redundant one is marginalised"""
     track_keyframes: int = 3
     """keyframes that each image is tracked from"""
     features: int = 220
@@ -299,22 +300,22 @@ class PaperParams:
     """``shipped``, the path of a structured edge model for OpenCV, or ``gradient`` for edges from
     colour gradients"""
     use_lidar_pose: bool = True
-    """whether scans correct the pose (Algorithm 1)"""
+    """scans correct the pose (Algorithm 1)"""
     use_camera_pose: bool = True
-    """whether images correct the pose (PnP)"""
+    """images correct the pose (PnP)"""
     use_colour_smoothness: bool = True
-    """whether f_c takes part in choosing edge and planar points (Eq. 7)"""
+    """f_c contributes to the choice of edge and planar points (Eq. 7)"""
     use_bundle: bool = True
-    """whether the youngest keyframes are adjusted together"""
+    """bundle adjustment of the newest keyframes"""
     use_closures: bool = True
-    """whether keyframes seen again move the map"""
+    """loop closures correct the map"""
     colour_weight: float = 0.012
     """lambda of Eq. 7"""
     edge_threshold: float = 0.006
     """f_s above which a return may be an edge point, below which a planar one"""
     edge_points: int = 400
     planar_cells: tuple[int, int] = (56, 28)
-    """columns and rows of the view's sectors, each of which gives one planar point"""
+    """columns and rows of the view's sectors; each gives one planar point"""
     edge_voxel_m: float = 0.3
     planar_voxel_m: float = 0.6
     map_voxels: int = 131072
@@ -323,7 +324,7 @@ class PaperParams:
     plane_sigma_m: float = 0.04
     keyframe_distance_m: float = 2.0
     keyframe_period_s: float = 0.5
-    """images further apart than either are matched with the map"""
+    """images further apart than either are matched to the map"""
     sift_features: int = 350
     brisk_features: int = 300
     sift_sigma_px: float = 1.0
@@ -333,7 +334,7 @@ class PaperParams:
     depth_sigma_m: float = 0.05
     """of a landmark's depth by Eq. 12"""
     recent_keyframes: int = 12
-    """keyframes whose landmarks give the odometry"""
+    """newest keyframes, whose landmarks give the odometry"""
     correction_time_s: float = 0.15
     """a correction of the filter reaches control over this time"""
     closure_speed_mps: float = 0.1
@@ -368,13 +369,13 @@ class OpticalFlowParams:
     features: int = 60
     """corners of an image"""
     window_pixels: int = 64
-    """side of the middle of the image that they are taken from"""
+    """side of the central part of the image that they are taken from"""
     pixel_sigma: float = 0.3
     """of the flow of one corner"""
     floor_sigma_m: float = 0.01
-    """error of a displacement that many corners do not average out"""
+    """error floor of a displacement, however many corners it is made of"""
     scale_sigma: float = 0.05
-    """the same as a share of the displacement: the ground is not level"""
+    """the same as a share of the displacement, for ground that is not level"""
     ground_memory_s: float = 0.2
     """time constant of the ground's height below the rangefinder"""
     heading_sigma_deg: float = 2.0
@@ -400,9 +401,9 @@ class HybridFlowParams:
     pixel_sigma: float = 0.3
     """of one flow vector of the levelled image"""
     floor_sigma_m: float = 0.01
-    """error of a displacement that many vectors do not average out"""
+    """error floor of a displacement, however many vectors it is made of"""
     scale_sigma: float = 0.05
-    """the same as a share of the displacement: the ground is not level"""
+    """the same as a share of the displacement, for ground that is not level"""
     ground_memory_s: float = 0.5
     """time constant of the ground's height below the rangefinder"""
     heading_sigma_deg: float = 5.0
@@ -412,7 +413,7 @@ class HybridFlowParams:
     wander_period_s: float = 60.0
     """correlation time of the receiver's error"""
     drift_density: float = 0.03
-    """m/sqrt(s): random walk of the odometry that the receiver's error is told apart from"""
+    """m/sqrt(s): random walk of the odometry, from which the receiver's error is separated"""
     correction_time_s: float = 0.15
     """a correction of the filter reaches control over this time"""
 
@@ -427,17 +428,17 @@ class StereoParams:
     features: int = 220
     """corners of a keyframe"""
     pixel_sigma: float = 1.5
-    """of a corner tracked from the keyframe, what is wrong with its depth included"""
+    """of a corner tracked from the keyframe, the error of its depth included"""
     disparity_sigma: float = 0.15
     """pixels, of one corner"""
     track_sigma: float = 1.0
-    """pixels, of a corner tracked from the keyframe, when its depth is learned from the motion"""
+    """pixels, of a corner tracked from the keyframe, in the update of its depth by parallax"""
     keyframe_share: float = 0.55
-    """of a keyframe's corners: with fewer in sight a new one is made"""
+    """of a keyframe's corners: with fewer in view a new one is made"""
     disparity_floor_sigma: float = 0.02
-    """pixels, error of all disparities of a pair together"""
+    """pixels, error shared by all disparities of a pair"""
     relief_sigma_m: float = 2.0
-    """heights of what stands on the ground"""
+    """standard deviation of the heights of objects on the ground"""
     ground_density: float = 0.3
     """m/sqrt(s): random walk of the mean height of the ground in view"""
     drift_share: float = 0.003

@@ -1,4 +1,4 @@
-"""The inertial filter of the baselines, and what they do alike around it."""
+"""The inertial filter of the baselines, and the processing that they share."""
 
 from __future__ import annotations
 
@@ -26,16 +26,17 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 _UNKNOWN_M2 = 1e4
-"""position variance before anything was measured"""
+"""position variance before the first measurement"""
 
 
 class Navigator:
     """``epochs`` takes an observation and yields the epochs at which to correct ``eskf``; heading
-    and height by the small sensors are corrected already. ``estimate`` then gives the belief.
+    and height by magnetometer and barometer are corrected already. ``estimate`` then returns the
+    estimate.
 
-    ``known_start``: whether the take-off attitude is known beforehand. If it is, the magnetometer
-    is compared with its own reading at the start, which frees the heading of its offsets. If not,
-    attitude comes from gravity and the earth's field.
+    ``known_start``: the take-off attitude is known. If so, the magnetometer is compared with its
+    own reading at the start, which cancels its offsets in the heading. If not, the attitude is
+    initialised from gravity and the earth's field.
     """
 
     def __init__(
@@ -49,7 +50,7 @@ class Navigator:
         baro_sigma_m: float = math.inf,
     ) -> None:
         self.rig, self.needs = rig, needs
-        self._told_start, self._correction_time_s = known_start, correction_time_s
+        self._known_start, self._correction_time_s = known_start, correction_time_s
         self._heading_sigma = math.radians(heading_sigma_deg)
         self._guard = InputGuard(rig, needs.camera_hz)
         self._queue = EpochQueue(rig, needs)
@@ -83,7 +84,8 @@ class Navigator:
         return self._filter is None or self._filter.still
 
     def epochs(self, obs: Observation) -> Iterator[Epoch]:
-        """Call once an observation and exhaust it: afterwards corrections reach the present."""
+        """Yields the complete epochs. To be exhausted once per observation: afterwards corrections
+        reach the present."""
         obs = self._guard.screen(self._wanted(obs))
         self.skipped += self._guard.refused
         epochs = self._queue.take(obs)
@@ -108,7 +110,8 @@ class Navigator:
             self._filter.catch_up()
 
     def _wanted(self, obs: Observation) -> Observation:
-        """Without what others on board have asked for: a flight must not depend on them."""
+        """Returns ``obs`` without messages that only other consumers need: a flight must not depend
+        on them."""
         period, needs = self._image_period, self.needs
         return dataclasses.replace(
             obs,
@@ -132,7 +135,7 @@ class Navigator:
         if not samples or not np.isfinite(samples[-1].field_body_ut).all():
             return
         field_imu = self._imu_from_body.rotation @ samples[-1].field_body_ut
-        if self._told_start and self.standing:
+        if self._known_start and self.standing:
             azimuth = heading_of(self.eskf.state.rotation, field_imu)
             self._readings = self._readings + [math.cos(azimuth), math.sin(azimuth)]
             self._azimuth = math.atan2(self._readings[1], self._readings[0])
@@ -153,8 +156,8 @@ class Navigator:
         covariance: Array | None = None,
         extra_covariance: Array | None = None,
     ) -> Estimate:
-        """The belief about ``obs.time_s``. ``covariance`` (3, 3) m^2, world frame, takes the place
-        of the filter's; ``extra_covariance`` is added."""
+        """Returns the estimate at ``obs.time_s``. ``covariance`` (3, 3) m^2, world frame, replaces
+        the filter's; ``extra_covariance`` is added."""
         found = dict(diagnostics) | {"skipped": float(self.skipped + self._queue.late)}
         world_from_odom = world_from_odom or Pose.identity()
         if self._filter is None:
@@ -170,7 +173,7 @@ class Navigator:
     def _standing(
         self, obs: Observation, world_from_odom: Pose, diagnostics: dict[str, float]
     ) -> Estimate:
-        """On the ground, before the attitude is known."""
+        """Returns the estimate on the ground before the attitude is known."""
         return Estimate(
             tick=obs.tick,
             time_s=obs.time_s,

@@ -1,8 +1,8 @@
-"""Point-to-plane update of the filter by one scan, against planes that hang on its clones.
+"""Point-to-plane update of the filter by one scan, against planes anchored to its clones.
 
-A residual compares the present pose with the clone that the plane belongs to, and both ends of it
-with where the LIDAR sits: what all planes of a clone have wrong in common is then the clone's
-error, which the filter knows and a revisit takes away, not fresh noise of every scan.
+A residual compares the present pose with the clone that the plane is anchored to, and both with the
+LIDAR's mount. The error shared by all planes of a clone is thus the clone's error, which the filter
+estimates and a revisit reduces, instead of new noise in every scan.
 """
 
 from __future__ import annotations
@@ -95,8 +95,8 @@ def anchored_information(
             height += n[a] * (x[a] - centres[i, a])
         k = anchors[i]
         own[:] = clone_rotations[k] if k >= 0 else rotation
-        # normal and beam of the plane in the IMU frame of its clone, then how its height below the
-        # return moves with the mount, about which it turns as a whole
+        # normal and beam of the plane in the IMU frame of its clone, then the derivative of its
+        # height by the mount, about which it rotates as a whole
         mx = own[0, 0] * n[0] + own[1, 0] * n[1] + own[2, 0] * n[2]
         my = own[0, 1] * n[0] + own[1, 1] * n[1] + own[2, 1] * n[2]
         mz = own[0, 2] * n[0] + own[1, 2] * n[1] + own[2, 2] * n[2]

@@ -1,14 +1,14 @@
 """LIDAR-inertial-visual odometry: a tightly coupled estimator for flight over ground.
 
-One error-state filter carries pose, velocity, IMU biases and the poses of remembered keyframes.
-Scans measure height, roll and pitch against a map of planes (and sideways motion where walls and
-slopes allow); images measure x, y and yaw against landmarks of keyframes whose depth the LIDAR
-gave. Order, LIDAR before vision, and the sequential update follow FAST-LIVO (Zheng et al. 2022);
-that landmarks hang on cloned keyframe poses, not on a map taken for certain, is what lets a
-later view of the same ground close the loop.
+One error-state filter estimates pose, velocity, IMU biases and the poses of cloned keyframes. Scans
+measure height, roll and pitch against a map of planes (and lateral motion where walls and slopes
+allow); images measure x, y and yaw against landmarks of keyframes with depth from the LIDAR. The
+order, LIDAR before vision, and the sequential update follow FAST-LIVO (Zheng et al. 2022).
+Landmarks are anchored to cloned keyframe poses, not to a map without errors, so that a later view
+of the same ground closes the loop.
 
-Scans and images arrive late. The filter lives at measurement time; the estimate handed out is its
-state carried over the buffered IMU samples to now.
+Scans and images arrive late. The filter's state is at measurement time; the estimate is that state
+propagated over the buffered IMU samples to the present.
 """
 
 from __future__ import annotations
@@ -59,28 +59,28 @@ Array = NDArray[np.float64]
 _START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)
 """rad, m, m/s: the take-off pose is known, but the legs settle"""
 _FEWEST_RETURNS = 50
-"""in a scan worth using"""
+"""minimum of a usable scan"""
 _FRESH_SCANS = 3
-"""periods of a scan, after which the last one no longer tells the ground around"""
+"""periods of a scan after which the last one no longer covers the ground in view"""
 _LAST_FEW = 4
-"""keyframes that are no closure to look back to"""
+"""newest keyframes, whose tracking is no loop closure"""
 _ANCHOR_REACH = 0.5
-"""of the height: so far from the newest keyframe the map needs another pose to hang on"""
+"""of the height: distance from the newest keyframe beyond which the map needs another anchor"""
 _HISTORY = 128
 """IMU steps of past poses kept for deskewing"""
 _LIFTING_THRUST = 0.85
-"""of the weight: before so much static thrust the vehicle cannot have left the ground"""
+"""of the weight: with less static thrust the vehicle has not left the ground"""
 _IDLE_MARGIN = 1.2
-"""of the idle speed: below it the rotors carry nothing"""
+"""of the idle speed: below it the rotors give no lift"""
 _INFLATION, _FLOOR = 1.8, 0.005**2 * np.eye(3)
-"""of the covariance handed out: what a landmark or a voxel has wrong repeats from image to image
-and scan to scan, which the filter takes for fresh noise"""
+"""inflation and floor of the reported covariance: errors of a landmark or a voxel repeat from image
+to image and scan to scan, while the filter takes them for white noise"""
 _GRAVITY: Array = np.array([0.0, 0.0, GRAVITY_MPS2])
 
 
 class Livo:
-    """``update`` once a control step; see the module's text. Deterministic: ``seed`` is unused
-    because nothing here is drawn at random."""
+    """Tightly coupled estimator, see the module. Deterministic: ``seed`` is unused because nothing
+    is drawn at random."""
 
     def __init__(self, rig: SensorRig, params: LivoParams | None = None, seed: int = 0) -> None:
         self._rig = rig
@@ -141,7 +141,7 @@ class Livo:
     # ------------------------------------------------------------------------ the cycle
 
     def update(self, obs: Observation) -> Estimate:
-        """Takes what has arrived and returns the belief about ``obs.tick``."""
+        """Processes the arrived messages and returns the estimate at ``obs.tick``."""
         self._scan_track = None
         obs = self._guard.screen(obs)
         self._events = list(self._guard.events)
@@ -172,9 +172,9 @@ class Livo:
         return self._estimate(obs)
 
     def _resting(self, rotor_speed: Array) -> bool:
-        """Whether the rotors tell that the vehicle stands on the ground. In flight a sinking
-        vehicle needs less speed than its static thrust says, so that after the first lift-off only
-        idling rotors count."""
+        """True if the rotor speeds imply that the vehicle stands on the ground. A descending
+        vehicle needs less speed than its static thrust suggests, so that after the first lift-off
+        only idling rotors count."""
         vehicle = self._rig.vehicle
         thrust = vehicle.thrust_coefficient * float(rotor_speed @ rotor_speed)
         self._lifted |= thrust > _LIFTING_THRUST * vehicle.mass_kg * GRAVITY_MPS2
@@ -195,7 +195,7 @@ class Livo:
         return True
 
     def _advance(self, tick: int) -> None:
-        """Carries the filter to ``tick`` over buffered samples."""
+        """Propagates the filter to ``tick`` over buffered samples."""
         count = self._buffer.until(tick)
         if count == 0:
             return
@@ -213,7 +213,7 @@ class Livo:
         self._buffer.drop(count)
 
     def _correct_history(self) -> None:
-        """Moves the remembered poses rigidly, so that the newest is the filter's."""
+        """Moves the pose history rigidly, so that the newest is the filter's."""
         state = self._eskf.state
         turn = state.rotation @ self._history_rotations[-1].T
         offset = self._history_positions - self._history_positions[-1]
@@ -284,13 +284,13 @@ class Livo:
             terms = self._anchors.kept_from_now(
                 self._eskf.clones, state.calibration, state.rotation
             )
-        # close to the ground a scan would fill a voxel from one corner of it: spread what it learns
+        # close to the ground a scan would fill a voxel from one corner of it: spread its points
         spread = thin_out(points, 0.12 * self._params.voxel_m, 16)
         self._map.insert(odom_points[spread], sensor, len(self._anchors) - 1, terms)
         self._recent.add(odom_points)
 
     def _lacks_anchor(self, tick: int) -> bool:
-        """Whether the map would grow far from the newest clone, as it does where images fail."""
+        """True if the map would grow far from the newest clone, as it does where images fail."""
         if not self._eskf.clones:
             return True
         if tick - self._vision_tick <= self._rig.tick_hz // 2:
@@ -311,7 +311,7 @@ class Livo:
     def _take_image(self, image: CameraImage) -> None:
         levels = grey_levels(self._undistort(image.rgb))
         self._vision.measure_open_keyframes(self._eskf, self._recent, image.tick)
-        # what a keyframe has wrong repeats from image to image, and would be taken for the rig's
+        # errors of a keyframe repeat from image to image and would be attributed to the calibration
         self._enable_calibration(False)
         report = self._vision.update(self._eskf, levels)
         if report.used:
@@ -320,15 +320,15 @@ class Livo:
         elif self._vision.keyframes:
             self._diagnostics["skipped"] += 1.0
         if self._vision.wants_keyframe(report, image.tick):
-            # returns of long ago lie at one side of the picture, maybe on a roof there
+            # old returns lie at one side of the image, and may be on a roof there
             fresh = image.tick - self._scan_tick <= _FRESH_SCANS * self._rig.lidar_scan_ticks
             self._vision.add_keyframe(self._eskf, levels, self._recent, image.tick, extend=fresh)
         self._diagnostics |= _visual_diagnostics(report, len(self._vision.keyframes))
         self._diagnostics |= calibration_diagnostics(self._eskf.state.calibration)
 
     def _enable_calibration(self, mount_and_lens: bool) -> None:
-        """Whether the next measurement corrects these; the camera's clock, which nothing else looks
-        like, it always does."""
+        """Sets whether the next measurement corrects mount and lens; the camera's clock, which no
+        other error resembles, is always corrected."""
         self._eskf.calibration_enabled[:] = mount_and_lens
         self._eskf.calibration_enabled[CLOCK:] = True
 
@@ -347,7 +347,8 @@ class Livo:
     # ------------------------------------------------------------------------ the estimate
 
     def _recompute_head(self) -> None:
-        """Carries the corrected filter to now; what jumps is kept as an offset that fades."""
+        """Propagates the corrected filter to the present; the jump is kept as an offset that
+        decays."""
         old = self._head
         ticks, gyro, force, _ = self._buffer.samples(self._buffer.count)
         self._head = propagate_nominal(self._eskf.state, ticks, gyro, force, self._buffer.step_s)
@@ -362,7 +363,7 @@ class Livo:
         )
 
     def _covariance_of_now(self, gyro: Array, force: Array) -> Array:
-        """(15, 15) of the head: the filter's, carried over the buffered samples."""
+        """(15, 15) of the propagated state."""
         state, step_s = self._eskf.state, self._buffer.step_s
         covariance = self._eskf.covariance[:STATE_DIM, :STATE_DIM]
         if len(gyro) == 0:
@@ -383,7 +384,7 @@ class Livo:
         lever = cross(rate_imu, self._imu_from_body.translation)
         acceleration = rotation @ (self._force - head.accel_bias) - _GRAVITY
         cov = self._head_covariance
-        # what is shown is off the best belief by the offset that fades
+        # the reported pose differs from the best estimate by the decaying offset
         shown = _INFLATION * cov[3:6, 3:6] + _FLOOR
         shown += np.outer(self._offset[3:6], self._offset[3:6])
         body_from_imu = self._rig.body_from_imu.rotation

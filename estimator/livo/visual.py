@@ -1,4 +1,4 @@
-"""Visual update: where the landmarks of a few keyframes appear now, against where they should."""
+"""Visual update: reprojection of the landmarks of a few keyframes into the present image."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ from touchdown.sim.frames import Pose
 Array = NDArray[np.float64]
 
 _LEAST_PLANES = 25
-"""features of a keyframe; if too few have returns of their own, the others are given the plane of
-the returns around, if there is one"""
+"""features of a keyframe with depth; with fewer, the others are assigned the common plane of the
+returns around, if there is one"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VisualReport:
-    """What one image did, for the recording."""
+    """Result of an update by one image, for the recording."""
 
     used: int = 0
     keyframes_tracked: int = 0
@@ -55,7 +55,7 @@ class _Track:
 
     keyframe: int
     pixels: Array
-    """(N, 2) where"""
+    """(N, 2) in the present image"""
     landmarks: Array
     """(N, 3) IMU frame of the keyframe"""
     jacobians: Array
@@ -63,7 +63,7 @@ class _Track:
     spreads: Array
     """(N, 3) one standard deviation along the ray"""
     made_with: Array
-    """(C,) the calibration that ``landmarks`` hold for"""
+    """(C,) calibration at which ``landmarks`` hold"""
 
 
 _NO_IMAGE = np.zeros((0, 0), dtype=np.uint8)
@@ -118,7 +118,7 @@ class VisualFrontEnd:
     # ------------------------------------------------------------------------ keyframes
 
     def measure_open_keyframes(self, eskf: Eskf, recent: RecentReturns, tick: int) -> None:
-        """Completes planes of young keyframes: the LIDAR sweeps over their rims a little later."""
+        """Completes the planes of new keyframes, whose borders the LIDAR covers a little later."""
         for k, keyframe in enumerate(self.keyframes):
             age = tick - keyframe.tick
             if (
@@ -130,8 +130,8 @@ class VisualFrontEnd:
                 measure_planes(keyframe, recent, camera_from_odom, self._camera)
 
     def _camera_at(self, pose: Pose, keyframe: Keyframe) -> Pose:
-        """odom_from_camera of a keyframe stamped at ``pose``, by the calibration it was made
-        with."""
+        """odom_from_camera of a keyframe with stamp at ``pose``, by the calibration at its
+        creation."""
         (taken,) = exposed([pose], keyframe.motion[None], keyframe.calibration)
         return taken @ self._imu_from_camera
 
@@ -144,8 +144,9 @@ class VisualFrontEnd:
         *,
         extend: bool = True,
     ) -> bool:
-        """Makes the present image a keyframe, if enough of its features have a plane; ``extend``:
-        their own, or that of the returns around."""
+        """Makes the present image a keyframe if enough of its features have a plane; returns True
+        if so. ``extend``: features without returns may take the common plane of the returns
+        around."""
         pixels = detect_features(levels[0], self._params.features)
         keyframe = self._keyframe(eskf, levels, pixels, tick)
         camera_from_odom = self._camera_at(eskf.state.pose, keyframe).inverse()
@@ -158,8 +159,8 @@ class VisualFrontEnd:
         return True
 
     def add_anchor(self, eskf: Eskf, depth_m: float, tick: int) -> None:
-        """Remembers the present pose without an image, for the map to hang on, ``depth_m`` above
-        the ground."""
+        """Adds the present pose, ``depth_m`` above the ground, as a clone without an image, to
+        anchor the map to."""
         keyframe = self._keyframe(eskf, (_NO_IMAGE, _NO_IMAGE, _NO_IMAGE), np.zeros((0, 2)), tick)
         keyframe.depth_m = depth_m
         self._append(eskf, keyframe)
@@ -191,8 +192,8 @@ class VisualFrontEnd:
         self._on_change(None)
 
     def wants_keyframe(self, report: VisualReport, tick: int) -> bool:
-        """Whether the view has moved so far that the next hop needs a new foothold. While nothing
-        is tracked, new ones come at a slow pace, so that they do not push out all the others."""
+        """True if the overlap has become too small for the next image. While tracking fails, new
+        keyframes come at a low rate, so that they do not replace all others."""
         ticks = [keyframe.tick for keyframe in self.keyframes if keyframe.pixels.size]
         newest = ticks[-1] if ticks else -self._params.open_ticks
         if report.used == 0:
@@ -230,12 +231,12 @@ class VisualFrontEnd:
         return VisualReport(used=used, keyframes_tracked=len(tracks), rms_px=rms, best_share=share)
 
     def _exposed(self, eskf: Eskf) -> list[Pose]:
-        """odom_from_imu of all clones, then of now, when their pictures were taken."""
+        """odom_from_imu of all clones and of the present at the exposures of their images."""
         motions = np.array([*(keyframe.motion for keyframe in self.keyframes), eskf.motion])
         return exposed([*eskf.clones, eskf.state.pose], motions, eskf.state.calibration)
 
     def _track(self, eskf: Eskf, k: int, which: NDArray[np.int64], pixels: Array) -> _Track:
-        """Landmarks of keyframe ``k`` as made, and how they depend on the calibration."""
+        """Landmarks of keyframe ``k`` as created, and their derivatives by the calibration."""
         keyframe = self.keyframes[k]
         landmarks = self._imu_from_camera.apply(keyframe.landmarks_camera(self._camera)[which])
         arms = landmarks - self._imu_from_camera.translation
@@ -245,7 +246,7 @@ class VisualFrontEnd:
             none = np.zeros((len(which), 3, 0))
             return _Track(k, pixels, landmarks, none, spreads, np.zeros(0))
         made_with = keyframe.calibration.copy()
-        made_with[FOCAL] = made_with[CENTER] = 0.0  # rays are those of the told lens
+        made_with[FOCAL] = made_with[CENTER] = 0.0  # rays are those of the given lens
         motion = keyframe.motion.copy()
         motion[3:] = eskf.clones[k].rotation.T @ motion[3:]
         jacobians = landmark_jacobians(
@@ -309,7 +310,7 @@ class VisualFrontEnd:
 
 
 def _closeness(scale: float) -> float:
-    """1 at equal scale, falling to 0.6 at a quarter apart: a keyframe seen much larger or smaller
-    is a poorer foothold."""
+    """1 at equal scale, falling to 0.6 at a quarter apart: a keyframe at a different scale is
+    tracked less accurately."""
     ratio = max(scale, 1.0 / scale)
     return float(1.0 if ratio < 1.0 else 1.0 - 1.6 * (ratio - 1.0))

@@ -1,6 +1,6 @@
-"""The one mapper behind every estimator: scans and images in, a coloured elevation map out.
+"""The mapper of every estimator: scans and images in, a coloured elevation map out.
 
-Points are placed by the pose of their own instant, coloured from the image nearest in time and
+Points are placed by the pose at their own time, coloured from the image nearest in time and
 averaged per cell in the odom frame (the coloured point cloud map of Zou, Sun, Kong 2024, section
 3.3, kept as a grid so that memory does not grow with the flight).
 """
@@ -73,8 +73,8 @@ class _Grid:
         return float(known.mean()) if known.size else float("nan")
 
     def moved_to(self, origin_xy_m: Array) -> _Grid:
-        """A grid with its corner at ``origin_xy_m`` (a whole number of cells away) that keeps what
-        both have in common."""
+        """Returns a grid with its corner at ``origin_xy_m`` (a whole number of cells away) that
+        keeps the common cells."""
         cells = self.layers["count"].shape[0]
         moved = _Grid(origin_xy_m, self.cell_m, cells)
         dc, dr = np.rint((origin_xy_m - self.origin_xy_m) / self.cell_m).astype(int)
@@ -123,7 +123,7 @@ class GridMapper:
         self._view = MapView(version=0, coarse=self._coarse.view(), fine=None)
 
     def update(self, obs: Observation, estimate: Estimate) -> MapView:
-        """Integrates the scans of ``obs``; costs nothing where there are none."""
+        """Integrates the scans of ``obs`` and returns the map; without scans it costs nothing."""
         obs = self._guard.screen(obs)
         self._remember(estimate)
         for image in obs.images:
@@ -150,7 +150,8 @@ class GridMapper:
             self._track.append(_TimedPose(estimate.time_s, pose.translation.copy(), quat))
 
     def _track_spanning(self, start_s: float, end_s: float, estimate: Estimate) -> PoseTrack | None:
-        """The estimator's own track if it spans the interval, else the causal poses around it."""
+        """Returns the estimator's own track if it spans the interval, else the causal poses around
+        it."""
         slack = 1.5 / self._rig.tick_hz
         track = estimate.scan_track
         if (
@@ -163,7 +164,7 @@ class GridMapper:
         if len(self._track) < 2:
             return None
         entries: list[_TimedPose] = []
-        for entry in reversed(self._track):  # what is asked for lies not far behind the newest
+        for entry in reversed(self._track):  # the interval is close to the newest entry
             if entry.time_s >= end_s:
                 entries = [entry]
                 continue

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 class PaperEstimator:
-    """``update`` once a control step. Deterministic; nothing is drawn at random."""
+    """The paper's estimator. Deterministic; nothing is drawn at random."""
 
     def __init__(self, rig: SensorRig, params: PaperParams | None = None) -> None:
         self._rig = rig
@@ -43,7 +43,7 @@ class PaperEstimator:
         self._events: list[str] = []
 
     def update(self, obs: Observation) -> Estimate:
-        """Takes what has arrived and returns the belief about ``obs.tick``."""
+        """Processes the arrived messages and returns the estimate at ``obs.tick``."""
         self._scan_track = None
         obs = self._guard.screen(obs)
         self._events = list(self._guard.events)
@@ -59,7 +59,7 @@ class PaperEstimator:
         if obs.tick - self._filter.tick > lag + self._rig.lidar_scan_ticks:
             self._filter.carry_to(obs.tick - lag)
         if self._filter.tick != tick_before:
-            # Not only if a message corrected something: standing still does so on the way.
+            # zero-velocity updates correct the filter, too, without a message
             self._filter.catch_up()
         seconds = self._filter.step_s
         world_from_odom, drift = self._camera.world_from_odom(seconds)

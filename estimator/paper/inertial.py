@@ -1,8 +1,8 @@
-"""What carries the paper's poses between measurements: an error-state filter on the IMU.
+"""Loosely coupled error-state filter on the IMU, between the paper's pose measurements.
 
-The paper's vehicle had an IMU in its flight controller and does not say how poses of 10 Hz became
-control at 200 Hz. Here they are measurements of a loosely coupled filter, whose state is carried
-over the IMU samples to now.
+The paper's vehicle had an IMU in its flight controller; the paper does not state how poses of 10 Hz
+became control at 200 Hz. Here they are measurements of a filter, whose state is propagated over the
+IMU samples to the present.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)
 """rad, m, m/s: the take-off pose is known, but the legs settle"""
 _TRAIL_STEPS = 128
 _LIFTING_THRUST = 0.85
-"""of the weight: with less static thrust before the first lift-off the vehicle stands"""
+"""of the weight: with less static thrust before the first lift-off the vehicle is on the ground"""
 _IDLE_MARGIN = 1.2
 
 
@@ -51,14 +51,16 @@ class _Trail:
         self.rotations = turn @ self.rotations
 
     def start_of(self, scan: LidarScan) -> int | None:
-        """Index of the pose at the scan's start, if the trail spans the scan exactly."""
+        """Returns the index of the pose at the scan's start, if the trail spans the scan
+        exactly."""
         first = int(np.searchsorted(self.ticks, scan.start_tick))
         spans = first + 1 < len(self.ticks) and self.ticks[first] == scan.start_tick
         return first if spans and self.ticks[-1] == scan.end_tick else None
 
 
 class InertialFilter:
-    """An error-state filter at measurement time, its trail, and the state carried to now."""
+    """An error-state filter at measurement time, its recent poses (trail), and the state propagated
+    to the present."""
 
     def __init__(
         self, rig: SensorRig, correction_time_s: float, attitude_known: bool = True
@@ -85,7 +87,7 @@ class InertialFilter:
 
     @property
     def tick(self) -> int:
-        """Of the filter's state, which is behind the newest IMU sample."""
+        """Tick of the filter's state, which is behind the newest IMU sample."""
         return self.eskf.state.tick
 
     @property
@@ -95,7 +97,7 @@ class InertialFilter:
     # ------------------------------------------------------------------------ inertial samples
 
     def take_imu(self, obs: Observation) -> None:
-        """Buffers the samples and carries the head over them."""
+        """Buffers the samples and propagates the present state over them."""
         standing = self._standing(obs.rotor_speed_radps)
         for sample in obs.imu:
             rate, force = sample.angular_velocity, sample.specific_force
@@ -147,7 +149,7 @@ class InertialFilter:
         )
 
     def track_of(self, scan: LidarScan) -> PoseTrack | None:
-        """The body's poses over a scan, after the corrections it brought."""
+        """Returns the body's poses over a scan, after its corrections."""
         first = self._trail.start_of(scan)
         return None if first is None else self._track(first)
 
@@ -159,8 +161,8 @@ class InertialFilter:
         return symmetric
 
     def correct(self, pose: Pose, information: Array, vector: Array) -> None:
-        """Takes a measured odom_from_imu with its information (6, 6); ``vector`` (6,): gradient
-        that is left at ``pose`` (zero where a solver has converged)."""
+        """Updates the filter by a measured odom_from_imu with its information (6, 6); ``vector``
+        (6,): the remaining gradient at ``pose`` (zero where a solver has converged)."""
         prior = self.eskf.state
         offset = np.concatenate(
             [so3_log(prior.rotation.T @ pose.rotation), pose.translation - prior.position]
@@ -174,7 +176,7 @@ class InertialFilter:
     # ------------------------------------------------------------------------ output
 
     def catch_up(self) -> None:
-        """Carries the corrected state to now; the jump this makes fades over
+        """Propagates the corrected state to the present; the resulting jump decays over
         ``correction_time_s``."""
         before = self._head
         ticks, gyro, force, _ = self._buffer.samples(self._buffer.count)
@@ -194,7 +196,8 @@ class InertialFilter:
         diagnostics: dict[str, float],
         events: tuple[str, ...] = (),
     ) -> Estimate:
-        """The belief about now. ``extra_covariance`` (3, 3) m^2 is added to the position's."""
+        """Returns the estimate at the present. ``extra_covariance`` (3, 3) m^2 is added to the
+        position's."""
         self._jump = self._jump * np.exp(-self.step_s / self._correction_time_s)
         head, offset = self._head, self.imu_from_body
         rotation = head.rotation @ so3_exp(self._jump[:3])

@@ -1,4 +1,4 @@
-"""The LIDAR's part: features of a scan, Algorithm 1, and the maps that grow by it."""
+"""LIDAR positioning: features of a scan, Algorithm 1, and growth of the feature maps."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ _LASERS = 6
 """of the Horizon, firing in turn"""
 _LONGEST_GAP = 8
 _FLOOR_SIGMAS = np.array([np.radians(0.5), np.radians(0.5), np.radians(0.5), 0.3, 0.3, 0.01])
-"""rad and m: errors of the map that repeat from scan to scan, because the map was made with this
-filter's own poses; a scan is worth no more than this however many points it has"""
+"""rad and m: information floor. Errors of the map repeat from scan to scan, because the map was
+made with this filter's own poses, and do not average out over the points of a scan"""
 _LEAST_RETURNS = 200
 
 

@@ -39,7 +39,8 @@ def reprojection_errors(
     imu_from_camera: Pose,
     camera: CameraIntrinsics,
 ) -> Array:
-    """(N, 2) pixels minus where the landmarks (N, 3) should appear; infinite behind the camera."""
+    """(N, 2) measured pixels minus predicted ones of the landmarks (N, 3); infinite behind the
+    camera."""
     points = (global_from_imu @ imu_from_camera).inverse().apply(landmarks)
     front = points[:, 2] > 0.05
     depth = np.where(front, points[:, 2], 1.0)
@@ -62,11 +63,12 @@ def solve_pnp(
 ) -> CameraPose | None:
     """Solves Eq. 11 for the pose: robust Gauss-Newton on the reprojection errors from ``guess``.
 
-    ``pixels`` (N, 2), ``landmarks`` (N, 3) global, ``sigmas_px`` (N,). The predicted pose is good,
-    so that neither a closed form nor random samples are needed: the gates tighten step by step
-    around Cauchy's weights. ``guess_information`` (6, 6) keeps what the pixels leave open (over a
-    plane tilt and sideways motion look alike) at the guess; it is not in the information returned.
-    None with fewer than ``min_inliers`` landmarks within 3 pixels in the end.
+    ``pixels`` (N, 2), ``landmarks`` (N, 3) global, ``sigmas_px`` (N,). The predicted pose is
+    accurate enough that neither a closed form nor random sampling is needed: the gates of the
+    Cauchy weights tighten step by step. ``guess_information`` (6, 6) keeps directions that the
+    pixels leave unobserved (over a plane tilt and lateral motion look alike) at the guess; the
+    returned information excludes it. None with fewer than ``min_inliers`` landmarks within 3 pixels
+    at the end.
     """
     mounted = MountedCamera(camera, imu_from_camera)
     # the landmarks are global: their frame takes the place of the keyframe's

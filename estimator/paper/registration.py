@@ -1,4 +1,4 @@
-"""Algorithm 1 of the paper: the pose of a scan by its edge and planar points."""
+"""Algorithm 1 of the paper: the pose of a scan from its edge and planar points."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class PosePrior:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ScanPose:
     """Result of Algorithm 1: ``pose`` is odom_from_imu; ``information`` (6, 6) and ``vector`` (6,)
-    are what the scan alone says around it (rotation by right perturbation, position)."""
+    are those of the scan alone at this pose (rotation by right perturbation, position)."""
 
     pose: Pose
     information: Array
@@ -84,8 +84,9 @@ def plane_distance(point: Array, first: Array, middle: Array, last: Array) -> fl
 
 @njit(cache=True)
 def neighbourhood_shapes(near: Array, found: Mask) -> tuple[Mask, Mask]:
-    """Which of (N, 5, 3) neighbourhoods are lines (largest eigenvalue of the covariance three times
-    the second) and which are planes (smallest three times below the second)."""
+    """Masks (N,) of the neighbourhoods (N, 5, 3) that are lines (largest eigenvalue of the
+    covariance three times the second) and that are planes (smallest three times below the
+    second)."""
     count = near.shape[0]
     lines = np.zeros(count, dtype=np.bool_)
     planes = np.zeros(count, dtype=np.bool_)
@@ -192,7 +193,7 @@ def _normal_equations(
 
 @njit(cache=True)
 def _flat_triangles(near: Array) -> Mask:
-    """Whether p_1, p_k/2 and p_k of (N, 5, 3) neighbourhoods span a plane."""
+    """Mask (N,) of the neighbourhoods (N, 5, 3) whose p_1, p_k/2 and p_k span a plane."""
     out = np.zeros(near.shape[0], dtype=np.bool_)
     last, middle = near.shape[1] - 1, near.shape[1] // 2
     for i in range(near.shape[0]):
@@ -219,8 +220,8 @@ def _associate(features: ScanFeatures, maps: FeatureMaps, pose: Pose) -> tuple[A
 
 
 def _keep_best(distances: Array, is_edge: Mask) -> Mask:
-    """All but the largest 20 % of the residuals, of edges and of planes apart: edges scatter more,
-    and a common ranking would drop them alone."""
+    """Mask of all but the largest 20 % of the residuals, of edges and of planes separately: edges
+    scatter more, and a common ranking would remove edges alone."""
     keep = np.zeros(len(distances), dtype=np.bool_)
     for kind in (True, False):
         members = np.flatnonzero(is_edge == kind)

@@ -1,4 +1,4 @@
-"""What is refused before estimators and the mapper see it, and what they make of what is left."""
+"""Rejection of invalid messages, and estimators and mapper behind the guard."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def image(tick: int = 600, **changes: Any) -> CameraImage:
 
 
 def screen(*observations: Observation) -> tuple[Observation, list[str], InputGuard]:
-    """The last observation as it comes out, and all that was said."""
+    """Returns the last screened observation and all events."""
     guard = InputGuard(RIG, 10)
     said: list[str] = []
     for observation in observations:
@@ -50,7 +50,7 @@ def screen(*observations: Observation) -> tuple[Observation, list[str], InputGua
     return out, said, guard
 
 
-def test_what_is_well_passes_untouched() -> None:
+def test_valid_messages_pass_unchanged() -> None:
     whole = obs(636, scans=(scan(),), images=(image(),))
     out, said, guard = screen(whole)
     assert out is whole and not said and guard.refused == 0
@@ -81,7 +81,7 @@ def test_a_scan_without_pulses() -> None:
     assert screen(obs(636, scans=(empty,)))[1] == ["scan 600 refused: no pulses"]
 
 
-def test_silence_on_the_ground_is_not_an_event_but_blindness_in_flight_is() -> None:
+def test_missing_returns_are_an_event_in_flight_only() -> None:
     def blind(end: int) -> LidarScan:
         return scan(end, ranges=np.zeros(20, np.float32))
 
@@ -97,7 +97,7 @@ def test_silence_on_the_ground_is_not_an_event_but_blindness_in_flight_is() -> N
     ]
 
 
-def test_single_pulses_that_are_no_numbers_keep_their_places() -> None:
+def test_single_invalid_pulses_keep_their_position() -> None:
     ranges = scan().ranges.copy()
     ranges[[3, 7]] = np.nan
     directions = scan().directions.copy()
@@ -126,14 +126,14 @@ def test_stamps() -> None:
     ]
 
 
-def test_of_two_swapped_messages_neither_is_believed() -> None:
+def test_two_swapped_messages_are_both_rejected() -> None:
     out, said, _ = screen(obs(696, scans=(scan(660), scan(600)), images=(image(660), image(600))))
     assert out.scans == () and out.images == ()
     # told once for each sensor
     assert said == ["scan 660 refused: out of order", "image 660 refused: out of order"]
 
 
-def test_a_frozen_sensor_is_told_by_its_noise() -> None:
+def test_a_frozen_sensor_is_detected_by_repeated_noise() -> None:
     frozen_scan = dataclasses.replace(scan(600), start_tick=600, end_tick=660)
     frozen_image = dataclasses.replace(image(600), tick=660)
     _, said, _ = screen(
@@ -160,7 +160,7 @@ def test_images_that_are_refused(rgb: Any, word: str) -> None:
     assert out.images == () and len(said) == 1 and word in said[0]
 
 
-def test_a_silent_sensor_is_missed_once_and_welcomed_back() -> None:
+def test_a_dropout_is_reported_once_and_so_is_its_end() -> None:
     heard = obs(636, scans=(scan(600),))
     silence = [obs(t) for t in range(639, 1200, 3)]
     back = obs(1236, scans=(scan(1200),))
@@ -169,7 +169,7 @@ def test_a_silent_sensor_is_missed_once_and_welcomed_back() -> None:
     assert screen(*silence)[1] == [], "a sensor that was never heard is not missed"
 
 
-def test_an_imu_sample_that_is_no_number_is_bridged() -> None:
+def test_an_invalid_imu_sample_is_replaced() -> None:
     def sample(tick: int, rate: float) -> ImuSample:
         return ImuSample(
             tick=tick, time_s=tick / 600, angular_velocity=np.full(3, rate),
@@ -205,7 +205,7 @@ def replay(
 
 @pytest.mark.parametrize("kind", FAULTS)
 @pytest.mark.parametrize("module", [livo_flight, paper_flight])
-def test_estimators_survive_and_tell(module: Any, kind: str) -> None:
+def test_estimators_survive_and_report(module: Any, kind: str) -> None:
     clean = module.FLIGHT
     start = 0.6 * clean[-1].tick / 600
     estimates = replay(clean, module.fly, f"{kind}@{start:g}")

@@ -17,7 +17,7 @@ from touchdown.estimator.paper.structured_edges import forest
 Int32 = NDArray[np.int32]
 
 SHIPPED_MODEL = Path(__file__).with_name("structured_edges.yml.gz")
-"""trained by ``touchdown edges train`` on pictures of this project's scenes"""
+"""trained by ``touchdown edges train`` on images of this project's scenes"""
 
 _OPTIONS = ("stride", "patchSize", "patchInnerSize", "shrinkNumber", "numberOfTrees",
             "numberOfTreesToEvaluate", "selfsimilarityGridSize", "numberOfGradientOrientations",
@@ -138,7 +138,7 @@ def check_model(path: Path) -> None:
 
 
 def _fault(text: str) -> str:
-    """What is wrong with the model, or nothing."""
+    """Returns the defect of the model, or an empty string."""
     if not text.startswith("%YAML"):
         return "it is not OpenCV's YAML"
     head = text[:4000]

@@ -97,7 +97,7 @@ def test_displacement_needs_enough_directions() -> None:
     assert solve_displacement(np.zeros((40, 2)), np.zeros((40, 2)), -1.0, 1e-3) is None
 
 
-def test_attitude_errors_enter_the_displacement_as_its_jacobians_say() -> None:
+def test_attitude_errors_enter_the_displacement_by_its_jacobians() -> None:
     """Directions seen under a wrong attitude give a wrong shift; the true one follows from it by
     the derivatives."""
     rng = np.random.default_rng(2)
@@ -116,7 +116,7 @@ def test_attitude_errors_enter_the_displacement_as_its_jacobians_say() -> None:
         np.testing.assert_allclose(found.shift + jacobian @ error, exact.shift, atol=2e-5)
 
 
-def test_velocity_from_pictures_of_a_known_ground() -> None:
+def test_velocity_from_images_of_known_ground() -> None:
     """Lucas-Kanade over a texture 12 m below, tilted and turning: 5 m/s east, 1 m/s down."""
     ground, scale = texture(900), 0.02
     seconds = 0.1

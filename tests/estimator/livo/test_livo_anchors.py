@@ -1,5 +1,4 @@
-"""Maps that hang on keyframes, and a rig that is estimated along: derivatives, identities, and a
-filter whose doubt is right."""
+"""Anchored maps and online calibration: derivatives, identities, and filter consistency."""
 
 from __future__ import annotations
 
@@ -84,8 +83,8 @@ def test_landmarks_move_with_the_rig_as_predicted() -> None:
     def landmarks(calibration: np.ndarray) -> np.ndarray:
         """The plane through three returns around each landmark, met by a ray of a lens."""
         fx, fy, cx, cy = corrected_intrinsics(CAMERA, calibration)
-        told = CameraIntrinsics(width=848, height=480, fx=fx, fy=fy, cx=cx, cy=cy)
-        rays = bearing_rays(pixels, told)
+        given = CameraIntrinsics(width=848, height=480, fx=fx, fy=fy, cx=cx, cy=cy)
+        rays = bearing_rays(pixels, given)
         turn = rotation.T @ so3_exp(calibration[:3]) @ rotation
         shift = rotation.T @ calibration[3:6]
         base = bearing_rays(pixels, CAMERA)
@@ -150,7 +149,7 @@ def test_calibrated_reprojection_matches_finite_differences() -> None:
     np.testing.assert_allclose(vector, gradient.T @ residual, rtol=1e-3, atol=1e-2)
 
 
-def test_an_unsure_depth_says_nothing_along_its_line() -> None:
+def test_an_uncertain_depth_gives_no_information_along_its_epipolar_line() -> None:
     """A landmark aside of the way up, its depth unknown: only the pixel across the line counts."""
     identity, pixels = np.eye(3), np.array([[523.5, 239.5]])
     arguments = (identity, np.array([0.0, 0.0, -2.0]), identity, np.zeros(3), identity, np.zeros(3))
@@ -216,7 +215,7 @@ def test_calibration_is_carried_and_corrected() -> None:
     assert np.linalg.eigvalsh(eskf.covariance).min() > -1e-9
 
 
-def test_a_loose_filter_admits_only_the_pose() -> None:
+def test_a_loosely_coupled_filter_takes_the_pose_only() -> None:
     eskf = Eskf(state_at(np.eye(3), np.zeros(3)), np.ones(STATE_DIM))
     eskf.add_clone()
     information, vector = np.ones((12, 12)), np.ones(12)
@@ -237,8 +236,9 @@ def anchored_map(
     return plane_map, room_points(rng, walls=True)[::7]
 
 
-def test_a_scan_measures_the_pose_against_the_clone_that_its_planes_hang_on() -> None:
-    """The clone's own doubt of 5 cm stays with the pose; their difference becomes sure."""
+def test_a_scan_measures_the_pose_relative_to_the_clone_of_its_planes() -> None:
+    """The clone's own standard deviation of 5 cm stays with the pose; that of their difference
+    becomes small."""
     rng = np.random.default_rng(6)
     clone = Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
     eskf = Eskf(state_at(clone.rotation, clone.translation), np.full(STATE_DIM, 1e-8))
@@ -263,9 +263,9 @@ def test_a_scan_measures_the_pose_against_the_clone_that_its_planes_hang_on() ->
     np.testing.assert_allclose(gap, position - clone.translation, atol=0.01)
 
 
-def test_the_map_follows_its_clone_and_its_heir() -> None:
-    """Planes are found where the filter believes their clone to be; when the clone goes, they stay
-    there, in the care of the nearest other one."""
+def test_the_map_follows_its_clone_and_the_successor() -> None:
+    """Planes are at the present estimate of their clone; after its marginalisation they stay there,
+    anchored to the nearest other clone."""
     rng = np.random.default_rng(7)
     first, second = (Pose(np.eye(3), np.array([x, 0.0, 10.0])) for x in (0.0, 3.0))
     anchors = Anchors()
@@ -294,18 +294,18 @@ def test_the_map_follows_its_clone_and_its_heir() -> None:
 
 
 FLOORS = {False: np.array([1e-3, 1e-3, 0.01, 0.3, 0.3, 1e-3]), True: np.full(6, 1e-3)}
-"""over level ground the noise of normals feigns sideways motion"""
+"""over level ground the noise of normals adds spurious lateral information"""
 
 
 def flown(seed: int, walls: bool, drift_m: float) -> tuple[Eskf, np.ndarray, np.ndarray]:
-    """A LIDAR told wrongly (0.3 degrees, 1 cm), carried level over a room, first along x, then
-    along y, by an odometry that errs by ``drift_m`` a step, adding to its map as it goes. Returns
-    the filter, what the told mount has wrong, and the true position."""
+    """A LIDAR with a calibration error (0.3 degrees, 1 cm), carried level over a room, first along
+    x, then along y, by an odometry with errors of ``drift_m`` a step, adding to its map as it goes.
+    Returns the filter, the calibration error, and the true position."""
     rng = np.random.default_rng(seed)
     sigmas = np.repeat([5e-3, 0.01, 0.0, 0.0, 0.0], [3, 3, 2, 2, 1])
     error = sigmas * rng.standard_normal(CALIBRATION_DIM)
-    told = Pose(np.eye(3), np.array([0.0, 0.0, -0.1]))
-    true = corrected_mount(told, error)
+    given = Pose(np.eye(3), np.array([0.0, 0.0, -0.1]))
+    true = corrected_mount(given, error)
     position, zero = np.array([-6.0, -6.0, 9.0]), np.zeros(3)
     variances = np.concatenate([np.repeat([1e-10, 1e-8, 1e-8, 1e-8, 1e-8], 3), sigmas**2 + 1e-14])
     state = NavState(0, np.eye(3), position, zero, zero, zero, np.zeros(CALIBRATION_DIM))
@@ -314,7 +314,7 @@ def flown(seed: int, walls: bool, drift_m: float) -> tuple[Eskf, np.ndarray, np.
         world = room_points(rng, walls)[::9]
         world = world[np.abs(world - position)[:, :2].max(axis=1) < 5.0]
         beams = true.inverse().apply(world + rng.normal(0.0, 0.01, world.shape) - position)
-        mount = corrected_mount(told, eskf.state.calibration)
+        mount = corrected_mount(given, eskf.state.calibration)
         if anchors:
             points = mount.apply(beams)
             update_with_scan(
@@ -323,7 +323,7 @@ def flown(seed: int, walls: bool, drift_m: float) -> tuple[Eskf, np.ndarray, np.
                     range_sigma_m=0.01, angle_sigma_rad=1e-3, floor_sigmas=FLOORS[walls]
                 ),
             )  # fmt: skip
-            mount = corrected_mount(told, eskf.state.calibration)
+            mount = corrected_mount(given, eskf.state.calibration)
         state = eskf.state
         eskf.add_clone()
         anchors.add(state.pose, state.calibration)
@@ -336,7 +336,7 @@ def flown(seed: int, walls: bool, drift_m: float) -> tuple[Eskf, np.ndarray, np.
         guess = state.position + step + rng.normal(0.0, drift_m, 3)
         eskf.state = NavState(0, state.rotation, guess, zero, zero, zero, state.calibration)
         eskf.covariance[3:6, 3:6] += drift_m**2 * np.eye(3)
-        # an accelerometer that knows level, a compass that knows north
+        # attitude from an accelerometer and a compass
         attitude, touched = 1e8 * np.eye(3), np.arange(3)
         delta = eskf.correction(touched, attitude, attitude @ so3_log(eskf.state.rotation.T))
         eskf.state, eskf.clones = eskf.boxplus(eskf.state, eskf.clones, delta)
@@ -345,8 +345,9 @@ def flown(seed: int, walls: bool, drift_m: float) -> tuple[Eskf, np.ndarray, np.
 
 
 def test_a_wrong_mount_is_found_in_flight() -> None:
-    """The odometry's heights err by 5 mm a step, or 17 mm over 12 m: so the tilt can be known to
-    1.4 mrad, a quarter of what is told wrong. The filter says so and is right about it."""
+    """The odometry's heights err by 5 mm a step, or 17 mm over 12 m, so that the tilt is observable
+    to 1.4 mrad, a quarter of the calibration error. The filter's standard deviation agrees, and its
+    errors are consistent with it."""
     scores = []
     for seed in range(11, 19):
         eskf, error, _ = flown(seed, walls=False, drift_m=5e-3)

@@ -1,4 +1,4 @@
-"""The filter's core against analytic motion, finite differences and known offsets."""
+"""The error-state filter against analytic motion, finite differences and known offsets."""
 
 from __future__ import annotations
 

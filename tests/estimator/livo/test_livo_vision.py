@@ -99,7 +99,7 @@ def test_feature_planes_fit_a_slope_and_refuse_a_step() -> None:
     np.testing.assert_allclose(depth, 20.0 / (rays3 @ normal), atol=0.02)
 
 
-def test_a_feature_among_leaves_gets_the_depth_of_the_foremost_and_a_doubt() -> None:
+def test_a_feature_in_foliage_gets_the_foremost_depth_and_a_sigma() -> None:
     rng = np.random.default_rng(6)
     # two thirds of the returns from a crown at 18 m, 0.3 m deep, the others from 0.9 m below
     x, y = rng.uniform(-6, 6, (2, 12_000))
@@ -228,7 +228,7 @@ def test_a_plane_is_extended_only_on_demand() -> None:
     assert vision.keyframes[0].valid.sum() > 60
 
 
-def test_the_surest_and_the_best_overlapping_keyframes_are_chosen() -> None:
+def test_the_keyframes_of_least_variance_and_largest_overlap_are_chosen() -> None:
     candidates = [
         Overlap(0, 50, 0.40, 1.0),
         Overlap(1, 90, 0.70, 1.0),

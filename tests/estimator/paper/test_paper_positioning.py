@@ -1,5 +1,5 @@
-"""The parts of the paper's positioning on small known problems: registration, landmarks, PnP,
-bundle adjustment, dictionary and pose graph."""
+"""The paper's positioning on small known problems: registration, landmarks, PnP, bundle adjustment,
+dictionary and pose graph."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def room_maps() -> FeatureMaps:
     return FeatureMaps(edges=edge_map, planes=plane_map)
 
 
-def test_algorithm_1_finds_the_pose_in_spite_of_strangers() -> None:
+def test_algorithm_1_finds_the_pose_despite_outliers() -> None:
     rng = np.random.default_rng(1)
     maps = room_maps()
     planes, edges = room(rng, 300)
@@ -75,7 +75,7 @@ def test_algorithm_1_finds_the_pose_in_spite_of_strangers() -> None:
     assert np.linalg.eigvalsh(result.information)[0] > 0.0
 
 
-def test_algorithm_1_over_a_plane_stays_at_the_guess_where_nothing_holds_it() -> None:
+def test_algorithm_1_over_a_plane_stays_at_the_guess_in_unobserved_directions() -> None:
     rng = np.random.default_rng(2)
     ground = np.column_stack([rng.uniform(-8, 8, (30000, 2)), np.zeros(30000)])
     plane_map, edge_map = FeatureMap(0.5, 1 << 12), FeatureMap(0.3, 1 << 8)
@@ -148,7 +148,7 @@ def test_landmarks_are_found_again_after_a_shift() -> None:
         assert len(np.unique(matched[good])) == len(good)
 
 
-def test_a_black_picture_has_no_landmarks() -> None:
+def test_a_black_image_has_no_landmarks() -> None:
     features = LandmarkDetector(100, 100)(np.zeros((480, 640), np.uint8))
     assert [len(f) for f in features] == [0, 0]
     assert features[0].descriptors.shape == (0, 128) and features[1].descriptors.shape == (0, 64)
@@ -192,7 +192,7 @@ def pixels_of(points: np.ndarray, pose: Pose) -> np.ndarray:
     return -reprojection_errors(np.zeros((len(points), 2)), points, pose, DOWN, CAMERA)
 
 
-def test_pnp_recovers_the_pose_and_names_the_strangers() -> None:
+def test_pnp_recovers_the_pose_and_identifies_outliers() -> None:
     rng = np.random.default_rng(3)
     points = ground_points(rng, 120)
     truth = Pose(so3_exp(np.array([0.02, 0.03, 0.5])), np.array([0.3, -0.2, 20.0]))
@@ -315,7 +315,8 @@ def test_a_closure_is_shared_out_along_the_path() -> None:
 
 
 def test_a_turned_square_closes() -> None:
-    """Odometry whose every corner turns 1 degree too far; the closure says it came home."""
+    """Odometry with 1 degree too much at every corner; the closure states the return to the
+    start."""
     graph = PoseGraph(np.full(6, 1e-6), FREE)
     step = Pose(rotation_from_yaw(np.radians(91.0)), np.array([10.0, 0.0, 0.0]))
     pose = Pose.identity()

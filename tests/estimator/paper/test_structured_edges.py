@@ -115,7 +115,7 @@ def test_the_first_component_parts_two_kinds_of_patches() -> None:
 
 
 def _striped(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """A picture (96, 128, 3) of two halves, parted along a line, and its segments."""
+    """An image (96, 128, 3) of two halves, parted along a line, and its segments."""
     rows, cols = np.mgrid[:96, :128]
     angle, at = rng.uniform(0, np.pi), rng.uniform(-15, 15)
     side = (rows - 48) * np.sin(angle) + (cols - 64) * np.cos(angle) > at
