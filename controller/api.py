@@ -35,6 +35,8 @@ class Setpoint:
 
 
 class Controller(Protocol):
+    """``update`` returns the command for the control step that begins now."""
+
     def update(self, estimate: Estimate, setpoint: Setpoint) -> Command: ...
 
 

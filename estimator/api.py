@@ -82,12 +82,13 @@ class Estimate:
 
     @property
     def world_from_body(self) -> Pose:
+        """Pose of the body in the world frame."""
         return self.world_from_odom @ self.odom_from_body
 
 
 class Estimator(Protocol):
-    """``update`` is called once a control step with what has arrived; it must be deterministic and
-    must not modify its input."""
+    """``update`` is called once a control step with the arrived messages; it must be deterministic
+    and must not modify its input."""
 
     needs: SensorNeeds
 
@@ -132,6 +133,8 @@ class MapView:
 
 
 class Mapper(Protocol):
+    """``update`` is called once a control step with the arrived messages and the estimate."""
+
     needs: SensorNeeds
 
     def update(self, obs: Observation, estimate: Estimate) -> MapView: ...

@@ -55,6 +55,7 @@ class GroundHeight:
 
     @property
     def sigma_m(self) -> float:
+        """Standard deviation of the height."""
         return math.sqrt(self._variance)
 
     def depths(self, rays: Array, odom_from_camera: Pose) -> Array:

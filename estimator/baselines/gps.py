@@ -51,6 +51,7 @@ class SatelliteAiding:
         self._last_s = fix.time_s
 
     def healthy(self, time_s: float) -> bool:
+        """True if a recent fix exists."""
         return time_s - self._last_s < _PATIENCE_S
 
     def estimate(self, obs: Observation, diagnostics: dict[str, float]) -> Estimate:

@@ -16,9 +16,9 @@ from touchdown.estimator.baselines.alignment import Alignment, field_azimuth
 from touchdown.estimator.baselines.epochs import Epoch, EpochQueue
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import ROTATION
+from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.guard import InputGuard
-from touchdown.estimator.paper.inertial import InertialFilter
 from touchdown.sim.api import MagnetometerSample, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
@@ -70,17 +70,19 @@ class Navigator:
 
     @property
     def filter(self) -> InertialFilter:
-        """RuntimeError before the first epoch."""
+        """The inertial filter; RuntimeError before the first epoch."""
         if self._filter is None:
             raise RuntimeError("the attitude is not known before the first epoch")
         return self._filter
 
     @property
     def eskf(self) -> Eskf:
+        """The error-state filter; RuntimeError before the first epoch."""
         return self.filter.eskf
 
     @property
     def standing(self) -> bool:
+        """True while the vehicle stands on the ground."""
         return self._filter is None or self._filter.still
 
     def epochs(self, obs: Observation) -> Iterator[Epoch]:

@@ -28,6 +28,7 @@ class FollowingAnchor:
 
     @property
     def known(self) -> bool:
+        """True once a fix was processed."""
         return self._target is not None
 
     @property
@@ -72,6 +73,7 @@ class WanderingAnchor:
 
     @property
     def known(self) -> bool:
+        """True once a fix was processed."""
         return not math.isnan(self._time_s)
 
     @property

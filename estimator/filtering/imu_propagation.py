@@ -51,9 +51,11 @@ class NavState:
 
     @property
     def pose(self) -> Pose:
+        """odom_from_imu."""
         return Pose(self.rotation, self.position)
 
     def copy(self) -> NavState:
+        """Returns a deep copy."""
         return NavState(
             self.tick,
             self.rotation.copy(),

@@ -151,6 +151,7 @@ class DegeneracyWatch:
         self._against = 0
 
     def events(self, report: LidarReport) -> list[str]:
+        """Returns the messages caused by the newest scan."""
         weak = report.weak_translation + report.weak_rotation > 0
         self._against = self._against + 1 if weak != self._degenerate else 0
         if self._against < self._patience:

@@ -56,6 +56,7 @@ class _Grid:
         self.layers["last_seen_s"] = np.full(shape, -np.inf, np.float32)
 
     def view(self) -> GridMap:
+        """Returns read-only views of the layers."""
         read_only: dict[str, Float32] = {}
         for name, layer in self.layers.items():
             read_only[name] = layer.view()

@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import PaperParams
+from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.information import limit_information
 from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.paper.closures import Closures
 from touchdown.estimator.paper.depth_field import DepthField
-from touchdown.estimator.paper.inertial import InertialFilter
 from touchdown.estimator.paper.landmarks import Features, LandmarkDetector
 from touchdown.estimator.paper.pnp import CameraPose, solve_pnp
 from touchdown.estimator.paper.visual_map import (

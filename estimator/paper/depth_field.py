@@ -120,6 +120,7 @@ class DepthField:
 
     @property
     def returns(self) -> int:
+        """Number of pixels with a return."""
         return len(self._depths)
 
     def depth(self, pixels: Array) -> tuple[Array, Array]:

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, PaperParams, PoseTrack
+from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.paper.camera_pose import CameraPositioning
 from touchdown.estimator.paper.depth_field import half_size_energy
-from touchdown.estimator.paper.inertial import InertialFilter
 from touchdown.estimator.paper.lidar_pose import LidarPositioning
 from touchdown.estimator.paper.projection import nearest_image
 from touchdown.estimator.paper.structured_edges.detector import edge_detector

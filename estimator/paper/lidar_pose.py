@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import PaperParams
 from touchdown.estimator.filtering.deskew import PlacedScan
+from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.information import lateral_strength, limit_information
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.paper.depth_field import scan_colour_smoothness
 from touchdown.estimator.paper.feature_map import FeatureMap
-from touchdown.estimator.paper.inertial import InertialFilter
 from touchdown.estimator.paper.projection import lidar_to_camera
 from touchdown.estimator.paper.registration import (
     FeatureMaps,

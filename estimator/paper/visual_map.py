@@ -56,6 +56,7 @@ class Sightings:
 
 
 def no_sightings() -> Sightings:
+    """Returns an empty set."""
     empty = np.zeros(0, dtype=np.int64)
     return Sightings(empty, empty, empty, np.zeros((0, 2)))
 
@@ -86,6 +87,7 @@ class VisualMap:
         self.keyframes: list[MapKeyframe] = []
 
     def by_number(self) -> dict[int, MapKeyframe]:
+        """Returns the keyframes by their numbers."""
         return {keyframe.number: keyframe for keyframe in self.keyframes}
 
     def positions(

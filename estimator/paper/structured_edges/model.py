@@ -84,8 +84,8 @@ def _padded(values: NDArray[Any], nodes: int) -> NDArray[Any]:
 
 
 def _leaf_tables(trees: Sequence[forest.Tree], nodes: int) -> tuple[list[Int32], list[Int32]]:
-    """Where the boundary pixels of each node begin in the row of all of them, with one entry more
-    at the very end, and these pixels, counted along columns first."""
+    """Start of each node's boundary pixels in the concatenated row, with one more entry at the end,
+    and these pixels, counted along columns first."""
     bounds, bins, start = [], [], 0
     for tree in trees:
         counts = np.zeros(nodes, np.int64)

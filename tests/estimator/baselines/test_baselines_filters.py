@@ -104,12 +104,12 @@ def test_attitude_from_gravity_and_field() -> None:
 def test_heading_update_turns_about_the_vertical_alone() -> None:
     params = MagnetometerParams()
     true = so3_exp(np.array([0.02, 0.01, 0.0])) @ rotation_from_yaw(0.3)
-    believed = rotation_from_yaw(0.05) @ true
-    eskf = make_filter(believed)
+    estimated = rotation_from_yaw(0.05) @ true
+    eskf = make_filter(estimated)
     field = true.T @ earth_field_world(params)
     for _ in range(20):
         update_heading(eskf, field, field_azimuth(params), 0.01)
-    np.testing.assert_allclose(eskf.state.rotation[2], believed[2], atol=1e-9)
+    np.testing.assert_allclose(eskf.state.rotation[2], estimated[2], atol=1e-9)
     np.testing.assert_allclose(eskf.state.rotation, true, atol=2e-3)
 
 

@@ -1,4 +1,4 @@
-"""Shifts, flow and displacement on pictures whose motion is known."""
+"""Shifts, flow and displacement on images of known motion."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CAMERA = CameraIntrinsics(width=320, height=240, fx=250.0, fy=250.0, cx=159.5, c
 def view(
     ground: np.ndarray, metres_per_pixel: float, position: np.ndarray, attitude: np.ndarray
 ) -> np.ndarray:
-    """What CAMERA sees of a picture of the ground z = 0, whose pixel (col, row) lies at (x, y) =
+    """Image of CAMERA over a texture of the ground z = 0, whose pixel (col, row) lies at (x, y) =
     (col, row) times ``metres_per_pixel``; ``attitude`` is world_from_camera."""
     cols, rows = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
     pixels = np.column_stack([cols.ravel(), rows.ravel()]).astype(float)

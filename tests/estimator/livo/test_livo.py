@@ -87,7 +87,7 @@ def test_biases_and_level_are_estimated_on_the_ground() -> None:
         )
     np.testing.assert_allclose(estimate.angular_velocity_body, 0.0, atol=2e-4)
     np.testing.assert_allclose(estimate.acceleration_odom, 0.0, atol=2e-3)
-    # three times the doubt of the attitude on the pad
+    # three times the standard deviation of the attitude on the pad
     np.testing.assert_allclose(estimate.odom_from_body.rotation, np.eye(3), atol=6e-4)
 
 

@@ -93,7 +93,7 @@ def test_landmarks_move_with_the_rig_as_predicted() -> None:
         for i, n in enumerate(planes):
             moved_n = turn @ n
             through = turn @ (centre[i] - sensor) + sensor + shift
-            # the same plane, from where the camera was when the picture was taken
+            # the same plane, from the camera's position at the exposure
             (taken,) = exposed([Pose.identity()], motion[None], calibration)
             early = IMU_FROM_CAMERA.inverse() @ taken.inverse() @ IMU_FROM_CAMERA
             moved_n, through = early.rotation @ moved_n, early.apply(through)

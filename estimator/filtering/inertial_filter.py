@@ -1,4 +1,4 @@
-"""Loosely coupled error-state filter on the IMU, between the paper's pose measurements.
+"""Loosely coupled error-state filter on the IMU, of the paper's estimator and the baselines.
 
 The paper's vehicle had an IMU in its flight controller; the paper does not state how poses of 10 Hz
 became control at 200 Hz. Here they are measurements of a filter, whose state is propagated over the
@@ -92,6 +92,7 @@ class InertialFilter:
 
     @property
     def head_tick(self) -> int:
+        """Tick of the newest IMU sample."""
         return self._head.tick
 
     # ------------------------------------------------------------------------ inertial samples
