@@ -53,7 +53,7 @@ def test_phase_correlation_finds_fractions_of_a_pixel() -> None:
     np.testing.assert_allclose(found.pixels, [5.3, -2.6], atol=0.15)
 
 
-def test_phase_correlation_says_when_there_is_nothing_in_common() -> None:
+def test_phase_correlation_has_no_response_without_overlap() -> None:
     found = phase_shift(texture(256, 1), texture(256, 2))
     assert found.response < 0.2
     blank = np.full((256, 256), 90, np.uint8)
