@@ -1,4 +1,4 @@
-"""What the rest of the project may know of control."""
+"""Interface of the controller: setpoints, the protocol and its parameters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Setpoint:
-    """Where the body origin should be, in the ODOM frame, with feed-forward."""
+    """Reference of the body origin in the ODOM frame, with feed-forward."""
 
     position_odom: Array
     """(3,) m"""
@@ -36,12 +36,14 @@ class Setpoint:
 
 
 class Controller(Protocol):
+    """``update`` returns the command for the control step that begins now."""
+
     def update(self, estimate: Estimate, setpoint: Setpoint) -> Command: ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ControlParams:
-    """Closed-loop bandwidths that ``controller/design.py`` turns into PID gains."""
+    """Closed-loop bandwidths, which ``controller/gains.py`` turns into PID gains."""
 
     __pydantic_config__ = FORBID_EXTRA
 

@@ -20,7 +20,7 @@ _MAX_RATE_RADPS = np.array([4.0, 4.0, 1.5])
 _MAX_JERK_MPS3 = 12.0
 _MIN_VERTICAL_FORCE = 0.3
 _MAX_VERTICAL_FORCE = 1.8
-"""fractions of the weight; below, tilting would no longer steer"""
+"""fractions of the weight; below the lower one, tilting has no control authority"""
 
 
 class CascadeController:
@@ -64,7 +64,7 @@ class CascadeController:
         self._last_rates: Array | None = None
 
     def update(self, estimate: Estimate, setpoint: Setpoint) -> Command:
-        """Rotor speeds (4,) rad/s for the control step that begins now."""
+        """Returns the rotor speeds (4,) rad/s for the control step that begins now."""
         if not setpoint.motors_on:
             self.reset()
             return Command(rotor_speed_radps=np.zeros(4))
@@ -86,12 +86,12 @@ class CascadeController:
         wrench = _wrench(thrust, demand, rates, self._vehicle.inertia_kgm2)
         share = setpoint.thrust_limit
         speeds = self._mixer.speeds(wrench, np.inf if share is None else share * self._weight)
-        if share is None:  # on the ground the errors are not the controller's to integrate away
+        if share is None:  # on the ground contact forces would wind up the integrals
             self._settle(force, wrench, self._mixer.wrench(speeds))
         return Command(rotor_speed_radps=self._lead.command(speeds))
 
     def _wanted_force(self, estimate: Estimate, setpoint: Setpoint) -> Array:
-        """(3,) N, odom frame: what the rotors should push with, within the tilt limit."""
+        """(3,) N, odom frame: demanded thrust vector, within the tilt limit."""
         reference = setpoint.acceleration_odom
         last = reference if self._last_acceleration is None else self._last_acceleration
         self._last_acceleration = reference
@@ -128,8 +128,9 @@ class CascadeController:
         return limited
 
     def _settle(self, force: Array, wrench: Array, achieved: Array) -> None:
-        """Integrates both PIDs, telling them what tilt limit and rotors left undone."""
-        missing, missing_turn = _undone(
+        """Integrates both PIDs with back-calculation of what tilt limit and rotors did not
+        deliver."""
+        missing, missing_turn = _undelivered(
             force,
             self._unlimited_force,
             achieved,
@@ -141,7 +142,7 @@ class CascadeController:
         self._rate_pid.settle(missing_turn)
 
 
-# Whole steps are compiled, not single lines: on vectors of three the calls are what costs.
+# Whole steps are compiled, not single lines: on vectors of three the calls dominate the cost.
 
 
 _GIVEN = types.Array(types.float64, 1, "A", readonly=True)
@@ -196,7 +197,7 @@ def _forces(
     weight: float,
     max_slope: float,
 ) -> tuple[Array, Array]:
-    """(3,) N, odom frame: the wanted push, and what of it the limits leave: the vertical share
+    """(3,) N, odom frame: the demanded force, and the same within the limits: the vertical share
     first, then as much of the horizontal as the tilt limit allows."""
     force = mass * (feedback + feed_forward - drag - unexpected)
     force[2] += weight
@@ -210,10 +211,10 @@ def _forces(
 
 
 @njit(cache=True)
-def _undone(
+def _undelivered(
     force: Array, unlimited: Array, achieved: Array, wrench: Array, mass: float, inertia: Array
 ) -> tuple[Array, Array]:
-    """What tilt limit and rotors leave undone: accelerations, (3,) linear and (3,) angular."""
+    """Accelerations that tilt limit and rotors did not deliver, (3,) linear and (3,) angular."""
     delivered = force * (achieved[0] / wrench[0])
     return (delivered - unlimited) / mass, (achieved[1:] - wrench[1:]) / inertia
 
@@ -222,9 +223,9 @@ def _undone(
 def _rate_setpoint(
     rotation: Array, force: Array, yaw: float, yaw_rate: float, gain: Array, limit: Array
 ) -> Array:
-    """(3,) body rates that turn the thrust axis towards ``force`` on the shortest way, and yaw.
+    """(3,) body rates that rotate the thrust axis towards ``force`` on the shortest path, and yaw.
 
-    Tilt and heading are apart, so that a large yaw error cannot disturb the thrust direction.
+    Tilt and heading are separate, so that a large yaw error cannot disturb the thrust direction.
     """
     direction = rotation.T @ force  # in the body frame
     sine = np.sqrt(direction[0] ** 2 + direction[1] ** 2)

@@ -1,17 +1,16 @@
-"""The linear model of every loop, and the margins that the cascade's gains leave in it.
+"""Linear model and stability margins of every loop of the cascade.
 
-``python -m controller.design`` prints them. Each loop is cut where its controller acts on the loop
-inside, which is closed; the loops around it are open. The rows called ``actuator`` cut the complete
-cascade at the rotors. The model is discrete at the control rate: airframe and motor lag behind a
-zero-order hold, one more sample of delay, the motor lead, and the very gains that fly. Torques are
-scaled by the inertia and thrust by the mass, so of the vehicle only the motors' lag matters; drag,
-which damps, is left out, and so is the observer of the wind's force, in which the loops' own action
-cancels.
+Each loop is cut at its controller's output; the loop inside is closed, the loops around it are
+open. The rows called ``actuator`` cut the complete cascade at the rotors. The model is discrete at
+the control rate: airframe and motor lag behind a zero-order hold, one more sample of delay, the
+motor lead, and the gains used in flight. Torques are scaled by the inertia and thrust by the mass,
+so of the vehicle only the motors' lag matters. The model omits drag, which adds damping, and the
+observer of the wind's force, in which the loops' own action cancels. ``touchdown control margins``
+prints the margins.
 """
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,7 +36,7 @@ class LoopMargin:
 
     name: str
     gain_margin_db: float
-    """the smaller of what the gain may rise and what it may fall by"""
+    """the smaller of the factors by which the gain may rise or fall"""
     phase_margin_deg: float
     """smallest over all crossovers"""
     crossover_rad_s: float
@@ -58,13 +57,14 @@ class _Stage:
 
     @property
     def feedback(self) -> System:
-        """1 x number of outputs: all that the loop feeds back."""
+        """1 x number of outputs: total feedback of the loop."""
         direct = self.forward * self.measured
         return direct if self.damping is None else direct + self.damping
 
 
 def loop_margins(vehicle: VehicleModel, params: ControlParams) -> list[LoopMargin]:
-    """Margins of every loop of ``CascadeController(vehicle, params)``, inner loops first."""
+    """Returns the margins of every loop of ``CascadeController(vehicle, params)``, inner loops
+    first."""
     rows = []
     for axes, plant, stages in _chains(vehicle.motor_time_constant_s, params):
         rows += [_margin(name, loop) for name, loop in _cut_loops(plant, stages)]
@@ -236,8 +236,8 @@ def _cut_at_actuator(plant: System, stages: list[_Stage]) -> System:
 
 
 def _margin(name: str, loop: System) -> LoopMargin:
-    """Margins from the frequency response: exact enough on a fine grid, and free of the rounding
-    that polynomials with many poles near z = 1 suffer from."""
+    """Returns the margins from the frequency response on a fine grid, which avoids the rounding
+    errors of polynomials with many poles near z = 1."""
     import control
 
     grid = np.geomspace(0.01, 0.999 * np.pi / loop.dt, 1_500)
@@ -249,51 +249,3 @@ def _margin(name: str, loop: System) -> LoopMargin:
         phase_margin_deg=float(np.min(np.abs(phase), initial=np.inf)),
         crossover_rad_s=float(np.max(crossover, initial=0.0)),
     )
-
-
-def _table(margins: list[LoopMargin]) -> str:
-    lines = [f"{'loop':<22}{'gain margin':>13}{'phase margin':>15}{'crossover':>14}"]
-    for m in margins:
-        enough = (
-            m.gain_margin_db >= MIN_GAIN_MARGIN_DB and m.phase_margin_deg >= MIN_PHASE_MARGIN_DEG
-        )
-        lines.append(
-            f"{m.name:<22}{m.gain_margin_db:>10.1f} dB{m.phase_margin_deg:>11.1f} deg"
-            f"{m.crossover_rad_s:>8.2f} rad/s{'' if enough else '  too small'}"
-        )
-    return "\n".join(lines)
-
-
-def main() -> None:
-    """Prints the margins of the default gains."""
-    parser = argparse.ArgumentParser(prog="python -m controller.design", description=main.__doc__)
-    parser.add_argument(
-        "--motor-time-constant",
-        type=float,
-        default=0.04,
-        help="lag of the rotors in seconds, as in the vehicle's MJCF (default: %(default)s)",
-    )
-    motor_s = parser.parse_args().motor_time_constant
-    print(_table(loop_margins(_nominal_vehicle(motor_s), ControlParams())))
-
-
-def _nominal_vehicle(motor_s: float) -> VehicleModel:
-    """Unit mass and inertia: the margins do not depend on them."""
-    return VehicleModel(
-        mass_kg=1.0,
-        inertia_kgm2=np.ones(3),
-        rotor_xy_m=np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]),
-        rotor_spin=np.array([1.0, -1.0, 1.0, -1.0]),
-        thrust_coefficient=1.0,
-        torque_coefficient=1.0,
-        rotor_speed_min=0.0,
-        rotor_speed_max=10.0,
-        motor_time_constant_s=motor_s,
-        linear_drag=0.0,
-        leg_height_m=0.0,
-        footprint_radius_m=1.0,
-    )
-
-
-if __name__ == "__main__":
-    main()

@@ -1,10 +1,10 @@
-"""An observer of the horizontal force that air exerts on the vehicle.
+"""An observer of the horizontal aerodynamic force on the vehicle.
 
-Newton's law of the measured acceleration, less gravity and the thrust that the modelled rotors give
-along the measured body axis, leaves what the air does: drag of wind and own speed. As thrust and
-tilt are those of the vehicle and not those commanded, the loops' own action cancels in the
-difference, and feeding the observed force forward leaves the loops' margins as they are (an
-incremental inversion in the sense of Smeur, de Croon and Chu, 2018).
+Measured acceleration, less gravity and the thrust of the modelled rotors along the measured body
+axis, leaves the aerodynamic force: drag of wind and own speed. Thrust and tilt are those of the
+vehicle, not those commanded, so that the loops' own action cancels in the difference, and the
+feed-forward of the observed force leaves the loops' margins unchanged (an incremental inversion in
+the sense of Smeur, de Croon and Chu, 2018).
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from touchdown.sim.api import GRAVITY_MPS2, VehicleModel
 Array = NDArray[np.float64]
 
 _SUPPORTED = 0.35 * GRAVITY_MPS2
-"""An unexplained upward push above this means that the ground carries the vehicle. In the air a
-fast descent through the rotors' inflow comes to about half of it."""
+"""An unexplained upward acceleration above this means ground contact. In the air a fast descent
+through the rotors' inflow reaches about half of it."""
 
 
 class DisturbanceObserver:
@@ -31,7 +31,7 @@ class DisturbanceObserver:
         self.reset()
 
     def reset(self) -> None:
-        """Still air."""
+        """Resets the estimate to still air."""
         self.acceleration = np.zeros(3)
 
     def update(

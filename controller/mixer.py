@@ -1,6 +1,6 @@
-"""From a wrench to rotor speeds: allocation by the inverse of the effectiveness matrix.
+"""Mixer: rotor speeds from a wrench, by the inverse of the effectiveness matrix.
 
-Under saturation roll and pitch torque come first, since they keep the vehicle upright, then the
+Under saturation roll and pitch torque have priority, since they keep the vehicle upright, then the
 thrust, then the yaw torque.
 """
 
@@ -127,7 +127,7 @@ class MotorLead:
         self.reset()
 
     def reset(self) -> None:
-        """The rotors stand still."""
+        """Resets the model to stopped rotors."""
         self.modelled_radps = np.zeros(4)
 
     def command(self, wanted_radps: Array) -> Array:

@@ -25,10 +25,10 @@ class PidGains:
 class VectorPid:
     """PID whose derivative acts on a given rate, so that a step of the reference does not kick.
 
-    One control step is ``output`` followed by ``settle``, which integrates: the integral is known
-    to have been limited only after the actuators have been asked. Back-calculation: what the
-    actuators could not deliver flows into the integral at the rate
-    ``ki / kp``, the time constant of the integral itself (Astrom and Hagglund, 1995, section 3.5).
+    One control step is ``output`` followed by ``settle``, which integrates: the
+    saturation is known only after the actuators were commanded. Anti-windup by back-calculation:
+    the undelivered output enters the integral at the rate ``ki / kp``, the time constant of the
+    integral itself (Astrom and Hagglund, 1995, section 3.5).
     """
 
     def __init__(self, gains: PidGains, step_s: float) -> None:
@@ -50,7 +50,7 @@ class VectorPid:
         return _pid_output(error, rate, self.integral, gains.kp, gains.kd)
 
     def settle(self, missing: Array) -> None:
-        """Integrates one step; ``missing`` (n,): what the actuators deliver less what was asked."""
+        """Integrates one step; ``missing`` (n,): delivered output less demanded output."""
         gains = self.gains
         self.integral = _pid_integral(
             self.integral,

@@ -1,4 +1,4 @@
-"""What the rest of the project may know of estimation: estimates, maps, protocols, parameters.
+"""Interface of the estimators: estimates, maps, protocols and parameters.
 
 Loads with numpy alone, so that an external estimator can be written against it.
 """
@@ -25,17 +25,17 @@ from touchdown.sim.frames import Pose
 Array = NDArray[np.float64]
 
 LEAST_CONTRAST = 2.5
-"""standard deviation of each channel's levels below which an image shows nothing but noise"""
+"""standard deviation of each channel's levels below which an image holds noise only"""
 
 
 def some_pixels(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Enough of an image (H, W, 3) for `image_defect`, a copy."""
+    """Returns a subsample of an image (H, W, 3) for `image_defect`, a copy."""
     return np.ascontiguousarray(rgb[::8, ::8])
 
 
 def image_defect(pixels: NDArray[np.uint8], before: NDArray[np.uint8]) -> str:
-    """Why not to believe some pixels (h, w, 3) of an image, those of the one ``before`` known, in
-    words; "": nothing is wrong. Noise never repeats."""
+    """Returns the defect of an image, from its pixels (h, w, 3) and those of the image ``before``;
+    "" if there is none. Noise makes identical images impossible."""
     channels = np.ascontiguousarray(pixels.reshape(-1, 3).T)  # in a row each, a third of the time
     if float(channels.std(axis=1).max()) < LEAST_CONTRAST:
         return "no contrast"
@@ -56,11 +56,11 @@ class PoseTrack:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Estimate:
-    """Belief about the vehicle at ``time_s``: the time of the newest observation, reached by IMU
-    propagation from the newest scan or image.
+    """State estimate at ``time_s``: the time of the newest observation, reached by IMU propagation
+    from the newest scan or image.
 
     Control uses ``odom_from_body``, which never jumps; ``world_from_odom`` moves at a bounded rate
-    when closures correct the past. ``world_from_body`` composes both.
+    when loop closures correct the past. ``world_from_body`` composes both.
     """
 
     tick: int
@@ -79,22 +79,23 @@ class Estimate:
     """(3, 3) rad^2, body frame"""
     healthy: bool = True
     scan_track: PoseTrack | None = None
-    """Best known poses that span the scans in this observation, if there are any and the estimator
-    offers them; otherwise the mapper interpolates the causal estimates."""
+    """Best poses that span the scans in this observation, if the estimator provides them; otherwise
+    the mapper interpolates the causal estimates."""
     diagnostics: Mapping[str, float] = field(default_factory=dict)
     """Named scalars for the recording (features tracked, residuals, degenerate directions...)."""
     events: tuple[str, ...] = ()
-    """What happened since the last update that a person should know, in words: a message refused
-    and why, a sensor silent, a direction that nothing measures."""
+    """Messages about the time since the last update: a rejected message and the reason, a sensor
+    dropout, a degenerate direction."""
 
     @property
     def world_from_body(self) -> Pose:
+        """Pose of the body in the world frame."""
         return self.world_from_odom @ self.odom_from_body
 
 
 class Estimator(Protocol):
-    """``update`` is called once a control step with what has arrived; it must be deterministic and
-    must not modify its input."""
+    """``update`` is called once a control step with the arrived messages; it must be deterministic
+    and must not modify its input."""
 
     needs: SensorNeeds
 
@@ -123,14 +124,15 @@ class GridMap:
     intensity: NDArray[np.float32]
     """mean LIDAR intensity 0..255"""
     missing: NDArray[np.float32]
-    """pulses that should have hit this cell (at the surrounding height) and did not come back"""
+    """pulses without return that were expected to hit this cell, at the height of its
+    surroundings"""
     last_seen_s: NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MapView:
-    """The mapper's state, cheap to hand over (views, no copies). ``version`` rises with every scan
-    integrated. ``fine`` covers a window below the vehicle once it is low."""
+    """The mapper's state as views without copies. ``version`` increases with every scan integrated.
+    ``fine`` covers a window below the vehicle at low height; None above it."""
 
     version: int
     coarse: GridMap
@@ -138,6 +140,8 @@ class MapView:
 
 
 class Mapper(Protocol):
+    """``update`` is called once a control step with the arrived messages and the estimate."""
+
     needs: SensorNeeds
 
     def update(self, obs: Observation, estimate: Estimate) -> MapView: ...
@@ -146,12 +150,13 @@ class Mapper(Protocol):
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Chessboard:
     """A chessboard on a plate. Its frame: origin in the middle, x along the columns, y down the
-    rows, z away from who looks at it."""
+    rows, z away from the viewer."""
 
     columns: int = 11
     """inner corners along x"""
     rows: int = 8
-    """inner corners along y; odd and even, so that the board upside down is not the board"""
+    """inner corners along y; one count is odd and one even, so that the orientation is
+    unambiguous"""
     square_m: float = 0.09
     margin_m: float = 0.06
     """white rim of the plate around the squares"""
@@ -167,7 +172,7 @@ class Chessboard:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CalibrationView:
-    """One placement of the board as camera and LIDAR saw it."""
+    """One placement of the board, seen by camera and LIDAR."""
 
     rgb: NDArray[np.uint8]
     """(H, W, 3)"""
@@ -177,8 +182,8 @@ class CalibrationView:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CalibrationResult:
-    """What chessboards tell about camera and LIDAR. Covariances follow from the normal equations;
-    that of the extrinsics includes what the camera's planes got wrong."""
+    """Intrinsics and extrinsics from chessboards. Covariances follow from the normal equations;
+    that of the extrinsics includes the errors of the camera's planes."""
 
     camera: CameraIntrinsics
     camera_covariance: Array
@@ -188,11 +193,11 @@ class CalibrationResult:
     """(6, 6) of a small rotation (rad) applied on the left, then of the translation (m)"""
     reprojection_rms_px: float
     plane_rms_m: float
-    """of the board's points in the LIDAR about the camera's planes"""
+    """of the board's LIDAR points about the camera's planes"""
     used: tuple[int, ...]
     """indices of the views that were used"""
     refused: Mapping[int, str]
-    """why the others were not"""
+    """reasons for rejecting the other views"""
     corners: Mapping[int, Array]
     """(rows * columns, 2) pixels of the views whose board the camera found"""
     board_points: Mapping[int, Array]

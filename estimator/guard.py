@@ -1,9 +1,9 @@
-"""What estimators and the mapper check before they believe a message.
+"""Validity checks of sensor messages for estimators and the mapper.
 
-A sensor fails in few ways that its messages alone can tell: values that are no numbers, nothing
-seen, a stamp that cannot be, the same content again. Such a message is refused, which costs no more
-than its loss, and the refusal is told in words. What only a comparison with everything else can
-tell (a wrong but plausible measurement) is the filters' business.
+The guard rejects a message that is invalid by itself: values that are not finite, no returns, an
+impossible time stamp, repeated content. A rejection costs no more than the loss of the message, and
+is reported as an event. Plausible outliers are left to the filters' innovation tests.
+``filtering.deskew.screen_scan`` then selects the returns within the sensor's limits.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ from touchdown.estimator.api import image_defect, some_pixels
 from touchdown.sim.api import CameraImage, ImuSample, LidarScan, Observation, SensorRig
 
 _CLUTTER_M = 10.0
-"""within which rain and fog are taken for targets"""
-_CLUTTER_LEVEL, _LONE_LEVEL = 6, 15
-"""strongest intensity of an echo of the air, and of one that hangs alone in it"""
-_CLUTTER_LEAST, _CLUTTER_SHARE = 10, 0.8
-"""weak, lone echoes in a scan, and weak ones among all that are near, from which it counts as taken
-in rain or fog: what is near otherwise is strong for the most part"""
+"""range within which echoes may come from rain or fog"""
+_CLUTTER_LEVEL, _ISOLATED_LEVEL = 6, 15
+"""largest intensity of an echo of rain or fog, and of an isolated one"""
+_MIN_CLUTTER, _CLUTTER_SHARE = 10, 0.8
+"""weak isolated echoes in a scan, and the share of weak ones among all near echoes, from which the
+scan counts as taken in rain or fog: other near echoes are mostly strong"""
 _CLUTTER_SCANS, _CLUTTER_MEMORY_S = 3, 30.0
-"""in a row before it is believed, and how long: over the ground everything is near"""
-_LEAST_RETURNS = 1e-3
-"""share of pulses that must be left when those echoes are taken away"""
-_LONE_GAP_M = 1.0
-_SILENCE_PERIODS = 3.5
-"""a sensor that has been heard once is missed after so many of its periods"""
+"""consecutive scans before rain or fog is assumed, and the duration of this state: near the ground
+all returns are near"""
+_MIN_RETURNS_SHARE = 1e-3
+"""share of pulses that must remain after the removal of those echoes"""
+_ISOLATED_GAP_M = 1.0
+_DROPOUT_PERIODS = 3.5
+"""a sensor that has delivered once is in dropout after so many of its periods"""
 
 Message = TypeVar("Message", LidarScan, CameraImage)
 
@@ -41,8 +42,8 @@ Message = TypeVar("Message", LidarScan, CameraImage)
 class InputGuard:
     """Screens observations, in order. ``events`` are those of the last call of ``screen``.
 
-    ``camera_hz``: images a second to be expected; 0: as they come. ``inertial``: whether IMU
-    samples are looked at.
+    ``camera_hz``: expected images a second; 0: no expectation. ``inertial``: IMU samples are
+    checked, too.
     """
 
     def __init__(self, rig: SensorRig, camera_hz: int = 0, *, inertial: bool = True) -> None:
@@ -53,24 +54,24 @@ class InputGuard:
         self._images = _Stream("image", period, rig.tick_hz)
         self._ranges: NDArray[np.float32] = np.zeros(0, np.float32)
         self._pixels: NDArray[np.uint8] = np.zeros(0, np.uint8)
-        self._seeing = False
-        """whether any scan had a return yet"""
+        self._had_returns = False
+        """True once a scan had a return"""
         self._clutter_ticks = round(_CLUTTER_MEMORY_S * rig.tick_hz)
         self._clutter_until = -1
         self._cluttered = 0
-        """scans in a row that show rain or fog"""
+        """consecutive scans with signs of rain or fog"""
         self._imu: ImuSample | None = None
         self._repaired = 0
         self.events: tuple[str, ...] = ()
         self.refused = 0
-        """messages refused or repaired in the last call"""
+        """messages rejected or repaired in the last call"""
 
     def screen(self, obs: Observation) -> Observation:
-        """``obs`` without what must be refused; pulses that are no numbers keep their place, with
-        range NaN. A bad IMU sample is replaced by the one before it, because filters count on one
-        for every step."""
+        """Returns ``obs`` without the rejected messages. Invalid pulses keep their position, with
+        range NaN. An invalid IMU sample is replaced by the previous one, because filters expect one
+        sample for every step."""
         events: list[str] = []
-        imu = self._steady(obs.imu, events) if self._inertial else obs.imu
+        imu = self._finite_samples(obs.imu, events) if self._inertial else obs.imu
         scans = self._scans.screen(obs.scans, obs.tick, self._judge_scan, events)
         images = self._images.screen(obs.images, obs.tick, self._judge_image, events)
         self.events = tuple(events)
@@ -82,12 +83,14 @@ class InputGuard:
 
     # ------------------------------------------------------------------------ inertial samples
 
-    def _steady(self, samples: tuple[ImuSample, ...], events: list[str]) -> tuple[ImuSample, ...]:
-        """The samples themselves, if all of them are numbers."""
+    def _finite_samples(
+        self, samples: tuple[ImuSample, ...], events: list[str]
+    ) -> tuple[ImuSample, ...]:
+        """Returns the samples, invalid ones replaced by the previous sample."""
         out: list[ImuSample] = []
         self._repaired = 0
         for sample in samples:
-            # of six numbers one that is infinite or no number makes the sum so
+            # one infinity or NaN among the six numbers makes their sum so
             total = sample.angular_velocity.sum() + sample.specific_force.sum()
             if np.isfinite(total):
                 self._imu = sample
@@ -104,7 +107,8 @@ class InputGuard:
     # ------------------------------------------------------------------------ scans
 
     def _judge_scan(self, scan: LidarScan) -> tuple[LidarScan | None, str]:
-        """The scan to be used, or None, and a word on it ("" if there is none to say)."""
+        """Returns the scan to use, or None, and the reason for a change or a rejection; "" for
+        none."""
         count = len(scan.ranges)
         if scan.directions.shape != (count, 3) or not (
             len(scan.time_offsets) == len(scan.intensity) == count
@@ -124,13 +128,13 @@ class InputGuard:
             if bad.all():
                 return None, "not a number"
         if not (ranges > 0.0).any():
-            # standing on the ground it looks at nothing in its reach
-            return None, "no returns" if self._seeing else ""
-        self._seeing = True
+            # on the ground everything is nearer than the smallest range
+            return None, "no returns" if self._had_returns else ""
+        self._had_returns = True
         floating = self._clutter(scan)
         if floating is not None:
             bad = floating if bad is None else bad | floating
-            if np.count_nonzero(ranges[~bad] > 0.0) < _LEAST_RETURNS * count:
+            if np.count_nonzero(ranges[~bad] > 0.0) < _MIN_RETURNS_SHARE * count:
                 return None, "nothing but echoes of rain or fog"
         if _equal(ranges, self._ranges):
             return None, "the same as the one before"
@@ -141,7 +145,7 @@ class InputGuard:
         return _without_pulses(scan, bad), f"{int(bad.sum())} of {count} pulses {what}"
 
     def _clutter(self, scan: LidarScan) -> NDArray[np.bool_] | None:
-        """(N,) returns of rain or fog, None while there is no sign of either."""
+        """Returns the mask (N,) of echoes of rain or fog; None if there is neither."""
         shows, floating = clutter_of(scan)
         self._cluttered = self._cluttered + 1 if shows else 0
         if self._cluttered >= _CLUTTER_SCANS:
@@ -157,28 +161,28 @@ class InputGuard:
         if rgb.shape != self._shape or rgb.dtype != np.uint8:
             return None, f"{rgb.dtype} of shape {rgb.shape} instead of uint8 {self._shape}"
         pixels = some_pixels(rgb)
-        if trouble := image_defect(pixels, self._pixels):
-            return None, trouble
+        if defect := image_defect(pixels, self._pixels):
+            return None, defect
         self._pixels = pixels
         return image, ""
 
 
 class _Stream:
-    """Stamps and silences of one sensor. ``period_ticks`` 0: it may be silent."""
+    """Time stamps and dropouts of one sensor. ``period_ticks`` 0: dropouts are not reported."""
 
     def __init__(self, name: str, period_ticks: int, tick_hz: int) -> None:
         self._name = name
         self._tick_hz = tick_hz
-        self._patience = round(_SILENCE_PERIODS * period_ticks)
+        self._timeout = round(_DROPOUT_PERIODS * period_ticks)
         self._newest = -1
-        """stamp of the newest message that was taken"""
-        self._heard = -1
+        """stamp of the newest accepted message"""
+        self._delivered = -1
         """tick of the last delivery"""
-        self._missed = False
-        self._trouble = ""
-        """what was wrong with the message before, without its numbers"""
+        self._in_dropout = False
+        self._defect = ""
+        """defect of the previous message, without its numbers"""
         self._refused = 0
-        """messages in a row"""
+        """consecutive messages"""
 
     def screen(
         self,
@@ -188,20 +192,20 @@ class _Stream:
         events: list[str],
     ) -> tuple[Message, ...]:
         if not messages:
-            self._listen(now, events)
+            self._check_dropout(now, events)
             return messages
-        if self._missed:
-            silent_s = (now - self._heard) / self._tick_hz
-            events.append(f"{self._name}s again after {silent_s:.2f} s")
-        self._heard, self._missed = now, False
-        disorder = _disordered([_ticks(message)[1] for message in messages])
+        if self._in_dropout:
+            elapsed_s = (now - self._delivered) / self._tick_hz
+            events.append(f"{self._name}s again after {elapsed_s:.2f} s")
+        self._delivered, self._in_dropout = now, False
+        flags = _unordered([_ticks(message)[1] for message in messages])
         kept: list[Message] = []
-        for message, confused in zip(messages, disorder, strict=True):
+        for message, unordered in zip(messages, flags, strict=True):
             taken: Message | None = None
-            word = "out of order" if confused else self._stamp_fault(message, now)
-            if not word:
-                taken, word = judge(message)
-            self._tell(_ticks(message)[1], taken is None, word, events)
+            reason = "out of order" if unordered else self._stamp_fault(message, now)
+            if not reason:
+                taken, reason = judge(message)
+            self._report(_ticks(message)[1], taken is None, reason, events)
             if taken is not None:
                 self._newest = _ticks(message)[1]
                 kept.append(taken)
@@ -210,21 +214,27 @@ class _Stream:
         )
         return messages if same else tuple(kept)
 
-    def _tell(self, tick: int, refused: bool, word: str, events: list[str]) -> None:
-        """An event where trouble begins, changes or ends, not for every message that has it."""
-        trouble = re.sub(r"\d+", "", word)
-        if word and trouble != self._trouble:
-            events.append(f"{self._name} {tick} {'refused' if refused else 'cleaned'}: {word}")
+    def _report(self, tick: int, refused: bool, reason: str, events: list[str]) -> None:
+        """Appends an event where a defect begins, changes or ends, not for every message that has
+        it."""
+        defect = re.sub(r"\d+", "", reason)
+        if reason and defect != self._defect:
+            events.append(f"{self._name} {tick} {'refused' if refused else 'cleaned'}: {reason}")
         if not refused and self._refused > 1:
             events.append(f"{self._name}s usable again after {self._refused} refused")
-        self._trouble = trouble
-        self._refused = self._refused + 1 if refused and word else 0
+        self._defect = defect
+        self._refused = self._refused + 1 if refused and reason else 0
 
-    def _listen(self, now: int, events: list[str]) -> None:
-        silent = now - self._heard
-        if self._patience and self._heard >= 0 and not self._missed and silent > self._patience:
-            self._missed = True
-            events.append(f"no {self._name} for {silent / self._tick_hz:.2f} s")
+    def _check_dropout(self, now: int, events: list[str]) -> None:
+        elapsed = now - self._delivered
+        if (
+            self._timeout
+            and self._delivered >= 0
+            and not self._in_dropout
+            and elapsed > self._timeout
+        ):
+            self._in_dropout = True
+            events.append(f"no {self._name} for {elapsed / self._tick_hz:.2f} s")
 
     def _stamp_fault(self, message: LidarScan | CameraImage, now: int) -> str:
         start, end = _ticks(message)
@@ -245,9 +255,9 @@ def _ticks(message: LidarScan | CameraImage) -> tuple[int, int]:
     return message.tick, message.tick
 
 
-def _disordered(stamps: list[int]) -> list[bool]:
-    """Which of messages that arrived together are not in the order of their stamps: of two that
-    are swapped neither tells which is right."""
+def _unordered(stamps: list[int]) -> list[bool]:
+    """Returns a flag for each of the messages that arrived together: True if it is not in the order
+    of the stamps. Of two swapped messages both are flagged, since either may be wrong."""
     return [
         max(stamps[:i], default=stamp) > stamp or min(stamps[i:]) < stamp
         for i, stamp in enumerate(stamps)
@@ -255,12 +265,12 @@ def _disordered(stamps: list[int]) -> list[bool]:
 
 
 def clutter_of(scan: LidarScan) -> tuple[bool, NDArray[np.bool_]]:
-    """Whether a scan shows rain or fog, and (N,) which returns are echoes of either if it is about.
+    """Returns whether a scan shows rain or fog, and the mask (N,) of the echoes of either.
 
-    They are near and weak, and hang alone in the air: both pulses next to one in time come back
-    from elsewhere or not at all. Intensity tells them as in Park, Kim and Kim, "Fast and accurate
-    desnowing algorithm for LiDAR point clouds", IEEE Access 8, 2020. Where they are all that is
-    near, weak ones need not be alone, as they no longer are in fog.
+    Such echoes are near, weak and isolated: both neighbouring pulses in time return from elsewhere
+    or not at all. Intensity separates them as in Park, Kim and Kim, "Fast and accurate desnowing
+    algorithm for LiDAR point clouds", IEEE Access 8, 2020. Where most near echoes are weak, they
+    need not be isolated, which echoes of dense fog are not.
     """
     floating = np.zeros(len(scan.ranges), np.bool_)
     return _find_clutter(scan.ranges, scan.intensity, floating), floating
@@ -274,21 +284,21 @@ _LEVELS = types.Array(types.uint8, 1, "A", readonly=True)
 def _find_clutter(
     ranges: NDArray[np.float32], level: NDArray[np.uint8], floating: NDArray[np.bool_]
 ) -> bool:
-    """`clutter_of`, into ``floating`` (N,), which must be false."""
-    near = weak = lone_weak = 0
+    """Computes `clutter_of` into ``floating`` (N,), which must be false."""
+    near = weak = isolated_weak = 0
     for i in range(ranges.shape[0]):
         if not (0.0 < ranges[i] < _CLUTTER_M):
             continue
         near += 1
         faint = level[i] <= _CLUTTER_LEVEL
         weak += faint
-        if level[i] > _LONE_LEVEL:
+        if level[i] > _ISOLATED_LEVEL:
             continue
-        before = i == 0 or abs(ranges[i] - ranges[i - 1]) > _LONE_GAP_M
-        after = i == ranges.shape[0] - 1 or abs(ranges[i + 1] - ranges[i]) > _LONE_GAP_M
+        before = i == 0 or abs(ranges[i] - ranges[i - 1]) > _ISOLATED_GAP_M
+        after = i == ranges.shape[0] - 1 or abs(ranges[i + 1] - ranges[i]) > _ISOLATED_GAP_M
         floating[i] = before and after
-        lone_weak += faint and floating[i]
-    if lone_weak < _CLUTTER_LEAST or weak < _CLUTTER_SHARE * near:
+        isolated_weak += faint and floating[i]
+    if isolated_weak < _MIN_CLUTTER or weak < _CLUTTER_SHARE * near:
         return False
     for i in range(ranges.shape[0]):
         floating[i] |= 0.0 < ranges[i] < _CLUTTER_M and level[i] <= _CLUTTER_LEVEL
@@ -297,7 +307,7 @@ def _find_clutter(
 
 @njit([(_RANGES, _RANGES)], cache=True)
 def _equal(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
-    """Whether (N,) and (M,) are the same; a NaN is like another."""
+    """True if (N,) and (M,) are equal; NaN equals NaN."""
     if one.shape[0] != other.shape[0]:
         return False
     for i in range(one.shape[0]):
@@ -307,8 +317,8 @@ def _equal(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
 
 
 def _without_pulses(scan: LidarScan, bad: NDArray[np.bool_]) -> LidarScan:
-    """The scan with ``bad`` (N,) pulses of range NaN along the boresight. They keep their places,
-    because neighbours in a scan are found by number."""
+    """Returns the scan with ``bad`` (N,) pulses at range NaN along the boresight. They keep their
+    position, because neighbours in a scan are found by index."""
     directions, ranges = scan.directions.copy(), scan.ranges.copy()
     directions[bad], ranges[bad] = (0.0, 0.0, 1.0), np.nan
     offsets = np.maximum.accumulate(np.nan_to_num(scan.time_offsets, nan=0.0))

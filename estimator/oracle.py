@@ -1,4 +1,4 @@
-"""The estimator that is told the truth: the upper bound of every comparison."""
+"""The oracle: an estimator that returns the true state, as the upper bound of every comparison."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Oracle:
         self._rig = rig
 
     def update(self, obs: Observation) -> Estimate:
-        """The truth of now. Raises ValueError if the truth belongs to another tick."""
+        """Returns the true state. Raises ValueError if it belongs to another tick."""
         truth = self._truth()
         if truth.tick != obs.tick:
             raise ValueError(

@@ -14,25 +14,21 @@ class MapperParams:
     __pydantic_config__ = FORBID_EXTRA
 
     enabled: bool = True
-    """false: no map, and no LIDAR unless the estimator wants it; for surveys only"""
+    """false: no map, and no LIDAR unless the estimator needs it; for surveys only"""
     cell_m: Positive = 0.2
-    """side of a cell of the coarse grid"""
     extent_m: Positive = 160.0
     """side of the square coarse grid, centred on the take-off spot"""
     fine_cell_m: Positive = 0.05
-    """side of a cell of the fine grid"""
     fine_extent_m: Positive = 24.0
-    """side of the square fine grid, which follows the vehicle"""
     fine_below_m: NotNegative = 14.0
-    """height above ground below which the fine grid fills"""
+    """height above ground below which the fine grid is filled"""
     fine_recentre_m: Positive = 6.0
     """the fine window follows once the vehicle is this far from its centre"""
     count_cap: Positive = 200.0
-    """returns that a cell remembers; older ones fade"""
+    """effective number of returns per cell; older ones fade"""
     extreme_memory_s: Positive = 60.0
-    """time constant with which unconfirmed lowest and highest returns are forgotten"""
+    """time constant with which unconfirmed extremes decay"""
     missing_min_reach_m: NotNegative = 1.5
-    """nearest expected ground for which a pulse without return counts as missing"""
     missing_max_reach_m: Positive = 60.0
     """a pulse without return counts as missing only where the ground is expected within these"""
 
@@ -44,62 +40,54 @@ class LivoParams:
     __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: Count = 10
-    """image rate; a divisor of the camera's clock"""
     voxel_m: Positive = 1.0
     """side of the plane map's voxels"""
     map_voxels: Count = 131072
     """capacity of the plane map, a power of two; it never grows"""
     voxel_points: Count = 150
-    """a voxel stops learning after so many returns: the oldest carry the least drift"""
+    """a voxel ignores further returns after so many: the oldest carry the least drift"""
     scan_points: Count = 2000
     """returns of a scan that are matched, spread evenly"""
     scan_tilt_sigma_deg: NotNegative = 1.0
-    """errors of a scan as a whole, beside those of its points and of the keyframes that the map
-    hangs on"""
+    """information floor: errors of a scan as a whole, beside those of its points and of the
+    keyframes that the map is anchored to"""
     scan_height_sigma_m: NotNegative = 0.01
-    """the same of its height"""
     scan_lateral_sigma_m: NotNegative = 0.3
-    """the same of its horizontal position"""
     scan_yaw_sigma_deg: NotNegative = 0.5
-    """the same of its heading"""
     anchor_height_m: NotNegative = 0.004
-    """error that all planes and landmarks of a keyframe have in common"""
+    """height error shared by all planes and landmarks of a keyframe"""
     depth_sigma_m: NotNegative = 0.02
     """of a landmark along its ray"""
     use_lidar: bool = True
-    """whether scans correct the pose; without, they still give depth to features"""
+    """scans correct the pose; if false, they still give depth to features"""
     use_vision: bool = True
-    """whether images are used"""
+    """images correct the pose"""
     use_closures: bool = True
-    """whether images are compared with keyframes older than the last few: those of neighbouring
-    strips, and of places seen again"""
+    """images are tracked from keyframes older than the last few: those of neighbouring strips and
+    of revisited ground"""
     loose: bool = False
-    """each sensor gives a pose against a map taken for certain, instead of measuring pose and map
-    together"""
+    """loose coupling: each sensor measures the pose against a map without errors; if false, pose
+    and map are estimated jointly"""
     use_calibration: bool = True
-    """whether the mount of the LIDAR and the lens are estimated along"""
+    """the LIDAR's mount, the lens and the camera's clock are estimated online"""
     calibrate_above_m: NotNegative = 15.0
-    """height above ground from which on; lower, the returns' noise is no small share of a depth and
-    what it does to a keyframe would be taken for the rig's"""
+    """height above ground from which mount and lens are estimated; lower, the range noise is a
+    large share of a depth, and its effect on a keyframe would be attributed to the calibration"""
     mount_turn_sigma_deg: NotNegative = 0.03
-    """how far off the told rig may be: LIDAR against camera and IMU"""
+    """prior of the calibration errors: LIDAR relative to camera and IMU"""
     mount_shift_sigma_m: NotNegative = 0.003
-    """the same of the translation"""
     focal_sigma: NotNegative = 5e-4
-    """the same of the focal length, relative"""
     center_sigma_px: NotNegative = 0.1
-    """the same of the principal point"""
     camera_clock_sigma_s: NotNegative = 0.005
-    """how far the camera's clock may be ahead of the IMU's, or behind; 0: it is not"""
+    """prior of the offset of the camera's clock from the IMU's; 0: no offset"""
     use_degeneracy: bool = True
-    """whether a scan is kept from correcting what it does not measure, as sideways motion over
-    level ground"""
+    """scans do not correct degenerate directions, such as lateral motion over level ground"""
     weak_sigma_m: NotNegative = 0.1
-    """a direction that a scan knows less well than this it does not measure"""
+    """a direction with a larger standard deviation than this counts as degenerate"""
     weak_sigma_deg: NotNegative = 0.3
-    """the same of rotation"""
+    """the same for rotation"""
     keyframes: Count = 40
-    """remembered images; the most redundant one goes"""
+    """capacity; beyond it the most redundant one is marginalised"""
     track_keyframes: Count = 3
     """keyframes that each image is tracked from"""
     features: Count = 220
@@ -117,64 +105,50 @@ class PaperParams:
     __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: Count = 10
-    """image rate; a divisor of the camera's clock"""
     edge_model: str = "shipped"
     """``shipped``, the path of a structured edge model for OpenCV, or ``gradient`` for edges from
     colour gradients"""
     use_lidar_pose: bool = True
-    """whether scans correct the pose (Algorithm 1)"""
+    """scans correct the pose (Algorithm 1)"""
     use_camera_pose: bool = True
-    """whether images correct the pose (PnP)"""
+    """images correct the pose (PnP)"""
     use_colour_smoothness: bool = True
-    """whether f_c takes part in choosing edge and planar points (Eq. 7)"""
+    """f_c contributes to the choice of edge and planar points (Eq. 7)"""
     use_bundle: bool = True
-    """whether the youngest keyframes are adjusted together"""
+    """bundle adjustment of the newest keyframes"""
     use_closures: bool = True
-    """whether keyframes seen again move the map"""
+    """loop closures correct the map"""
     colour_weight: NotNegative = 0.012
     """lambda of Eq. 7"""
     edge_threshold: NotNegative = 0.006
     """f_s above which a return may be an edge point, below which a planar one"""
     edge_points: Count = 400
-    """edge points kept of a scan"""
     planar_cells: tuple[Count, Count] = (56, 28)
-    """columns and rows of the view's sectors, each of which gives one planar point"""
+    """columns and rows of the view's sectors; each gives one planar point"""
     edge_voxel_m: Positive = 0.3
-    """voxel side of the map of edge points"""
     planar_voxel_m: Positive = 0.6
-    """voxel side of the map of planar points"""
     map_voxels: Count = 131072
     """capacity of each feature map, a power of two; it never grows"""
     edge_sigma_m: NotNegative = 0.15
-    """standard deviation of a point-to-line distance"""
     plane_sigma_m: NotNegative = 0.04
-    """standard deviation of a point-to-plane distance"""
     keyframe_distance_m: NotNegative = 2.0
-    """distance after which an image is matched with the map"""
     keyframe_period_s: Positive = 0.5
-    """images further apart than either are matched with the map"""
+    """images further apart than either are matched to the map"""
     sift_features: CountOrZero = 350
-    """SIFT features of a keyframe"""
     brisk_features: CountOrZero = 300
-    """BRISK features of a keyframe"""
     sift_sigma_px: NotNegative = 1.0
-    """standard deviation of a SIFT feature"""
     brisk_sigma_px: NotNegative = 0.8
-    """standard deviation of a BRISK feature"""
     max_keyframes: Count = 160
-    """keyframes kept; the map is bounded"""
     bundle_keyframes: Count = 8
-    """youngest keyframes that are adjusted together"""
     depth_sigma_m: NotNegative = 0.05
     """of a landmark's depth by Eq. 12"""
     recent_keyframes: Count = 12
-    """keyframes whose landmarks give the odometry"""
+    """newest keyframes, whose landmarks give the odometry"""
     correction_time_s: NotNegative = 0.15
     """a correction of the filter reaches control over this time"""
     closure_speed_mps: NotNegative = 0.1
     """fastest motion of the odometry frame when closures correct the past"""
     closure_rate_deg_s: NotNegative = 0.5
-    """fastest rotation of the odometry frame when closures correct the past"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -201,17 +175,16 @@ class OpticalFlowParams:
     __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: Count = 10
-    """image rate; a divisor of the camera's clock"""
     features: Count = 60
     """corners of an image"""
     window_pixels: Count = 64
-    """side of the middle of the image that they are taken from"""
+    """side of the central part of the image that they are taken from"""
     pixel_sigma: NotNegative = 0.3
     """of the flow of one corner"""
     floor_sigma_m: NotNegative = 0.01
-    """error of a displacement that many corners do not average out"""
+    """error floor of a displacement, however many corners it is made of"""
     scale_sigma: NotNegative = 0.05
-    """the same as a share of the displacement: the ground is not level"""
+    """the same as a share of the displacement, for ground that is not level"""
     ground_memory_s: NotNegative = 0.2
     """time constant of the ground's height below the rangefinder"""
     heading_sigma_deg: NotNegative = 2.0
@@ -232,15 +205,14 @@ class HybridFlowParams:
     __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: Count = 10
-    """image rate; a divisor of the camera's clock"""
     side_pixels: Count = 256
     """of the levelled image, a power of two"""
     pixel_sigma: NotNegative = 0.3
     """of one flow vector of the levelled image"""
     floor_sigma_m: NotNegative = 0.01
-    """error of a displacement that many vectors do not average out"""
+    """error floor of a displacement, however many vectors it is made of"""
     scale_sigma: NotNegative = 0.05
-    """the same as a share of the displacement: the ground is not level"""
+    """the same as a share of the displacement, for ground that is not level"""
     ground_memory_s: NotNegative = 0.5
     """time constant of the ground's height below the rangefinder"""
     heading_sigma_deg: NotNegative = 5.0
@@ -250,7 +222,7 @@ class HybridFlowParams:
     wander_period_s: Positive = 60.0
     """correlation time of the receiver's error"""
     drift_density: NotNegative = 0.03
-    """m/sqrt(s): random walk of the odometry that the receiver's error is told apart from"""
+    """m/sqrt(s): random walk of the odometry, from which the receiver's error is separated"""
     correction_time_s: NotNegative = 0.15
     """a correction of the filter reaches control over this time"""
 
@@ -262,21 +234,20 @@ class StereoParams:
     __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: Count = 10
-    """image rate; a divisor of the camera's clock"""
     features: Count = 220
     """corners of a keyframe"""
     pixel_sigma: NotNegative = 1.5
-    """of a corner tracked from the keyframe, what is wrong with its depth included"""
+    """of a corner tracked from the keyframe, the error of its depth included"""
     disparity_sigma: NotNegative = 0.15
     """pixels, of one corner"""
     track_sigma: NotNegative = 1.0
-    """pixels, of a corner tracked from the keyframe, when its depth is learned from the motion"""
+    """pixels, of a corner tracked from the keyframe, in the update of its depth by parallax"""
     keyframe_share: Fraction = 0.55
-    """of a keyframe's corners: with fewer in sight a new one is made"""
+    """of a keyframe's corners: with fewer in view a new one is made"""
     disparity_floor_sigma: NotNegative = 0.02
-    """pixels, error of all disparities of a pair together"""
+    """pixels, error shared by all disparities of a pair"""
     relief_sigma_m: NotNegative = 2.0
-    """heights of what stands on the ground"""
+    """standard deviation of the heights of objects on the ground"""
     ground_density: NotNegative = 0.3
     """m/sqrt(s): random walk of the mean height of the ground in view"""
     drift_share: NotNegative = 0.003

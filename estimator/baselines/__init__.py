@@ -1,1 +1,1 @@
-"""Positioning as it is done without a LIDAR: what the others are compared with."""
+"""Positioning without a LIDAR, as a reference: GPS, optical flow, hybrid flow, stereo."""

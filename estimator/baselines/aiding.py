@@ -1,7 +1,8 @@
-"""Measurements of the small sensors as updates of the error-state filter.
+"""Updates of the error-state filter by GPS velocity, magnetometer and barometer.
 
 Error coordinates as in ``estimator.filtering.imu_propagation``: rotation (right perturbation),
-position, velocity, biases. The odometry frame has the axes of the world."""
+position, velocity, biases. The odometry frame has the axes of the world.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +28,10 @@ def update(
     covariance: Array,
     gate: float = math.inf,
 ) -> float:
-    """Takes a measurement of residual (M,), Jacobian (M, N) over the ``touched`` error coordinates
-    and covariance (M, M). One that is more than ``gate`` standard deviations away counts with a
-    covariance so much wider that it is ``gate`` away. Returns its distance in standard deviations.
-    """
+    """Updates the filter by an innovation ``residual`` (M,) with Jacobian (M, N) over the
+    ``touched`` error coordinates and covariance (M, M). The covariance of an innovation beyond
+    ``gate`` standard deviations is inflated so that it is ``gate`` away. Returns the normalised
+    innovation in standard deviations, the root of NIS / M."""
     local = eskf.covariance[np.ix_(touched, touched)]
     spread = jacobian @ local @ jacobian.T + covariance
     squared = float(residual @ np.linalg.solve(spread, residual)) / len(residual)
@@ -38,21 +39,22 @@ def update(
         covariance = covariance * (squared / (gate * gate))
     weight = np.linalg.inv(covariance)
     information = jacobian.T @ weight @ jacobian
-    delta = eskf.gain(touched, information, jacobian.T @ (weight @ residual))
+    delta = eskf.correction(touched, information, jacobian.T @ (weight @ residual))
     eskf.state, eskf.clones = eskf.boxplus(eskf.state, eskf.clones, delta)
-    eskf.absorb(touched, information)
+    eskf.update_covariance(touched, information)
     return math.sqrt(squared)
 
 
 def heading_of(rotation: Array, field_imu: Array) -> float:
-    """Azimuth (rad from east) of the horizontal part of a field (3,) felt under ``rotation``."""
+    """Azimuth (rad from east) of the horizontal part of a field (3,), measured in the IMU frame,
+    under ``rotation``."""
     east, north, _ = (rotation @ field_imu).tolist()
     return math.atan2(north, east)
 
 
 def update_heading(eskf: Eskf, field_imu: Array, azimuth: float, sigma: float) -> None:
-    """The field (3,), IMU frame, should point to ``azimuth``. Only the heading is corrected: the
-    offsets of a magnetometer would tilt the vehicle."""
+    """Updates the heading by a field (3,), IMU frame, of known ``azimuth``. Only the heading is
+    corrected: the magnetometer's offsets would tilt the attitude."""
     rotation = eskf.state.rotation
     residual = wrap_angle(azimuth - heading_of(rotation, field_imu))
     update(
@@ -66,7 +68,8 @@ def update_heading(eskf: Eskf, field_imu: Array, azimuth: float, sigma: float) -
 
 
 def update_velocity(eskf: Eskf, fix: GpsFix, lever_imu: Array, rate_imu: Array) -> float:
-    """The velocity of an antenna at ``lever_imu`` (3,) under the rate (3,) rad/s."""
+    """Updates by the GPS velocity of an antenna at ``lever_imu`` (3,), with turn rate (3,) rad/s;
+    returns the normalised innovation."""
     state = eskf.state
     swing = cross(rate_imu, lever_imu)
     jacobian = np.hstack([-state.rotation @ skew(swing), np.eye(3)])
@@ -77,15 +80,15 @@ def update_velocity(eskf: Eskf, fix: GpsFix, lever_imu: Array, rate_imu: Array) 
 
 
 class BaroHeight:
-    """Height by the barometer above where it was switched on."""
+    """Barometric height relative to the position at switch-on."""
 
     def __init__(self, tick_hz: int, sigma_m: float) -> None:
         self._tick_hz, self._sigma_m = tick_hz, sigma_m
         self._sum, self._count = 0.0, 0
 
     def take(self, eskf: Eskf, samples: Sequence[BarometerSample], standing: bool) -> None:
-        """Averages while the vehicle stands; measures its height afterwards. ``samples`` are those
-        since the last call, up to the filter's state."""
+        """Averages on the ground, and measures the height in the air. ``samples`` are those since
+        the last call, up to the filter's state."""
         heights = [s.altitude_m for s in samples if math.isfinite(s.altitude_m)]
         if not heights:
             return

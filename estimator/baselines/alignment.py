@@ -1,4 +1,5 @@
-"""Attitude at rest from gravity and the earth's field, for estimators that are not told it."""
+"""Attitude at rest from gravity and the earth's magnetic field, for estimators without a known
+start."""
 
 from __future__ import annotations
 
@@ -21,9 +22,9 @@ def field_azimuth(params: MagnetometerParams) -> float:
 
 
 def level_attitude(force_body: Array, field_body: Array, azimuth: float) -> Array:
-    """world_from_body (3, 3) of a body at rest that feels ``force_body`` (3,), upward, and the
-    field ``field_body`` (3,) whose horizontal part points to ``azimuth`` (rad from east). The field
-    decides the heading alone (Black 1964, "TRIAD")."""
+    """world_from_body (3, 3) of a body at rest that measures ``force_body`` (3,), upward, and the
+    field ``field_body`` (3,) whose horizontal part has ``azimuth`` (rad from east). The field
+    determines the heading only (Black 1964, "TRIAD")."""
     up = force_body / np.linalg.norm(force_body)
     level = field_body - (field_body @ up) * up
     along = level / np.linalg.norm(level)
@@ -35,7 +36,7 @@ def level_attitude(force_body: Array, field_body: Array, azimuth: float) -> Arra
 
 
 class Alignment:
-    """Averages the first samples of a vehicle that stands still."""
+    """Averages the first samples of a stationary vehicle."""
 
     def __init__(self, rig: SensorRig) -> None:
         self._rig = rig
@@ -43,8 +44,8 @@ class Alignment:
         self._fields = 0
 
     def take(self, obs: Observation) -> Pose | None:
-        """world_from_body: the attitude found, at the origin of the odometry frame, which is the
-        take-off spot by definition. None until there is enough to go by."""
+        """Returns world_from_body: the attitude found, at the origin of the odometry frame, which
+        is the take-off spot by definition. None until there are enough samples."""
         for sample in obs.imu:
             force = self._rig.body_from_imu.rotation @ sample.specific_force
             if np.isfinite(force).all():
@@ -60,8 +61,8 @@ class Alignment:
         return Pose(attitude, self._rig.world_from_body_start.translation)
 
     def sigmas(self) -> Array:
-        """(3,) rad, body axes: what the turn-on bias of the accelerometer does to roll and pitch,
-        and what the calibration of the magnetometer left over to the heading."""
+        """(3,) rad, body axes: errors of roll and pitch from the accelerometer's turn-on bias, and
+        of the heading from the remaining error of the magnetometer's calibration."""
         magnetometer, imu = self._rig.nav.magnetometer, self._rig.imu
         level_ut = magnetometer.strength_ut * math.cos(math.radians(magnetometer.inclination_deg))
         tilt = imu.accel_bias_sigma / GRAVITY_MPS2 + 1e-3

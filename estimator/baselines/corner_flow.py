@@ -1,4 +1,4 @@
-"""Corners followed from one picture to another by pyramidal Lucas-Kanade (Bouguet 2001)."""
+"""Corner tracking from image to image by pyramidal Lucas-Kanade (Bouguet 2001)."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.01)
 
 
 def follow(before: Grey, now: Grey, pixels: Array, guess: Array) -> tuple[NDArray[np.int64], Array]:
-    """Where corners ``pixels`` (N, 2) of ``before`` are in ``now``, looked for from ``guess``
-    (N, 2) on: the numbers (M,) of those found, and their places (M, 2)."""
+    """Tracks corners ``pixels`` (N, 2) of ``before`` into ``now``, from ``guess`` (N, 2): returns
+    the indices (M,) of those found, and their pixels (M, 2)."""
     if len(pixels) == 0:
         return np.zeros(0, np.int64), np.zeros((0, 2))
     found, good, _ = cv2.calcOpticalFlowPyrLK(

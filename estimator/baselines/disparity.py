@@ -19,7 +19,7 @@ Grey = NDArray[np.uint8]
 
 _MIN_DEPTH_M = 0.03
 _ROWS_PX = 1.0
-"""most by which the rows of a corner in the two pictures may differ"""
+"""largest difference of a corner's rows in the two images"""
 
 
 def triangulate(disparity: Array, scale: float) -> Array:
@@ -33,8 +33,8 @@ def triangulate(disparity: Array, scale: float) -> Array:
 def disparities(
     left: Grey, right: Grey, pixels: Array, expected_m: Array, scale: float
 ) -> tuple[NDArray[np.int64], Array]:
-    """Sub-pixel disparities (M,) of corners (N, 2) of the left picture, and which they belong to
-    (M,). ``expected_m`` (N,): depths to start from."""
+    """Returns the indices (M,) of the matched corners (N, 2) of the left image and their sub-pixel
+    disparities (M,). ``expected_m`` (N,): initial depths."""
     guess = pixels.copy()
     guess[:, 0] -= scale / np.maximum(expected_m, _MIN_DEPTH_M)
     found, reached = follow(left, right, pixels, guess)
@@ -44,8 +44,8 @@ def disparities(
 
 
 class GroundHeight:
-    """Mean height of the ground in view, odometry frame: a random walk with the distance of time,
-    measured by every pair through all its corners."""
+    """Mean height of the ground in view, odometry frame: a random walk in time, measured by every
+    pair through all its corners."""
 
     def __init__(self, start_m: float, params: StereoParams) -> None:
         self._params = params
@@ -55,6 +55,7 @@ class GroundHeight:
 
     @property
     def sigma_m(self) -> float:
+        """Standard deviation of the height."""
         return math.sqrt(self._variance)
 
     def depths(self, rays: Array, odom_from_camera: Pose) -> Array:
@@ -67,8 +68,8 @@ class GroundHeight:
     def take(
         self, rays: Array, shifts: Array, odom_from_camera: Pose, scale: float, time_s: float
     ) -> None:
-        """Disparities (N,) along rays (N, 3): level ground at height h below the camera has the
-        disparity ``scale * down / h``, so that one number, 1 / h, is fitted robustly."""
+        """Updates by disparities (N,) along rays (N, 3): level ground at height h below the camera
+        has the disparity ``scale * down / h``, so that one number, 1 / h, is fitted robustly."""
         self._variance += self._params.ground_density**2 * max(time_s - self._time_s, 0.0)
         self._time_s = time_s
         if len(shifts) < 10:
@@ -101,9 +102,10 @@ def inverse_depths(
     scale: float,
     params: StereoParams,
 ) -> tuple[Array, Array]:
-    """(N,) inverse depths of corners and their variances: the ground's ``ground_m`` (N,), improved
-    by the disparities ``shifts`` (M,) of those ``found`` (M,) as far as these can tell relief. In
-    inverse depth the noise of disparities is alike at all ranges. NaN where there is no ground."""
+    """(N,) inverse depths of corners and their variances: those of the ground ``ground_m`` (N,),
+    updated by the disparities ``shifts`` (M,) of the corners ``found`` (M,), as far as these
+    resolve relief. In inverse depth the noise of disparities is the same at all ranges. NaN where
+    there is no ground."""
     inverse = 1.0 / ground_m
     variance = (params.relief_sigma_m * inverse**2) ** 2
     own = (params.disparity_sigma / scale) ** 2

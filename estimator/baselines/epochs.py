@@ -1,4 +1,4 @@
-"""Puts late messages of several sensors into the order in which they were measured."""
+"""Orders late messages of several sensors by the time of measurement."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from touchdown.sim.api import (
 )
 
 _BEAT_HZ = 10
-"""An epoch comes at least so often, whatever arrives."""
+"""Smallest rate of epochs, independent of messages."""
 
 
 class _Stamped(Protocol):
@@ -31,8 +31,8 @@ T = TypeVar("T", bound=_Stamped)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Epoch:
-    """An instant at which a filter is corrected: an image or a fix was taken at ``tick``, or it was
-    time. The samples are those since the epoch before, oldest first."""
+    """An instant at which a filter is corrected: the time of an image or a fix, or a regular beat.
+    The samples are those since the previous epoch, oldest first."""
 
     tick: int
     image: CameraImage | None = None
@@ -52,7 +52,7 @@ class _Inbox:
 
 
 class EpochQueue:
-    """Holds messages back until the slowest of the sensors in ``needs`` has had its say.
+    """Delays messages by the largest latency of the sensors in ``needs``.
 
     ``late`` counts images and fixes that came after their epoch.
     """
@@ -73,7 +73,7 @@ class EpochQueue:
         self.late = 0
 
     def take(self, obs: Observation) -> list[Epoch]:
-        """Adds what has arrived; returns the epochs that are complete now, oldest first."""
+        """Adds the arrived messages; returns the epochs that are complete now, oldest first."""
         inbox = self._inbox
         inbox.images += self._in_time(obs.images)
         inbox.fixes += self._in_time(obs.gps)

@@ -1,9 +1,9 @@
-"""GPS, IMU and magnetometer: what most vehicles fly with.
+"""GPS, IMU, magnetometer and barometer: the usual navigation of multicopters.
 
 The inertial filter is aided by the receiver's velocity, the magnetometer's heading and the
-barometer's height. Where it is in the world, fixes alone say. Their error wanders with a
-correlation time longer than the flight, so that no average over them is better than the newest: the
-position follows them.
+barometer's height. The position in the world comes from fixes alone. Their error wanders with a
+correlation time longer than the flight, so that averaging does not reduce it: the position follows
+the fixes.
 """
 
 from __future__ import annotations
@@ -23,49 +23,51 @@ from touchdown.sim.frames import Pose
 Array = NDArray[np.float64]
 
 _PATIENCE_S = 2.0
-"""without a fix for so long the position is no longer healthy"""
+"""time without a fix after which the estimate is unhealthy"""
 
 
 class SatelliteAiding:
-    """What a fix does to the filter and to the place of its frame in the world."""
+    """Processing of fixes: velocity update of the filter, and position of its frame in the
+    world."""
 
     def __init__(self, nav: Navigator, anchor: FollowingAnchor | WanderingAnchor) -> None:
         self._nav, self._anchor = nav, anchor
         rig = nav.rig
         self._lever = rig.body_from_imu.inverse().apply(np.array(rig.nav.gps.antenna_body_m))
         self._last_s = -math.inf
-        self.surprise = 0.0
-        """of the newest velocity, standard deviations"""
+        self.innovation = 0.0
+        """normalised innovation of the newest velocity, standard deviations"""
 
     def take(self, fix: GpsFix) -> None:
-        """A fix at the filter's time; one that is not finite is left out."""
+        """Processes a fix at the filter's time; one that is not finite is skipped."""
         if not np.isfinite(fix.position_world + fix.velocity_world).all():
             self._nav.skipped += 1
             return
         eskf = self._nav.eskf
         if not self._nav.standing:
-            self.surprise = update_velocity(eskf, fix, self._lever, self._nav.rate_imu)
+            self.innovation = update_velocity(eskf, fix, self._lever, self._nav.rate_imu)
         antenna = eskf.state.position + eskf.state.rotation @ self._lever
         self._anchor.take(fix.position_world - antenna, fix.sigma_position_m, fix.time_s)
         self._last_s = fix.time_s
 
     def healthy(self, time_s: float) -> bool:
+        """True if a recent fix exists."""
         return time_s - self._last_s < _PATIENCE_S
 
     def estimate(self, obs: Observation, diagnostics: dict[str, float]) -> Estimate:
-        """The belief about now, in the world as far as fixes have told."""
+        """Returns the present estimate, in the world frame given by the fixes."""
         self._anchor.step(self._nav.rig.imu_ticks / self._nav.rig.tick_hz)
         return self._nav.estimate(
             obs,
             healthy=self.healthy(obs.time_s),
-            diagnostics=diagnostics | {"velocity_surprise": self.surprise},
+            diagnostics=diagnostics | {"velocity_innovation": self.innovation},
             world_from_odom=Pose(np.eye(3), self._anchor.offset),
             covariance=self._anchor.covariance,
         )
 
 
 class GpsEstimator:
-    """``update`` once a control step. Deterministic; nothing is drawn at random."""
+    """The GPS estimator. Deterministic; nothing is drawn at random."""
 
     needs = SensorNeeds(gps=True, magnetometer=True, barometer=True)
 
@@ -82,7 +84,7 @@ class GpsEstimator:
         self._satellites = SatelliteAiding(self._nav, FollowingAnchor(params.follow_period_s))
 
     def update(self, obs: Observation) -> Estimate:
-        """Takes what has arrived and returns the belief about ``obs.tick``."""
+        """Processes the arrived messages and returns the estimate at ``obs.tick``."""
         for epoch in self._nav.epochs(obs):
             if epoch.fix is not None:
                 self._satellites.take(epoch.fix)

@@ -1,4 +1,4 @@
-"""How high the ground is below a rangefinder that looks down along the body's axis."""
+"""Height of the ground below a rangefinder that points down along the body axis."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ Array = NDArray[np.float64]
 
 
 class GroundBelow:
-    """Height of the ground in the odometry frame, smoothed over ``memory_s``; where nothing comes
-    back, as over dark water, the last one stays."""
+    """Height of the ground in the odometry frame, smoothed over ``memory_s``; without echoes, as
+    over dark water, the last height is kept."""
 
     def __init__(self, rig: SensorRig, memory_s: float) -> None:
         self._tick_hz = rig.tick_hz
@@ -31,7 +31,7 @@ class GroundBelow:
         """since the last echo"""
 
     def take(self, samples: Sequence[RangefinderSample], state: NavState) -> None:
-        """``samples`` since the last call, up to the filter's state."""
+        """Updates by the ``samples`` since the last call, up to the filter's state."""
         now_s = state.tick / self._tick_hz
         for sample in samples:
             if not sample.range_m > 0.0 or not math.isfinite(sample.range_m):

@@ -1,8 +1,8 @@
-"""From the flow of the ground in two pictures to the displacement of the camera between them.
+"""Displacement of the camera between two images from the optical flow of the ground.
 
-Directions are in the axes of the world and scaled to one metre of descent, ``(x, y, -1)``: turned
-by the attitude, so that only the displacement and the height above level ground are left in the
-flow. (De-rotation by the gyroscope, as in every optical flow sensor.)
+Directions are in the axes of the world and scaled to one metre of descent, ``(x, y, -1)``: rotated
+by the attitude, so that the flow depends only on the displacement and the height above level
+ground. (De-rotation by the gyroscope, as in every optical flow sensor.)
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from touchdown.sim.frames import skew
 Array = NDArray[np.float64]
 
 _MIN_DESCENT = 0.2
-"""Directions flatter than this are not of the ground below."""
+"""Directions flatter than this do not count as ground below."""
 
 
 def level_directions(pixels: Array, camera: CameraIntrinsics, world_from_camera: Array) -> Array:
@@ -47,12 +47,12 @@ def pixels_of(directions: Array, camera: CameraIntrinsics, world_from_camera: Ar
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Displacement:
-    """The camera's motion since the picture before, and how errors of attitude enter it."""
+    """The camera's motion since the previous image, and its derivatives by errors of attitude."""
 
     shift: Array
     """(3,) m, world axes: position before minus position now"""
     covariance: Array
-    """(3, 3) m^2 of what the flow alone leaves uncertain"""
+    """(3, 3) m^2 from the noise of the flow alone"""
     by_rotation_before: Array
     """(3, 3) change of the true shift per rad of error of the attitude before, world axes"""
     by_rotation_now: Array
@@ -62,7 +62,7 @@ class Displacement:
 
 
 def _turn_jacobian(directions: Array) -> Array:
-    """(N, 2, 3): how level directions move when their frame turns by a small world rotation."""
+    """(N, 2, 3) derivatives of level directions by a small world rotation of their frame."""
     x, y = directions[:, 0], directions[:, 1]
     one = np.ones_like(x)
     # d(ray) = theta x ray for ray (x, y, -1), back onto one metre of descent
@@ -83,8 +83,8 @@ def solve_displacement(
 ) -> Displacement | None:
     """The displacement that carries ground points seen along ``before`` (N, 2) to ``now`` (N, 2),
     level directions. ``height_m``: of the camera above the ground when the first was taken;
-    ``sigma``: of a direction's error; ``vertical_sigma_m``: how well the vertical part
-    ``expected_vertical_m`` is known beforehand.
+    ``sigma``: of a direction's error; ``vertical_sigma_m``: standard deviation of the prior
+    ``expected_vertical_m`` of the vertical part.
 
     Points X = h (x, y, -1) reappear at X + t, so that every direction gives two equations linear in
     t: ``X_x + t_x + x' (X_z + t_z) = 0`` and the same of y. Least squares with Cauchy weights,
@@ -140,11 +140,12 @@ def update_with_displacement(
     scale_sigma: float,
     gate: float,
 ) -> float:
-    """Corrects the filter by a displacement since its only clone, the pose of the picture before.
+    """Updates the filter by a displacement since its only clone, the pose of the previous image.
 
-    ``lever_imu`` (3,): the camera in the IMU frame. ``floor_m`` and ``scale_sigma``: errors that
-    many directions do not average out, in metres and as a share of the displacement (the ground is
-    not level, the height is that of one spot). Returns the distance in standard deviations.
+    ``lever_imu`` (3,): position of the camera in the IMU frame. ``floor_m`` and ``scale_sigma``:
+    errors that do not average out over directions, in metres and as a share of the displacement
+    (the ground is not level, the height is that of one spot). Returns the normalised innovation in
+    standard deviations.
     """
     state, clone = eskf.state, eskf.clones[0]
     arm, arm_before = state.rotation @ lever_imu, clone.rotation @ lever_imu

@@ -1,9 +1,9 @@
 """Hybrid optical flow: dense flow and phase correlation, fused with GPS.
 
-Each picture is turned level, and to one heading, by the attitude, so that over level ground all of
-it moves alike. Phase correlation finds that shift, dense flow (Farneback 2003) refines it
-everywhere, and a robust fit makes it a displacement in metres by the rangefinder's height. In the
-filter it stands beside the receiver's velocity; fixes place the result in the world.
+Each image is rectified to a level camera of constant heading by the attitude, so that level ground
+moves uniformly. Phase correlation finds that shift, dense flow (Farneback 2003) refines it
+everywhere, and a robust fit makes it a displacement in metres by the rangefinder's height. The
+filter fuses it with the receiver's velocity; fixes give the position in the world.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ Array = NDArray[np.float64]
 _GATE = 4.0
 _MIN_HEIGHT_M = 0.1
 _FIELD = 0.36
-"""half the side of the levelled picture, in metres per metre of height"""
+"""half the side of the levelled image, in metres per metre of height"""
 _GRID = 10
 """pixels between the flow vectors that are fitted"""
 _MAX_EXPANSION = 0.3
 _PHASE_SIGMA_PX = 1.0
 """of the shift by phase correlation, taken alone where the dense flow fails"""
 _LOOKING_DOWN = BODY_FROM_DOWNWARD_OPTICAL
-"""world_from_camera of the levelled picture"""
+"""world_from_camera of the levelled image"""
 
 
 class LevelView:
-    """A virtual camera that always looks straight down and keeps its heading."""
+    """A virtual camera that points straight down with constant heading."""
 
     def __init__(self, camera: CameraIntrinsics, side: int) -> None:
         self._camera = camera
@@ -61,7 +61,7 @@ class LevelView:
         self.offsets = np.stack([xs - centre, ys - centre], axis=-1).astype(np.float32)
 
     def draw(self, grey: Grey, world_from_camera: Array) -> Grey:
-        """The picture (side, side) that the virtual camera would see of distant ground."""
+        """Returns the image (side, side) of the virtual camera for distant ground."""
         turn = world_from_camera.T @ _LOOKING_DOWN
         homography = self._camera.matrix() @ turn @ np.linalg.inv(self._pinhole.matrix())
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -74,7 +74,7 @@ class LevelView:
         return rays @ _LOOKING_DOWN[:2, :2].T
 
     def seen(self, pixels: Array, world_from_camera: Array) -> NDArray[np.bool_]:
-        """(N,) whether the real camera has seen these pixels (N, 2) of the virtual one."""
+        """Mask (N,) of the pixels (N, 2) of the virtual camera that the real one covers."""
         real = pixels_of(self.directions(pixels), self._camera, world_from_camera)
         far = [self._camera.width - 4.0, self._camera.height - 4.0]
         inside = np.asarray((real > 3.0) & (real < far))
@@ -82,7 +82,7 @@ class LevelView:
 
 
 class HybridFlowEstimator:
-    """``update`` once a control step. Deterministic; nothing is drawn at random."""
+    """The hybrid flow estimator. Deterministic; nothing is drawn at random."""
 
     def __init__(self, rig: SensorRig, params: HybridFlowParams | None = None) -> None:
         self._params = params = params or HybridFlowParams()
@@ -114,7 +114,7 @@ class HybridFlowEstimator:
         self._diagnostics = {"flow_used": 0.0, "flow_rms_m": 0.0, "phase_response": 0.0}
 
     def update(self, obs: Observation) -> Estimate:
-        """Takes what has arrived and returns the belief about ``obs.tick``."""
+        """Processes the arrived messages and returns the estimate at ``obs.tick``."""
         for epoch in self._nav.epochs(obs):
             self._ground.take(epoch.rangefinder, self._nav.eskf.state)
             if epoch.fix is not None:
@@ -142,7 +142,7 @@ class HybridFlowEstimator:
             return
         clone = eskf.clones[0] @ self._imu_from_camera
         expected = clone.translation - (eskf.state.pose @ self._imu_from_camera).translation
-        # the filter has changed its mind about the attitude since the picture was turned
+        # the attitude estimate of the previous image has changed since its rectification
         turn = clone.rotation @ self._attitude_before.T
         shift = phase_shift(before, now)
         measured = self._dense(before, now, attitude, turn, shift, expected)
@@ -167,8 +167,8 @@ class HybridFlowEstimator:
     def _dense(
         self, before: Grey, now: Grey, attitude: Array, turn: Array, shift: Shift, expected: Array
     ) -> Displacement | None:
-        """The displacement by Farneback's flow, looked for around that of the phase correlation
-        (or of the filter) and the expansion that the filter's climb makes."""
+        """Returns the displacement by Farneback's flow, initialised by the phase correlation (or
+        the filter) and by the expansion from the filter's climb."""
         view, height = self._view, self._height_before
         start = shift.pixels
         if shift.response == 0.0:
@@ -191,7 +191,8 @@ class HybridFlowEstimator:
         )
 
     def _coarse(self, turn: Array, shift: Shift, expected: Array) -> Displacement | None:
-        """The displacement by phase correlation alone; its vertical part is the filter's."""
+        """Returns the displacement by phase correlation alone; its vertical part is the
+        filter's."""
         if shift.response == 0.0:
             return None
         view, height = self._view, self._height_before

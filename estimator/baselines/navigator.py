@@ -1,4 +1,4 @@
-"""The inertial filter of the baselines, and what they do alike around it."""
+"""The inertial filter of the baselines, and the processing that they share."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from touchdown.estimator.baselines.alignment import Alignment, field_azimuth
 from touchdown.estimator.baselines.epochs import Epoch, EpochQueue
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import ROTATION
+from touchdown.estimator.filtering.inertial_filter import InertialFilter
+from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.guard import InputGuard
-from touchdown.estimator.livo.estimator import _undistortion_maps
-from touchdown.estimator.paper.inertial import InertialFilter
 from touchdown.sim.api import MagnetometerSample, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
@@ -26,16 +26,17 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 _UNKNOWN_M2 = 1e4
-"""position variance before anything was measured"""
+"""position variance before the first measurement"""
 
 
 class Navigator:
     """``epochs`` takes an observation and yields the epochs at which to correct ``eskf``; heading
-    and height by the small sensors are corrected already. ``estimate`` then gives the belief.
+    and height by magnetometer and barometer are corrected already. ``estimate`` then returns the
+    estimate.
 
-    ``known_start``: whether the take-off attitude is known beforehand. If it is, the magnetometer
-    is compared with its own reading at the start, which frees the heading of its offsets. If not,
-    attitude comes from gravity and the earth's field.
+    ``known_start``: the take-off attitude is known. If so, the magnetometer is compared with its
+    own reading at the start, which cancels its offsets in the heading. If not, the attitude is
+    initialised from gravity and the earth's field.
     """
 
     def __init__(
@@ -49,7 +50,7 @@ class Navigator:
         baro_sigma_m: float = math.inf,
     ) -> None:
         self.rig, self.needs = rig, needs
-        self._told_start, self._correction_time_s = known_start, correction_time_s
+        self._known_start, self._correction_time_s = known_start, correction_time_s
         self._heading_sigma = math.radians(heading_sigma_deg)
         self._guard = InputGuard(rig, needs.camera_hz)
         self._queue = EpochQueue(rig, needs)
@@ -62,28 +63,31 @@ class Navigator:
         self._imu_from_body = rig.body_from_imu.inverse()
         self._azimuth: float | None = None if known_start else field_azimuth(rig.nav.magnetometer)
         self._readings = np.zeros(2)
-        self._undistort = _undistortion_maps(rig) if needs.camera_hz else None
+        self._undistort = Undistorter(rig)
         self.skipped = 0
         self.rate_imu: Array = np.zeros(3)
         """(3,) rad/s at the newest sample, bias removed"""
 
     @property
     def filter(self) -> InertialFilter:
-        """RuntimeError before the first epoch."""
+        """The inertial filter; RuntimeError before the first epoch."""
         if self._filter is None:
             raise RuntimeError("the attitude is not known before the first epoch")
         return self._filter
 
     @property
     def eskf(self) -> Eskf:
+        """The error-state filter; RuntimeError before the first epoch."""
         return self.filter.eskf
 
     @property
     def standing(self) -> bool:
+        """True while the vehicle stands on the ground."""
         return self._filter is None or self._filter.still
 
     def epochs(self, obs: Observation) -> Iterator[Epoch]:
-        """Call once an observation and exhaust it: afterwards corrections reach the present."""
+        """Yields the complete epochs. To be exhausted once per observation: afterwards corrections
+        reach the present."""
         obs = self._guard.screen(self._wanted(obs))
         self.skipped += self._guard.refused
         epochs = self._queue.take(obs)
@@ -108,7 +112,8 @@ class Navigator:
             self._filter.catch_up()
 
     def _wanted(self, obs: Observation) -> Observation:
-        """Without what others on board have asked for: a flight must not depend on them."""
+        """Returns ``obs`` without messages that only other consumers need: a flight must not depend
+        on them."""
         period, needs = self._image_period, self.needs
         return dataclasses.replace(
             obs,
@@ -132,7 +137,7 @@ class Navigator:
         if not samples or not np.isfinite(samples[-1].field_body_ut).all():
             return
         field_imu = self._imu_from_body.rotation @ samples[-1].field_body_ut
-        if self._told_start and self.standing:
+        if self._known_start and self.standing:
             azimuth = heading_of(self.eskf.state.rotation, field_imu)
             self._readings = self._readings + [math.cos(azimuth), math.sin(azimuth)]
             self._azimuth = math.atan2(self._readings[1], self._readings[0])
@@ -140,11 +145,8 @@ class Navigator:
             update_heading(self.eskf, field_imu, self._azimuth, self._heading_sigma)
 
     def grey(self, rgb: NDArray[np.uint8]) -> Grey:
-        """(H, W) uint8 without the lens's distortion."""
-        grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-        if self._undistort is not None:
-            grey = cv2.remap(grey, self._undistort[0], self._undistort[1], cv2.INTER_LINEAR)
-        return np.asarray(grey, np.uint8)
+        """Returns the undistorted grey image (H, W) uint8."""
+        return self._undistort(np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8))
 
     def estimate(
         self,
@@ -156,8 +158,8 @@ class Navigator:
         covariance: Array | None = None,
         extra_covariance: Array | None = None,
     ) -> Estimate:
-        """The belief about ``obs.time_s``. ``covariance`` (3, 3) m^2, world frame, takes the place
-        of the filter's; ``extra_covariance`` is added."""
+        """Returns the estimate at ``obs.time_s``. ``covariance`` (3, 3) m^2, world frame, replaces
+        the filter's; ``extra_covariance`` is added."""
         found = dict(diagnostics) | {"skipped": float(self.skipped + self._queue.late)}
         world_from_odom = world_from_odom or Pose.identity()
         if self._filter is None:
@@ -173,7 +175,7 @@ class Navigator:
     def _standing(
         self, obs: Observation, world_from_odom: Pose, diagnostics: dict[str, float]
     ) -> Estimate:
-        """On the ground, before the attitude is known."""
+        """Returns the estimate on the ground before the attitude is known."""
         return Estimate(
             tick=obs.tick,
             time_s=obs.time_s,

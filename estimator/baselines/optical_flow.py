@@ -1,8 +1,8 @@
-"""Optical flow: the velocity over ground from corners that a downward camera follows.
+"""Optical flow: velocity over ground from corners tracked by a downward camera.
 
-Pyramidal Lucas-Kanade (Bouguet 2001) from picture to picture; the gyroscope takes out what
-rotation does to the flow, the rangefinder says how large a pixel is on the ground. Integrated from
-the take-off spot. The heading is the gyroscope's, held by the magnetometer.
+Pyramidal Lucas-Kanade (Bouguet 2001) from image to image; the gyroscope compensates rotation, the
+rangefinder gives the scale. Integrated from the take-off spot. The heading is the gyroscope's,
+corrected by the magnetometer.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _BORDER_PX = 6
 
 
 class OpticalFlowEstimator:
-    """``update`` once a control step. Deterministic; nothing is drawn at random."""
+    """The optical flow estimator. Deterministic; nothing is drawn at random."""
 
     def __init__(self, rig: SensorRig, params: OpticalFlowParams | None = None) -> None:
         self._rig = rig
@@ -55,19 +55,19 @@ class OpticalFlowEstimator:
         self._height_before = 0.0
         self._distance = 0.0
         self._seen_s = 0.0
-        self._diagnostics = {"flow_used": 0.0, "flow_rms_m": 0.0, "flow_surprise": 0.0}
+        self._diagnostics = {"flow_used": 0.0, "flow_rms_m": 0.0, "flow_innovation": 0.0}
 
     def update(self, obs: Observation) -> Estimate:
-        """Takes what has arrived and returns the belief about ``obs.tick``."""
+        """Processes the arrived messages and returns the estimate at ``obs.tick``."""
         for epoch in self._nav.epochs(obs):
             self._ground.take(epoch.rangefinder, self._nav.eskf.state)
             if epoch.image is not None:
                 self._take_image(epoch.image)
         drift = (self._params.drift_share * self._distance) ** 2 * np.eye(3)
-        silent_s = obs.time_s - self._seen_s
+        untracked_s = obs.time_s - self._seen_s
         return self._nav.estimate(
             obs,
-            healthy=silent_s < _PATIENCE_S,
+            healthy=untracked_s < _PATIENCE_S,
             diagnostics=self._diagnostics | {"ground_height_m": self._ground.height_m},
             extra_covariance=drift,
         )
@@ -102,7 +102,7 @@ class OpticalFlowEstimator:
         )
         if measured is None:
             return
-        surprise = update_with_displacement(
+        innovation = update_with_displacement(
             eskf,
             measured,
             self._imu_from_camera.translation,
@@ -115,11 +115,11 @@ class OpticalFlowEstimator:
         self._diagnostics = {
             "flow_used": float(measured.used),
             "flow_rms_m": measured.rms,
-            "flow_surprise": surprise,
+            "flow_innovation": innovation,
         }
 
     def _corners(self, grey: Grey) -> Array:
-        """(N, 2) corners of the middle of the image, where the rangefinder points."""
+        """(N, 2) corners of the central part of the image, where the rangefinder points."""
         height, width = grey.shape
         side = self._params.window_pixels
         left, top = max((width - side) // 2, 0), max((height - side) // 2, 0)
@@ -128,7 +128,7 @@ class OpticalFlowEstimator:
         return found + [left, top]
 
     def _expected(self, pixels: Array, pose_before: Pose, pose: Pose) -> Array:
-        """Where level ground would take them by the filter's own motion."""
+        """Returns the pixels predicted for level ground by the filter's own motion."""
         directions = level_directions(pixels, self._rig.camera, pose_before.rotation)
         shift = pose_before.translation - pose.translation
         height = max(self._height_before, 0.02)

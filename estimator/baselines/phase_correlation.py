@@ -1,8 +1,8 @@
-"""Phase correlation from coarse to fine: by how much one picture is shifted against another.
+"""Phase correlation from coarse to fine: the shift between two images.
 
-The normalised cross-power spectrum of two shifted pictures is that of a single bright point at the
-shift (Kuglin and Hines 1975). A coarse picture finds shifts of up to half its side and is sure of
-them; finer ones, cut out along the shift found so far, sharpen it.
+The inverse transform of the normalised cross-power spectrum of two shifted images has a single peak
+at the shift (Kuglin and Hines 1975). A coarse image finds shifts of up to half its side reliably;
+finer ones, cropped along the shift found so far, refine it.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
-_SURE = 0.05
-"""of all the energy in the peak's neighbourhood: below it a scale is not believed"""
+_MIN_RESPONSE = 0.05
+"""share of the energy in the peak's neighbourhood below which a scale is rejected"""
 
 _LEAST_CONTRAST = 0.5
 """grey levels, standard deviation"""
@@ -25,18 +25,18 @@ _LEAST_CONTRAST = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """``pixels`` (2,): x and y by which the content moved from the first picture to the second;
-    ``response``: share of the energy in the peak of the finest scale believed, 0 for none."""
+    """``pixels`` (2,): x and y motion of the content from the first image to the second;
+    ``response``: share of the energy in the peak of the finest accepted scale, 0 for none."""
 
     pixels: Array
     response: float
 
 
 def phase_shift(before: Grey, now: Grey, levels: int = 3) -> Shift:
-    """The shift between two pictures of equal, even shape (H, W), to a fraction of a pixel.
+    """Returns the shift between two images of equal, even shape (H, W), to a fraction of a pixel.
 
-    ``levels``: how often the side is halved for the coarsest, plus one. A scale is refused where
-    its response is low, or where it moves the result by more than two of the coarser pixels.
+    ``levels``: number of halvings of the side for the coarsest scale, plus one. A scale is rejected
+    where its response is low, or where it moves the result by more than two of the coarser pixels.
     """
     scales = [(before, now)]
     for _ in range(levels - 1):
@@ -51,20 +51,20 @@ def phase_shift(before: Grey, now: Grey, levels: int = 3) -> Shift:
         (dx, dy), peak = cv2.phaseCorrelate(*pair, _window(pair[0].shape))
         found = factor * (whole + np.array([dx, dy]))
         coarsest = level == levels - 1
-        if peak > _SURE and (coarsest or np.abs(found - shift).max() < 4.0 * factor):
+        if peak > _MIN_RESPONSE and (coarsest or np.abs(found - shift).max() < 4.0 * factor):
             shift, response = found, float(peak)
     return Shift(shift, response)
 
 
-def _half(picture: Grey) -> Grey:
-    return np.asarray(cv2.pyrDown(picture), np.uint8)
+def _half(image: Grey) -> Grey:
+    return np.asarray(cv2.pyrDown(image), np.uint8)
 
 
 def _common(
     before: Grey, now: Grey, shift: NDArray[np.int64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
-    """What both pictures show once ``now`` is moved back by ``shift``, about the mean; None if that
-    is too little, or nothing but one level."""
+    """Returns the common part of both images once ``now`` is moved back by ``shift``, without the
+    mean; None if it is too small or has no contrast."""
     height, width = before.shape
     dx, dy = int(shift[0]), int(shift[1])
     if width - abs(dx) < 24 or height - abs(dy) < 24:
@@ -72,11 +72,11 @@ def _common(
     first = before[max(-dy, 0) : height - max(dy, 0), max(-dx, 0) : width - max(dx, 0)]
     second = now[max(dy, 0) : height - max(-dy, 0), max(dx, 0) : width - max(-dx, 0)]
     pair = first.astype(np.float32), second.astype(np.float32)
-    if min(float(picture.std()) for picture in pair) < _LEAST_CONTRAST:
+    if min(float(image.std()) for image in pair) < _LEAST_CONTRAST:
         return None
     return pair[0] - pair[0].mean(), pair[1] - pair[1].mean()
 
 
 def _window(shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Hann's window, which keeps the picture's border out of the spectrum."""
+    """Hann's window, which suppresses the image border in the spectrum."""
     return np.asarray(cv2.createHanningWindow((shape[1], shape[0]), cv2.CV_32F), np.float32)

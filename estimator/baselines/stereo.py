@@ -1,8 +1,9 @@
-"""Stereo visual odometry: corners of a keyframe with depth from the pair, followed by the left eye.
+"""Stereo visual odometry: corners of a keyframe with depth from the stereo pair, tracked in the
+left image.
 
-The eyes are 50 mm apart: from 30 m all disparities are about one pixel, and a tenth of a pixel is a
-tenth of the depth. So the height of the ground, which all corners share, is filtered over many
-pairs, and each corner keeps what its own disparity adds to that.
+The baseline is 50 mm: from 30 m all disparities are about one pixel, and a tenth of a pixel is a
+tenth of the depth. Therefore the height of the ground, which all corners share, is filtered over
+many pairs, and each corner adds the information of its own disparity.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from touchdown.estimator.baselines.disparity import GroundHeight, disparities, i
 from touchdown.estimator.baselines.navigator import Grey, Navigator
 from touchdown.estimator.filtering.imu_propagation import STATE_DIM
 from touchdown.estimator.filtering.keyframes import bearing_rays, detect_features
-from touchdown.estimator.livo.visual import reprojection_information
+from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
 from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
@@ -35,7 +36,7 @@ class _Keyframe:
     pixels: Array
     """(N, 2) corners"""
     rays: Array
-    """(N, 3) theirs, camera frame, z = 1"""
+    """(N, 3) of the corners, camera frame, z = 1"""
     inverse: Array
     """(N,) inverse depths along the optical axis, 1/m"""
     variance: Array
@@ -47,7 +48,7 @@ class _Keyframe:
 
 
 class StereoEstimator:
-    """``update`` once a control step. Deterministic; nothing is drawn at random."""
+    """The stereo estimator. Deterministic; nothing is drawn at random."""
 
     def __init__(self, rig: SensorRig, params: StereoParams | None = None) -> None:
         self._rig = rig
@@ -68,7 +69,7 @@ class StereoEstimator:
         self._diagnostics = {"features_tracked": 0.0, "visual_rms_px": 0.0}
 
     def update(self, obs: Observation) -> Estimate:
-        """Takes what has arrived and returns the belief about ``obs.tick``."""
+        """Processes the arrived messages and returns the estimate at ``obs.tick``."""
         for epoch in self._nav.epochs(obs):
             if epoch.image is not None and epoch.image.right_rgb is not None:
                 self._take_pair(epoch.image, epoch.image.right_rgb)
@@ -95,7 +96,7 @@ class StereoEstimator:
         self._look(left, right, image.time_s, new_keyframe=share < self._params.keyframe_share)
 
     def _track(self, keyframe: _Keyframe, left: Grey, time_s: float) -> float:
-        """Corrects the filter; returns the share of the keyframe's corners that were used."""
+        """Updates the filter; returns the share of the keyframe's corners that were used."""
         landmarks = keyframe.landmarks(self._imu_from_camera)
         expected = self._project(landmarks)
         guess = np.where(np.isfinite(expected), expected, keyframe.pixels)
@@ -104,12 +105,12 @@ class StereoEstimator:
         self._diagnostics = {"features_tracked": float(used), "visual_rms_px": rms}
         if used:
             self._seen_s = time_s
-            self._learn(keyframe, found, reached)
+            self._update_depths(keyframe, found, reached)
         return used / len(keyframe.pixels)
 
-    def _learn(self, keyframe: _Keyframe, found: NDArray[np.int64], reached: Array) -> None:
-        """What the motion since the keyframe tells about the corners' depths (Eq. of a scalar
-        Kalman filter each): relief shows as parallax, while the scale stays that of the pair."""
+    def _update_depths(self, keyframe: _Keyframe, found: NDArray[np.int64], reached: Array) -> None:
+        """Updates the corners' depths from the motion since the keyframe, by a scalar Kalman filter
+        each: relief shows as parallax, while the scale stays that of the pair."""
         eskf, camera = self._nav.eskf, self._rig.camera
         key = eskf.clones[0] @ self._imu_from_camera
         now_from_key = (eskf.state.pose @ self._imu_from_camera).inverse() @ key
@@ -140,30 +141,28 @@ class StereoEstimator:
 
     def _iterate(self, pixels: Array, landmarks: Array) -> tuple[int, float]:
         """Iterated update by reprojections (frame to keyframe); nothing changes if fewer than
-        ``_LEAST_USED`` agree. Returns how many did and their rms in pixels."""
-        eskf, camera = self._nav.eskf, self._rig.camera
+        ``_LEAST_USED`` are inliers. Returns their number and their rms in pixels."""
+        eskf = self._nav.eskf
+        camera = MountedCamera(self._rig.camera, self._imu_from_camera)
         prior, clones = eskf.state, eskf.clones
-        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         touched = np.r_[0:6, STATE_DIM : STATE_DIM + 6]
         information, used, rms = np.zeros((12, 12)), 0, 0.0
         for gate in _GATES_PX:
             information, vector, used, rms = reprojection_information(
-                pixels, landmarks, eskf.state.rotation, eskf.state.position,
-                eskf.clones[0].rotation, eskf.clones[0].translation,
-                self._camera_from_imu.rotation, self._camera_from_imu.translation,
-                intrinsics, self._params.pixel_sigma, gate,
+                pixels, landmarks, eskf.state.pose, eskf.clones[0], camera,
+                sigma_px=self._params.pixel_sigma, gate_px=gate,
             )  # fmt: skip
             if used < _LEAST_USED:
                 eskf.state, eskf.clones = prior, clones
                 return 0, 0.0
             offset = eskf.deviation(prior, clones, [0])
-            delta = eskf.gain(touched, information, vector + information @ offset)
+            delta = eskf.correction(touched, information, vector + information @ offset)
             eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)
-        eskf.absorb(touched, information)
+        eskf.update_covariance(touched, information)
         return used, rms
 
     def _look(self, left: Grey, right: Grey, time_s: float, *, new_keyframe: bool) -> None:
-        """Measures the ground's height by the pair; makes it a keyframe where one is wanted."""
+        """Measures the ground's height by the pair; makes it a keyframe if one is needed."""
         eskf, camera = self._nav.eskf, self._rig.camera
         pixels = detect_features(left, self._params.features)
         pose = eskf.state.pose @ self._imu_from_camera

@@ -1,7 +1,7 @@
-"""Where the odometry frame lies in the world, as satellite fixes tell it.
+"""Position of the odometry frame in the world, from satellite fixes.
 
-The odometry frame has the axes of the world and begins at the take-off spot; only its position in
-the world is looked for, and nothing but fixes says it.
+The odometry frame has the axes of the world and starts at the take-off spot; only its position in
+the world is estimated, from fixes alone.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _UNKNOWN_M2 = 1e6
 
 
 class FollowingAnchor:
-    """Believes the fixes: the frame is where the last ones put it, smoothed over ``follow_s``."""
+    """Anchor that follows the fixes: the frame is at the newest fix, smoothed over ``follow_s``."""
 
     def __init__(self, follow_s: float) -> None:
         self._follow_s = follow_s
@@ -28,35 +28,37 @@ class FollowingAnchor:
 
     @property
     def known(self) -> bool:
+        """True once a fix was processed."""
         return self._target is not None
 
     @property
     def covariance(self) -> Array:
-        """(3, 3) m^2: what the receiver says of itself. Its error wanders as slowly as the flight
-        is long, so that no number of fixes makes it smaller."""
+        """(3, 3) m^2 as reported by the receiver. Its error wanders as slowly as the flight is
+        long, so that fixes do not average it out."""
         return np.diag(self._variance)
 
     def take(self, offset: Array, sigma: Array, time_s: float) -> None:
-        """``offset`` (3,): fix minus odometry at the fix's time; ``sigma`` (3,) as reported."""
+        """Processes a fix. ``offset`` (3,): fix minus odometry at the fix's time; ``sigma`` (3,) as
+        reported."""
         if self._target is None:
             self.offset = offset
         self._target = offset
         self._variance = sigma * sigma
 
     def step(self, seconds: float) -> None:
-        """The frame moves towards where it should be."""
+        """Moves the frame towards its target."""
         if self._target is not None:
             share = -math.expm1(-seconds / self._follow_s)
             self.offset = self.offset + share * (self._target - self.offset)
 
 
 class WanderingAnchor:
-    """Separates the place of the frame from the wandering error of the receiver.
+    """Anchor that separates the position of the frame from the wandering error of the receiver.
 
-    Kalman filter with two states an axis: the offset, which the drift of the odometry moves as a
-    random walk, and the receiver's error, a Gauss-Markov process of the reported size and of the
-    correlation time ``tau_s``. The first fix tells the sum only; later ones tell them apart as far
-    as the error wanders while the odometry does not.
+    Kalman filter with two states an axis: the offset, a random walk by the drift of the odometry,
+    and the receiver's error, a Gauss-Markov process of the reported size and of the correlation
+    time ``tau_s``. The first fix measures the sum only; later ones separate both as far as the
+    error wanders while the odometry does not.
     """
 
     def __init__(
@@ -71,6 +73,7 @@ class WanderingAnchor:
 
     @property
     def known(self) -> bool:
+        """True once a fix was processed."""
         return not math.isnan(self._time_s)
 
     @property
@@ -89,8 +92,8 @@ class WanderingAnchor:
         observed = self._covariance.sum(axis=2)
         innovation = observed.sum(axis=1) + self._white**2
         gain = observed / innovation[:, None]
-        surprise = offset - self._mean.sum(axis=1)
-        self._mean = self._mean + gain * surprise[:, None]
+        residual = offset - self._mean.sum(axis=1)
+        self._mean = self._mean + gain * residual[:, None]
         self._covariance = self._covariance - gain[:, :, None] * observed[:, None, :]
         if first:
             self.offset = self._mean[:, 0].copy()
@@ -103,7 +106,7 @@ class WanderingAnchor:
         self._covariance[:, 1, 1] += sigma * sigma * -math.expm1(-2.0 * seconds / self._tau_s)
 
     def step(self, seconds: float) -> None:
-        """The frame moves towards where it should be."""
+        """Moves the frame towards its target."""
         if self.known:
             share = -math.expm1(-seconds / self._correction_time_s)
             self.offset = self.offset + share * (self._mean[:, 0] - self.offset)

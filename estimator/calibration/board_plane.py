@@ -1,5 +1,5 @@
-"""The board in a LIDAR cloud: flat parts by difference of normals, planes by RANSAC, the board by
-its size."""
+"""Detection of the board in a LIDAR cloud: flat parts by difference of normals, planes by RANSAC,
+the board by its size."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _INLIER_M = 0.02
 """of a voxel's mean"""
 _GATE_SIGMAS = 4.0
 _SLACK_M = 0.12
-"""by which a part may seem larger than the plate"""
+"""tolerance by which a part may exceed the plate"""
 _SMALLEST_SHARE = 0.4
 """of the plate that has to be seen"""
 _RIM_M = 0.05
@@ -74,8 +74,8 @@ def find_board(points: Array, board: Chessboard, rng: np.random.Generator) -> Bo
 def ransac_plane(
     points: Array, inlier_m: float, trials: int, rng: np.random.Generator
 ) -> tuple[Array, float, NDArray[np.bool_]]:
-    """The plane that most of ``points`` (N, 3) lie on, refined by least squares on them: unit
-    normal (3,) towards the origin, distance from it, and who lies on it (N,)."""
+    """Fits the plane of most of ``points`` (N, 3) and refines it by least squares: returns the unit
+    normal (3,) towards the origin, the distance from it, and the mask (N,) of inliers."""
     picks = rng.integers(0, len(points), (trials, 3))
     a, b, c = (points[picks[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
@@ -100,7 +100,7 @@ def fit_plane(points: Array) -> tuple[Array, float]:
 
 
 def _parts(flat: Array) -> list[Array]:
-    """Flat points that hang together, largest part first."""
+    """Connected parts of the flat points, largest first."""
     pairs = cKDTree(flat).query_pairs(_LINK_M, output_type="ndarray")
     ones = np.ones(len(pairs), dtype=np.int8)
     graph = coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(len(flat), len(flat)))
@@ -118,7 +118,7 @@ def _on_plane(points: Array, normal: Array) -> Array:
 
 
 def _fits(members: Array, normal: Array, board: Chessboard) -> bool:
-    """Whether the smallest rectangle around a part would go into the plate."""
+    """True if the smallest rectangle around a part fits into the plate."""
     rectangle = cv2.minAreaRect(_on_plane(members, normal).astype(np.float32))
     sides, plate = sorted(rectangle[1]), sorted(board.size_m)
     return all(side <= limit + _SLACK_M for side, limit in zip(sides, plate, strict=True))
@@ -130,8 +130,8 @@ def _area(members: Array, normal: Array) -> float:
 
 
 def _collect(points: Array, normal: Array, distance: float, members: Array) -> BoardPlane | None:
-    """Means of the returns whose beams meet the plane within the part's outline, less its rim, and
-    that lie near the plane."""
+    """Returns the means of the returns whose beams meet the plane within the part's outline, less
+    its rim, and that lie near the plane."""
     outline = cv2.convexHull(_on_plane(members, normal).astype(np.float32)).reshape(-1, 2)
     near = points[np.abs(points @ normal + distance) < 10.0 * _INLIER_M]
     places = _on_plane(_along_beams(near, normal, distance), normal)
@@ -151,18 +151,18 @@ def _collect(points: Array, normal: Array, distance: float, members: Array) -> B
 
 
 def _along_beams(points: Array, normal: Array, distance: float) -> Array:
-    """Where the beams of ``points`` (N, 3) meet a plane."""
+    """Intersections of the beams of ``points`` (N, 3) with a plane."""
     return points * (-distance / (points @ normal))[:, None]
 
 
 def _cell_means(points: Array, places: Array) -> Array:
-    """(M, 3) mean of the points in every square cell of the plane that holds enough of them, by
-    where their beams meet it, ``places`` (N, 2).
+    """(M, 3) mean of the points in every square cell of the plane with enough of them, by the
+    intersections of their beams with it, ``places`` (N, 2).
 
-    A range's noise moves a return along its beam, so that on a board seen at a slant the distance
-    from the plane and the place on it err together, and planes through single returns turn towards
-    the beam: by 0.1 degrees for 2 cm of noise on a board of a metre. Means of n returns, which
-    noise does not choose, turn n times less.
+    A range's noise moves a return along its beam, so that on a slanted board the distance from the
+    plane and the position on it are correlated, and planes through single returns turn towards the
+    beam: by 0.1 degrees for 2 cm of noise on a board of a metre. Means of n returns, selected
+    independently of the noise, turn n times less.
     """
     cells = np.floor(places / _CELL_M).astype(np.int64)
     _, member, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
@@ -172,7 +172,7 @@ def _cell_means(points: Array, places: Array) -> Array:
 
 
 def _inside(places: Array, outline: Array, rim_m: float) -> NDArray[np.bool_]:
-    """Which places (N, 2) lie inside a convex outline (K, 2) by at least ``rim_m``."""
+    """Mask of the positions (N, 2) inside a convex outline (K, 2) by at least ``rim_m``."""
     edges = np.roll(outline, -1, axis=0) - outline
     edges /= np.linalg.norm(edges, axis=1, keepdims=True)
     offset = places[:, None] - outline

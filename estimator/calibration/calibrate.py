@@ -31,11 +31,11 @@ _MOST_APART_M = 0.5
 def calibrate(
     views: Sequence[CalibrationView], board: Chessboard, seed: int = 0
 ) -> CalibrationResult:
-    """Camera matrix and lens from the pictures, then the LIDAR's pose in the camera frame from the
-    planes. Every picture that shows all corners helps the camera, even where the LIDAR misses the
-    board. ``seed`` is that of RANSAC.
+    """Returns camera matrix and lens from the images, then the LIDAR's pose in the camera frame
+    from the planes. Every image with all corners contributes to the camera, even if the LIDAR
+    misses the board. ``seed`` is that of RANSAC.
 
-    Raises ValueError when fewer than three views are of use or all boards are tilted alike.
+    Raises ValueError when fewer than three views are usable or all boards have the same tilt.
     """
     rng = np.random.default_rng([seed, crc32(b"calibration")])
     refused: dict[int, str] = {}
@@ -86,8 +86,8 @@ def calibrate(
 
 
 def _as_far(points: Array, board_in_camera: Array, board: Chessboard) -> Array:
-    """The returns that are about as far from the LIDAR as the board (its middle, (3,)) is from the
-    camera. How the sensors are turned does not matter for that."""
+    """Returns the points about as far from the LIDAR as the board (its middle, (3,)) is from the
+    camera, which does not depend on the sensors' orientations."""
     slack = _MOST_APART_M + 0.5 * float(np.hypot(*board.size_m))
     ranges = np.linalg.norm(points, axis=1)
     near = np.abs(ranges - np.linalg.norm(board_in_camera)) < slack

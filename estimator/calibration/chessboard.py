@@ -1,4 +1,4 @@
-"""The chessboard in pictures: corners, camera matrix, lens, and where the board's planes are.
+"""The chessboard in images: corners, camera matrix, lens, and the planes of the board.
 
 Camera calibration from planes: Zhang, "A flexible new technique for camera calibration", PAMI 2000.
 """
@@ -17,7 +17,7 @@ from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import skew, so3_exp, so3_right_jacobian
 
 Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 LENS_PARAMETERS = 9
 """fx, fy, cx, cy, k1, k2, p1, p2, k3"""
@@ -25,13 +25,13 @@ _POSE_PARAMETERS = 6
 _REFINE_SHARE = 0.45
 """of the distance between corners: half the side of the window that refines a corner"""
 _SMOOTHING_PX = 1.0
-"""Edges sharper than pixels pull corners towards the grid of pixels: of rendered corners, whose
-places are known, this halves the error."""
+"""Edges sharper than pixels pull corners towards the pixel grid: for rendered corners of known
+position, this halves the error."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CameraFit:
-    """Camera and board poses that explain the corners best."""
+    """Camera and board poses of the least-squares fit to the corners."""
 
     camera: CameraIntrinsics
     rotation_vectors: Array
@@ -57,7 +57,7 @@ class CameraPlanes:
     """(4 V, 4 V) of normal and distance, view by view"""
 
     def of_views(self, views: Sequence[int]) -> CameraPlanes:
-        """Some of the planes."""
+        """Returns the planes of the given views."""
         chosen = (4 * np.array(views, np.int64)[:, None] + np.arange(4)).ravel()
         return CameraPlanes(
             normals=self.normals[list(views)],
@@ -74,7 +74,7 @@ def board_corners(board: Chessboard) -> Array:
     return np.column_stack([x, y, np.zeros(x.size)])
 
 
-def find_corners(rgb: Picture, board: Chessboard) -> Array | None:
+def find_corners(rgb: Image, board: Chessboard) -> Array | None:
     """(rows * columns, 2) pixels of the inner corners, pixel centres at integers, in the order of
     `board_corners`; None unless all of them are seen."""
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
@@ -137,8 +137,8 @@ def fit_camera(
 
 
 def camera_planes(fit: CameraFit) -> CameraPlanes:
-    """The board's planes of a fit, with what the uncertainty of lens and poses means for them. As
-    all views share the lens, their planes err together."""
+    """Returns the board's planes of a fit and their covariance from that of lens and poses. As all
+    views share the lens, the errors of the planes are correlated."""
     views = len(fit.translations)
     normals, distances = np.empty((views, 3)), np.empty(views)
     spread = np.zeros((4 * views, len(fit.covariance)))

@@ -1,5 +1,5 @@
-"""Where the LIDAR is in the camera frame, from planes that both saw (Zou, Sun and Kong 2024, Eqs. 4
-and 5)."""
+"""Extrinsics: pose of the LIDAR in the camera frame, from planes that both see (Zou, Sun and Kong
+2024, Eqs. 4 and 5)."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _TRIALS = 300
 _MAX_ANGLE = np.deg2rad(3.0)
 _MAX_OFFSET_M = 0.05
 _LEAST_SPREAD = 0.05
-"""Smallest singular value of the normals, over the root of their number: what tilts of 5 degrees
-give."""
+"""Smallest singular value of the normals, over the root of their number; that of tilts of 5
+degrees."""
 _MAX_ITERATIONS = 60
 _CONVERGED = 1e-10
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e8
@@ -30,6 +30,8 @@ _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e8
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExtrinsicFit:
+    """Result of ``solve_extrinsics``."""
+
     camera_from_lidar: Pose
     covariance: Array
     """(6, 6) rotation (rad, applied on the left), translation (m)"""
@@ -48,9 +50,10 @@ def plane_residuals(
 def agreeing_views(
     planes: CameraPlanes, boards: Sequence[BoardPlane], rng: np.random.Generator
 ) -> tuple[Pose, Ints]:
-    """A closed-form start and the views that agree with it, by random triples of views.
+    """Returns a closed-form initial pose and the views consistent with it, by random triples of
+    views.
 
-    ValueError: fewer than three views agree, or they are all tilted alike.
+    Raises ValueError if fewer than three views agree, or all have the same tilt.
     """
     normals = np.array([board.normal for board in boards])
     distances = np.array([board.distance for board in boards])
@@ -90,8 +93,8 @@ def closed_form(planes: CameraPlanes, normals: Array, distances: Array, views: I
 def solve_extrinsics(
     planes: CameraPlanes, boards: Sequence[BoardPlane], views: Ints, start: Pose
 ) -> ExtrinsicFit:
-    """Eq. 5 over ``views`` by Levenberg-Marquardt (Marquardt's damping of the diagonal), with an
-    analytic Jacobian: every view weighs the same, however many points its board gave."""
+    """Solves Eq. 5 over ``views`` by Levenberg-Marquardt (Marquardt's damping of the diagonal),
+    with an analytic Jacobian: every view has the same weight, however many points its board has."""
     blocks = [
         (boards[view].points, planes.normals[view], float(planes.distances[view])) for view in views
     ]
@@ -146,9 +149,9 @@ def _normal_equations(blocks: Sequence[_Block], pose: Pose) -> tuple[float, Arra
 def _covariance(
     blocks: Sequence[_Block], pose: Pose, matrix: Array, planes: CameraPlanes, views: Ints
 ) -> Array:
-    """The minimum moves by -H^-1 (J^T W e) with the errors e of the residuals: those of the LIDAR
-    are independent from return to return, those of a camera's plane shared by all its returns,
-    and the lens's shared by all views."""
+    """Covariance (6, 6). The minimum moves by -H^-1 (J^T W e) with the errors e of the residuals:
+    those of the LIDAR are independent from return to return, those of a camera plane are shared by
+    all its returns, and the lens's by all views."""
     from_lidar = np.zeros((6, 6))
     by_plane = np.zeros((6, 4 * len(blocks)))
     for k, block in enumerate(blocks):
@@ -172,7 +175,7 @@ def _agrees(
 
 
 def _spread(normals: Array) -> float:
-    """How well normals (V, 3) span space: their smallest singular value over sqrt(V)."""
+    """Smallest singular value of normals (V, 3) over sqrt(V): 0 if they do not span space."""
     return float(np.linalg.svd(normals, compute_uv=False)[-1] / np.sqrt(len(normals)))
 
 

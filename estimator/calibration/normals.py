@@ -1,4 +1,4 @@
-"""Difference of normals: which points are flat at two scales.
+"""Difference of normals: flatness of points at two scales.
 
 Ioannou, Taati, Harrap and Greenspan, "Difference of normals as a multi-scale operator in
 unorganized point clouds", 3DIMPVT 2012, which the paper applies to find the board.
@@ -47,8 +47,8 @@ def difference_of_normals(
 
 
 def _normals(points: Array, pairs: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
-    """Normals of the planes through every point's neighbours (pairs hold every pair once) and
-    itself, (N, 3), and which points have enough neighbours for one."""
+    """Normals (N, 3) of the planes through every point's neighbours (pairs hold every pair once)
+    and itself, and the mask (N,) of points with enough neighbours."""
     size = len(points)
     one = np.concatenate([pairs[:, 0], pairs[:, 1]])
     other = np.concatenate([pairs[:, 1], pairs[:, 0]])

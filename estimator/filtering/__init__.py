@@ -1,1 +1,2 @@
-"""Filter, propagation, map of planes and keyframes that estimators share."""
+"""Parts that several estimators share: error-state filter, IMU propagation, scan screening and
+deskewing, plane map, keyframes, landmark depths."""

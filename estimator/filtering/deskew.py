@@ -1,37 +1,116 @@
-"""Undoes the vehicle's motion during a scan, and thins the scan out evenly."""
+"""Screening, deskewing and thinning of LIDAR scans for the estimators.
+
+The mapper deskews by a kernel of its own (``estimator/mapping/kernels.py``): it keeps pulses
+without return, accepts tracks of any spacing and computes in float32, so that a shared kernel
+would change its maps.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.sim.api import LidarParams, LidarScan
+from touchdown.sim.frames import Pose
+
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
+Indices = NDArray[np.int64]
+
+_BLIND_SIGMAS = 4.0
+_BLIND_SHARE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedScan:
+    """Valid returns of one scan in the IMU frame at the end of the scan."""
+
+    points: Array
+    """(K, 3) m"""
+    beams: Array
+    """(K, 3) m, from the sensor to the point"""
+    pulses: Indices
+    """(K,) indices of the pulses in the scan, ascending"""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def select(self, chosen: Indices) -> PlacedScan:
+        """Returns the subset with the given indices."""
+        return PlacedScan(self.points[chosen], self.beams[chosen], self.pulses[chosen])
+
+
+def screen_scan(scan: LidarScan, lidar: LidarParams, *, check_blind_zone: bool = False) -> Indices:
+    """Returns the indices (K,) of the pulses with a valid return: a finite range between
+    ``min_range_m`` and ``max_range_m`` and a time within the scan.
+
+    ``check_blind_zone``: returns no pulses if more than a twentieth of the ranges lie within four
+    standard deviations of ``min_range_m``. There the sensor reports too long a range for some
+    pulses and none for others, and a map started from such a scan lies too low.
+    """
+    pulses = _valid_pulses(scan.ranges, scan.time_offsets, lidar.min_range_m, lidar.max_range_m)
+    if check_blind_zone and len(pulses):
+        closest = float(np.quantile(scan.ranges[pulses].astype(np.float64), _BLIND_SHARE))
+        if closest < lidar.min_range_m + _BLIND_SIGMAS * lidar.range_sigma_m:
+            return pulses[:0]
+    return pulses
+
+
+def place_scan(
+    scan: LidarScan,
+    pulses: Indices,
+    imu_from_lidar: Pose,
+    rotations: Array,
+    positions: Array,
+    step_s: float,
+) -> PlacedScan:
+    """Deskews the given ``pulses`` (K,) of a scan into the IMU frame at its end.
+
+    ``rotations`` (M + 1, 3, 3) and ``positions`` (M + 1, 3): odom_from_imu every ``step_s`` from
+    the start of the scan to its end.
+    """
+    points, beams = _deskew(
+        scan.directions, scan.ranges, scan.time_offsets, pulses, imu_from_lidar.rotation,
+        imu_from_lidar.translation, rotations, positions, step_s,
+    )  # fmt: skip
+    return PlacedScan(points, beams, pulses)
 
 
 @njit(cache=True)
-def deskew(
+def _valid_pulses(
+    ranges: Float32, time_offsets: Float32, min_range: float, max_range: float
+) -> Indices:
+    """Returns the indices (K,); comparisons with NaN are false."""
+    chosen = np.empty(ranges.shape[0], dtype=np.int64)
+    count = 0
+    for i in range(ranges.shape[0]):
+        if ranges[i] >= min_range and ranges[i] <= max_range and time_offsets[i] >= 0.0:
+            chosen[count] = i
+            count += 1
+    return chosen[:count]
+
+
+@njit(cache=True)
+def _deskew(
     directions: Float32,
     ranges: Float32,
     time_offsets: Float32,
+    pulses: Indices,
     lidar_rotation: Array,
     lidar_position: Array,
     rotations: Array,
     positions: Array,
     step_s: float,
-    min_range: float,
-    max_range: float,
 ) -> tuple[Array, Array]:
-    """Points of one scan as seen from its end.
+    """Returns points (K, 3) and beams (K, 3) of the ``pulses`` (K,), see ``place_scan``.
 
     ``directions`` (N, 3), ``ranges`` (N,), ``time_offsets`` (N,) s after the first pose;
-    ``lidar_rotation``, ``lidar_position``: imu_from_lidar; ``rotations`` (M + 1, 3, 3) and
-    ``positions`` (M + 1, 3): odom_from_imu every ``step_s`` over the scan. Returns points (K, 3) in
-    the IMU frame of the last pose and beams (K, 3), sensor to point in the same frame. Pulses
-    without a valid return (0, NaN, out of range) are left out.
+    ``lidar_rotation``, ``lidar_position``: imu_from_lidar.
     """
-    count = ranges.shape[0]
+    count = pulses.shape[0]
     last = rotations.shape[0] - 1
     relative_r = np.empty((last + 1, 3, 3))
     relative_p = np.empty((last + 1, 3))
@@ -47,14 +126,10 @@ def deskew(
         spins[m, 2] = 0.5 * (turn[1, 0] - turn[0, 1])
     points = np.empty((count, 3))
     beams = np.empty((count, 3))
-    kept = 0
-    for i in range(count):
+    for kept in range(count):
+        i = pulses[kept]
         r = ranges[i]
-        if not (r >= min_range and r <= max_range):
-            continue
         at = time_offsets[i] / step_s
-        if not (at >= 0.0):
-            continue
         m = min(int(at), last - 1)
         f = at - m
         x, y, z = directions[i, 0] * r, directions[i, 1] * r, directions[i, 2] * r
@@ -70,15 +145,14 @@ def deskew(
             moved = relative_p[m, k] + f * (relative_p[m + 1, k] - relative_p[m, k])
             points[kept, k] = rot[k, 0] * ux + rot[k, 1] * uy + rot[k, 2] * uz + moved
             beams[kept, k] = rot[k, 0] * dx + rot[k, 1] * dy + rot[k, 2] * dz
-        kept += 1
-    return points[:kept], beams[:kept]
+    return points, beams
 
 
 @njit(cache=True)
 def thin_out(points: Array, cell: float, table_bits: int) -> NDArray[np.int64]:
-    """Indices of one point per occupied cube of side ``cell`` (the first in time), in order.
+    """Returns the indices of one point per occupied cube of side ``cell`` (the first), ascending.
 
-    ``points`` (N, 3); a table of 2**table_bits buckets, so distinct cubes may (rarely) share one.
+    ``points`` (N, 3). Cubes are hashed into 2**table_bits buckets; distinct cubes rarely collide.
     """
     size = 1 << table_bits
     taken = np.zeros(size, dtype=np.bool_)
@@ -95,16 +169,3 @@ def thin_out(points: Array, cell: float, table_bits: int) -> NDArray[np.int64]:
             chosen[count] = i
             count += 1
     return chosen[:count]
-
-
-def clear_of_blind_zone(
-    points: Array, beams: Array, min_range_m: float, range_sigma_m: float
-) -> tuple[Array, Array]:
-    """(N, 3) points and beams of a scan, or none of them if more than a twentieth come from the
-    brink of what the sensor measures: there it gives too long a range for some pulses and none for
-    others, so that a map begun with them lies too low."""
-    if len(beams):
-        closest = float(np.quantile(np.linalg.norm(beams, axis=1), 0.05))
-        if closest < min_range_m + 4.0 * range_sigma_m:
-            return points[:0], beams[:0]
-    return points, beams

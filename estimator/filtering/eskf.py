@@ -33,19 +33,20 @@ CLONE_DIM = 6
 
 
 class Eskf:
-    """``state`` and ``clones`` are the mean; ``covariance`` (B + 6K, B + 6K) their errors.
+    """Error-state filter with cloned poses, as in the MSCKF.
 
-    The first B = 15 + C error coordinates are those of the navigation state and of its C numbers of
-    calibration, which do not change by themselves; the error of clone k is (rotation right
-    perturbation, position) at rows B + 6k. ``variances`` (B,) are those at the start.
+    ``state`` and ``clones`` are the mean, ``covariance`` (B + 6K, B + 6K) that of the errors. The
+    first B = 15 + C error coordinates are those of the navigation state and of its C constant
+    calibration parameters; the error of clone k is (rotation right perturbation, position) at rows
+    B + 6k. ``variances`` (B,) are the initial ones.
     """
 
     def __init__(self, state: NavState, variances: Array) -> None:
         self.state = state
         self.base = len(variances)
-        self.learns = np.ones(len(state.calibration), np.bool_)
-        """(C,) which numbers of the calibration measurements correct; the doubt of the others still
-        counts in what they say of the rest (Schmidt's "consider" filter)"""
+        self.calibration_enabled = np.ones(len(state.calibration), np.bool_)
+        """(C,) calibration parameters that measurements correct; the others are "consider"
+        parameters (Schmidt): their covariance counts, their estimate stays"""
         self.rate = np.zeros(3)
         """(3,) rad/s, turn rate in the IMU's frame at the state's tick"""
         if len(state.calibration) != self.base - STATE_DIM:
@@ -53,18 +54,18 @@ class Eskf:
                 f"Eskf: {self.base} variances do not fit {len(state.calibration)} numbers of "
                 f"calibration; give {STATE_DIM + len(state.calibration)}"
             )
-        self.loose = False
-        """whether measurements speak of the present pose alone: clones and calibration are taken
-        for certain"""
+        self.loosely_coupled = False
+        """loose coupling: measurements are taken as measurements of the present pose alone; clones
+        and calibration count as exact"""
         self.covariance: Array = np.diag(np.asarray(variances, dtype=np.float64))
         self.clones: list[Pose] = []
 
     # ------------------------------------------------------------------------ propagation
 
     def propagate(self, buffer: ImuBuffer, count: int) -> tuple[Array, Array, Array]:
-        """Advances over the buffer's oldest ``count`` samples, which stay in the buffer.
+        """Propagates over the buffer's oldest ``count`` samples, which stay in the buffer.
 
-        Returns ticks (N + 1,), rotations (N + 1, 3, 3), positions (N + 1, 3) of the way there.
+        Returns the ticks (N + 1,), rotations (N + 1, 3, 3) and positions (N + 1, 3) passed.
         """
         ticks, gyro, force, _ = buffer.samples(count)
         state = self.state
@@ -104,10 +105,10 @@ class Eskf:
         return np.arange(start, start + CLONE_DIM)
 
     def add_clone(self, own_variances: Array | None = None) -> None:
-        """Remembers the present pose as another clone, fully correlated with the state.
+        """Clones the present pose, fully correlated with the state.
 
-        ``own_variances`` (6,), rad^2 and m^2: errors that whatever is remembered with this pose has
-        in common, which are none of the state's.
+        ``own_variances`` (6,), rad^2 and m^2: independent errors shared by all that is stored with
+        this clone.
         """
         size = len(self.covariance)
         grown = np.empty((size + CLONE_DIM, size + CLONE_DIM))
@@ -122,37 +123,39 @@ class Eskf:
         self.clones.append(self.state.pose)
 
     def remove_clone(self, k: int) -> None:
-        """Marginalises clone ``k``: its rows and columns go."""
+        """Marginalises clone ``k``: removes its rows and columns."""
         gone = self.clone_indices(k)
         self.covariance = np.delete(np.delete(self.covariance, gone, axis=0), gone, axis=1)
         del self.clones[k]
 
     # ------------------------------------------------------------------------ update
 
-    def admitted(self, information: Array, vector: Array) -> tuple[Array, Array]:
-        """A measurement of ``touched`` coordinates as the filter is to take it."""
-        if not self.loose:
+    def coupled(self, information: Array, vector: Array) -> tuple[Array, Array]:
+        """Returns a measurement of ``touched`` coordinates under the filter's coupling: with loose
+        coupling, its part about the present pose."""
+        if not self.loosely_coupled:
             return information, vector
         information, vector = information.copy(), vector.copy()
         information[CLONE_DIM:], information[:, CLONE_DIM:], vector[CLONE_DIM:] = 0.0, 0.0, 0.0
         return information, vector
 
-    def gain(self, touched: NDArray[np.int64], information: Array, vector: Array) -> Array:
-        """Error-state correction (B + 6K,) of the prior mean by ``A``, ``b`` on ``touched``."""
+    def correction(self, touched: NDArray[np.int64], information: Array, vector: Array) -> Array:
+        """Returns the error-state correction (B + 6K,) of the prior mean by ``A``, ``b`` on
+        ``touched``."""
         local = self.covariance[np.ix_(touched, touched)]
         solved = np.linalg.solve(np.eye(len(touched)) + information @ local, vector)
         delta: Array = self.covariance[:, touched] @ solved
-        delta[STATE_DIM : self.base] *= self.learns
+        delta[STATE_DIM : self.base] *= self.calibration_enabled
         return delta
 
-    def absorb(self, touched: NDArray[np.int64], information: Array) -> None:
-        """Covariance after the update; ``P - P_t (I + A P_tt)^-1 A P_t^T``."""
+    def update_covariance(self, touched: NDArray[np.int64], information: Array) -> None:
+        """Updates the covariance: ``P - P_t (I + A P_tt)^-1 A P_t^T``."""
         columns = self.covariance[:, touched]
         local = columns[touched]
         middle = np.linalg.solve(np.eye(len(touched)) + information @ local, information)
         middle = 0.5 * (middle + middle.T)
         # the same product from both sides keeps the matrix symmetric to rounding
-        held = np.flatnonzero(~self.learns) + STATE_DIM
+        held = np.flatnonzero(~self.calibration_enabled) + STATE_DIM
         kept = self.covariance[np.ix_(held, held)]
         self.covariance = self.covariance - (columns @ middle) @ columns.T
         self.covariance = 0.5 * (self.covariance + self.covariance.T)
@@ -161,7 +164,7 @@ class Eskf:
     def boxplus(
         self, state: NavState, clones: list[Pose], delta: Array
     ) -> tuple[NavState, list[Pose]]:
-        """The mean ``(state, clones)`` moved by an error-state vector."""
+        """Returns the mean ``(state, clones)`` moved by an error-state vector."""
         moved = NavState(
             state.tick,
             state.rotation @ so3_exp(delta[ROTATION]),

@@ -46,14 +46,16 @@ class NavState:
     accel_bias: Array
     """(3,) m/s^2"""
     calibration: Array = field(default_factory=lambda: np.zeros(0))
-    """errors of the told rig that are estimated too, if any
+    """estimated errors of the given calibration, if any
     (``estimator/livo/online_calibration.py``)"""
 
     @property
     def pose(self) -> Pose:
+        """odom_from_imu."""
         return Pose(self.rotation, self.position)
 
     def copy(self) -> NavState:
+        """Returns a deep copy."""
         return NavState(
             self.tick,
             self.rotation.copy(),
@@ -172,10 +174,10 @@ def transition(
 
 
 class ImuBuffer:
-    """Samples newer than the filter's state, oldest first, in arrays of fixed capacity.
+    """IMU samples newer than the filter's state, oldest first, in arrays of fixed capacity.
 
     ``capacity`` bounds the memory; pushing onto a full buffer raises RuntimeError, which the owner
-    avoids by advancing the filter.
+    avoids by propagating the filter.
     """
 
     def __init__(self, imu: ImuParams, step_s: float, capacity: int = 512) -> None:
@@ -199,11 +201,11 @@ class ImuBuffer:
         self.count += 1
 
     def until(self, tick: int) -> int:
-        """How many buffered samples lie at or before ``tick``."""
+        """Returns the number of buffered samples at or before ``tick``."""
         return int(np.searchsorted(self._ticks[: self.count], tick, side="right"))
 
     def samples(self, count: int) -> tuple[NDArray[np.int64], Array, Array, NDArray[np.bool_]]:
-        """The oldest ``count``: ticks (N,), gyro (N, 3), specific force (N, 3), resting (N,)."""
+        """Returns the oldest ``count``."""
         return (
             self._ticks[:count],
             self._gyro[:count],
@@ -212,7 +214,7 @@ class ImuBuffer:
         )
 
     def drop(self, count: int) -> None:
-        """Forgets the oldest ``count``."""
+        """Removes the oldest ``count``."""
         for array in (self._ticks, self._gyro, self._force, self._resting):
             array[: self.count - count] = array[count : self.count].copy()
         self.count -= count

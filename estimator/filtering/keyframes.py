@@ -1,4 +1,4 @@
-"""Keyframes: remembered images whose features carry planes, and which of them to look back to."""
+"""Keyframes, their feature planes, and the choice of keyframes to track."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class Keyframe:
     pixels: Array
     """(N, 2)"""
     valid: NDArray[np.bool_]
-    """(N,) whether the plane is known"""
+    """(N,) True where the plane is known"""
     planes: Array
     """(N, 3) ``n . P = 1`` in this keyframe's camera frame"""
     sigmas: Array
-    """(N,) m along the ray, of features whose surroundings are no plane; 0 of the others"""
+    """(N,) m along the ray, of features on no plane; 0 for the others"""
     depth_m: float
     """median depth of the landmarks"""
     calibration: Array
@@ -78,8 +78,7 @@ def detect_features(grey: Grey, max_count: int, spacing_px: int = 22, border_px:
 def measure_planes(
     keyframe: Keyframe, recent: RecentReturns, camera_from_odom: Pose, camera: CameraIntrinsics
 ) -> None:
-    """Gives planes to the features that have none yet, or a doubtful one, from the returns seen
-    lately."""
+    """Measures the planes of features that have none or an uncertain one, from recent returns."""
     missing = np.flatnonzero(~keyframe.valid | (keyframe.sigmas > 0.0))
     if len(missing) == 0:
         return
@@ -98,7 +97,7 @@ def measure_planes(
 
 @dataclass(frozen=True, slots=True)
 class Overlap:
-    """How much of keyframe ``index`` the present camera should see."""
+    """Predicted overlap of keyframe ``index`` with the present view."""
 
     index: int
     visible: int
@@ -144,8 +143,8 @@ def overlaps(
 
 
 def choose(candidates: list[Overlap], variances: Array, most: int, min_share: float) -> list[int]:
-    """Up to ``most`` keyframes to look back to: the surest (smallest position variance) with a
-    fair overlap, the one with the largest overlap, then the next surest."""
+    """Returns up to ``most`` keyframes to track: the one of smallest position variance among those
+    with enough overlap, the one with the largest overlap, then the next by variance."""
     if not candidates:
         return []
     fair = [c for c in candidates if c.share >= min_share and 0.7 < c.scale < 1.45]
@@ -159,14 +158,14 @@ def choose(candidates: list[Overlap], variances: Array, most: int, min_share: fl
 
 
 def most_redundant(poses: list[Pose], depths: list[float], keep_last: int = 3) -> int:
-    """Index of the keyframe that another one replaces best: nearest in position, measured in its
-    own viewing distance, and in scale. The newest ``keep_last`` stay."""
+    """Returns the index of the most redundant keyframe: the nearest to another one in position,
+    relative to its viewing distance, and in scale. The newest ``keep_last`` stay."""
     positions = np.array([pose.translation for pose in poses])
     reach = np.array(depths)
     gap = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     gap /= np.maximum(reach[:, None], reach[None])
     gap += np.abs(np.log(reach[:, None] / reach[None]))
     np.fill_diagonal(gap, np.inf)
-    # of a close pair the younger one goes: the older is surer
+    # of a close pair the younger one goes: the older has the smaller variance
     nearest_older = np.where(np.tri(len(poses), k=-1, dtype=bool), gap, np.inf).min(axis=1)
     return int(np.argmin(nearest_older[: len(poses) - keep_last]))

@@ -16,15 +16,16 @@ Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 _CLOSE = 0.4
-"""of the neighbourhood: returns so close tell the depth of a feature that is on no plane"""
+"""share of the neighbourhood whose returns give the depth of a feature on no plane"""
 _MOST_SCATTER = 0.05
-"""of the depth; more is no depth at all"""
-_DOUBT = 2.0
-"""standard deviations of the scatter: it errs alike in all images that the feature is found in"""
+"""of the depth; beyond it the depth counts as unknown"""
+_SIGMA_FACTOR = 2.0
+"""assigned sigma in standard deviations of the scatter: the error is the same in all images that
+show the feature"""
 
 
 class RecentReturns:
-    """The returns of the last few scans, odom frame, in a ring of fixed size."""
+    """Returns of the last few scans, odom frame, in a ring buffer of fixed size."""
 
     def __init__(self, scans: int = 15, per_scan: int = 12000) -> None:
         self._points = np.zeros((scans * per_scan, 3), dtype=np.float32)
@@ -33,7 +34,7 @@ class RecentReturns:
         self._next = 0
 
     def add(self, points_odom: Array) -> None:
-        """Keeps at most ``per_scan`` evenly strided of (N, 3) points."""
+        """Adds at most ``per_scan`` evenly strided of (N, 3) points."""
         stride = max(1, -(-len(points_odom) // self._per_scan))
         part = points_odom[::stride]
         start = self._next * self._per_scan
@@ -169,7 +170,7 @@ def _rough_depths(
     min_points: int,
     most_share: float,
 ) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Depth of what lies foremost within ``radius`` of (N, 2) rays, and how much it scatters."""
+    """Depth of the foremost returns within ``radius`` of (N, 2) rays, and their scatter."""
     cols, rows = int(2.0 * width / cell) + 1, int(2.0 * height / cell) + 1
     valid = np.zeros(rays.shape[0], dtype=np.bool_)
     depths, sigmas = np.zeros(rays.shape[0]), np.zeros(rays.shape[0])
@@ -209,10 +210,10 @@ def feature_planes(
     """Planes of features seen along (N, 2) normalised ``rays`` (x / z, y / z).
 
     ``half_view``: the image's half extents in the same units; ``radius``: of the neighbourhood.
-    Returns valid (N,), planes (N, 3) with ``n . P = 1`` in the camera's frame, and sigmas (N,),
-    m along the ray. A neighbourhood whose returns scatter by more than ``depth_tolerance_m`` is no
-    plane: as over leaves, its feature gets the depth of the foremost returns close by, a plane that
-    faces the camera, and a sigma for what they scatter. Those of planes are 0.
+    Returns valid (N,), planes (N, 3) with ``n . P = 1`` in the camera frame, and sigmas (N,), m
+    along the ray, 0 for planes. A neighbourhood whose returns scatter by more than
+    ``depth_tolerance_m`` is no plane, as in foliage: its feature is assigned the depth of the
+    foremost returns close by, as a plane that faces the camera, and a sigma from their scatter.
     """
     points, counts, per_scan = recent.view()
     width, height = half_view[0] * 1.02, half_view[1] * 1.02
@@ -233,5 +234,5 @@ def feature_planes(
     valid[chosen] = True
     facing = np.column_stack([rays[chosen], np.ones(len(chosen))])
     planes[chosen] = facing / (depths[rough] * np.einsum("ij,ij->i", facing, facing))[:, None]
-    sigmas[chosen] = _DOUBT * scatter[rough]
+    sigmas[chosen] = _SIGMA_FACTOR * scatter[rough]
     return valid, planes, sigmas

@@ -1,13 +1,15 @@
 """A bounded voxel-hash map of planes: running moments of the returns in each voxel.
 
-Voxel planes with a covariance follow the idea of VoxelMap (Yuan et al. 2022); here the moments are
-kept (ten numbers a voxel), so that voxels can be merged exactly where a surface lies close to a
-voxel's face and each side would hold only one half of its noise. A voxel also remembers from where
-it was first seen (returns that came later were brought to agree with those), and which anchor it
-hangs on (``estimator/livo/anchors.py``).
+Voxel planes with a covariance follow VoxelMap (Yuan et al. 2022). This map stores moments (ten
+numbers a voxel), so that voxels can be merged exactly where a surface lies close to a voxel's face
+and each side would hold only one half of its noise. A voxel also stores the position that it was
+first seen from (later returns are registered to the first ones) and its anchor
+(``estimator/livo/anchors.py``).
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -16,6 +18,25 @@ from numpy.typing import NDArray
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
+
+
+class PlaneMatches(NamedTuple):
+    """Planes of the map found for N points."""
+
+    found: NDArray[np.bool_]
+    """(N,)"""
+    normals: Array
+    """(N, 3) unit"""
+    centres: Array
+    """(N, 3) m, a point on each plane"""
+    variances: Array
+    """(N, 3): m^2 of the returns about the plane (its thickness); m^2 of the plane's height at the
+    point; rad^2 of the normal about either axis"""
+    sensors: Array
+    """(N, 3) m, position that each plane was first seen from"""
+    anchors: NDArray[np.signedinteger]
+    """(N,) index of the anchor that each plane belongs to; -1: none"""
+
 
 _EMPTY = np.int64(-1)
 _OFFSET = 1 << 20
@@ -62,13 +83,12 @@ def insert_points(
 ) -> int:
     """Adds (N, 3) points seen from ``sensor`` (3,); returns the number of used slots.
 
-    New voxels belong to anchor ``owner``. Where a voxel has an anchor k, points are first brought
-    to its terms: beams turned by ``changes`` (K, 6), then ``rotations`` (K, 3, 3) and
-    ``translations`` (K, 3); see ``Anchors.kept_from_now``.
+    New voxels belong to anchor ``owner``. For a voxel with an anchor k, points are first
+    transformed to the state at the anchor's creation: beams rotated by ``changes`` (K, 6), then
+    ``rotations`` (K, 3, 3) and ``translations`` (K, 3); see ``Anchors.kept_from_now``.
 
-    A voxel that has seen ``max_count`` points is left as it is: its oldest points carry the least
-    drift, and the cost of a scan stays constant. When the table is 70 % full, new voxels are
-    refused.
+    A voxel with ``max_count`` points is not changed: its oldest points carry the least drift, and
+    the cost of a scan stays constant. When the table is 70 % full, new voxels are rejected.
     """
     limit = int(0.7 * keys.shape[0])
     p = np.empty(3)
@@ -116,7 +136,7 @@ def insert_points(
 
 
 @njit(cache=True)
-def hand_over(
+def reassign_voxels(
     keys: NDArray[np.int64],
     moments: Array,
     owners: NDArray[np.int16],
@@ -126,8 +146,8 @@ def hand_over(
     translation: Array,
     voxel: float,
 ) -> None:
-    """Voxels of anchor ``gone`` go to ``successor``, moved by (rotation, translation), millimetres:
-    by what that does to their middle. Anchors behind ``gone`` move up by one."""
+    """Reassigns the voxels of anchor ``gone`` to ``successor``, moved by (rotation, translation),
+    millimetres, as their centroid moves. Indices of anchors behind ``gone`` decrease by one."""
     mask = (np.int64(1) << np.int64(21)) - 1
     d = np.empty(3)
     for slot in range(keys.shape[0]):
@@ -208,9 +228,9 @@ def _gather(
     margin: float,
     total: Array,
 ) -> tuple[float, float, float]:
-    """Moments about the centre of the voxel of (x, y, z), merged with the neighbours whose face is
-    within ``margin``, into ``total`` (11,), and last the slot that gave most. Returns that
-    centre."""
+    """Writes into ``total`` (11,) the moments about the centre of the voxel of (x, y, z), merged
+    with the neighbours whose face is within ``margin``, and last the slot with most points. Returns
+    that centre."""
     cell = (np.floor(x / voxel), np.floor(y / voxel), np.floor(z / voxel))
     centre = ((cell[0] + 0.5) * voxel, (cell[1] + 0.5) * voxel, (cell[2] + 0.5) * voxel)
     side = np.zeros(3, dtype=np.int64)
@@ -264,23 +284,19 @@ def match_planes(
     margin: float,
     min_count: int,
     max_thickness: float,
-) -> tuple[NDArray[np.bool_], Array, Array, Array, Array, NDArray[np.int16]]:
-    """The plane of the voxel of each of (N, 3) points.
+) -> PlaneMatches:
+    """Returns the plane of the voxel of each of (N, 3) points.
 
-    Returns found (N,), unit normals (N, 3), plane points (N, 3), and variances (N, 3): of the
-    plane's height at the point, m^2, its thickness (what single returns scatter) and its own
-    uncertainty; and of the normal about either axis, rad^2. Then from where it was first seen
-    (N, 3), and the anchors (N,).
     A voxel is planar if its smallest standard deviation is below ``max_thickness`` and three times
     below the next one.
     """
     count = points.shape[0]
     found = np.zeros(count, dtype=np.bool_)
     normals = np.zeros((count, 3))
-    anchors = np.zeros((count, 3))
+    centres = np.zeros((count, 3))
     variances = np.zeros((count, 3))
     sensors = np.zeros((count, 3))
-    anchor_of = np.full(count, _NO_ANCHOR, dtype=np.int16)
+    anchors = np.full(count, _NO_ANCHOR, dtype=np.int16)
     total = np.zeros(_MOMENTS + 1)
     cov = np.zeros((3, 3))
     for i in range(count):
@@ -308,20 +324,20 @@ def match_planes(
         reach2 = dx * dx + dy * dy + dz * dz - along * along
         found[i] = True
         normals[i, 0], normals[i, 1], normals[i, 2] = nx, ny, nz
-        anchors[i, 0], anchors[i, 1], anchors[i, 2] = cx + mx, cy + my, cz + mz
+        centres[i, 0], centres[i, 1], centres[i, 2] = cx + mx, cy + my, cz + mz
         variances[i, 0] = low
         variances[i, 1] = low / n * (1.0 + reach2 / mid)
         variances[i, 2] = low / (n * mid)
         slot = int(total[_MOMENTS])
         sensors[i] = seen_from[slot]
-        anchor_of[i] = owners[slot]
-    return found, normals, anchors, variances, sensors, anchor_of
+        anchors[i] = owners[slot]
+    return PlaneMatches(found, normals, centres, variances, sensors, anchors)
 
 
 class PlaneMap:
-    """Planes of everything that was seen, odom frame; memory fixed by ``capacity`` (a power of 2).
+    """Map of planes, odom frame; memory fixed by ``capacity`` (a power of 2).
 
-    ``voxel_m``: side; ``max_points``: a voxel stops learning after so many returns.
+    ``voxel_m``: side; ``max_points``: a voxel ignores further returns after so many.
     """
 
     def __init__(self, voxel_m: float, capacity: int = 1 << 17, max_points: int = 150) -> None:
@@ -343,7 +359,7 @@ class PlaneMap:
         terms: tuple[Array, Array, Array] | None = None,
     ) -> None:
         """Adds (N, 3) points seen from ``sensor_odom`` (3,). ``owner`` and ``terms``: see
-        ``insert_points``; without them the voxels hang on nothing."""
+        ``insert_points``; without them the voxels have no anchor."""
         if terms is None:
             terms = np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 6))
         sensor = np.zeros(3) if sensor_odom is None else sensor_odom
@@ -353,17 +369,17 @@ class PlaneMap:
         )  # fmt: skip
 
     def reassign(self, gone: int, successor: int, move: Pose) -> None:
-        """Anchor ``gone`` ends: see ``hand_over``."""
-        hand_over(
+        """Reassigns the voxels of anchor ``gone``, see ``reassign_voxels``."""
+        reassign_voxels(
             self._keys, self._moments, self._owners, gone, successor, move.rotation,
             move.translation, self.voxel_m,
         )  # fmt: skip
 
     def match(
         self, points_odom: Array, min_count: int = 8, max_thickness_m: float = 0.05
-    ) -> tuple[NDArray[np.bool_], Array, Array, Array, Array, NDArray[np.int16]]:
-        """See ``match_planes``. What is thicker is leaves: their height changes with the angle that
-        they are seen at."""
+    ) -> PlaneMatches:
+        """Returns the planes of (N, 3) points, see ``match_planes``. Anything thicker than
+        ``max_thickness_m`` is foliage, whose height changes with the viewing angle."""
         margin = 0.12 * self.voxel_m
         return match_planes(
             self._keys, self._moments, self._owners, self._seen_from,

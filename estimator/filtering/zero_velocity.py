@@ -1,4 +1,4 @@
-"""What the filter may conclude while the vehicle stands on the ground with its rotors slow."""
+"""Zero-velocity update of the filter while the vehicle stands on the ground with slow rotors."""
 
 from __future__ import annotations
 
@@ -24,28 +24,30 @@ _RATE_LIMIT = 2e-3
 _FORCE_LIMIT = 0.03
 """m/s^2, between mean specific force and gravity once the accelerometer bias is known"""
 _SHAKE_LIMIT = 0.1
-"""m/s^2, standard deviation of the specific force: a settling or bumped vehicle is not still"""
+"""m/s^2, standard deviation of the specific force: a settling or bumped vehicle is not
+stationary"""
 _VELOCITY_SIGMA = 5e-3
 _POSITION_SIGMA = 2e-3
 _ROTATION_SIGMA = 1e-3
 _RATE_SIGMA = 1e-3
-"""rad/s, beside the gyroscope's noise. These four are wider than one update needs, because a light
-vehicle in the wind creeps on its feet, and that repeats from update to update."""
+"""rad/s, beside the gyroscope's noise. These four are larger than a single update needs, because a
+light vehicle creeps on its feet in the wind, and this error repeats from update to update."""
 
 
 class ZeroVelocityUpdate:
-    """Zero-velocity, zero-rate and unmoved-pose updates (Foxlin 2005), for as long as it stands."""
+    """Zero-velocity, zero-rate and constant-pose updates (Foxlin 2005) while the vehicle is
+    stationary."""
 
     def __init__(self, gyro_density: float, step_s: float, attitude_known: bool = True) -> None:
-        """``attitude_known``: whether the attitude at the first moment of rest is worth holding."""
+        """``attitude_known``: hold the attitude of the first stationary moment."""
         self._attitude_known = attitude_known
         self._gyro_density = gyro_density
         self._step_s = step_s
         self._anchor: NavState | None = None
 
     def holds(self, eskf: Eskf, gyro: Array, force: Array, resting: NDArray[np.bool_]) -> bool:
-        """Whether (N, 3) samples, all taken with the rotors too slow to lift, show no motion: mean
-        rate and force within four standard deviations of what standing gives."""
+        """True if (N, 3) samples, all taken with the rotors too slow to lift, show no motion: mean
+        rate and force within four standard deviations of those at rest."""
         if len(gyro) < 6 or not bool(resting.all()):
             return False
         state, variances = eskf.state, np.diag(eskf.covariance)
@@ -62,7 +64,7 @@ class ZeroVelocityUpdate:
         )
 
     def update(self, eskf: Eskf, gyro: Array, force: Array, resting: NDArray[np.bool_]) -> bool:
-        """Applies the updates if ``holds``; returns whether it did."""
+        """Applies the updates if ``holds``; returns True if so."""
         if not self.holds(eskf, gyro, force, resting):
             self._anchor = None
             return False
@@ -86,7 +88,7 @@ class ZeroVelocityUpdate:
         if not self._attitude_known:
             variances[ROTATION] = np.inf
         information = np.diag(1.0 / variances)
-        delta = eskf.gain(touched, information, residual / variances)
+        delta = eskf.correction(touched, information, residual / variances)
         eskf.state, eskf.clones = eskf.boxplus(state, eskf.clones, delta)
-        eskf.absorb(touched, information)
+        eskf.update_covariance(touched, information)
         return True

@@ -1,23 +1,29 @@
-"""Point-to-plane update of the filter by one scan, against planes that hang on its clones.
+"""Point-to-plane update of the filter by one scan, against planes anchored to its clones.
 
-A residual compares the present pose with the clone that the plane belongs to, and both ends of it
-with where the LIDAR sits: what all planes of a clone have wrong in common is then the clone's
-error, which the filter knows and a revisit takes away, not fresh noise of every scan.
+A residual compares the present pose with the clone that the plane is anchored to, and both with the
+LIDAR's mount. The error shared by all planes of a clone is thus the clone's error, which the filter
+estimates and a revisit reduces, instead of new noise in every scan.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.deskew import PlacedScan
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.plane_map import PlaneMap
+from touchdown.estimator.filtering.information import (
+    NormalEquations,
+    lateral_strength,
+    limit_information,
+)
+from touchdown.estimator.filtering.plane_map import PlaneMap, PlaneMatches
 from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.lidar_update import (
     LidarReport,
-    lateral_strength,
-    limit_information,
     normal_noise_information,
     weak_directions,
     without_directions,
@@ -34,7 +40,7 @@ def anchored_information(
     beams: Array,
     rotation: Array,
     position: Array,
-    planes: tuple[NDArray[np.bool_], Array, Array, Array, Array, NDArray[np.int64]],
+    planes: PlaneMatches,
     clone_rotations: Array,
     clone_positions: Array,
     mount_changes: Array,
@@ -43,22 +49,21 @@ def anchored_information(
     angle_sigma: float,
     plane_floor: float,
     gate: float,
-) -> tuple[Array, Array, int, float]:
-    """Information (D, D) and vector (D,) of the residuals ``n . (R p + t - c)``.
+) -> NormalEquations:
+    """Returns the normal equations, (D, D), of the point-to-plane residuals ``n . (R p + t - c)``.
 
-    ``points`` and ``beams`` (N, 3) in the IMU frame; ``planes``: found (N,), normals, anchor points
-    (N, 3), variances (N, 3), sensors (N, 3), all in the odometry frame as now believed, and which
-    of the M clones (``clone_*``: odom_from_imu; ``mount_changes`` (M, 6): mount now less mount when
-    it was made) they hang on, -1: on none. Error order: rotation (right perturbation), position,
-    ``shared`` numbers of calibration whose first six are turn and shift of the LIDAR, then six for
-    each clone; D = 6 + shared + 6 M.
+    ``points`` and ``beams`` (N, 3): IMU frame; ``planes``: in the odometry frame at the present
+    estimate, anchors as indices into the M clones; ``clone_*``: odom_from_imu of these;
+    ``mount_changes`` (M, 6): present mount less the mount when the clone was made. Error order:
+    rotation (right perturbation), position, ``shared`` coordinates of calibration whose first six
+    are rotation and translation of the LIDAR, then six for each clone; D = 6 + shared + 6 M.
 
-    A residual's variance is the beam's (range and angle noise seen along the normal), or the
-    plane's thickness if that is larger, plus the plane's uncertainty. Weights are Cauchy's with
-    scale ``gate``/2 standard deviations, zero beyond ``gate``. Returns also the number used and
-    their rms in metres.
+    A residual's variance is the larger of the beam's (range and angle noise along the normal) and
+    the plane's thickness, plus the plane's uncertainty. Weights are Cauchy's with scale
+    ``gate``/2 standard deviations, zero beyond ``gate``.
     """
-    found, normals, anchors, variances, sensors, slots = planes
+    found, normals, centres = planes.found, planes.normals, planes.centres
+    variances, sensors, anchors = planes.variances, planes.sensors, planes.anchors
     size = 6 + shared + 6 * clone_rotations.shape[0]
     information = np.zeros((size, size))
     vector = np.zeros(size)
@@ -87,11 +92,11 @@ def anchored_information(
             x[a] = position[a]
             for b in range(3):
                 x[a] += rotation[a, b] * p[b]
-            height += n[a] * (x[a] - anchors[i, a])
-        k = slots[i]
+            height += n[a] * (x[a] - centres[i, a])
+        k = anchors[i]
         own[:] = clone_rotations[k] if k >= 0 else rotation
-        # normal and beam of the plane in the IMU frame of its clone, then how its height below the
-        # return moves with the mount, about which it turns as a whole
+        # normal and beam of the plane in the IMU frame of its clone, then the derivative of its
+        # height by the mount, about which it rotates as a whole
         mx = own[0, 0] * n[0] + own[1, 0] * n[1] + own[2, 0] * n[2]
         my = own[0, 1] * n[0] + own[1, 1] * n[1] + own[2, 1] * n[2]
         mz = own[0, 2] * n[0] + own[1, 2] * n[1] + own[2, 2] * n[2]
@@ -153,47 +158,58 @@ def anchored_information(
         used += 1
         total += height * height
     rms = np.sqrt(total / used) if used > 0 else 0.0
-    return information, vector, used, rms
+    return NormalEquations(information, vector, used, rms)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ScanErrors:
+    """Error model of a scan."""
+
+    range_sigma_m: float
+    """of one return"""
+    angle_sigma_rad: float
+    """of one beam"""
+    floor_sigmas: Array
+    """(6,) rad and m: information floor, errors of the scan, and of each clone's part of the map,
+    that do not average out (``limit_information``)"""
+    weak_sigmas: tuple[float, float] | None = None
+    """rad and m: directions known less well than these are left out of the update
+    (``weak_directions``); None: none are"""
 
 
 def update_with_scan(
     eskf: Eskf,
     plane_map: PlaneMap,
     anchors: Anchors,
-    points: Array,
-    beams: Array,
+    scan: PlacedScan,
+    errors: ScanErrors,
     *,
-    range_sigma_m: float,
-    angle_sigma_rad: float,
-    floor_sigmas: Array,
-    weak_sigmas: tuple[float, float] | None = None,
     iterations: int = 3,
     min_matches: int = 30,
 ) -> LidarReport:
-    """Iterated update by (N, 3) points and beams, IMU frame of the filter's present time.
+    """Iterated update by a scan that ends at the filter's present time.
 
-    Planes are looked up at the first and the second iteration. With fewer than ``min_matches``
-    matches nothing is changed. ``floor_sigmas`` (6,): errors of the scan, and of each clone's part
-    of the map, as a whole, rad and m, see ``limit_information``. ``weak_sigmas``: rad and m,
-    directions known less well than these are left out of the update (``weak_directions``, less what
-    the normals' noise feigns); None: none are."""
+    Planes are looked up in the first and the second iteration. With fewer than ``min_matches``
+    matches nothing is changed.
+    """
+    points, beams = scan.points, scan.beams
     prior, clones = eskf.state, eskf.clones
     shared = len(prior.calibration)
-    noise = (range_sigma_m, angle_sigma_rad, _PLANE_FLOOR_M)
+    noise = (errors.range_sigma_m, errors.angle_sigma_rad, _PLANE_FLOOR_M)
     raw, information, used, rms = np.zeros((6, 6)), np.zeros((6, 6)), 0, 0.0
     weak = (np.zeros((3, 0)), np.zeros((3, 0)))
-    planes = None
+    matched: PlaneMatches | None = None
     keys: list[int] = []
     touched = eskf.touched(keys)
     for iteration in range(iterations):
         state, gate = eskf.state, 6.0 if iteration == 0 else 4.0
-        fresh = iteration < 2 or planes is None
-        if fresh or planes is None:
+        fresh = iteration < 2 or matched is None
+        if fresh or matched is None:
             matched = plane_map.match(points @ state.rotation.T + state.position)
-            keys = np.unique(matched[5][matched[0]]).tolist()
+            keys = np.unique(matched.anchors[matched.found]).tolist()
             keys = [k for k in keys if k >= 0]
             touched = eskf.touched(keys)
-        planes = _as_believed(matched, keys, anchors, eskf)
+        planes = _at_present_estimate(matched, keys, anchors, eskf)
         information, vector, used, rms = anchored_information(
             points, beams, state.rotation, state.position, planes,
             np.array([eskf.clones[k].rotation for k in keys]).reshape(-1, 3, 3),
@@ -204,23 +220,25 @@ def update_with_scan(
             eskf.state, eskf.clones = prior, clones
             return LidarReport(matched=used, rms_m=rms, lateral_strength=np.zeros(3))
         raw = information[:6, :6].copy()
-        if weak_sigmas is not None and fresh:
+        if errors.weak_sigmas is not None and fresh:
             noise_information = normal_noise_information(
-                points, beams, state.rotation, state.position, *planes[:4], *noise, gate
-            )
-            weak = weak_directions(raw, noise_information, *weak_sigmas)
+                points, beams, state.rotation, state.position, planes.found, planes.normals,
+                planes.centres, planes.variances, *noise, gate,
+            )  # fmt: skip
+            weak = weak_directions(raw, noise_information, *errors.weak_sigmas)
         columns = np.zeros((len(touched), weak[0].shape[1] + weak[1].shape[1]))
         columns[:3, : weak[0].shape[1]] = weak[0]
         columns[3:6, weak[0].shape[1] :] = weak[1]
         information, vector = without_directions(information, vector, columns)
-        # each clone's part of the map has its own: or else a scan would tie clones to each other
-        # as firmly as its points are many
-        floors = np.concatenate([floor_sigmas, np.zeros(shared), np.tile(floor_sigmas, len(keys))])
-        information, vector = limit_information(*eskf.admitted(information, vector), floors)
+        # each clone's part of the map has a floor of its own: otherwise the number of points
+        # would tie the clones to each other too firmly
+        floor = errors.floor_sigmas
+        floors = np.concatenate([floor, np.zeros(shared), np.tile(floor, len(keys))])
+        information, vector = limit_information(*eskf.coupled(information, vector), floors)
         offset = eskf.deviation(prior, clones, keys)
-        delta = eskf.gain(touched, information, vector + information @ offset)
+        delta = eskf.correction(touched, information, vector + information @ offset)
         eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)
-    eskf.absorb(touched, information)
+    eskf.update_covariance(touched, information)
     return LidarReport(
         matched=used,
         rms_m=rms,
@@ -230,41 +248,39 @@ def update_with_scan(
     )
 
 
-def _as_believed(
-    matched: tuple[NDArray[np.bool_], Array, Array, Array, Array, NDArray[np.int16]],
-    keys: list[int],
-    anchors: Anchors,
-    eskf: Eskf,
-) -> tuple[NDArray[np.bool_], Array, Array, Array, Array, NDArray[np.int64]]:
-    """Planes as matched, moved to where the filter now believes their anchors; anchors counted
-    by their place in ``keys``."""
-    found, normals, middles, variances, sensors, owners = matched
+def _at_present_estimate(
+    matched: PlaneMatches, keys: list[int], anchors: Anchors, eskf: Eskf
+) -> PlaneMatches:
+    """Returns the planes moved to the present estimate of their anchors, and the anchors as
+    positions in ``keys``."""
     table = np.full(len(anchors) + 1, -1, dtype=np.int64)
     table[keys] = np.arange(len(keys))
-    slots = table[owners]  # -1 looks up the last entry, which is -1
+    slots = table[matched.anchors]  # -1 looks up the last entry, which is -1
     rotations, positions = anchors.now_from_kept(eskf.clones)
-    normals, middles, sensors = _moved(normals, middles, sensors, owners, rotations, positions)
-    return found, normals, middles, variances, sensors, slots
+    normals, centres, sensors = _moved(
+        matched.normals, matched.centres, matched.sensors, matched.anchors, rotations, positions
+    )
+    return PlaneMatches(matched.found, normals, centres, matched.variances, sensors, slots)
 
 
 @njit(cache=True)
 def _moved(
     normals: Array,
-    middles: Array,
+    centres: Array,
     sensors: Array,
-    owners: NDArray[np.int16],
+    anchors: NDArray[np.int16],
     rotations: Array,
     translations: Array,
 ) -> tuple[Array, Array, Array]:
-    out_n, out_m, out_s = normals.copy(), middles.copy(), sensors.copy()
-    for i in range(owners.shape[0]):
-        k = owners[i]
+    out_n, out_m, out_s = normals.copy(), centres.copy(), sensors.copy()
+    for i in range(anchors.shape[0]):
+        k = anchors[i]
         if k < 0:
             continue
         for a in range(3):
             out_n[i, a], out_m[i, a], out_s[i, a] = 0.0, translations[k, a], translations[k, a]
             for b in range(3):
                 out_n[i, a] += rotations[k, a, b] * normals[i, b]
-                out_m[i, a] += rotations[k, a, b] * middles[i, b]
+                out_m[i, a] += rotations[k, a, b] * centres[i, b]
                 out_s[i, a] += rotations[k, a, b] * sensors[i, b]
     return out_n, out_m, out_s

@@ -1,8 +1,8 @@
-"""Which remembered pose each part of the map hangs on.
+"""Anchors: the clone of the filter that each part of the map belongs to.
 
-The map is made with the filter's own poses, so that its errors are theirs. Every voxel therefore
-belongs to a clone of the filter: it moves along when the clone's estimate does, and a scan matched
-with it measures the present pose against that clone, not against the world.
+The map is made with the filter's own poses and shares their errors. Every voxel is anchored to a
+clone: it moves with the clone's estimate, and a scan matched to it measures the present pose
+relative to that clone, not to the world.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 
 
 class Anchors:
-    """For each clone of the filter, in the same order, its pose and the calibration when it was
-    made: voxels are kept as they would have been made with these."""
+    """Pose and calibration at the creation of each clone of the filter, in the order of the clones.
+    Voxels are stored as if made with these."""
 
     def __init__(self) -> None:
         self._poses: list[Pose] = []
@@ -28,26 +28,26 @@ class Anchors:
         return len(self._poses)
 
     def add(self, pose: Pose, calibration: Array) -> None:
-        """A clone was added; ``calibration`` (C,), C = 0 or 10."""
+        """Adds the anchor of a new clone; ``calibration`` (C,), C = 0 or 11."""
         self._poses.append(pose)
         self._calibrations.append(_mount_part(calibration))
 
     def remove(self, k: int) -> None:
-        """Clone ``k`` was removed."""
+        """Removes the anchor of clone ``k``."""
         del self._poses[k], self._calibrations[k]
 
     def now_from_kept(self, clones: list[Pose]) -> tuple[Array, Array]:
-        """Rotations (K, 3, 3) and translations (K, 3) that take kept voxels to where the filter
-        now believes them."""
+        """Rotations (K, 3, 3) and translations (K, 3) that move stored voxels to the present
+        estimate of their clones."""
         moves = [clone @ kept.inverse() for clone, kept in zip(clones, self._poses, strict=True)]
         return _stack(moves)
 
     def kept_from_now(
         self, clones: list[Pose], calibration: Array, imu_rotation: Array
     ) -> tuple[Array, Array, Array]:
-        """The way back for returns just measured: rotations (K, 3, 3), translations (K, 3) and
-        mount corrections (K, 6): a turn of the beam and a shift, odom frame, to be applied first.
-        ``imu_rotation`` (3, 3): odom_from_imu of the scan."""
+        """Inverse of ``now_from_kept`` for new returns: rotations (K, 3, 3), translations (K, 3)
+        and mount corrections (K, 6): rotation of the beam and translation, odom frame, to be
+        applied first. ``imu_rotation`` (3, 3): odom_from_imu of the scan."""
         moves = [kept @ clone.inverse() for clone, kept in zip(clones, self._poses, strict=True)]
         mount = _mount_part(calibration)
         changes = np.array([(c - mount).reshape(2, 3) for c in self._calibrations])
@@ -55,13 +55,15 @@ class Anchors:
         return *_stack(moves), changes.reshape(-1, MOUNT_DIM)
 
     def mount_changes(self, calibration: Array) -> Array:
-        """(K, 6): by how much turn and shift of the mount differ from when the clone was made."""
+        """(K, 6) differences of the mount's rotation and translation from those at each clone's
+        creation."""
         mount = _mount_part(calibration)
         return np.array([mount - c for c in self._calibrations]).reshape(-1, MOUNT_DIM)
 
     def reassignment(self, k: int, clones: list[Pose]) -> tuple[int, Pose]:
-        """Who inherits the voxels of clone ``k``, the nearest other one, and how they move then, so
-        that they stay where the filter now believes them. At least two clones must be there."""
+        """Reassignment of clone ``k``: returns its successor, the nearest other clone, and the
+        transform of its voxels that keeps them at their present estimate. Needs two clones or
+        more."""
         positions = np.array([clone.translation for clone in clones])
         gap = np.linalg.norm(positions - positions[k], axis=1)
         gap[k] = np.inf

@@ -1,24 +1,23 @@
 """LIDAR-inertial-visual odometry: a tightly coupled estimator for flight over ground.
 
-One error-state filter carries pose, velocity, IMU biases and the poses of remembered keyframes.
-Scans measure height, roll and pitch against a map of planes (and sideways motion where walls and
-slopes allow); images measure x, y and yaw against landmarks of keyframes whose depth the LIDAR
-gave. Order, LIDAR before vision, and the sequential update follow FAST-LIVO (Zheng et al. 2022);
-that landmarks hang on cloned keyframe poses, not on a map taken for certain, is what lets a
-later view of the same ground close the loop.
+One error-state filter estimates pose, velocity, IMU biases and the poses of cloned keyframes. Scans
+measure height, roll and pitch against a map of planes (and lateral motion where walls and slopes
+allow); images measure x, y and yaw against landmarks of keyframes with depth from the LIDAR. The
+order, LIDAR before vision, and the sequential update follow FAST-LIVO (Zheng et al. 2022).
+Landmarks are anchored to cloned keyframe poses, not to a map without errors, so that a later view
+of the same ground closes the loop.
 
-Scans and images arrive late. The filter lives at measurement time; the estimate handed out is its
-state carried over the buffered IMU samples to now.
+Scans and images arrive late. The filter's state is at measurement time; the estimate is that state
+propagated over the buffered IMU samples to the present.
 """
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, LivoParams, PoseTrack
-from touchdown.estimator.filtering.deskew import clear_of_blind_zone, deskew, thin_out
+from touchdown.estimator.filtering.deskew import PlacedScan, place_scan, screen_scan, thin_out
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import (
     STATE_DIM,
@@ -30,9 +29,11 @@ from touchdown.estimator.filtering.imu_propagation import (
 )
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.plane_map import PlaneMap
+from touchdown.estimator.filtering.reprojection import MountedCamera
+from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
 from touchdown.estimator.guard import InputGuard
-from touchdown.estimator.livo.anchored_update import update_with_scan
+from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
 from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.lidar_update import DegeneracyWatch, LidarReport
 from touchdown.estimator.livo.online_calibration import (
@@ -42,7 +43,7 @@ from touchdown.estimator.livo.online_calibration import (
     prior_sigmas,
 )
 from touchdown.estimator.livo.patch_tracker import grey_levels
-from touchdown.estimator.livo.visual import VisualFrontEnd, VisualReport
+from touchdown.estimator.livo.visual import VisualFrontEnd, VisualParams, VisualReport
 from touchdown.sim.api import (
     GRAVITY_MPS2,
     CameraImage,
@@ -58,28 +59,28 @@ Array = NDArray[np.float64]
 _START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)
 """rad, m, m/s: the take-off pose is known, but the legs settle"""
 _FEWEST_RETURNS = 50
-"""in a scan worth using"""
+"""minimum of a usable scan"""
 _FRESH_SCANS = 3
-"""periods of a scan, after which the last one no longer tells the ground around"""
+"""periods of a scan after which the last one no longer covers the ground in view"""
 _LAST_FEW = 4
-"""keyframes that are no closure to look back to"""
+"""newest keyframes, whose tracking is no loop closure"""
 _ANCHOR_REACH = 0.5
-"""of the height: so far from the newest keyframe the map needs another pose to hang on"""
+"""of the height: distance from the newest keyframe beyond which the map needs another anchor"""
 _HISTORY = 128
 """IMU steps of past poses kept for deskewing"""
 _LIFTING_THRUST = 0.85
-"""of the weight: before so much static thrust the vehicle cannot have left the ground"""
+"""of the weight: with less static thrust the vehicle has not left the ground"""
 _IDLE_MARGIN = 1.2
-"""of the idle speed: below it the rotors carry nothing"""
+"""of the idle speed: below it the rotors give no lift"""
 _INFLATION, _FLOOR = 1.8, 0.005**2 * np.eye(3)
-"""of the covariance handed out: what a landmark or a voxel has wrong repeats from image to image
-and scan to scan, which the filter takes for fresh noise"""
+"""inflation and floor of the reported covariance: errors of a landmark or a voxel repeat from image
+to image and scan to scan, while the filter takes them for white noise"""
 _GRAVITY: Array = np.array([0.0, 0.0, GRAVITY_MPS2])
 
 
 class Livo:
-    """``update`` once a control step; see the module's text. Deterministic: ``seed`` is unused
-    because nothing here is drawn at random."""
+    """Tightly coupled estimator, see the module. Deterministic: ``seed`` is unused because nothing
+    is drawn at random."""
 
     def __init__(self, rig: SensorRig, params: LivoParams | None = None, seed: int = 0) -> None:
         self._rig = rig
@@ -100,7 +101,7 @@ class Livo:
         )
         bias_sigmas = np.repeat([rig.imu.gyro_bias_sigma, rig.imu.accel_bias_sigma], 3)
         self._eskf = Eskf(state, np.concatenate([_START_SIGMAS, bias_sigmas, rig_sigmas]) ** 2)
-        self._eskf.loose = params.loose
+        self._eskf.loosely_coupled = params.loose
         self._enable_calibration(False)
         self._anchors = Anchors()
         self._head = state
@@ -109,24 +110,23 @@ class Livo:
         self._map = PlaneMap(params.voxel_m, params.map_voxels, params.voxel_points)
         self._recent = RecentReturns()
         self._vision = VisualFrontEnd(
-            rig.camera,
-            self._imu_from_body @ rig.body_from_camera,
-            max_keyframes=params.keyframes,
-            track_keyframes=params.track_keyframes,
-            features=params.features,
-            sigma_px=params.pixel_sigma,
-            open_ticks=2 * rig.tick_hz,
+            MountedCamera(rig.camera, self._imu_from_body @ rig.body_from_camera),
+            VisualParams(
+                max_keyframes=params.keyframes,
+                track_keyframes=params.track_keyframes,
+                features=params.features,
+                sigma_px=params.pixel_sigma,
+                open_ticks=2 * rig.tick_hz,
+                newest_only=None if params.use_closures else _LAST_FEW,
+                depth_sigma_m=params.depth_sigma_m,
+                height_sigma_m=params.anchor_height_m,
+            ),
             lidar_in_camera=(rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
-            oldest=None if params.use_closures else _LAST_FEW,
-            depth_sigma_m=params.depth_sigma_m,
-            height_sigma_m=params.anchor_height_m,
             on_change=self._follow_clones,
         )
-        self._weak_sigmas: tuple[float, float] | None = None
-        if params.use_degeneracy:
-            self._weak_sigmas = float(np.radians(params.weak_sigma_deg)), params.weak_sigma_m
+        self._scan_errors = _scan_errors(rig, params)
         self._degeneracy = DegeneracyWatch()
-        self._undistort = _undistortion_maps(rig)
+        self._undistort = Undistorter(rig)
         self._history_ticks = np.zeros(1, dtype=np.int64)
         self._history_rotations = state.rotation[None]
         self._history_positions = state.position[None]
@@ -141,7 +141,7 @@ class Livo:
     # ------------------------------------------------------------------------ the cycle
 
     def update(self, obs: Observation) -> Estimate:
-        """Takes what has arrived and returns the belief about ``obs.tick``."""
+        """Processes the arrived messages and returns the estimate at ``obs.tick``."""
         self._scan_track = None
         obs = self._guard.screen(obs)
         self._events = list(self._guard.events)
@@ -172,9 +172,9 @@ class Livo:
         return self._estimate(obs)
 
     def _resting(self, rotor_speed: Array) -> bool:
-        """Whether the rotors tell that the vehicle stands on the ground. In flight a sinking
-        vehicle needs less speed than its static thrust says, so that after the first lift-off only
-        idling rotors count."""
+        """True if the rotor speeds imply that the vehicle stands on the ground. A descending
+        vehicle needs less speed than its static thrust suggests, so that after the first lift-off
+        only idling rotors count."""
         vehicle = self._rig.vehicle
         thrust = vehicle.thrust_coefficient * float(rotor_speed @ rotor_speed)
         self._lifted |= thrust > _LIFTING_THRUST * vehicle.mass_kg * GRAVITY_MPS2
@@ -195,7 +195,7 @@ class Livo:
         return True
 
     def _advance(self, tick: int) -> None:
-        """Carries the filter to ``tick`` over buffered samples."""
+        """Propagates the filter to ``tick`` over buffered samples."""
         count = self._buffer.until(tick)
         if count == 0:
             return
@@ -207,13 +207,13 @@ class Livo:
         self._history_rotations = self._history_rotations[-_HISTORY:]
         self._history_positions = self._history_positions[-_HISTORY:]
         still = self._zero_velocity.update(self._eskf, gyro, force, resting)
-        self._diagnostics["still"] = float(still)
+        self._diagnostics["stationary"] = float(still)
         if still:
             self._correct_history()
         self._buffer.drop(count)
 
     def _correct_history(self) -> None:
-        """Moves the remembered poses rigidly, so that the newest is the filter's."""
+        """Moves the pose history rigidly, so that the newest is the filter's."""
         state = self._eskf.state
         turn = state.rotation @ self._history_rotations[-1].T
         offset = self._history_positions - self._history_positions[-1]
@@ -234,23 +234,21 @@ class Livo:
         mount = self._imu_from_lidar
         if len(self._eskf.state.calibration):
             mount = corrected_mount(mount, self._eskf.state.calibration)
-        points, beams = deskew(
-            scan.directions, scan.ranges, scan.time_offsets, mount.rotation, mount.translation,
-            self._history_rotations[first:], self._history_positions[first:],
-            self._buffer.step_s, self._rig.lidar.min_range_m, self._rig.lidar.max_range_m,
+        pulses = screen_scan(scan, self._rig.lidar, check_blind_zone=True)
+        placed = place_scan(
+            scan, pulses, mount, self._history_rotations[first:],
+            self._history_positions[first:], self._buffer.step_s,
         )  # fmt: skip
-        lidar = self._rig.lidar
-        points, beams = clear_of_blind_zone(points, beams, lidar.min_range_m, lidar.range_sigma_m)
         report = LidarReport(matched=0, rms_m=0.0, lateral_strength=np.zeros(3))
-        if len(points) >= _FEWEST_RETURNS:
-            report = self._update_with_points(points, beams)
+        if len(placed) >= _FEWEST_RETURNS:
+            report = self._update_with_scan(placed)
             self._events += self._degeneracy.events(report)
         self._correct_history()
-        self._learn(points, mount.translation, scan.end_tick)
+        self._extend_map(placed.points, mount.translation, scan.end_tick)
         self._scan_tick = scan.end_tick
         self._scan_track = self._track_over(first)
         self._diagnostics |= {
-            "scan_returns": float(len(points)),
+            "scan_returns": float(len(placed)),
             "lidar_matched": float(report.matched),
             "lidar_rms_m": report.rms_m,
             "lidar_lateral_weakest": float(report.lateral_strength[0]),
@@ -260,31 +258,21 @@ class Livo:
             "map_voxels": float(self._map.used),
         }
 
-    def _update_with_points(self, points: Array, beams: Array) -> LidarReport:
+    def _update_with_scan(self, scan: PlacedScan) -> LidarReport:
         params = self._params
-        reach = float(np.median(np.linalg.norm(beams, axis=1)))
+        reach = float(np.median(np.linalg.norm(scan.beams, axis=1)))
         self._last_height = reach
         self._enable_calibration(reach >= params.calibrate_above_m)
         if not params.use_lidar:
             return LidarReport(matched=0, rms_m=0.0, lateral_strength=np.zeros(3))
         # the footprint is about 1.75 x 0.5 of the height: so many even cells cover it
         cell = np.sqrt(1.75 * 0.5 / params.scan_points) * reach
-        chosen = thin_out(points, float(cell), 15)[: 2 * params.scan_points]
-        tilt, yaw = np.radians([params.scan_tilt_sigma_deg, params.scan_yaw_sigma_deg])
-        aside, height = params.scan_lateral_sigma_m, params.scan_height_sigma_m
+        chosen = thin_out(scan.points, float(cell), 15)[: 2 * params.scan_points]
         return update_with_scan(
-            self._eskf,
-            self._map,
-            self._anchors,
-            points[chosen],
-            beams[chosen],
-            range_sigma_m=self._rig.lidar.range_sigma_m,
-            angle_sigma_rad=float(np.radians(self._rig.lidar.angle_sigma_deg)),
-            floor_sigmas=np.array([tilt, tilt, yaw, aside, aside, height]),
-            weak_sigmas=self._weak_sigmas,
+            self._eskf, self._map, self._anchors, scan.select(chosen), self._scan_errors
         )
 
-    def _learn(self, points: Array, lidar_position: Array, tick: int) -> None:
+    def _extend_map(self, points: Array, lidar_position: Array, tick: int) -> None:
         """Adds (N, 3) points of the scan just used, IMU frame, to the map."""
         state = self._eskf.state
         if len(points) >= _FEWEST_RETURNS and self._lacks_anchor(tick):
@@ -296,13 +284,13 @@ class Livo:
             terms = self._anchors.kept_from_now(
                 self._eskf.clones, state.calibration, state.rotation
             )
-        # close to the ground a scan would fill a voxel from one corner of it: spread what it learns
+        # close to the ground a scan would fill a voxel from one corner of it: spread its points
         spread = thin_out(points, 0.12 * self._params.voxel_m, 16)
         self._map.insert(odom_points[spread], sensor, len(self._anchors) - 1, terms)
         self._recent.add(odom_points)
 
     def _lacks_anchor(self, tick: int) -> bool:
-        """Whether the map would grow far from the newest clone, as it does where images fail."""
+        """True if the map would grow far from the newest clone, as it does where images fail."""
         if not self._eskf.clones:
             return True
         if tick - self._vision_tick <= self._rig.tick_hz // 2:
@@ -321,13 +309,9 @@ class Livo:
         self._anchors.remove(gone)
 
     def _take_image(self, image: CameraImage) -> None:
-        rgb = image.rgb
-        if self._undistort is not None:
-            flat = cv2.remap(rgb, self._undistort[0], self._undistort[1], cv2.INTER_LINEAR)
-            rgb = np.asarray(flat, dtype=np.uint8)
-        levels = grey_levels(rgb)
+        levels = grey_levels(self._undistort(image.rgb))
         self._vision.measure_open_keyframes(self._eskf, self._recent, image.tick)
-        # what a keyframe has wrong repeats from image to image, and would be taken for the rig's
+        # errors of a keyframe repeat from image to image and would be attributed to the calibration
         self._enable_calibration(False)
         report = self._vision.update(self._eskf, levels)
         if report.used:
@@ -336,17 +320,17 @@ class Livo:
         elif self._vision.keyframes:
             self._diagnostics["skipped"] += 1.0
         if self._vision.wants_keyframe(report, image.tick):
-            # returns of long ago lie at one side of the picture, maybe on a roof there
+            # old returns lie at one side of the image, and may be on a roof there
             fresh = image.tick - self._scan_tick <= _FRESH_SCANS * self._rig.lidar_scan_ticks
             self._vision.add_keyframe(self._eskf, levels, self._recent, image.tick, extend=fresh)
         self._diagnostics |= _visual_diagnostics(report, len(self._vision.keyframes))
         self._diagnostics |= calibration_diagnostics(self._eskf.state.calibration)
 
     def _enable_calibration(self, mount_and_lens: bool) -> None:
-        """Whether the next measurement corrects these; the camera's clock, which nothing else looks
-        like, it always does."""
-        self._eskf.learns[:] = mount_and_lens
-        self._eskf.learns[CLOCK:] = True
+        """Sets whether the next measurement corrects mount and lens; the camera's clock, which no
+        other error resembles, is always corrected."""
+        self._eskf.calibration_enabled[:] = mount_and_lens
+        self._eskf.calibration_enabled[CLOCK:] = True
 
     def _track_over(self, first: int) -> PoseTrack:
         imu_from_body = self._imu_from_body
@@ -363,7 +347,8 @@ class Livo:
     # ------------------------------------------------------------------------ the estimate
 
     def _recompute_head(self) -> None:
-        """Carries the corrected filter to now; what jumps is kept as an offset that fades."""
+        """Propagates the corrected filter to the present; the jump is kept as an offset that
+        decays."""
         old = self._head
         ticks, gyro, force, _ = self._buffer.samples(self._buffer.count)
         self._head = propagate_nominal(self._eskf.state, ticks, gyro, force, self._buffer.step_s)
@@ -378,7 +363,7 @@ class Livo:
         )
 
     def _covariance_of_now(self, gyro: Array, force: Array) -> Array:
-        """(15, 15) of the head: the filter's, carried over the buffered samples."""
+        """(15, 15) of the propagated state."""
         state, step_s = self._eskf.state, self._buffer.step_s
         covariance = self._eskf.covariance[:STATE_DIM, :STATE_DIM]
         if len(gyro) == 0:
@@ -399,7 +384,7 @@ class Livo:
         lever = cross(rate_imu, self._imu_from_body.translation)
         acceleration = rotation @ (self._force - head.accel_bias) - _GRAVITY
         cov = self._head_covariance
-        # what is shown is off the best belief by the offset that fades
+        # the reported pose differs from the best estimate by the decaying offset
         shown = _INFLATION * cov[3:6, 3:6] + _FLOOR
         shown += np.outer(self._offset[3:6], self._offset[3:6])
         body_from_imu = self._rig.body_from_imu.rotation
@@ -428,22 +413,23 @@ def _name_of(message: LidarScan | CameraImage) -> str:
     return "scan" if isinstance(message, LidarScan) else "image"
 
 
+def _scan_errors(rig: SensorRig, params: LivoParams) -> ScanErrors:
+    tilt, yaw = np.radians([params.scan_tilt_sigma_deg, params.scan_yaw_sigma_deg])
+    aside, height = params.scan_lateral_sigma_m, params.scan_height_sigma_m
+    weak = float(np.radians(params.weak_sigma_deg)), params.weak_sigma_m
+    return ScanErrors(
+        range_sigma_m=rig.lidar.range_sigma_m,
+        angle_sigma_rad=float(np.radians(rig.lidar.angle_sigma_deg)),
+        floor_sigmas=np.array([tilt, tilt, yaw, aside, aside, height]),
+        weak_sigmas=weak if params.use_degeneracy else None,
+    )
+
+
 def _visual_diagnostics(report: VisualReport, keyframes: int) -> dict[str, float]:
     return {
         "features_tracked": float(report.used),
         "visual_rms_px": report.rms_px,
-        "looked_back": float(report.looked_back),
+        "keyframes_tracked": float(report.keyframes_tracked),
         "overlap": report.best_share,
         "keyframes": float(keyframes),
     }
-
-
-def _undistortion_maps(rig: SensorRig) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
-    """Remapping to a pinhole with the same K, or None for a lens without distortion."""
-    camera = rig.camera
-    if not np.any(camera.distortion):
-        return None
-    size = (camera.width, camera.height)
-    matrix = camera.matrix()
-    maps = cv2.initUndistortRectifyMap(matrix, camera.distortion, None, matrix, size, cv2.CV_32FC1)
-    return np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)

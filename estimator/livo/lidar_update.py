@@ -1,4 +1,4 @@
-"""What a scan measures of a pose, what it does not, and what it only seems to."""
+"""Degeneracy of scans: information from noise, weakly observed directions, and their removal."""
 
 from __future__ import annotations
 
@@ -10,24 +10,19 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_LEVEL = np.array([0, 1, 5])
-"""rotation x, rotation y, position z: what level ground measures"""
-_LATERAL = np.array([2, 3, 4])
-"""rotation z, position x, y: what needs slopes and walls"""
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LidarReport:
-    """What one scan did, for the recording."""
+    """Result of an update by one scan, for the recording."""
 
     matched: int
     rms_m: float
     lateral_strength: Array
-    """(3,) eigenvalues, ascending, of the lateral information after the Schur split"""
+    """(3,) eigenvalues, ascending, of the lateral information after the Schur complement"""
     weak_translation: int = 0
-    """directions of translation that the scan did not measure"""
+    """number of degenerate directions of translation"""
     weak_rotation: int = 0
-    """axes of rotation about which it did not"""
+    """number of degenerate axes of rotation"""
 
 
 @njit(cache=True)
@@ -45,12 +40,13 @@ def normal_noise_information(
     plane_floor: float,
     gate: float,
 ) -> Array:
-    """What the noise of the normals alone adds to what a scan says of the pose, (6, 6).
+    """Noise information: the part (6, 6) of a scan's information that comes from the noise of the
+    normals alone.
 
-    A map of level ground has normals that lean a little, each its own way, and so seems to measure
-    sideways motion. A normal that errs by e, of variance s^2 in the two directions t across it,
-    puts the row of t, times e, on that of n: in expectation ``w s^2 sum_t h_t^T h_t`` on the
-    information. Arguments as there.
+    The mapped normals of level ground scatter, so that a scan seems to measure lateral motion. A
+    normal with an error e, of variance s^2 in the two directions t across it, adds e times the row
+    of t to the row of n: in expectation ``w s^2 sum_t h_t^T h_t`` to the information. Parameters as
+    in ``anchored_information``.
     """
     information = np.zeros((6, 6))
     row = np.zeros(6)
@@ -105,21 +101,21 @@ def normal_noise_information(
 def weak_directions(
     information: Array, noise: Array, sigma_rad: float, sigma_m: float
 ) -> tuple[Array, Array]:
-    """Axes of rotation (3, r) and directions of translation (3, t), unit columns, of which a
-    measurement with ``information`` (6, 6) knows less than the given standard deviations once twice
-    its share of ``noise`` (6, 6) is taken off.
+    """Returns the degenerate axes of rotation (3, r) and directions of translation (3, t) as unit
+    columns: those whose standard deviation under ``information`` (6, 6), less twice its share of
+    ``noise`` (6, 6), exceeds the limits.
 
-    Rotation and translation are judged apart, each once the other is allowed to follow (Schur
-    complement), so that metres are never weighed against radians. The idea of leaving out such
-    directions is that of Zhang, Kaess and Singh 2016 ("On degeneracy of optimization-based state
-    estimation problems"), here with thresholds in the units of the state.
+    Rotation and translation are treated separately, each after marginalisation of the other (Schur
+    complement), so that metres are never weighed against radians. Leaving out such directions
+    follows Zhang, Kaess and Singh 2016 ("On degeneracy of optimization-based state estimation
+    problems"), here with thresholds in the units of the state.
     """
     weak = []
     for own, other, sigma in (
         (slice(0, 3), slice(3, 6), sigma_rad),
         (slice(3, 6), slice(0, 3), sigma_m),
     ):
-        # a direction of the rest that is not measured itself explains nothing away
+        # the pseudo-inverse ignores unobserved directions of the other block
         rest = np.linalg.pinv(information[other, other], rcond=1e-9, hermitian=True)
         following = np.zeros((6, 3))
         following[own] = np.eye(3)
@@ -134,8 +130,8 @@ def weak_directions(
 
 
 def without_directions(information: Array, vector: Array, weak: Array) -> tuple[Array, Array]:
-    """The measurement with the orthonormal columns ``weak`` (6, k) taken for unknown: they are
-    marginalised, so that what remains is sure for any value of them."""
+    """Returns the measurement with the orthonormal columns ``weak`` (6, k) marginalised as unknown,
+    so that the remaining information holds for any value of them."""
     if weak.shape[1] == 0:
         return information, vector
     across = information @ weak
@@ -145,32 +141,8 @@ def without_directions(information: Array, vector: Array, weak: Array) -> tuple[
     return 0.5 * (left + left.T), keep @ (vector - explained @ (weak.T @ vector))
 
 
-def limit_information(
-    information: Array, vector: Array, floor_sigmas: Array
-) -> tuple[Array, Array]:
-    """The same measurement, (D, D) and (D,), with independent errors of ``floor_sigmas`` (D,) added
-    to it: what it has wrong as a whole, however many its residuals are. With ``F`` the added
-    covariance, ``(A^-1 + F)^-1 = (I + A F)^-1 A``, which holds for a singular ``A`` as well.
-    """
-    size = len(vector)
-    widened = np.eye(size) + information * floor_sigmas**2
-    solved = np.linalg.solve(widened, np.column_stack([information, vector]))
-    symmetric: Array = 0.5 * (solved[:, :size] + solved[:, :size].T)
-    return symmetric, np.asarray(solved[:, size], dtype=np.float64)
-
-
-def lateral_strength(information: Array) -> Array:
-    """Eigenvalues (3,), ascending, of what a scan says of x, y (1/m^2) and yaw (1/rad^2) once
-    height, roll and pitch are allowed to follow (Schur complement): near zero, the scan is
-    degenerate in that direction, as over a plane."""
-    level = information[np.ix_(_LEVEL, _LEVEL)] + 1e-9 * np.eye(3)
-    cross = information[np.ix_(_LATERAL, _LEVEL)]
-    schur = information[np.ix_(_LATERAL, _LATERAL)] - cross @ np.linalg.solve(level, cross.T)
-    return np.linalg.eigvalsh(0.5 * (schur + schur.T))
-
-
 class DegeneracyWatch:
-    """Tells in words when scans begin and cease to measure all of the pose. A change must last for
+    """Reports when scans become degenerate and when they cease to be. A change must last for
     ``patience`` scans."""
 
     def __init__(self, patience: int = 10) -> None:
@@ -179,6 +151,7 @@ class DegeneracyWatch:
         self._against = 0
 
     def events(self, report: LidarReport) -> list[str]:
+        """Returns the messages caused by the newest scan."""
         weak = report.weak_translation + report.weak_rotation > 0
         self._against = self._against + 1 if weak != self._degenerate else 0
         if self._against < self._patience:

@@ -1,18 +1,17 @@
-"""What the filter estimates of the rig while it flies: where the LIDAR really sits, the lens, and
-the camera's clock.
+"""Online calibration: errors of the LIDAR's mount, of the lens and of the camera's clock.
 
-Eleven numbers, errors of what the estimator was told: a small turn (rad) and shift (m) of the LIDAR
-in the IMU's frame, the relative error of either focal length, the shift of the principal point
-(pixels), and how far the camera's clock is ahead of the IMU's (s). The camera's mount is taken as
-known; what is wrong with it looks like the LIDAR's.
+Eleven errors of the given calibration: a small rotation (rad) and translation (m) of the LIDAR in
+the IMU frame, the relative error of either focal length, the shift of the principal point (pixels),
+and the offset by which the camera's clock is ahead of the IMU's (s). The camera's mount is taken as
+known; its error is attributed to the LIDAR's.
 
-A turn of the LIDAR shows in what it does to a map: the same ground, seen once ahead and once below,
-must lie at one height. Both the returns of now and those that made the map move with it, which is
-what the derivatives here and in ``anchored_update`` say.
+A rotation of the LIDAR is observable in the map: the same ground, seen once ahead and once below,
+must have one height. Both the present returns and those of the map move with it, as in the
+derivatives here and in ``anchored_update``.
 
-A clock that is ahead shows where the vehicle turns or changes its speed: each picture was taken a
-little before the pose that its stamp tells, and so moved by turn rate and velocity times that (Li
-and Mourikis, "Online temporal calibration for camera-IMU systems", IJRR 33, 2014).
+A clock offset is observable where the vehicle rotates or accelerates: each image is taken a little
+before the pose at its stamp, and is displaced by the offset times turn rate and velocity (Li and
+Mourikis, "Online temporal calibration for camera-IMU systems", IJRR 33, 2014).
 """
 
 from __future__ import annotations
@@ -34,11 +33,11 @@ CENTER = slice(8, 10)
 CLOCK = 10
 CALIBRATION_DIM = 11
 MOUNT_DIM = 6
-"""turn and shift: what matters to a scan"""
+"""rotation and translation of the mount, the part that affects scans"""
 
 
 def prior_sigmas(params: LivoParams) -> Array:
-    """Standard deviations (11,), or (0,) where the rig is taken as told; rad, m, 1, pixels, s."""
+    """Standard deviations (11,), or (0,) without online calibration; rad, m, 1, pixels, s."""
     if not params.use_calibration:
         return np.zeros(0)
     turn = np.radians(params.mount_turn_sigma_deg)
@@ -48,7 +47,8 @@ def prior_sigmas(params: LivoParams) -> Array:
 
 
 def calibration_diagnostics(calibration: Array) -> dict[str, float]:
-    """What is believed of the rig, for the recording; nothing where it is taken as told."""
+    """Returns the estimated calibration errors for the recording; empty without online
+    calibration."""
     if not len(calibration):
         return {}
     turn = np.degrees(calibration[TURN])
@@ -62,21 +62,21 @@ def calibration_diagnostics(calibration: Array) -> dict[str, float]:
 
 
 def corrected_mount(imu_from_lidar: Pose, calibration: Array) -> Pose:
-    """The told mount as ``calibration`` (11,) says it is."""
+    """Returns the given mount corrected by ``calibration`` (11,)."""
     turn = so3_exp(calibration[TURN])
     return Pose(turn @ imu_from_lidar.rotation, imu_from_lidar.translation + calibration[SHIFT])
 
 
 def corrected_intrinsics(camera: CameraIntrinsics, calibration: Array) -> Array:
-    """fx, fy, cx, cy (4,) as ``calibration`` (11,) says they are."""
+    """Returns fx, fy, cx, cy (4,) corrected by ``calibration`` (11,)."""
     focal = np.array([camera.fx, camera.fy]) * (1.0 + calibration[FOCAL])
     center = np.array([camera.cx, camera.cy]) + calibration[CENTER]
     return np.concatenate([focal, center])
 
 
 def exposed(poses: list[Pose], motions: Array, calibration: Array) -> list[Pose]:
-    """``poses`` (odom_from_imu) at the stamps of pictures, moved to when these were taken.
-    ``motions`` (N, 6): turn rates (IMU frame, rad/s) and velocities (odometry frame, m/s) there."""
+    """Returns the poses (odom_from_imu) at the exposures of images, from ``poses`` at their stamps.
+    ``motions`` (N, 6): turn rates (IMU frame, rad/s) and velocities (odometry frame, m/s)."""
     if not len(calibration):
         return poses
     moves = -calibration[CLOCK] * motions
@@ -95,13 +95,13 @@ def landmark_jacobians(
     motion: Array,
     camera: CameraIntrinsics,
 ) -> Array:
-    """How landmarks move with the calibration, (N, 3, 11), in the IMU frame of their keyframe.
+    """Derivatives of landmarks by the calibration, (N, 3, 11), in the IMU frame of their keyframe.
 
-    ``rays`` (N, 3) with z = 1 and ``planes`` (N, 3), ``n . P = 1``: the landmark is where they
-    meet. ``sensor`` (3,): where the LIDAR was. All in the camera frame; ``imu_from_camera`` turns
-    it into the IMU's. ``motion`` (6,): turn rate and velocity of the IMU there, in its own frame.
-    That most returns came a little earlier or later, from elsewhere, does not matter: their scans
-    were brought to agree with those of this moment.
+    ``rays`` (N, 3) with z = 1 and ``planes`` (N, 3), ``n . P = 1``: the landmark is their
+    intersection. ``sensor`` (3,): position of the LIDAR. All in the camera frame;
+    ``imu_from_camera`` rotates it into the IMU's. ``motion`` (6,): turn rate and velocity of the
+    IMU at the keyframe, in its own frame. Returns taken a little earlier or later need no
+    correction: their scans were registered to this moment.
     """
     along = np.einsum("ij,ij->i", rays, planes)[:, None]
     beams = rays / along - sensor

@@ -1,9 +1,9 @@
-"""Depth of features beside the laser's returns, where most returns around lie in one plane.
+"""Depth of features without LIDAR returns nearby, from a plane that most returns around lie in.
 
-Still water mirrors a laser away: returns come back from right below only, while the camera sees
-ripples all over its picture. If most of what came back of late lies in one plane, and nothing below
-it, the features around are taken to lie in it as well. Those that do not will not follow the motion
-that the others tell, and the gate of the visual update drops them.
+Still water reflects the laser away: returns come from right below only, while the camera sees
+ripples all over the image. If most recent returns lie in one plane, and none below it, the features
+around are assumed to lie in it as well. Features that do not are outliers, which the gate of the
+visual update removes.
 """
 
 from __future__ import annotations
@@ -22,27 +22,28 @@ Array = NDArray[np.float64]
 
 _LEAST_RETURNS = 150
 _CELL = 0.02
-"""one return of each cell of the picture counts, normalised units: area, not echo, has the say"""
+"""side of the image cells, normalised units; one return per cell counts, so that area, not the
+density of returns, decides"""
 _TRIALS = 60
 _VIEW_MARGIN = 1.5
-"""returns are gathered within so many half widths of the picture"""
+"""returns are gathered within so many half widths of the image"""
 _THICKNESS_M = 0.08
 """four standard deviations of a range"""
 _LEAST_DISTANCE_M = 20.0
-"""nearer, unevenness of that size would move features by more than a tracked corner errs"""
+"""at a smaller distance, unevenness of that size moves features by more than the tracking error"""
 _LEAST_SHARE = 0.5
-"""of the picture's returns, that must lie in the plane"""
+"""of the image's returns that must lie in the plane"""
 _MOST_BELOW = 0.03
-"""of them that may lie beyond it: things stand on ground, or swim on water"""
+"""of them that may lie beyond it: objects stand on the ground or float on the water"""
 _LEAST_SPREAD = 0.05
-"""standard deviation of the returns along the plane's narrower direction, in distances to it: the
-plane must carry as far as the picture's edge"""
+"""standard deviation of the returns along the plane's narrower direction, relative to its distance:
+the plane must be determined up to the edge of the image"""
 
 
 def common_plane(points: Array) -> Array | None:
-    """The lowest plane ``n . P = 1``, n (3,), that most of (N, 3) points in the camera's frame lie
-    in, or None if there is none or they do not determine it. Random sample consensus (Fischler and
-    Bolles 1981) with always the same draws, then least squares."""
+    """Returns the lowest plane ``n . P = 1``, n (3,), that most of (N, 3) points in the camera
+    frame lie in; None if there is none or it is not determined. Random sample consensus (Fischler
+    and Bolles 1981) with the same draws every time, then least squares."""
     if len(points) < _LEAST_RETURNS:
         return None
     rng = np.random.default_rng(crc32(b"plane_extension"))
@@ -71,7 +72,7 @@ def common_plane(points: Array) -> Array | None:
 def extend_plane(
     keyframe: Keyframe, recent: RecentReturns, camera_from_odom: Pose, camera: CameraIntrinsics
 ) -> int:
-    """Gives the features without plane that of the returns around; returns to how many."""
+    """Assigns the plane of the returns around to the features without one; returns their number."""
     missing = np.flatnonzero(~keyframe.valid)
     points, counts, per_scan = recent.view()
     filled = [points[s * per_scan : s * per_scan + n] for s, n in enumerate(counts) if n]

@@ -1,4 +1,4 @@
-"""Visual update: where the landmarks of a few keyframes appear now, against where they should."""
+"""Visual update: reprojection of the landmarks of a few keyframes into the present image."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.eskf import CLONE_DIM, Eskf
+from touchdown.estimator.filtering.information import NormalEquations
 from touchdown.estimator.filtering.keyframes import (
     Keyframe,
     bearing_rays,
@@ -20,6 +20,7 @@ from touchdown.estimator.filtering.keyframes import (
     overlaps,
 )
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.filtering.reprojection import MountedCamera, calibrated_information
 from touchdown.estimator.livo.online_calibration import (
     CENTER,
     FOCAL,
@@ -29,145 +30,23 @@ from touchdown.estimator.livo.online_calibration import (
 )
 from touchdown.estimator.livo.patch_tracker import Grey, track
 from touchdown.estimator.livo.plane_extension import extend_plane
-from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 
 _LEAST_PLANES = 25
-"""features of a keyframe; if too few have returns of their own, the others are given the plane of
-the returns around, if there is one"""
+"""features of a keyframe with depth; with fewer, the others are assigned the common plane of the
+returns around, if there is one"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VisualReport:
-    """What one image did, for the recording."""
+    """Result of an update by one image, for the recording."""
 
     used: int = 0
-    looked_back: int = 0
+    keyframes_tracked: int = 0
     rms_px: float = 0.0
     best_share: float = 0.0
-
-
-def reprojection_information(
-    pixels: Array,
-    landmarks: Array,
-    rotation: Array,
-    position: Array,
-    key_rotation: Array,
-    key_position: Array,
-    camera_rotation: Array,
-    camera_position: Array,
-    intrinsics: Array,
-    sigma_px: float,
-    gate_px: float,
-) -> tuple[Array, Array, int, float]:
-    """``calibrated_information`` of a rig taken for certain: (12, 12) and (12,)."""
-    fixed, exact = np.zeros((len(pixels), 3, 0)), np.zeros((len(pixels), 3))
-    return calibrated_information(
-        pixels, landmarks, fixed, exact, rotation, position, key_rotation, key_position,
-        np.zeros(12), camera_rotation, camera_position, intrinsics, sigma_px, gate_px,
-    )  # fmt: skip
-
-
-@njit(cache=True)
-def calibrated_information(
-    pixels: Array,
-    landmarks: Array,
-    jacobians: Array,
-    spreads: Array,
-    rotation: Array,
-    position: Array,
-    key_rotation: Array,
-    key_position: Array,
-    motions: Array,
-    camera_rotation: Array,
-    camera_position: Array,
-    intrinsics: Array,
-    sigma_px: float,
-    gate_px: float,
-) -> tuple[Array, Array, int, float]:
-    """Information (12 + C, 12 + C) and vector (12 + C,) of the reprojection residuals of one
-    keyframe.
-
-    ``pixels`` (N, 2) measured now; ``landmarks`` (N, 3) in the keyframe's IMU frame and their
-    ``jacobians`` (N, 3, C) by the calibration, C = 0 or 11, and ``spreads`` (N, 3), one standard
-    deviation along their rays; ``rotation``,
-    ``position``: odom_from_imu when the picture was taken; ``key_*``: likewise of the keyframe;
-    ``motions`` (12,): turn rate and velocity now, then the keyframe's; ``camera_*``:
-    camera_from_imu; ``intrinsics``: fx, fy, cx, cy. Error order: present rotation (right
-    perturbation) and position, then the keyframe's, then the calibration. Cauchy weights of scale
-    ``gate_px`` / 2, zero beyond ``gate_px``. Returns also the number used and their rms in pixels.
-    """
-    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
-    shared = jacobians.shape[2]
-    size = 12 + shared
-    information = np.zeros((size, size))
-    vector = np.zeros(size)
-    jacobian = np.zeros((2, size))
-    projection = np.zeros((2, 3))
-    key_now = np.ascontiguousarray(rotation.T) @ key_rotation
-    back = np.ascontiguousarray(rotation.T)
-    used, total = 0, 0.0
-    for i in range(pixels.shape[0]):
-        q = landmarks[i]
-        world = key_rotation @ q + key_position
-        p = back @ (world - position)
-        c = camera_rotation @ p + camera_position
-        if c[2] < 1e-2:
-            continue
-        ru = pixels[i, 0] - (fx * c[0] / c[2] + cx)
-        rv = pixels[i, 1] - (fy * c[1] / c[2] + cy)
-        error2 = ru * ru + rv * rv
-        if error2 > gate_px * gate_px:
-            continue
-        projection[0, 0], projection[0, 2] = fx / c[2], -fx * c[0] / (c[2] * c[2])
-        projection[1, 1], projection[1, 2] = fy / c[2], -fy * c[1] / (c[2] * c[2])
-        m = projection @ camera_rotation
-        to_key = m @ key_now
-        to_world = m @ back
-        for a in range(2):
-            jacobian[a, 0] = m[a, 1] * p[2] - m[a, 2] * p[1]
-            jacobian[a, 1] = m[a, 2] * p[0] - m[a, 0] * p[2]
-            jacobian[a, 2] = m[a, 0] * p[1] - m[a, 1] * p[0]
-            jacobian[a, 6] = -(to_key[a, 1] * q[2] - to_key[a, 2] * q[1])
-            jacobian[a, 7] = -(to_key[a, 2] * q[0] - to_key[a, 0] * q[2])
-            jacobian[a, 8] = -(to_key[a, 0] * q[1] - to_key[a, 1] * q[0])
-            for b in range(3):
-                jacobian[a, 3 + b] = -to_world[a, b]
-                jacobian[a, 9 + b] = to_world[a, b]
-            for b in range(shared):
-                jacobian[a, 12 + b] = 0.0
-                for k in range(3):
-                    jacobian[a, 12 + b] += to_key[a, k] * jacobians[i, k, b]
-        if shared > 0:
-            jacobian[0, 18] += fx * c[0] / c[2]
-            jacobian[1, 19] += fy * c[1] / c[2]
-            jacobian[0, 20] += 1.0
-            jacobian[1, 21] += 1.0
-            for a in range(2):
-                for b in range(12):
-                    jacobian[a, 22] -= jacobian[a, b] * motions[b]
-        weight = 1.0 / ((1.0 + 4.0 * error2 / (gate_px * gate_px)) * sigma_px * sigma_px)
-        # the landmark's depth moves its pixel along one line, on which less is known
-        du, dv = 0.0, 0.0
-        for k in range(3):
-            du += to_key[0, k] * spreads[i, k]
-            dv += to_key[1, k] * spreads[i, k]
-        rest = 1.0 / (sigma_px * sigma_px + du * du + dv * dv)
-        wuu = weight * (1.0 - rest * du * du)
-        wuv = -weight * rest * du * dv
-        wvv = weight * (1.0 - rest * dv * dv)
-        for a in range(size):
-            left_u = wuu * jacobian[0, a] + wuv * jacobian[1, a]
-            left_v = wuv * jacobian[0, a] + wvv * jacobian[1, a]
-            vector[a] += left_u * ru + left_v * rv
-            for b in range(size):
-                information[a, b] += left_u * jacobian[0, b] + left_v * jacobian[1, b]
-        used += 1
-        total += error2
-    rms = np.sqrt(total / used) if used > 0 else 0.0
-    return information, vector, used, rms
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +55,7 @@ class _Track:
 
     keyframe: int
     pixels: Array
-    """(N, 2) where"""
+    """(N, 2) in the present image"""
     landmarks: Array
     """(N, 3) IMU frame of the keyframe"""
     jacobians: Array
@@ -184,70 +63,75 @@ class _Track:
     spreads: Array
     """(N, 3) one standard deviation along the ray"""
     made_with: Array
-    """(C,) the calibration that ``landmarks`` hold for"""
+    """(C,) calibration at which ``landmarks`` hold"""
 
 
 _NO_IMAGE = np.zeros((0, 0), dtype=np.uint8)
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class VisualParams:
+    """Settings of ``VisualFrontEnd``."""
+
+    max_keyframes: int
+    track_keyframes: int
+    """keyframes that each image is tracked from"""
+    features: int
+    """corners of a keyframe"""
+    sigma_px: float
+    """standard deviation of a tracked corner"""
+    open_ticks: int
+    """age up to which a keyframe still receives depths"""
+    newest_only: int | None = None
+    """number of newest keyframes that are tracked; None: all"""
+    depth_sigma_m: float = 0.0
+    """of a landmark along its ray"""
+    height_sigma_m: float = 0.0
+    """height error that all landmarks and planes of a keyframe share"""
+
+
 class VisualFrontEnd:
     """Keyframes and the update by an image. Keyframe k is clone k of the filter.
 
-    ``lidar_in_camera`` (3,): where it sits; ``oldest``: so many of the youngest keyframes are
-    looked back to, None: all; ``depth_sigma_m``: of a landmark along its ray;
-    ``height_sigma_m``: what all landmarks and planes of a keyframe have in common; ``on_change(k)``
-    is called before clone k goes, with None after one came.
+    ``lidar_in_camera`` (3,): position of the LIDAR, m; ``on_change(k)`` is called before clone k is
+    removed, and with None after one was added.
     """
 
     def __init__(
         self,
-        camera: CameraIntrinsics,
-        imu_from_camera: Pose,
+        camera: MountedCamera,
+        params: VisualParams,
         *,
-        max_keyframes: int,
-        track_keyframes: int,
-        features: int,
-        sigma_px: float,
-        open_ticks: int,
         lidar_in_camera: Array | None = None,
-        oldest: int | None = None,
-        depth_sigma_m: float = 0.0,
-        height_sigma_m: float = 0.0,
         on_change: Callable[[int | None], None] = lambda k: None,
     ) -> None:
-        self._camera = camera
-        self._imu_from_camera = imu_from_camera
-        self._camera_from_imu = imu_from_camera.inverse()
-        self._intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-        self._max_keyframes = max_keyframes
-        self._look_back = track_keyframes
-        self._features = features
-        self._sigma_px = sigma_px
-        self._open_ticks = open_ticks
+        self._camera = camera.intrinsics
+        self._imu_from_camera = camera.imu_from_camera
+        self._camera_from_imu = camera.imu_from_camera.inverse()
+        self._intrinsics = camera.focal_and_center
+        self._params = params
         self._lidar_in_camera = np.zeros(3) if lidar_in_camera is None else lidar_in_camera
-        self._oldest = oldest
-        self._depth_sigma_m = depth_sigma_m
-        self._own_variances = np.array([0.0, 0.0, 0.0, 0.0, 0.0, height_sigma_m**2])
+        self._own_variances = np.array([0.0, 0.0, 0.0, 0.0, 0.0, params.height_sigma_m**2])
         self._on_change = on_change
         self.keyframes: list[Keyframe] = []
 
     # ------------------------------------------------------------------------ keyframes
 
     def measure_open_keyframes(self, eskf: Eskf, recent: RecentReturns, tick: int) -> None:
-        """Completes planes of young keyframes: the LIDAR sweeps over their rims a little later."""
+        """Completes the planes of new keyframes, whose borders the LIDAR covers a little later."""
         for k, keyframe in enumerate(self.keyframes):
             age = tick - keyframe.tick
             if (
                 keyframe.pixels.size
-                and age <= self._open_ticks
-                and age % (self._open_ticks // 4) == 0
+                and age <= self._params.open_ticks
+                and age % (self._params.open_ticks // 4) == 0
             ):
                 camera_from_odom = self._camera_at(eskf.clones[k], keyframe).inverse()
                 measure_planes(keyframe, recent, camera_from_odom, self._camera)
 
     def _camera_at(self, pose: Pose, keyframe: Keyframe) -> Pose:
-        """odom_from_camera of a keyframe stamped at ``pose``, by the calibration it was made
-        with."""
+        """odom_from_camera of a keyframe with stamp at ``pose``, by the calibration at its
+        creation."""
         (taken,) = exposed([pose], keyframe.motion[None], keyframe.calibration)
         return taken @ self._imu_from_camera
 
@@ -260,9 +144,10 @@ class VisualFrontEnd:
         *,
         extend: bool = True,
     ) -> bool:
-        """Makes the present image a keyframe, if enough of its features have a plane; ``extend``:
-        their own, or that of the returns around."""
-        pixels = detect_features(levels[0], self._features)
+        """Makes the present image a keyframe if enough of its features have a plane; returns True
+        if so. ``extend``: features without returns may take the common plane of the returns
+        around."""
+        pixels = detect_features(levels[0], self._params.features)
         keyframe = self._keyframe(eskf, levels, pixels, tick)
         camera_from_odom = self._camera_at(eskf.state.pose, keyframe).inverse()
         measure_planes(keyframe, recent, camera_from_odom, self._camera)
@@ -274,8 +159,8 @@ class VisualFrontEnd:
         return True
 
     def add_anchor(self, eskf: Eskf, depth_m: float, tick: int) -> None:
-        """Remembers the present pose without an image, for the map to hang on, ``depth_m`` above
-        the ground."""
+        """Adds the present pose, ``depth_m`` above the ground, as a clone without an image, to
+        anchor the map to."""
         keyframe = self._keyframe(eskf, (_NO_IMAGE, _NO_IMAGE, _NO_IMAGE), np.zeros((0, 2)), tick)
         keyframe.depth_m = depth_m
         self._append(eskf, keyframe)
@@ -297,7 +182,7 @@ class VisualFrontEnd:
         )
 
     def _append(self, eskf: Eskf, keyframe: Keyframe) -> None:
-        if len(self.keyframes) == self._max_keyframes:
+        if len(self.keyframes) == self._params.max_keyframes:
             gone = most_redundant(eskf.clones, [k.depth_m for k in self.keyframes])
             self._on_change(gone)
             eskf.remove_clone(gone)
@@ -307,12 +192,12 @@ class VisualFrontEnd:
         self._on_change(None)
 
     def wants_keyframe(self, report: VisualReport, tick: int) -> bool:
-        """Whether the view has moved so far that the next hop needs a new foothold. While nothing
-        is tracked, new ones come at a slow pace, so that they do not push out all the others."""
+        """True if the overlap has become too small for the next image. While tracking fails, new
+        keyframes come at a low rate, so that they do not replace all others."""
         ticks = [keyframe.tick for keyframe in self.keyframes if keyframe.pixels.size]
-        newest = ticks[-1] if ticks else -self._open_ticks
+        newest = ticks[-1] if ticks else -self._params.open_ticks
         if report.used == 0:
-            return tick - newest >= self._open_ticks // 4
+            return tick - newest >= self._params.open_ticks // 4
         return report.used < 80 or report.best_share < 0.6
 
     # ------------------------------------------------------------------------ update
@@ -321,15 +206,15 @@ class VisualFrontEnd:
         """Iterated update by one image; nothing is changed if fewer than 15 landmarks are found."""
         *poses, now = (pose @ self._imu_from_camera for pose in self._exposed(eskf))
         candidates = overlaps(self.keyframes, poses, now, self._camera)
-        if self._oldest is not None:
-            first = len(self.keyframes) - self._oldest
+        if self._params.newest_only is not None:
+            first = len(self.keyframes) - self._params.newest_only
             candidates = [c for c in candidates if c.index >= first]
         share = max((c.share * _closeness(c.scale) for c in candidates), default=0.0)
         variances = np.array(
             [np.trace(eskf.covariance[np.ix_(i, i)][3:, 3:])
              for i in map(eskf.clone_indices, range(len(poses)))]
         )  # fmt: skip
-        chosen = choose(candidates, variances, self._look_back, 0.35)
+        chosen = choose(candidates, variances, self._params.track_keyframes, 0.35)
         tracks: list[_Track] = []
         for k in chosen:
             keyframe = self.keyframes[k]
@@ -343,25 +228,25 @@ class VisualFrontEnd:
         if sum(len(t.pixels) for t in tracks) < 15:
             return VisualReport(best_share=share)
         used, rms = self._iterate(eskf, tracks)
-        return VisualReport(used=used, looked_back=len(tracks), rms_px=rms, best_share=share)
+        return VisualReport(used=used, keyframes_tracked=len(tracks), rms_px=rms, best_share=share)
 
     def _exposed(self, eskf: Eskf) -> list[Pose]:
-        """odom_from_imu of all clones, then of now, when their pictures were taken."""
+        """odom_from_imu of all clones and of the present at the exposures of their images."""
         motions = np.array([*(keyframe.motion for keyframe in self.keyframes), eskf.motion])
         return exposed([*eskf.clones, eskf.state.pose], motions, eskf.state.calibration)
 
     def _track(self, eskf: Eskf, k: int, which: NDArray[np.int64], pixels: Array) -> _Track:
-        """Landmarks of keyframe ``k`` as made, and how they depend on the calibration."""
+        """Landmarks of keyframe ``k`` as created, and their derivatives by the calibration."""
         keyframe = self.keyframes[k]
         landmarks = self._imu_from_camera.apply(keyframe.landmarks_camera(self._camera)[which])
         arms = landmarks - self._imu_from_camera.translation
-        sigmas = np.hypot(self._depth_sigma_m, keyframe.sigmas[which])
+        sigmas = np.hypot(self._params.depth_sigma_m, keyframe.sigmas[which])
         spreads = arms * (sigmas / np.linalg.norm(arms, axis=1))[:, None]
         if len(eskf.state.calibration) == 0:
             none = np.zeros((len(which), 3, 0))
             return _Track(k, pixels, landmarks, none, spreads, np.zeros(0))
         made_with = keyframe.calibration.copy()
-        made_with[FOCAL] = made_with[CENTER] = 0.0  # rays are those of the told lens
+        made_with[FOCAL] = made_with[CENTER] = 0.0  # rays are those of the given lens
         motion = keyframe.motion.copy()
         motion[3:] = eskf.clones[k].rotation.T @ motion[3:]
         jacobians = landmark_jacobians(
@@ -382,16 +267,14 @@ class VisualFrontEnd:
             if used < 15:
                 eskf.state, eskf.clones = prior, clones
                 return 0, 0.0
-            information, vector = eskf.admitted(information, vector)
+            information, vector = eskf.coupled(information, vector)
             offset = eskf.deviation(prior, clones, keys)
-            delta = eskf.gain(touched, information, vector + information @ offset)
+            delta = eskf.correction(touched, information, vector + information @ offset)
             eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)
-        eskf.absorb(touched, information)
+        eskf.update_covariance(touched, information)
         return used, rms
 
-    def _accumulate(
-        self, eskf: Eskf, tracks: list[_Track], gate_px: float
-    ) -> tuple[Array, Array, int, float]:
+    def _accumulate(self, eskf: Eskf, tracks: list[_Track], gate_px: float) -> NormalEquations:
         state = eskf.state
         shared = len(state.calibration)
         size = CLONE_DIM * (1 + len(tracks)) + shared
@@ -404,12 +287,12 @@ class VisualFrontEnd:
         for slot, track_ in enumerate(tracks):
             clone, keyframe = clones[track_.keyframe], self.keyframes[track_.keyframe]
             landmarks = track_.landmarks + track_.jacobians @ (state.calibration - track_.made_with)
-            part, part_vector, count, rms = calibrated_information(
+            part = calibrated_information(
                 track_.pixels, landmarks, track_.jacobians, track_.spreads,
                 now.rotation, now.translation, clone.rotation, clone.translation,
                 np.concatenate([eskf.motion, keyframe.motion]),
                 self._camera_from_imu.rotation, self._camera_from_imu.translation,
-                intrinsics, self._sigma_px, gate_px,
+                intrinsics, self._params.sigma_px, gate_px,
             )  # fmt: skip
             start = CLONE_DIM * (1 + slot) + shared
             where = np.concatenate(
@@ -419,15 +302,15 @@ class VisualFrontEnd:
                     np.arange(CLONE_DIM, CLONE_DIM + shared),
                 ]
             )
-            information[np.ix_(where, where)] += part
-            vector[where] += part_vector
-            used += count
-            total += count * rms * rms
-        return information, vector, used, float(np.sqrt(total / max(used, 1)))
+            information[np.ix_(where, where)] += part.information
+            vector[where] += part.vector
+            used += part.used
+            total += part.used * part.rms * part.rms
+        return NormalEquations(information, vector, used, float(np.sqrt(total / max(used, 1))))
 
 
 def _closeness(scale: float) -> float:
-    """1 at equal scale, falling to 0.6 at a quarter apart: a keyframe seen much larger or smaller
-    is a poorer foothold."""
+    """1 at equal scale, falling to 0.6 at a quarter apart: a keyframe at a different scale is
+    tracked less accurately."""
     ratio = max(scale, 1.0 / scale)
     return float(1.0 if ratio < 1.0 else 1.0 - 1.6 * (ratio - 1.0))

@@ -1,1 +1,1 @@
-"""The coloured elevation map, one mapper for every estimator."""
+"""The mapper: a coloured elevation map, the same for every estimator."""

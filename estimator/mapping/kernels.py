@@ -1,5 +1,5 @@
-"""Compiled kernels of the mapper: deskew, colour, accumulate. One thread, fixed order of sums, so
-the same scans give the same map to the bit."""
+"""Compiled kernels of the mapper: deskew, colour, accumulate. One thread and a fixed order of sums,
+so that the same scans give the same map to the bit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Float32 = NDArray[np.float32]
 
 _KNOT_EVERY = 64
 _BLOCK = 256
-"""pulses whose pixels are found before any is fetched"""
+"""pulses whose pixel indices are computed before any pixel is read"""
 
 
 @numba.njit(cache=True)
@@ -59,7 +59,8 @@ def deskew(
     origins: Float32,
     beams: Float32,
 ) -> None:
-    """Origin and direction of every pulse in the odom frame, from the pose of its own instant.
+    """Origin and direction of every pulse in the odom frame, from the pose of its own instant,
+    pulses without return included (``locate_missing`` needs them).
 
     directions: (N, 3) float32, LIDAR frame; time_offsets: (N,) float32 seconds, ascending; the
     track: (M,), (M, 3), (M, 4) wxyz, M >= 2; lidar_*: body_from_lidar. Writes ``origins`` and
@@ -137,9 +138,8 @@ def sample_colours(
     rows, cols = image.shape[0], image.shape[1]
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     k1, k2, p1, p2, k3 = intrinsics[4], intrinsics[5], intrinsics[6], intrinsics[7], intrinsics[8]
-    # First where, then what, block by block: the processor fetches many pixels at a time if no
-    # arithmetic stands between them. A row of ``image`` by itself would be an object that counts
-    # its references.
+    # Indices first, then pixels, block by block: without arithmetic in between, the processor
+    # fetches many pixels at a time. A row of ``image`` by itself would be reference-counted.
     row_of, col_of = np.empty(_BLOCK, np.int32), np.empty(_BLOCK, np.int32)
     for block in range(window[0], window[1], _BLOCK):
         end = min(block + _BLOCK, window[1])
@@ -199,11 +199,11 @@ def accumulate_returns(
     missing: Float32,
     last_seen: Float32,
 ) -> int:
-    """Adds returns to a grid (layout of ``GridMap``); returns how many fell inside.
+    """Adds returns to a grid (layout of ``GridMap``); returns the number that fell inside.
 
     Running mean and variance with the weight of a new return never below 1 / ``count_cap``: up to
     that many returns the exact moments (Welford), after it an exponential memory. Extremes relax
-    towards the mean with time constant ``extreme_memory`` seconds of not being confirmed.
+    towards the mean with time constant ``extreme_memory`` seconds while unconfirmed.
     """
     rows, cols = count.shape
     inside = 0
@@ -273,8 +273,8 @@ def update_ground_level(
     block: float,
     level: Float32,
 ) -> None:
-    """Lowest return of every block of the scene, (rows, cols), NaN where nothing was seen: the
-    level at which pulses without return are expected to have met the ground."""
+    """Updates the lowest return of every block of the scene, (rows, cols), NaN where nothing was
+    seen: the level at which pulses without return are expected to have met the ground."""
     rows, cols = level.shape
     for i in range(ranges.shape[0]):
         r = ranges[i]
@@ -333,9 +333,9 @@ def locate_missing(
     level: Float32,
     spots: Float32,
 ) -> int:
-    """Where pulses that did not come back should have met the ground: writes (K, 2) x, y into
-    ``spots`` and returns K. Three fixed-point steps of the beam against the block levels; only
-    distances within (min_reach, max_reach) count, since beyond them silence means nothing."""
+    """Expected ground points of pulses without return: writes (K, 2) x, y into ``spots`` and
+    returns K. Three fixed-point steps of the beam against the block levels; only distances within
+    (min_reach, max_reach) count, since beyond them a missing return carries no information."""
     found = 0
     for i in range(ranges.shape[0]):
         if not ranges[i] <= 0.0 or not beams[i, 2] < -0.05:
@@ -363,7 +363,7 @@ def accumulate_missing(
     count: Float32,
     missing: Float32,
 ) -> None:
-    """Counts pulses without return, (K, 2) x, y, in their cells; with many of them the memory of
+    """Counts pulses without return, (K, 2) x, y, in their cells. With many of them the count of
     returns fades, so that the ratio of both follows the recent past."""
     rows, cols = count.shape
     for i in range(spots.shape[0]):

@@ -1,6 +1,6 @@
-"""The one mapper behind every estimator: scans and images in, a coloured elevation map out.
+"""The mapper of every estimator: scans and images in, a coloured elevation map out.
 
-Points are placed by the pose of their own instant, coloured from the image nearest in time and
+Points are placed by the pose at their own time, coloured from the image nearest in time and
 averaged per cell in the odom frame (the coloured point cloud map of Zou, Sun, Kong 2024, section
 3.3, kept as a grid so that memory does not grow with the flight).
 """
@@ -11,6 +11,7 @@ import itertools
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +32,15 @@ _CAMERA_HZ = 10
 _IMAGES_KEPT = 3
 
 
+class _TimedPose(NamedTuple):
+    time_s: float
+    position_odom: Array
+    quat_wxyz: Array
+
+
 class _Grid:
-    """Arrays of one ``GridMap`` plus the colour count; row = y, column = x."""
+    """Writable layers of one ``GridMap``, by the names of its fields, plus ``rgb_count``, the
+    number of coloured returns; row = y, column = x."""
 
     def __init__(self, origin_xy_m: Array, cell_m: float, cells: int) -> None:
         self.cell_m = cell_m
@@ -40,44 +48,34 @@ class _Grid:
         shape = (cells, cells)
         self.layers: dict[str, Float32] = {
             name: np.full(shape, np.nan, np.float32)
-            for name in ("height", "std", "low", "high", "intensity")
+            for name in ("height_m", "height_std_m", "min_height_m", "max_height_m", "intensity")
         }
         for name in ("count", "rgb_count", "missing"):
             self.layers[name] = np.zeros(shape, np.float32)
         self.layers["rgb"] = np.full((*shape, 3), np.nan, np.float32)
-        self.layers["last_seen"] = np.full(shape, -np.inf, np.float32)
+        self.layers["last_seen_s"] = np.full(shape, -np.inf, np.float32)
 
     def view(self) -> GridMap:
-        read_only = {}
+        """Returns read-only views of the layers."""
+        read_only: dict[str, Float32] = {}
         for name, layer in self.layers.items():
             read_only[name] = layer.view()
             read_only[name].flags.writeable = False
-        return GridMap(
-            origin_xy_m=self.origin_xy_m.copy(),
-            cell_m=self.cell_m,
-            count=read_only["count"],
-            height_m=read_only["height"],
-            height_std_m=read_only["std"],
-            min_height_m=read_only["low"],
-            max_height_m=read_only["high"],
-            rgb=read_only["rgb"],
-            intensity=read_only["intensity"],
-            missing=read_only["missing"],
-            last_seen_s=read_only["last_seen"],
-        )
+        del read_only["rgb_count"]
+        return GridMap(origin_xy_m=self.origin_xy_m.copy(), cell_m=self.cell_m, **read_only)
 
     def height_near(self, xy: Array) -> float:
         """Mean height of the known cells among the 3 x 3 around ``xy``; NaN if there are none."""
         col, row = np.floor((xy - self.origin_xy_m) / self.cell_m).astype(int)
-        patch = self.layers["height"][
+        patch = self.layers["height_m"][
             max(row - 1, 0) : max(row + 2, 0), max(col - 1, 0) : max(col + 2, 0)
         ]
         known = patch[np.isfinite(patch)]
         return float(known.mean()) if known.size else float("nan")
 
     def moved_to(self, origin_xy_m: Array) -> _Grid:
-        """A grid with its corner at ``origin_xy_m`` (a whole number of cells away) that keeps what
-        both have in common."""
+        """Returns a grid with its corner at ``origin_xy_m`` (a whole number of cells away) that
+        keeps the common cells."""
         cells = self.layers["count"].shape[0]
         moved = _Grid(origin_xy_m, self.cell_m, cells)
         dc, dr = np.rint((origin_xy_m - self.origin_xy_m) / self.cell_m).astype(int)
@@ -116,7 +114,7 @@ class GridMapper:
         self._ground_level = np.full((blocks, blocks), np.nan, np.float32)
         self._fine: _Grid | None = None
         self._fine_active = False
-        self._track: deque[tuple[float, Array, Array]] = deque(maxlen=_TRACK_LENGTH)
+        self._track: deque[_TimedPose] = deque(maxlen=_TRACK_LENGTH)
         self._images: deque[_PosedImage] = deque(maxlen=_IMAGES_KEPT)
         camera = rig.camera
         self._intrinsics = np.concatenate(
@@ -126,7 +124,7 @@ class GridMapper:
         self._view = MapView(version=0, coarse=self._coarse.view(), fine=None)
 
     def update(self, obs: Observation, estimate: Estimate) -> MapView:
-        """Integrates the scans of ``obs``; costs nothing where there are none."""
+        """Integrates the scans of ``obs`` and returns the map; without scans it costs nothing."""
         obs = self._guard.screen(obs)
         self._remember(estimate)
         for image in obs.images:
@@ -145,15 +143,16 @@ class GridMapper:
         return self._view
 
     def _remember(self, estimate: Estimate) -> None:
-        if self._track and estimate.time_s <= self._track[-1][0]:
+        if self._track and estimate.time_s <= self._track[-1].time_s:
             return
         pose = estimate.odom_from_body
         quat = quat_wxyz_from_matrix(pose.rotation)
         if math.isfinite(sum(pose.translation.tolist()) + sum(quat.tolist())):
-            self._track.append((estimate.time_s, pose.translation.copy(), quat))
+            self._track.append(_TimedPose(estimate.time_s, pose.translation.copy(), quat))
 
     def _track_spanning(self, start_s: float, end_s: float, estimate: Estimate) -> PoseTrack | None:
-        """The estimator's own track if it spans the interval, else the causal poses around it."""
+        """Returns the estimator's own track if it spans the interval, else the causal poses around
+        it."""
         slack = 1.5 / self._rig.tick_hz
         track = estimate.scan_track
         if (
@@ -165,21 +164,21 @@ class GridMapper:
             return track
         if len(self._track) < 2:
             return None
-        entries: list[tuple[float, Array, Array]] = []
-        for entry in reversed(self._track):  # what is asked for lies not far behind the newest
-            if entry[0] >= end_s:
+        entries: list[_TimedPose] = []
+        for entry in reversed(self._track):  # the interval is close to the newest entry
+            if entry.time_s >= end_s:
                 entries = [entry]
                 continue
             entries.append(entry)
-            if entry[0] <= start_s and len(entries) > 1:
+            if entry.time_s <= start_s and len(entries) > 1:
                 break
         entries.reverse()
         if len(entries) < 2:
             entries = [self._track[0], self._track[1]]
         return PoseTrack(
-            times_s=np.array([entry[0] for entry in entries]),
-            positions_odom=np.array([entry[1] for entry in entries]),
-            quats_wxyz=np.array([entry[2] for entry in entries]),
+            times_s=np.array([entry.time_s for entry in entries]),
+            positions_odom=np.array([entry.position_odom for entry in entries]),
+            quats_wxyz=np.array([entry.quat_wxyz for entry in entries]),
         )
 
     def _pose_at(self, time_s: float, estimate: Estimate) -> Pose:
@@ -285,9 +284,10 @@ class GridMapper:
         layers = grid.layers
         kernels.accumulate_returns(
             origins, beams, scan.ranges, colours, scan.intensity, scan.end_time_s, cap,
-            self._params.extreme_memory_s, x0, y0, grid.cell_m, layers["count"], layers["height"],
-            layers["std"], layers["low"], layers["high"], layers["rgb"], layers["rgb_count"],
-            layers["intensity"], layers["missing"], layers["last_seen"],
+            self._params.extreme_memory_s, x0, y0, grid.cell_m, layers["count"],
+            layers["height_m"], layers["height_std_m"], layers["min_height_m"],
+            layers["max_height_m"], layers["rgb"], layers["rgb_count"], layers["intensity"],
+            layers["missing"], layers["last_seen_s"],
         )  # fmt: skip
         kernels.accumulate_missing(
             spots, x0, y0, grid.cell_m, cap, layers["count"], layers["missing"]

@@ -1,4 +1,4 @@
-"""A mapper that maps nothing, for flights that are flown for their positions alone."""
+"""A mapper without a map, for flights that need positions only."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from touchdown.sim.api import Observation, SensorNeeds
 
 
 class NoMap:
-    """Implements ``estimator.api.Mapper``: the view is that of ``mapper`` before its first scan."""
+    """Implements ``estimator.api.Mapper``: returns the view of ``mapper`` before its first scan."""
 
     needs = SensorNeeds()
 
@@ -18,6 +18,7 @@ class NoMap:
         self._view: MapView | None = None
 
     def update(self, obs: Observation, estimate: Estimate) -> MapView:
+        """Returns the same empty view every time."""
         if self._view is None:
             blind = dataclasses.replace(obs, scans=(), images=())
             self._view = self._mapper.update(blind, estimate)

@@ -1,8 +1,8 @@
-"""Bundle adjustment over the youngest keyframes (paper, section 3.3.2).
+"""Bundle adjustment over the newest keyframes (paper, section 3.3.2).
 
-A landmark is a depth along the ray of the keyframe that saw it first, with the LIDAR's depth
-(Eq. 12) as prior: one number, so that the Schur complement over the landmarks needs no matrix
-inversion. Poses of keyframes are odom_from_imu.
+A landmark is a depth along the ray of the keyframe that saw it first, with the LIDAR's depth (Eq.
+12) as prior: one number, so that the Schur complement over the landmarks needs no matrix inversion.
+Poses of keyframes are odom_from_imu.
 """
 
 from __future__ import annotations
@@ -150,10 +150,11 @@ def adjust(
     prior_sigmas: Array,
     iterations: int = 4,
 ) -> tuple[list[Pose], Array]:
-    """Poses and depths (L,) that reproject best: Gauss-Newton with Cauchy weights.
+    """Returns the poses and depths (L,) of least reprojection error: Gauss-Newton with Cauchy
+    weights.
 
-    ``prior_sigmas`` (6,): how far, rad and m, a free pose may stray from where it starts; it keeps
-    height and tilt at what the LIDAR says.
+    ``prior_sigmas`` (6,): rad and m, prior of a free pose about its initial value; it keeps height
+    and tilt at those from the LIDAR.
     """
     poses, depths = list(problem.poses), problem.depths.copy()
     free = slice(6 * problem.fixed, 6 * len(poses))

@@ -1,4 +1,4 @@
-"""The camera's part: landmarks at keyframes, PnP, and the map that grows by it."""
+"""Camera positioning: landmarks at keyframes, PnP, and growth of the visual map."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import PaperParams
+from touchdown.estimator.filtering.inertial_filter import InertialFilter
+from touchdown.estimator.filtering.information import limit_information
 from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
-from touchdown.estimator.livo.lidar_update import limit_information
+from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.paper.closures import Closures
 from touchdown.estimator.paper.depth_field import DepthField
-from touchdown.estimator.paper.inertial import InertialFilter
 from touchdown.estimator.paper.landmarks import Features, LandmarkDetector
 from touchdown.estimator.paper.pnp import CameraPose, solve_pnp
 from touchdown.estimator.paper.visual_map import (
@@ -22,7 +23,7 @@ from touchdown.estimator.paper.visual_map import (
     VisualMap,
     no_sightings,
 )
-from touchdown.estimator.paper.window import adjust_window
+from touchdown.estimator.paper.window import LocalisedImage, adjust_window
 from touchdown.sim.api import CameraImage, SensorRig
 from touchdown.sim.frames import Pose, skew
 
@@ -31,9 +32,9 @@ Float32 = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
 _FLOOR_SIGMAS = np.array([1e-4, 1e-4, np.radians(0.02), 0.008, 0.008, 0.02])
-"""rad and m: errors that all of an image's landmarks share"""
+"""rad and m: information floor, errors that all landmarks of an image share"""
 _GROUND_TILT_SIGMA = np.radians(0.5)
-"""of all landmarks together: the map grew outward from the take-off spot and may lean"""
+"""of all landmarks together: the map grows outward from the take-off spot and may be tilted"""
 _LEAST_LANDMARKS = 30
 _LEAST_CLOSURE = 25
 _LEAST_AGREEMENT = 0.5
@@ -43,14 +44,14 @@ _CLOSURE_RADIUS_PX = 40.0
 _LEAST_SCALE = 0.7
 _CLOSURE_GUESS_SIGMAS = np.array([0.003, 0.003, 0.05, 2.0, 2.0, 0.2])
 _CLOSURE_FLOOR_SIGMAS = np.array([1e-3, 1e-3, 5e-4, 0.015, 0.015, 0.1])
-"""rad and m, likewise, of the landmarks of an earlier pass"""
+"""rad and m: information floor for landmarks of an earlier pass"""
 
 
 def with_common_errors(information: Array, pose: Pose, centre: Array) -> Array:
-    """Information (6, 6) of a pose by landmarks around ``centre`` (3,) whose map may be shifted and
-    tilted as a whole: ``(A^-1 + F)^-1``. A leaning map tilts the pose and swings it about the
-    centre at once, so that the position *for a given tilt* stays as sure as it was; gravity knows
-    the tilt better."""
+    """Information (6, 6) of a pose from landmarks around ``centre`` (3,) whose map may be shifted
+    and tilted as a whole: ``(A^-1 + F)^-1``. A tilted map tilts the pose and swings it about the
+    centre, so that the position given the tilt stays as accurate as before; gravity determines the
+    tilt better."""
     swing = np.zeros((6, 2))
     swing[:3] = pose.rotation.T[:, :2]
     swing[3:] = -skew(pose.translation - centre)[:, :2]
@@ -83,18 +84,18 @@ class CameraPositioning:
         self._last_position = inertial.eskf.state.position
         self._next_number = 0
         self.failed = 0
-        """images that did not fit the map"""
+        """images that could not be localised in the map"""
         self.diagnostics: dict[str, float] = {}
 
     def due(self, tick: int) -> bool:
-        """Whether an image of ``tick`` is far enough from the last one taken."""
+        """True if an image of ``tick`` is far enough from the last one processed."""
         params = self._params
         moved = np.linalg.norm(self._filter.eskf.state.position - self._last_position)
         age_s = (tick - self._last_tick) / self._rig.tick_hz
         return age_s >= params.keyframe_period_s or bool(moved >= params.keyframe_distance_m)
 
     def take(self, image: CameraImage, energy: Float32) -> bool:
-        """Localises an image taken at the filter's time and remembers it. Returns whether the
+        """Localises an image taken at the filter's time and may add a keyframe. Returns True if the
         filter was corrected."""
         self._last_tick = image.tick
         grey = np.asarray(cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
@@ -122,7 +123,7 @@ class CameraPositioning:
         return corrected
 
     def _worth_keeping(self, sightings: Sightings) -> bool:
-        """An image that shows what the newest keyframe shows adds nothing."""
+        """True if the image shows enough that the newest keyframe does not."""
         if not self._map.keyframes or len(sightings) < _LEAST_LANDMARKS:
             return True
         newest = self._map.keyframes[-1]
@@ -133,12 +134,14 @@ class CameraPositioning:
     def _adjust(self, pose: Pose, sightings: Sightings) -> Pose:
         if not self._params.use_bundle:
             return pose
-        sigmas = self._sigmas(np.arange(2))
         return adjust_window(
-            self._map.keyframes[-self._params.bundle_keyframes :], pose, sightings,
-            self._map.by_number(), self._rig.camera, self._imu_from_camera,
-            np.sqrt(2.0) * sigmas, self._params.depth_sigma_m,
-        )  # fmt: skip
+            self._map.keyframes[-self._params.bundle_keyframes :],
+            LocalisedImage(pose, sightings),
+            self._map.by_number(),
+            MountedCamera(self._rig.camera, self._imu_from_camera),
+            np.sqrt(2.0) * self._sigmas(np.arange(2)),
+            self._params.depth_sigma_m,
+        )
 
     def _odom_frames(self, sightings: Sightings) -> dict[int, Pose]:
         known = self._map.by_number()
@@ -222,12 +225,12 @@ class CameraPositioning:
         self._forget()
 
     def _filter_height(self) -> float:
-        """Above the take-off ground, for want of any depth."""
+        """Height above the take-off ground, used without any depth."""
         start = self._rig.world_from_body_start.translation[2]
         return max(float(self._filter.eskf.state.position[2] - start), 0.3)
 
     def _forget(self) -> None:
-        """Drops the keyframe that another one replaces best once there are too many."""
+        """Removes the most redundant keyframe once there are too many."""
         keyframes = self._map.keyframes
         if len(keyframes) <= self._params.max_keyframes:
             return
@@ -246,14 +249,15 @@ class CameraPositioning:
         features: tuple[Features, Features],
         before: MapKeyframe | None,
     ) -> None:
-        """Looks the new keyframe up in the dictionary and ties it to old ones that PnP confirms."""
+        """Queries the dictionary with the new keyframe and adds closures to old ones that PnP
+        confirms."""
         words = (
             self._closures.words(0, features[0].descriptors),
             self._closures.words(1, features[1].descriptors),
         )
         recent = self._map.keyframes[-self._params.recent_keyframes - 1 :]
         young = {k.number for k in recent}
-        # landmarks seen from much nearer or farther carry their depth errors over, enlarged
+        # a large change of scale magnifies the depth errors of landmarks
         alike = {
             k.number
             for k in self._map.keyframes
@@ -299,7 +303,7 @@ class CameraPositioning:
         return True
 
     def world_from_odom(self, seconds: float) -> tuple[Pose, Array]:
-        """Where closures have put the odometry frame, ``seconds`` after the last call, and the
-        covariance (3, 3) of the drift that they leave."""
+        """Returns the pose of the odometry frame after loop closures, ``seconds`` after the last
+        call, and the covariance (3, 3) of the remaining drift."""
         moved = self._closures.advance(self._filter.eskf.state.position, seconds)
         return moved, self._closures.drift_covariance

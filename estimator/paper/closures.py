@@ -1,4 +1,4 @@
-"""Loop closures: places seen again move the map, and the odometry frame follows slowly."""
+"""Loop closures: revisits correct the map, and the odometry frame follows at a bounded rate."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ class Closures:
         self.drift_covariance: Array = np.zeros((3, 3))
         self.closed = 0
 
-    # ------------------------------------------------------------------------ places
+    # ------------------------------------------------------------------------ dictionary
 
     def words(self, kind: int, descriptors: Bytes) -> Indices:
         """The dictionary's words (N,) of (N, D) descriptors."""
         return self._vocabularies[kind].assign(descriptors)
 
     def candidates(self, words: tuple[Indices, Indices], among: set[int], most: int) -> list[int]:
-        """The keyframes ``among`` those given that share most with an image of these words."""
+        """Returns the keyframes of ``among`` that share most words with an image of these words."""
         scores = self._index.scores(_joined(words))
         old = [(s, -k) for k, s in scores.items() if k in among and s >= _LEAST_LIKENESS]
         return [-k for _, k in sorted(old, reverse=True)[:most]]
@@ -54,7 +54,7 @@ class Closures:
     def add(
         self, keyframe: MapKeyframe, words: tuple[Indices, Indices], before: int | None
     ) -> None:
-        """Enters a new keyframe, tied by odometry to keyframe ``before``."""
+        """Adds a new keyframe, connected by odometry to keyframe ``before``."""
         self._index.add(keyframe.number, _joined(words))
         self._graph.add_node(keyframe.number, keyframe.map_from_imu, keyframe.odom_from_imu)
         if before is not None:
@@ -65,8 +65,9 @@ class Closures:
     def close(
         self, source: MapKeyframe, target: MapKeyframe, seen: Pose, information: Array
     ) -> None:
-        """Ties ``target``, found at ``seen`` (map_from_imu) by landmarks around ``source``;
-        ``information`` (6, 6) of rotation (right perturbation) and position in the map."""
+        """Adds a closure: ``target``, localised at ``seen`` (map_from_imu) by landmarks around
+        ``source``; ``information`` (6, 6) of rotation (right perturbation) and position in the
+        map."""
         measured = source.map_from_imu.inverse() @ seen
         turn = np.eye(6)
         turn[3:, 3:] = source.map_from_imu.rotation
@@ -76,19 +77,19 @@ class Closures:
         self.closed += 1
 
     def remove(self, number: int) -> None:
-        """Forgets a keyframe."""
+        """Removes a keyframe."""
         self._index.remove(number)
         self._graph.remove_node(number)
 
     def refresh_odometry(self, keyframes: dict[int, MapKeyframe]) -> None:
-        """Takes over what the bundle adjustment has made of the given keyframes."""
+        """Updates the odometry edges of the given keyframes after bundle adjustment."""
         for edge in self._graph.edges:
             if not edge.robust and edge.source in keyframes and edge.target in keyframes:
                 source, target = keyframes[edge.source], keyframes[edge.target]
                 edge.measured = source.odom_from_imu.inverse() @ target.odom_from_imu
 
     def settle(self, keyframes: list[MapKeyframe]) -> None:
-        """Solves the graph and hands the poses back to the keyframes."""
+        """Solves the graph and updates the poses of the keyframes."""
         for keyframe in keyframes:
             self._graph.poses[keyframe.number] = keyframe.map_from_imu
         self._graph.optimise()
@@ -99,14 +100,16 @@ class Closures:
         self.aim(newest)
 
     def aim(self, newest: MapKeyframe) -> None:
-        """Where the odometry frame should go: turned about the vertical only, because both frames
-        know gravity, and such that the newest keyframe lies where the graph has it."""
+        """Sets the target of the odometry frame: rotated about the vertical only, because both
+        frames are aligned with gravity, and such that the newest keyframe lies where the graph has
+        it."""
         self._target = level_transform(newest.odom_from_imu, newest.map_from_imu)
 
     # ------------------------------------------------------------------------ the odometry frame
 
     def advance(self, position_odom: Array, seconds: float) -> Pose:
-        """Moves the odometry frame towards its place, no faster at the vehicle than allowed."""
+        """Moves the odometry frame towards its target at a bounded speed at the vehicle, and
+        returns its pose."""
         now, target = self.world_from_odom, self._target
         turn = float(so3_log(now.rotation.T @ target.rotation)[2])
         limit = self._rate * seconds
@@ -121,13 +124,13 @@ class Closures:
 
 
 def _joined(words: tuple[Indices, Indices]) -> Indices:
-    """Words of both kinds under numbers that do not collide."""
+    """Words of both kinds with distinct numbers."""
     return np.concatenate([2 * words[0], 2 * words[1] + 1])
 
 
 def level_transform(odom: Pose, world: Pose) -> Pose:
-    """world_from_odom, a turn about the vertical and a shift, that takes the position of ``odom``
-    to that of ``world`` and its heading as near as a level turn can."""
+    """Returns world_from_odom, a rotation about the vertical and a translation, that maps the
+    position of ``odom`` to that of ``world`` and matches the heading best."""
     turn = world.rotation @ odom.rotation.T
     yaw = float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
     rotation = rotation_from_yaw(yaw)

@@ -1,4 +1,5 @@
-"""The geodesic picture of one image: energy, returns projected into it, and what follows."""
+"""Geodesic neighbourhoods in one image: edge energy, projected returns, colour smoothness and
+depth."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ Int32 = NDArray[np.int32]
 NEIGHBOURS = 6
 """k of Eqs. 8 and 12"""
 _SIMILARITY = 0.15
-"""energy along a path that makes depths unlike"""
+"""energy along a path at which depths count as unrelated"""
 
 
 def half_size_energy(rgb: NDArray[np.uint8], detector: EdgeDetector) -> Float32:
@@ -93,7 +94,7 @@ def _nearest_per_pixel(
 
 
 class DepthField:
-    """Depth anywhere in an image from the registered returns of late, by Eq. 12."""
+    """Depth anywhere in an image from recent registered returns, by Eq. 12."""
 
     def __init__(
         self,
@@ -119,11 +120,12 @@ class DepthField:
 
     @property
     def returns(self) -> int:
+        """Number of pixels with a return."""
         return len(self._depths)
 
     def depth(self, pixels: Array) -> tuple[Array, Array]:
-        """Depth (N,) m along the optical axis of (N, 2) full-size pixels, NaN where unknown, and
-        the spread (N,) of the returns it is made of."""
+        """Returns the depth (N,) m along the optical axis of (N, 2) full-size pixels, NaN where
+        unknown, and the spread (N,) of the returns that it is averaged from."""
         rows, cols = _half_pixels(pixels, self._distance.shape)
         return geodesic_depth(
             rows, cols, self._distance, self._label, self._neighbours, self._lengths,

@@ -1,7 +1,8 @@
 """The dictionary map: visual words of both kinds, and where each was seen (an inverted index).
 
 Words grow with the flight as in RTAB-Map (Labbe and Michaud 2019), up to a fixed capacity: a
-descriptor unlike every word becomes a new one; once the dictionary is full the nearest word serves.
+descriptor far from every word becomes a new one; once the dictionary is full the nearest word is
+used.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class Vocabulary:
 
 
 class InvertedIndex:
-    """Which keyframes saw each word."""
+    """Keyframes by the words seen in them."""
 
     def __init__(self) -> None:
         self._seen: dict[int, dict[int, int]] = {}
@@ -74,23 +75,23 @@ class InvertedIndex:
         return len(self._words)
 
     def add(self, keyframe: int, words: Indices) -> None:
-        """Notes that ``keyframe`` saw ``words`` (N,), repetitions counted."""
+        """Adds ``keyframe`` with its ``words`` (N,), repetitions counted."""
         unique, counts = np.unique(words, return_counts=True)
         self._words[keyframe] = unique
         for word, count in zip(unique.tolist(), counts.tolist(), strict=True):
             self._seen.setdefault(word, {})[keyframe] = count
 
     def remove(self, keyframe: int) -> None:
-        """Forgets a keyframe."""
+        """Removes a keyframe."""
         for word in self._words.pop(keyframe).tolist():
             del self._seen[word][keyframe]
             if not self._seen[word]:
                 del self._seen[word]
 
     def scores(self, words: Indices) -> dict[int, float]:
-        """Likeness of every keyframe with an image that shows ``words`` (N,): the sum over common
-        words of the inverse document frequency (Sivic and Zisserman 2003), over the most that any
-        image with these words could reach, so that 1 is a full match."""
+        """Returns the similarity of every keyframe to an image that shows ``words`` (N,): the sum
+        over common words of the inverse document frequency (Sivic and Zisserman 2003), relative to
+        the largest possible sum for these words, so that 1 is a full match."""
         total = len(self._words)
         result: dict[int, float] = {}
         best = 0.0

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections import deque
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, PaperParams, PoseTrack
+from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.guard import InputGuard
-from touchdown.estimator.livo.estimator import _undistortion_maps
 from touchdown.estimator.paper.camera_pose import CameraPositioning
 from touchdown.estimator.paper.depth_field import half_size_energy
-from touchdown.estimator.paper.inertial import InertialFilter
 from touchdown.estimator.paper.lidar_pose import LidarPositioning
 from touchdown.estimator.paper.projection import nearest_image
 from touchdown.estimator.paper.structured_edges.detector import edge_detector
@@ -24,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 class PaperEstimator:
-    """``update`` once a control step. Deterministic; nothing is drawn at random."""
+    """The paper's estimator. Deterministic; nothing is drawn at random."""
 
     def __init__(self, rig: SensorRig, params: PaperParams | None = None) -> None:
         self._rig = rig
@@ -35,7 +34,7 @@ class PaperEstimator:
         self._recent = RecentReturns(scans=15, per_scan=8000)
         self._lidar = LidarPositioning(rig, params, self._filter, self._recent)
         self._camera = CameraPositioning(rig, params, self._filter, self._recent)
-        self._undistort = _undistortion_maps(rig)
+        self._undistort = Undistorter(rig)
         self._images: deque[CameraImage] = deque(maxlen=3)
         self._energy: tuple[int, NDArray[np.float32]] = (-1, np.zeros((0, 0), np.float32))
         self._scan_track: PoseTrack | None = None
@@ -44,7 +43,7 @@ class PaperEstimator:
         self._events: list[str] = []
 
     def update(self, obs: Observation) -> Estimate:
-        """Takes what has arrived and returns the belief about ``obs.tick``."""
+        """Processes the arrived messages and returns the estimate at ``obs.tick``."""
         self._scan_track = None
         obs = self._guard.screen(obs)
         self._events = list(self._guard.events)
@@ -60,7 +59,7 @@ class PaperEstimator:
         if obs.tick - self._filter.tick > lag + self._rig.lidar_scan_ticks:
             self._filter.carry_to(obs.tick - lag)
         if self._filter.tick != tick_before:
-            # Not only if a message corrected something: standing still does so on the way.
+            # zero-velocity updates correct the filter, too, without a message
             self._filter.catch_up()
         seconds = self._filter.step_s
         world_from_odom, drift = self._camera.world_from_odom(seconds)
@@ -72,10 +71,10 @@ class PaperEstimator:
 
     def _flat(self, image: CameraImage) -> CameraImage:
         """The image without the lens's distortion."""
-        if self._undistort is None:
+        if self._undistort.is_identity:
             return image
-        rgb = cv2.remap(image.rgb, self._undistort[0], self._undistort[1], cv2.INTER_LINEAR)
-        return CameraImage(tick=image.tick, time_s=image.time_s, rgb=np.asarray(rgb, np.uint8))
+        rgb = self._undistort(image.rgb)
+        return CameraImage(tick=image.tick, time_s=image.time_s, rgb=rgb)
 
     def _take(self, message: LidarScan | CameraImage) -> None:
         tick = _order(message)[0]

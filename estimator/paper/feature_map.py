@@ -86,8 +86,8 @@ class FeatureMap:
     """Running centroids of the feature points in every voxel, odom frame.
 
     ``voxel_m``: side; ``capacity``: slots of the hash table, a power of two, which bounds the
-    memory (when it is 70 % full, new voxels are refused); ``max_points``: a voxel stops learning
-    after so many points, because the oldest carry the least drift. ``reach``: of the search, in
+    memory (when it is 70 % full, new voxels are rejected); ``max_points``: a voxel ignores further
+    points after so many, because the oldest carry the least drift. ``reach``: of the search, in
     voxels; five centroids on one line need two.
     """
 

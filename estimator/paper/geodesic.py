@@ -19,7 +19,7 @@ Int32 = NDArray[np.int32]
 
 STEP_ENERGY = np.float32(0.02)
 """energy of a pixel without any edge: keeps paths short where the energy is zero, so that the
-nearest seed is also the nearest in the picture"""
+nearest seed is also the nearest in the image"""
 _FAR = np.float32(1e9)
 _DIAGONAL = 1.4142135623730951
 _LEAST_WEIGHT = 0.4

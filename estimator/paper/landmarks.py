@@ -1,7 +1,7 @@
 """SIFT and BRISK landmarks of an image (paper, section 3.3.2).
 
 The paper names SURF as well. OpenCV's wheels are built without it (its patented build flag is off;
-``cv2.xfeatures2d.SURF_create`` raises), so that SIFT stands alone for descriptors of numbers.
+``cv2.xfeatures2d.SURF_create`` raises), so that SIFT is the only real-valued descriptor.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Features:
 def spread(
     pixels: Array, responses: Array, size: tuple[int, int], cell_px: int, most: int
 ) -> NDArray[np.int64]:
-    """Indices of up to ``most`` of (N, 2) keypoints, the strongest of every cell first, then every
-    cell's second and so on: even over the picture, and deterministic."""
+    """Returns indices of up to ``most`` of (N, 2) keypoints, the strongest of every cell first,
+    then the second of every cell, and so on: evenly spread over the image, and deterministic."""
     if len(pixels) == 0:
         return np.zeros(0, dtype=np.int64)
     columns = -(-size[0] // cell_px)

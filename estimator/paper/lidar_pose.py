@@ -1,4 +1,4 @@
-"""The LIDAR's part: features of a scan, Algorithm 1, and the maps that grow by it."""
+"""LIDAR positioning: features of a scan, Algorithm 1, and growth of the feature maps."""
 
 from __future__ import annotations
 
@@ -6,13 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import PaperParams
+from touchdown.estimator.filtering.deskew import PlacedScan
+from touchdown.estimator.filtering.inertial_filter import InertialFilter
+from touchdown.estimator.filtering.information import lateral_strength, limit_information
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
-from touchdown.estimator.livo.lidar_update import lateral_strength, limit_information
 from touchdown.estimator.paper.depth_field import scan_colour_smoothness
 from touchdown.estimator.paper.feature_map import FeatureMap
-from touchdown.estimator.paper.inertial import InertialFilter
 from touchdown.estimator.paper.projection import lidar_to_camera
-from touchdown.estimator.paper.registration import ScanPose, register_scan
+from touchdown.estimator.paper.registration import (
+    FeatureMaps,
+    PosePrior,
+    ScanFeatures,
+    ScanPose,
+    register_scan,
+)
 from touchdown.estimator.paper.smoothness import (
     FeaturePoints,
     fused_smoothness,
@@ -28,8 +35,8 @@ _LASERS = 6
 """of the Horizon, firing in turn"""
 _LONGEST_GAP = 8
 _FLOOR_SIGMAS = np.array([np.radians(0.5), np.radians(0.5), np.radians(0.5), 0.3, 0.3, 0.01])
-"""rad and m: errors of the map that repeat from scan to scan, because the map was made with this
-filter's own poses; a scan is worth no more than this however many points it has"""
+"""rad and m: information floor. Errors of the map repeat from scan to scan, because the map was
+made with this filter's own poses, and do not average out over the points of a scan"""
 _LEAST_RETURNS = 200
 
 
@@ -78,8 +85,10 @@ class LidarPositioning:
         self._params = params
         self._filter = inertial
         self._recent = recent
-        self._edges = FeatureMap(params.edge_voxel_m, params.map_voxels, reach=2)
-        self._planes = FeatureMap(params.planar_voxel_m, params.map_voxels)
+        self._maps = FeatureMaps(
+            edges=FeatureMap(params.edge_voxel_m, params.map_voxels, reach=2),
+            planes=FeatureMap(params.planar_voxel_m, params.map_voxels),
+        )
         self._imu_from_lidar = inertial.imu_from_lidar
         self._camera_from_imu = inertial.imu_from_camera.inverse()
         self.diagnostics: dict[str, float] = {}
@@ -87,40 +96,34 @@ class LidarPositioning:
     def take(self, scan: LidarScan, energy: Float32 | None) -> bool:
         """Registers a scan that ends at the filter's time; ``energy``: of the image nearest in time
         or None. False if the scan could not be used."""
-        unrolled = self._filter.unroll(scan)
-        if unrolled is None:
+        placed = self._filter.place_scan(scan)
+        if placed is None:
             return False
-        points, beams, pulses, _ = unrolled
+        points = placed.points
         self.diagnostics = {"scan_returns": float(len(points))}
         if len(points) >= _LEAST_RETURNS:
-            chosen = self._features(points, beams, pulses, energy)
+            chosen = self._features(placed, energy)
             if self._params.use_lidar_pose:
-                self._correct(points[chosen.edges], points[chosen.planes])
+                self._correct(ScanFeatures(points[chosen.edges], points[chosen.planes]))
             pose = self._filter.eskf.state.pose
-            self._edges.insert(pose.apply(points[chosen.edges]))
-            self._planes.insert(pose.apply(points[chosen.planes]))
+            self._maps.edges.insert(pose.apply(points[chosen.edges]))
+            self._maps.planes.insert(pose.apply(points[chosen.planes]))
         self._recent.add(self._filter.eskf.state.pose.apply(points))
         return True
 
-    def _features(
-        self, points: Array, beams: Array, pulses: NDArray[np.int64], energy: Float32 | None
-    ) -> FeaturePoints:
-        in_camera = lidar_to_camera(points, self._camera_from_imu)
-        in_lidar = beams @ self._imu_from_lidar.rotation
+    def _features(self, scan: PlacedScan, energy: Float32 | None) -> FeaturePoints:
+        in_camera = lidar_to_camera(scan.points, self._camera_from_imu)
+        in_lidar = scan.beams @ self._imu_from_lidar.rotation
         return scan_features(
-            beams, in_lidar, in_camera, pulses, energy, self._rig.camera, self._params
+            scan.beams, in_lidar, in_camera, scan.pulses, energy, self._rig.camera, self._params
         )[0]
 
-    def _correct(self, edges: Array, planes: Array) -> None:
+    def _correct(self, features: ScanFeatures) -> None:
         params = self._params
-        state = self._filter.eskf.state
         result = register_scan(
-            edges,
-            planes,
-            self._edges,
-            self._planes,
-            state.pose,
-            self._filter.pose_information(),
+            features,
+            self._maps,
+            PosePrior(self._filter.eskf.state.pose, self._filter.pose_information()),
             edge_sigma_m=params.edge_sigma_m,
             plane_sigma_m=params.plane_sigma_m,
         )
@@ -138,6 +141,6 @@ class LidarPositioning:
             "lidar_rms_m": result.rms_m,
             "lidar_converged": float(result.converged),
             "lidar_lateral_weakest": float(strength[0]),
-            "map_edges": float(self._edges.used),
-            "map_planes": float(self._planes.used),
+            "map_edges": float(self._maps.edges.used),
+            "map_planes": float(self._maps.planes.used),
         }

@@ -1,4 +1,4 @@
-"""Matching of features with the landmarks of the map, near where the landmarks should appear."""
+"""Matching of features with the landmarks of the map, near their predicted pixels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Indices = NDArray[np.int64]
 
 _BITS = np.array([bin(byte).count("1") for byte in range(256)], dtype=np.uint8)
 _TWIN_PX = 6.0
-"""candidates closer than this to the best one may be the same spot, held twice in the map"""
+"""candidates closer than this to the best one may be duplicates of it in the map"""
 _SIFT_LIMIT = 300.0
 _BRISK_LIMIT = 140.0
 
@@ -114,9 +114,9 @@ def match_near(
     radius_px: float,
     ratio: float = 0.85,
 ) -> Indices:
-    """For each of (F, 2) features the index of its landmark, or -1.
+    """Returns, for each of (F, 2) features, the index of its landmark, or -1.
 
-    ``expected`` (L, 2): where the landmarks with descriptors ``known`` (L, D) should appear; only
+    ``expected`` (L, 2): predicted pixels of the landmarks with descriptors ``known`` (L, D); only
     those within ``radius_px`` of a feature are compared. A match must be clearly better (``ratio``
     of descriptor distances) than any candidate elsewhere, and each landmark matches once.
     """

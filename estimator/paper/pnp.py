@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.livo.visual import reprojection_information
+from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
@@ -39,7 +39,8 @@ def reprojection_errors(
     imu_from_camera: Pose,
     camera: CameraIntrinsics,
 ) -> Array:
-    """(N, 2) pixels minus where the landmarks (N, 3) should appear; infinite behind the camera."""
+    """(N, 2) measured pixels minus predicted ones of the landmarks (N, 3); infinite behind the
+    camera."""
     points = (global_from_imu @ imu_from_camera).inverse().apply(landmarks)
     front = points[:, 2] > 0.05
     depth = np.where(front, points[:, 2], 1.0)
@@ -62,27 +63,28 @@ def solve_pnp(
 ) -> CameraPose | None:
     """Solves Eq. 11 for the pose: robust Gauss-Newton on the reprojection errors from ``guess``.
 
-    ``pixels`` (N, 2), ``landmarks`` (N, 3) global, ``sigmas_px`` (N,). The predicted pose is good,
-    so that neither a closed form nor random samples are needed: the gates tighten step by step
-    around Cauchy's weights. ``guess_information`` (6, 6) keeps what the pixels leave open (over a
-    plane tilt and sideways motion look alike) at the guess; it is not in the information returned.
-    None with fewer than ``min_inliers`` landmarks within 3 pixels in the end.
+    ``pixels`` (N, 2), ``landmarks`` (N, 3) global, ``sigmas_px`` (N,). The predicted pose is
+    accurate enough that neither a closed form nor random sampling is needed: the gates of the
+    Cauchy weights tighten step by step. ``guess_information`` (6, 6) keeps directions that the
+    pixels leave unobserved (over a plane tilt and lateral motion look alike) at the guess; the
+    returned information excludes it. None with fewer than ``min_inliers`` landmarks within 3 pixels
+    at the end.
     """
-    camera_from_imu = imu_from_camera.inverse()
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    eye, zero = np.eye(3), np.zeros(3)
+    mounted = MountedCamera(camera, imu_from_camera)
+    # the landmarks are global: their frame takes the place of the keyframe's
+    origin = Pose.identity()
     groups = [(s, np.flatnonzero(sigmas_px == s)) for s in np.unique(sigmas_px)]
 
     def accumulate(pose: Pose, gate: float) -> tuple[Array, Array, int]:
         information, vector, used = np.zeros((6, 6)), np.zeros(6), 0
         for sigma, members in groups:
-            part, part_vector, count, _ = reprojection_information(
-                pixels[members], landmarks[members], pose.rotation, pose.translation, eye, zero,
-                camera_from_imu.rotation, camera_from_imu.translation, intrinsics, sigma, gate,
+            part = reprojection_information(
+                pixels[members], landmarks[members], pose, origin, mounted,
+                sigma_px=sigma, gate_px=gate,
             )  # fmt: skip
-            information += part[:6, :6]
-            vector += part_vector[:6]
-            used += count
+            information += part.information[:6, :6]
+            vector += part.vector[:6]
+            used += part.used
         return information, vector, used
 
     pose = guess

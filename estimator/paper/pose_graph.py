@@ -26,7 +26,7 @@ class Edge:
     measured: Pose
     information: Array
     robust: bool
-    """closures may be false, odometry is not"""
+    """True for closures, which may be false; odometry is not robustified"""
 
 
 def edge_residual(edge: Edge, source: Pose, target: Pose) -> Array:
@@ -75,7 +75,7 @@ def _linearise(
 
 
 class PoseGraph:
-    """Nodes by number, in the order they were added; the first one holds the map in place."""
+    """Pose graph; nodes by number, in the order of addition. The first one fixes the map."""
 
     def __init__(
         self, anchor_sigmas: Array, level_sigmas: Array, robust_scale: float = 3.0
@@ -103,7 +103,7 @@ class PoseGraph:
         self.edges.append(edge)
 
     def remove_node(self, number: int) -> None:
-        """Takes a node out; its odometry is bridged by the product of its two edges."""
+        """Removes a node and joins its two odometry edges into one."""
         before = [e for e in self.edges if e.target == number and not e.robust]
         after = [e for e in self.edges if e.source == number and not e.robust]
         self.edges = [e for e in self.edges if number not in (e.source, e.target)]
@@ -123,7 +123,7 @@ class PoseGraph:
             self._priors[successor] = (self.poses[successor], self._anchor)
 
     def optimise(self, iterations: int = 2) -> None:
-        """Moves the nodes to the least weighted sum of squares."""
+        """Minimises the weighted sum of squares over the nodes."""
         for _ in range(iterations):
             matrix, vector = self._system()
             steps = splu(matrix).solve(vector).reshape(-1, 6)

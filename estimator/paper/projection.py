@@ -1,4 +1,4 @@
-"""From the LIDAR into the image (paper, section 3.2)."""
+"""Projection of LIDAR points into the image (paper, section 3.2)."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ def lidar_to_camera(points_lidar: Array, camera_from_lidar: Pose) -> Array:
 def project(points_camera: Array, matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Eq. 2: pixels (N, 2) of camera points (N, 3) by the intrinsic matrix K (3, 3), skew included.
 
-    The paper leaves the division by depth implicit (its ``uv`` has a third component 1). The mask
-    (N,) tells which points lie in front of the camera; the pixels of the others mean nothing.
+    The paper leaves the division by depth implicit (its ``uv`` has a third component 1). Also
+    returns the mask (N,) of points in front of the camera; the pixels of the others are
+    meaningless.
     """
     depth = points_camera[:, 2]
     front = depth > _NEAREST_DEPTH_M
@@ -36,7 +37,7 @@ def project(points_camera: Array, matrix: Array) -> tuple[Array, NDArray[np.bool
 def inside_image(
     pixels: Array, front: NDArray[np.bool_], size: tuple[int, int], margin: float = 0.0
 ) -> NDArray[np.bool_]:
-    """Which (N, 2) pixels fall into an image of ``size`` (width, height)."""
+    """Mask (N,) of the pixels (N, 2) inside an image of ``size`` (width, height)."""
     u, v = pixels[:, 0], pixels[:, 1]
     inside = front & (u >= margin) & (v >= margin)
     inside &= (u <= size[0] - 1 - margin) & (v <= size[1] - 1 - margin)
@@ -46,7 +47,7 @@ def inside_image(
 def nearest_image(
     images: Sequence[CameraImage], tick: int, most_ticks_apart: int
 ) -> CameraImage | None:
-    """The image nearest in time to a scan's ``tick`` (section 3.2), or None if none is within
-    ``most_ticks_apart``; of two equally near the earlier."""
+    """Returns the image nearest in time to a scan's ``tick`` (section 3.2), the earlier of two;
+    None if none is within ``most_ticks_apart``."""
     near = [image for image in images if abs(image.tick - tick) <= most_ticks_apart]
     return min(near, key=lambda image: (abs(image.tick - tick), image.tick), default=None)

@@ -1,4 +1,4 @@
-"""Algorithm 1 of the paper: the pose of a scan by its edge and planar points."""
+"""Algorithm 1 of the paper: the pose of a scan from its edge and planar points."""
 
 from __future__ import annotations
 
@@ -22,10 +22,37 @@ _LEAST_SINE = 0.25
 """of the angle between two sides of the three plane points, below which they are one line"""
 
 
+@dataclass(frozen=True, slots=True)
+class ScanFeatures:
+    """Feature points of one scan, IMU frame, m."""
+
+    edges: Array
+    """(E, 3)"""
+    planes: Array
+    """(P, 3)"""
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureMaps:
+    """The global maps of both kinds of feature points."""
+
+    edges: FeatureMap
+    planes: FeatureMap
+
+
+@dataclass(frozen=True, slots=True)
+class PosePrior:
+    """odom_from_imu before the measurement."""
+
+    pose: Pose
+    information: Array
+    """(6, 6) of rotation (right perturbation) and position"""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ScanPose:
     """Result of Algorithm 1: ``pose`` is odom_from_imu; ``information`` (6, 6) and ``vector`` (6,)
-    are what the scan alone says around it (rotation by right perturbation, position)."""
+    are those of the scan alone at this pose (rotation by right perturbation, position)."""
 
     pose: Pose
     information: Array
@@ -57,8 +84,9 @@ def plane_distance(point: Array, first: Array, middle: Array, last: Array) -> fl
 
 @njit(cache=True)
 def neighbourhood_shapes(near: Array, found: Mask) -> tuple[Mask, Mask]:
-    """Which of (N, 5, 3) neighbourhoods are lines (largest eigenvalue of the covariance three times
-    the second) and which are planes (smallest three times below the second)."""
+    """Masks (N,) of the neighbourhoods (N, 5, 3) that are lines (largest eigenvalue of the
+    covariance three times the second) and that are planes (smallest three times below the
+    second)."""
     count = near.shape[0]
     lines = np.zeros(count, dtype=np.bool_)
     planes = np.zeros(count, dtype=np.bool_)
@@ -165,7 +193,7 @@ def _normal_equations(
 
 @njit(cache=True)
 def _flat_triangles(near: Array) -> Mask:
-    """Whether p_1, p_k/2 and p_k of (N, 5, 3) neighbourhoods span a plane."""
+    """Mask (N,) of the neighbourhoods (N, 5, 3) whose p_1, p_k/2 and p_k span a plane."""
     out = np.zeros(near.shape[0], dtype=np.bool_)
     last, middle = near.shape[1] - 1, near.shape[1] // 2
     for i in range(near.shape[0]):
@@ -176,13 +204,13 @@ def _flat_triangles(near: Array) -> Mask:
     return out
 
 
-def _associate(
-    edges: Array, planes: Array, edge_map: FeatureMap, plane_map: FeatureMap, pose: Pose
-) -> tuple[Array, Array, Mask]:
-    """Steps 3 to 9: points (M, 3) with a line or plane nearby, neighbourhoods, which are edges."""
-    edge_found, edge_near = edge_map.nearest(to_global(edges, pose))
+def _associate(features: ScanFeatures, maps: FeatureMaps, pose: Pose) -> tuple[Array, Array, Mask]:
+    """Steps 3 to 9: points (M, 3) with a line or plane nearby, their neighbourhoods (M, 5, 3), and
+    the mask (M,) of edge points."""
+    edges, planes = features.edges, features.planes
+    edge_found, edge_near = maps.edges.nearest(to_global(edges, pose))
     lines, _ = neighbourhood_shapes(edge_near, edge_found)
-    plane_found, plane_near = plane_map.nearest(to_global(planes, pose))
+    plane_found, plane_near = maps.planes.nearest(to_global(planes, pose))
     _, flats = neighbourhood_shapes(plane_near, plane_found)
     flats &= _flat_triangles(plane_near)
     local = np.concatenate([edges[lines], planes[flats]])
@@ -192,8 +220,8 @@ def _associate(
 
 
 def _keep_best(distances: Array, is_edge: Mask) -> Mask:
-    """All but the largest 20 % of the residuals, of edges and of planes apart: edges scatter more,
-    and a common ranking would drop them alone."""
+    """Mask of all but the largest 20 % of the residuals, of edges and of planes separately: edges
+    scatter more, and a common ranking would remove edges alone."""
     keep = np.zeros(len(distances), dtype=np.bool_)
     for kind in (True, False):
         members = np.flatnonzero(is_edge == kind)
@@ -213,12 +241,9 @@ def _deviation(guess: Pose, pose: Pose) -> Array:
 
 
 def register_scan(
-    edges: Array,
-    planes: Array,
-    edge_map: FeatureMap,
-    plane_map: FeatureMap,
-    guess: Pose,
-    guess_information: Array,
+    features: ScanFeatures,
+    maps: FeatureMaps,
+    prior: PosePrior,
     *,
     edge_sigma_m: float,
     plane_sigma_m: float,
@@ -226,13 +251,14 @@ def register_scan(
     steps: int = 6,
     min_matches: int = 30,
 ) -> ScanPose | None:
-    """Algorithm 1: odom_from_imu of (E, 3) edge and (P, 3) planar points, IMU frame.
+    """Algorithm 1: returns odom_from_imu of a scan, or None with fewer than ``min_matches`` matched
+    points.
 
-    ``guess``: the transform of the last scan, carried here by the IMU (the paper starts from the
-    last transform itself), and ``guess_information`` (6, 6) how well it is known: over a plane a
-    scan leaves x, y and yaw open, and the solution stays at the guess there. The returned
-    information is the scan's alone. None with fewer than ``min_matches`` matched points.
+    ``prior``: the pose of the last scan propagated by the IMU (the paper starts from the last pose
+    itself). Over a plane a scan leaves x, y and yaw open, and the solution stays at the prior
+    there. The returned information is that of the scan alone.
     """
+    guess, guess_information = prior.pose, prior.information
     pose = guess
     sigmas = np.array([edge_sigma_m, plane_sigma_m])
     converged = False
@@ -249,7 +275,7 @@ def register_scan(
 
     for _ in range(rounds):
         start = pose
-        local, near, is_edge = _associate(edges, planes, edge_map, plane_map, pose)
+        local, near, is_edge = _associate(features, maps, pose)
         if len(local) < min_matches:
             return None
         axes = _axes(near, is_edge)

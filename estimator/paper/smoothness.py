@@ -1,4 +1,4 @@
-"""Smoothness of the surface around each return, and the edge and planar points that it gives."""
+"""Smoothness of the surface around each return, and the choice of edge and planar points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the method makes of one scan and one image taken at a standstill, for pictures of it."""
+"""Edge energy and feature points of one scan and one image taken at rest, for figures."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import PaperParams
+from touchdown.estimator.filtering.deskew import screen_scan
 from touchdown.estimator.paper.depth_field import half_size_energy
 from touchdown.estimator.paper.lidar_pose import scan_features
 from touchdown.estimator.paper.projection import inside_image, lidar_to_camera, project
@@ -19,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StillFeatures:
-    """Of the (N,) returns that the image shows."""
+    """Features of the N returns inside the image."""
 
     energy: NDArray[np.float32]
     """(H/2, W/2) edge energy of the image"""
@@ -36,15 +37,13 @@ class StillFeatures:
 def features_of_still_scan(
     scan: LidarScan, rgb: NDArray[np.uint8], rig: SensorRig, params: PaperParams
 ) -> StillFeatures:
-    """``scan`` and ``rgb`` (H, W, 3) of a camera without distortion, from one and the same pose."""
-    lidar = rig.lidar
-    valid = (scan.ranges >= lidar.min_range_m) & (scan.ranges <= lidar.max_range_m)
-    points = (scan.directions[valid] * scan.ranges[valid, None]).astype(np.float64)
+    """Returns the features of ``scan`` and ``rgb`` (H, W, 3), both taken from the same pose by a
+    camera without distortion."""
+    pulses = screen_scan(scan, rig.lidar)
+    points = scan.points[pulses].astype(np.float64)
     in_camera = lidar_to_camera(points, rig.body_from_camera.inverse() @ rig.body_from_lidar)
     energy = half_size_energy(rgb, edge_detector(params.edge_model))
-    chosen, f_c = scan_features(
-        points, points, in_camera, np.flatnonzero(valid), energy, rig.camera, params
-    )
+    chosen, f_c = scan_features(points, points, in_camera, pulses, energy, rig.camera, params)
     pixels, front = project(in_camera, rig.camera.matrix())
     seen = inside_image(pixels, front, (rig.camera.width, rig.camera.height))
     picked = np.zeros((2, len(points)), bool)

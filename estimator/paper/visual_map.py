@@ -1,4 +1,4 @@
-"""Keyframes with their landmarks: what is remembered of the images."""
+"""The visual map: keyframes with their landmarks."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ Indices = NDArray[np.int64]
 
 @dataclass(slots=True)
 class LandmarkSet:
-    """Landmarks of one kind that a keyframe was the first to see."""
+    """Landmarks of one kind, hosted by the keyframe that saw them first."""
 
     points: Array
     """(L, 3) m, IMU frame of the keyframe"""
     pixels: Array
-    """(L, 2) where the keyframe saw them"""
+    """(L, 2) in the keyframe"""
     descriptors: Bytes
     """(L, D)"""
     depths: Array
@@ -48,7 +48,7 @@ class Sightings:
         return len(self.hosts)
 
     def select(self, keep: NDArray[np.generic]) -> Sightings:
-        """Those that a mask or an index array (N,) picks."""
+        """Returns the subset picked by a mask or an index array (N,)."""
         picked = np.asarray(keep)
         return Sightings(
             self.hosts[picked], self.kinds[picked], self.indices[picked], self.pixels[picked]
@@ -56,20 +56,21 @@ class Sightings:
 
 
 def no_sightings() -> Sightings:
+    """Returns an empty set."""
     empty = np.zeros(0, dtype=np.int64)
     return Sightings(empty, empty, empty, np.zeros((0, 2)))
 
 
 @dataclass(slots=True)
 class MapKeyframe:
-    """One remembered image; poses are of the IMU."""
+    """A keyframe of the map; poses are of the IMU."""
 
     number: int
     tick: int
     odom_from_imu: Pose
-    """as the filter had it, refined by the bundle adjustment while it is young"""
+    """from the filter, refined by the bundle adjustment while the keyframe is in the window"""
     map_from_imu: Pose
-    """after the closures"""
+    """after loop closures"""
     depth_m: float
     landmarks: tuple[LandmarkSet, LandmarkSet]
     sightings: Sightings = field(default_factory=no_sightings)
@@ -86,6 +87,7 @@ class VisualMap:
         self.keyframes: list[MapKeyframe] = []
 
     def by_number(self) -> dict[int, MapKeyframe]:
+        """Returns the keyframes by their numbers."""
         return {keyframe.number: keyframe for keyframe in self.keyframes}
 
     def positions(
@@ -104,7 +106,7 @@ class VisualMap:
     def expected_pixels(
         self, keyframe: MapKeyframe, kind: int, frame_from_host: Pose, frame_from_imu: Pose
     ) -> tuple[Indices, Array]:
-        """Landmarks of one keyframe that should be in view: indices (M,) and pixels (M, 2)."""
+        """Landmarks of one keyframe predicted in view: indices (M,) and pixels (M, 2)."""
         camera_from_host = self._camera_from_imu @ frame_from_imu.inverse() @ frame_from_host
         points = camera_from_host.apply(keyframe.landmarks[kind].points)
         pixels, front = project(points, self._matrix)

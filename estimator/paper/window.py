@@ -1,14 +1,17 @@
-"""From keyframes to a bundle problem and back."""
+"""Bundle adjustment of a window of keyframes: sets up the problem and writes back the result."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.keyframes import bearing_rays
+from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.paper.bundle import BundleProblem, adjust
 from touchdown.estimator.paper.visual_map import MapKeyframe, Sightings
-from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
@@ -17,57 +20,84 @@ _PRIOR_SIGMAS = np.array([1e-3, 1e-3, 5e-3, 0.3, 0.3, 0.02])
 """rad and m: tilt and height as LIDAR and gravity have them, the rest nearly free"""
 
 
+class LandmarkKey(NamedTuple):
+    """Identifies a landmark of the visual map."""
+
+    host: int
+    kind: int
+    landmark: int
+
+
+class _Observation(NamedTuple):
+    """One sighting, in the order of sorting."""
+
+    host: int
+    kind: int
+    landmark: int
+    view: int
+    row: int
+
+
+@dataclass(frozen=True, slots=True)
+class LocalisedImage:
+    """The newest image: its odom_from_imu and the landmarks seen in it."""
+
+    pose: Pose
+    sightings: Sightings
+
+
 def build_problem(
     window: list[MapKeyframe],
-    newest: Pose,
-    sightings: Sightings,
+    newest: LocalisedImage,
     known: dict[int, MapKeyframe],
-    camera: CameraIntrinsics,
-    imu_from_camera: Pose,
+    camera: MountedCamera,
     sigmas_px: Array,
     first_free: int,
-) -> tuple[BundleProblem, list[tuple[int, int, int]]] | None:
-    """The problem of ``window`` (oldest first) and of an image at ``newest`` (odom_from_imu) with
-    its ``sightings``. Hosts outside the window join it fixed. ``sigmas_px`` by kind. Keyframes
-    with an index below ``first_free`` in the window are fixed. Returns also the landmarks' keys
-    (host, kind, index), or None if nothing ties the poses."""
+) -> tuple[BundleProblem, list[LandmarkKey]] | None:
+    """Returns the problem of ``window`` (oldest first) and the newest image, and the keys of its
+    landmarks; None if nothing ties the poses.
+
+    Hosts outside the window join it with fixed poses. ``sigmas_px`` (2,) by kind. Keyframes with an
+    index below ``first_free`` in the window are fixed.
+    """
     inside = {keyframe.number for keyframe in window}
-    views = [(k.number, k.sightings) for k in window] + [(-1, sightings)]
+    views = [(k.number, k.sightings) for k in window] + [(-1, newest.sightings)]
     rows = [
-        (int(h), int(kind), int(i), observer, n)
+        _Observation(int(h), int(kind), int(i), observer, n)
         for observer, (_, seen) in enumerate(views)
         for n, (h, kind, i) in enumerate(zip(seen.hosts, seen.kinds, seen.indices, strict=True))
         if int(h) in known
     ]
     if len(rows) < 20:
         return None
-    outside = sorted({row[0] for row in rows} - inside)
+    outside = sorted({row.host for row in rows} - inside)
     fixed = [known[number] for number in outside] + window[:first_free]
     free = window[first_free:]
     numbers = [k.number for k in fixed + free] + [-1]
     place = {number: at for at, number in enumerate(numbers)}
     rows.sort()
-    keys: list[tuple[int, int, int]] = []
+    keys: list[LandmarkKey] = []
     landmarks, observers, pixels, sigmas = [], [], [], []
     for host, kind, index, observer, n in rows:
-        if not keys or keys[-1] != (host, kind, index):
-            keys.append((host, kind, index))
+        key = LandmarkKey(host, kind, index)
+        if not keys or keys[-1] != key:
+            keys.append(key)
         number, seen = views[observer]
         landmarks.append(len(keys) - 1)
         observers.append(place[number])
         pixels.append(seen.pixels[n])
         sigmas.append(sigmas_px[kind])
-    camera_from_imu = imu_from_camera.inverse()
+    camera_from_imu = camera.imu_from_camera.inverse()
     sets = [known[host].landmarks[kind] for host, kind, _ in keys]
-    points = np.array([s.points[key[2]] for s, key in zip(sets, keys, strict=True)])
+    points = np.array([s.points[key.landmark] for s, key in zip(sets, keys, strict=True)])
     depths = camera_from_imu.apply(points)[:, 2]
-    first_pixels = np.array([s.pixels[key[2]] for s, key in zip(sets, keys, strict=True)])
-    priors = np.array([s.depths[key[2]] for s, key in zip(sets, keys, strict=True)])
+    first_pixels = np.array([s.pixels[key.landmark] for s, key in zip(sets, keys, strict=True)])
+    priors = np.array([s.depths[key.landmark] for s, key in zip(sets, keys, strict=True)])
     problem = BundleProblem(
-        poses=[k.odom_from_imu for k in fixed + free] + [newest],
+        poses=[k.odom_from_imu for k in fixed + free] + [newest.pose],
         fixed=len(fixed),
         hosts=np.array([place[host] for host, _, _ in keys]),
-        rays=bearing_rays(first_pixels, camera),
+        rays=bearing_rays(first_pixels, camera.intrinsics),
         depths=depths,
         prior_depths=priors,
         landmarks=np.array(landmarks),
@@ -80,27 +110,23 @@ def build_problem(
 
 def adjust_window(
     window: list[MapKeyframe],
-    newest: Pose,
-    sightings: Sightings,
+    newest: LocalisedImage,
     known: dict[int, MapKeyframe],
-    camera: CameraIntrinsics,
-    imu_from_camera: Pose,
+    camera: MountedCamera,
     sigmas_px: Array,
     depth_sigma_m: float,
     first_free: int = 2,
 ) -> Pose:
     """Bundle adjustment: refines poses and landmarks of the window in place and returns the pose
-    of the newest image."""
-    built = build_problem(
-        window, newest, sightings, known, camera, imu_from_camera, sigmas_px, first_free
-    )
+    of the newest image. Parameters as in ``build_problem``."""
+    built = build_problem(window, newest, known, camera, sigmas_px, first_free)
     if built is None or len(window) <= first_free:
-        return newest
+        return newest.pose
     problem, keys = built
     poses, depths = adjust(
         problem,
-        imu_from_camera,
-        camera,
+        camera.imu_from_camera,
+        camera.intrinsics,
         depth_sigma_m=depth_sigma_m,
         prior_sigmas=_PRIOR_SIGMAS,
     )
@@ -109,5 +135,5 @@ def adjust_window(
         keyframe.map_from_imu = keyframe.map_from_imu @ moved
         keyframe.odom_from_imu = pose
     for (host, kind, index), ray, depth in zip(keys, problem.rays, depths, strict=True):
-        known[host].landmarks[kind].points[index] = imu_from_camera.apply(ray * depth)
+        known[host].landmarks[kind].points[index] = camera.imu_from_camera.apply(ray * depth)
     return poses[-1]

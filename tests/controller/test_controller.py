@@ -185,7 +185,7 @@ def test_a_reference_ahead_tilts_the_vehicle_towards_it(yaw: float) -> None:
     assert abs(wrench[1]) < 1e-6
 
 
-def test_motors_off_is_silence_and_forgets() -> None:
+def test_motors_off_stops_the_rotors_and_resets() -> None:
     controller, flyer = flying_controller()
     fly(flyer, controller, hold(np.array([0.5, 0.0, 0.2])), 0.5)
     assert np.all(

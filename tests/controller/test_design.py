@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from touchdown.controller import design
 from touchdown.controller.api import ControlParams
 from touchdown.controller.gains import cascade_gains
+from touchdown.experiments.cli.main import main
 from touchdown.sim.airframe.vehicle import vehicle_model
 
 from support.flight_dynamics import example_vehicle
@@ -97,11 +99,10 @@ def test_flying_does_not_import_python_control() -> None:
     assert done.stdout.strip() == "False"
 
 
-def test_main_prints_a_row_for_every_loop(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["design"])
-    design.main()
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 12
-    assert not any("too small" in line for line in lines)
+def test_the_command_prints_the_margins_of_every_loop(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["control", "margins", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["loops"]
+    assert len(rows) == 11
+    for row in rows:
+        assert row["gain_margin_db"] >= design.MIN_GAIN_MARGIN_DB
+        assert row["phase_margin_deg"] >= design.MIN_PHASE_MARGIN_DEG

@@ -1,4 +1,4 @@
-"""What is refused before estimators and the mapper see it, and what they make of what is left."""
+"""Rejection of invalid messages, and estimators and mapper behind the guard."""
 
 from __future__ import annotations
 
@@ -41,19 +41,19 @@ def image(tick: int = 600, **changes: Any) -> CameraImage:
 
 
 def screen(*observations: Observation) -> tuple[Observation, list[str], InputGuard]:
-    """The last observation as it comes out, and all that was said."""
+    """Returns the last screened observation and all events."""
     guard = InputGuard(RIG, 10)
-    said: list[str] = []
+    events: list[str] = []
     for observation in observations:
         out = guard.screen(observation)
-        said += guard.events
-    return out, said, guard
+        events += guard.events
+    return out, events, guard
 
 
-def test_what_is_well_passes_untouched() -> None:
+def test_valid_messages_pass_unchanged() -> None:
     whole = obs(636, scans=(scan(),), images=(image(),))
-    out, said, guard = screen(whole)
-    assert out is whole and not said and guard.refused == 0
+    out, events, guard = screen(whole)
+    assert out is whole and not events and guard.refused == 0
 
 
 @pytest.mark.parametrize(
@@ -69,8 +69,8 @@ def test_what_is_well_passes_untouched() -> None:
 )
 def test_scans_that_are_refused(changes: dict[str, Any], word: str) -> None:
     bad = scan(**changes)
-    out, said, guard = screen(obs(636, scans=(bad,)))
-    assert out.scans == () and said == [f"scan {bad.end_tick} refused: {word}"]
+    out, events, guard = screen(obs(636, scans=(bad,)))
+    assert out.scans == () and events == [f"scan {bad.end_tick} refused: {word}"]
     assert guard.refused == 1
 
 
@@ -81,7 +81,7 @@ def test_a_scan_without_pulses() -> None:
     assert screen(obs(636, scans=(empty,)))[1] == ["scan 600 refused: no pulses"]
 
 
-def test_silence_on_the_ground_is_not_an_event_but_blindness_in_flight_is() -> None:
+def test_missing_returns_are_an_event_in_flight_only() -> None:
     def blind(end: int) -> LidarScan:
         return scan(end, ranges=np.zeros(20, np.float32))
 
@@ -89,23 +89,23 @@ def test_silence_on_the_ground_is_not_an_event_but_blindness_in_flight_is() -> N
     flying = [obs(t + 36, scans=(scan(t),)) for t in (180, 240)]
     blinded = [obs(t + 36, scans=(blind(t),)) for t in (300, 360)]
     again = [obs(456, scans=(scan(420),))]
-    out, said, _ = screen(*grounded)
-    assert out.scans == () and said == []
+    out, events, _ = screen(*grounded)
+    assert out.scans == () and events == []
     assert screen(*grounded, *flying, *blinded, *again)[1] == [
         "scan 300 refused: no returns",
         "scans usable again after 2 refused",
     ]
 
 
-def test_single_pulses_that_are_no_numbers_keep_their_places() -> None:
+def test_single_invalid_pulses_keep_their_position() -> None:
     ranges = scan().ranges.copy()
     ranges[[3, 7]] = np.nan
     directions = scan().directions.copy()
     directions[11, 1] = np.inf
     given = scan(ranges=ranges, directions=directions)
-    out, said, _ = screen(obs(636, scans=(given,)))
+    out, events, _ = screen(obs(636, scans=(given,)))
     cleaned = out.scans[0]
-    assert said == ["scan 600 cleaned: 3 of 20 pulses not a number"]
+    assert events == ["scan 600 cleaned: 3 of 20 pulses not a number"]
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(cleaned.ranges)), [3, 7, 11])
     assert np.isfinite(cleaned.directions).all()
     assert np.isinf(given.directions[11, 1]), "what was given is not written to"
@@ -114,8 +114,8 @@ def test_single_pulses_that_are_no_numbers_keep_their_places() -> None:
 def test_stamps() -> None:
     first = obs(636, scans=(scan(600),), images=(image(600),))
     repeated = obs(696, scans=(scan(600, seed=1),), images=(image(600),))
-    _, said, _ = screen(first, repeated)
-    assert said == [
+    _, events, _ = screen(first, repeated)
+    assert events == [
         "scan 600 refused: repeats its time stamp",
         "image 600 refused: repeats its time stamp",
     ]
@@ -126,21 +126,21 @@ def test_stamps() -> None:
     ]
 
 
-def test_of_two_swapped_messages_neither_is_believed() -> None:
-    out, said, _ = screen(obs(696, scans=(scan(660), scan(600)), images=(image(660), image(600))))
+def test_two_swapped_messages_are_both_rejected() -> None:
+    out, events, _ = screen(obs(696, scans=(scan(660), scan(600)), images=(image(660), image(600))))
     assert out.scans == () and out.images == ()
-    # told once for each sensor
-    assert said == ["scan 660 refused: out of order", "image 660 refused: out of order"]
+    # reported once for each sensor
+    assert events == ["scan 660 refused: out of order", "image 660 refused: out of order"]
 
 
-def test_a_frozen_sensor_is_told_by_its_noise() -> None:
+def test_a_frozen_sensor_is_detected_by_repeated_noise() -> None:
     frozen_scan = dataclasses.replace(scan(600), start_tick=600, end_tick=660)
     frozen_image = dataclasses.replace(image(600), tick=660)
-    _, said, _ = screen(
+    _, events, _ = screen(
         obs(636, scans=(scan(600),), images=(image(600),)),
         obs(696, scans=(frozen_scan,), images=(frozen_image,)),
     )
-    assert said == [
+    assert events == [
         "scan 660 refused: the same as the one before",
         "image 660 refused: the same as the one before",
     ]
@@ -156,29 +156,29 @@ def test_a_frozen_sensor_is_told_by_its_noise() -> None:
     ],
 )
 def test_images_that_are_refused(rgb: Any, word: str) -> None:
-    out, said, _ = screen(obs(636, images=(image(rgb=rgb),)))
-    assert out.images == () and len(said) == 1 and word in said[0]
+    out, events, _ = screen(obs(636, images=(image(rgb=rgb),)))
+    assert out.images == () and len(events) == 1 and word in events[0]
 
 
-def test_a_silent_sensor_is_missed_once_and_welcomed_back() -> None:
-    heard = obs(636, scans=(scan(600),))
-    silence = [obs(t) for t in range(639, 1200, 3)]
+def test_a_dropout_is_reported_once_and_so_is_its_end() -> None:
+    first = obs(636, scans=(scan(600),))
+    dropout = [obs(t) for t in range(639, 1200, 3)]
     back = obs(1236, scans=(scan(1200),))
-    _, said, _ = screen(heard, *silence, back)
-    assert said == ["no scan for 0.35 s", "scans again after 1.00 s"]
-    assert screen(*silence)[1] == [], "a sensor that was never heard is not missed"
+    _, events, _ = screen(first, *dropout, back)
+    assert events == ["no scan for 0.35 s", "scans again after 1.00 s"]
+    assert screen(*dropout)[1] == [], "a sensor that never delivered has no dropout"
 
 
-def test_an_imu_sample_that_is_no_number_is_bridged() -> None:
+def test_an_invalid_imu_sample_is_replaced() -> None:
     def sample(tick: int, rate: float) -> ImuSample:
         return ImuSample(
             tick=tick, time_s=tick / 600, angular_velocity=np.full(3, rate),
             specific_force=np.ones(3),
         )  # fmt: skip
 
-    out, said, _ = screen(obs(3, imu=(sample(3, 0.1),)), obs(6, imu=(sample(6, np.nan),)))
+    out, events, _ = screen(obs(3, imu=(sample(3, 0.1),)), obs(6, imu=(sample(6, np.nan),)))
     assert out.imu[0].tick == 6 and out.imu[0].angular_velocity[0] == 0.1
-    assert said == ["IMU sample 6 replaced by 3: not a number"]
+    assert events == ["IMU sample 6 replaced by 3: not a number"]
     assert screen(obs(3, imu=(sample(3, np.inf),)))[0].imu == ()
 
 
@@ -205,12 +205,12 @@ def replay(
 
 @pytest.mark.parametrize("kind", FAULTS)
 @pytest.mark.parametrize("module", [livo_flight, paper_flight])
-def test_estimators_survive_and_tell(module: Any, kind: str) -> None:
+def test_estimators_survive_and_report(module: Any, kind: str) -> None:
     clean = module.FLIGHT
     start = 0.6 * clean[-1].tick / 600
     estimates = replay(clean, module.fly, f"{kind}@{start:g}")
-    said = [text for estimate in estimates for text in estimate.events]
-    assert any(FAULTS[kind] in text for text in said), said
+    events = [text for estimate in estimates for text in estimate.events]
+    assert any(FAULTS[kind] in text for text in events), events
     for estimate in estimates:
         true = module.position_at(estimate.time_s)
         assert np.linalg.norm(estimate.world_from_body.translation - true) < 0.06
@@ -223,8 +223,8 @@ def test_estimators_go_on_without_a_sensor(module: Any, sensor: str) -> None:
     clean = module.FLIGHT
     start = 0.3 * clean[-1].tick / 600
     estimates = replay(clean, module.fly, f"{sensor}_dropout@{start:g}+0.6")
-    said = [text for estimate in estimates for text in estimate.events]
-    assert any(text.startswith("no ") for text in said)
+    events = [text for estimate in estimates for text in estimate.events]
+    assert any(text.startswith("no ") for text in events)
     worst = max(
         np.linalg.norm(e.world_from_body.translation - module.position_at(e.time_s))
         for e in estimates

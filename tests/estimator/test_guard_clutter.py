@@ -1,4 +1,4 @@
-"""Rain and fog before the guard: what it takes away, and that clear scans stay as they are."""
+"""Removal of rain and fog by the guard; clear scans pass unchanged."""
 
 from __future__ import annotations
 

@@ -72,8 +72,8 @@ def test_without_deskew_the_same_scan_would_be_wrong() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 63, 64, 65, 129, 2400])
-def test_every_pulse_goes_where_the_pose_of_its_own_instant_sends_it(count: int) -> None:
-    """A turn of 5 rad/s and 8 m/s, against exact poses one pulse at a time."""
+def test_every_pulse_is_placed_by_the_pose_at_its_time(count: int) -> None:
+    """5 rad/s and 8 m/s, compared with the exact pose of each pulse."""
     rng = np.random.default_rng(count)
     axis = np.array([0.6, 0.0, 0.8])
     mount = Pose(so3_exp(np.array([0.2, -0.3, 0.1])), np.array([0.1, -0.2, -0.3]))

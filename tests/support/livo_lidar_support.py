@@ -4,22 +4,43 @@ from __future__ import annotations
 
 import numpy as np
 
+from touchdown.estimator.filtering.deskew import PlacedScan
 from touchdown.estimator.filtering.imu_propagation import NavState
+from touchdown.estimator.filtering.information import NormalEquations
+from touchdown.estimator.filtering.plane_map import PlaneMatches
 from touchdown.estimator.livo.anchored_update import anchored_information
+from touchdown.sim.api import LidarScan
 
 
 def state_at(rotation: np.ndarray, position: np.ndarray) -> NavState:
     return NavState(0, rotation, position, np.zeros(3), np.zeros(3), np.zeros(3))
 
 
+def placed(points: np.ndarray, beams: np.ndarray | None = None) -> PlacedScan:
+    """Returns a scan of given (N, 3) points; ``beams``: by default the points."""
+    return PlacedScan(points, points if beams is None else beams, np.arange(len(points)))
+
+
+def lidar_scan(
+    directions: np.ndarray, ranges: np.ndarray, time_offsets: np.ndarray | None = None
+) -> LidarScan:
+    """Returns a scan of 0.1 s with the given pulses."""
+    offsets = np.zeros(len(ranges)) if time_offsets is None else time_offsets
+    return LidarScan(
+        start_tick=0, end_tick=60, start_time_s=0.0, end_time_s=0.1,
+        directions=directions.astype(np.float32), ranges=ranges.astype(np.float32),
+        time_offsets=offsets.astype(np.float32), intensity=np.zeros(len(ranges), np.uint8),
+    )  # fmt: skip
+
+
 def plane_information(
     points: np.ndarray, beams: np.ndarray, rotation: np.ndarray, position: np.ndarray,
     found: np.ndarray, normals: np.ndarray, anchors: np.ndarray, variances: np.ndarray,
     *noise: float,
-) -> tuple[np.ndarray, np.ndarray, int, float]:  # fmt: skip
-    """That of planes that hang on nothing, of a rig taken for certain."""
+) -> NormalEquations:  # fmt: skip
+    """Returns the normal equations for planes without anchors and a fixed calibration."""
     slots = np.full(len(points), -1, dtype=np.int64)
-    planes = (found, normals, anchors, variances, np.zeros_like(anchors), slots)
+    planes = PlaneMatches(found, normals, anchors, variances, np.zeros_like(anchors), slots)
     none = np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 6))
     return anchored_information(points, beams, rotation, position, planes, *none, 0, *noise)
 

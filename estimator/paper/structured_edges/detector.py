@@ -15,7 +15,7 @@ Rgb = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
 
 RIM = 8
-"""pixels, even, that the structured detector sees beyond the picture's border"""
+"""pixels, even, that the structured detector sees beyond the image's border"""
 
 
 class EdgeDetector(Protocol):
@@ -30,7 +30,7 @@ class GradientEdges:
     The largest Sobel magnitude over the channels, of the image and of its blurred form (which sees
     soft boundaries and forgets texture), combined by their geometric mean so that only what stands
     out at both counts. ``full_gradient``: grey levels per pixel that give energy 1. A fixed scale
-    keeps the energy of a picture of grass low, which a scale by the picture's own maximum would
+    keeps the energy of an image of grass low, which a scale by the image's own maximum would
     not.
     """
 

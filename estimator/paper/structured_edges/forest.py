@@ -2,7 +2,7 @@
 
 Every tree sends a patch of channel features to a leaf that holds the boundaries of a 16 x 16 patch.
 A node cannot compute the impurity of segmentations, so that at each one they are mapped to a vector
-that tells of random pairs of pixels whether they share a segment, and from that, by the sign of its
+that states for random pairs of pixels if they share a segment, and from that, by the sign of its
 first principal component, to one of two classes (section 3.2 of the paper). Splits maximise the
 decrease of the Gini impurity of these classes over a random choice of features.
 
@@ -46,7 +46,7 @@ _LEAST_GAIN = 1e-6
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ForestParams:
-    """How a forest is grown."""
+    """Parameters of the growth of a forest."""
 
     trees: int = 4
     trees_evaluated: int = 2
@@ -56,7 +56,7 @@ class ForestParams:
     patches_per_tree: int = 500_000
     """half of them with a boundary near the middle"""
     images_share: float = 0.6
-    """of the pictures that each tree sees"""
+    """of the images that each tree sees"""
     feature_share: float = 0.25
     """of the features that each tree may use"""
     features_per_node: int = 48
@@ -79,7 +79,7 @@ class Tree:
 
 
 def channel_features(rgb: Bytes) -> tuple[Float32, Float32]:
-    """The channels of a picture (H, W, 3): regular and pair features, each (H/2 + 8, W/2 + 8, 13)
+    """The channels of an image (H, W, 3): regular and pair features, each (H/2 + 8, W/2 + 8, 13)
     float32, padded as the detector pads."""
     pad = (PATCH - INNER) // 2
     source = cv2.copyMakeBorder(
@@ -222,7 +222,7 @@ def _search(
 
 @dataclass(frozen=True, slots=True)
 class TrainingImages:
-    """Pictures of one size: features (I, h, w, 13), segments and boundaries (I, H, W)."""
+    """Images of one size: features (I, h, w, 13), segments and boundaries (I, H, W)."""
 
     regular: Float32
     paired: Float32
@@ -231,7 +231,7 @@ class TrainingImages:
 
     @classmethod
     def of(cls, rgb: Sequence[Bytes], segments: Sequence[Int32]) -> TrainingImages:
-        channels = [channel_features(picture) for picture in rgb]
+        channels = [channel_features(image) for image in rgb]
         return cls(
             np.stack([regular for regular, _ in channels]),
             np.stack([paired for _, paired in channels]),
@@ -358,7 +358,7 @@ def grow_forest(
     seed: int,
     progress: Callable[[int, int], None] = lambda tree, nodes: None,
 ) -> list[Tree]:
-    """All trees, each from a random share of the pictures; a pure function of its arguments."""
+    """All trees, each from a random share of the images; a pure function of its arguments."""
     trees = []
     for number in range(params.trees):
         rng = np.random.default_rng([seed, crc32(b"structured forest"), number])

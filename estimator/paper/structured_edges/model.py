@@ -17,7 +17,7 @@ from touchdown.estimator.paper.structured_edges import forest
 Int32 = NDArray[np.int32]
 
 SHIPPED_MODEL = Path(__file__).with_name("structured_edges.yml.gz")
-"""trained by ``touchdown edges train`` on pictures of this project's scenes"""
+"""trained by ``touchdown edges train`` on images of this project's scenes"""
 
 _OPTIONS = ("stride", "patchSize", "patchInnerSize", "shrinkNumber", "numberOfTrees",
             "numberOfTreesToEvaluate", "selfsimilarityGridSize", "numberOfGradientOrientations",
@@ -84,8 +84,8 @@ def _padded(values: NDArray[Any], nodes: int) -> NDArray[Any]:
 
 
 def _leaf_tables(trees: Sequence[forest.Tree], nodes: int) -> tuple[list[Int32], list[Int32]]:
-    """Where the boundary pixels of each node begin in the row of all of them, with one entry more
-    at the very end, and these pixels, counted along columns first."""
+    """Start of each node's boundary pixels in the concatenated row, with one more entry at the end,
+    and these pixels, counted along columns first."""
     bounds, bins, start = [], [], 0
     for tree in trees:
         counts = np.zeros(nodes, np.int64)
@@ -138,7 +138,7 @@ def check_model(path: Path) -> None:
 
 
 def _fault(text: str) -> str:
-    """What is wrong with the model, or nothing."""
+    """Returns the defect of the model, or an empty string."""
     if not text.startswith("%YAML"):
         return "it is not OpenCV's YAML"
     head = text[:4000]

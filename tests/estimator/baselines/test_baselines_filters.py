@@ -104,12 +104,12 @@ def test_attitude_from_gravity_and_field() -> None:
 def test_heading_update_turns_about_the_vertical_alone() -> None:
     params = MagnetometerParams()
     true = so3_exp(np.array([0.02, 0.01, 0.0])) @ rotation_from_yaw(0.3)
-    believed = rotation_from_yaw(0.05) @ true
-    eskf = make_filter(believed)
+    estimated = rotation_from_yaw(0.05) @ true
+    eskf = make_filter(estimated)
     field = true.T @ earth_field_world(params)
     for _ in range(20):
         update_heading(eskf, field, field_azimuth(params), 0.01)
-    np.testing.assert_allclose(eskf.state.rotation[2], believed[2], atol=1e-9)
+    np.testing.assert_allclose(eskf.state.rotation[2], estimated[2], atol=1e-9)
     np.testing.assert_allclose(eskf.state.rotation, true, atol=2e-3)
 
 
@@ -190,7 +190,7 @@ def _anchor_errors(tau_s: float, seconds: float, runs: int) -> tuple[np.ndarray,
     return np.array(errors), variance
 
 
-def test_wandering_anchor_is_as_good_as_it_says() -> None:
+def test_wandering_anchor_is_consistent() -> None:
     """Mean of a Gauss-Markov process over T with the correlation time tau: the best estimate of
     its offset has the variance 2 sigma^2 / (2 + T / tau)."""
     errors, variance = _anchor_errors(tau_s=60.0, seconds=120.0, runs=300)
@@ -216,7 +216,7 @@ def test_triangulation_by_hand() -> None:
     np.testing.assert_allclose(depths, [30.0, 15.0, np.nan, np.nan])
 
 
-def test_disparities_of_a_shifted_picture() -> None:
+def test_disparities_of_a_shifted_image() -> None:
     big = texture(400)
     left = np.ascontiguousarray(big[50:290, 50:370])
     right = np.ascontiguousarray(big[50:290, 53:373])

@@ -1,4 +1,4 @@
-"""Shifts, flow and displacement on pictures whose motion is known."""
+"""Shifts, flow and displacement on images of known motion."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CAMERA = CameraIntrinsics(width=320, height=240, fx=250.0, fy=250.0, cx=159.5, c
 def view(
     ground: np.ndarray, metres_per_pixel: float, position: np.ndarray, attitude: np.ndarray
 ) -> np.ndarray:
-    """What CAMERA sees of a picture of the ground z = 0, whose pixel (col, row) lies at (x, y) =
+    """Image of CAMERA over a texture of the ground z = 0, whose pixel (col, row) lies at (x, y) =
     (col, row) times ``metres_per_pixel``; ``attitude`` is world_from_camera."""
     cols, rows = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
     pixels = np.column_stack([cols.ravel(), rows.ravel()]).astype(float)
@@ -53,7 +53,7 @@ def test_phase_correlation_finds_fractions_of_a_pixel() -> None:
     np.testing.assert_allclose(found.pixels, [5.3, -2.6], atol=0.15)
 
 
-def test_phase_correlation_says_when_there_is_nothing_in_common() -> None:
+def test_phase_correlation_has_no_response_without_overlap() -> None:
     found = phase_shift(texture(256, 1), texture(256, 2))
     assert found.response < 0.2
     blank = np.full((256, 256), 90, np.uint8)
@@ -97,7 +97,7 @@ def test_displacement_needs_enough_directions() -> None:
     assert solve_displacement(np.zeros((40, 2)), np.zeros((40, 2)), -1.0, 1e-3) is None
 
 
-def test_attitude_errors_enter_the_displacement_as_its_jacobians_say() -> None:
+def test_attitude_errors_enter_the_displacement_by_its_jacobians() -> None:
     """Directions seen under a wrong attitude give a wrong shift; the true one follows from it by
     the derivatives."""
     rng = np.random.default_rng(2)
@@ -116,7 +116,7 @@ def test_attitude_errors_enter_the_displacement_as_its_jacobians_say() -> None:
         np.testing.assert_allclose(found.shift + jacobian @ error, exact.shift, atol=2e-5)
 
 
-def test_velocity_from_pictures_of_a_known_ground() -> None:
+def test_velocity_from_images_of_known_ground() -> None:
     """Lucas-Kanade over a texture 12 m below, tilted and turning: 5 m/s east, 1 m/s down."""
     ground, scale = texture(900), 0.02
     seconds = 0.1

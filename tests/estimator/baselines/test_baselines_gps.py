@@ -1,4 +1,4 @@
-"""The GPS filter on synthetic fixes, and what the baselines ask for."""
+"""The GPS filter on synthetic fixes, and the sensor needs of the baselines."""
 
 from __future__ import annotations
 
@@ -77,8 +77,8 @@ def _observations(seconds: float, seed: int) -> tuple[SensorRig, list[Observatio
 
 
 def test_gps_position_comes_from_the_fixes_and_not_from_the_pad() -> None:
-    """The receiver says 5 m east, 3 m south and 1 m above the pad, and is believed, in spite of
-    what the vehicle was told of its start."""
+    """The receiver reports 5 m east, 3 m south and 1 m above the pad; the estimate follows,
+    whatever start the vehicle was given."""
     rig, observations, errors = _observations(6.0, seed=4)
     estimator = GpsEstimator(rig, GpsEstimatorParams())
     estimates = [estimator.update(obs) for obs in observations]

@@ -189,7 +189,7 @@ def test_exact_corners_give_the_exact_camera_and_planes() -> None:
         assert distance == pytest.approx(expected[1], abs=1e-4)
 
 
-def test_stated_covariance_of_the_camera_is_that_of_repeated_fits() -> None:
+def test_covariance_of_the_camera_is_that_of_repeated_fits() -> None:
     rng = np.random.default_rng(8)
     poses = _poses(8)
     exact, sigma, errors, stated = _projected(poses), 0.1, [], np.zeros(4)
@@ -203,7 +203,7 @@ def test_stated_covariance_of_the_camera_is_that_of_repeated_fits() -> None:
     assert (ratio > 0.4).all() and (ratio < 2.0).all()  # chi-square of 25: 0.46 to 1.8 at 99.5 %
 
 
-def test_planes_move_with_the_poses_as_their_covariance_says() -> None:
+def test_covariance_of_planes_follows_from_that_of_poses() -> None:
     fit = fit_camera(_projected(_poses(3)), BOARD, (848, 480))
     step = 1e-6
     for axis in range(3):
@@ -270,7 +270,7 @@ def test_two_views_and_boards_all_alike_are_refused() -> None:
         agreeing_views(planes.of_views([0, 0, 0, 0]), [boards[0]] * 4, rng)
 
 
-def test_pictures_without_a_board_are_refused_in_one_sentence() -> None:
+def test_images_without_a_board_are_refused_in_one_sentence() -> None:
     nothing = CalibrationView(rgb=np.zeros((480, 848, 3), np.uint8), points=np.zeros((0, 3)))
     with pytest.raises(ValueError, match=r"only 0 of 4 views.*needs 3 or more"):
         calibrate([nothing] * 4, BOARD)

@@ -1,4 +1,4 @@
-"""What a scan does not measure it must not correct."""
+"""Degenerate directions of scans, and their removal from the update."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import STATE_DIM
 from touchdown.estimator.filtering.plane_map import PlaneMap
-from touchdown.estimator.livo.anchored_update import update_with_scan
+from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
 from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.lidar_update import (
     DegeneracyWatch,
@@ -20,7 +20,7 @@ from touchdown.estimator.livo.lidar_update import (
 from touchdown.estimator.livo.plane_extension import common_plane
 from touchdown.sim.frames import so3_exp
 
-from support.livo_lidar_support import plane_information, room_points, state_at
+from support.livo_lidar_support import placed, plane_information, room_points, state_at
 
 NOTHING = np.zeros((6, 6))
 
@@ -52,7 +52,7 @@ def test_noise_does_not_count() -> None:
     np.testing.assert_allclose(np.abs(directions), [[1.0], [0.0], [0.0]])
 
 
-def test_what_is_left_out_is_marginalised() -> None:
+def test_weak_directions_are_marginalised() -> None:
     """Of [[4, 2], [2, 4]] on z and x, x unknown leaves 4 - 2 * 2 / 4 = 3 on z."""
     information = np.zeros((6, 6))
     information[np.ix_([5, 3], [5, 3])] = [[4.0, 2.0], [2.0, 4.0]]
@@ -65,7 +65,7 @@ def test_what_is_left_out_is_marginalised() -> None:
     np.testing.assert_allclose(pull, [0, 0, 0, 0, 0, 1.0 - 2.0 * 8.0 / 4.0], atol=1e-12)
 
 
-def test_leaving_out_equals_not_knowing_the_mean_of_the_rest() -> None:
+def test_removal_equals_the_marginal_of_a_gaussian() -> None:
     """The marginal of a Gaussian: its covariance and its mean without the weak coordinate."""
     rng = np.random.default_rng(1)
     root = rng.normal(size=(6, 9))
@@ -87,7 +87,7 @@ def test_none_left_out_changes_nothing() -> None:
     assert left is information and pull is vector
 
 
-def test_leaning_normals_feign_the_information_that_is_predicted() -> None:
+def test_noisy_normals_add_the_predicted_noise_information() -> None:
     """Level ground whose normals err by 0.01 rad about both axes."""
     rng = np.random.default_rng(2)
     count, sigma = 4000, 0.01
@@ -120,8 +120,11 @@ def test_level_ground_leaves_the_lateral_pose_alone(walls: bool) -> None:
     start = position + np.array([0.05, -0.04, 0.03])
     eskf = Eskf(state_at(np.eye(3), start), np.full(STATE_DIM, 1e-4))
     report = update_with_scan(
-        eskf, plane_map, Anchors(), points, points, range_sigma_m=0.02, angle_sigma_rad=1e-3,
-        floor_sigmas=np.full(6, 1e-4), weak_sigmas=(0.005, 0.1),
+        eskf, plane_map, Anchors(), placed(points),
+        ScanErrors(
+            range_sigma_m=0.02, angle_sigma_rad=1e-3, floor_sigmas=np.full(6, 1e-4),
+            weak_sigmas=(0.005, 0.1),
+        ),
     )  # fmt: skip
     sigma = np.sqrt(np.diag(eskf.covariance))
     assert abs(eskf.state.position[2] - 12.0) < 0.01 and sigma[5] < 1e-3
@@ -130,13 +133,13 @@ def test_level_ground_leaves_the_lateral_pose_alone(walls: bool) -> None:
         np.testing.assert_allclose(eskf.state.position[:2], position[:2], atol=0.01)
     else:
         assert (report.weak_translation, report.weak_rotation) == (2, 1)
-        # x, y, yaw and their doubt stay; the ground as mapped leans by a hair
+        # x, y, yaw and their covariance stay; the ground as mapped leans by a hair
         np.testing.assert_allclose(eskf.state.position[:2], start[:2], atol=1e-4)
         np.testing.assert_allclose(sigma[[2, 3, 4]], 0.01, rtol=1e-3)
         assert sigma[0] < 1e-3 and sigma[1] < 1e-3
 
 
-def test_the_watch_tells_beginnings_and_ends_that_last() -> None:
+def test_the_watch_reports_lasting_changes_only() -> None:
     def report(weak: int) -> LidarReport:
         return LidarReport(
             matched=99, rms_m=0.0, lateral_strength=np.zeros(3), weak_translation=weak

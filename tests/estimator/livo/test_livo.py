@@ -51,8 +51,8 @@ def test_a_clean_second_is_followed_to_the_centimetre() -> None:
 
 
 @pytest.mark.parametrize("sigma_s", [0.005, 0.0])
-def test_a_camera_whose_clock_is_ahead_is_found_out(sigma_s: float) -> None:
-    """20 ms at up to 4 m/s are 8 cm, where the clock is taken as told."""
+def test_the_offset_of_the_cameras_clock_is_estimated(sigma_s: float) -> None:
+    """20 ms at up to 4 m/s are 8 cm without online calibration of the clock."""
     livo = Livo(RIG, LivoParams(camera_clock_sigma_s=sigma_s))
     estimates = [livo.update(obs) for obs in observations(RIG, 3000, swaying, 12)]
     late = [e for e in estimates if e.time_s > 2.5]
@@ -66,9 +66,9 @@ def test_a_camera_whose_clock_is_ahead_is_found_out(sigma_s: float) -> None:
         assert worst > 0.05
 
 
-def test_biases_and_level_are_learned_on_the_ground() -> None:
+def test_biases_and_level_are_estimated_on_the_ground() -> None:
     """Two seconds at rest with a biased IMU: the turn-on biases of 3 mrad/s and 30 mm/s^2 shrink to
-    what noise and the doubt of level leave, and gravity stays where it is."""
+    the limits set by noise and by the attitude prior, and gravity stays vertical."""
     gyro, pull = np.array([2e-3, -3e-3, 1e-3]), np.array([0.02, -0.01, 0.03])
     livo = Livo(RIG, LivoParams())
     for tick in range(0, 1201, IMU_TICKS):
@@ -87,7 +87,7 @@ def test_biases_and_level_are_learned_on_the_ground() -> None:
         )
     np.testing.assert_allclose(estimate.angular_velocity_body, 0.0, atol=2e-4)
     np.testing.assert_allclose(estimate.acceleration_odom, 0.0, atol=2e-3)
-    # three times the doubt of the attitude on the pad
+    # three times the standard deviation of the attitude on the pad
     np.testing.assert_allclose(estimate.odom_from_body.rotation, np.eye(3), atol=6e-4)
 
 
@@ -170,7 +170,7 @@ def test_broken_input_costs_centimetres_at_most(kind: str) -> None:
 
 
 def test_returns_of_long_ago_are_not_extended(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The LIDAR is silent from the scan at 0.6 s on; that of 0.5 s is fresh for three periods."""
+    """The LIDAR drops out from the scan at 0.6 s on; that of 0.5 s is fresh for three periods."""
     asked: list[tuple[int, bool]] = []
 
     def note(self: VisualFrontEnd, *args: Any, extend: bool = True) -> bool:
@@ -211,7 +211,7 @@ def test_a_distorted_lens_is_accepted() -> None:
     assert fly(FLIGHT[:150], rig)[-1].healthy
 
 
-def test_oracle_tells_the_truth_and_refuses_another_tick() -> None:
+def test_oracle_returns_the_truth_and_refuses_another_tick() -> None:
     pose = Pose(np.eye(3), np.array([1.0, 2.0, 3.0]))
     truth = Truth(
         tick=3, time_s=0.005, world_from_body=pose, velocity_world=np.array([1.0, 0.0, 0.0]),

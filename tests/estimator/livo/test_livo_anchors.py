@@ -1,5 +1,4 @@
-"""Maps that hang on keyframes, and a rig that is estimated along: derivatives, identities, and a
-filter whose doubt is right."""
+"""Anchored maps and online calibration: derivatives, identities, and filter consistency."""
 
 from __future__ import annotations
 
@@ -9,8 +8,13 @@ import pytest
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import STATE_DIM, NavState
 from touchdown.estimator.filtering.keyframes import bearing_rays
-from touchdown.estimator.filtering.plane_map import PlaneMap
-from touchdown.estimator.livo.anchored_update import anchored_information, update_with_scan
+from touchdown.estimator.filtering.plane_map import PlaneMap, PlaneMatches
+from touchdown.estimator.filtering.reprojection import calibrated_information
+from touchdown.estimator.livo.anchored_update import (
+    ScanErrors,
+    anchored_information,
+    update_with_scan,
+)
 from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.online_calibration import (
     CALIBRATION_DIM,
@@ -20,12 +24,11 @@ from touchdown.estimator.livo.online_calibration import (
     exposed,
     landmark_jacobians,
 )
-from touchdown.estimator.livo.visual import calibrated_information
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
 from support.livo_filter_support import filled_buffer, random_state
-from support.livo_lidar_support import room_points, state_at
+from support.livo_lidar_support import placed, room_points, state_at
 
 CAMERA = CameraIntrinsics(width=848, height=480, fx=617.0, fy=625.0, cx=423.5, cy=239.5)
 IMU_FROM_CAMERA = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.05, 0.02, -0.1]))
@@ -52,7 +55,7 @@ def test_anchored_jacobian_matches_finite_differences() -> None:
         return float((turn @ in_clone) @ (point - (turn @ beam_then + lever + shift)))
 
     sensor, anchor = clone.apply(lever), clone.apply(beam_then + lever)
-    planes = (
+    planes = PlaneMatches(
         np.array([True]), normal[None], anchor[None], np.array([[1.0, 0.0, 0.0]]), sensor[None],
         np.array([0]),
     )  # fmt: skip
@@ -80,8 +83,8 @@ def test_landmarks_move_with_the_rig_as_predicted() -> None:
     def landmarks(calibration: np.ndarray) -> np.ndarray:
         """The plane through three returns around each landmark, met by a ray of a lens."""
         fx, fy, cx, cy = corrected_intrinsics(CAMERA, calibration)
-        told = CameraIntrinsics(width=848, height=480, fx=fx, fy=fy, cx=cx, cy=cy)
-        rays = bearing_rays(pixels, told)
+        given = CameraIntrinsics(width=848, height=480, fx=fx, fy=fy, cx=cx, cy=cy)
+        rays = bearing_rays(pixels, given)
         turn = rotation.T @ so3_exp(calibration[:3]) @ rotation
         shift = rotation.T @ calibration[3:6]
         base = bearing_rays(pixels, CAMERA)
@@ -90,7 +93,7 @@ def test_landmarks_move_with_the_rig_as_predicted() -> None:
         for i, n in enumerate(planes):
             moved_n = turn @ n
             through = turn @ (centre[i] - sensor) + sensor + shift
-            # the same plane, from where the camera was when the picture was taken
+            # the same plane, from the camera's position at the exposure
             (taken,) = exposed([Pose.identity()], motion[None], calibration)
             early = IMU_FROM_CAMERA.inverse() @ taken.inverse() @ IMU_FROM_CAMERA
             moved_n, through = early.rotation @ moved_n, early.apply(through)
@@ -146,7 +149,7 @@ def test_calibrated_reprojection_matches_finite_differences() -> None:
     np.testing.assert_allclose(vector, gradient.T @ residual, rtol=1e-3, atol=1e-2)
 
 
-def test_an_unsure_depth_says_nothing_along_its_line() -> None:
+def test_an_uncertain_depth_gives_no_information_along_its_epipolar_line() -> None:
     """A landmark aside of the way up, its depth unknown: only the pixel across the line counts."""
     identity, pixels = np.eye(3), np.array([[523.5, 239.5]])
     arguments = (identity, np.array([0.0, 0.0, -2.0]), identity, np.zeros(3), identity, np.zeros(3))
@@ -187,7 +190,7 @@ def test_calibration_is_carried_and_corrected() -> None:
     assert len(touched) == 6 + CALIBRATION_DIM + 6
     row = rng.normal(size=len(touched))
     information, prior = np.outer(row, row), eskf.covariance.copy()
-    delta = eskf.gain(touched, information, row)
+    delta = eskf.correction(touched, information, row)
     _, kept = eskf.boxplus(eskf.state, eskf.clones, delta)
     assert len(kept) == 1
     full = np.zeros(len(prior))
@@ -195,16 +198,16 @@ def test_calibration_is_carried_and_corrected() -> None:
     expected = prior @ full / (full @ prior @ full + 1.0)
     np.testing.assert_allclose(delta, expected, atol=1e-10)
     # not learning: the calibration stays, the rest moves as before and is as sure as before
-    eskf.learns[:] = False
-    eskf.learns[CLOCK] = True
-    some = eskf.gain(touched, information, row)[STATE_DIM:base]
+    eskf.calibration_enabled[:] = False
+    eskf.calibration_enabled[CLOCK] = True
+    some = eskf.correction(touched, information, row)[STATE_DIM:base]
     assert some[CLOCK] == delta[STATE_DIM + CLOCK] != 0.0
     np.testing.assert_array_equal(np.delete(some, CLOCK), 0.0)
-    eskf.learns[CLOCK] = False
-    held = eskf.gain(touched, information, row)
+    eskf.calibration_enabled[CLOCK] = False
+    held = eskf.correction(touched, information, row)
     np.testing.assert_array_equal(held[STATE_DIM:base], 0.0)
     np.testing.assert_array_equal(held[:STATE_DIM], delta[:STATE_DIM])
-    eskf.absorb(touched, information)
+    eskf.update_covariance(touched, information)
     shared = slice(STATE_DIM, base)
     np.testing.assert_array_equal(eskf.covariance[shared, shared], prior[shared, shared])
     posterior = prior - np.outer(expected, full @ prior)
@@ -212,13 +215,13 @@ def test_calibration_is_carried_and_corrected() -> None:
     assert np.linalg.eigvalsh(eskf.covariance).min() > -1e-9
 
 
-def test_a_loose_filter_admits_only_the_pose() -> None:
+def test_a_loosely_coupled_filter_takes_the_pose_only() -> None:
     eskf = Eskf(state_at(np.eye(3), np.zeros(3)), np.ones(STATE_DIM))
     eskf.add_clone()
     information, vector = np.ones((12, 12)), np.ones(12)
-    assert eskf.admitted(information, vector)[0] is information
-    eskf.loose = True
-    left, pull = eskf.admitted(information, vector)
+    assert eskf.coupled(information, vector)[0] is information
+    eskf.loosely_coupled = True
+    left, pull = eskf.coupled(information, vector)
     assert left.sum() == 36.0 and pull.sum() == 6.0 and information.sum() == 144.0
 
 
@@ -233,8 +236,9 @@ def anchored_map(
     return plane_map, room_points(rng, walls=True)[::7]
 
 
-def test_a_scan_measures_the_pose_against_the_clone_that_its_planes_hang_on() -> None:
-    """The clone's own doubt of 5 cm stays with the pose; their difference becomes sure."""
+def test_a_scan_measures_the_pose_relative_to_the_clone_of_its_planes() -> None:
+    """The clone's own standard deviation of 5 cm stays with the pose; that of their difference
+    becomes small."""
     rng = np.random.default_rng(6)
     clone = Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
     eskf = Eskf(state_at(clone.rotation, clone.translation), np.full(STATE_DIM, 1e-8))
@@ -247,8 +251,8 @@ def test_a_scan_measures_the_pose_against_the_clone_that_its_planes_hang_on() ->
     eskf.covariance[3:6, 3:6] += 0.1**2 * np.eye(3)
     points = world - position
     update_with_scan(
-        eskf, plane_map, anchors, points, points, range_sigma_m=0.02, angle_sigma_rad=1e-3,
-        floor_sigmas=np.full(6, 1e-3),
+        eskf, plane_map, anchors, placed(points),
+        ScanErrors(range_sigma_m=0.02, angle_sigma_rad=1e-3, floor_sigmas=np.full(6, 1e-3)),
     )  # fmt: skip
     own = np.sqrt(np.diag(eskf.covariance)[3:6])
     np.testing.assert_allclose(own, 0.05, rtol=0.1)
@@ -259,9 +263,9 @@ def test_a_scan_measures_the_pose_against_the_clone_that_its_planes_hang_on() ->
     np.testing.assert_allclose(gap, position - clone.translation, atol=0.01)
 
 
-def test_the_map_follows_its_clone_and_its_heir() -> None:
-    """Planes are found where the filter believes their clone to be; when the clone goes, they stay
-    there, in the care of the nearest other one."""
+def test_the_map_follows_its_clone_and_the_successor() -> None:
+    """Planes are at the present estimate of their clone; after its marginalisation they stay there,
+    anchored to the nearest other clone."""
     rng = np.random.default_rng(7)
     first, second = (Pose(np.eye(3), np.array([x, 0.0, 10.0])) for x in (0.0, 3.0))
     anchors = Anchors()
@@ -272,12 +276,11 @@ def test_the_map_follows_its_clone_and_its_heir() -> None:
     probes = np.column_stack([rng.uniform(-9, 9, (200, 2)), np.zeros(200)])
 
     def heights() -> np.ndarray:
-        found, _, middles, _, _, owners = plane_map.match(probes)
+        matched = plane_map.match(probes)
         rotations, translations = anchors.now_from_kept(clones)
-        inside = middles[found]
-        return np.einsum(
-            "ij,ij->i", rotations[owners[found], 2], inside
-        ) + translations[owners[found], 2]  # fmt: skip
+        inside, owners = matched.centres[matched.found], matched.anchors[matched.found]
+        turned = np.einsum("ij,ij->i", rotations[owners, 2], inside)
+        return turned + translations[owners, 2]
 
     before = heights()
     np.testing.assert_allclose(np.median(before), -0.03, atol=2e-3)
@@ -286,23 +289,23 @@ def test_the_map_follows_its_clone_and_its_heir() -> None:
     plane_map.reassign(0, successor, move)
     anchors.remove(0)
     del clones[0]
-    assert (plane_map.match(probes)[5] <= 0).all()
+    assert (plane_map.match(probes).anchors <= 0).all()
     np.testing.assert_allclose(heights(), before, atol=1e-6)
 
 
 FLOORS = {False: np.array([1e-3, 1e-3, 0.01, 0.3, 0.3, 1e-3]), True: np.full(6, 1e-3)}
-"""over level ground the noise of normals feigns sideways motion"""
+"""over level ground the noise of normals adds spurious lateral information"""
 
 
 def flown(seed: int, walls: bool, drift_m: float) -> tuple[Eskf, np.ndarray, np.ndarray]:
-    """A LIDAR told wrongly (0.3 degrees, 1 cm), carried level over a room, first along x, then
-    along y, by an odometry that errs by ``drift_m`` a step, adding to its map as it goes. Returns
-    the filter, what the told mount has wrong, and the true position."""
+    """A LIDAR with a calibration error (0.3 degrees, 1 cm), carried level over a room, first along
+    x, then along y, by an odometry with errors of ``drift_m`` a step, adding to its map as it goes.
+    Returns the filter, the calibration error, and the true position."""
     rng = np.random.default_rng(seed)
     sigmas = np.repeat([5e-3, 0.01, 0.0, 0.0, 0.0], [3, 3, 2, 2, 1])
     error = sigmas * rng.standard_normal(CALIBRATION_DIM)
-    told = Pose(np.eye(3), np.array([0.0, 0.0, -0.1]))
-    true = corrected_mount(told, error)
+    given = Pose(np.eye(3), np.array([0.0, 0.0, -0.1]))
+    true = corrected_mount(given, error)
     position, zero = np.array([-6.0, -6.0, 9.0]), np.zeros(3)
     variances = np.concatenate([np.repeat([1e-10, 1e-8, 1e-8, 1e-8, 1e-8], 3), sigmas**2 + 1e-14])
     state = NavState(0, np.eye(3), position, zero, zero, zero, np.zeros(CALIBRATION_DIM))
@@ -311,14 +314,16 @@ def flown(seed: int, walls: bool, drift_m: float) -> tuple[Eskf, np.ndarray, np.
         world = room_points(rng, walls)[::9]
         world = world[np.abs(world - position)[:, :2].max(axis=1) < 5.0]
         beams = true.inverse().apply(world + rng.normal(0.0, 0.01, world.shape) - position)
-        mount = corrected_mount(told, eskf.state.calibration)
+        mount = corrected_mount(given, eskf.state.calibration)
         if anchors:
             points = mount.apply(beams)
             update_with_scan(
-                eskf, plane_map, anchors, points, points - mount.translation, range_sigma_m=0.01,
-                angle_sigma_rad=1e-3, floor_sigmas=FLOORS[walls],
+                eskf, plane_map, anchors, placed(points, points - mount.translation),
+                ScanErrors(
+                    range_sigma_m=0.01, angle_sigma_rad=1e-3, floor_sigmas=FLOORS[walls]
+                ),
             )  # fmt: skip
-            mount = corrected_mount(told, eskf.state.calibration)
+            mount = corrected_mount(given, eskf.state.calibration)
         state = eskf.state
         eskf.add_clone()
         anchors.add(state.pose, state.calibration)
@@ -331,17 +336,18 @@ def flown(seed: int, walls: bool, drift_m: float) -> tuple[Eskf, np.ndarray, np.
         guess = state.position + step + rng.normal(0.0, drift_m, 3)
         eskf.state = NavState(0, state.rotation, guess, zero, zero, zero, state.calibration)
         eskf.covariance[3:6, 3:6] += drift_m**2 * np.eye(3)
-        # an accelerometer that knows level, a compass that knows north
+        # attitude from an accelerometer and a compass
         attitude, touched = 1e8 * np.eye(3), np.arange(3)
-        delta = eskf.gain(touched, attitude, attitude @ so3_log(eskf.state.rotation.T))
+        delta = eskf.correction(touched, attitude, attitude @ so3_log(eskf.state.rotation.T))
         eskf.state, eskf.clones = eskf.boxplus(eskf.state, eskf.clones, delta)
-        eskf.absorb(touched, attitude)
+        eskf.update_covariance(touched, attitude)
     return eskf, error, position
 
 
 def test_a_wrong_mount_is_found_in_flight() -> None:
-    """The odometry's heights err by 5 mm a step, or 17 mm over 12 m: so the tilt can be known to
-    1.4 mrad, a quarter of what is told wrong. The filter says so and is right about it."""
+    """The odometry's heights err by 5 mm a step, or 17 mm over 12 m, so that the tilt is observable
+    to 1.4 mrad, a quarter of the calibration error. The filter's standard deviation agrees, and its
+    errors are consistent with it."""
     scores = []
     for seed in range(11, 19):
         eskf, error, _ = flown(seed, walls=False, drift_m=5e-3)

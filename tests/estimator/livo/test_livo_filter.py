@@ -1,4 +1,4 @@
-"""The filter's core against analytic motion, finite differences and known offsets."""
+"""The error-state filter against analytic motion, finite differences and known offsets."""
 
 from __future__ import annotations
 
@@ -136,8 +136,8 @@ def test_update_equals_the_textbook_gain() -> None:
     full[:, touched] = jacobian
     gain = prior @ full.T @ np.linalg.inv(full @ prior @ full.T + variance * np.eye(40))
     information = jacobian.T @ jacobian / variance
-    delta = eskf.gain(touched, information, jacobian.T @ residual / variance)
-    eskf.absorb(touched, information)
+    delta = eskf.correction(touched, information, jacobian.T @ residual / variance)
+    eskf.update_covariance(touched, information)
     np.testing.assert_allclose(delta, gain @ residual, atol=1e-8)
     np.testing.assert_allclose(eskf.covariance, prior - gain @ full @ prior, atol=1e-8)
 
@@ -151,7 +151,7 @@ def test_a_fresh_clone_moves_with_the_pose_and_marginalising_leaves_the_rest() -
     touched = eskf.touched([])
     information = 1e12 * np.eye(6)
     shift = np.array([0.0, 0.0, 0.0, 0.1, -0.2, 0.3])
-    delta = eskf.gain(touched, information, information @ shift)
+    delta = eskf.correction(touched, information, information @ shift)
     np.testing.assert_allclose(delta[eskf.clone_indices(1)], shift, atol=1e-6)
     kept = eskf.covariance[np.ix_(eskf.clone_indices(1), eskf.clone_indices(1))].copy()
     eskf.remove_clone(0)

@@ -5,16 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchdown.estimator.filtering.deskew import clear_of_blind_zone, deskew, thin_out
+from touchdown.estimator.filtering.deskew import place_scan, screen_scan, thin_out
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import STATE_DIM
+from touchdown.estimator.filtering.information import lateral_strength, limit_information
 from touchdown.estimator.filtering.plane_map import PlaneMap, smallest_eigen
-from touchdown.estimator.livo.anchored_update import update_with_scan
+from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
 from touchdown.estimator.livo.anchors import Anchors
-from touchdown.estimator.livo.lidar_update import lateral_strength, limit_information
-from touchdown.sim.frames import so3_exp
+from touchdown.sim.api import LidarParams
+from touchdown.sim.frames import Pose, so3_exp
 
-from support.livo_lidar_support import plane_information, room_points, state_at
+from support.livo_lidar_support import (
+    lidar_scan,
+    placed,
+    plane_information,
+    room_points,
+    state_at,
+)
 
 STEP_S = 0.005
 
@@ -37,23 +44,25 @@ def test_deskew_brings_a_fixed_point_to_one_place() -> None:
         in_lidar = mount.T @ (in_imu - lever)
         ranges[i] = np.linalg.norm(in_lidar)
         directions[i] = in_lidar / ranges[i]
-    points, beams = deskew(
-        directions.astype(np.float32), ranges.astype(np.float32), offsets.astype(np.float32),
-        mount, lever, rotations, positions, STEP_S, 0.5, 260.0,
-    )  # fmt: skip
+    scan = lidar_scan(directions, ranges, offsets)
+    pulses = screen_scan(scan, LidarParams())
+    result = place_scan(scan, pulses, Pose(mount, lever), rotations, positions, STEP_S)
     expected = rotations[-1].T @ (target - positions[-1])
-    np.testing.assert_allclose(points, np.tile(expected, (count, 1)), atol=2e-4)
-    np.testing.assert_allclose(np.linalg.norm(beams, axis=1), ranges, rtol=1e-4)
+    np.testing.assert_allclose(result.points, np.tile(expected, (count, 1)), atol=2e-4)
+    np.testing.assert_allclose(np.linalg.norm(result.beams, axis=1), ranges, rtol=1e-4)
 
 
-def test_deskew_leaves_out_what_is_no_return() -> None:
-    directions = np.tile(np.array([0.0, 0.0, 1.0], dtype=np.float32), (5, 1))
-    ranges = np.array([0.0, np.nan, np.inf, 0.2, 7.0], dtype=np.float32)
-    points, _ = deskew(
-        directions, ranges, np.zeros(5, dtype=np.float32), np.eye(3), np.zeros(3),
-        np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3)), STEP_S, 0.5, 260.0,
-    )  # fmt: skip
-    np.testing.assert_allclose(points, [[0.0, 0.0, 7.0]])
+def test_screening_keeps_valid_returns_only() -> None:
+    directions = np.tile(np.array([0.0, 0.0, 1.0]), (7, 1))
+    ranges = np.array([0.0, np.nan, np.inf, 0.2, 7.0, 261.0, 5.0])
+    offsets = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.nan])
+    scan = lidar_scan(directions, ranges, offsets)
+    pulses = screen_scan(scan, LidarParams(min_range_m=0.5, max_range_m=260.0))
+    np.testing.assert_array_equal(pulses, [4])
+    poses = np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3))
+    result = place_scan(scan, pulses, Pose.identity(), *poses, STEP_S)
+    np.testing.assert_allclose(result.points, [[0.0, 0.0, 7.0]])
+    np.testing.assert_array_equal(result.pulses, [4])
 
 
 def test_thinning_keeps_one_point_a_cell() -> None:
@@ -87,13 +96,13 @@ def test_map_recovers_a_tilted_plane_also_across_voxel_faces() -> None:
     plane_map.insert(tilted_plane(rng, 40_000, 0.02))
     probes = tilted_plane(rng, 500, 0.02)
     probes = probes[np.abs(probes[:, :2]).max(axis=1) < 7.0]
-    found, normals, anchors, variances, *_ = plane_map.match(probes)
+    found, normals, centres, variances, *_ = plane_map.match(probes)
     assert found.mean() > 0.99
     truth = np.array([-0.1, 0.05, 1.0]) / np.sqrt(1.0125)
     alignment = np.abs(normals[found] @ truth)
     assert np.degrees(np.arccos(np.minimum(alignment, 1.0))).max() < 1.5
     # plane heights are unbiased: without merging, voxels cut by z = 0 would be off by 1.6 cm
-    heights = (anchors[found] - [0.0, 0.0, 0.02]) @ truth
+    heights = (centres[found] - [0.0, 0.0, 0.02]) @ truth
     assert np.abs(heights).max() < 0.006
     np.testing.assert_allclose(np.sqrt(variances[found, 0]), 0.02, rtol=0.25)
 
@@ -157,8 +166,11 @@ def test_scan_update_recovers_a_known_offset(walls: bool) -> None:
     eskf = Eskf(state, variances)
     floor = 0.01 if walls else 0.5
     report = update_with_scan(
-        eskf, plane_map, Anchors(), points, points, range_sigma_m=0.02, angle_sigma_rad=1e-3,
-        floor_sigmas=np.array([1e-4, 1e-4, 1e-3, floor, floor, 1e-3]),
+        eskf, plane_map, Anchors(), placed(points),
+        ScanErrors(
+            range_sigma_m=0.02, angle_sigma_rad=1e-3,
+            floor_sigmas=np.array([1e-4, 1e-4, 1e-3, floor, floor, 1e-3]),
+        ),
     )  # fmt: skip
     error = np.abs(eskf.state.position - true_position)
     assert report.matched > 0.7 * len(points)
@@ -169,8 +181,8 @@ def test_scan_update_recovers_a_known_offset(walls: bool) -> None:
         assert error[0] < 0.02 and error[1] < 0.02
         assert report.lateral_strength[0] > 1e4
     else:
-        # over a plane nothing is said sideways, but the noise of the voxels' normals pretends to:
-        # the floor keeps the prior, and its doubt
+        # a plane leaves the lateral position unobserved, but the noise of the voxels' normals adds
+        # spurious information: with the floor, prior and covariance stay
         np.testing.assert_allclose(error[:2], [0.05, 0.04], atol=5e-3)
         assert np.sqrt(eskf.covariance[3, 3]) > 0.09
         assert report.lateral_strength[0] < 1e3
@@ -181,8 +193,8 @@ def test_too_few_matches_change_nothing() -> None:
     before = eskf.covariance.copy()
     points = np.random.default_rng(8).uniform(-5, 5, (100, 3))
     report = update_with_scan(
-        eskf, PlaneMap(1.0, capacity=1 << 8), Anchors(), points, points, range_sigma_m=0.02,
-        angle_sigma_rad=1e-3, floor_sigmas=np.ones(6),
+        eskf, PlaneMap(1.0, capacity=1 << 8), Anchors(), placed(points),
+        ScanErrors(range_sigma_m=0.02, angle_sigma_rad=1e-3, floor_sigmas=np.ones(6)),
     )  # fmt: skip
     assert report.matched == 0
     np.testing.assert_array_equal(eskf.covariance, before)
@@ -194,15 +206,19 @@ def test_lateral_strength_of_level_ground_is_nothing() -> None:
     np.testing.assert_allclose(lateral_strength(level), np.zeros(3), atol=1e-6)
 
 
-def test_a_scan_from_the_brink_of_the_blind_zone_is_left_out() -> None:
+def test_a_scan_from_the_edge_of_the_blind_zone_is_refused() -> None:
     # 100 beams straight down; the sensor measures from 0.5 m on, with 0.02 m of noise
-    down = np.tile([0.0, 0.0, -1.0], (100, 1))
-    ranges = np.linspace(0.60, 1.0, 100)[:, None]
-    points, beams = clear_of_blind_zone(down * ranges, down * ranges, 0.5, 0.02)
-    assert len(points) == len(beams) == 100
+    down, lidar = np.tile([0.0, 0.0, -1.0], (100, 1)), LidarParams(range_sigma_m=0.02)
+    ranges = np.linspace(0.60, 1.0, 100)
+
+    def count(ranges: np.ndarray) -> int:
+        scan = lidar_scan(down[: len(ranges)], ranges)
+        return len(screen_scan(scan, lidar, check_blind_zone=True))
+
+    assert count(ranges) == 100
     ranges[:10] = 0.57  # a tenth of them nearer than 0.5 + 4 x 0.02
-    points, beams = clear_of_blind_zone(down * ranges, down * ranges, 0.5, 0.02)
-    assert len(points) == len(beams) == 0
-    ranges[3:10] = 0.7  # three blades of grass are no ground
-    assert len(clear_of_blind_zone(down * ranges, down * ranges, 0.5, 0.02)[0]) == 100
-    assert len(clear_of_blind_zone(down[:0], down[:0], 0.5, 0.02)[0]) == 0
+    assert count(ranges) == 0
+    assert len(screen_scan(lidar_scan(down, ranges), lidar)) == 100
+    ranges[3:10] = 0.7  # three blades of grass do not count
+    assert count(ranges) == 100
+    assert count(ranges[:0]) == 0

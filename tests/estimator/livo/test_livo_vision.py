@@ -9,8 +9,9 @@ from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import STATE_DIM, NavState
 from touchdown.estimator.filtering.keyframes import Overlap, choose, detect_features, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns, feature_planes
+from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
 from touchdown.estimator.livo.patch_tracker import grey_levels, track
-from touchdown.estimator.livo.visual import VisualFrontEnd, VisualReport, reprojection_information
+from touchdown.estimator.livo.visual import VisualFrontEnd, VisualParams, VisualReport
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
@@ -98,7 +99,7 @@ def test_feature_planes_fit_a_slope_and_refuse_a_step() -> None:
     np.testing.assert_allclose(depth, 20.0 / (rays3 @ normal), atol=0.02)
 
 
-def test_a_feature_among_leaves_gets_the_depth_of_the_foremost_and_a_doubt() -> None:
+def test_a_feature_in_foliage_gets_the_foremost_depth_and_a_sigma() -> None:
     rng = np.random.default_rng(6)
     # two thirds of the returns from a crown at 18 m, 0.3 m deep, the others from 0.9 m below
     x, y = rng.uniform(-6, 6, (2, 12_000))
@@ -123,7 +124,6 @@ def test_reprojection_jacobian_matches_finite_differences() -> None:
     rng = np.random.default_rng(5)
     key, now = imu_pose((0, 0, 20), (0.02, 0.01, 0.3)), imu_pose((2, 1, 18), (-0.03, 0.02, 0.4))
     camera_from_imu = IMU_FROM_CAMERA.inverse()
-    intrinsics = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
     landmark = np.array([1.5, -1.0, -19.0])
 
     def pixel(delta: np.ndarray) -> np.ndarray:
@@ -134,9 +134,8 @@ def test_reprojection_jacobian_matches_finite_differences() -> None:
 
     residual = rng.normal(0.0, 0.1, 2)
     information, vector, used, _ = reprojection_information(
-        (pixel(np.zeros(12)) + residual)[None], landmark[None], now.rotation, now.translation,
-        key.rotation, key.translation, camera_from_imu.rotation, camera_from_imu.translation,
-        intrinsics, 1.0, 1e6,
+        (pixel(np.zeros(12)) + residual)[None], landmark[None], now, key,
+        MountedCamera(CAMERA, IMU_FROM_CAMERA), sigma_px=1.0, gate_px=1e6,
     )  # fmt: skip
     jacobian = np.column_stack([(pixel(1e-6 * e) - pixel(-1e-6 * e)) / 2e-6 for e in np.eye(12)])
     assert used == 1
@@ -146,8 +145,10 @@ def test_reprojection_jacobian_matches_finite_differences() -> None:
 
 def front_end() -> VisualFrontEnd:
     return VisualFrontEnd(
-        CAMERA, IMU_FROM_CAMERA, max_keyframes=4, track_keyframes=2, features=150, sigma_px=0.5,
-        open_ticks=1200,
+        MountedCamera(CAMERA, IMU_FROM_CAMERA),
+        VisualParams(
+            max_keyframes=4, track_keyframes=2, features=150, sigma_px=0.5, open_ticks=1200
+        ),
     )  # fmt: skip
 
 
@@ -227,7 +228,7 @@ def test_a_plane_is_extended_only_on_demand() -> None:
     assert vision.keyframes[0].valid.sum() > 60
 
 
-def test_the_surest_and_the_best_overlapping_keyframes_are_chosen() -> None:
+def test_the_keyframes_of_least_variance_and_largest_overlap_are_chosen() -> None:
     candidates = [
         Overlap(0, 50, 0.40, 1.0),
         Overlap(1, 90, 0.70, 1.0),

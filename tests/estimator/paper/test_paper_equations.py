@@ -125,8 +125,8 @@ def test_features_are_sorted_out_by_sector() -> None:
 # ------------------------------------------------------------------------------- Eq. 8
 
 
-def step_picture() -> np.ndarray:
-    """A wall of energy 1 in column 4 of a 3 x 9 picture."""
+def step_image() -> np.ndarray:
+    """A wall of energy 1 in column 4 of a 3 x 9 image."""
     energy = np.zeros((3, 9), dtype=np.float32)
     energy[:, 4] = 1.0
     return energy
@@ -138,9 +138,9 @@ def test_eq_8_path_integral() -> None:
 
 def test_eq_8_between_two_returns() -> None:
     rows, cols = np.array([1, 1], np.int32), np.array([0, 8], np.int32)
-    distance, label = geodesic_transform(step_picture(), rows, cols, 1)
+    distance, label = geodesic_transform(step_image(), rows, cols, 1)
     assert label[1].tolist()[:4] == [0] * 4 and label[1].tolist()[5:] == [1] * 4
-    neighbours, lengths = geodesic_lengths(step_picture(), distance, label, 2, 3)
+    neighbours, lengths = geodesic_lengths(step_image(), distance, label, 2, 3)
     # eight steps; the wall is entered and left: twice half its energy
     expected = 8 * STEP_ENERGY + 1.0
     assert neighbours[0].tolist().count(1) == 1
@@ -152,7 +152,7 @@ def test_eq_8_between_two_returns() -> None:
 
 
 def test_eq_8_is_larger_at_a_boundary_than_on_either_side() -> None:
-    energy = step_picture()
+    energy = step_image()
     cols = np.array([0, 1, 2, 3, 5, 6, 7, 8], np.int32)
     rows = np.ones(8, np.int32)
     distance, label = geodesic_transform(energy, rows, cols, 1)
@@ -174,7 +174,7 @@ def test_geodesic_goes_round_an_obstacle() -> None:
 
 def test_returns_that_share_a_pixel_share_their_score() -> None:
     rows, cols = np.array([1, 1, 1], np.int32), np.array([0, 0, 3], np.int32)
-    energy = step_picture()
+    energy = step_image()
     distance, label = geodesic_transform(energy, rows, cols, 1)
     neighbours, lengths = geodesic_lengths(energy, distance, label, 3, 2)
     score = colour_smoothness(label, rows, cols, neighbours, lengths)
@@ -210,7 +210,7 @@ def test_lines_and_planes_by_their_eigenvalues() -> None:
 
 
 def test_eq_12_prefers_the_depth_on_the_same_side_of_a_boundary() -> None:
-    energy = step_picture()
+    energy = step_image()
     rows, cols = np.array([1, 1], np.int32), np.array([1, 7], np.int32)
     distance, label = geodesic_transform(energy, rows, cols, 1)
     neighbours, lengths = geodesic_lengths(energy, distance, label, 2, 2)

@@ -138,11 +138,12 @@ def test_a_missing_edge_model_is_named() -> None:
 
 
 def test_standing_without_returns_it_does_not_drift() -> None:
-    """On the pad the ground is nearer than the LIDAR's reach and the picture never changes: an
-    unknown bias of 0.05 m/s^2 would carry the belief 0.22 m off in 3 s, were it not held."""
+    """On the pad the ground is nearer than the LIDAR's smallest range and the image never changes:
+    an unknown bias of 0.05 m/s^2 would move the estimate by 0.22 m in 3 s without zero-velocity
+    updates."""
     bias = np.array([0.05, 0.0, 0.0])
     force = np.array([0.0, 0.0, GRAVITY_MPS2]) + bias
-    picture = image_at(0)
+    image = image_at(0)
     estimator = PaperEstimator(RIG, PLAIN)
     worst = 0.0
     for tick in range(IMU_TICKS, 3 * HZ + 1, IMU_TICKS):
@@ -155,7 +156,7 @@ def test_standing_without_returns_it_does_not_drift() -> None:
         if made >= SCAN_TICKS and made % SCAN_TICKS == 0:
             scan = scan_ending_at(made)
             scans = (dataclasses.replace(scan, ranges=np.zeros_like(scan.ranges)),)
-            images = (dataclasses.replace(picture, tick=made, time_s=made / HZ),)
+            images = (dataclasses.replace(image, tick=made, time_s=made / HZ),)
         obs = Observation(
             tick=tick, time_s=tick / HZ, imu=(imu,), scans=scans, images=images,
             rotor_speed_radps=np.zeros(4), battery_fraction=1.0,

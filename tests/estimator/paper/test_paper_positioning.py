@@ -1,5 +1,5 @@
-"""The parts of the paper's positioning on small known problems: registration, landmarks, PnP,
-bundle adjustment, dictionary and pose graph."""
+"""The paper's positioning on small known problems: registration, landmarks, PnP, bundle adjustment,
+dictionary and pose graph."""
 
 from __future__ import annotations
 
@@ -15,7 +15,12 @@ from touchdown.estimator.paper.landmarks import BRISK, SIFT, LandmarkDetector, s
 from touchdown.estimator.paper.matching import match_near
 from touchdown.estimator.paper.pnp import reprojection_errors, solve_pnp
 from touchdown.estimator.paper.pose_graph import Edge, PoseGraph, edge_residual
-from touchdown.estimator.paper.registration import register_scan
+from touchdown.estimator.paper.registration import (
+    FeatureMaps,
+    PosePrior,
+    ScanFeatures,
+    register_scan,
+)
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log
 
@@ -44,25 +49,25 @@ def room(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
     return planes, edges
 
 
-def room_maps() -> tuple[FeatureMap, FeatureMap]:
+def room_maps() -> FeatureMaps:
     planes, edges = room(np.random.default_rng(0), 4000)
     plane_map, edge_map = FeatureMap(0.5, 1 << 12), FeatureMap(0.3, 1 << 10, reach=2)
     plane_map.insert(planes)
     edge_map.insert(edges)
-    return edge_map, plane_map
+    return FeatureMaps(edges=edge_map, planes=plane_map)
 
 
-def test_algorithm_1_finds_the_pose_in_spite_of_strangers() -> None:
+def test_algorithm_1_finds_the_pose_despite_outliers() -> None:
     rng = np.random.default_rng(1)
-    edge_map, plane_map = room_maps()
+    maps = room_maps()
     planes, edges = room(rng, 300)
     planes[::10, 2] += 0.25
     truth = Pose(so3_exp(np.array([0.02, -0.01, 0.03])), np.array([0.1, -0.08, 0.05]))
     guess = Pose(np.eye(3), np.zeros(3))
     back = truth.inverse()
     result = register_scan(
-        back.apply(edges), back.apply(planes), edge_map, plane_map, guess, 1e-3 * np.eye(6),
-        edge_sigma_m=0.05, plane_sigma_m=0.02,
+        ScanFeatures(back.apply(edges), back.apply(planes)), maps,
+        PosePrior(guess, 1e-3 * np.eye(6)), edge_sigma_m=0.05, plane_sigma_m=0.02,
     )  # fmt: skip
     assert result is not None and result.edges > 200 and result.planes > 400
     np.testing.assert_allclose(result.pose.translation, truth.translation, atol=0.012)
@@ -70,7 +75,7 @@ def test_algorithm_1_finds_the_pose_in_spite_of_strangers() -> None:
     assert np.linalg.eigvalsh(result.information)[0] > 0.0
 
 
-def test_algorithm_1_over_a_plane_stays_at_the_guess_where_nothing_holds_it() -> None:
+def test_algorithm_1_over_a_plane_stays_at_the_guess_in_unobserved_directions() -> None:
     rng = np.random.default_rng(2)
     ground = np.column_stack([rng.uniform(-8, 8, (30000, 2)), np.zeros(30000)])
     plane_map, edge_map = FeatureMap(0.5, 1 << 12), FeatureMap(0.3, 1 << 8)
@@ -78,7 +83,8 @@ def test_algorithm_1_over_a_plane_stays_at_the_guess_where_nothing_holds_it() ->
     seen = np.column_stack([rng.uniform(-5, 5, (500, 2)), np.full(500, -10.0)])
     guess = Pose(so3_exp(np.array([0.01, 0.0, 0.0])), np.array([0.0, 0.0, 10.1]))
     result = register_scan(
-        np.zeros((0, 3)), seen, edge_map, plane_map, guess, LOOSE,
+        ScanFeatures(np.zeros((0, 3)), seen), FeatureMaps(edge_map, plane_map),
+        PosePrior(guess, LOOSE),
         edge_sigma_m=0.05, plane_sigma_m=0.02,
     )  # fmt: skip
     assert result is not None
@@ -90,14 +96,10 @@ def test_algorithm_1_over_a_plane_stays_at_the_guess_where_nothing_holds_it() ->
 
 def test_algorithm_1_needs_matches() -> None:
     empty = FeatureMap(0.5, 1 << 8)
-    points = np.zeros((100, 3))
-    identity = Pose.identity()
-    assert (
-        register_scan(
-            points, points, empty, empty, identity, np.eye(6), edge_sigma_m=0.1, plane_sigma_m=0.1
-        )
-        is None
-    )
+    features = ScanFeatures(np.zeros((100, 3)), np.zeros((100, 3)))
+    prior = PosePrior(Pose.identity(), np.eye(6))
+    maps = FeatureMaps(empty, empty)
+    assert register_scan(features, maps, prior, edge_sigma_m=0.1, plane_sigma_m=0.1) is None
 
 
 def test_feature_map_returns_the_five_nearest_in_order_and_keeps_its_size() -> None:
@@ -146,7 +148,7 @@ def test_landmarks_are_found_again_after_a_shift() -> None:
         assert len(np.unique(matched[good])) == len(good)
 
 
-def test_a_black_picture_has_no_landmarks() -> None:
+def test_a_black_image_has_no_landmarks() -> None:
     features = LandmarkDetector(100, 100)(np.zeros((480, 640), np.uint8))
     assert [len(f) for f in features] == [0, 0]
     assert features[0].descriptors.shape == (0, 128) and features[1].descriptors.shape == (0, 64)
@@ -190,7 +192,7 @@ def pixels_of(points: np.ndarray, pose: Pose) -> np.ndarray:
     return -reprojection_errors(np.zeros((len(points), 2)), points, pose, DOWN, CAMERA)
 
 
-def test_pnp_recovers_the_pose_and_names_the_strangers() -> None:
+def test_pnp_recovers_the_pose_and_identifies_outliers() -> None:
     rng = np.random.default_rng(3)
     points = ground_points(rng, 120)
     truth = Pose(so3_exp(np.array([0.02, 0.03, 0.5])), np.array([0.3, -0.2, 20.0]))
@@ -313,7 +315,8 @@ def test_a_closure_is_shared_out_along_the_path() -> None:
 
 
 def test_a_turned_square_closes() -> None:
-    """Odometry whose every corner turns 1 degree too far; the closure says it came home."""
+    """Odometry with 1 degree too much at every corner; the closure states the return to the
+    start."""
     graph = PoseGraph(np.full(6, 1e-6), FREE)
     step = Pose(rotation_from_yaw(np.radians(91.0)), np.array([10.0, 0.0, 0.0]))
     pose = Pose.identity()

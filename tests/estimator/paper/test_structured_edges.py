@@ -115,13 +115,13 @@ def test_the_first_component_parts_two_kinds_of_patches() -> None:
 
 
 def _striped(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """A picture (96, 128, 3) of two halves, parted along a line, and its segments."""
+    """An image (96, 128, 3) of two halves, parted along a line, and its segments."""
     rows, cols = np.mgrid[:96, :128]
     angle, at = rng.uniform(0, np.pi), rng.uniform(-15, 15)
     side = (rows - 48) * np.sin(angle) + (cols - 64) * np.cos(angle) > at
     colours = np.array([[60, 90, 50], [150, 140, 130]])
-    picture = colours[side.astype(int)] + rng.normal(0.0, 12.0, (96, 128, 3))
-    return np.clip(picture, 0, 255).astype(np.uint8), side.astype(np.int32)
+    image = colours[side.astype(int)] + rng.normal(0.0, 12.0, (96, 128, 3))
+    return np.clip(image, 0, 255).astype(np.uint8), side.astype(np.int32)
 
 
 @pytest.fixture(scope="module")
@@ -184,10 +184,10 @@ def test_the_shipped_model_is_whole_and_small() -> None:
 @pytest.mark.parametrize("shape", [(120, 160), (121, 163)])
 def test_the_shipped_model_sees_a_step_and_no_flat_ground(shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(0)
-    picture = np.empty((*shape, 3))
-    picture[:] = (70, 100, 55)
-    picture[:, 80:] = (135, 135, 140)
-    rgb = np.clip(picture + rng.normal(0.0, 3.0, picture.shape), 0, 255).astype(np.uint8)
+    image = np.empty((*shape, 3))
+    image[:] = (70, 100, 55)
+    image[:, 80:] = (135, 135, 140)
+    rgb = np.clip(image + rng.normal(0.0, 3.0, image.shape), 0, 255).astype(np.uint8)
     energy = edge_detector("shipped")(rgb)
     assert energy.shape == shape
     assert energy[:, 77:83].max(axis=1).min() > 5.0 * energy[:, :60].mean()
@@ -230,7 +230,7 @@ def test_scores_are_those_worked_out_by_hand() -> None:
     np.testing.assert_allclose(result.precision, [0.5, 16 / 18])
     np.testing.assert_allclose(result.recall, [0.75, 0.4])
     assert result.ods == pytest.approx(0.6) and result.best == 0
-    # the first picture is better at its second (12 / 18 > 20 / 30 is a tie: the first is kept)
+    # the first image is better at its second (12 / 18 > 20 / 30 is a tie: the first is kept)
     assert result.ois == pytest.approx(2 * 30 / (40 + 60))
     assert f_measure(np.zeros(1), np.zeros(1))[0] == 0.0
 

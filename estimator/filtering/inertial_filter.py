@@ -1,8 +1,8 @@
-"""What carries the paper's poses between measurements: an error-state filter on the IMU.
+"""Loosely coupled error-state filter on the IMU, of the paper's estimator and the baselines.
 
-The paper's vehicle had an IMU in its flight controller and does not say how poses of 10 Hz became
-control at 200 Hz. Here they are measurements of a loosely coupled filter, whose state is carried
-over the IMU samples to now.
+The paper's vehicle had an IMU in its flight controller; the paper does not state how poses of 10 Hz
+became control at 200 Hz. Here they are measurements of a filter, whose state is propagated over the
+IMU samples to the present.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, PoseTrack
-from touchdown.estimator.filtering.deskew import deskew
+from touchdown.estimator.filtering.deskew import PlacedScan, place_scan, screen_scan
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState, propagate_nominal
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
@@ -26,7 +26,7 @@ _START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)
 """rad, m, m/s: the take-off pose is known, but the legs settle"""
 _TRAIL_STEPS = 128
 _LIFTING_THRUST = 0.85
-"""of the weight: with less static thrust before the first lift-off the vehicle stands"""
+"""of the weight: with less static thrust before the first lift-off the vehicle is on the ground"""
 _IDLE_MARGIN = 1.2
 
 
@@ -51,14 +51,16 @@ class _Trail:
         self.rotations = turn @ self.rotations
 
     def start_of(self, scan: LidarScan) -> int | None:
-        """Index of the pose at the scan's start, if the trail spans the scan exactly."""
+        """Returns the index of the pose at the scan's start, if the trail spans the scan
+        exactly."""
         first = int(np.searchsorted(self.ticks, scan.start_tick))
         spans = first + 1 < len(self.ticks) and self.ticks[first] == scan.start_tick
         return first if spans and self.ticks[-1] == scan.end_tick else None
 
 
 class InertialFilter:
-    """An error-state filter at measurement time, its trail, and the state carried to now."""
+    """An error-state filter at measurement time, its recent poses (trail), and the state propagated
+    to the present."""
 
     def __init__(
         self, rig: SensorRig, correction_time_s: float, attitude_known: bool = True
@@ -85,17 +87,18 @@ class InertialFilter:
 
     @property
     def tick(self) -> int:
-        """Of the filter's state, which is behind the newest IMU sample."""
+        """Tick of the filter's state, which is behind the newest IMU sample."""
         return self.eskf.state.tick
 
     @property
     def head_tick(self) -> int:
+        """Tick of the newest IMU sample."""
         return self._head.tick
 
     # ------------------------------------------------------------------------ inertial samples
 
     def take_imu(self, obs: Observation) -> None:
-        """Buffers the samples and carries the head over them."""
+        """Buffers the samples and propagates the present state over them."""
         standing = self._standing(obs.rotor_speed_radps)
         for sample in obs.imu:
             rate, force = sample.angular_velocity, sample.specific_force
@@ -127,22 +130,15 @@ class InertialFilter:
 
     # ------------------------------------------------------------------------ measurements
 
-    def unroll(self, scan: LidarScan) -> tuple[Array, Array, NDArray[np.int64], PoseTrack] | None:
-        """The scan as seen from its end: points and beams (N, 3) in the IMU frame, the numbers (N,)
-        of their pulses, and the poses it was unrolled with. None if the trail does not span it."""
+    def place_scan(self, scan: LidarScan) -> PlacedScan | None:
+        """Returns the valid returns of a scan, deskewed to its end; None if the trail does not span
+        the scan."""
         first = self._trail.start_of(scan)
         if first is None:
             return None
-        lidar = self.rig.lidar
+        pulses = screen_scan(scan, self.rig.lidar)
         rotations, positions = self._trail.rotations[first:], self._trail.positions[first:]
-        points, beams = deskew(
-            scan.directions, scan.ranges, scan.time_offsets,
-            self.imu_from_lidar.rotation, self.imu_from_lidar.translation,
-            rotations, positions, self.step_s, lidar.min_range_m, lidar.max_range_m,
-        )  # fmt: skip
-        valid = (scan.ranges >= lidar.min_range_m) & (scan.ranges <= lidar.max_range_m)
-        pulses = np.flatnonzero(valid & (scan.time_offsets >= 0.0))
-        return points, beams, pulses, self._track(first)
+        return place_scan(scan, pulses, self.imu_from_lidar, rotations, positions, self.step_s)
 
     def _track(self, first: int) -> PoseTrack:
         trail, offset = self._trail, self.imu_from_body
@@ -154,7 +150,7 @@ class InertialFilter:
         )
 
     def track_of(self, scan: LidarScan) -> PoseTrack | None:
-        """The body's poses over a scan, after the corrections it brought."""
+        """Returns the body's poses over a scan, after its corrections."""
         first = self._trail.start_of(scan)
         return None if first is None else self._track(first)
 
@@ -166,22 +162,22 @@ class InertialFilter:
         return symmetric
 
     def correct(self, pose: Pose, information: Array, vector: Array) -> None:
-        """Takes a measured odom_from_imu with its information (6, 6); ``vector`` (6,): gradient
-        that is left at ``pose`` (zero where a solver has converged)."""
+        """Updates the filter by a measured odom_from_imu with its information (6, 6); ``vector``
+        (6,): the remaining gradient at ``pose`` (zero where a solver has converged)."""
         prior = self.eskf.state
         offset = np.concatenate(
             [so3_log(prior.rotation.T @ pose.rotation), pose.translation - prior.position]
         )
         touched = self.eskf.touched([])
-        delta = self.eskf.gain(touched, information, vector + information @ offset)
+        delta = self.eskf.correction(touched, information, vector + information @ offset)
         self.eskf.state, self.eskf.clones = self.eskf.boxplus(prior, self.eskf.clones, delta)
-        self.eskf.absorb(touched, information)
+        self.eskf.update_covariance(touched, information)
         self._trail.follow(self.eskf.state)
 
     # ------------------------------------------------------------------------ output
 
     def catch_up(self) -> None:
-        """Carries the corrected state to now; the jump this makes fades over
+        """Propagates the corrected state to the present; the resulting jump decays over
         ``correction_time_s``."""
         before = self._head
         ticks, gyro, force, _ = self._buffer.samples(self._buffer.count)
@@ -201,7 +197,8 @@ class InertialFilter:
         diagnostics: dict[str, float],
         events: tuple[str, ...] = (),
     ) -> Estimate:
-        """The belief about now. ``extra_covariance`` (3, 3) m^2 is added to the position's."""
+        """Returns the estimate at the present. ``extra_covariance`` (3, 3) m^2 is added to the
+        position's."""
         self._jump = self._jump * np.exp(-self.step_s / self._correction_time_s)
         head, offset = self._head, self.imu_from_body
         rotation = head.rotation @ so3_exp(self._jump[:3])

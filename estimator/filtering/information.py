@@ -1,0 +1,54 @@
+"""Measurements in information form: normal equations and operations on them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_LEVEL = np.array([0, 1, 5])
+"""rotation x, rotation y, position z: observable over level ground"""
+_LATERAL = np.array([2, 3, 4])
+"""rotation z, position x, y: observable with slopes and walls"""
+
+
+class NormalEquations(NamedTuple):
+    """Weighted least squares over D error coordinates. Kernels return it, too."""
+
+    information: Array
+    """(D, D) ``sum h^T h / var``"""
+    vector: Array
+    """(D,) ``sum h^T r / var``"""
+    used: int
+    """residuals within the gate"""
+    rms: float
+    """of these residuals, m or pixels"""
+
+
+def limit_information(
+    information: Array, vector: Array, floor_sigmas: Array
+) -> tuple[Array, Array]:
+    """Applies an information floor: returns the measurement, (D, D) and (D,), with independent
+    errors of ``floor_sigmas`` (D,) added, which do not average out over its residuals.
+
+    With ``F`` the added covariance, ``(A^-1 + F)^-1 = (I + A F)^-1 A``, which holds for a singular
+    ``A`` as well.
+    """
+    size = len(vector)
+    widened = np.eye(size) + information * floor_sigmas**2
+    solved = np.linalg.solve(widened, np.column_stack([information, vector]))
+    symmetric: Array = 0.5 * (solved[:, :size] + solved[:, :size].T)
+    return symmetric, np.asarray(solved[:, size], dtype=np.float64)
+
+
+def lateral_strength(information: Array) -> Array:
+    """Eigenvalues (3,), ascending, of the information (6, 6) about x, y (1/m^2) and yaw (1/rad^2)
+    after marginalisation of height, roll and pitch (Schur complement). Near zero, the measurement
+    is degenerate in that direction, as over a plane."""
+    level = information[np.ix_(_LEVEL, _LEVEL)] + 1e-9 * np.eye(3)
+    cross = information[np.ix_(_LATERAL, _LEVEL)]
+    schur = information[np.ix_(_LATERAL, _LATERAL)] - cross @ np.linalg.solve(level, cross.T)
+    return np.linalg.eigvalsh(0.5 * (schur + schur.T))

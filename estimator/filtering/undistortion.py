@@ -1,0 +1,38 @@
+"""Undistortion of camera images."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.sim.api import SensorRig
+
+Image = NDArray[np.uint8]
+
+
+class Undistorter:
+    """Resamples images to a pinhole camera with the same matrix; a lens without distortion leaves
+    them as they are."""
+
+    def __init__(self, rig: SensorRig) -> None:
+        camera = rig.camera
+        self._maps: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
+        if np.any(camera.distortion):
+            size = (camera.width, camera.height)
+            matrix = camera.matrix()
+            maps = cv2.initUndistortRectifyMap(
+                matrix, camera.distortion, None, matrix, size, cv2.CV_32FC1
+            )
+            self._maps = np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)
+
+    @property
+    def is_identity(self) -> bool:
+        """True if the lens has no distortion."""
+        return self._maps is None
+
+    def __call__(self, image: Image) -> Image:
+        """Returns the undistorted image (H, W) or (H, W, 3)."""
+        if self._maps is None:
+            return image
+        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR), dtype=np.uint8)
