@@ -87,7 +87,7 @@ class Selection:
     """number of the cluster (Eq. 19) that a cell belongs to, -1 outside"""
     modes: NDArray[np.int32]
     """(K, 2) row and col of each cluster's mode"""
-    driven: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), np.bool_))
+    traffic_zone: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), np.bool_))
     """near a surface on which something was seen to move"""
 
 
@@ -117,12 +117,12 @@ class LanderView:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PlaceOpinion:
+class GroundPrediction:
     """What a classifier says of N pictures."""
 
-    chances: Array
+    probabilities: Array
     """(N, 7) calibrated probabilities of ``scenes.api.LAND_CLASSES``, in their order"""
-    familiar: NDArray[np.bool_]
+    in_distribution: NDArray[np.bool_]
     """(N,) False where a picture is far from all that the classifier was trained on"""
 
 
@@ -134,10 +134,10 @@ class GroundClassifier(Protocol):
         """Pixels across that ``look`` takes."""
 
     @property
-    def least_probability(self) -> float:
+    def min_probability(self) -> float:
         """Of safe ground, below which a picture counts as unsafe: what suits the classifier."""
 
-    def look(self, pictures: NDArray[np.uint8]) -> PlaceOpinion:
+    def classify(self, images: NDArray[np.uint8]) -> GroundPrediction:
         """Of pictures (N, S, S, 3) RGB with S = ``image_size``."""
 
 
@@ -255,15 +255,15 @@ class LandingParams:
     by geometry alone; else the path of a network's file"""
     classifier_min_probability: float = 0.0
     """of a safe class, below which a site is refused; 0: what the network's file says"""
-    place_batch: int = 3
+    classifier_batch: int = 3
     """sites that are classified together, before the first safe one ends it"""
-    place_rounds: int = 4
+    classifier_rounds: int = 4
     """how often other sites are looked for where none was of a safe class"""
     classifier_patch_m: float = 6.4
     """side of the square of ground around a site that is classified"""
-    place_pictures: int = 64
+    classifier_images: int = 64
     """pictures of the survey that are kept for it"""
-    place_batch_latency_s: float = 0.1
+    classifier_batch_latency_s: float = 0.1
     """what a decision takes longer for every batch"""
     classifier_threads: int = 1
     """of the processor, that classify"""
@@ -272,7 +272,7 @@ class LandingParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class LabelledPictures:
+class LabelledImages:
     """Pictures of ground from the air, and what each shows."""
 
     images: NDArray[np.uint8]

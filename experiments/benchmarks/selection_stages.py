@@ -13,8 +13,8 @@ from touchdown.estimator.api import GridMap
 from touchdown.landing.api import LandingParams
 from touchdown.landing.selection import costmap
 from touchdown.landing.selection.clustering import bandwidths, quick_shift
+from touchdown.landing.selection.elevation_raster import observed_raster
 from touchdown.landing.selection.landable import ground_planes
-from touchdown.landing.selection.terrain import observed_terrain
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -54,24 +54,24 @@ def staged_selection(
 ) -> Staged:
     """Map to modes. ``position_odom`` (3,): the vehicle's. ValueError: nothing was mapped."""
     timer = StageTimer()
-    terrain = observed_terrain(grid)
-    if terrain is None:
+    raster = observed_raster(grid)
+    if raster is None:
         raise ValueError("the map is empty: there is nothing to select from")
     timer.lap("down_sampling")
-    planes = ground_planes(terrain, params)
-    flat = costmap.flatness_term(terrain, planes, params)
+    planes = ground_planes(raster, params)
+    flat = costmap.flatness_term(raster, planes, params)
     timer.lap("flatness")
-    smooth, _ = costmap.smoothness_term(terrain, params)
+    smooth, _ = costmap.smoothness_term(raster, params)
     timer.lap("smoothness")
-    near = costmap.distance(terrain, position_odom, np.inf)
+    near = costmap.distance(raster, position_odom, np.inf)
     timer.lap("distance")
     total = costmap.weighted_sum(smooth, flat, near, params)
-    bandwidth, radius = bandwidths(footprint_radius_m / terrain.cell_m)
+    bandwidth, radius = bandwidths(footprint_radius_m / raster.cell_m)
     clusters = quick_shift(total, bandwidth_cells=bandwidth, radius_cells=radius)
     timer.lap("clustering")
     return Staged(
-        origin_xy_m=terrain.origin_xy_m,
-        cell_m=terrain.cell_m,
+        origin_xy_m=raster.origin_xy_m,
+        cell_m=raster.cell_m,
         total=total,
         modes=clusters.modes,
         seconds=timer.seconds,

@@ -21,8 +21,9 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds
 from touchdown.experiments.flight.wiring import check_scene_name
 from touchdown.landing.api import CostmapView
+from touchdown.landing.selection import risk
 from touchdown.scenes.api import TruthMaps
-from touchdown.scenes.truth.maps import truth_maps as scene_truth_maps
+from touchdown.scenes.truth.maps import truth_maps
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -52,7 +53,7 @@ def check_place(config: Config, picture: Path | None = None) -> dict[str, Any]:
     believed probabilities and truth of cells spread evenly, with their features.
     """
     surveyed = tow_survey(config)
-    truth = scene_truth_maps(surveyed.scene, TRUTH_CELL_M, _region(surveyed))
+    truth = truth_maps(surveyed.scene, TRUTH_CELL_M, _region(surveyed))
     selection, costmap = surveyed.selection, surveyed.selection.costmap
     accepted = [site for site in selection.candidates if site.accepted]
     verdicts = [_at(truth, truth.safe_geometry, site.position_odom[:2]) for site in accepted]
@@ -65,7 +66,6 @@ def check_place(config: Config, picture: Path | None = None) -> dict[str, Any]:
         write_steps(picture, config, selection)
     safe, judged = _on_grid(truth, costmap)
     seen = judged & np.isfinite(costmap.flatness)
-    risk = risk_model()
     features = risk.features_of(surveyed.map_view, surveyed.estimate, config.landing)
     rows, cols = np.nonzero(seen & features.open)
     spread = np.s_[:: max(1, rows.size // SAMPLES)]
@@ -105,7 +105,7 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
     believed, safe = (
         np.concatenate([place["sample"][key] for place in places]) for key in ("believed", "safe")
     )
-    error, rows = risk_model().calibration(believed, safe)
+    error, rows = risk.calibration(believed, safe)
     regrets = [place["best_room_m"] - _gain(place) for place in offered]
     return {
         "places": len(places),
@@ -147,14 +147,13 @@ def fit(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
         raise ValueError(
             "a fit needs at least two seeds, to be judged on what it was not fitted to"
         )
-    risk = risk_model()
     halves = [
         [place for place in places if seeds.index(place["seed"]) % 2 == parity] for parity in (0, 1)
     ]
     believed, truth = [], []
     for ours, others in (halves, halves[::-1]):
         weights = risk.fit_weights(_gathered(ours, "features"), _gathered(ours, "safe"))
-        believed.append(risk.believed(_gathered(others, "features"), weights))
+        believed.append(risk.predict(_gathered(others, "features"), weights))
         truth.append(_gathered(others, "safe"))
     error, rows = risk.calibration(np.concatenate(believed), np.concatenate(truth))
     weights = risk.fit_weights(_gathered(places, "features"), _gathered(places, "safe"))
@@ -286,10 +285,3 @@ def text(figures: dict[str, Any]) -> str:
 
 def _percent(share: float | None) -> str:
     return "-" if share is None else f"{100.0 * share:.1f}%"
-
-
-def risk_model() -> Any:
-    """The module `landing.selection.risk`."""
-    from touchdown.landing.selection import risk
-
-    return risk

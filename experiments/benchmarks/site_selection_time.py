@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,12 @@ from touchdown.estimator.api import (
     GridMap,
 )
 from touchdown.experiments.benchmarks.posed_survey import SCAN_PERIOD_S, Surveyed, tow_survey
+from touchdown.experiments.benchmarks.selection_stages import Staged, staged_selection
 from touchdown.experiments.config.loading import load_config
-from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.wiring import build_classifier
-from touchdown.landing.api import GroundClassifier
+from touchdown.landing.api import GroundClassifier, LandingParams
+from touchdown.landing.classification.site_check import SiteClassCheck
 from touchdown.sim.api import Observation, SensorRig
 
 Array = NDArray[np.float64]
@@ -48,8 +48,8 @@ def bench_landing(
     lander does for a decision, the check of the ground included; ``reference_ms``: the same steps
     by Open3D, SciPy and scikit-image; ``ratio.reference``: its sum over ours; ``agreement``: how
     far the two results differ. Medians over ``rounds``, after one to warm up; the reference runs
-    once warm. ``place_ms``: see `_place_figures`, where ``network`` is given or comes with the
-    project; it works on ``threads``. Raises UsageError and ValueError as `load_config`,
+    once warm. ``classifier_ms``: see `_classifier_figures`, where ``network`` is given or comes with
+    the project; it works on ``threads``. Raises UsageError and ValueError as `load_config`,
     `build_classifier` and `build_scene`.
     """
     overrides = ["sim.threads=1", f"landing.classifier_threads={threads}"]
@@ -57,21 +57,22 @@ def bench_landing(
         overrides.append(f"landing.classifier={json.dumps(str(network))}")
     config = load_config(None, overrides, scene=scene, seed=seed, estimator="oracle", record=False)
     classifier = build_classifier(config)
-    pictures: list[Any] = []
+    checks: list[SiteClassCheck] = []
 
     def remember(rig: SensorRig, obs: Observation, estimate: Estimate) -> None:
         assert classifier is not None
-        if not pictures:
-            pictures.append(place_check(config, rig, classifier))
-        pictures[0].take_in(obs, estimate)
+        if not checks:
+            checks.append(SiteClassCheck(classifier, rig, config.landing))
+        checks[0].update(obs, estimate)
 
     watch = None if classifier is None else remember
     surveyed = tow_survey(config, period_s=SCAN_PERIOD_S, watch=watch)
-    stages = selection_stages(config, surveyed.survey.rig)
     view, estimate = surveyed.map_view, surveyed.estimate
+    position = estimate.odom_from_body.translation
+    radius_m = surveyed.survey.rig.vehicle.footprint_radius_m
     laps: dict[str, list[float]] = {}
     for number in range(rounds + 1):
-        ours = stages.ours(view.coarse, estimate.odom_from_body.translation)
+        ours = staged_selection(view.coarse, position, config.landing, radius_m)
         started = time.perf_counter()
         selection = surveyed.survey.select(view, estimate)
         spent = ours.seconds | {
@@ -91,11 +92,12 @@ def bench_landing(
         "stage_ms": stage_ms,
     }
     if classifier is not None:
-        figures |= _place_figures(classifier, pictures[0], surveyed, rounds)
+        figures |= _classifier_figures(classifier, checks[0], surveyed, rounds)
         figures["classifier_threads"] = threads
     if reference:
+        reference_selection = _load_reference()
         for _ in range(2):
-            theirs = stages.reference(view.coarse, estimate.odom_from_body.translation)
+            theirs = reference_selection(view.coarse, position, config.landing, radius_m)
         sums = theirs.seconds | {"sum": sum(theirs.seconds.values())}
         figures["reference_ms"] = {name: 1e3 * seconds for name, seconds in sums.items()}
         figures["ratio"] = {"reference": figures["reference_ms"]["sum"] / stage_ms["sum"]}
@@ -103,12 +105,12 @@ def bench_landing(
     return figures
 
 
-def _place_figures(
-    classifier: GroundClassifier, check: Any, surveyed: Surveyed, rounds: int
+def _classifier_figures(
+    classifier: GroundClassifier, check: SiteClassCheck, surveyed: Surveyed, rounds: int
 ) -> dict[str, Any]:
-    """``place_ms.ten_patches``: ten pictures of 128 x 128 to their classes, scaling included;
-    ``place_ms.selection``: all of a decision, the pictures cut out and classified best first until
-    one is safe; ``place_asked``: of how many sites."""
+    """Returns ``classifier_ms.ten_patches``: milliseconds to classify ten images of 128 x 128,
+    scaling included; ``classifier_ms.selection``: of a whole decision, in which sites are
+    classified best first until one is safe; ``classified_sites``: their number."""
     rng = np.random.default_rng(0)
     patches = rng.integers(0, 256, (PATCHES, PATCH_PX, PATCH_PX, 3), dtype=np.uint8)
     size = (classifier.image_size, classifier.image_size)
@@ -116,7 +118,7 @@ def _place_figures(
     for _ in range(rounds + 1):
         started = time.perf_counter()
         scaled = [cv2.resize(patch, size, interpolation=cv2.INTER_AREA) for patch in patches]
-        classifier.look(np.stack(scaled))
+        classifier.classify(np.stack(scaled))
         walls["ten_patches"].append(time.perf_counter() - started)
         started = time.perf_counter()
         selection = surveyed.survey.select(surveyed.map_view, surveyed.estimate)
@@ -126,10 +128,10 @@ def _place_figures(
         after is not before for before, after in zip(selection.candidates, judged, strict=True)
     )
     medians = {name: 1e3 * float(np.median(taken[1:])) for name, taken in walls.items()}
-    return {"place_ms": medians, "place_asked": asked}
+    return {"classifier_ms": medians, "classified_sites": asked}
 
 
-def agreement(ours: Any, theirs: Any) -> dict[str, float]:
+def agreement(ours: Staged, theirs: Staged) -> dict[str, float]:
     """How far two results on the same cells differ: correlation and mean absolute difference of
     C_sum, metres between the best modes, and what C_sum ours loses at its best mode beside theirs.
     """
@@ -145,46 +147,19 @@ def agreement(ours: Any, theirs: Any) -> dict[str, float]:
     }
 
 
-def _best(staged: Any) -> NDArray[np.int32]:
+def _best(staged: Staged) -> NDArray[np.int32]:
     values: Float32 = staged.total[tuple(staged.modes.T)]
     mode: NDArray[np.int32] = staged.modes[int(np.nanargmax(values))]
     return mode
 
 
-@dataclass(slots=True)
-class SelectionStages:
-    """The steps of selection, timed one by one: a map and the vehicle's position (3,) in the odom
-    frame to ``experiments.benchmarks.selection_stages.Staged``."""
-
-    ours: Callable[[GridMap, Array], Any]
-    reference: Callable[[GridMap, Array], Any]
-    """by Open3D, SciPy and scikit-image"""
-
-
-def selection_stages(config: Config, rig: SensorRig) -> SelectionStages:
-    """As `experiments.benchmarks.selection_stages.staged_selection` and
-    `experiments.benchmarks.selection_reference.reference_selection`."""
-    from touchdown.experiments.benchmarks.selection_stages import staged_selection
-
-    params, radius_m = config.landing, rig.vehicle.footprint_radius_m
-
-    def reference(grid: GridMap, position: Array) -> Any:
-        try:
-            from touchdown.experiments.benchmarks.selection_reference import reference_selection
-        except ImportError as error:
-            raise UsageError(
-                f"the comparison needs scikit-image ({error}): install it, or give --no-reference"
-            ) from error
-        return reference_selection(grid, position, params, radius_m)
-
-    def ours(grid: GridMap, position: Array) -> Any:
-        return staged_selection(grid, position, params, radius_m)
-
-    return SelectionStages(ours=ours, reference=reference)
-
-
-def place_check(config: Config, rig: SensorRig, classifier: GroundClassifier) -> Any:
-    """``landing.classification.site_check.SiteClassCheck`` of a flight."""
-    from touchdown.landing.classification.site_check import SiteClassCheck
-
-    return SiteClassCheck(classifier, rig, config.landing)
+def _load_reference() -> Callable[[GridMap, Array, LandingParams, float], Staged]:
+    """Returns `experiments.benchmarks.selection_reference.reference_selection`. Raises UsageError
+    without scikit-image."""
+    try:
+        from touchdown.experiments.benchmarks.selection_reference import reference_selection
+    except ImportError as error:
+        raise UsageError(
+            f"the comparison needs scikit-image ({error}): install it, or give --no-reference"
+        ) from error
+    return reference_selection

@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.experiments.classification.optional_import import recognition
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.images import read_picture, write_png
+from touchdown.landing.classification.engine import Classifier, class_probabilities
+from touchdown.landing.classification.windows import class_map
 
 Picture = NDArray[np.uint8]
 
@@ -36,7 +37,7 @@ _LEGEND_PX = 34
 def classify_pictures(
     files: Sequence[Path],
     out: Path,
-    classifier: Any,
+    classifier: Classifier,
     window_px: int | None,
     least: float,
     notes: Any,
@@ -83,21 +84,16 @@ def _window(picture: Picture, window_px: int | None, size: int) -> int:
     return window
 
 
-def class_chances(picture: Picture, classifier: Any, window: int) -> NDArray[np.float32]:
+def class_chances(picture: Picture, classifier: Classifier, window: int) -> NDArray[np.float32]:
     """(H, W, C) probability of each class at each pixel."""
     size = classifier.facts.image_size
     way = cv2.INTER_AREA if window >= size else cv2.INTER_LINEAR
-    engine = recognition("engine")
 
     def classify(windows: Picture) -> NDArray[np.float64]:
         scaled = [cv2.resize(w, (size, size), interpolation=way) for w in windows]
-        chances: NDArray[np.float64] = engine.chances(classifier, np.stack(scaled))
-        return chances
+        return class_probabilities(classifier, np.stack(scaled))
 
-    found: NDArray[np.float32] = recognition("windows").class_map(
-        picture, window, max(1, window // 4), classify
-    )
-    return found
+    return class_map(picture, window, max(1, window // 4), classify)
 
 
 def class_colours(classes: Sequence[str]) -> dict[str, tuple[int, int, int]]:

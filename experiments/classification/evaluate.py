@@ -19,36 +19,37 @@ from touchdown.experiments.classification.image_folders import (
     load_pictures,
     read_catalogue,
 )
-from touchdown.experiments.classification.optional_import import recognition
+from touchdown.experiments.classification.optional_import import training_libraries
 from touchdown.experiments.classification.splits import HELD_OUT_SCENES
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.statistics import share_interval
-from touchdown.landing.api import LabelledPictures
+from touchdown.landing.api import LabelledImages
+from touchdown.landing.classification import footprint
+from touchdown.landing.classification.decision import decision_summary
+from touchdown.landing.classification.engine import Classifier
+from touchdown.landing.classification.onboard import SHIPPED
+from touchdown.landing.classification.scores import summary
+from touchdown.landing.classification.weights import NetworkFacts
 
 Progress = Callable[[int, int, str], None]
 _BATCH = 32
 _REPEATS = 30
 
 
-def load_classifier(network: Path, engine: str, threads: int) -> Any:
-    """A network's file in an engine. Raises UsageError where the engine is not installed."""
-    try:
-        return recognition("footprint").load_classifier(network, engine, threads)
-    except ImportError as error:
-        raise UsageError(
-            f"the engine '{engine}' needs {error.name}: install it with "
-            "pip install 'touchdown[train]'"
-        ) from error
+def load_classifier(network: Path, engine: str, threads: int) -> Classifier:
+    """Returns a network's file loaded in an engine. Raises UsageError where the engine is not
+    installed."""
+    with training_libraries():
+        return footprint.load_classifier(network, engine, threads)
 
 
 def shipped_network() -> Path:
     """The one that comes with the project. Raises UsageError where none does."""
-    file: Path = recognition("onboard").SHIPPED
-    if not file.is_file():
+    if not SHIPPED.is_file():
         raise UsageError(
             "no network comes with touchdown: give --network, a file of `touchdown train`"
         )
-    return file
+    return SHIPPED
 
 
 def evaluate_network(
@@ -91,12 +92,12 @@ def evaluate_network(
         "by_scene": _by_scene(scores, pictures.labels, entries_of(catalogues, split), facts),
     }
     if measure:
-        report |= footprint(network, engine)
+        report |= measured_footprint(network, engine)
     return report
 
 
 def _by_scene(
-    scores: Any, labels: Any, entries: Sequence[Entry], facts: Any
+    scores: Any, labels: Any, entries: Sequence[Entry], facts: NetworkFacts
 ) -> dict[str, dict[str, Any]]:
     """Of rendered pictures: of each scene, and of those that are trained on and never trained on
     together."""
@@ -110,7 +111,7 @@ def _by_scene(
     return {name: _judged(scores[of], labels[of], facts) for name, of in groups.items() if of.any()}
 
 
-def all_scores(classifier: Any, pictures: LabelledPictures, progress: Progress) -> Any:
+def all_scores(classifier: Classifier, pictures: LabelledImages, progress: Progress) -> Any:
     parts, count = [], len(pictures.labels)
     for first in range(0, count, _BATCH):
         parts.append(classifier.scores(pictures.images[first : first + _BATCH]))
@@ -118,17 +119,16 @@ def all_scores(classifier: Any, pictures: LabelledPictures, progress: Progress) 
     return np.concatenate(parts)
 
 
-def _judged(scores: Any, labels: Any, facts: Any) -> dict[str, Any]:
-    found: dict[str, Any] = recognition("scores").summary(scores, labels, facts.classes)
+def _judged(scores: Any, labels: Any, facts: NetworkFacts) -> dict[str, Any]:
+    found = summary(scores, labels, facts.classes)
     interval = share_interval(found["hits"], found["pictures"])
     found["top1_interval"] = [interval.low, interval.high]
     if facts.labels == "d_land":
-        decision = recognition("decision")
-        found["decision"] = decision.decision_summary(scores, labels, facts.limits)
+        found["decision"] = decision_summary(scores, labels, facts.limits)
     return found
 
 
-def footprint(network: Path, engine: str) -> dict[str, float]:
+def measured_footprint(network: Path, engine: str) -> dict[str, float]:
     """Peak memory and time a picture on one thread, in a process of its own."""
     command = [
         sys.executable,

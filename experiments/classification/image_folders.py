@@ -7,16 +7,15 @@ import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from touchdown.experiments.classification.optional_import import recognition
 from touchdown.experiments.classification.render_dataset import COLUMNS, MANIFEST
 from touchdown.experiments.classification.splits import SPLITS, split_of_file, split_of_ucmerced
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.io.images import read_picture, squared
-from touchdown.landing.api import LabelledPictures
+from touchdown.landing.api import LabelledImages
+from touchdown.landing.classification import labels
 
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
 RENDERED = "rendered"
@@ -52,7 +51,6 @@ def read_catalogue(argument: str, scheme: str) -> Catalogue:
     KIND: rendered, ucmerced, aid, places365, d_land. Raises UsageError: no such folder, no
     pictures, a folder that is no class, a manifest of something else.
     """
-    labels = recognition("labels")
     kinds = (RENDERED, *labels.SOURCES)
     kind, _, rest = argument.rpartition("=")
     folder = Path(rest)
@@ -63,7 +61,7 @@ def read_catalogue(argument: str, scheme: str) -> Catalogue:
     if not folder.is_dir():
         raise UsageError(f"--data: '{folder}' is no folder")
     if kind == RENDERED or (not kind and _is_rendered(folder)):
-        return _rendered(folder, scheme, labels)
+        return _rendered(folder, scheme)
     folders = sorted(path.name for path in folder.iterdir() if path.is_dir())
     if not folders:
         raise UsageError(f"--data: '{folder}' is empty: it has no folder for any class")
@@ -83,7 +81,7 @@ def _is_rendered(folder: Path) -> bool:
         return next(csv.reader(file), []) == list(COLUMNS)
 
 
-def _rendered(folder: Path, scheme: str, labels: Any) -> Catalogue:
+def _rendered(folder: Path, scheme: str) -> Catalogue:
     if not _is_rendered(folder):
         raise UsageError(
             f"--data: '{folder}' has no {MANIFEST} of `touchdown dataset render` in it"
@@ -105,7 +103,9 @@ def _rendered(folder: Path, scheme: str, labels: Any) -> Catalogue:
     return _checked(Catalogue(RENDERED, tuple(entries), left_out), folder)
 
 
-def _of_folders(folder: Path, kind: str, meanings: dict[str, Any], scheme: str) -> Catalogue:
+def _of_folders(
+    folder: Path, kind: str, meanings: dict[str, labels.Meaning], scheme: str
+) -> Catalogue:
     entries, left_out = [], 0
     for name, meaning in sorted(meanings.items()):
         files = sorted(
@@ -139,7 +139,7 @@ def load_pictures(
     scheme: str,
     pixels: int,
     progress: Callable[[int, int, str], None] = lambda done, total, note: None,
-) -> LabelledPictures:
+) -> LabelledImages:
     """All pictures of a split, ``pixels`` across, in the order of the catalogues.
 
     Raises UsageError as ``read_picture``, or where there is no picture in the split.
@@ -152,10 +152,10 @@ def load_pictures(
         images[number] = squared(read_picture(entry.file), pixels)
         progress(number + 1, len(entries), f"reading ({split})")
     sources = tuple(dict.fromkeys(entry.source for entry in entries))
-    return LabelledPictures(
+    return LabelledImages(
         images=images,
         labels=np.array([entry.label for entry in entries], np.int64),
-        classes=recognition("labels").SCHEMES[scheme],
+        classes=labels.SCHEMES[scheme],
         source=np.array([sources.index(entry.source) for entry in entries], np.int64),
         sources=sources,
     )

@@ -11,8 +11,9 @@ import numpy as np
 
 from touchdown.experiments.classification.evaluate import Progress, all_scores, load_classifier
 from touchdown.experiments.classification.image_folders import load_pictures, read_catalogue
-from touchdown.experiments.classification.optional_import import recognition
+from touchdown.experiments.classification.optional_import import training_libraries
 from touchdown.experiments.errors import UsageError
+from touchdown.landing.classification.decision import fitted_limits
 
 
 def quantize_network(
@@ -34,7 +35,8 @@ def quantize_network(
         )
     if out.resolve() == network.resolve():
         raise UsageError(f"--out: '{out}' is the network itself: give another name")
-    variants = recognition("learning.variants")
+    with training_libraries():
+        from touchdown.landing.classification.learning import variants
     before = load_classifier(network, "onnx", 1)
     facts = before.facts
     catalogues = [read_catalogue(argument, facts.labels) for argument in data]
@@ -47,7 +49,7 @@ def quantize_network(
     variants.write_variant(network, out, weight_type, train.images[spread])
     scores = all_scores(load_classifier(out, "onnx", 1), val, progress)
     if facts.labels == "d_land":
-        limits = recognition("decision").fitted_limits(scores, val.labels)
+        limits = fitted_limits(scores, val.labels)
         facts = dataclasses.replace(facts, limits=limits)
         variants.with_facts(out, facts)
     own = all_scores(before, val, progress)

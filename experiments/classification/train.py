@@ -12,8 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.classification.image_folders import load_pictures, read_catalogue
-from touchdown.experiments.classification.optional_import import recognition
+from touchdown.experiments.classification.optional_import import training_libraries
 from touchdown.experiments.errors import UsageError
+from touchdown.landing.classification.decision import fitted_limits
+from touchdown.landing.classification.engine import apply_miss_costs
+from touchdown.landing.classification.labels import SCHEMES
+from touchdown.landing.classification.scores import summary
+from touchdown.landing.classification.weights import NetworkFacts
 
 CURVES, RECORDING, REPORT, NETWORK = "curves.csv", "curves.rrd", "training.json", "network.onnx"
 Progress = Callable[[int, int, str], None]
@@ -38,15 +43,16 @@ def train_network(
     UsageError for bad input, before anything is written."""
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out: '{out}' is a file; name a folder")
-    training, registry = recognition("learning.training"), recognition("networks.registry")
-    export = recognition("learning.export")
+    with training_libraries():
+        from touchdown.landing.classification.learning import export, training
+        from touchdown.landing.classification.networks.registry import check_network
     params = training.TrainParams(**options)
-    registry.check_network(params.network, params.image_size)
-    facts = recognition("weights").NetworkFacts(
+    check_network(params.network, params.image_size)
+    facts = NetworkFacts(
         network=params.network,
         labels=params.labels,
         image_size=params.image_size,
-        classes=recognition("labels").SCHEMES[params.labels],
+        classes=SCHEMES[params.labels],
         miss_costs=params.miss_costs,
     )
     chosen = training.chosen_device(device)
@@ -69,13 +75,13 @@ def train_network(
             "F1 {val_macro_f1:.3f}  top-1 {val_top1:.3f}".format(**row)
         )
     best = trainer.best()
-    weighed = recognition("engine").weighed(best.scores, facts)
+    weighted = apply_miss_costs(best.scores, facts)
     if params.labels == "d_land":
-        limits = recognition("decision").fitted_limits(weighed, val.labels)
+        limits = fitted_limits(weighted, val.labels)
         facts = replace(facts, limits=limits)
     export.export_network(out / NETWORK, best.network, best.temperature, facts)
     record_curves(out / RECORDING, best.history)
-    found = recognition("scores").summary(weighed, val.labels, val.classes)
+    found = summary(weighted, val.labels, val.classes)
     report = {
         "network_file": str(out / NETWORK),
         "parameters": asdict(params),

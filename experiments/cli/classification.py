@@ -10,7 +10,6 @@ from typing import Any
 import click
 import numpy as np
 
-from touchdown.experiments.classification.optional_import import recognition
 from touchdown.experiments.cli.common import EXIT_DONE, CommandGroup
 from touchdown.experiments.errors import usage_errors
 
@@ -85,8 +84,8 @@ def dataset() -> int:
               help="Only this scene. May be repeated.  [all]")  # fmt: skip
 @click.option("--size", "pixels", type=click.IntRange(32, 480), default=128, show_default=True,
               help="Pixels across.")  # fmt: skip
-@click.option("--per-place", type=click.IntRange(1), default=40, show_default=True,
-              help="Patches of each scene's seed.")  # fmt: skip
+@click.option("--per-seed", type=click.IntRange(1), default=40, show_default=True,
+              help="Patches of each seed of a scene.")  # fmt: skip
 @click.option("--new-colours", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
               help="Share of views in which roads, paving, roofs … have other colours than "
               "the scene gives them.")  # fmt: skip
@@ -94,7 +93,7 @@ def dataset() -> int:
               help="Processes; the pictures do not depend on it.")  # fmt: skip
 @_JSON
 @_QUIET
-def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int:
+def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: Any) -> int:
     """Render patches of the scenes as the vehicle's camera sees them, labelled by what they show.
 
     Heights from 5 to 60 m, squares of ground from 3 to 26 m, light, blur and noise varied. Writes
@@ -102,11 +101,13 @@ def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int
 
     Example: touchdown dataset render --out patches --images 4000 --jobs 2
     """
-    from touchdown.experiments.classification.render_dataset import render_dataset
+    from touchdown.experiments.classification.render_dataset import DatasetParams, render_dataset
     from touchdown.experiments.terminal import progress_bar
 
     with progress_bar(quiet) as progress:
-        done = usage_errors(lambda: render_dataset(out, progress=progress, **options))
+        done = usage_errors(
+            lambda: render_dataset(out, DatasetParams(**options), jobs=jobs, progress=progress)
+        )
     if as_json:
         click.echo(json.dumps(done, indent=2))
     else:
@@ -208,15 +209,16 @@ def train(
 
 def _use_threads(threads: int | None) -> None:
     if threads is not None:
-        usage_errors(lambda: _torch().set_num_threads(threads))
+        usage_errors(lambda: _limit_torch(threads))
 
 
-def _torch() -> Any:
+def _limit_torch(threads: int) -> None:
+    from touchdown.experiments.classification.optional_import import training_libraries
 
-    recognition("learning.training")
-    import torch
+    with training_libraries():
+        import torch
 
-    return torch
+    torch.set_num_threads(threads)
 
 
 @click.command()
@@ -314,13 +316,11 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
 def classify(
     images: tuple[Path, ...],
     network: Path | None,
-    out: Path,
-    window_px: int | None,
-    least: float,
     engine: str,
     threads: int,
     as_json: bool,
     quiet: bool,
+    **options: Any,
 ) -> int:
     """Draw what kinds of ground photographs from the air show.
 
@@ -334,11 +334,12 @@ def classify(
 
     rows = usage_errors(
         lambda: classify_pictures(
-            images, out, load_classifier(network or shipped_network(), engine, threads),
-            window_px, least,
-            make_notes(quiet),
+            images,
+            classifier=load_classifier(network or shipped_network(), engine, threads),
+            notes=make_notes(quiet),
+            **options,
         )
-    )  # fmt: skip
+    )
     if as_json:
         click.echo(json.dumps({"pictures": rows}, indent=2))
     else:
@@ -391,7 +392,7 @@ def _decision_words(decision: Mapping[str, Any]) -> str:
         count, of = decision[wrong], decision[kind]
         share = f" ({count / of:.2%})" if of else ""
         parts.append(f"{count} of {of} {words}{share}")
-    return f"at {decision['least_probability']:.3f}: {', '.join(parts)}"
+    return f"at {decision['min_probability']:.3f}: {', '.join(parts)}"
 
 
 def _confusion_table(report: Mapping[str, Any]) -> Any:

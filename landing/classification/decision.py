@@ -34,9 +34,9 @@ STRANGE = 0.005
 class Limits:
     """What an answer must reach."""
 
-    least_probability: float = 0.9
+    min_probability: float = 0.9
     """of the safe classes together"""
-    least_energy: float = -np.inf
+    min_energy: float = -np.inf
     """logarithm of the sum of the exponentials of the scores; lower is farther from the training
     data (Liu et al., NeurIPS 2020, Eq. 4 at temperature 1, sign turned)"""
 
@@ -48,7 +48,7 @@ def class_mask(*, allow_risky: bool = False) -> Mask:
 
 
 def energies(scores: Float32) -> Array:
-    """(N,) as ``Limits.least_energy``."""
+    """(N,) as ``Limits.min_energy``."""
     wide = scores.astype(np.float64)
     top = wide.max(axis=1, keepdims=True)
     return np.asarray((top + np.log(np.exp(wide - top).sum(axis=1, keepdims=True)))[:, 0])
@@ -58,8 +58,8 @@ def taken_for_safe(scores: Float32, limits: Limits) -> Mask:
     """(N,) pictures that would be landed on."""
     chance = probabilities(scores)
     safe = class_mask()
-    sure = chance[:, safe].sum(axis=1) >= limits.least_probability
-    return sure & safe[chance.argmax(axis=1)] & (energies(scores) >= limits.least_energy)
+    sure = chance[:, safe].sum(axis=1) >= limits.min_probability
+    return sure & safe[chance.argmax(axis=1)] & (energies(scores) >= limits.min_energy)
 
 
 def fitted_limits(scores: Float32, labels: Labels) -> Limits:
@@ -67,24 +67,24 @@ def fitted_limits(scores: Float32, labels: Labels) -> Limits:
     for safe: pictures that the network was not trained on."""
     energy = energies(scores)
     safe = class_mask()
-    least_energy = float(np.quantile(energy, STRANGE, method="lower"))
+    min_energy = float(np.quantile(energy, STRANGE, method="lower"))
     chance = probabilities(scores)
-    passing = safe[chance.argmax(axis=1)] & (energy >= least_energy)
+    passing = safe[chance.argmax(axis=1)] & (energy >= min_energy)
     tempting = chance[~safe[labels] & passing][:, safe].sum(axis=1)
     allowed = int(LARGEST_MISTAKE * (~safe[labels]).sum())
     least = LEAST
     if tempting.size > allowed:
         # just above the first one that is not allowed
         least = max(LEAST, float(np.nextafter(np.sort(tempting)[::-1][allowed], 2.0)))
-    return Limits(least_probability=min(least, 1.0), least_energy=least_energy)
+    return Limits(min_probability=min(least, 1.0), min_energy=min_energy)
 
 
 def decision_summary(scores: Float32, labels: Labels, limits: Limits) -> dict[str, Any]:
     """Counts of unsafe pictures taken for safe, and of safe ones that were refused."""
     taken, safe = taken_for_safe(scores, limits), class_mask()[labels]
     return {
-        "least_probability": limits.least_probability,
-        "least_energy": limits.least_energy if np.isfinite(limits.least_energy) else None,
+        "min_probability": limits.min_probability,
+        "min_energy": limits.min_energy if np.isfinite(limits.min_energy) else None,
         "unsafe": int((~safe).sum()),
         "unsafe_taken_for_safe": int((~safe & taken).sum()),
         "safe": int(safe.sum()),

@@ -49,9 +49,9 @@ class OnnxClassifier:
         self.facts = facts_of(self._session.get_modelmeta().custom_metadata_map, path)
 
     def scores(self, images: NDArray[np.uint8]) -> Float32:
-        pictures = as_input(images, self.facts.image_size)
-        found = np.asarray(self._session.run(None, {INPUT: pictures})[0], np.float32)
-        return weighed(found, self.facts)
+        inputs = as_input(images, self.facts.image_size)
+        found = np.asarray(self._session.run(None, {INPUT: inputs})[0], np.float32)
+        return apply_miss_costs(found, self.facts)
 
 
 def as_input(images: NDArray[np.uint8], size: int) -> Float32:
@@ -64,7 +64,7 @@ def as_input(images: NDArray[np.uint8], size: int) -> Float32:
     return np.ascontiguousarray(images.transpose(0, 3, 1, 2), np.float32) / np.float32(255.0)
 
 
-def weighed(found: Float32, facts: NetworkFacts) -> Float32:
+def apply_miss_costs(found: Float32, facts: NetworkFacts) -> Float32:
     """(N, C) scores plus the logarithms of what it costs to miss a class: the highest one is then
     the class of least expected cost (Elkan, IJCAI 2001, section 2), and their softmax what would
     be calibrated if the class were as many times as frequent."""
@@ -74,7 +74,9 @@ def weighed(found: Float32, facts: NetworkFacts) -> Float32:
     return found + added
 
 
-def chances(classifier: Classifier, images: NDArray[np.uint8], batch: int = 32) -> Array:
+def class_probabilities(
+    classifier: Classifier, images: NDArray[np.uint8], batch: int = 32
+) -> Array:
     """(N, C) calibrated probabilities."""
     return scores.probabilities(all_scores(classifier, images, batch))
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 _GAMMA = 2.2
 """light is the grey level to this power"""
@@ -53,14 +53,14 @@ class Haze:
         """Linear light that the air adds over distances of any shape."""
         return np.asarray(self.airlight * (1.0 - np.exp(-self.extinction * distances_m)))
 
-    def removed(self, rgb: Picture, distances_m: Array) -> Picture:
+    def removed(self, rgb: Image, distances_m: Array) -> Image:
         """(H, W, 3) as it would be in clear air, from how far each pixel (H, W) looks."""
         clear = np.maximum(np.exp(-self.extinction * distances_m), _LEAST_CLEAR)[..., None]
         light = (_LIGHT[rgb] - self.veil(distances_m)[..., None]) / clear
         return np.asarray(np.rint(255.0 * np.clip(light, 0.0, 1.0) ** (1.0 / _GAMMA)), np.uint8)
 
 
-def darkest_light(rgb: Picture) -> float:
+def darkest_light(rgb: Image) -> float:
     """Linear light, in its darkest colour, of the darkest pixels of (H, W, 3): their quantile."""
     dark = rgb[::_STRIDE, ::_STRIDE].min(axis=2)
     return float(_LIGHT[int(np.quantile(dark, _DARKEST))])

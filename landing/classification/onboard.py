@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.landing.api import PlaceOpinion
+from touchdown.landing.api import GroundPrediction
 from touchdown.landing.classification.decision import energies
 from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.landing.classification.scores import probabilities
@@ -39,8 +39,8 @@ class OnnxGroundClassifier:
         return self._network.facts.image_size
 
     @property
-    def least_probability(self) -> float:
-        return self._network.facts.limits.least_probability
+    def min_probability(self) -> float:
+        return self._network.facts.limits.min_probability
 
     def description(self) -> dict[str, Any]:
         """For a flight's result: which network, and the beginning of its checksum."""
@@ -49,15 +49,15 @@ class OnnxGroundClassifier:
             "network": facts.network,
             "image_size": facts.image_size,
             "sha256": self._sha256[:16],
-            "least_probability": facts.limits.least_probability,
+            "min_probability": facts.limits.min_probability,
         }
 
-    def look(self, pictures: NDArray[np.uint8]) -> PlaceOpinion:
+    def classify(self, images: NDArray[np.uint8]) -> GroundPrediction:
         """As `landing.api.GroundClassifier.look`."""
-        scores = self._network.scores(pictures)
-        return PlaceOpinion(
-            chances=probabilities(scores),
-            familiar=energies(scores) >= self._network.facts.limits.least_energy,
+        scores = self._network.scores(images)
+        return GroundPrediction(
+            probabilities=probabilities(scores),
+            in_distribution=energies(scores) >= self._network.facts.limits.min_energy,
         )
 
 

@@ -21,7 +21,7 @@ from touchdown.sim.api import CameraImage, CameraIntrinsics, Observation, Sensor
 from touchdown.sim.frames import Pose, interpolate_pose
 
 Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 _TRACK = 128
 """poses to find that of an exposure among: at 200 Hz, longer than a picture is on its way"""
@@ -38,8 +38,8 @@ _PER_METRE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class _Kept:
-    rgb: Picture
+class _KeptImage:
+    rgb: Image
     time_s: float
     odom_from_camera: Pose
     height_m: float
@@ -48,7 +48,7 @@ class _Kept:
     """``landing.classification.haze.darkest_light``, of those that are kept"""
 
 
-class KeptPictures:
+class SurveyImages:
     """At most ``limit`` pictures, a fifth of their height apart if so many are enough, and the
     newest."""
 
@@ -59,11 +59,11 @@ class KeptPictures:
         start = rig.world_from_body_start.translation[2]
         self._ground_world = float(start) - rig.vehicle.leg_height_m
         self._track: deque[tuple[float, Pose]] = deque(maxlen=_TRACK)
-        self._kept: list[_Kept] = []
-        self._newest: _Kept | None = None
+        self._kept: list[_KeptImage] = []
+        self._newest: _KeptImage | None = None
         self._newest_s = -np.inf
         """stamp of the newest picture that was believed"""
-        self._pixels: Picture = np.zeros(0, np.uint8)
+        self._pixels: Image = np.zeros(0, np.uint8)
         """some of it"""
         self._haze: Haze | None = None
         """as the kept pictures have it; None: to be estimated"""
@@ -71,24 +71,24 @@ class KeptPictures:
     def __len__(self) -> int:
         return len(self._kept)
 
-    def take_in(self, obs: Observation, estimate: Estimate) -> None:
+    def update(self, obs: Observation, estimate: Estimate) -> None:
         """Call once a control step."""
         self._track.append((estimate.time_s, estimate.odom_from_body))
         if not estimate.healthy:
             return
-        for image in self._believed(obs.images):
+        for image in self._usable(obs.images):
             pose = self._pose_at(image.time_s)
             if pose is None:
                 continue
             camera = pose @ self._rig.body_from_camera
             height = float(estimate.world_from_odom.apply(camera.translation)[2])
-            kept = _Kept(image.rgb, image.time_s, camera, height - self._ground_world)
+            kept = _KeptImage(image.rgb, image.time_s, camera, height - self._ground_world)
             self._newest = kept
             low = kept.height_m < _LOWEST_M
             if not low and (not self._kept or self._apart(self._kept[-1], kept)):
                 self._keep(kept)
 
-    def _believed(self, images: tuple[CameraImage, ...]) -> list[CameraImage]:
+    def _usable(self, images: tuple[CameraImage, ...]) -> list[CameraImage]:
         """Those that show something, something new, and come in order: what is black or frozen is
         no ground, and of two that are swapped neither tells where it was taken."""
         times = [image.time_s for image in images]
@@ -117,16 +117,16 @@ class KeptPictures:
             later = entry
         return None
 
-    def _apart(self, before: _Kept, picture: _Kept) -> bool:
-        away = picture.odom_from_camera.translation - before.odom_from_camera.translation
-        return float(np.linalg.norm(away)) >= self._spacing * picture.height_m
+    def _apart(self, before: _KeptImage, image: _KeptImage) -> bool:
+        away = image.odom_from_camera.translation - before.odom_from_camera.translation
+        return float(np.linalg.norm(away)) >= self._spacing * image.height_m
 
-    def _keep(self, picture: _Kept) -> None:
+    def _keep(self, image: _KeptImage) -> None:
         """A copy, since the picture is another's. Where there are too many, they move apart."""
         self._kept.append(
-            _Kept(
-                picture.rgb.copy(), picture.time_s, picture.odom_from_camera, picture.height_m,
-                darkest_light(picture.rgb),
+            _KeptImage(
+                image.rgb.copy(), image.time_s, image.odom_from_camera, image.height_m,
+                darkest_light(image.rgb),
             )
         )  # fmt: skip
         self._haze = None
@@ -146,28 +146,28 @@ class KeptPictures:
             self._haze = estimate_haze(heights, np.array([kept.darkest for kept in self._kept]))
         return self._haze
 
-    def square(
+    def patch(
         self, site_odom: Array, side_m: float, pixels: int, since_s: float = -np.inf
-    ) -> Picture | None:
+    ) -> Image | None:
         """(pixels, pixels, 3) RGB of the level square of ``side_m`` around ``site_odom`` (3,), out
         of the picture since ``since_s`` that looks down on it most steeply and from nearest by.
 
         A smaller square, down to half the side, where no picture shows all of it; None where none
         shows even that.
         """
-        pictures = [*self._kept, *([] if self._newest is None else [self._newest])]
-        recent = [kept for kept in pictures if kept.time_s >= since_s]
+        images = [*self._kept, *([] if self._newest is None else [self._newest])]
+        recent = [kept for kept in images if kept.time_s >= since_s]
         for share in _SHRUNK:
-            best: tuple[float, _Kept] | None = None
+            best: tuple[float, _KeptImage] | None = None
             for kept in recent:
                 rank = self._rank(kept, site_odom, share * side_m)
                 if rank is not None and (best is None or rank < best[0]):
                     best = rank, kept
             if best is not None:
-                return self._cut(best[1], site_odom, share * side_m, pixels)
+                return self._extract(best[1], site_odom, share * side_m, pixels)
         return None
 
-    def _rank(self, kept: _Kept, site: Array, side_m: float) -> float | None:
+    def _rank(self, kept: _KeptImage, site: Array, side_m: float) -> float | None:
         """Lower is better; None where the picture does not show all of the square."""
         camera = self._rig.camera
         offset = kept.odom_from_camera.translation - site
@@ -180,7 +180,7 @@ class KeptPictures:
             return None
         return float(np.hypot(offset[0], offset[1]) / offset[2] + _PER_METRE * offset[2])
 
-    def _cut(self, kept: _Kept, site: Array, side_m: float, pixels: int) -> Picture:
+    def _extract(self, kept: _KeptImage, site: Array, side_m: float, pixels: int) -> Image:
         """At the picture's own resolution, then averaged down to ``pixels``."""
         depth = float(kept.odom_from_camera.translation[2] - site[2])
         native = round(side_m * self._rig.camera.fx / depth)

@@ -13,6 +13,8 @@ from touchdown.landing.classification.labels import SCHEMES
 
 SUFFIX = ".onnx"
 INPUT, OUTPUT = "pictures", "scores"
+_LIMIT_KEYS = {"min_probability": "least_probability", "min_energy": "least_energy"}
+"""fields of ``Limits``, and their keys in a file"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -47,8 +49,8 @@ class NetworkFacts:
             "labels": self.labels,
             "image_size": str(self.image_size),
             "classes": " ".join(self.classes),
-            "least_probability": repr(self.limits.least_probability),
-            "least_energy": repr(self.limits.least_energy),
+            "least_probability": repr(self.limits.min_probability),
+            "least_energy": repr(self.limits.min_energy),
             "miss_costs": " ".join(f"{name}={cost!r}" for name, cost in self.miss_costs),
         }
 
@@ -63,9 +65,9 @@ def facts_of(properties: Mapping[str, str], path: Path) -> NetworkFacts:
             classes=tuple(properties["classes"].split()),
             limits=Limits(
                 **{
-                    name: float(properties[name])
-                    for name in ("least_probability", "least_energy")
-                    if name in properties
+                    name: float(properties[key])
+                    for name, key in _LIMIT_KEYS.items()
+                    if key in properties
                 }
             ),
             miss_costs=tuple(

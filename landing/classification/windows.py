@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 
 def window_starts(length: int, window: int, stride: int) -> NDArray[np.int64]:
@@ -24,10 +24,10 @@ def window_starts(length: int, window: int, stride: int) -> NDArray[np.int64]:
 
 
 def class_map(
-    picture: Picture,
+    image: Image,
     window: int,
     stride: int,
-    classify: Callable[[Picture], Array],
+    classify: Callable[[Image], Array],
     batch: int = 32,
 ) -> Float32:
     """(H, W, C) probabilities of each pixel of ``picture`` (H, W, 3).
@@ -35,17 +35,17 @@ def class_map(
     ``classify``: windows (N, window, window, 3) to probabilities (N, C). Windows overlap by all but
     ``stride`` pixels and weigh most in their middle (a raised cosine in both directions).
     """
-    rows, cols = (window_starts(length, window, stride) for length in picture.shape[:2])
+    rows, cols = (window_starts(length, window, stride) for length in image.shape[:2])
     corners = [(int(row), int(col)) for row in rows for col in cols]
     ramp = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(window) + 0.5) / window)
     weight = np.outer(ramp, ramp).astype(np.float32) + np.float32(1e-3)
     total: Float32 | None = None
-    norm = np.zeros(picture.shape[:2], np.float32)
+    norm = np.zeros(image.shape[:2], np.float32)
     for first in range(0, len(corners), batch):
         some = corners[first : first + batch]
-        found = classify(np.stack([picture[r : r + window, c : c + window] for r, c in some]))
+        found = classify(np.stack([image[r : r + window, c : c + window] for r, c in some]))
         if total is None:
-            total = np.zeros((*picture.shape[:2], found.shape[1]), np.float32)
+            total = np.zeros((*image.shape[:2], found.shape[1]), np.float32)
         for (row, col), chance in zip(some, found.astype(np.float32), strict=True):
             inside = (slice(row, row + window), slice(col, col + window))
             total[inside] += weight[..., None] * chance

@@ -22,11 +22,11 @@ def travel_time_s(distance_m: float, params: LandingParams) -> float:
     return max(1.875 * distance_m / params.cruise_speed_mps, np.sqrt(4.0 * max(distance_m, 0.0)))
 
 
-def landing_time_s(height_m: float, params: LandingParams, *, hurried: bool = False) -> float:
+def landing_time_s(height_m: float, params: LandingParams, *, emergency: bool = False) -> float:
     """From a hover at ``height_m`` above the site to motors off; ``hurried``: one look alone."""
     sink = max(height_m - params.commit_height_m, 0.0) / params.descent_speed_mps
     last = params.commit_height_m / params.final_speed_mps + _FINAL_S
-    looks = _LOOK_S if hurried else 2.0 * _LOOK_S + _SWEEP_S
+    looks = _LOOK_S if emergency else 2.0 * _LOOK_S + _SWEEP_S
     return sink + 2.0 * RAMP_S + last + (looks if params.second_look else 0.0)
 
 
@@ -49,5 +49,5 @@ def go_around_time_s(height_m: float, params: LandingParams) -> float:
 
 def emergency_reach_m(height_m: float, seconds: float, params: LandingParams) -> float:
     """How far away a site may be that is to be reached and landed on within ``seconds``."""
-    spare = seconds - landing_time_s(height_m, params, hurried=True)
+    spare = seconds - landing_time_s(height_m, params, emergency=True)
     return max(spare, 0.0) * params.cruise_speed_mps / 1.875

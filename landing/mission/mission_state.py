@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import Candidate, CostmapView, LandingParams, Phase, SurveyParams
-from touchdown.landing.classification.site_check import SiteClassCheck, SitePlace
+from touchdown.landing.classification.site_check import SiteClass, SiteClassCheck
 from touchdown.landing.mission.energy import (
     RAMP_S,
     emergency_reach_m,
@@ -19,7 +19,7 @@ from touchdown.landing.mission.energy import (
     search_leg_time_s,
 )
 from touchdown.landing.mission.trajectory import PiecewiseTrajectory, State, through
-from touchdown.landing.mission.wind import WindGuess
+from touchdown.landing.mission.wind import WindEstimator
 from touchdown.sim.api import Observation, SensorRig
 from touchdown.sim.frames import wrap_angle, yaw_from_rotation
 
@@ -29,7 +29,7 @@ Steps = Generator[Setpoint, None, None]
 _RAMP_S = RAMP_S
 
 
-class Flight:
+class Mission:
     """The lander's memory. ``obs``, ``estimate`` and ``map_view`` are the newest; phases read
     them, move the reference and write their decisions here."""
 
@@ -42,7 +42,7 @@ class Flight:
         rig: SensorRig,
         params: LandingParams,
         survey: SurveyParams,
-        places: SiteClassCheck | None = None,
+        class_check: SiteClassCheck | None = None,
     ) -> None:
         self.rig = rig
         self.params = params
@@ -59,16 +59,16 @@ class Flight:
         self.site_odom: Array | None = None
         self.committed_site_world: Array | None = None
         self.refused_odom: list[Array] = []
-        self.places = places
+        self.class_check = class_check
         """ground classification; None: it is off"""
-        self.site_place: SitePlace | None = None
-        self.alike_odom: list[Array] = []
+        self.site_class: SiteClass | None = None
+        self.unsafe_ground_odom: list[Array] = []
         """sites whose kind of ground was refused"""
         self.no_site = False
         self.aborted = False
         self.reference_world: Array = self.start_world.copy()
         self.takeoff_s: float | None = None
-        self.wind = WindGuess(rig.vehicle)
+        self.wind = WindEstimator(rig.vehicle)
         self.final = False
         """in the last metres: nothing but down"""
         self.deadline_s: float | None = None
@@ -78,11 +78,11 @@ class Flight:
 
     # ------------------------------------------------------------------------------- inputs
 
-    def take_in(self, obs: Observation, estimate: Estimate, map_view: MapView) -> None:
+    def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> None:
         self._last_s = obs.time_s if self.takeoff_s is None else self.obs.time_s
         self.obs, self.estimate, self.map_view = obs, estimate, map_view
-        if self.places is not None:
-            self.places.take_in(obs, estimate)
+        if self.class_check is not None:
+            self.class_check.update(obs, estimate)
         if self.takeoff_s is not None and self.phase is not Phase.TOUCHDOWN:
             self.wind.update(obs, estimate)
 

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 _TIME_CONSTANT_S = 3.0
 
 
-class WindGuess:
+class WindEstimator:
     """Mean horizontal wind, odom frame: what is left of Newton's law when thrust (rotor telemetry)
     and gravity are taken away is the rotors' drag, linear in the air-relative velocity."""
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.landing.api import CostmapView, LandingParams
-from touchdown.landing.selection.terrain import PlaneField, Terrain, distance_to
+from touchdown.landing.selection.elevation_raster import ElevationRaster, PlaneField, distance_to
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -94,16 +94,16 @@ def flatness(
     return np.where(np.isfinite(kernel), cost, np.nan).astype(np.float32)
 
 
-def distance(terrain: Terrain, position_odom: Array, reach_m: float) -> Float32:
+def distance(raster: ElevationRaster, position_odom: Array, reach_m: float) -> Float32:
     """Eq. 18: straight-line distance from the vehicle as a stand-in for energy, 1 here and 0 at
     the farthest cell; NaN beyond ``reach_m``, which the energy left does not allow."""
-    x, y = (axis.astype(np.float32) for axis in terrain.offsets_from(position_odom[:2]))
-    z = terrain.height - np.float32(position_odom[2])
+    x, y = (axis.astype(np.float32) for axis in raster.offsets_from(position_odom[:2]))
+    z = raster.height - np.float32(position_odom[2])
     horizontal = (x**2)[None, :] + (y**2)[:, None]
     metres = np.sqrt(horizontal + z**2)
     allowed = np.isfinite(metres) & (horizontal <= np.float32(min(reach_m, 1e9)) ** 2)
     if not allowed.any():
-        return np.full(terrain.shape, np.nan, np.float32)
+        return np.full(raster.shape, np.nan, np.float32)
     near, far = float(metres[allowed].min()), float(metres[allowed].max())
     cost = 1.0 - (metres - near) / max(far - near, 1e-6)
     return np.where(allowed, cost, np.nan).astype(np.float32)
@@ -115,29 +115,29 @@ def weighted_sum(smooth: Float32, flat: Float32, near: Float32, params: LandingP
     return (total + params.weight_distance * near).astype(np.float32)
 
 
-def smoothness_term(terrain: Terrain, params: LandingParams) -> tuple[Float32, Mask]:
+def smoothness_term(raster: ElevationRaster, params: LandingParams) -> tuple[Float32, Mask]:
     """Eq. 14 on a terrain, and which of its cells are coloured."""
     edges, coloured = colour_edges(
-        terrain.rgb,
-        blur_cells=params.edge_blur_m / terrain.cell_m,
+        raster.rgb,
+        blur_cells=params.edge_blur_m / raster.cell_m,
         low=params.edge_low,
         high=params.edge_high,
     )
-    return smoothness(edges, coloured, terrain.cell_m, params.smoothness_full_m), coloured
+    return smoothness(edges, coloured, raster.cell_m, params.smoothness_full_m), coloured
 
 
-def flatness_term(terrain: Terrain, planes: PlaneField, params: LandingParams) -> Float32:
+def flatness_term(raster: ElevationRaster, planes: PlaneField, params: LandingParams) -> Float32:
     """Eqs. 15 to 17 on a terrain with the planes through its cells."""
-    angles = np.where(terrain.known, normal_angles(planes), np.float32(np.nan))
+    angles = np.where(raster.known, normal_angles(planes), np.float32(np.nan))
     form = params.flatness_form
     kernel = flatness_kernel(angles, form=form, sigma_rad=np.deg2rad(params.flatness_sigma_deg))
     return flatness(
-        kernel, terrain.count, form=form, radius_m=params.clear_radius_m, cell_m=terrain.cell_m
+        kernel, raster.count, form=form, radius_m=params.clear_radius_m, cell_m=raster.cell_m
     )
 
 
 def compute_costmap(
-    terrain: Terrain,
+    raster: ElevationRaster,
     planes: PlaneField,
     position_odom: Array,
     reach_m: float,
@@ -145,15 +145,15 @@ def compute_costmap(
 ) -> CostmapView:
     """All terms on the raster of ``terrain``, with the planes through its cells, for a vehicle at
     ``position_odom`` (3,)."""
-    smooth, coloured = smoothness_term(terrain, params)
-    flat = flatness_term(terrain, planes, params)
-    near = distance(terrain, position_odom, reach_m)
+    smooth, coloured = smoothness_term(raster, params)
+    flat = flatness_term(raster, planes, params)
+    near = distance(raster, position_odom, reach_m)
     return CostmapView(
-        origin_xy_m=terrain.origin_xy_m,
-        cell_m=terrain.cell_m,
+        origin_xy_m=raster.origin_xy_m,
+        cell_m=raster.cell_m,
         total=weighted_sum(smooth, flat, near, params),
         flatness=flat,
         smoothness=smooth,
         distance=near,
-        rgb=np.where(coloured[..., None], terrain.rgb, np.float32(0.0)).astype(np.uint8),
+        rgb=np.where(coloured[..., None], raster.rgb, np.float32(0.0)).astype(np.uint8),
     )

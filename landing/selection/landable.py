@@ -15,7 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams
-from touchdown.landing.selection.terrain import PlaneField, Terrain, disc_maximum, fit_planes, near
+from touchdown.landing.selection.elevation_raster import (
+    ElevationRaster,
+    PlaneField,
+    dilated,
+    disc_maximum,
+    fit_planes,
+)
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -92,18 +98,18 @@ class Footprint:
     """largest |residual| of a cell's mean height"""
 
 
-def water_cells(terrain: Terrain, max_ratio: float) -> Mask:
+def water_cells(raster: ElevationRaster, max_ratio: float) -> Mask:
     """Cells around which more than ``max_ratio`` of the pulses never came back."""
-    size = 2 * round(0.5 * _WATER_WINDOW_M / terrain.cell_m) + 1
+    size = 2 * round(0.5 * _WATER_WINDOW_M / raster.cell_m) + 1
     window = (size, size)
-    missing = cv2.boxFilter(terrain.missing, -1, window, normalize=False,
+    missing = cv2.boxFilter(raster.missing, -1, window, normalize=False,
                             borderType=cv2.BORDER_CONSTANT)  # fmt: skip
-    hits = cv2.boxFilter(terrain.count, -1, window, normalize=False,
+    hits = cv2.boxFilter(raster.count, -1, window, normalize=False,
                          borderType=cv2.BORDER_CONSTANT)  # fmt: skip
     return (missing >= _WATER_MIN_MISSING) & (missing > max_ratio * (missing + hits))
 
 
-def moving_cells(terrain: Terrain) -> Mask:
+def moving_cells(raster: ElevationRaster) -> Mask:
     """Where something passed, widened by the room that traffic takes.
 
     A cell over which a vehicle drove gave mostly ground and now and then a roof: wide spread, mean
@@ -111,9 +117,9 @@ def moving_cells(terrain: Terrain) -> Mask:
     standing object spreads the returns of its edge alone, so narrow patches are opened away.
     """
     with np.errstate(invalid="ignore"):
-        mostly_ground = terrain.height - terrain.low < _MOVING_SHARE * (terrain.high - terrain.low)
-        spread = mostly_ground & (terrain.std > _MOVING_STD_M)
-    width = 2 * round(0.5 * _MOVING_WIDTH_M / terrain.cell_m) + 1
+        mostly_ground = raster.height - raster.low < _MOVING_SHARE * (raster.high - raster.low)
+        spread = mostly_ground & (raster.std > _MOVING_STD_M)
+    width = 2 * round(0.5 * _MOVING_WIDTH_M / raster.cell_m) + 1
     blobs = cv2.morphologyEx(
         spread.astype(np.uint8),
         cv2.MORPH_OPEN,
@@ -121,16 +127,16 @@ def moving_cells(terrain: Terrain) -> Mask:
         borderType=cv2.BORDER_CONSTANT,
         borderValue=0,
     )
-    return near(blobs > 0, _MOVING_MARGIN_M / terrain.cell_m)
+    return dilated(blobs > 0, _MOVING_MARGIN_M / raster.cell_m)
 
 
-def ground_planes(terrain: Terrain, params: LandingParams) -> PlaneField:
+def ground_planes(raster: ElevationRaster, params: LandingParams) -> PlaneField:
     """The plane through the ground around every cell."""
-    return fit_planes(terrain.height, terrain.cell_m, params.normal_half_width_m)
+    return fit_planes(raster.height, raster.cell_m, params.normal_half_width_m)
 
 
 def assess(
-    terrain: Terrain,
+    raster: ElevationRaster,
     planes: PlaneField,
     params: LandingParams,
     *,
@@ -142,32 +148,32 @@ def assess(
     ``planes``: see ``ground_planes``; ``margin_m`` widens the footprint and the clear radius by
     the error of map and position; ``min_returns``: a cell with fewer is too thinly seen to trust.
     """
-    cell, known = terrain.cell_m, terrain.known
+    cell, known = raster.cell_m, raster.known
     slope = np.rad2deg(planes.angle_rad)
     reach = max(round(_STEP_HALF_WIDTH_M / cell), 1)
     square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    top = cv2.dilate(np.where(known, terrain.height, _NEVER_HIGHEST), square)
-    bottom = cv2.erode(np.where(known, terrain.height, -_NEVER_HIGHEST), square)
+    top = cv2.dilate(np.where(known, raster.height, _NEVER_HIGHEST), square)
+    bottom = cv2.erode(np.where(known, raster.height, -_NEVER_HIGHEST), square)
     with np.errstate(invalid="ignore"):
         step = (top - bottom).astype(np.float32)
-        peak = (terrain.high - planes.level).astype(np.float32)
-        defect = np.zeros(terrain.shape, np.uint8)
+        peak = (raster.high - planes.level).astype(np.float32)
+        defect = np.zeros(raster.shape, np.uint8)
         rules: tuple[tuple[Defect, Mask], ...] = (
-            (Defect.SPARSE, terrain.count < min_returns),
+            (Defect.SPARSE, raster.count < min_returns),
             (Defect.UNKNOWN, ~known | ~np.isfinite(slope)),
-            (Defect.ROUGH, terrain.std > _ROUGH_STD_M),
+            (Defect.ROUGH, raster.std > _ROUGH_STD_M),
             (Defect.STEEP, slope > params.max_slope_deg - params.slope_margin_deg),
             (Defect.STEP, known & (step > params.max_step_m - params.step_margin_m)),
             (Defect.OBSTACLE, peak > params.max_step_m + _PEAK_ALLOWANCE_M),
-            (Defect.MOVING, moving_cells(terrain)),
-            (Defect.WATER, water_cells(terrain, params.max_missing_ratio)),
+            (Defect.MOVING, moving_cells(raster)),
+            (Defect.WATER, water_cells(raster, params.max_missing_ratio)),
         )
         for kind, where in rules:
             defect[where] = kind
         clear_cells = (params.clear_radius_m + margin_m) / cell
-        tall = disc_maximum(terrain.high, clear_cells) - terrain.height
-        mask = ~near(defect > 0, (FOOTPRINT_M + margin_m) / cell) & (tall <= _TALL_M)
-    mask &= _inside(terrain.shape, (FOOTPRINT_M + margin_m) / cell)
+        tall = disc_maximum(raster.high, clear_cells) - raster.height
+        mask = ~dilated(defect > 0, (FOOTPRINT_M + margin_m) / cell) & (tall <= _TALL_M)
+    mask &= _inside(raster.shape, (FOOTPRINT_M + margin_m) / cell)
     return LandableMap(
         mask=mask,
         defect=defect,
@@ -186,10 +192,12 @@ def _inside(shape: tuple[int, int], border_cells: float) -> Mask:
     return inside
 
 
-def fit_footprint(terrain: Terrain, xy: Array, radius_m: float = FOOTPRINT_M) -> Footprint | None:
+def fit_footprint(
+    raster: ElevationRaster, xy: Array, radius_m: float = FOOTPRINT_M
+) -> Footprint | None:
     """Plane through the known cells within ``radius_m`` of ``xy``; None if fewer than half of
     them are known."""
-    local = terrain.window(xy, radius_m)
+    local = raster.window(xy, radius_m)
     x, y = local.offsets_from(xy)
     xx, yy = np.meshgrid(x, y)
     inside = xx**2 + yy**2 <= radius_m**2
@@ -210,11 +218,11 @@ def fit_footprint(terrain: Terrain, xy: Array, radius_m: float = FOOTPRINT_M) ->
 
 
 def explain(
-    terrain: Terrain, landable: LandableMap, row: int, col: int, params: LandingParams,
+    raster: ElevationRaster, landable: LandableMap, row: int, col: int, params: LandingParams,
     margin_m: float,
 ) -> str:  # fmt: skip
     """Why (row, col) is not landable, in words with figures."""
-    radius = (FOOTPRINT_M + margin_m) / terrain.cell_m
+    radius = (FOOTPRINT_M + margin_m) / raster.cell_m
     reach = int(np.ceil(radius))
     top, left = max(row - reach, 0), max(col - reach, 0)
     defect = landable.defect[top : row + reach + 1, left : col + reach + 1]
@@ -229,15 +237,15 @@ def explain(
         return "the footprint reaches beyond the map"
     nearest = np.where(wrong, away, np.inf)
     r, c = np.unravel_index(int(np.argmin(nearest)), nearest.shape)
-    metres = float(nearest[r, c]) * terrain.cell_m
+    metres = float(nearest[r, c]) * raster.cell_m
     r, c = r + top, c + left
     kind = Defect(int(landable.defect[r, c]))
     figure = {
         Defect.STEEP: f" ({landable.slope_deg[r, c]:.1f} deg, limit {params.max_slope_deg:.1f})",
         Defect.STEP: f" ({landable.step_m[r, c]:.2f} m, limit {params.max_step_m:.2f})",
         Defect.OBSTACLE: f" ({landable.peak_m[r, c]:.2f} m, limit {params.max_step_m:.2f})",
-        Defect.ROUGH: f" (standard deviation {terrain.std[r, c]:.2f} m)",
-        Defect.SPARSE: f" ({terrain.count[r, c]:.0f})",
-        Defect.WATER: f" ({terrain.missing[r, c]:.0f} missing, {terrain.count[r, c]:.0f} seen)",
+        Defect.ROUGH: f" (standard deviation {raster.std[r, c]:.2f} m)",
+        Defect.SPARSE: f" ({raster.count[r, c]:.0f})",
+        Defect.WATER: f" ({raster.missing[r, c]:.0f} missing, {raster.count[r, c]:.0f} seen)",
     }.get(kind, "")
     return f"{_WORDS[kind]}{figure} {metres:.1f} m away"

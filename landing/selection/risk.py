@@ -14,9 +14,9 @@ from scipy.optimize import minimize
 
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import LandingParams
+from touchdown.landing.selection.elevation_raster import ElevationRaster, observed_raster
 from touchdown.landing.selection.landable import LandableMap, assess, ground_planes
 from touchdown.landing.selection.risk_features import NAMES, RiskFeatures, risk_features
-from touchdown.landing.selection.terrain import Terrain, observed_terrain
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -27,7 +27,7 @@ TERMS = ("constant", *NAMES, "worst", "near the limit")
 _SLOPE, _STEP, _NEIGHBOUR = (NAMES.index(name) for name in ("slope", "step", "neighbour"))
 _KNEE = 0.8
 """share of a limit beyond which the map's own error decides"""
-_LEAST = -0.2
+_MAX_COEFFICIENT = -0.2
 """a coefficient is at most this, also where the fitted data has no say: true maps stand still, so
 they cannot show what an old map costs"""
 _RIDGE = 1e-4
@@ -46,12 +46,12 @@ def probability(features: RiskFeatures, weights: tuple[float, ...]) -> Float32:
     ``weights``: (11,) as ``TERMS``. ValueError: another number of them."""
     result = np.zeros(features.open.shape, np.float32)
     flat = features.values.reshape(-1, len(NAMES))
-    _believe(flat, features.open.ravel(), _checked(weights), result.ravel())
+    _apply_model(flat, features.open.ravel(), _checked(weights), result.ravel())
     return result
 
 
 @numba.njit(cache=True)
-def _believe(values: Float32, chosen: Mask, weights: Array, result: Float32) -> None:
+def _apply_model(values: Float32, chosen: Mask, weights: Array, result: Float32) -> None:
     """The logistic model of ``terms`` on the chosen rows of (N, 8) features, into ``result``."""
     count = values.shape[1]
     for i in range(values.shape[0]):
@@ -71,33 +71,38 @@ def _checked(weights: tuple[float, ...]) -> Array:
     return np.asarray(weights, np.float64)
 
 
-def believed(values: Float32, weights: tuple[float, ...]) -> Float32:
+def predict(values: Float32, weights: tuple[float, ...]) -> Float32:
     """(N,) float32 probabilities from features (N, 8). ValueError: wrong number of weights."""
     result = np.zeros(len(values), np.float32)
     every = np.ones(len(values), np.bool_)
-    _believe(np.ascontiguousarray(values), every, _checked(weights), result)
+    _apply_model(np.ascontiguousarray(values), every, _checked(weights), result)
     return result
 
 
 def safe_probability(
-    terrain: Terrain, landable: LandableMap, params: LandingParams, *, now_s: float, drift_m: float
+    raster: ElevationRaster,
+    landable: LandableMap,
+    params: LandingParams,
+    *,
+    now_s: float,
+    drift_m: float,
 ) -> Float32:
     """(rows, cols) of every cell as a touchdown point; see ``risk_features``."""
-    features = risk_features(terrain, landable, params, now_s=now_s, drift_m=drift_m)
+    features = risk_features(raster, landable, params, now_s=now_s, drift_m=drift_m)
     return probability(features, params.risk_weights)
 
 
 def features_of(map_view: MapView, estimate: Estimate, params: LandingParams) -> RiskFeatures:
     """Features on the raster of ``landing.selection.selector.select_sites``. ValueError: an empty
     map."""
-    terrain = observed_terrain(map_view.coarse)
-    if terrain is None:
+    raster = observed_raster(map_view.coarse)
+    if raster is None:
         raise ValueError("the map is empty: it has no features")
-    planes = ground_planes(terrain, params)
+    planes = ground_planes(raster, params)
     landable = assess(
-        terrain, planes, params, margin_m=params.map_margin_m, min_returns=params.min_returns
+        raster, planes, params, margin_m=params.map_margin_m, min_returns=params.min_returns
     )
-    return risk_features(terrain, landable, params, now_s=estimate.time_s)
+    return risk_features(raster, landable, params, now_s=estimate.time_s)
 
 
 def fit_weights(values: Float32, safe: NDArray[np.bool_]) -> tuple[float, ...]:
@@ -114,23 +119,23 @@ def fit_weights(values: Float32, safe: NDArray[np.bool_]) -> tuple[float, ...]:
         return value, slope + 2.0 * _RIDGE * np.concatenate([[0.0], weights[1:]])
 
     start = np.concatenate([[5.0], np.full(len(TERMS) - 1, -1.0)])
-    bounds = [(None, None)] + [(None, _LEAST)] * (len(TERMS) - 1)
+    bounds = [(None, None)] + [(None, _MAX_COEFFICIENT)] * (len(TERMS) - 1)
     found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds,
                      options={"maxiter": 2000})  # fmt: skip
     return tuple(float(weight) for weight in found.x)
 
 
 def calibration(
-    believed: Float32, safe: NDArray[np.bool_], bins: int = 10
+    predicted: Float32, safe: NDArray[np.bool_], bins: int = 10
 ) -> tuple[float, list[tuple[float, float, int]]]:
     """Expected calibration error of probabilities (N,), and the reliability diagram: mean belief,
     share that is safe and number of every bin of equal width that holds any."""
-    index = np.minimum((believed * bins).astype(int), bins - 1)
+    index = np.minimum((predicted * bins).astype(int), bins - 1)
     rows, error = [], 0.0
     for number in range(bins):
         inside = index == number
         if inside.any():
-            mean, share = float(believed[inside].mean()), float(safe[inside].mean())
+            mean, share = float(predicted[inside].mean()), float(safe[inside].mean())
             rows.append((mean, share, int(inside.sum())))
             error += abs(mean - share) * float(inside.mean())
     return error, rows

@@ -12,8 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams
+from touchdown.landing.selection.elevation_raster import (
+    ElevationRaster,
+    dilated,
+    disc_maximum,
+    distance_to,
+)
 from touchdown.landing.selection.landable import FOOTPRINT_M, Defect, LandableMap
-from touchdown.landing.selection.terrain import Terrain, disc_maximum, distance_to, near
 
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -42,7 +47,7 @@ class RiskFeatures:
 
 
 def risk_features(
-    terrain: Terrain,
+    raster: ElevationRaster,
     landable: LandableMap,
     params: LandingParams,
     *,
@@ -54,28 +59,28 @@ def risk_features(
     ``now_s``: the time that ages are counted to; ``drift_m``: how far gusts may carry the vehicle,
     taken off the room around the footprint.
     """
-    cell = terrain.cell_m
+    cell = raster.cell_m
     pad = FOOTPRINT_M / cell
     hard = _IS_HARD[landable.defect]
     border = int(np.ceil(pad))
-    inside = np.zeros(terrain.shape, np.bool_)
+    inside = np.zeros(raster.shape, np.bool_)
     inside[border:-border, border:-border] = True
     flawed = hard | (landable.defect >= Defect.ROUGH)
     room = distance_to(flawed, cell)
     side = 2 * border + 1
-    few = np.reciprocal(1.0 + terrain.count).astype(np.float32)
+    few = np.reciprocal(1.0 + raster.count).astype(np.float32)
     thin = np.asarray(cv2.blur(few, (side, side), borderType=cv2.BORDER_REPLICATE), np.float32)
-    values = np.empty((*terrain.shape, len(NAMES)), np.float32)
+    values = np.empty((*raster.shape, len(NAMES)), np.float32)
     _scaled(disc_maximum(landable.slope_deg, _SLOPE_DISC_M / cell), 0.0,
             1.0 / params.max_slope_deg, values[..., 0])  # fmt: skip
     for index, layer in ((1, landable.step_m), (2, landable.peak_m)):
         _scaled(disc_maximum(layer, pad), 0.0, 1.0 / params.max_step_m, values[..., index])
-    _scaled(disc_maximum(terrain.std, pad), 0.0, 1.0 / _SPREAD_LIMIT_M, values[..., 3])
+    _scaled(disc_maximum(raster.std, pad), 0.0, 1.0 / _SPREAD_LIMIT_M, values[..., 3])
     _scaled(landable.tall_m, 0.0, 1.0 / _NEIGHBOUR_LIMIT_M, values[..., 4])
     _scaled(room, _ROOM_M + FOOTPRINT_M + drift_m, -1.0 / _ROOM_M, values[..., 5])
     _scaled(thin, 0.0, 1.0, values[..., 6])
-    _scaled(terrain.last_seen, now_s, -1.0 / _AGE_S, values[..., 7])
-    return RiskFeatures(values=values, open=inside & ~near(hard, pad))
+    _scaled(raster.last_seen, now_s, -1.0 / _AGE_S, values[..., 7])
+    return RiskFeatures(values=values, open=inside & ~dilated(hard, pad))
 
 
 @numba.njit(cache=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
-from touchdown.landing.classification.engine import as_input, weighed
+from touchdown.landing.classification.engine import apply_miss_costs, as_input
 from touchdown.landing.classification.learning.training import normalised
 from touchdown.landing.classification.learning.weights_file import load_weights, read_weights
 from touchdown.landing.classification.networks.registry import build_network
@@ -109,4 +109,4 @@ class TorchClassifier:
         pictures = torch.from_numpy(as_input(images, self.facts.image_size))
         with torch.inference_mode():
             scores: Tensor = self._module(pictures.to(self._device))
-        return weighed(scores.float().cpu().numpy(), self.facts)
+        return apply_miss_costs(scores.float().cpu().numpy(), self.facts)

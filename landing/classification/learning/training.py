@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from touchdown.landing.api import LabelledPictures
+from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification import scores
 from touchdown.landing.classification.learning import checkpoint
 from touchdown.landing.classification.learning.augment import as_input, augmented, blended
@@ -104,8 +104,8 @@ class Trainer:
     def __init__(
         self,
         params: TrainParams,
-        train: LabelledPictures,
-        val: LabelledPictures,
+        train: LabelledImages,
+        val: LabelledImages,
         folder: Path,
         device: torch.device,
         *,
@@ -296,7 +296,7 @@ def schedule(step: int, steps: int) -> float:
     return 0.5 * (1.0 + math.cos(math.pi * (step - warm) / max(1, steps - warm)))
 
 
-def balanced_order(pictures: LabelledPictures, seed: int, epoch: int) -> NDArray[np.int64]:
+def balanced_order(pictures: LabelledImages, seed: int, epoch: int) -> NDArray[np.int64]:
     """(N,) pictures of an epoch. One is drawn as often as the inverse root of how many there are
     of its class in its data set, by one comb over the cumulated weights: as evenly as can be."""
     group = pictures.labels * len(pictures.sources) + pictures.source
@@ -362,7 +362,7 @@ def _follow(average: nn.Module, network: nn.Module, keep: float) -> None:
             mean.copy_(now)
 
 
-def _fingerprint(*sets: LabelledPictures) -> int:
+def _fingerprint(*sets: LabelledImages) -> int:
     value = 0
     for pictures in sets:
         for array in (pictures.images, pictures.labels, pictures.source):

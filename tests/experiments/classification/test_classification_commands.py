@@ -18,7 +18,7 @@ from touchdown.experiments.io.images import read_picture
 from touchdown.landing.classification import weights
 from touchdown.landing.classification.labels import D_LAND
 
-from support.recognition_support import coloured
+from support.labelled_images_support import coloured
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.classification import colour_randomization as recolour
-from touchdown.experiments.classification import patches
-from touchdown.experiments.classification import render_dataset as patch_dataset
+from touchdown.experiments.classification import patches, render_dataset
 from touchdown.experiments.classification.image_folders import load_pictures, read_catalogue
-from touchdown.experiments.classification.render_dataset import contact_sheet
+from touchdown.experiments.classification.render_dataset import DatasetParams, contact_sheet
 from touchdown.experiments.classification.splits import (
     split_of_file,
     split_of_place,
@@ -216,14 +215,17 @@ def _painted(
 
 def test_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten patches of two scenes at four a place; places give two, so that more are needed."""
-    monkeypatch.setattr(patch_dataset, "scene_patches", _painted)
+    monkeypatch.setattr(render_dataset, "scene_patches", _painted)
     out = tmp_path / "patches"
-    done = patch_dataset.render_dataset(out, 10, 0, ["lake", "pools"], pixels=48, per_place=4)
+    done = render_dataset.render_dataset(
+        out,
+        DatasetParams(images=10, scenes=["lake", "pools"], pixels=48, per_seed=4),
+    )
     assert done["images"] == 10 and done["splits"]["test"] >= 4
     with (out / "manifest.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len({row["file"] for row in rows}) == 10
-    assert tuple(rows[0]) == patch_dataset.COLUMNS
+    assert tuple(rows[0]) == render_dataset.COLUMNS
     assert rows[0] == {
         "file": "lake-1000/0000.png", "d_land": "lawn", "d_scene": "meadow", "scene": "lake",
         "seed": "1000", "split": "train", "height_m": "20.00", "side_m": "6.40", "share": "0.900",
@@ -244,9 +246,9 @@ def test_an_interrupted_dataset_leaves_nothing(
     def stop(*_: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(patch_dataset, "scene_patches", stop)
+    monkeypatch.setattr(render_dataset, "scene_patches", stop)
     with pytest.raises(KeyboardInterrupt):
-        patch_dataset.render_dataset(tmp_path / "new", 4, 0, ["lake"])
+        render_dataset.render_dataset(tmp_path / "new", DatasetParams(images=4, scenes=["lake"]))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from support.recognition_support import coloured
+from support.labelled_images_support import coloured
 
 
 def test_variations_keep_the_kind_of_picture(torch: Any) -> None:

@@ -7,11 +7,11 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.landing.classification.haze import Haze, darkest_light, estimate_haze
-from touchdown.landing.classification.survey_images import KeptPictures
+from touchdown.landing.classification.survey_images import SurveyImages
 from touchdown.sim.frames import Pose
 
+from support.ground_class_support import photograph, small_rig
 from support.landing_support import make_estimate, make_obs
-from support.place_support import photograph, small_rig
 
 Array = NDArray[np.float64]
 FOG = Haze(0.02, 0.5)
@@ -92,9 +92,9 @@ def _ground(x: Array, y: Array) -> Array:
     return np.array([[200.0, 30.0, 10.0], [40.0, 160.0, 20.0], [5.0, 5.0, 5.0]])[which]
 
 
-def _climbed(haze: Haze) -> KeptPictures:
+def _climbed(haze: Haze) -> SurveyImages:
     rig = small_rig()
-    pictures = KeptPictures(rig, 40)
+    survey_images = SurveyImages(rig, 40)
     for step, height in enumerate(CLIMB):
         pose = Pose(np.eye(3), np.array([0.0, 0.0, height]))
 
@@ -106,8 +106,8 @@ def _climbed(haze: Haze) -> KeptPictures:
             return 255.0 * (light + haze.veil(away)[..., None]) ** (1.0 / 2.2)
 
         image = photograph(rig, pose, hazy, float(step), noise=0.0)
-        pictures.take_in(make_obs(600 * step, images=(image,)), make_estimate(600 * step, pose))
-    return pictures
+        survey_images.update(make_obs(600 * step, images=(image,)), make_estimate(600 * step, pose))
+    return survey_images
 
 
 def test_squares_are_as_in_clear_air() -> None:
@@ -117,9 +117,9 @@ def test_squares_are_as_in_clear_air() -> None:
     clear, hazy = _climbed(Haze()), _climbed(FOG)
     assert clear.haze == Haze()
     assert hazy.haze.extinction == pytest.approx(0.02, rel=0.15)
-    wanted = np.asarray(clear.square(site, 3.2, 48, since_s=12.0), float)
-    found = np.asarray(hazy.square(site, 3.2, 48, since_s=12.0), float)
+    wanted = np.asarray(clear.patch(site, 3.2, 48, since_s=12.0), float)
+    found = np.asarray(hazy.patch(site, 3.2, 48, since_s=12.0), float)
     hazy._haze = Haze()
-    left = np.asarray(hazy.square(site, 3.2, 48, since_s=12.0), float)
+    left = np.asarray(hazy.patch(site, 3.2, 48, since_s=12.0), float)
     assert np.abs(left - wanted).mean() > 80.0
     assert np.abs(found - wanted).mean() < 8.0

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.landing.api import LabelledPictures
+from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification import weights
 from touchdown.landing.classification.labels import D_LAND
 
-from support.recognition_support import coloured
+from support.labelled_images_support import coloured
 
 
 def test_rare_classes_are_drawn_more_often(torch: Any) -> None:
@@ -25,7 +25,7 @@ def test_rare_classes_are_drawn_more_often(torch: Any) -> None:
     pictures = coloured(100, 1)
     labels = np.array([0] * 81 + [1] * 19, np.int64)
     source = np.array([0] * 81 + [0] * 18 + [1], np.int64)
-    uneven = LabelledPictures(
+    uneven = LabelledImages(
         images=pictures.images, labels=labels, classes=D_LAND, source=source, sources=("a", "b")
     )
     draws = np.bincount(balanced_order(uneven, 0, 0), minlength=100)

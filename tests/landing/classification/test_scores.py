@@ -12,7 +12,7 @@ import pytest
 
 from touchdown.experiments.classification import class_map as class_pictures
 from touchdown.landing.classification import scores, weights, windows
-from touchdown.landing.classification.engine import weighed
+from touchdown.landing.classification.engine import apply_miss_costs
 from touchdown.landing.classification.labels import D_LAND
 
 # ----------------------------------------------------------------------------------------- scores
@@ -145,8 +145,8 @@ def test_a_class_that_costs_more_to_miss_is_taken_sooner() -> None:
     found[:, D_LAND.index("water")] = np.log([0.15, 0.05])
     plain = weights.NetworkFacts(network="resnet18", labels="d_land", image_size=64, classes=D_LAND)
     dear = dataclasses.replace(plain, miss_costs=(("water", 10.0),))
-    np.testing.assert_array_equal(weighed(found, plain), found)
-    chance = scores.probabilities(weighed(found, dear))
+    np.testing.assert_array_equal(apply_miss_costs(found, plain), found)
+    chance = scores.probabilities(apply_miss_costs(found, dear))
     water = chance[:, D_LAND.index("water")]
     np.testing.assert_allclose(water, [1.5 / 2.35, 0.5 / 1.45], rtol=1e-6)
     assert [D_LAND[best] for best in chance.argmax(axis=1)] == ["water", "lawn"]

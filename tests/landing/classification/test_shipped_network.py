@@ -30,16 +30,16 @@ LARGEST_MB = 60.0
 
 
 @pytest.fixture(scope="module")
-def places() -> OnnxGroundClassifier:
+def classifier() -> OnnxGroundClassifier:
     return load_onboard_classifier(SHIPPED)
 
 
-def test_what_comes_along(places: OnnxGroundClassifier) -> None:
+def test_what_comes_along(classifier: OnnxGroundClassifier) -> None:
     assert len(read_network(SHIPPED)) <= LARGEST_MB * 1e6
-    description = places.description()
+    description = classifier.description()
     assert description["network"] == "resnet50_cbam"
-    assert places.image_size == 128
-    assert 0.5 <= places.least_probability < 1.0
+    assert classifier.image_size == 128
+    assert 0.5 <= classifier.min_probability < 1.0
 
 
 def test_number_of_weights() -> None:
@@ -52,17 +52,17 @@ def test_number_of_weights() -> None:
 
 
 @pytest.mark.parametrize("scene", ["lake", "houses", *HELD_OUT_SCENES])
-def test_places_never_seen(scene: str, places: OnnxGroundClassifier) -> None:
-    """A floor far below the scores on thousands of pictures: `docs/results/recognition.md`."""
+def test_places_never_seen(scene: str, classifier: OnnxGroundClassifier) -> None:
+    """A floor far below the scores on thousands of pictures: `docs/results/ground-classification.md`."""
     assert split_of_place(scene, SEED) == "test"
-    patches = scene_patches(scene, SEED, PICTURES, places.image_size, variation=0)
-    opinion = places.look(np.stack([patch.rgb for patch in patches]))
-    found = [LAND_CLASSES[best] for best in opinion.chances.argmax(axis=1)]
+    patches = scene_patches(scene, SEED, PICTURES, classifier.image_size, variation=0)
+    prediction = classifier.classify(np.stack([patch.rgb for patch in patches]))
+    found = [LAND_CLASSES[best] for best in prediction.probabilities.argmax(axis=1)]
     true = [patch.land_class for patch in patches]
     assert np.mean([a == b for a, b in zip(found, true, strict=True)]) >= 0.75
     safe = np.array([name in SAFE_CLASSES for name in LAND_CLASSES])
-    sure = opinion.chances[:, safe].sum(axis=1) >= places.least_probability
-    taken = sure & opinion.familiar & safe[opinion.chances.argmax(axis=1)]
+    sure = prediction.probabilities[:, safe].sum(axis=1) >= classifier.min_probability
+    taken = sure & prediction.in_distribution & safe[prediction.probabilities.argmax(axis=1)]
     assert not any(t and name in ("water", "trees") for t, name in zip(taken, true, strict=True))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.landing.api import PlaceOpinion
+from touchdown.landing.api import GroundPrediction
 from touchdown.landing.classification.decision import Limits
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.weights import INPUT, OUTPUT, NetworkFacts, write_network
@@ -19,7 +19,7 @@ from touchdown.sim.frames import Pose
 from support.landing_support import make_rig
 
 Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 Paint = Callable[[Array, Array], Array]
 """x and y (...) to colours (..., 3)"""
 
@@ -62,22 +62,23 @@ class ByColour:
     """Says what is red, green or blue, as surely as told; keeps count."""
 
     image_size = 16
-    least_probability = 0.9
+    min_probability = 0.9
 
-    def __init__(self, sure: float = 0.97, familiar: bool = True) -> None:
-        self.sure, self.familiar = sure, familiar
+    def __init__(self, sure: float = 0.97, in_distribution: bool = True) -> None:
+        self.sure, self.in_distribution = sure, in_distribution
         self.batches: list[int] = []
 
-    def look(self, pictures: Picture) -> PlaceOpinion:
-        self.batches.append(len(pictures))
+    def classify(self, images: Image) -> GroundPrediction:
+        self.batches.append(len(images))
         names = list(COLOURS)
-        mean = pictures.mean(axis=(1, 2))
-        chances = np.full((len(pictures), len(D_LAND)), (1.0 - self.sure) / (len(D_LAND) - 1))
-        for chance, colour in zip(chances, mean, strict=True):
+        mean = images.mean(axis=(1, 2))
+        probabilities = np.full((len(images), len(D_LAND)), (1.0 - self.sure) / (len(D_LAND) - 1))
+        for chance, colour in zip(probabilities, mean, strict=True):
             nearest = min(names, key=lambda name: float(np.abs(colour - COLOURS[name]).sum()))
             chance[D_LAND.index(nearest)] = self.sure
-        return PlaceOpinion(
-            chances=chances, familiar=np.full(len(pictures), self.familiar, np.bool_)
+        return GroundPrediction(
+            probabilities=probabilities,
+            in_distribution=np.full(len(images), self.in_distribution, np.bool_),
         )
 
 

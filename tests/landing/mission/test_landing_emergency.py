@@ -14,7 +14,7 @@ from touchdown.landing.mission.energy import (
     return_time_s,
     travel_time_s,
 )
-from touchdown.landing.mission.wind import WindGuess
+from touchdown.landing.mission.wind import WindEstimator
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import Pose
 
@@ -54,7 +54,7 @@ def test_emergency_without_a_map_comes_down_where_it_is() -> None:
 
 def test_reach_in_an_emergency_leaves_time_to_land() -> None:
     reach = emergency_reach_m(20.0, 45.0, PARAMS)
-    used = travel_time_s(reach, PARAMS) + landing_time_s(20.0, PARAMS, hurried=True)
+    used = travel_time_s(reach, PARAMS) + landing_time_s(20.0, PARAMS, emergency=True)
     assert used == pytest.approx(45.0)
     assert emergency_reach_m(20.0, 5.0, PARAMS) == 0.0
     assert return_time_s(50.0, 20.0, PARAMS) > landing_time_s(20.0, PARAMS)
@@ -125,7 +125,7 @@ def test_wind_follows_from_tilt_and_thrust() -> None:
     ahead = np.array([np.cos(tilt), 0.0, np.sin(tilt)])
     attitude = np.column_stack([ahead, [0.0, 1.0, 0.0], up])
     speed = np.full(4, np.sqrt(weight / np.cos(tilt) / 4.0 / vehicle.thrust_coefficient))
-    guess = WindGuess(vehicle)
+    guess = WindEstimator(vehicle)
     for tick in range(0, 12000, 12):
         obs = make_obs(tick, rotor_speed_radps=speed)
         guess.update(obs, make_estimate(tick, Pose(attitude, np.zeros(3))))

@@ -20,7 +20,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Terrain:
+class ElevationRaster:
     """The observed part of a grid; unseen cells have count 0 and NaN elsewhere."""
 
     origin_xy_m: Array
@@ -64,7 +64,7 @@ class Terrain:
         y = self.origin_xy_m[1] + (np.arange(rows) + 0.5) * self.cell_m - xy[1]
         return x, y
 
-    def window(self, xy: Array, half_width_m: float) -> Terrain:
+    def window(self, xy: Array, half_width_m: float) -> ElevationRaster:
         """The square of ``half_width_m`` around ``xy``, clipped to the raster (never empty of
         rows or columns unless ``xy`` is that far outside)."""
         row, col = self.cell_of(xy)
@@ -72,7 +72,7 @@ class Terrain:
         rows = slice(max(row - reach, 0), max(row + reach + 1, 0))
         cols = slice(max(col - reach, 0), max(col + reach + 1, 0))
         corner = self.origin_xy_m + np.array([cols.start, rows.start]) * self.cell_m
-        return Terrain(
+        return ElevationRaster(
             origin_xy_m=corner,
             cell_m=self.cell_m,
             count=self.count[rows, cols],
@@ -87,7 +87,7 @@ class Terrain:
         )
 
 
-def observed_terrain(grid: GridMap) -> Terrain | None:
+def observed_raster(grid: GridMap) -> ElevationRaster | None:
     """The bounding box of everything seen (returns or missing pulses), None for an empty map. The
     layers are views: the mapper goes on writing to them in later control steps."""
     seen = (grid.count > 0.0) | (grid.missing > 0.0)
@@ -95,7 +95,7 @@ def observed_terrain(grid: GridMap) -> Terrain | None:
     if rows.size == 0:
         return None
     box = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-    return Terrain(
+    return ElevationRaster(
         origin_xy_m=grid.origin_xy_m + np.array([cols[0], rows[0]]) * grid.cell_m,
         cell_m=grid.cell_m,
         count=grid.count[box],
@@ -110,34 +110,34 @@ def observed_terrain(grid: GridMap) -> Terrain | None:
     )
 
 
-def pooled(terrain: Terrain, factor: int) -> Terrain:
+def pooled(raster: ElevationRaster, factor: int) -> ElevationRaster:
     """Merges ``factor`` x ``factor`` cells into one: weighted mean, total spread, highest return.
     Rows and columns that fill no whole cell are dropped."""
-    rows, cols = (n // factor for n in terrain.shape)
+    rows, cols = (n // factor for n in raster.shape)
 
     def blocks(layer: Float32) -> Float32:
         cut = layer[: rows * factor, : cols * factor]
         return cut.reshape(rows, factor, cols, factor, *layer.shape[2:])
 
-    count = blocks(terrain.count)
-    weight = np.where(np.isfinite(blocks(terrain.height)), np.maximum(count, 1e-6), 0.0)
+    count = blocks(raster.count)
+    weight = np.where(np.isfinite(blocks(raster.height)), np.maximum(count, 1e-6), 0.0)
     total = weight.sum(axis=(1, 3))
     safe_total = np.where(total > 0.0, total, np.nan)
-    mean = np.nansum(weight * blocks(terrain.height), axis=(1, 3)) / safe_total
-    spread = blocks(terrain.std) ** 2 + (blocks(terrain.height) - mean[:, None, :, None]) ** 2
+    mean = np.nansum(weight * blocks(raster.height), axis=(1, 3)) / safe_total
+    spread = blocks(raster.std) ** 2 + (blocks(raster.height) - mean[:, None, :, None]) ** 2
     variance = np.nansum(weight * spread, axis=(1, 3)) / safe_total
-    intensity = np.nansum(weight * blocks(terrain.intensity), axis=(1, 3)) / safe_total
-    high = np.where(np.isfinite(blocks(terrain.high)), blocks(terrain.high), -np.inf)
+    intensity = np.nansum(weight * blocks(raster.intensity), axis=(1, 3)) / safe_total
+    high = np.where(np.isfinite(blocks(raster.high)), blocks(raster.high), -np.inf)
     top = high.max(axis=(1, 3))
-    low = np.where(np.isfinite(blocks(terrain.low)), blocks(terrain.low), np.inf)
+    low = np.where(np.isfinite(blocks(raster.low)), blocks(raster.low), np.inf)
     bottom = low.min(axis=(1, 3))
-    coloured = np.isfinite(blocks(terrain.rgb))
-    rgb_sum = np.where(coloured, blocks(terrain.rgb), 0.0).sum(axis=(1, 3))
+    coloured = np.isfinite(blocks(raster.rgb))
+    rgb_sum = np.where(coloured, blocks(raster.rgb), 0.0).sum(axis=(1, 3))
     rgb_number = coloured.sum(axis=(1, 3))
     rgb = np.where(rgb_number > 0, rgb_sum / np.maximum(rgb_number, 1), np.nan)
-    return Terrain(
-        origin_xy_m=terrain.origin_xy_m,
-        cell_m=terrain.cell_m * factor,
+    return ElevationRaster(
+        origin_xy_m=raster.origin_xy_m,
+        cell_m=raster.cell_m * factor,
         count=count.sum(axis=(1, 3)).astype(np.float32),
         height=mean.astype(np.float32),
         std=np.sqrt(variance).astype(np.float32),
@@ -145,8 +145,8 @@ def pooled(terrain: Terrain, factor: int) -> Terrain:
         high=np.where(np.isfinite(top), top, np.nan).astype(np.float32),
         rgb=rgb.astype(np.float32),
         intensity=intensity.astype(np.float32),
-        missing=blocks(terrain.missing).sum(axis=(1, 3)).astype(np.float32),
-        last_seen=blocks(terrain.last_seen).max(axis=(1, 3)),
+        missing=blocks(raster.missing).sum(axis=(1, 3)).astype(np.float32),
+        last_seen=blocks(raster.last_seen).max(axis=(1, 3)),
     )
 
 
@@ -285,7 +285,7 @@ def disc_maximum(layer: Float32, radius_cells: float) -> Float32:
     return best
 
 
-def near(mask: Mask, radius_cells: float) -> Mask:
+def dilated(mask: Mask, radius_cells: float) -> Mask:
     """Cells whose centre lies within ``radius_cells`` of that of a True cell."""
     if not mask.any():
         return np.zeros(mask.shape, np.bool_)
