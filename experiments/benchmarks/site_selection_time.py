@@ -48,10 +48,9 @@ def bench_landing(
     lander does for a decision, the check of the ground included; ``reference_ms``: the same steps
     by Open3D, SciPy and scikit-image; ``ratio.reference``: its sum over ours; ``agreement``: how
     far the two results differ. Medians over ``rounds``, after one to warm up; the reference runs
-    once warm. ``classifier_ms``: see `_classifier_figures`, where ``network`` is given or comes with
-    the project; it works on ``threads``. Raises UsageError and ValueError as `load_config`,
-    `build_classifier` and `build_scene`.
-    """
+    once warm. ``classifier_ms``: see `_classifier_figures`, where ``network`` is given or comes
+    with the project; it works on ``threads``. Raises UsageError and ValueError as `load_config`,
+    `build_classifier` and `build_scene`."""
     overrides = ["sim.threads=1", f"landing.classifier_threads={threads}"]
     if network is not None:
         overrides.append(f"landing.classifier={json.dumps(str(network))}")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
 
 if TYPE_CHECKING:
-    from touchdown.experiments.classification.image_types import Int32, Picture
+    from touchdown.experiments.classification.image_types import Image, Int32
 
 _MADE, _GROWN, _WATER = (0.35, 0.28, 0.07), (0.15, 0.08, 0.03), (0.2, 0.1, 0.05)
 """deviation of the logarithms of brightness, red over blue, and green: of what is built or dug, of
@@ -23,7 +23,7 @@ _SPREAD = dict.fromkeys(LAND_CLASSES, _MADE) | dict.fromkeys(("lawn", "trees"), 
 _SPREAD |= {"water": _WATER}
 
 
-def material_picture(scene: Scene, geom_id: Int32, classes: Int32) -> Int32:
+def material_image(scene: Scene, geom_id: Int32, classes: Int32) -> Int32:
     """(H, W) number of the material that each pixel shows, times the number of classes, plus its
     class: of a ground that is one geom, the class tells kinds of ground apart.
 
@@ -34,7 +34,7 @@ def material_picture(scene: Scene, geom_id: Int32, classes: Int32) -> Int32:
     return np.asarray(material * (OTHER_CLASS_ID + 2) + known, np.int32)
 
 
-def recoloured(rgb: Picture, materials: Int32, rng: np.random.Generator) -> Picture:
+def recoloured(rgb: Image, materials: Int32, rng: np.random.Generator) -> Image:
     """(H, W, 3) with another colour for each of the ``materials`` (H/2, W/2), in linear light."""
     kinds, where = np.unique(materials, return_inverse=True)
     gains = np.stack([_gain(int(kind) % (OTHER_CLASS_ID + 2) - 1, rng) for kind in kinds])

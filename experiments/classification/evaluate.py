@@ -1,4 +1,4 @@
-"""`touchdown evaluate`: how good a network is on pictures that it was not trained on, and what it
+"""`touchdown evaluate`: how good a network is on images that it was not trained on, and what it
 costs."""
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from touchdown.experiments.classification.image_folders import (
     Entry,
     entries_of,
-    load_pictures,
+    load_images,
     read_catalogue,
 )
 from touchdown.experiments.classification.optional_import import training_libraries
@@ -62,7 +62,7 @@ def evaluate_network(
     progress: Progress,
     miss_costs: Sequence[tuple[str, float]] = (),
 ) -> dict[str, Any]:
-    """Scores on the pictures of ``split``, altogether, by data set and by scene; ROM, RAM and run
+    """Scores on the images of ``split``, altogether, by data set and by scene; ROM, RAM and run
     time. ``miss_costs``: in place of the file's.
 
     Raises UsageError and ValueError for bad input.
@@ -72,8 +72,8 @@ def evaluate_network(
         classifier.facts = replace(classifier.facts, miss_costs=tuple(miss_costs))
     facts = classifier.facts
     catalogues = [read_catalogue(argument, facts.labels) for argument in data]
-    pictures = load_pictures(catalogues, split, facts.labels, facts.image_size, progress)
-    scores = all_scores(classifier, pictures, progress)
+    images = load_images(catalogues, split, facts.labels, facts.image_size, progress)
+    scores = all_scores(classifier, images, progress)
     report: dict[str, Any] = {
         "network": facts.network,
         "labels": facts.labels,
@@ -83,13 +83,13 @@ def evaluate_network(
         "classes": list(facts.classes),
         "miss_costs": dict(facts.miss_costs),
         "rom_mb": network.stat().st_size / 1e6,
-        **_judged(scores, pictures.labels, facts),
+        **_judged(scores, images.labels, facts),
         "by_source": {
-            name: _judged(scores[of], pictures.labels[of], facts)
-            for number, name in enumerate(pictures.sources)
-            for of in [pictures.source == number]
+            name: _judged(scores[of], images.labels[of], facts)
+            for number, name in enumerate(images.sources)
+            for of in [images.source == number]
         },
-        "by_scene": _by_scene(scores, pictures.labels, entries_of(catalogues, split), facts),
+        "by_scene": _by_scene(scores, images.labels, entries_of(catalogues, split), facts),
     }
     if measure:
         report |= measured_footprint(network, engine)
@@ -99,7 +99,7 @@ def evaluate_network(
 def _by_scene(
     scores: Any, labels: Any, entries: Sequence[Entry], facts: NetworkFacts
 ) -> dict[str, dict[str, Any]]:
-    """Of rendered pictures: of each scene, and of those that are trained on and never trained on
+    """Of rendered images: of each scene, and of those that are trained on and never trained on
     together."""
     of_picture = np.array([entry.scene for entry in entries])
     names = sorted(set(of_picture.tolist()) - {""})
@@ -111,10 +111,10 @@ def _by_scene(
     return {name: _judged(scores[of], labels[of], facts) for name, of in groups.items() if of.any()}
 
 
-def all_scores(classifier: Classifier, pictures: LabelledImages, progress: Progress) -> Any:
-    parts, count = [], len(pictures.labels)
+def all_scores(classifier: Classifier, images: LabelledImages, progress: Progress) -> Any:
+    parts, count = [], len(images.labels)
     for first in range(0, count, _BATCH):
-        parts.append(classifier.scores(pictures.images[first : first + _BATCH]))
+        parts.append(classifier.scores(images.images[first : first + _BATCH]))
         progress(min(first + _BATCH, count), count, "classifying")
     return np.concatenate(parts)
 
@@ -129,7 +129,7 @@ def _judged(scores: Any, labels: Any, facts: NetworkFacts) -> dict[str, Any]:
 
 
 def measured_footprint(network: Path, engine: str) -> dict[str, float]:
-    """Peak memory and time a picture on one thread, in a process of its own."""
+    """Peak memory and time an image on one thread, in a process of its own."""
     command = [
         sys.executable,
         "-m",

@@ -1,4 +1,4 @@
-"""Folders of labelled pictures, read for training: rendered patches, UC Merced, AID, Places365, and
+"""Folders of labelled images, read for training: rendered patches, UC Merced, AID, Places365, and
 plain folders named as the classes."""
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ RENDERED = "rendered"
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One picture of a data set, not read yet."""
+    """One image of a data set, not read yet."""
 
     file: Path
     label: int
@@ -32,7 +32,7 @@ class Entry:
     source: str
     """kind of data set"""
     scene: str = ""
-    """of a rendered picture"""
+    """of a rendered image"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,14 +42,14 @@ class Catalogue:
     source: str
     entries: tuple[Entry, ...]
     left_out: int
-    """pictures whose class the scheme leaves out"""
+    """images whose class the scheme leaves out"""
 
 
 def read_catalogue(argument: str, scheme: str) -> Catalogue:
-    """The pictures of ``[KIND=]DIR``; without KIND the names of its folders tell the kind.
+    """The images of ``[KIND=]DIR``; without KIND the names of its folders tell the kind.
 
     KIND: rendered, ucmerced, aid, places365, d_land. Raises UsageError: no such folder, no
-    pictures, a folder that is no class, a manifest of something else.
+    images, a folder that is no class, a manifest of something else.
     """
     kinds = (RENDERED, *labels.SOURCES)
     kind, _, rest = argument.rpartition("=")
@@ -98,8 +98,8 @@ def _rendered(folder: Path, scheme: str) -> Catalogue:
                 )
             else:
                 label = classes.index(row[scheme])
-                picture, split = folder / row["file"], row["split"]
-                entries.append(Entry(picture, label, split, RENDERED, row["scene"]))
+                image, split = folder / row["file"], row["split"]
+                entries.append(Entry(image, label, split, RENDERED, row["scene"]))
     return _checked(Catalogue(RENDERED, tuple(entries), left_out), folder)
 
 
@@ -129,24 +129,24 @@ def _of_folders(
 
 def _checked(catalogue: Catalogue, folder: Path) -> Catalogue:
     if not catalogue.entries:
-        raise UsageError(f"--data: '{folder}' is empty: it holds no picture of any class")
+        raise UsageError(f"--data: '{folder}' is empty: it holds no image of any class")
     return catalogue
 
 
-def load_pictures(
+def load_images(
     catalogues: Sequence[Catalogue],
     split: str,
     scheme: str,
     pixels: int,
     progress: Callable[[int, int, str], None] = lambda done, total, note: None,
 ) -> LabelledImages:
-    """All pictures of a split, ``pixels`` across, in the order of the catalogues.
+    """All images of a split, ``pixels`` across, in the order of the catalogues.
 
-    Raises UsageError as ``read_picture``, or where there is no picture in the split.
+    Raises UsageError as ``read_picture``, or where there is no image in the split.
     """
     entries = entries_of(catalogues, split)
     if not entries:
-        raise UsageError(f"--data: no picture is in the split '{split}': give more data")
+        raise UsageError(f"--data: no image is in the split '{split}': give more data")
     images = np.empty((len(entries), pixels, pixels, 3), np.uint8)
     for number, entry in enumerate(entries):
         images[number] = squared(read_picture(entry.file), pixels)
@@ -162,7 +162,7 @@ def load_pictures(
 
 
 def entries_of(catalogues: Sequence[Catalogue], split: str) -> list[Entry]:
-    """Of one split, in the order of the pictures that ``load_pictures`` gives."""
+    """Of one split, in the order of the images that ``load_pictures`` gives."""
     return [
         entry for catalogue in catalogues for entry in catalogue.entries if entry.split == split
     ]

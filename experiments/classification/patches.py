@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.experiments.classification.colour_randomization import material_picture, recoloured
-from touchdown.experiments.classification.image_types import Counts, Int32, Picture
+from touchdown.experiments.classification.colour_randomization import material_image, recoloured
+from touchdown.experiments.classification.image_types import Counts, Image, Int32
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.experiments.scene_tools.aerial_views import (
@@ -41,11 +41,11 @@ _MIDDLE = 0.4
 """width of the middle"""
 _LEAST_PX = 48
 _DRAWN = 192
-"""squares that are tried in one picture"""
+"""squares that are tried in one image"""
 _PER_VIEW, _PER_CLASS = 4, 2
-"""patches of one picture at most, and of one class among them"""
+"""patches of one image at most, and of one class among them"""
 _MOST_VIEWS = 2
-"""pictures for every patch that is wanted, before a place is given up"""
+"""images for every patch that is wanted, before a place is given up"""
 _NOTHING = -1
 _FULL = -1
 """in place of the number of patches taken of a class: no more are wanted"""
@@ -53,9 +53,9 @@ _FULL = -1
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """One labelled picture."""
+    """One labelled image."""
 
-    rgb: Picture
+    rgb: Image
     """(S, S, 3)"""
     land_class: str
     share: float
@@ -67,7 +67,7 @@ class Patch:
 
 @dataclass(frozen=True, slots=True)
 class _Square:
-    """Of the half-size class picture: its first row and column, its side, and what it shows."""
+    """Of the half-size class image: its first row and column, its side, and what it shows."""
 
     row: int
     col: int
@@ -83,7 +83,7 @@ def scene_patches(
     """Up to ``count`` patches of ``pixels`` across of a scene's ``seed``; rare classes first.
 
     A pure function of its arguments; ``variation`` changes poses, squares and light. In a share of
-    ``new_colours`` of the pictures materials have colours that the scene does not give them. Fewer
+    ``new_colours`` of the images materials have colours that the scene does not give them. Fewer
     come back where a place does not show enough ground of one class. Raises UsageError for bad
     names.
     """
@@ -99,9 +99,9 @@ def scene_patches(
     try:
         for number in range(_MOST_VIEWS * count):
             view, _, _ = look_anywhere(camera, scene, rng, number, HEIGHTS_M)
-            shown = class_picture(view, scene, classes, matrix)
+            shown = class_image(view, scene, classes, matrix)
             if new_colours > 0.0 and colours.uniform() < new_colours:
-                materials = material_picture(scene, view.geom_id[::2, ::2], shown)
+                materials = material_image(scene, view.geom_id[::2, ::2], shown)
                 view = replace(view, rgb=recoloured(view.rgb, materials, colours))
             # while there is time, a class that has its share waits for the others
             open_to = np.where(taken < _share(count, number), taken, _FULL)
@@ -117,7 +117,7 @@ def scene_patches(
 
 
 def _share(count: int, view: int) -> int:
-    """Patches of one class that are taken up to this picture: a fifth, then any number."""
+    """Patches of one class that are taken up to this image: a fifth, then any number."""
     return max(1, count // 5) if view < count else count
 
 
@@ -131,23 +131,23 @@ def geom_classes(scene: Scene) -> Int32:
     return table
 
 
-def class_picture(view: AerialView, scene: Scene, classes: Int32, matrix: Array) -> Int32:
+def class_image(view: AerialView, scene: Scene, classes: Int32, matrix: Array) -> Int32:
     """(H/2, W/2) land class ids of a view, `OTHER_CLASS_ID` for other things, -1 for nothing."""
     geom_id = view.geom_id[::2, ::2]
-    picture = np.where(geom_id >= 0, classes[geom_id], _NOTHING).astype(np.int32)
+    image = np.where(geom_id >= 0, classes[geom_id], _NOTHING).astype(np.int32)
     if scene.ground is not None:
-        paint_ground(picture, view, scene, matrix)
-    return picture
+        paint_ground(image, view, scene, matrix)
+    return image
 
 
 def _squares(
-    view: AerialView, picture: Int32, matrix: Array, taken: Counts, rng: np.random.Generator
+    view: AerialView, image: Int32, matrix: Array, taken: Counts, rng: np.random.Generator
 ) -> Iterator[_Square]:
     """Those among squares drawn at random that show one class of ground."""
-    rows, cols = picture.shape
-    sums = _integral(picture)
+    rows, cols = image.shape
+    sums = _integral(image)
     half_focal = 0.5 * float(matrix[0, 0])
-    for row, col in _middles(picture, taken, rng):
+    for row, col in _middles(image, taken, rng):
         side_m = float(np.exp(rng.uniform(*np.log(SIDES_M))))
         depth = float(view.depth_m[2 * row, 2 * col])
         if not np.isfinite(depth):
@@ -166,25 +166,25 @@ def _squares(
             yield _Square(top, left, side, land_class, share, depth)
 
 
-def _middles(picture: Int32, taken: Counts, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
-    """Pixels drawn at random, as many of each class in the picture that is not full."""
-    flat = picture.ravel()
+def _middles(image: Int32, taken: Counts, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
+    """Pixels drawn at random, as many of each class in the image that is not full."""
+    flat = image.ravel()
     order = np.argsort(flat, kind="stable")
     starts = np.searchsorted(flat[order], np.arange(len(LAND_CLASSES) + 1))
     shown = [c for c in np.flatnonzero(np.diff(starts)) if taken[c] >= 0]
     for number in range(_DRAWN if shown else 0):
         first, beyond = starts[shown[number % len(shown)]], starts[shown[number % len(shown)] + 1]
-        row, col = divmod(int(order[rng.integers(first, beyond)]), picture.shape[1])
+        row, col = divmod(int(order[rng.integers(first, beyond)]), image.shape[1])
         yield row, col
 
 
-def _integral(picture: Int32) -> NDArray[np.int32]:
+def _integral(image: Int32) -> NDArray[np.int32]:
     """(classes + 1, H + 1, W + 1) sums over all rows before and all columns before; the last one
     counts pixels that show nothing, beyond the rim of the place."""
-    rows, cols = picture.shape
+    rows, cols = image.shape
     sums = np.zeros((len(LAND_CLASSES) + 1, rows + 1, cols + 1), np.int32)
     for number in (*range(len(LAND_CLASSES)), _NOTHING):
-        sums[number] = cv2.integral((picture == number).astype(np.uint8))
+        sums[number] = cv2.integral((image == number).astype(np.uint8))
     return sums
 
 
@@ -243,9 +243,9 @@ def _cut(
     )
 
 
-def varied(rgb: Picture, rng: np.random.Generator) -> Picture:
+def varied(rgb: Image, rng: np.random.Generator) -> Image:
     """(H, W, 3) in another light, through another lens: exposure, white balance, haze, motion and
-    focus blur, noise. The same number of draws for every picture, but for the noise."""
+    focus blur, noise. The same number of draws for every image, but for the noise."""
     exposure, warmth = 2.0 ** rng.uniform(-0.9, 0.6), rng.normal(0.0, 0.06)
     tint, haze = rng.normal(0.0, 0.03), max(0.0, rng.uniform(-0.3, 0.15))
     motion_px, direction = max(0.0, rng.uniform(-6.0, 5.0)), rng.uniform(0.0, np.pi)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from touchdown.experiments.classification.evaluate import Progress, all_scores, load_classifier
-from touchdown.experiments.classification.image_folders import load_pictures, read_catalogue
+from touchdown.experiments.classification.image_folders import load_images, read_catalogue
 from touchdown.experiments.classification.optional_import import training_libraries
 from touchdown.experiments.errors import UsageError
 from touchdown.landing.classification.decision import fitted_limits
@@ -24,7 +24,7 @@ def quantize_network(
     pictures: int,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Writes ``out`` and its checksum; top-1 on the validation pictures before and after.
+    """Writes ``out`` and its checksum; top-1 on the validation images before and after.
 
     ``pictures``: of the training split, spread evenly, that give the ranges of int8 activations.
     Raises UsageError and ValueError for bad input, before anything is written.
@@ -41,7 +41,7 @@ def quantize_network(
     facts = before.facts
     catalogues = [read_catalogue(argument, facts.labels) for argument in data]
     train, val = (
-        load_pictures(catalogues, split, facts.labels, facts.image_size, progress)
+        load_images(catalogues, split, facts.labels, facts.image_size, progress)
         for split in ("train", "val")
     )
     spread = np.linspace(0, len(train.labels) - 1, min(pictures, len(train.labels))).astype(int)

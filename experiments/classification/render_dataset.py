@@ -1,4 +1,4 @@
-"""A folder of labelled patches: pictures by place, `manifest.csv`, a contact sheet."""
+"""A folder of labelled patches: images by place, `manifest.csv`, a contact sheet."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def _workers(jobs: int) -> Iterator[Callable[..., Iterator[list[dict[str, Any]]]
 
 
 def _render_layout(layout: _Layout) -> list[dict[str, Any]]:
-    """Writes the pictures of one place; their rows of the manifest."""
+    """Writes the images of one place; their rows of the manifest."""
     cv2.setNumThreads(1)
     if layout.count == 0:
         return []
@@ -213,7 +213,7 @@ def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
 
 
 def _samples(folder: Path, rows: Sequence[dict[str, Any]]) -> dict[str, list[NDArray[np.uint8]]]:
-    """A few pictures of each class, from as many places as there are."""
+    """A few images of each class, from as many places as there are."""
     samples: dict[str, list[NDArray[np.uint8]]] = {}
     for name in LAND_CLASSES:
         files = [row["file"] for row in rows if row["d_land"] == name]
@@ -223,17 +223,17 @@ def _samples(folder: Path, rows: Sequence[dict[str, Any]]) -> dict[str, list[NDA
 
 
 def contact_sheet(samples: dict[str, list[NDArray[np.uint8]]]) -> NDArray[np.uint8]:
-    """(H, W, 3): a row of pictures for each class, as the paper's Fig. 5."""
+    """(H, W, 3): a row of images for each class, as the paper's Fig. 5."""
     pitch = _SHEET_PX + _GAP
     sheet = np.full(
         (pitch * len(samples) + _GAP, _NAME_PX + pitch * _SHEET_COLUMNS, 3), 255, np.uint8
     )
-    for number, (name, pictures) in enumerate(samples.items()):
+    for number, (name, images) in enumerate(samples.items()):
         top = _GAP + number * pitch
         cv2.putText(sheet, name, (_GAP + 4, top + _SHEET_PX // 2 + 5), cv2.FONT_HERSHEY_SIMPLEX,
                     0.6, (30, 30, 30), 1, cv2.LINE_AA)  # fmt: skip
-        for place, picture in enumerate(pictures[:_SHEET_COLUMNS]):
+        for place, image in enumerate(images[:_SHEET_COLUMNS]):
             left = _NAME_PX + place * pitch
-            small = cv2.resize(picture, (_SHEET_PX, _SHEET_PX), interpolation=cv2.INTER_AREA)
+            small = cv2.resize(image, (_SHEET_PX, _SHEET_PX), interpolation=cv2.INTER_AREA)
             sheet[top : top + _SHEET_PX, left : left + _SHEET_PX] = small
     return sheet

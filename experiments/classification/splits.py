@@ -1,5 +1,5 @@
-"""Which pictures train, which stop the training, and which are kept for the test. Fixed rules: what
-a picture is decides, so that no run and no second copy of the data can move it."""
+"""Which images train, which stop the training, and which are kept for the test. Fixed rules: what
+an image is decides, so that no run and no second copy of the data can move it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`touchdown train`: pictures in, a network's file and its learning curves out."""
+"""`touchdown train`: images in, a network's file and its learning curves out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.classification.image_folders import load_pictures, read_catalogue
+from touchdown.experiments.classification.image_folders import load_images, read_catalogue
 from touchdown.experiments.classification.optional_import import training_libraries
 from touchdown.experiments.errors import UsageError
 from touchdown.landing.classification.decision import fitted_limits
@@ -60,7 +60,7 @@ def train_network(
         keep_freed_memory()
     catalogues = [read_catalogue(argument, params.labels) for argument in data]
     train, val = (
-        load_pictures(catalogues, split, params.labels, params.image_size, progress)
+        load_images(catalogues, split, params.labels, params.image_size, progress)
         for split in ("train", "val")
     )
     out.mkdir(parents=True, exist_ok=True)

@@ -68,7 +68,7 @@ _QUIET = click.option("--quiet", is_flag=True, help="No progress on stderr.")
 
 @click.group(cls=CommandGroup)
 def dataset() -> int:
-    """Pictures of ground to learn from.
+    """Images of ground to learn from.
 
     Example: touchdown dataset render --out patches --images 4000
     """
@@ -90,7 +90,7 @@ def dataset() -> int:
               help="Share of views in which roads, paving, roofs … have other colours than "
               "the scene gives them.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True,
-              help="Processes; the pictures do not depend on it.")  # fmt: skip
+              help="Processes; the images do not depend on it.")  # fmt: skip
 @_JSON
 @_QUIET
 def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: Any) -> int:
@@ -113,7 +113,7 @@ def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: 
     else:
         for kind in ("classes", "splits"):
             click.echo("  ".join(f"{name} {count}" for name, count in done[kind].items()))
-        click.echo(f"written: {done['directory']} ({done['images']} pictures)")
+        click.echo(f"written: {done['directory']} ({done['images']} images)")
     return EXIT_DONE
 
 
@@ -136,17 +136,17 @@ def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: 
 @click.option("--image-size", type=click.IntRange(32, 512), default=96, show_default=True,
               help="Pixels across that the network sees.")  # fmt: skip
 @click.option("--first-size", type=click.IntRange(32, 512),
-              help="Of the first epochs; pictures grow from it.  [--image-size]")  # fmt: skip
+              help="Of the first epochs; images grow from it.  [--image-size]")  # fmt: skip
 @click.option("--batch-size", type=click.IntRange(2), default=64, show_default=True)
 @click.option("--learning-rate", type=click.FloatRange(0.0, min_open=True), default=1e-3,
               show_default=True)  # fmt: skip
 @click.option("--weight-decay", type=click.FloatRange(0.0), default=0.05, show_default=True)
 @click.option("--variation", type=click.FloatRange(0.0, 2.0), default=1.0, show_default=True,
-              help="How strongly zoom, light, colour and noise vary in pictures.")  # fmt: skip
+              help="How strongly zoom, light, colour and noise vary in images.")  # fmt: skip
 @click.option("--markings", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
-              help="Share of pictures that get painted lines, as of lanes and bays.")  # fmt: skip
+              help="Share of images that get painted lines, as of lanes and bays.")  # fmt: skip
 @click.option("--blending", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
-              help="How strongly pictures are blended with one another.")  # fmt: skip
+              help="How strongly images are blended with one another.")  # fmt: skip
 @_miss_cost("[1 each]")
 @click.option("--patience", type=click.IntRange(1), default=8, show_default=True,
               help="Epochs without a better validation before it ends.")  # fmt: skip
@@ -154,7 +154,7 @@ def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: 
 @click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
 @click.option("--threads", type=click.IntRange(1), help="Of the processor.  [all]")
 @click.option("--compile", "compiled", is_flag=True,
-              help="Compile the network: slow at each new size of pictures, then faster. "
+              help="Compile the network: slow at each new size of images, then faster. "
               "Needs a C++ compiler.")  # fmt: skip
 @_JSON
 @_QUIET
@@ -173,7 +173,7 @@ def train(
 
     Writes network.onnx (float16 weights) and its checksum, curves.csv, curves.rrd for the Rerun
     viewer, training.json, and after every epoch a checkpoint: the same command goes on from it.
-    Ends early when the validation pictures are not recognised better any more.
+    Ends early when the validation images are not recognised better any more.
 
     Example: touchdown train --data patches --out trained --epochs 20
     """
@@ -234,12 +234,12 @@ def _limit_torch(threads: int) -> None:
 @_JSON
 @_QUIET
 def evaluate(network: Path | None, as_json: bool, quiet: bool, **options: Any) -> int:
-    """Score NETWORK, a file of `touchdown train`, on pictures that it was not trained on.
+    """Score NETWORK, a file of `touchdown train`, on images that it was not trained on.
 
     Without NETWORK: the one that comes with touchdown.
 
     Loss, macro F1, recall, top-1 with its interval, calibration error (ECE), confusion matrix; size
-    of the file (ROM), peak memory (RAM) and time a picture.
+    of the file (ROM), peak memory (RAM) and time an image.
 
     Example: touchdown evaluate trained/network.onnx --data patches
     """
@@ -273,7 +273,7 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
     Without NETWORK: the one that comes with touchdown.
 
     int8 computes in int8 too; bfloat16 and float16 are kept so and computed in float32. The limits
-    at which ground counts as safe are fitted anew to the validation pictures. `touchdown evaluate`
+    at which ground counts as safe are fitted anew to the validation images. `touchdown evaluate`
     measures what comes out.
 
     Example: touchdown quantize trained/network.onnx --data patches --out network-int8.onnx
@@ -306,7 +306,7 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
 @click.option("--out", type=click.Path(path_type=Path), default=Path("classes"), show_default=True,
               help="Folder for NAME-classes.png.")  # fmt: skip
 @click.option("--window", "window_px", type=click.IntRange(16),
-              help="Side of the classified square.  [a quarter of the picture]")  # fmt: skip
+              help="Side of the classified square.  [a quarter of the image]")  # fmt: skip
 @click.option("--least", type=click.FloatRange(0.0, 1.0), default=0.5, show_default=True,
               help="Probability below which ground is called unsure.")  # fmt: skip
 @_ENGINE
@@ -322,18 +322,18 @@ def classify(
     quiet: bool,
     **options: Any,
 ) -> int:
-    """Draw what kinds of ground photographs from the air show.
+    """Draw what kinds of ground aerial photographs show.
 
-    A window slides over each picture; what overlapping windows say is averaged.
+    A window slides over each image; what overlapping windows say is averaged.
 
     Example: touchdown classify photograph.jpg --network trained/network.onnx
     """
-    from touchdown.experiments.classification.class_map import classify_pictures
+    from touchdown.experiments.classification.class_map import classify_images
     from touchdown.experiments.classification.evaluate import load_classifier, shipped_network
     from touchdown.experiments.terminal import make_notes
 
     rows = usage_errors(
-        lambda: classify_pictures(
+        lambda: classify_images(
             images,
             classifier=load_classifier(network or shipped_network(), engine, threads),
             notes=make_notes(quiet),
@@ -359,8 +359,8 @@ def print_evaluation(report: Mapping[str, Any]) -> None:
     table = Table(
         title=f"{report['network']}, {report['labels']}, {report['split']}", title_justify="left"
     )
-    for heading in ("pictures of", "n", "loss", "macro F1", "recall", "top-1", "95 %", "ECE"):
-        table.add_column(heading, justify="left" if heading == "pictures of" else "right")
+    for heading in ("images of", "n", "loss", "macro F1", "recall", "top-1", "95 %", "ECE"):
+        table.add_column(heading, justify="left" if heading == "images of" else "right")
     rows = {"all": report} | (report["by_source"] if len(report["by_source"]) > 1 else {})
     rows |= report["by_scene"]
     for name, row in rows.items():
@@ -377,7 +377,7 @@ def print_evaluation(report: Mapping[str, Any]) -> None:
     if "image_ms" in report:
         cost += [
             f"peak RAM {report['peak_ram_mb']:.0f} MB",
-            f"{report['image_ms']:.1f} ms a picture on one thread ({report['engine']})",
+            f"{report['image_ms']:.1f} ms an image on one thread ({report['engine']})",
         ]
     console.print(", ".join(cost))
 
@@ -386,7 +386,7 @@ def _decision_words(decision: Mapping[str, Any]) -> str:
     """Mistakes that would hurt, beside good sites that would be lost."""
     parts = []
     for kind, wrong, words in (
-        ("unsafe", "unsafe_taken_for_safe", "pictures of unsafe ground taken for safe"),
+        ("unsafe", "unsafe_taken_for_safe", "images of unsafe ground taken for safe"),
         ("safe", "safe_refused", "of safe ground refused"),
     ):
         count, of = decision[wrong], decision[kind]

@@ -1,8 +1,8 @@
-"""When a classifier's answer is sure enough to land on: the limits that a network's file carries.
+"""Decision limits of a ground classifier, which a network's file carries.
 
-A picture counts as safe where the probabilities of the safe classes add up to enough, and where it
-is not far from all that the network was trained on. Scores before the softmax are (N, 7), in the
-order of ``scenes.api.LAND_CLASSES``.
+An image counts as safe where the best class is safe, the probabilities of the safe classes add up
+to at least a limit, and the image does not lie far from the training data. Scores before the
+softmax are (N, 7), in the order of ``scenes.api.LAND_CLASSES``.
 """
 
 from __future__ import annotations
@@ -22,17 +22,18 @@ Labels = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 LARGEST_MISTAKE = 0.0025
-"""share of pictures of unsafe ground that may pass for safe where limits are fitted: less than is
-bearable, since ground of scenes never trained on misleads more often than validation pictures do"""
+"""largest share of images of unsafe ground that may count as safe when limits are fitted. It is
+lower than acceptable in flight: errors are more frequent in scenes that were never trained on than
+in the validation images."""
 LEAST = 0.5
-"""no limit of probability is lower"""
+"""lower bound of ``Limits.min_probability``"""
 STRANGE = 0.005
-"""share of known pictures that the limit of familiarity turns away"""
+"""share of validation images below ``Limits.min_energy``"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
-    """What an answer must reach."""
+    """Limits that a prediction must reach to count as safe."""
 
     min_probability: float = 0.9
     """of the safe classes together"""
@@ -42,20 +43,20 @@ class Limits:
 
 
 def class_mask(*, allow_risky: bool = False) -> Mask:
-    """(7,) classes that may be landed on."""
+    """Returns the mask (7,) of classes that a vehicle may land on."""
     wanted = SAFE_CLASSES | RISKY_CLASSES if allow_risky else SAFE_CLASSES
     return np.array([name in wanted for name in LAND_CLASSES])
 
 
 def energies(scores: Float32) -> Array:
-    """(N,) as ``Limits.min_energy``."""
+    """Returns the energies (N,) of the scores, as ``Limits.min_energy`` defines them."""
     wide = scores.astype(np.float64)
     top = wide.max(axis=1, keepdims=True)
     return np.asarray((top + np.log(np.exp(wide - top).sum(axis=1, keepdims=True)))[:, 0])
 
 
 def taken_for_safe(scores: Float32, limits: Limits) -> Mask:
-    """(N,) pictures that would be landed on."""
+    """Returns the mask (N,) of images that count as safe."""
     chance = probabilities(scores)
     safe = class_mask()
     sure = chance[:, safe].sum(axis=1) >= limits.min_probability
@@ -63,8 +64,9 @@ def taken_for_safe(scores: Float32, limits: Limits) -> Mask:
 
 
 def fitted_limits(scores: Float32, labels: Labels) -> Limits:
-    """Limits for which at most ``LARGEST_MISTAKE`` of the unsafe pictures, as labelled (N,), pass
-    for safe: pictures that the network was not trained on."""
+    """Returns the limits at which at most ``LARGEST_MISTAKE`` of the unsafe images count as safe.
+
+    ``labels`` (N,) of images that the network was not trained on."""
     energy = energies(scores)
     safe = class_mask()
     min_energy = float(np.quantile(energy, STRANGE, method="lower"))
@@ -80,7 +82,7 @@ def fitted_limits(scores: Float32, labels: Labels) -> Limits:
 
 
 def decision_summary(scores: Float32, labels: Labels, limits: Limits) -> dict[str, Any]:
-    """Counts of unsafe pictures taken for safe, and of safe ones that were refused."""
+    """Returns the counts of unsafe images taken for safe and of safe images refused."""
     taken, safe = taken_for_safe(scores, limits), class_mask()[labels]
     return {
         "min_probability": limits.min_probability,

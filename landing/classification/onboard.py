@@ -1,4 +1,4 @@
-"""A network's file as the lander asks it: ``landing.api.GroundClassifier`` by ONNX Runtime."""
+"""``landing.api.GroundClassifier`` of a network's file, in ONNX Runtime."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ from touchdown.landing.classification.scores import probabilities
 from touchdown.landing.classification.weights import checksum_file
 
 SHIPPED = Path(__file__).with_name("trained") / "network.onnx"
-"""comes with the project"""
+"""the network that is shipped with the project"""
 _LABELS = "d_land"
 
 
 class OnnxGroundClassifier:
-    """Raises ValueError, FileNotFoundError, ImportError as `OnnxClassifier`, ValueError for a
-    network that tells other classes apart than D_Land."""
+    """Classifies ground into the classes of D_Land.
+
+    Raises ValueError, FileNotFoundError and ImportError as `OnnxClassifier`, and ValueError for a
+    network with other classes than D_Land."""
 
     def __init__(self, path: Path, threads: int = 1) -> None:
         self._network = OnnxClassifier(path, threads)
@@ -30,20 +32,23 @@ class OnnxGroundClassifier:
         facts = self._network.facts
         if facts.labels != _LABELS:
             raise ValueError(
-                f"'{path}' tells the classes of '{facts.labels}' apart; a flight needs one trained "
-                f"with --labels {_LABELS}"
+                f"'{path}' predicts the classes of '{facts.labels}'; a flight needs a network "
+                f"trained with --labels {_LABELS}"
             )
 
     @property
     def image_size(self) -> int:
+        """As `landing.api.GroundClassifier.image_size`."""
         return self._network.facts.image_size
 
     @property
     def min_probability(self) -> float:
+        """As `landing.api.GroundClassifier.min_probability`."""
         return self._network.facts.limits.min_probability
 
     def description(self) -> dict[str, Any]:
-        """For a flight's result: which network, and the beginning of its checksum."""
+        """Returns the network's name, image size, checksum (first 16 digits) and limit for a
+        result."""
         facts = self._network.facts
         return {
             "network": facts.network,
@@ -53,7 +58,7 @@ class OnnxGroundClassifier:
         }
 
     def classify(self, images: NDArray[np.uint8]) -> GroundPrediction:
-        """As `landing.api.GroundClassifier.look`."""
+        """As `landing.api.GroundClassifier.classify`."""
         scores = self._network.scores(images)
         return GroundPrediction(
             probabilities=probabilities(scores),
@@ -62,7 +67,8 @@ class OnnxGroundClassifier:
 
 
 def load_onboard_classifier(path: Path, threads: int = 1) -> OnnxGroundClassifier:
-    """The network in ``path``, loaded once in a process for as long as the file does not change.
+    """Returns the network in ``path``, loaded once in a process until the file changes.
+
     Raises as `OnnxGroundClassifier`."""
     stamps = tuple(_stamp(file) for file in (path, checksum_file(path)))
     return _loaded(path.resolve(), threads, stamps)

@@ -1,4 +1,4 @@
-"""A map of classes over a large picture: a window slides, and what overlaps is averaged."""
+"""Class maps of large images by a sliding window."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ Image = NDArray[np.uint8]
 
 
 def window_starts(length: int, window: int, stride: int) -> NDArray[np.int64]:
-    """First pixels of windows that cover ``length`` pixels, the last one flush with its end.
-    Raises ValueError where not one fits."""
+    """Returns the first pixels of windows that cover ``length`` pixels, the last one flush with the
+    end. Raises ValueError where no window fits."""
     if window > length:
         raise ValueError(f"a window of {window} pixels does not fit into {length}")
     starts = np.arange(0, length - window + 1, stride)
@@ -30,10 +30,10 @@ def class_map(
     classify: Callable[[Image], Array],
     batch: int = 32,
 ) -> Float32:
-    """(H, W, C) probabilities of each pixel of ``picture`` (H, W, 3).
+    """Returns class probabilities (H, W, C) of the pixels of ``image`` (H, W, 3).
 
-    ``classify``: windows (N, window, window, 3) to probabilities (N, C). Windows overlap by all but
-    ``stride`` pixels and weigh most in their middle (a raised cosine in both directions).
+    ``classify`` maps windows (N, window, window, 3) to probabilities (N, C). Windows are ``stride``
+    pixels apart; overlapping ones are averaged with a raised-cosine weight.
     """
     rows, cols = (window_starts(length, window, stride) for length in image.shape[:2])
     corners = [(int(row), int(col)) for row in rows for col in cols]

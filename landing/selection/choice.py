@@ -1,4 +1,4 @@
-"""One decision: the sites that the map offers, and what ground classification leaves of them."""
+"""One landing decision: candidate sites of the map, checked by ground classification."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ Array = NDArray[np.float64]
 
 
 def choose_sites(mission: Mission) -> tuple[Candidate, ...]:
-    """Candidates, accepted ones first, best first; ``flight.costmap`` becomes the decision's.
+    """Returns candidates, accepted ones first, best first; sets ``mission.costmap``.
 
-    With ground classification: where no candidate's ground is safe, others are looked for, rather
-    not on the surfaces that were refused, ``classifier_rounds`` times in all. In an emergency there is
-    one round, and the least bad of what it refused is accepted."""
+    With ground classification: where no candidate lies on safe ground, sites are selected again,
+    preferably not on the refused surfaces, in at most ``classifier_rounds`` rounds. In an emergency
+    there is one round, and the least bad of its refused sites is accepted."""
     selection = _select(mission, ())
     class_check = mission.class_check
     if class_check is None:
         return selection.candidates
     emergency, refused = mission.in_emergency, list[Candidate]()
     for left in reversed(range(1 if emergency else max(mission.params.classifier_rounds, 1))):
-        judged = _judged(mission, class_check, selection)
-        if any(site.accepted for site in judged):
-            ranked = sorted(judged, key=lambda site: not site.accepted)
+        checked = _checked(mission, class_check, selection)
+        if any(site.accepted for site in checked):
+            ranked = sorted(checked, key=lambda site: not site.accepted)
             return (*ranked, *refused)
         offered = [
             after
-            for before, after in zip(selection.candidates, judged, strict=True)
+            for before, after in zip(selection.candidates, checked, strict=True)
             if before.accepted
         ]
         mission.unsafe_ground_odom += [
@@ -48,19 +48,21 @@ def choose_sites(mission: Mission) -> tuple[Candidate, ...]:
 
 
 def choose_commanded(mission: Mission, wanted: Array) -> Candidate:
-    """The commanded site ``wanted`` (2,): accepted or refused with the reason."""
+    """Returns the commanded site ``wanted`` (2,), accepted or refused with the reason."""
     candidate, mission.costmap = check_site(
         mission.map_view, mission.estimate, mission.params, wanted
     )
     if mission.class_check is None or not candidate.accepted:
         return candidate
-    (judged,) = mission.class_check.judge(
+    (checked,) = mission.class_check.judge(
         (candidate,), mission.map_view, allow_risky=mission.takes_risky
     )
-    return judged
+    return checked
 
 
-def _judged(mission: Mission, class_check: SiteClassCheck, selection: Selection) -> list[Candidate]:
+def _checked(
+    mission: Mission, class_check: SiteClassCheck, selection: Selection
+) -> list[Candidate]:
     return class_check.judge(
         selection.candidates,
         mission.map_view,

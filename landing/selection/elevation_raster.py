@@ -1,6 +1,7 @@
-"""The part of an elevation map that a landing decision looks at, and the local geometry of it.
+"""The observed part of an elevation map as rasters, and operations on them.
 
-All rasters are (rows, cols), row = y, column = x, in the odom frame of ``estimator.api.GridMap``.
+A raster is an array (rows, cols) of cells, row = y, column = x, in the odom frame of
+``estimator.api.GridMap``.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ElevationRaster:
-    """The observed part of a grid; unseen cells have count 0 and NaN elsewhere."""
+    """Layers of the observed part of a map; unobserved cells have count 0 and NaN elsewhere."""
 
     origin_xy_m: Array
     cell_m: float
@@ -39,34 +40,37 @@ class ElevationRaster:
 
     @property
     def known(self) -> Mask:
+        """Cells with a height."""
         return np.isfinite(self.height)
 
     @property
     def shape(self) -> tuple[int, int]:
+        """Numbers of rows and columns."""
         return self.height.shape  # type: ignore[return-value]
 
     def cell_of(self, xy: Array) -> tuple[int, int]:
-        """(row, col) of the cell that holds ``xy``; may lie outside."""
+        """Returns (row, col) of the cell that contains ``xy``; may lie outside."""
         col, row = np.floor((np.asarray(xy)[:2] - self.origin_xy_m) / self.cell_m).astype(int)
         return int(row), int(col)
 
     def contains(self, row: int, col: int) -> bool:
+        """True if the cell lies within the raster."""
         return 0 <= row < self.shape[0] and 0 <= col < self.shape[1]
 
     def centre_of(self, row: int, col: int) -> Array:
-        """(2,) x, y of a cell's centre."""
+        """Returns x, y (2,) of a cell's centre."""
         return self.origin_xy_m + (np.array([col, row]) + 0.5) * self.cell_m
 
     def offsets_from(self, xy: Array) -> tuple[Array, Array]:
-        """x of every column (cols,) and y of every row (rows,) relative to ``xy``."""
+        """Returns x of every column (cols,) and y of every row (rows,) relative to ``xy``."""
         rows, cols = self.shape
         x = self.origin_xy_m[0] + (np.arange(cols) + 0.5) * self.cell_m - xy[0]
         y = self.origin_xy_m[1] + (np.arange(rows) + 0.5) * self.cell_m - xy[1]
         return x, y
 
     def window(self, xy: Array, half_width_m: float) -> ElevationRaster:
-        """The square of ``half_width_m`` around ``xy``, clipped to the raster (never empty of
-        rows or columns unless ``xy`` is that far outside)."""
+        """Returns the square of ``half_width_m`` around ``xy``, clipped to the raster; empty only
+        where ``xy`` lies farther outside than ``half_width_m``."""
         row, col = self.cell_of(xy)
         reach = int(np.ceil(half_width_m / self.cell_m))
         rows = slice(max(row - reach, 0), max(row + reach + 1, 0))
@@ -88,8 +92,9 @@ class ElevationRaster:
 
 
 def observed_raster(grid: GridMap) -> ElevationRaster | None:
-    """The bounding box of everything seen (returns or missing pulses), None for an empty map. The
-    layers are views: the mapper goes on writing to them in later control steps."""
+    """Returns the bounding box of all cells with returns or missing pulses, None for an empty map.
+
+    The layers are views: the mapper writes to them in later control steps."""
     seen = (grid.count > 0.0) | (grid.missing > 0.0)
     rows, cols = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
     if rows.size == 0:
@@ -112,7 +117,8 @@ def observed_raster(grid: GridMap) -> ElevationRaster | None:
 
 def pooled(raster: ElevationRaster, factor: int) -> ElevationRaster:
     """Merges ``factor`` x ``factor`` cells into one: weighted mean, total spread, highest return.
-    Rows and columns that fill no whole cell are dropped."""
+
+    Rows and columns at the end that do not fill a merged cell are dropped."""
     rows, cols = (n // factor for n in raster.shape)
 
     def blocks(layer: Float32) -> Float32:
@@ -152,8 +158,8 @@ def pooled(raster: ElevationRaster, factor: int) -> ElevationRaster:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlaneField:
-    """A plane per cell, least squares over the square window around it; NaN where too few cells
-    of the window are known."""
+    """Least-squares plane of the square window around every cell; NaN where too few cells of the
+    window are known."""
 
     angle_rad: Float32
     """between the plane's normal and the vertical, (rows, cols)"""
@@ -164,11 +170,10 @@ class PlaneField:
 def fit_planes(
     height: Float32, cell_m: float, half_width_m: float, *, min_share: float = 0.6
 ) -> PlaneField:
-    """Least-squares planes by running sums of moments: cost does not depend on the window.
+    """Fits planes by running sums of moments: the cost does not depend on the window.
 
-    height: (rows, cols) float32 metres, NaN unknown. A window with less than ``min_share`` of its
-    cells known, or whose known cells lie on a line, gives NaN.
-    """
+    ``height`` (rows, cols): float32, metres, NaN unknown. A window with less than ``min_share`` of
+    its cells known, or whose known cells lie on a line, gives NaN."""
     reach = max(round(half_width_m / cell_m), 1)
     enough = min_share * (2 * reach + 1) ** 2
     angle, level = (np.full(height.shape, np.nan, np.float32) for _ in range(2))
@@ -178,7 +183,7 @@ def fit_planes(
 
 @numba.njit(cache=True)
 def _add_row(height: Float32, row: int, sign: float, base: float, sums: Array) -> None:
-    """Adds (or takes away) one row to the column sums of n, y, z, yy, yz."""
+    """Adds or subtracts one row to the column sums of n, y, z, yy, yz."""
     y = float(row)
     for col in range(height.shape[1]):
         z = height[row, col] - base
@@ -193,7 +198,7 @@ def _add_row(height: Float32, row: int, sign: float, base: float, sums: Array) -
 
 @numba.njit(cache=True)
 def _add_column(sums: Array, col: int, sign: float, w: Array) -> None:
-    """Adds (or takes away) one column to the window sums n, x, y, z, xx, xy, yy, xz, yz."""
+    """Adds or subtracts one column to the window sums n, x, y, z, xx, xy, yy, xz, yz."""
     x = float(col)
     n, y, z = sums[col, 0], sums[col, 1], sums[col, 2]
     w[0] += sign * n
@@ -255,8 +260,8 @@ def _sliding_planes(
 
 
 def distance_to(mask: Mask, cell_m: float) -> Float32:
-    """Exact Euclidean distance in metres from every cell to the nearest True cell (0 on them;
-    1e6 if there is none)."""
+    """Returns the exact Euclidean distance in metres from every cell to the nearest True cell; 1e6
+    if there is none."""
     if not mask.any():
         return np.full(mask.shape, 1e6, np.float32)
     free = (~mask).astype(np.uint8)
@@ -265,8 +270,8 @@ def distance_to(mask: Mask, cell_m: float) -> Float32:
 
 
 def disc_maximum(layer: Float32, radius_cells: float) -> Float32:
-    """Maximum over the disc of ``radius_cells`` around each cell, row by row of the disc; unknown
-    (NaN) cells do not take part, -inf where nothing is known."""
+    """Returns the maximum over the disc of ``radius_cells`` around each cell. NaN cells are left
+    out; -inf where the disc has no other."""
     rows = layer.shape[0]
     best = np.where(np.isfinite(layer), layer, np.float32(-np.inf))
     filled = best.copy()
@@ -286,7 +291,8 @@ def disc_maximum(layer: Float32, radius_cells: float) -> Float32:
 
 
 def dilated(mask: Mask, radius_cells: float) -> Mask:
-    """Cells whose centre lies within ``radius_cells`` of that of a True cell."""
+    """Returns the mask of cells whose centre lies within ``radius_cells`` of that of a True
+    cell."""
     if not mask.any():
         return np.zeros(mask.shape, np.bool_)
     reach = int(radius_cells)

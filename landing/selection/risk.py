@@ -1,8 +1,8 @@
-"""Our own scorer beside the paper's: the probability that a touchdown is safe.
+"""Probability of a safe touchdown: a scorer beside that of the paper.
 
-A logistic model of ``landing.selection.risk_features``, fitted to true maps by
-``touchdown bench selector --fit``. Every coefficient but the constant is negative: nothing
-that speaks against a place can make it better.
+A logistic model of ``landing.selection.risk_features``, fitted to ground-truth maps by
+``touchdown bench selector --fit``. Every coefficient except the constant is negative: a higher
+feature never raises the probability.
 """
 
 from __future__ import annotations
@@ -23,27 +23,29 @@ Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 TERMS = ("constant", *NAMES, "worst", "near the limit")
-"""of the logistic model, in the order of ``LandingParams.risk_weights``"""
+"""terms of the logistic model, in the order of ``LandingParams.risk_weights``"""
 _SLOPE, _STEP, _NEIGHBOUR = (NAMES.index(name) for name in ("slope", "step", "neighbour"))
 _KNEE = 0.8
-"""share of a limit beyond which the map's own error decides"""
+"""share of a limit beyond which the error of the map dominates"""
 _MAX_COEFFICIENT = -0.2
-"""a coefficient is at most this, also where the fitted data has no say: true maps stand still, so
-they cannot show what an old map costs"""
+"""upper bound of the fitted coefficients. It decides where the data has no information: the maps
+are static, so that the effect of an old map cannot be fitted."""
 _RIDGE = 1e-4
 
 
 def terms(values: Float32) -> Float32:
-    """(..., 10) the model's terms without the constant, from (..., 8) features: the features, the
-    worst of those that the geometric rule limits, and what that has beyond 0.8 of the limit."""
+    """Returns the model's terms (..., 10) without the constant, from features (..., 8): the
+    features, the worst of slope, step and neighbour, and its excess over 0.8 of the limit."""
     worst = values[..., [_SLOPE, _STEP, _NEIGHBOUR]].max(axis=-1)
     knee = np.maximum(worst - np.float32(_KNEE), np.float32(0.0))
     return np.concatenate([values, worst[..., None], knee[..., None]], axis=-1)
 
 
 def probability(features: RiskFeatures, weights: tuple[float, ...]) -> Float32:
-    """(rows, cols) float32 of a touchdown that is safe by geometry; 0 where ``open`` is not.
-    ``weights``: (11,) as ``TERMS``. ValueError: another number of them."""
+    """Returns the probability (rows, cols) float32 of a touchdown that is safe by geometry; 0
+    outside ``open``.
+
+    ``weights`` (11,): as ``TERMS``. Raises ValueError for another number of them."""
     result = np.zeros(features.open.shape, np.float32)
     flat = features.values.reshape(-1, len(NAMES))
     _apply_model(flat, features.open.ravel(), _checked(weights), result.ravel())
@@ -72,7 +74,8 @@ def _checked(weights: tuple[float, ...]) -> Array:
 
 
 def predict(values: Float32, weights: tuple[float, ...]) -> Float32:
-    """(N,) float32 probabilities from features (N, 8). ValueError: wrong number of weights."""
+    """Returns probabilities (N,) float32 from features (N, 8). Raises ValueError for a wrong number
+    of weights."""
     result = np.zeros(len(values), np.float32)
     every = np.ones(len(values), np.bool_)
     _apply_model(np.ascontiguousarray(values), every, _checked(weights), result)
@@ -87,14 +90,15 @@ def safe_probability(
     now_s: float,
     drift_m: float,
 ) -> Float32:
-    """(rows, cols) of every cell as a touchdown point; see ``risk_features``."""
+    """Returns the probability (rows, cols) of every cell as a touchdown point; see
+    ``risk_features``."""
     features = risk_features(raster, landable, params, now_s=now_s, drift_m=drift_m)
     return probability(features, params.risk_weights)
 
 
 def features_of(map_view: MapView, estimate: Estimate, params: LandingParams) -> RiskFeatures:
-    """Features on the raster of ``landing.selection.selector.select_sites``. ValueError: an empty
-    map."""
+    """Returns the features that ``landing.selection.selector.select_sites`` uses. Raises ValueError
+    for an empty map."""
     raster = observed_raster(map_view.coarse)
     if raster is None:
         raise ValueError("the map is empty: it has no features")
@@ -106,8 +110,8 @@ def features_of(map_view: MapView, estimate: Estimate, params: LandingParams) ->
 
 
 def fit_weights(values: Float32, safe: NDArray[np.bool_]) -> tuple[float, ...]:
-    """(11,) maximum likelihood of ``safe`` (N,) given features (N, 8), with a slight ridge, each
-    coefficient at most -0.2."""
+    """Returns the weights (11,) of maximum likelihood for ``safe`` (N,) given features (N, 8), with
+    a slight ridge penalty, each coefficient at most -0.2."""
     design = np.column_stack([np.ones(len(values)), terms(values)]).astype(np.float64)
     truth = safe.astype(np.float64)
 
@@ -128,8 +132,8 @@ def fit_weights(values: Float32, safe: NDArray[np.bool_]) -> tuple[float, ...]:
 def calibration(
     predicted: Float32, safe: NDArray[np.bool_], bins: int = 10
 ) -> tuple[float, list[tuple[float, float, int]]]:
-    """Expected calibration error of probabilities (N,), and the reliability diagram: mean belief,
-    share that is safe and number of every bin of equal width that holds any."""
+    """Returns the expected calibration error of probabilities (N,), and the reliability diagram:
+    mean probability, share of safe ones and number of each bin of equal width that is not empty."""
     index = np.minimum((predicted * bins).astype(int), bins - 1)
     rows, error = [], 0.0
     for number in range(bins):

@@ -1,5 +1,5 @@
-"""What the risk of a touchdown is estimated from: eight rasters, each 0 where nothing speaks
-against landing and about 1 at the limit of the geometric rule.
+"""The eight features of the risk of a touchdown, each 0 for perfect ground and about 1 at the limit
+of the geometric check.
 """
 
 from __future__ import annotations
@@ -29,18 +29,21 @@ _SLOPE_DISC_M = 0.5
 _SPREAD_LIMIT_M = 0.05
 _NEIGHBOUR_LIMIT_M = 0.25
 _ROOM_M = 2.0
-"""beyond the footprint; more room than this makes no landing safer"""
+"""room beyond the footprint from which confinement is 0"""
 _MOST = 2.0
-"""twice a limit is as bad as any more"""
+"""features are clipped at twice the limit"""
 _AGE_S = 60.0
 _IS_HARD = np.isin(np.arange(len(Defect)), (Defect.UNKNOWN, Defect.MOVING, Defect.WATER))
-"""by defect: no coefficient outweighs these"""
+"""defects that exclude a cell whatever the coefficients"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RiskFeatures:
-    """``values``: (rows, cols, 8) float32, last axis as ``NAMES``, finite everywhere; ``open``:
-    (rows, cols), the cells whose footprint lies in seen, dry, quiet ground within the map."""
+    """Features of every cell.
+
+    ``values``: (rows, cols, 8) float32, last axis as ``NAMES``, finite everywhere; ``open``: (rows,
+    cols), cells whose footprint lies within the map and contains no unknown ground, motion or
+    water."""
 
     values: Float32
     open: Mask
@@ -54,10 +57,10 @@ def risk_features(
     now_s: float,
     drift_m: float = 0.0,
 ) -> RiskFeatures:
-    """Of every cell as a touchdown point.
+    """Returns the features of every cell as a touchdown point.
 
-    ``now_s``: the time that ages are counted to; ``drift_m``: how far gusts may carry the vehicle,
-    taken off the room around the footprint.
+    ``now_s``: current time, for the age of cells; ``drift_m``: drift of the vehicle in gusts,
+    subtracted from the room around the footprint.
     """
     cell = raster.cell_m
     pad = FOOTPRINT_M / cell
@@ -85,7 +88,7 @@ def risk_features(
 
 @numba.njit(cache=True)
 def _scaled(layer: Float32, zero: float, gain: float, out: Float32) -> None:
-    """(layer - zero) * gain within [0, 2]; 2 where the layer is not a number."""
+    """Writes (layer - zero) * gain clipped to [0, 2] into ``out``; 2 where the layer is NaN."""
     rows, cols = layer.shape
     for row in range(rows):
         for col in range(cols):

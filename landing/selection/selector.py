@@ -1,4 +1,4 @@
-"""From the map to a list of alternative landing sites, best first (section 4 of the paper)."""
+"""Site selection: candidate landing sites of a map, best first (section 4 of the paper)."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _AVOID_M = 3.0
-"""a site refused on a closer look is not offered again within this distance"""
+"""radius around a refused site in which no site is accepted again"""
 _ENOUGH_ROOM_M = 1.0
 _ROOM_WEIGHT = 0.1
 _PLENTY_M = 3.0
-"""room that counts where sites are ranked by risk"""
+"""room from which the rank by risk no longer rises"""
 _APART_M = 3.0
-"""alternatives closer than this are no alternatives"""
+"""least distance between candidates"""
 
 
 NOTHING_MAPPED = Selection(
@@ -53,7 +53,7 @@ NOTHING_MAPPED = Selection(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Assessed:
-    """One map with everything that was computed of it; rasters (rows, cols)."""
+    """Intermediate results of one map, (rows, cols)."""
 
     raster: ElevationRaster
     costmap: CostmapView
@@ -137,12 +137,13 @@ def select_sites(
 
 
 def _cluster_map(assessed: _Assessed, params: LandingParams) -> Float32:
-    """What Quick Shift climbs: C_sum, or where it is the risk that counts, the probability."""
+    """Returns the density values for Quick Shift: C_sum, or the probability for the scorer
+    ``risk``."""
     return assessed.costmap.total if params.scorer == "paper" else assessed.probability
 
 
 def _value_map(assessed: _Assessed, params: LandingParams) -> Float32:
-    """Rank of a cell as a site; NaN where energy or the map do not reach."""
+    """Returns the value of every cell as a site; NaN out of reach or unknown."""
     if params.scorer == "paper":
         return assessed.costmap.total
     energy = np.float32(params.energy_weight) * (1.0 - assessed.costmap.distance)
@@ -155,22 +156,23 @@ def _value_map(assessed: _Assessed, params: LandingParams) -> Float32:
 def check_site(
     map_view: MapView, estimate: Estimate, params: LandingParams, xy_odom: Array
 ) -> tuple[Candidate, CostmapView | None]:
-    """The commanded site ``xy_odom`` (2,) as a candidate: accepted or refused with the reason.
+    """Returns the commanded site ``xy_odom`` (2,) as a candidate, accepted or refused with the
+    reason, and the costmap.
 
-    Someone chose this place, so it needs less room to err than one that the map alone suggests.
+    Its margin is smaller than that of selected sites, since an operator chose it.
     """
     raster = observed_raster(map_view.coarse)
     if raster is None:
-        return _unseen(xy_odom), None
+        return _unmapped(xy_odom), None
     assessed = _assess(raster, estimate, np.inf, params, params.low_margin_m, 0.0)
     spot = raster.cell_of(xy_odom)
     if not raster.contains(*spot):
-        return _unseen(xy_odom), assessed.costmap
+        return _unmapped(xy_odom), assessed.costmap
     assessed.allowed[spot] = assessed.landable.mask[spot]
     return _candidate(assessed, spot, xy_odom, params), assessed.costmap
 
 
-def _unseen(xy: Array, why: str = "outside what was mapped") -> Candidate:
+def _unmapped(xy: Array, why: str = "outside what was mapped") -> Candidate:
     return Candidate(
         position_odom=np.array([xy[0], xy[1], np.nan]),
         normal_odom=np.array([0.0, 0.0, 1.0]),
@@ -219,8 +221,8 @@ def _assess(
 
 
 def _best_spots(clusters: Clusters, value: Float32, assessed: _Assessed) -> list[tuple[int, int]]:
-    """One cell per cluster: the allowed one of highest value, room to err counting up to 1 m; the
-    mode itself where nothing in the cluster is allowed."""
+    """Returns one cell for each cluster: the allowed one of highest value, with a bonus for up to
+    1 m of room; the mode itself where no cell of the cluster is allowed."""
     spots = clusters.modes.copy()
     room = np.minimum(assessed.room_m, _ENOUGH_ROOM_M) / _ENOUGH_ROOM_M
     cells = np.flatnonzero(assessed.allowed & (clusters.label >= 0))
@@ -241,14 +243,14 @@ def _shortlist(
     limit: int,
     apart_cells: float,
 ) -> list[tuple[int, int]]:
-    """The best ``limit`` spots that keep apart; two thirds of the places are for allowed ones, if
-    there are as many, so that refused ones of high value stay visible."""
+    """Returns the best ``limit`` spots at the least distance from one another. Two thirds are
+    reserved for allowed ones, so that refused ones of high value are listed too."""
     filled = np.nan_to_num(value, nan=-np.inf)
     by_value = sorted(spots, key=lambda spot: (-float(filled[spot]), spot))
     chosen: list[tuple[int, int]] = []
-    for wanted, places in ((True, (2 * limit + 2) // 3), (False, limit)):
+    for wanted, most in ((True, (2 * limit + 2) // 3), (False, limit)):
         for spot in by_value:
-            if len(chosen) >= places:
+            if len(chosen) >= most:
                 break
             if bool(allowed[spot]) is wanted and all(
                 np.hypot(spot[0] - other[0], spot[1] - other[1]) >= apart_cells for other in chosen
@@ -265,17 +267,17 @@ def _candidate(
     *,
     certain: bool = True,
 ) -> Candidate:
-    """The site at ``xy`` (2,) in the cell ``spot``. Where it must be ``certain``, the plane through
-    the whole footprint has the last word."""
+    """Returns the site at ``xy`` (2,) in the cell ``spot``. Where it must be ``certain``, the plane
+    through the whole footprint is checked too."""
     costmap = assessed.costmap
     xy = np.asarray(xy, dtype=np.float64)
     plane = fit_footprint(assessed.raster, xy)
     if plane is None:
-        return _unseen(xy, _why_not(assessed, spot, params))
+        return _unmapped(xy, _refusal(assessed, spot, params))
     predicted = float(assessed.probability[spot])
     refusal = None
     if not assessed.allowed[spot]:
-        refusal = _why_not(assessed, spot, params)
+        refusal = _refusal(assessed, spot, params)
     elif certain and plane.slope_deg > params.max_slope_deg - params.slope_margin_deg:
         refusal = f"slope {plane.slope_deg:.1f} deg over the footprint"
     elif certain and plane.roughness_m > params.max_step_m - params.step_margin_m:
@@ -304,7 +306,7 @@ def _candidate(
     )
 
 
-def _why_not(assessed: _Assessed, spot: tuple[int, int], params: LandingParams) -> str:
+def _refusal(assessed: _Assessed, spot: tuple[int, int], params: LandingParams) -> str:
     landable = assessed.landable
     if not landable.mask[spot]:
         return explain(assessed.raster, landable, *spot, params, assessed.margin_m)

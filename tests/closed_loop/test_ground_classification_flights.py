@@ -155,7 +155,7 @@ def test_a_commanded_site_is_looked_at_too() -> None:
 
 
 def test_without_a_classifier_nothing_changes() -> None:
-    """The same setpoints to the bit, with and without pictures, and with one that always agrees up
+    """The same setpoints to the bit, with and without images, and with one that always agrees up
     to its decision."""
 
     def setpoints(lander: SiteLander) -> list[tuple[Phase, Array]]:
@@ -176,7 +176,7 @@ def test_without_a_classifier_nothing_changes() -> None:
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folders of pictures in the colours of their classes, noisy."""
+    """Folders of images in the colours of their classes, noisy."""
     home = tmp_path_factory.mktemp("pictures")
     rng = np.random.default_rng([8, 2])
     for name, colour in COLOURS.items():
@@ -208,7 +208,7 @@ def test_smaller_weights_say_the_same(
     before = load_onboard_classifier(source).classify(shown).probabilities
     np.testing.assert_allclose(classifier.classify(shown).probabilities, before, atol=0.03)
     assert cli.main(["evaluate", str(out), "--data", str(images), "--no-cost", "--quiet"]) == 0
-    assert "pictures of unsafe ground taken for safe" in " ".join(capsys.readouterr().out.split())
+    assert "images of unsafe ground taken for safe" in " ".join(capsys.readouterr().out.split())
     if weight_type != "float16":
         assert cli.main([*arguments[:1], str(out), *arguments[2:-2], str(tmp_path / "x.onnx")]) == 2
         assert "has no float16 weights" in capsys.readouterr().err

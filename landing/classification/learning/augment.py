@@ -1,4 +1,4 @@
-"""Variations of training pictures, a batch at a time, on whatever device they are on.
+"""Variations of training images, a batch at a time, on whatever device they are on.
 
 All numbers but the grain of the noise are drawn on the CPU from one generator, so that every device
 sees the same ones.
@@ -14,19 +14,19 @@ from torch.nn import functional
 
 _ZOOM = math.log(1.35)
 _SHIFT = 0.12
-"""of half a picture"""
+"""of half an image"""
 _LIGHT, _TINT = 0.25, 0.07
 """deviation of the logarithm of brightness, and of each channel's"""
 _CONTRAST, _COLOUR = (0.7, 1.3), (0.5, 1.4)
 _NOISE = 0.03
 _ERASED = (0.1, 0.35)
-"""side of the rectangle that hides part of one picture in four"""
+"""side of the rectangle that hides part of one image in four"""
 _PERIOD, _THICKNESS = (0.1, 0.7), (0.03, 0.25)
-"""between painted lines, in pictures; how wide they are, of that"""
+"""between painted lines, in images; how wide they are, of that"""
 _WAVE, _WAVE_LENGTH = 0.03, (0.15, 0.6)
-"""deviation and length of the waves of lines seen through water, in pictures"""
+"""deviation and length of the waves of lines seen through water, in images"""
 _DASH, _EDGE = (0.08, 0.4), (0.004, 0.03)
-"""of a dashed line, and of a blurred edge, in pictures"""
+"""of a dashed line, and of a blurred edge, in images"""
 
 
 def as_input(images: Tensor) -> Tensor:
@@ -74,7 +74,7 @@ def _relit(images: Tensor, generator: torch.Generator, strength: float) -> Tenso
         for span in (_CONTRAST, _COLOUR)
     )
     noise = strength * _uniform(generator, (count, 1, 1, 1), 0.0, _NOISE).to(images)
-    # millions of numbers: drawn where the pictures are, from a seed that is drawn here
+    # millions of numbers: drawn where the images are, from a seed that is drawn here
     local = torch.Generator(images.device)
     local.manual_seed(int(torch.randint(2**62, (), generator=generator)))
     grain = torch.randn(images.shape, generator=local, device=images.device)
@@ -86,7 +86,7 @@ def _relit(images: Tensor, generator: torch.Generator, strength: float) -> Tenso
 
 
 def _hidden(images: Tensor, generator: torch.Generator, strength: float) -> Tensor:
-    """A grey rectangle over one picture in four (Zhong et al., AAAI 2020)."""
+    """A grey rectangle over one image in four (Zhong et al., AAAI 2020)."""
     count, size = len(images), images.shape[-1]
     pick = torch.rand(count, generator=generator) < 0.25 * strength
     sides = size * _uniform(generator, (count, 2), *_ERASED)
@@ -98,7 +98,7 @@ def _hidden(images: Tensor, generator: torch.Generator, strength: float) -> Tens
 
 
 def marked(images: Tensor, generator: torch.Generator, share: float) -> Tensor:
-    """Parallel lines over a share of the pictures (B, 3, S, S): whole or dashed, straight or wavy,
+    """Parallel lines over a share of the images (B, 3, S, S): whole or dashed, straight or wavy,
     of any colour, half of them white. Lanes, bays and courts are painted on all sorts of ground,
     and in pools; what it is they do not tell."""
     count, size = len(images), images.shape[-1]
@@ -135,7 +135,7 @@ def marked(images: Tensor, generator: torch.Generator, share: float) -> Tensor:
 def blended(
     images: Tensor, targets: Tensor, generator: torch.Generator, strength: float
 ) -> tuple[Tensor, Tensor]:
-    """Pictures (B, 3, S, S) and probabilities of their classes (B, C), blended with those that a
+    """Images (B, 3, S, S) and probabilities of their classes (B, C), blended with those that a
     permutation gives (Zhang et al., ICLR 2018): all by one share from Beta(``strength``,
     ``strength``), at least half of it their own."""
     pair = torch.randperm(len(images), generator=generator).to(images.device)

@@ -15,7 +15,7 @@ from touchdown.landing.classification.learning.weights_file import load_weights,
 from touchdown.landing.classification.weights import SUFFIX
 
 LAST, BEST = "last.pt", "best.pt"
-_OTHER = {"data": "other pictures", "start": "other weights to begin with"}
+_OTHER = {"data": "other images", "start": "other weights to begin with"}
 
 
 class Resumable(Protocol):
@@ -25,7 +25,7 @@ class Resumable(Protocol):
 def restore(trainer: Resumable, folder: Path, identity: dict[str, Any]) -> None:
     """Goes on from ``last.pt`` in ``folder``, where there is one.
 
-    Raises ValueError where it is of a training with other parameters or pictures, or is broken.
+    Raises ValueError where it is of a training with other parameters or images, or is broken.
     """
     path = folder / LAST
     if not path.is_file():

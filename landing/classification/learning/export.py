@@ -28,7 +28,7 @@ _CAST = "/float32"
 
 
 class Calibrated(nn.Module):
-    """A network from pictures within 0..1 to scores whose softmax is a calibrated probability."""
+    """A network from images within 0..1 to scores whose softmax is a calibrated probability."""
 
     temperature: Tensor
 

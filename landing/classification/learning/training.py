@@ -1,4 +1,4 @@
-"""Training a network on labelled pictures: AdamW, cosine schedule, averaged weights, early stop."""
+"""Training a network on labelled images: AdamW, cosine schedule, averaged weights, early stop."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _MAY_CHANGE = ("epochs", "patience", "start_share", "miss_costs")
 """parameters of a training that goes on: its schedule is as long as it is told to be now, and what
 becomes of its weights is decided at the end"""
 _SIZES, _SIZE_STEP = 4, 16
-"""Growing pictures have this many sizes, which are multiples of so many pixels"""
+"""Growing images have this many sizes, which are multiples of so many pixels"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -47,7 +47,7 @@ class TrainParams:
     labels: str = "d_land"
     image_size: int = 96
     first_size: int | None = None
-    """pixels across of the first epochs' pictures, which grow to ``image_size`` (Tan and Le, ICML
+    """pixels across of the first epochs' images, which grow to ``image_size`` (Tan and Le, ICML
     2021, section 4.2); None: all alike"""
     epochs: int = 30
     batch_size: int = 64
@@ -55,18 +55,18 @@ class TrainParams:
     weight_decay: float = 0.05
     label_smoothing: float = 0.05
     variation: float = 1.0
-    """strength of what is changed in pictures (`augment.augmented`)"""
+    """strength of what is changed in images (`augment.augmented`)"""
     markings: float = 0.0
-    """share of pictures with lines painted on them (`augment.marked`)"""
+    """share of images with lines painted on them (`augment.marked`)"""
     blending: float = 0.0
-    """strength of `augment.blended`, up to 1; 0: pictures are not blended"""
+    """strength of `augment.blended`, up to 1; 0: images are not blended"""
     start_share: float = 0.0
     """of the weights that the training began with in those that it ends with: between the two may
     lie what knows other ground better than either (Wortsman et al., CVPR 2022, Eq. 1)"""
     miss_costs: tuple[tuple[str, float], ...] = ()
     """as ``NetworkFacts.miss_costs``: what is trained is the same, not what is made of it"""
     patience: int = 8
-    """epochs without a better macro F1 on the validation pictures before training ends"""
+    """epochs without a better macro F1 on the validation images before training ends"""
     seed: int = 0
 
 
@@ -79,7 +79,7 @@ class Trained:
     history: list[dict[str, float]]
     best_epoch: int
     scores: NDArray[np.float32]
-    """(N, C) calibrated, of the validation pictures"""
+    """(N, C) calibrated, of the validation images"""
 
 
 def chosen_device(name: str) -> torch.device:
@@ -98,7 +98,7 @@ class Trainer:
 
     Every random number is keyed by seed, epoch and step, so that a training that was interrupted
     ends with the same weights, to the bit on a CPU.
-    Raises ValueError: unknown network, too small pictures, a folder of another training.
+    Raises ValueError: unknown network, too small images, a folder of another training.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class Trainer:
     ) -> None:
         """``start``: what this one begins with, the best weights in the folder of another training
         of this network or those in a network's file. ``compiled``: by `torch.compile`, which takes
-        a minute for every size of pictures."""
+        a minute for every size of images."""
         check_network(params.network, params.image_size)
         check_growth(params)
         if params.start_share and start is None:
@@ -148,7 +148,7 @@ class Trainer:
         done = len(self.history)
         if done >= self.params.epochs:
             return True
-        # pictures that still grow make the network better at what it is validated on
+        # images that still grow make the network better at what it is validated on
         grown = size_of_epoch(self.params, done) == self.params.image_size
         return grown and done - 1 - self.best_epoch >= self.params.patience
 
@@ -181,7 +181,7 @@ class Trainer:
         self.network.train()
         total = 0.0
         for step in range(self.steps):
-            # Two pictures at least: of one, batch norm may find nothing to divide by.
+            # Two images at least: of one, batch norm may find nothing to divide by.
             first = min(step * self.params.batch_size, max(0, len(draws) - 2))
             batch = draws[first : (step + 1) * self.params.batch_size]
             total += self._step(epoch * self.steps + step, batch, generator)
@@ -236,7 +236,7 @@ class Trainer:
         size = size_of_epoch(self.params, step // self.steps)
         if size < images.shape[-1]:
             images = functional.interpolate(images, size=(size, size), mode="area")
-        # the last pictures of an epoch are too few to be worth compiling for
+        # the last images of an epoch are too few to be worth compiling for
         whole = len(batch) == self.params.batch_size
         network = self._compiled if self._compiled is not None and whole else self.network
         with _autocast(self._device):
@@ -264,21 +264,21 @@ class Trainer:
 
 def check_growth(params: TrainParams) -> None:
     """Raises ValueError where ``first_size`` is too large, too small for the network, or where the
-    network sees pictures of one size only."""
+    network sees images of one size only."""
     first = params.first_size
     if first is None:
         return
     if first > params.image_size:
         raise ValueError(
-            f"first_size {first} is more than image_size {params.image_size}: pictures grow"
+            f"first_size {first} is more than image_size {params.image_size}: images grow"
         )
     if params.network in FIXED_SIZE:
-        raise ValueError(f"{params.network} sees pictures of one size only: leave out first_size")
+        raise ValueError(f"{params.network} sees images of one size only: leave out first_size")
     check_network(params.network, first)
 
 
 def size_of_epoch(params: TrainParams, epoch: int) -> int:
-    """Pixels across of the pictures that an epoch (from 0) trains on: as long at each of a few
+    """Pixels across of the images that an epoch (from 0) trains on: as long at each of a few
     sizes, from ``first_size`` to ``image_size``."""
     if params.first_size is None:
         return params.image_size
@@ -297,7 +297,7 @@ def schedule(step: int, steps: int) -> float:
 
 
 def balanced_order(pictures: LabelledImages, seed: int, epoch: int) -> NDArray[np.int64]:
-    """(N,) pictures of an epoch. One is drawn as often as the inverse root of how many there are
+    """(N,) images of an epoch. One is drawn as often as the inverse root of how many there are
     of its class in its data set, by one comb over the cumulated weights: as evenly as can be."""
     group = pictures.labels * len(pictures.sources) + pictures.source
     weights = 1.0 / np.sqrt(np.bincount(group)[group])
@@ -310,14 +310,14 @@ def balanced_order(pictures: LabelledImages, seed: int, epoch: int) -> NDArray[n
 
 
 def normalised(images: Tensor) -> Tensor:
-    """Pictures within 0..1 about zero, as the networks were trained on them."""
+    """Images within 0..1 about zero, as the networks were trained on them."""
     return (images - 0.5) / 0.25
 
 
 def predict(
     network: nn.Module, images: NDArray[np.uint8], device: torch.device, batch: int = 64
 ) -> NDArray[np.float32]:
-    """(N, C) float32 scores of pictures (N, S, S, 3)."""
+    """(N, C) float32 scores of images (N, S, S, 3)."""
     network.eval()
     parts = []
     with torch.inference_mode():

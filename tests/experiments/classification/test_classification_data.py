@@ -1,4 +1,4 @@
-"""Label mappings, splits, rendered patches, and folders of pictures of people's own."""
+"""Label mappings, splits, rendered patches, and folders of images of people's own."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 
 from touchdown.experiments.classification import colour_randomization as recolour
 from touchdown.experiments.classification import patches, render_dataset
-from touchdown.experiments.classification.image_folders import load_pictures, read_catalogue
+from touchdown.experiments.classification.image_folders import load_images, read_catalogue
 from touchdown.experiments.classification.render_dataset import DatasetParams, contact_sheet
 from touchdown.experiments.classification.splits import (
     split_of_file,
@@ -190,7 +190,7 @@ def test_new_colours(tmp_path: Path) -> None:
 
 
 def test_a_material_has_one_colour() -> None:
-    """Two materials in a grey picture: what each shows is multiplied, in linear light."""
+    """Two materials in a grey image: what each shows is multiplied, in linear light."""
     grey = np.full((4, 8, 3), 96, np.uint8)
     road = LAND_CLASSES.index("road")
     materials = np.full((2, 4), road + 1, np.int32)
@@ -234,7 +234,7 @@ def test_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert (read_picture(out / row["file"]) == int(row["seed"]) % 256).all()
         assert row["split"] == split_of_place(row["scene"], int(row["seed"]))
     assert read_picture(out / "contact_sheet.png").shape[0] == 7 * 100 + 4
-    pictures = load_pictures([read_catalogue(str(out), "d_scene")], "test", "d_scene", 32)
+    pictures = load_images([read_catalogue(str(out), "d_scene")], "test", "d_scene", 32)
     expected = [row["d_scene"] for row in rows if row["split"] == "test"]
     assert [pictures.classes[label] for label in pictures.labels] == expected
     assert pictures.images.shape == (len(expected), 32, 32, 3) and pictures.sources == ("rendered",)
@@ -265,7 +265,7 @@ def test_sheet_has_a_row_for_each_class() -> None:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Any:
-    """Makes class folders with small coloured pictures."""
+    """Makes class folders with small coloured images."""
 
     def make(files: dict[str, int]) -> Path:
         for name, count in files.items():
@@ -282,7 +282,7 @@ def test_a_folder_of_uc_merced(folder: Any) -> None:
     data = folder({"river": 70, "airplane": 3})
     catalogue = read_catalogue(str(data), "d_land")
     assert (catalogue.source, len(catalogue.entries), catalogue.left_out) == ("ucmerced", 70, 3)
-    test = load_pictures([catalogue], "test", "d_land", 16)
+    test = load_images([catalogue], "test", "d_land", 16)
     assert list(test.images[:, 0, 0, 0]) == list(range(64, 70))
     assert {test.classes[label] for label in test.labels} == {"water"}
 
@@ -291,7 +291,7 @@ def test_a_folder_of_uc_merced(folder: Any) -> None:
     ("files", "argument", "message"),
     [
         ({}, "{}", "is empty"),
-        ({"river": 0}, "{}", "is empty: it holds no picture of any class"),
+        ({"river": 0}, "{}", "is empty: it holds no image of any class"),
         ({"river": 1, "habor": 1}, "{}", "'habor' is no class of ucmerced; did you mean 'harbor'"),
         ({"cats": 1}, "{}", "are not the classes of any"),
         ({"lawn": 1}, "rendered={}", "has no manifest.csv"),
@@ -308,8 +308,8 @@ def test_folders_that_cannot_be_used(
 
 def test_no_picture_in_a_split(folder: Any) -> None:
     catalogue = read_catalogue(str(folder({"river": 3})), "d_land")
-    with pytest.raises(UsageError, match="no picture is in the split 'test'"):
-        load_pictures([catalogue], "test", "d_land", 16)
+    with pytest.raises(UsageError, match="no image is in the split 'test'"):
+        load_images([catalogue], "test", "d_land", 16)
 
 
 def test_pictures_that_are_refused(tmp_path: Path) -> None:
@@ -317,7 +317,7 @@ def test_pictures_that_are_refused(tmp_path: Path) -> None:
     cv2.imwrite(str(grey), np.zeros((8, 8), np.uint8))
     cv2.imwrite(str(deep), np.zeros((8, 8, 3), np.uint16))
     cv2.imwrite(str(alpha), np.full((8, 8, 4), (1, 2, 3, 4), np.uint8))
-    (tmp_path / "text.png").write_text("no picture")
+    (tmp_path / "text.png").write_text("no image")
     for path, message in (
         (grey, "is grey"),
         (deep, "has 16 bits"),

@@ -68,7 +68,7 @@ def test_safe_classes_count_together() -> None:
 
 
 def test_limits_let_a_quarter_of_a_percent_of_unsafe_pictures_pass() -> None:
-    """800 pictures of water, claimed to be lawn with 0.5 to 0.9: two of them may pass."""
+    """800 images of water, claimed to be lawn with 0.5 to 0.9: two of them may pass."""
     claims = np.linspace(0.5, 0.9, 800)
     rows = [_chances(lawn=float(claim)) for claim in claims]
     labels = np.full(800, D_LAND.index("water"))
@@ -149,7 +149,7 @@ def test_refused_sites_are_not_asked_about() -> None:
     ("classifier", "words"),
     [
         (ByColour(sure=0.6), "unsure what it is: lawn with probability 0.60"),
-        (ByColour(in_distribution=False), "it looks like no ground that is known"),
+        (ByColour(in_distribution=False), "it looks like no known ground"),
     ],
 )
 def test_who_is_not_sure_is_not_believed(classifier: ByColour, words: str) -> None:
@@ -170,7 +170,7 @@ def test_the_configuration_may_ask_for_more_or_less() -> None:
 def test_what_no_picture_shows_is_refused() -> None:
     classifier = ByColour()
     (site,) = _check(classifier).judge(_sites((60, 0)), FLAT)
-    assert site.reason == "refused: no picture shows what kind of ground it is"
+    assert site.reason == "refused: no image shows what kind of ground it is"
     assert classifier.batches == [] and site.class_predicted is None
 
 
@@ -231,7 +231,7 @@ def test_traffic_makes_a_road_of_a_doubtful_path() -> None:
 
 
 def test_a_doubtful_site_over_lossy_ground_is_refused() -> None:
-    """What passes by the picture alone is refused where a fifth of the pulses never came back."""
+    """What passes by the image alone is refused where a fifth of the pulses never came back."""
     grid = make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0))
     grid.missing[:, 140:] = 10.0
     check = _check(ByColour(sure=0.95), plain("lawn"))
@@ -302,9 +302,9 @@ def test_one_line_for_a_network_that_cannot_fly(
     bare = write_colour_network(tmp_path / "bare.onnx")
     weights.checksum_file(bare).unlink()
     for name, words in (
-        (cut, "is cut short or changed"),
-        (scene, "a flight needs one trained with --labels d_land"),
-        (bare, "cannot be trusted"),
+        (cut, "is truncated or changed"),
+        (scene, "a flight needs a network trained with --labels d_land"),
+        (bare, "is not loaded without it"),
         (tmp_path / "none.onnx", "does not exist"),
     ):
         out = tmp_path / "run"

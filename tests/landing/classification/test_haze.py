@@ -1,4 +1,4 @@
-"""Haze: its veil by hand, found again in a climb, and taken out of a picture."""
+"""Haze: its veil by hand, found again in a climb, and taken out of an image."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_darkest_light_is_that_of_a_few_pixels_in_one_colour() -> None:
 
 @pytest.mark.parametrize("ground", [0.0, 0.02])
 def test_extinction_and_airlight_are_found_in_a_climb(ground: float) -> None:
-    """With most pictures from one height, and treetops in a third of these."""
+    """With most images from one height, and treetops in a third of these."""
     heights = np.concatenate([CLIMB, np.full(30, 30.0)])
     away = heights.copy()
     away[-10:] = 22.0

@@ -92,7 +92,7 @@ def test_a_stopped_training_ends_as_one_that_was_not(torch: Any, tmp_path: Path)
     state, other = whole.network.state_dict(), pieces.network.state_dict()
     assert all(bool((state[name] == other[name]).all()) for name in state)
     assert whole.history[-1]["train_loss"] < whole.history[0]["train_loss"]
-    with pytest.raises(ValueError, match="holds a training with other pictures"):
+    with pytest.raises(ValueError, match="holds a training with other images"):
         Trainer(params, val, train, tmp_path / "whole", cpu)
     longer = TrainParams(**(plan | {"epochs": 4}), batch_size=12)
     assert not Trainer(longer, train, val, tmp_path / "whole", cpu).finished

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.experiments.classification import class_map as class_pictures
+from touchdown.experiments.classification import class_map as class_overlays
 from touchdown.landing.classification import scores, weights, windows
 from touchdown.landing.classification.engine import apply_miss_costs
 from touchdown.landing.classification.labels import D_LAND
@@ -91,14 +91,14 @@ def test_unsure_ground_stays_white() -> None:
     chance = np.full((16, 40, 7), 0.1, np.float32)
     chance[:, :20, D_LAND.index("water")] = 0.4
     chance[:, 20:, D_LAND.index("lawn")] = 0.9
-    drawn = class_pictures.class_picture(picture, chance, D_LAND, 0.5)
+    drawn = class_overlays.class_overlay(picture, chance, D_LAND, 0.5)
     assert (drawn[0, 0] == 128).all() and (drawn[0, 39] == [60, 100, 40]).all()
     assert drawn.shape[1] == 40 and drawn.shape[0] > 16
-    assert class_pictures._shares(chance, D_LAND, 0.5) == {"lawn": 0.5, "unsure": 0.5}
+    assert class_overlays._shares(chance, D_LAND, 0.5) == {"lawn": 0.5, "unsure": 0.5}
 
 
 def test_thirty_colours_differ() -> None:
-    colours = class_pictures.class_colours([str(n) for n in range(30)])
+    colours = class_overlays.class_colours([str(n) for n in range(30)])
     assert len(set(colours.values())) == 30
 
 
@@ -163,9 +163,9 @@ def test_a_class_that_costs_more_to_miss_is_taken_sooner() -> None:
 def test_a_file_that_does_not_say_what_it_is() -> None:
     facts = weights.NetworkFacts(network="resnet18", labels="d_land", image_size=64, classes=D_LAND)
     assert weights.facts_of(facts.properties(), Path("n")) == facts
-    with pytest.raises(ValueError, match="does not say what it recognises"):
+    with pytest.raises(ValueError, match="has no usable metadata"):
         weights.facts_of(facts.properties() | {"miss_costs": "water"}, Path("n"))
-    with pytest.raises(ValueError, match="does not say what it recognises"):
+    with pytest.raises(ValueError, match="has no usable metadata"):
         weights.facts_of({}, Path("n"))
     with pytest.raises(ValueError, match="classes that are not those of 'd_land'"):
         weights.facts_of(facts.properties() | {"classes": "cat dog"}, Path("n"))

@@ -53,7 +53,8 @@ def test_number_of_weights() -> None:
 
 @pytest.mark.parametrize("scene", ["lake", "houses", *HELD_OUT_SCENES])
 def test_places_never_seen(scene: str, classifier: OnnxGroundClassifier) -> None:
-    """A floor far below the scores on thousands of pictures: `docs/results/ground-classification.md`."""
+    """A floor far below the scores on thousands of images:
+    `docs/results/ground-classification.md`."""
     assert split_of_place(scene, SEED) == "test"
     patches = scene_patches(scene, SEED, PICTURES, classifier.image_size, variation=0)
     prediction = classifier.classify(np.stack([patch.rgb for patch in patches]))

@@ -1,4 +1,4 @@
-"""Pictures that the lander keeps, and squares of ground cut out of them."""
+"""Images that the lander keeps, and squares of ground cut out of them."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_the_lens_is_taken_out() -> None:
 
 
 def test_a_smaller_square_where_the_whole_one_is_not_shown() -> None:
-    """At 5 m the picture shows 3.9 m the short way: half of 6.4 m fits, nothing of a site aside."""
+    """At 5 m the image shows 3.9 m the short way: half of 6.4 m fits, nothing of a site aside."""
     survey_images = _kept(Pose(np.eye(3), np.array([0.0, 0.0, 5.0])))
     patch = survey_images.patch(np.zeros(3), 6.4, 32)
     assert patch is not None
@@ -122,7 +122,7 @@ def test_what_is_black_frozen_or_out_of_order_is_no_ground() -> None:
 
 
 def test_an_exposure_is_placed_where_the_vehicle_was() -> None:
-    """The picture arrives 60 ms after its exposure, 0.3 m further on."""
+    """The image arrives 60 ms after its exposure, 0.3 m further on."""
     rig = small_rig()
     survey_images = SurveyImages(rig, 4)
     for step in range(13):
