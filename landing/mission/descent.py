@@ -1,4 +1,4 @@
-"""From above the site to motors off: two looks, the commitment, the last metres, the touchdown."""
+"""The descent: second look at 10 m, commitment at 4 m, final descent, touchdown."""
 
 from __future__ import annotations
 
@@ -26,17 +26,19 @@ _ACCEL_MPS2 = 1.5
 _SLOW_ABOVE_M = 0.2
 """height of the legs at which touchdown speed is reached"""
 _FREEZE_ABOVE_M = 1.5
-"""below this the LIDAR's shortest range is near: the ground height stays as last seen"""
+"""below this height, near the shortest LIDAR range, the ground height is no longer updated"""
 _GROUND_RATE_MPS = 0.05
-"""how fast a correction of the ground height moves the reference"""
-_FEEL_BELOW_M = 0.6
+"""rate limit of corrections of the ground height"""
+_DETECT_BELOW_M = 0.6
 _THRUST_RAMP_S = 0.5
 _MOTORS_OFF_S = 1.0
 
 
 def descend_to(mission: Mission) -> Generator[Setpoint, None, str | None]:
-    """Down to the commitment height with both looks. None: committed; else why not, in words. In an
-    emergency one look, which may move the site but refuses nothing."""
+    """Descends to the commitment height with both looks.
+
+    Returns None once committed, else the reason of the refusal as text. In an emergency there is
+    one look, which may move the site but refuses nothing."""
     mission.phase = Phase.DESCEND
     params = mission.params
     looks = params.second_look and (params.check_site or params.site_xy_m is None)
@@ -56,7 +58,7 @@ def descend_to(mission: Mission) -> Generator[Setpoint, None, str | None]:
 
 
 def _sink_to(mission: Mission, height_m: float) -> Steps:
-    """Vertically to ``height_m`` of the legs above the site, if that is below."""
+    """Sinks until the legs are ``height_m`` above the site, if they are higher."""
     _refresh_ground(mission)
     assert mission.site_odom is not None
     here = mission.odom(mission.reference_world)
@@ -67,8 +69,8 @@ def _sink_to(mission: Mission, height_m: float) -> Steps:
 
 
 def _refresh_ground(mission: Mission) -> None:
-    """Height of the site as it is seen now. A site of the map stays where the map is, a commanded
-    one at its world coordinates, should the two have moved."""
+    """Updates the height of the site. A selected site is fixed in the map, a commanded one at its
+    world coordinates."""
     assert mission.site_odom is not None
     commanded = mission.commanded_odom
     xy = mission.site_odom[:2] if commanded is None else commanded
@@ -77,7 +79,8 @@ def _refresh_ground(mission: Mission) -> None:
 
 
 def _look(mission: Mission, max_shift_m: float, name: str) -> Generator[Setpoint, None, str | None]:
-    """Hover, look, and move where the look says. None: the site (as moved) is good."""
+    """Hovers, checks the site, and moves to where it is landable. Returns None for a good site (as
+    moved), else the reason of the refusal."""
     assert mission.site_odom is not None
     yield from mission.hover(_LOOK_HOVER_S)
     shift = 0.0 if mission.params.site_xy_m is not None else max_shift_m
@@ -104,8 +107,10 @@ def _look(mission: Mission, max_shift_m: float, name: str) -> Generator[Setpoint
 
 
 def _class_refusal(mission: Mission, position: Array) -> str | None:
-    """Why the kind of ground at ``position`` (3,) is refused from closer, in words; None: it is
-    safe, or ground classification is off. At 4 m the camera sees too little of the place to ask."""
+    """Returns the reason why the class of the ground at ``position`` (3,) is refused, as text.
+
+    None where it is safe, or without ground classification. At 4 m the camera sees too small a part
+    of the site to classify it."""
     if mission.class_check is None:
         return None
     site_class = mission.class_check.reclassify(
@@ -117,12 +122,12 @@ def _class_refusal(mission: Mission, position: Array) -> str | None:
 
 
 def _sweep(mission: Mission) -> Steps:
-    """Forward, back and home along the heading: the LIDAR's field of view is narrow that way."""
+    """Moves forward, back and home along the heading, where the LIDAR's field of view is narrow."""
     centre = mission.odom(mission.reference_world)
     yaw = mission.setpoint(centre).yaw_odom
     ahead = mission.params.sweep_m * np.array([np.cos(yaw), np.sin(yaw), 0.0])
-    for place in (centre + ahead, centre - ahead, centre):
-        yield from _move(mission, place, _SWEEP_SPEED_MPS)
+    for end in (centre + ahead, centre - ahead, centre):
+        yield from _move(mission, end, _SWEEP_SPEED_MPS)
 
 
 def _move(mission: Mission, end: Array, speed: float) -> Steps:
@@ -132,14 +137,14 @@ def _move(mission: Mission, end: Array, speed: float) -> Steps:
 
 
 def _commit(mission: Mission) -> None:
-    """From here on the site is what the touchdown is measured against."""
+    """Fixes the site that the touchdown is measured against."""
     _refresh_ground(mission)
     assert mission.site_odom is not None
     mission.committed_site_world = mission.world(mission.site_odom)
 
 
 def final_descent(mission: Mission) -> Steps:
-    """The last metres, until the ground is felt; then motors off."""
+    """Descends until ground contact is detected, then stops the motors."""
     mission.phase = Phase.DESCEND
     mission.final = True
     assert mission.site_odom is not None
@@ -167,20 +172,20 @@ def final_descent(mission: Mission) -> Steps:
         before = mission.now
         fade = float(np.exp(-(mission.now - start)))
         position = position + np.array([*(fade * offset), correction])
-        if legs_above < _FEEL_BELOW_M and detector.update(mission.obs, mission.estimate):
+        if legs_above < _DETECT_BELOW_M and detector.update(mission.obs, mission.estimate):
             break
         yield mission.setpoint(position, velocity, acceleration)
-    yield from settle(mission)
+    yield from stop_motors(mission)
 
 
-def settle(mission: Mission) -> Steps:
-    """Touchdown: thrust to nothing over half a second, motors off, a moment of rest."""
+def stop_motors(mission: Mission) -> Steps:
+    """Reduces thrust to zero over half a second, stops the motors and rests for a second."""
     mission.phase = Phase.TOUCHDOWN
-    mission.note = "ground felt: motors off"
-    place = mission.position_odom.copy()
+    mission.note = "ground contact: motors off"
+    position = mission.position_odom.copy()
     start = mission.now
     while (t := mission.now - start) < _THRUST_RAMP_S:
         limit = 0.5 * (1.0 - t / _THRUST_RAMP_S)
-        yield mission.setpoint(place, thrust_limit=limit)
+        yield mission.setpoint(position, thrust_limit=limit)
     while mission.now - start < _THRUST_RAMP_S + _MOTORS_OFF_S:
-        yield mission.setpoint(place, motors_on=False)
+        yield mission.setpoint(position, motors_on=False)

@@ -1,4 +1,4 @@
-"""What to do when the estimator says that it is not to be trusted."""
+"""Reaction to an unhealthy estimate: hold the position, then descend."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ _IN_THE_AIR = frozenset(
 
 
 class HealthWatch:
-    """Holds the reference while the estimate is unhealthy, and gives the flight up when it stays
-    so. A hold stops the flight's own clock: trajectories go on where they stopped."""
+    """Holds the reference while the estimate is unhealthy, and ends the mission where it stays so.
+
+    A hold stops the clock of the mission: trajectories resume where they stopped."""
 
     def __init__(self) -> None:
         self._bad_since_s: float | None = None
         self._gave_up = False
 
     def hold(self, mission: Mission) -> Setpoint | None:
-        """A setpoint that stands in for this control step's own, or None to fly on."""
+        """Returns the setpoint that replaces that of this control step, or None to continue."""
         params, now = mission.params, mission.obs.time_s
         if self._gave_up or mission.final or mission.phase not in _IN_THE_AIR:
             return None
@@ -38,7 +39,7 @@ class HealthWatch:
         return mission.setpoint(mission.reference_world, in_world=True)
 
     def lost(self, mission: Mission) -> bool:
-        """True once: from now on ``give_up`` flies."""
+        """True once, when the mission is to be replaced by ``give_up``."""
         if self._gave_up or self._bad_since_s is None or mission.estimate.healthy:
             return False
         if mission.obs.time_s - self._bad_since_s < mission.params.unhealthy_abort_s:
@@ -48,7 +49,8 @@ class HealthWatch:
 
 
 def give_up(mission: Mission) -> Steps:
-    """Straight down where the vehicle believes to be: nothing farther away can be aimed at."""
+    """Descends at the current position, since no other target can be reached without an
+    estimate."""
     mission.aborted = True
     mission.note = "the position estimate stays unhealthy: landing straight down"
     yield from come_down_here(mission)

@@ -1,4 +1,4 @@
-"""The landing state machine as the main loop sees it."""
+"""The lander: the landing state machine behind ``landing.api.Lander``."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from touchdown.sim.api import Observation, SensorNeeds, SensorRig
 
 
 class SiteLander:
-    """Takes off, surveys, chooses a site from the map, looks again on the way down and lands.
+    """Takes off, surveys, selects a site in the map, checks it again during the descent and lands.
 
-    Implements ``landing.api.Lander``. The sequence itself is ``landing.mission.phases.fly``, a
+    Implements ``landing.api.Lander``. The sequence is ``landing.mission.phases.run_phases``, a
     generator that is resumed once a control step."""
 
     needs = SensorNeeds(camera_hz=10, lidar=True)
@@ -34,10 +34,11 @@ class SiteLander:
 
     @property
     def phase(self) -> Phase:
+        """As `landing.api.Lander.phase`."""
         return self._mission.phase
 
     def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> Setpoint:
-        """The setpoint of this control step; call once a step."""
+        """Returns the setpoint of this control step; called once a step."""
         mission = self._mission
         mission.update(obs, estimate, map_view)
         held = self._health.hold(mission)
@@ -48,6 +49,7 @@ class SiteLander:
         return next(self._steps)
 
     def view(self) -> LanderView:
+        """As `landing.api.Lander.view`."""
         mission = self._mission
         site_class = mission.site_class
         return LanderView(

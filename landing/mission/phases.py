@@ -1,4 +1,4 @@
-"""The phases of a landing flight, each a generator that yields one setpoint a control step."""
+"""The phases of a landing mission, each a generator that yields one setpoint a control step."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _SPIN_UP_S = 0.8
 _SPIN_UP_THRUST = 0.4
 _HOVER_AFTER_CLIMB_S = 1.0
 _SETTLE_S = 0.5
-"""hover before a decision, so that scans and images on their way arrive"""
+"""hover before a decision, so that delayed scans and images arrive"""
 _ACCEL_MPS2 = 1.5
 _CORRIDOR_M = 3.0
 
 
 def run_phases(mission: Mission) -> Steps:
-    """The whole flight, top to bottom; never ends."""
+    """Runs the whole mission; never ends."""
     yield from initialise(mission)
     yield from take_off(mission)
     yield from survey(mission)
@@ -43,7 +43,7 @@ def run_phases(mission: Mission) -> Steps:
 
 
 def initialise(mission: Mission) -> Steps:
-    """Motors off while the estimator learns biases at rest, then idle up."""
+    """Keeps the motors off while the estimator determines biases at rest, then spins them up."""
     mission.phase = Phase.INIT
     start = mission.now
     while mission.now - start < _SENSOR_SETTLE_S:
@@ -55,7 +55,7 @@ def initialise(mission: Mission) -> Steps:
 
 
 def take_off(mission: Mission) -> Steps:
-    """Climb to survey height above the start."""
+    """Climbs to survey height above the start."""
     mission.phase = Phase.TAKEOFF
     mission.takeoff_s = mission.now
     height = mission.ground_world + mission.survey.height_m
@@ -65,7 +65,7 @@ def take_off(mission: Mission) -> Steps:
 
 
 def survey(mission: Mission) -> Steps:
-    """The serpentine above the place."""
+    """Flies the serpentine."""
     mission.phase = Phase.SURVEY
     params = mission.survey
     mission.note = f"surveying {params.legs} legs of {params.leg_length_m:.0f} m"
@@ -74,7 +74,8 @@ def survey(mission: Mission) -> Steps:
 
 
 def land_somewhere(mission: Mission) -> Generator[Setpoint, None, bool]:
-    """Select, approach, descend; another try after a go-around. False: nothing to land on."""
+    """Selects a site, approaches it and descends, again after a go-around. Returns False where
+    there is no site to land on."""
     for attempt in range(mission.params.go_arounds + 1):
         site = yield from select(mission)
         if site is None:
@@ -101,22 +102,23 @@ def land_somewhere(mission: Mission) -> Generator[Setpoint, None, bool]:
 
 
 def select(mission: Mission) -> Generator[Setpoint, None, Candidate | None]:
-    """Decide where to land; more legs where the map offers nothing."""
+    """Returns the site to land on, after further legs where the map has none; None without one."""
     for extra in range(mission.params.search_legs + 1):
         mission.phase = Phase.SELECT
         if mission.in_emergency and mission.deadline_s is None:
             mission.deadline_s = mission.now + mission.params.emergency_s
         yield from mission.hover(_SETTLE_S)
-        asked = _batches(mission)
+        before = _classified_batches(mission)
         site = _decide(mission)
-        seconds = (_batches(mission) - asked) * mission.params.classifier_batch_latency_s
+        batches = _classified_batches(mission) - before
+        seconds = batches * mission.params.classifier_batch_latency_s
         yield from mission.hover(mission.params.decision_latency_s + seconds)
         if site is not None:
             return site
         if mission.params.site_xy_m is not None:
             return None
         if mission.in_emergency:
-            break  # nothing in reach: down here, whatever is below
+            break  # no site within reach: descend at the current position
         if extra < mission.params.search_legs and mission.affords_search_leg():
             yield from search_leg(mission, extra)
     mission.no_site = True
@@ -131,14 +133,14 @@ def _decide(mission: Mission) -> Candidate | None:
     if wanted is not None:
         candidate = choose_commanded(mission, wanted)
         if not (candidate.accepted or params.check_site):
-            candidate = _on_their_word(mission, wanted, candidate)
+            candidate = _accepted_unchecked(mission, wanted, candidate)
         mission.candidates = (candidate,)
         mission.aborted = not candidate.accepted
         mission.note = f"commanded site {params.site_xy_m}: {candidate.reason}"
     else:
         mission.candidates = choose_sites(mission)
         if not mission.candidates:
-            mission.note = "nothing mapped to choose from"
+            mission.note = "nothing is mapped"
             return None
         candidate = mission.candidates[0]
         where = mission.world(candidate.position_odom)
@@ -151,13 +153,13 @@ def _decide(mission: Mission) -> Candidate | None:
     return candidate
 
 
-def _batches(mission: Mission) -> int:
-    """That ground classification was asked for so far."""
+def _classified_batches(mission: Mission) -> int:
+    """Returns the number of batches that ground classification has classified so far."""
     return 0 if mission.class_check is None else mission.class_check.batches
 
 
-def _on_their_word(mission: Mission, wanted: Array, refused: Candidate) -> Candidate:
-    """The commanded site ``wanted`` (2,), accepted whatever the map says."""
+def _accepted_unchecked(mission: Mission, wanted: Array, refused: Candidate) -> Candidate:
+    """Returns the commanded site ``wanted`` (2,), accepted without the check of the map."""
     height = ground_under(mission.map_view, wanted)
     if not np.isfinite(height):
         height = float(mission.odom(mission.start_world)[2]) - mission.leg_height
@@ -165,12 +167,12 @@ def _on_their_word(mission: Mission, wanted: Array, refused: Candidate) -> Candi
         refused,
         position_odom=np.array([*wanted, height]),
         accepted=True,
-        reason=f"landed on unchecked; the map would have {refused.reason}",
+        reason=f"accepted unchecked; by the map: {refused.reason}",
     )
 
 
 def search_leg(mission: Mission, extra: int) -> Steps:
-    """One more leg beside the last one, flown back."""
+    """Flies one more leg beside the last one."""
     mission.phase = Phase.SURVEY
     mission.note = "no safe site yet: another leg"
     params = mission.survey
@@ -187,7 +189,7 @@ def search_leg(mission: Mission, extra: int) -> Steps:
 
 
 def approach(mission: Mission, site: Candidate) -> Steps:
-    """To a point above the site, sloping down as far as what was mapped on the way allows."""
+    """Flies to a point above the site, as low as the mapped obstacles on the way allow."""
     mission.phase = Phase.APPROACH
     start = mission.odom(mission.reference_world)
     height = approach_height(mission, start, site.position_odom)
@@ -196,8 +198,8 @@ def approach(mission: Mission, site: Candidate) -> Steps:
 
 
 def approach_height(mission: Mission, start: Array, site: Array) -> float:
-    """Lowest z of the end point above the site, in steps of 2 m from the look height up to the
-    start's height, whose straight way keeps the obstacle margin above the mapped corridor."""
+    """Returns the lowest z of the end point above the site, in steps of 2 m between the look height
+    and the start's height, at which the straight way keeps the obstacle margin above the map."""
     lowest = site[2] + mission.params.look_height_m + mission.leg_height + 2.0
     highest = max(float(start[2]), lowest)
     grid = mission.map_view.coarse
@@ -222,7 +224,7 @@ def approach_height(mission: Mission, start: Array, site: Array) -> float:
 
 
 def climb_back(mission: Mission) -> Steps:
-    """Straight up to survey height, where the next decision is made."""
+    """Climbs to survey height, where the next decision is made."""
     here = mission.odom(mission.reference_world)
     height = mission.odom(mission.start_world)[2] - mission.leg_height + mission.survey.height_m
     if height > here[2] + 0.5:
@@ -230,7 +232,7 @@ def climb_back(mission: Mission) -> Steps:
 
 
 def return_home(mission: Mission) -> Steps:
-    """Back to the take-off spot, the one place known to be good, and down."""
+    """Flies back to the take-off spot, which is known to be safe, and lands."""
     mission.phase = Phase.RETURN
     yield from climb_back(mission)
     above = mission.start_world.copy()
@@ -247,7 +249,7 @@ def return_home(mission: Mission) -> Steps:
 
 
 def come_down_here(mission: Mission) -> Steps:
-    """Straight down from the reference, without looks."""
+    """Descends from the reference without looks."""
     mission.phase, mission.final = Phase.DESCEND, True
     here = mission.odom(mission.reference_world)
     ground = ground_under(mission.map_view, here[:2])
@@ -262,11 +264,11 @@ def come_down_here(mission: Mission) -> Steps:
 
 
 def rest(mission: Mission) -> Steps:
-    """Done: motors off on the ground (after a survey alone: hover, someone else ends it)."""
+    """Keeps the motors off on the ground; after a survey alone hovers until the run is ended."""
     mission.phase = Phase.DONE
-    place = mission.reference_world.copy()
+    position = mission.reference_world.copy()
     while True:
-        yield mission.setpoint(place, in_world=True, motors_on=mission.params.survey_only)
+        yield mission.setpoint(position, in_world=True, motors_on=mission.params.survey_only)
 
 
 def _straight(

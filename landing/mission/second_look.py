@@ -1,4 +1,4 @@
-"""The looks at 10 m and at 4 m: is the site what it seemed from above?"""
+"""The second look at 10 m and 4 m: the check of the site on the fine map."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from touchdown.landing.selection.landable import (
 Array = NDArray[np.float64]
 
 _POOL = 2
-"""fine cells merged along each axis: enough returns in each for its mean to be trusted"""
+"""fine cells merged along each axis, for enough returns in each"""
 _MIN_RETURNS = 3.0
 _ENOUGH_ROOM_M = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Look:
-    """Outcome: where to land now (None: go around) and why, in words."""
+    """Result of a look: where to land (None: go around) and the reason, as text."""
 
     position_odom: Array | None
     reason: str
@@ -42,8 +42,10 @@ class Look:
 def look_again(
     map_view: MapView, site_odom: Array, max_shift_m: float, params: LandingParams
 ) -> Look:
-    """Examines the fine map around ``site_odom`` (3,). Keeps the site where it is landable, else
-    moves to the landable spot within ``max_shift_m`` that offers most room for the way."""
+    """Checks the fine map around ``site_odom`` (3,).
+
+    Keeps the site where it is landable, else moves it to the landable cell within ``max_shift_m``
+    with the most room minus distance."""
     raster = _fine_window(map_view, site_odom, max_shift_m, params)
     if raster is None:
         return Look(position_odom=None, reason="no fine map of the site")
@@ -54,24 +56,26 @@ def look_again(
     if not raster.contains(row, col):
         return Look(position_odom=None, reason="the site lies outside the fine map")
     if landable.mask[row, col]:
-        return _settled(raster, site_odom[:2], params, "as it seemed")
-    why = explain(raster, landable, row, col, params, margin)
+        return _checked_plane(raster, site_odom[:2], params, "as selected")
+    defect = explain(raster, landable, row, col, params, margin)
     x, y = raster.offsets_from(site_odom)
     away = np.hypot(x[None, :], y[:, None])
     room = np.minimum(distance_to(~landable.mask, raster.cell_m), _ENOUGH_ROOM_M)
     merit = np.where(landable.mask & (away <= max_shift_m), room - away, -np.inf)
     best = int(np.argmax(merit))
     if not np.isfinite(merit.flat[best]):
-        return Look(position_odom=None, reason=f"not landable from closer: {why}")
+        return Look(position_odom=None, reason=f"not landable from closer: {defect}")
     row, col = divmod(best, raster.shape[1])
-    return _settled(
-        raster, raster.centre_of(row, col), params, f"moved {away[row, col]:.1f} m: {why}"
+    return _checked_plane(
+        raster, raster.centre_of(row, col), params, f"moved {away[row, col]:.1f} m: {defect}"
     )
 
 
 def ground_under(map_view: MapView, xy_odom: Array, radius_m: float = 0.5) -> float:
-    """Height of the ground at ``xy_odom`` (2,): plane through the cells within ``radius_m``, of
-    the fine map where it is known there, else of the coarse one; NaN if neither is."""
+    """Returns the height of the ground at ``xy_odom`` (2,).
+
+    It is that of the plane through the cells within ``radius_m``, of the fine map where it is known
+    there, else of the coarse one; NaN if neither is."""
     for grid in (map_view.fine, map_view.coarse):
         if grid is None:
             continue
@@ -107,10 +111,10 @@ def _fine_window(
     return pooled(window, _POOL)
 
 
-def _settled(raster: ElevationRaster, xy: Array, params: LandingParams, how: str) -> Look:
+def _checked_plane(raster: ElevationRaster, xy: Array, params: LandingParams, how: str) -> Look:
     plane = fit_footprint(raster, xy)
     if plane is None:
-        return Look(position_odom=None, reason="the ground under the site was not seen")
+        return Look(position_odom=None, reason="the ground under the site is unknown")
     if plane.slope_deg > params.max_slope_deg:
         return Look(position_odom=None, reason=f"slope {plane.slope_deg:.1f} deg from closer")
     if plane.roughness_m > params.max_step_m:

@@ -112,7 +112,7 @@ def test_a_commanded_site_is_taken_unchecked_where_that_is_asked_for() -> None:
     phases, view = fly(Puppet(lander, make_grid(height, origin=ORIGIN)))
     assert not view.aborted
     assert Phase.RETURN not in phases
-    assert view.candidates[0].reason.startswith("landed on unchecked; the map would have refused")
+    assert view.candidates[0].reason.startswith("accepted unchecked; by the map: refused")
     assert view.committed_site_world is not None
     assert view.committed_site_world[:2] == pytest.approx([7.0, 5.0])
 

@@ -219,7 +219,7 @@ def test_look_from_closer_keeps_a_good_site_and_moves_off_a_bad_one() -> None:
     coarse = make_grid(ground())
     kept = look_again(view_of(coarse, fine(np.zeros((160, 160)))), site, 3.0, PARAMS)
     assert kept.position_odom is not None
-    assert "as it seemed" in kept.reason
+    assert "as selected" in kept.reason
     assert kept.position_odom[:2] == pytest.approx([8.0, 8.0])
     stone = np.zeros((160, 160))
     stone[78:84, 84:90] = 0.25  # at x 8.2..8.5, y 7.9..8.2
