@@ -1,4 +1,4 @@
-"""`touchdown classify`: the kind of ground all over a photograph, drawn over it."""
+"""`touchdown classify`: class maps of aerial photographs, drawn over them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LAND_COLOURS = {
 UNSURE = "unsure"
 _UNSURE_RGB = (255, 255, 255)
 _COVER = 0.5
-"""share of a class's colour in the image"""
+"""opacity of the class colours"""
 _LEGEND_PX = 34
 
 
@@ -42,12 +42,12 @@ def classify_images(
     least: float,
     notes: Any,
 ) -> list[dict[str, Any]]:
-    """Writes ``out``/NAME-classes.png for each file; shares of each class in it.
+    """Writes ``out``/NAME-classes.png for each file. Returns the share of each class in it.
 
     ``window_px``: side of the square that is classified, by default a quarter of the image's
-    shorter side, at least the network's own size; windows overlap by three quarters. Pixels whose
-    best class is less probable than ``least`` are left ``unsure``. Raises UsageError, before
-    anything is written, where a file is no image or two would be written to one file.
+    shorter side, at least the network's input size; windows overlap by three quarters. Pixels whose
+    best class is less probable than ``least`` are ``unsure``. Raises UsageError, before anything is
+    written, where a file is not an image or two results would have the same name.
     """
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out: '{out}' is a file; name a folder")
@@ -85,7 +85,7 @@ def _window(image: Image, window_px: int | None, size: int) -> int:
 
 
 def class_chances(image: Image, classifier: Classifier, window: int) -> NDArray[np.float32]:
-    """(H, W, C) probability of each class at each pixel."""
+    """Returns the probability (H, W, C) of each class at each pixel."""
     size = classifier.facts.image_size
     way = cv2.INTER_AREA if window >= size else cv2.INTER_LINEAR
 
@@ -97,7 +97,7 @@ def class_chances(image: Image, classifier: Classifier, window: int) -> NDArray[
 
 
 def class_colours(classes: Sequence[str]) -> dict[str, tuple[int, int, int]]:
-    """RGB of each class: fixed for D_Land, around the colour wheel for other schemes."""
+    """Returns the RGB colour of each class: fixed for D_Land, else around the colour wheel."""
     if set(classes) == set(LAND_COLOURS):
         return {name: LAND_COLOURS[name] for name in classes}
     wheel = {}
@@ -109,7 +109,7 @@ def class_colours(classes: Sequence[str]) -> dict[str, tuple[int, int, int]]:
 
 
 def _numbers(chance: NDArray[np.float32], least: float) -> NDArray[np.int64]:
-    """(H, W) class at each pixel; the number of classes where it is unsure."""
+    """Returns the class (H, W) of each pixel; the number of classes where it is unsure."""
     best = chance.argmax(axis=2)
     return np.where(chance.max(axis=2) >= least, best, chance.shape[2])
 
@@ -124,7 +124,8 @@ def _shares(chance: NDArray[np.float32], classes: Sequence[str], least: float) -
 def class_overlay(
     image: Image, chance: NDArray[np.float32], classes: Sequence[str], least: float
 ) -> Image:
-    """(H + legend, W, 3): the image in the colours of its classes, white where unsure."""
+    """Returns the image in the colours of its classes, white where unsure, with a legend below:
+    (H + legend, W, 3)."""
     colours = class_colours(classes) | {UNSURE: _UNSURE_RGB}
     palette = np.array(list(colours.values()), np.float32)
     numbers = _numbers(chance, least)
@@ -137,7 +138,7 @@ def class_overlay(
 
 
 def _legend(rows: Sequence[tuple[str, tuple[int, int, int], float]], width: int) -> Image:
-    """A line of names in as many bands as they need."""
+    """Returns the legend, in as many bands as the names need."""
     scale, gap = 0.5, 14
     bands = [np.full((_LEGEND_PX, width, 3), 24, np.uint8)]
     left = gap

@@ -1,5 +1,4 @@
-"""`touchdown evaluate`: how good a network is on images that it was not trained on, and what it
-costs."""
+"""`touchdown evaluate`: scores of a network on images that it was not trained on, and its cost."""
 
 from __future__ import annotations
 
@@ -44,10 +43,10 @@ def load_classifier(network: Path, engine: str, threads: int) -> Classifier:
 
 
 def shipped_network() -> Path:
-    """The one that comes with the project. Raises UsageError where none does."""
+    """Returns the network that is shipped with the project. Raises UsageError without one."""
     if not SHIPPED.is_file():
         raise UsageError(
-            "no network comes with touchdown: give --network, a file of `touchdown train`"
+            "no network is shipped with touchdown: give --network, a file of `touchdown train`"
         )
     return SHIPPED
 
@@ -62,10 +61,10 @@ def evaluate_network(
     progress: Progress,
     miss_costs: Sequence[tuple[str, float]] = (),
 ) -> dict[str, Any]:
-    """Scores on the images of ``split``, altogether, by data set and by scene; ROM, RAM and run
-    time. ``miss_costs``: in place of the file's.
+    """Returns the scores on the images of ``split``, overall, by data set and by scene, with the
+    size of the file (ROM), peak memory (RAM) and inference time.
 
-    Raises UsageError and ValueError for bad input.
+    ``miss_costs`` replace those of the file. Raises UsageError and ValueError for bad input.
     """
     classifier = load_classifier(network, engine, threads)
     if miss_costs:
@@ -83,9 +82,9 @@ def evaluate_network(
         "classes": list(facts.classes),
         "miss_costs": dict(facts.miss_costs),
         "rom_mb": network.stat().st_size / 1e6,
-        **_judged(scores, images.labels, facts),
+        **_summary(scores, images.labels, facts),
         "by_source": {
-            name: _judged(scores[of], images.labels[of], facts)
+            name: _summary(scores[of], images.labels[of], facts)
             for number, name in enumerate(images.sources)
             for of in [images.source == number]
         },
@@ -99,8 +98,8 @@ def evaluate_network(
 def _by_scene(
     scores: Any, labels: Any, entries: Sequence[Entry], facts: NetworkFacts
 ) -> dict[str, dict[str, Any]]:
-    """Of rendered images: of each scene, and of those that are trained on and never trained on
-    together."""
+    """Returns the scores of rendered images by scene, and of the scenes trained on and never
+    trained on together."""
     of_picture = np.array([entry.scene for entry in entries])
     names = sorted(set(of_picture.tolist()) - {""})
     groups = {name: of_picture == name for name in names}
@@ -108,10 +107,13 @@ def _by_scene(
         held_out = np.isin(of_picture, HELD_OUT_SCENES)
         groups["scenes trained on"] = ~held_out & (of_picture != "")
         groups["scenes never trained on"] = held_out
-    return {name: _judged(scores[of], labels[of], facts) for name, of in groups.items() if of.any()}
+    return {
+        name: _summary(scores[of], labels[of], facts) for name, of in groups.items() if of.any()
+    }
 
 
 def all_scores(classifier: Classifier, images: LabelledImages, progress: Progress) -> Any:
+    """Returns the scores (N, C) of all images, computed batch by batch."""
     parts, count = [], len(images.labels)
     for first in range(0, count, _BATCH):
         parts.append(classifier.scores(images.images[first : first + _BATCH]))
@@ -119,7 +121,7 @@ def all_scores(classifier: Classifier, images: LabelledImages, progress: Progres
     return np.concatenate(parts)
 
 
-def _judged(scores: Any, labels: Any, facts: NetworkFacts) -> dict[str, Any]:
+def _summary(scores: Any, labels: Any, facts: NetworkFacts) -> dict[str, Any]:
     found = summary(scores, labels, facts.classes)
     interval = share_interval(found["hits"], found["pictures"])
     found["top1_interval"] = [interval.low, interval.high]
@@ -129,7 +131,7 @@ def _judged(scores: Any, labels: Any, facts: NetworkFacts) -> dict[str, Any]:
 
 
 def measured_footprint(network: Path, engine: str) -> dict[str, float]:
-    """Peak memory and time an image on one thread, in a process of its own."""
+    """Returns peak memory and time for one image on one thread, measured in a separate process."""
     command = [
         sys.executable,
         "-m",

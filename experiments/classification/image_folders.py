@@ -1,5 +1,5 @@
-"""Folders of labelled images, read for training: rendered patches, UC Merced, AID, Places365, and
-plain folders named as the classes."""
+"""Reading of labelled image folders: rendered patches, UC Merced, AID, Places365, and plain folders
+named as the classes."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ RENDERED = "rendered"
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One image of a data set, not read yet."""
+    """File and label of one image of a data set."""
 
     file: Path
     label: int
     """index into the classes of the scheme"""
     split: str
     source: str
-    """kind of data set"""
+    """kind of the data set"""
     scene: str = ""
-    """of a rendered image"""
+    """scene of a rendered image"""
 
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
-    """What a folder holds under one scheme."""
+    """Images of a folder with their labels under one scheme."""
 
     source: str
     entries: tuple[Entry, ...]
@@ -46,10 +46,10 @@ class Catalogue:
 
 
 def read_catalogue(argument: str, scheme: str) -> Catalogue:
-    """The images of ``[KIND=]DIR``; without KIND the names of its folders tell the kind.
+    """Returns the images of ``[KIND=]DIR``; without KIND it follows from the names of the folders.
 
-    KIND: rendered, ucmerced, aid, places365, d_land. Raises UsageError: no such folder, no
-    images, a folder that is no class, a manifest of something else.
+    KIND is rendered, ucmerced, aid, places365 or d_land. Raises UsageError for a missing folder, a
+    folder without images, a folder that is not a class, or a manifest of another kind.
     """
     kinds = (RENDERED, *labels.SOURCES)
     kind, _, rest = argument.rpartition("=")
@@ -59,7 +59,7 @@ def read_catalogue(argument: str, scheme: str) -> Catalogue:
             f"--data: unknown kind '{kind}'{nearest(kind, kinds)}; known: {', '.join(kinds)}"
         )
     if not folder.is_dir():
-        raise UsageError(f"--data: '{folder}' is no folder")
+        raise UsageError(f"--data: '{folder}' is not a folder")
     if kind == RENDERED or (not kind and _is_rendered(folder)):
         return _rendered(folder, scheme)
     folders = sorted(path.name for path in folder.iterdir() if path.is_dir())
@@ -140,9 +140,9 @@ def load_images(
     pixels: int,
     progress: Callable[[int, int, str], None] = lambda done, total, note: None,
 ) -> LabelledImages:
-    """All images of a split, ``pixels`` across, in the order of the catalogues.
+    """Returns all images of a split, scaled to ``pixels``, in the order of the catalogues.
 
-    Raises UsageError as ``read_picture``, or where there is no image in the split.
+    Raises UsageError as ``read_picture``, and where the split has no image.
     """
     entries = entries_of(catalogues, split)
     if not entries:
@@ -162,7 +162,7 @@ def load_images(
 
 
 def entries_of(catalogues: Sequence[Catalogue], split: str) -> list[Entry]:
-    """Of one split, in the order of the images that ``load_pictures`` gives."""
+    """Returns the entries of one split, in the order of ``load_images``."""
     return [
         entry for catalogue in catalogues for entry in catalogue.entries if entry.split == split
     ]

@@ -1,4 +1,4 @@
-"""`touchdown quantize`: a network's file with smaller weights, and limits that suit it."""
+"""`touchdown quantize`: a network's file with smaller weights and refitted limits."""
 
 from __future__ import annotations
 
@@ -24,15 +24,14 @@ def quantize_network(
     pictures: int,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Writes ``out`` and its checksum; top-1 on the validation images before and after.
+    """Writes ``out`` and its checksum. Returns top-1 on the validation images before and after.
 
-    ``pictures``: of the training split, spread evenly, that give the ranges of int8 activations.
+    ``pictures``: number of images of the training split, evenly spread, that give the ranges of
+    int8 activations.
     Raises UsageError and ValueError for bad input, before anything is written.
     """
     if out.suffix != ".onnx" or out.is_dir():
-        raise UsageError(
-            f"--out: '{out}' is no name of a network's file: give one that ends in .onnx"
-        )
+        raise UsageError(f"--out: '{out}' is not a network's file: give a name that ends in .onnx")
     if out.resolve() == network.resolve():
         raise UsageError(f"--out: '{out}' is the network itself: give another name")
     with training_libraries():

@@ -1,4 +1,5 @@
-"""A folder of labelled patches: images by place, `manifest.csv`, a contact sheet."""
+"""`touchdown dataset render`: a folder of labelled patches by scene and seed, `manifest.csv` and a
+contact sheet."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.classification.patches import Patch, scene_patches
-from touchdown.experiments.classification.splits import SPLITS, split_of_place
+from touchdown.experiments.classification.splits import SPLITS, split_of_layout
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.io.images import read_picture, write_png
 from touchdown.experiments.io.run_directory import run_directory
@@ -33,11 +34,11 @@ COLUMNS = (
 PER_SEED = 40
 Progress = Callable[[int, int, str], None]
 FIRST_SEED = 1000
-"""far from the seeds of flights: no flight is over a place that was trained on"""
+"""above the seeds of flights, so that no flight is over ground that was trained on"""
 _SEEDS_APART = 100_000
 """between the first seeds of two data sets"""
 _MOST_ROUNDS = 10
-"""of further seeds when places did not show enough"""
+"""rounds of further seeds where layouts did not show enough ground of one class"""
 _SHEET_COLUMNS = 10
 _SHEET_PX, _NAME_PX, _GAP = 96, 110, 4
 
@@ -148,13 +149,13 @@ def _render(
 
 
 def _even(total: int, parts: int) -> list[int]:
-    """``parts`` numbers that differ by at most one and add up to ``total``."""
+    """Returns ``parts`` numbers that differ by at most one and add up to ``total``."""
     return [total // parts + (number < total % parts) for number in range(parts)][::-1]
 
 
 @contextmanager
 def _workers(jobs: int) -> Iterator[Callable[..., Iterator[list[dict[str, Any]]]]]:
-    """``map``, over worker processes where there is more than one job; results in order."""
+    """Yields ``map``, over worker processes for more than one job; results in order."""
     if jobs == 1:
         yield map
         return
@@ -164,7 +165,7 @@ def _workers(jobs: int) -> Iterator[Callable[..., Iterator[list[dict[str, Any]]]
 
 
 def _render_layout(layout: _Layout) -> list[dict[str, Any]]:
-    """Writes the images of one place; their rows of the manifest."""
+    """Writes the images of one layout. Returns their rows of the manifest."""
     cv2.setNumThreads(1)
     if layout.count == 0:
         return []
@@ -188,7 +189,7 @@ def _row(file: str, layout: _Layout, patch: Patch, meaning: Meaning) -> dict[str
         "d_scene": meaning.d_scene or "",
         "scene": layout.scene,
         "seed": layout.seed,
-        "split": split_of_place(layout.scene, layout.seed),
+        "split": split_of_layout(layout.scene, layout.seed),
         "height_m": f"{patch.height_m:.2f}",
         "side_m": f"{patch.side_m:.2f}",
         "share": f"{patch.share:.3f}",
@@ -204,7 +205,7 @@ def _csv(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
-    """How many patches there are of each class and in each split."""
+    """Returns the number of patches of each class and in each split."""
     found: dict[str, dict[str, int]] = {}
     for key, names in (("classes", LAND_CLASSES), ("splits", SPLITS)):
         column = "d_land" if key == "classes" else "split"
@@ -213,17 +214,17 @@ def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
 
 
 def _samples(folder: Path, rows: Sequence[dict[str, Any]]) -> dict[str, list[NDArray[np.uint8]]]:
-    """A few images of each class, from as many places as there are."""
+    """Returns a few images of each class, spread over the layouts."""
     samples: dict[str, list[NDArray[np.uint8]]] = {}
     for name in LAND_CLASSES:
         files = [row["file"] for row in rows if row["d_land"] == name]
         spread = np.linspace(0, len(files) - 1, min(_SHEET_COLUMNS, len(files)))
-        samples[name] = [read_picture(folder / files[place]) for place in spread.astype(int)]
+        samples[name] = [read_picture(folder / files[index]) for index in spread.astype(int)]
     return samples
 
 
 def contact_sheet(samples: dict[str, list[NDArray[np.uint8]]]) -> NDArray[np.uint8]:
-    """(H, W, 3): a row of images for each class, as the paper's Fig. 5."""
+    """Returns a contact sheet (H, W, 3): a row of images for each class, as the paper's Fig. 5."""
     pitch = _SHEET_PX + _GAP
     sheet = np.full(
         (pitch * len(samples) + _GAP, _NAME_PX + pitch * _SHEET_COLUMNS, 3), 255, np.uint8
@@ -232,8 +233,8 @@ def contact_sheet(samples: dict[str, list[NDArray[np.uint8]]]) -> NDArray[np.uin
         top = _GAP + number * pitch
         cv2.putText(sheet, name, (_GAP + 4, top + _SHEET_PX // 2 + 5), cv2.FONT_HERSHEY_SIMPLEX,
                     0.6, (30, 30, 30), 1, cv2.LINE_AA)  # fmt: skip
-        for place, image in enumerate(images[:_SHEET_COLUMNS]):
-            left = _NAME_PX + place * pitch
+        for column, image in enumerate(images[:_SHEET_COLUMNS]):
+            left = _NAME_PX + column * pitch
             small = cv2.resize(image, (_SHEET_PX, _SHEET_PX), interpolation=cv2.INTER_AREA)
             sheet[top : top + _SHEET_PX, left : left + _SHEET_PX] = small
     return sheet

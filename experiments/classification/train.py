@@ -1,4 +1,4 @@
-"""`touchdown train`: images in, a network's file and its learning curves out."""
+"""`touchdown train`: training of a network on labelled images, its file and learning curves."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from touchdown.landing.classification.weights import NetworkFacts
 CURVES, RECORDING, REPORT, NETWORK = "curves.csv", "curves.rrd", "training.json", "network.onnx"
 Progress = Callable[[int, int, str], None]
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4
-"""of glibc's mallopt"""
+"""parameters of glibc's mallopt"""
 
 
 def train_network(
@@ -37,7 +37,7 @@ def train_network(
     start: Path | None = None,
     compiled: bool = False,
 ) -> dict[str, Any]:
-    """Trains until it ends by itself; a training in ``out`` that was stopped goes on.
+    """Trains to the end; an interrupted training in ``out`` is resumed. Returns the report.
 
     ``options``: fields of ``landing.classification.learning.training.TrainParams``. Raises
     UsageError for bad input, before anything is written."""
@@ -66,7 +66,7 @@ def train_network(
     out.mkdir(parents=True, exist_ok=True)
     trainer = training.Trainer(params, train, val, out, chosen, start=start, compiled=compiled)
     if trainer.history:
-        notes(f"going on after epoch {len(trainer.history)}")
+        notes(f"resuming after epoch {len(trainer.history)}")
     while not trainer.finished:
         row = trainer.run_epoch(progress)
         write_curves(out / CURVES, trainer.history)
@@ -101,10 +101,10 @@ def train_network(
 
 
 def keep_freed_memory() -> None:
-    """Has this process keep what it frees, from now on.
+    """Makes this process keep freed memory.
 
-    Every step of a training needs as much as the last. glibc gives large blocks back to the system
-    and gets them again, zeroed page by page, which took a third of the time on a processor.
+    Every step of a training needs the same memory. glibc returns large blocks to the system and
+    allocates them again, zeroed page by page, which took a third of the time on a CPU.
     """
     if sys.platform == "linux":
         mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # other C libraries lack it
@@ -114,7 +114,7 @@ def keep_freed_memory() -> None:
 
 
 def write_curves(path: Path, history: Sequence[Mapping[str, float]]) -> None:
-    """One row an epoch."""
+    """Writes the learning curves as CSV, one row an epoch."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, list(history[0]), lineterminator="\n")
         writer.writeheader()
@@ -122,7 +122,7 @@ def write_curves(path: Path, history: Sequence[Mapping[str, float]]) -> None:
 
 
 def record_curves(path: Path, history: Sequence[Mapping[str, float]]) -> None:
-    """The same for the Rerun viewer: `touchdown view FILE`."""
+    """Writes the learning curves for the Rerun viewer: `touchdown view FILE`."""
     import rerun as rr
 
     stream = rr.RecordingStream("touchdown training", recording_id=str(path.parent.name))

@@ -239,7 +239,7 @@ def test_classify_asks_for_a_network_where_none_comes_along(
     arguments = ["classify", str(photo), "--out", str(tmp_path / "out"), "--json"]
     monkeypatch.setattr(in_flight, "SHIPPED", tmp_path / "none.onnx")
     assert cli.main(arguments) == 2
-    assert "no network comes with touchdown" in capsys.readouterr().err
+    assert "no network is shipped with touchdown" in capsys.readouterr().err
     monkeypatch.setattr(in_flight, "SHIPPED", write_colour_network(tmp_path / "network.onnx"))
     assert cli.main(arguments) == 0
     (row,) = json.loads(capsys.readouterr().out)["pictures"]

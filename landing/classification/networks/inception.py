@@ -11,7 +11,7 @@ _EPS = 1e-3
 
 
 class Branches(nn.Module):
-    """The outputs of several branches, one behind the other."""
+    """Concatenates the outputs of several branches."""
 
     def __init__(self, *branches: nn.Module) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""The networks by name. Loads torch when one is built, not before."""
+"""The networks by name. torch is loaded when a network is built."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _BUILDERS = {
     "inception_v4": "inception:inception_v4",
 }
 _SMALLEST = {"inception_v4": 75}
-"""pixels below which a convolution without padding has nothing left to look at"""
+"""image size below which a convolution without padding has no input left"""
 _SMALLEST_OF_OTHERS = 32
 FIXED_SIZE = ("vgg19",)
-"""whose linear layers are laid out for one size of images"""
+"""networks whose linear layers fit one image size only"""
 
 NETWORKS = tuple(_BUILDERS)
 

@@ -130,7 +130,7 @@ def test_evaluating_by_command(
     assert report["peak_ram_mb"] > 20.0 and report["image_ms"] > 0.0
     assert list(report["by_source"]) == ["d_land"]
     assert cli.main([*arguments[:-1], "--no-cost", "--engine", "torch"]) == 0
-    assert "what it is, and what it was taken for" in capsys.readouterr().out
+    assert "true class by row, predicted class by column" in capsys.readouterr().out
 
 
 def test_rendered_pictures_are_scored_by_scene(
@@ -207,7 +207,7 @@ def test_commands_say_what_is_missing(
     ("arguments", "message"),
     [
         (["--network", "resnet51"], "unknown network 'resnet51': did you mean"),
-        (["--data", "nowhere"], "'nowhere' is no folder"),
+        (["--data", "nowhere"], "'nowhere' is not a folder"),
         (["--device", "tpu"], "unknown device 'tpu'"),
         (["--miss-cost", "lava=10"], "miss cost of 'lava': the classes are lawn, field"),
         (["--miss-cost", "water"], "'water': give a class and a number above 0, such as water=10"),

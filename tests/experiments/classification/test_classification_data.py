@@ -18,7 +18,7 @@ from touchdown.experiments.classification.image_folders import load_images, read
 from touchdown.experiments.classification.render_dataset import DatasetParams, contact_sheet
 from touchdown.experiments.classification.splits import (
     split_of_file,
-    split_of_place,
+    split_of_layout,
     split_of_ucmerced,
 )
 from touchdown.experiments.cli import main as cli
@@ -93,9 +93,9 @@ def test_folders_tell_the_kind_of_data() -> None:
 
 
 def test_places_are_split_by_seed_and_two_scenes_are_held_out() -> None:
-    splits = [split_of_place("lake", seed) for seed in range(1000, 1010)]
+    splits = [split_of_layout("lake", seed) for seed in range(1000, 1010)]
     assert splits == 2 * ["train", "train", "train", "val", "test"]
-    assert {split_of_place("pools", seed) for seed in range(10)} == {"test"}
+    assert {split_of_layout("pools", seed) for seed in range(10)} == {"test"}
 
 
 def test_uc_merced_is_split_by_number() -> None:
@@ -232,7 +232,7 @@ def test_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     }  # fmt: skip
     for row in rows:
         assert (read_picture(out / row["file"]) == int(row["seed"]) % 256).all()
-        assert row["split"] == split_of_place(row["scene"], int(row["seed"]))
+        assert row["split"] == split_of_layout(row["scene"], int(row["seed"]))
     assert read_picture(out / "contact_sheet.png").shape[0] == 7 * 100 + 4
     pictures = load_images([read_catalogue(str(out), "d_scene")], "test", "d_scene", 32)
     expected = [row["d_scene"] for row in rows if row["split"] == "test"]
@@ -296,7 +296,7 @@ def test_a_folder_of_uc_merced(folder: Any) -> None:
         ({"cats": 1}, "{}", "are not the classes of any"),
         ({"lawn": 1}, "rendered={}", "has no manifest.csv"),
         ({"lawn": 1}, "ucmercy={}", r"unknown kind 'ucmercy' \(did you mean 'ucmerced'\?\)"),
-        ({}, "{}/nowhere", "is no folder"),
+        ({}, "{}/nowhere", "is not a folder"),
     ],
 )
 def test_folders_that_cannot_be_used(

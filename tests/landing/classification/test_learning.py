@@ -100,7 +100,7 @@ def test_a_stopped_training_ends_as_one_that_was_not(torch: Any, tmp_path: Path)
     with pytest.raises(ValueError, match="a training with batch_size 12, not 8"):
         Trainer(changed, train, val, tmp_path / "whole", cpu)
     (tmp_path / "whole" / "last.pt").write_bytes(b"PK broken")
-    with pytest.raises(ValueError, match="is no checkpoint that can be read"):
+    with pytest.raises(ValueError, match="cannot be read as a checkpoint"):
         trainer("whole")
 
 
@@ -122,7 +122,7 @@ def test_a_training_may_begin_with_the_weights_of_another(torch: Any, tmp_path: 
     other = TrainParams(network="resnet18", image_size=32, epochs=1, batch_size=6)
     with pytest.raises(ValueError, match="holds weights of another network"):
         Trainer(other, train, val, second, cpu, start=first)
-    with pytest.raises(ValueError, match="is no checkpoint that can be read"):
+    with pytest.raises(ValueError, match="cannot be read as a checkpoint"):
         Trainer(params, train, val, second, cpu, start=tmp_path / "none")
 
 
