@@ -1,5 +1,5 @@
-"""The steps of the paper's Table 7 one by one, each timed: what ``landing.selection.selector`` does
-before it looks at single sites."""
+"""The steps of the paper's Table 7, timed one by one: those of ``landing.selection.selector``
+before the check of single sites."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STAGES = ("down_sampling", "flatness", "smoothness", "distance", "clustering")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Staged:
-    """Costs and clusters on the observed part of a map, and what each step took."""
+    """Costs and clusters of the observed part of a map, with the time of each step."""
 
     origin_xy_m: Array
     cell_m: float
@@ -33,17 +33,18 @@ class Staged:
     modes: NDArray[np.int32]
     """(K, 2) row, col"""
     seconds: dict[str, float]
-    """by ``STAGES``"""
+    """by step of ``STAGES``"""
 
 
 class StageTimer:
-    """Seconds from one ``lap`` to the next."""
+    """Measures the seconds from one ``lap`` to the next."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self._last = time.perf_counter()
 
     def lap(self, name: str) -> None:
+        """Stores the time since the last call as that of the step ``name``."""
         now = time.perf_counter()
         self.seconds[name] = now - self._last
         self._last = now
@@ -52,7 +53,8 @@ class StageTimer:
 def staged_selection(
     grid: GridMap, position_odom: Array, params: LandingParams, footprint_radius_m: float
 ) -> Staged:
-    """Map to modes. ``position_odom`` (3,): the vehicle's. ValueError: nothing was mapped."""
+    """Computes costs and modes for a vehicle at ``position_odom`` (3,). Raises ValueError for an
+    empty map."""
     timer = StageTimer()
     raster = observed_raster(grid)
     if raster is None:

@@ -1,4 +1,4 @@
-"""Speed of choosing a site on the map of a whole survey, beside Open3D and scikit-image."""
+"""Speed of site selection on the map of a whole survey, beside Open3D and scikit-image."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Float32 = NDArray[np.float32]
 
 
 PATCHES, PATCH_PX = 10, 128
-"""what the time of classification is given for"""
+"""number and side of the images that the time of classification is measured with"""
 
 
 def bench_landing(
@@ -42,12 +42,13 @@ def bench_landing(
     network: Path | None = None,
     threads: int = 2,
 ) -> dict[str, Any]:
-    """Maps a scene with every scan of the survey and times the selection on it, one thread.
+    """Maps a scene with every scan of the survey and measures the time of the selection, one
+    thread.
 
-    ``stage_ms``: the steps of the paper's Table 7 and their ``sum``; ``selection``, all that the
-    lander does for a decision, the check of the ground included; ``reference_ms``: the same steps
-    by Open3D, SciPy and scikit-image; ``ratio.reference``: its sum over ours; ``agreement``: how
-    far the two results differ. Medians over ``rounds``, after one to warm up; the reference runs
+    ``stage_ms``: the steps of the paper's Table 7 and their ``sum``; ``selection``: the whole
+    decision of the lander, geometric check included; ``reference_ms``: the same steps
+    by Open3D, SciPy and scikit-image; ``ratio.reference``: its sum over ours; ``agreement``:
+    difference of the two results. Medians over ``rounds``, after one to warm up; the reference runs
     once warm. ``classifier_ms``: see `_classifier_figures`, where ``network`` is given or comes
     with the project; it works on ``threads``. Raises UsageError and ValueError as `load_config`,
     `build_classifier` and `build_scene`."""
@@ -96,11 +97,11 @@ def bench_landing(
     if reference:
         reference_selection = _load_reference()
         for _ in range(2):
-            theirs = reference_selection(view.coarse, position, config.landing, radius_m)
-        sums = theirs.seconds | {"sum": sum(theirs.seconds.values())}
+            other = reference_selection(view.coarse, position, config.landing, radius_m)
+        sums = other.seconds | {"sum": sum(other.seconds.values())}
         figures["reference_ms"] = {name: 1e3 * seconds for name, seconds in sums.items()}
         figures["ratio"] = {"reference": figures["reference_ms"]["sum"] / stage_ms["sum"]}
-        figures["agreement"] = agreement(ours, theirs)
+        figures["agreement"] = agreement(ours, other)
     return figures
 
 
@@ -130,19 +131,19 @@ def _classifier_figures(
     return {"classifier_ms": medians, "classified_sites": asked}
 
 
-def agreement(ours: Staged, theirs: Staged) -> dict[str, float]:
-    """How far two results on the same cells differ: correlation and mean absolute difference of
-    C_sum, metres between the best modes, and what C_sum ours loses at its best mode beside theirs.
+def agreement(ours: Staged, other: Staged) -> dict[str, float]:
+    """Returns the differences of two results on the same cells: correlation and mean absolute
+    difference of C_sum, metres between the best modes, and the loss of C_sum at our best mode.
     """
-    both = np.isfinite(ours.total) & np.isfinite(theirs.total)
-    a, b = ours.total[both].astype(np.float64), theirs.total[both].astype(np.float64)
-    best = [_best(staged) for staged in (ours, theirs)]
+    both = np.isfinite(ours.total) & np.isfinite(other.total)
+    a, b = ours.total[both].astype(np.float64), other.total[both].astype(np.float64)
+    best = [_best(staged) for staged in (ours, other)]
     cell_m = float(ours.cell_m)
     return {
         "correlation": float(np.corrcoef(a, b)[0, 1]),
         "mean_difference": float(np.abs(a - b).mean()),
         "best_apart_m": cell_m * float(np.hypot(*(best[0] - best[1]))),
-        "best_loss": float(theirs.total[tuple(best[1])] - theirs.total[tuple(best[0])]),
+        "best_loss": float(other.total[tuple(best[1])] - other.total[tuple(best[0])]),
     }
 
 

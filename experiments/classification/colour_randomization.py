@@ -1,7 +1,7 @@
 """Random colours of materials, such as red asphalt, pale paving, dark roofs.
 
 A network that is trained on few scenes relies on their palette. Random colours make it learn
-texture and shape instead (domain randomisation: Tobin et al., IROS 2017). """
+texture and shape instead (domain randomisation: Tobin et al., IROS 2017)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Square aerial patches of rendered scenes with the class of their ground.
 
 A patch is cut out of an image of the vehicle's camera; its class is that of most of its pixels by
-the ground-truth segmentation. Light, blur and noise are random for each patch. """
+the ground-truth segmentation. Light, blur and noise are random for each patch."""
 
 from __future__ import annotations
 

@@ -191,7 +191,7 @@ def test_a_sensor_log_is_not_replaced_by_a_run_without(
     ("kind", "recognition", "remark"),
     [("road", "off", True), ("building", "off", True), ("lawn", "off", False), ("road", "", False)],
 )
-def test_risky_ground_without_place_recognition_is_remarked_on(
+def test_risky_ground_without_ground_classification_is_remarked_on(
     kind: str, recognition: str, remark: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from touchdown.experiments.cli.console import print_result
