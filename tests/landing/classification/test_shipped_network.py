@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.classification.patches import scene_patches
-from touchdown.experiments.classification.splits import HELD_OUT_SCENES, split_of_place
+from touchdown.experiments.classification.splits import HELD_OUT_SCENES, split_of_layout
 from touchdown.experiments.cli import main as cli
 from touchdown.landing.classification.onboard import (
     SHIPPED,
@@ -55,7 +55,7 @@ def test_number_of_weights() -> None:
 def test_places_never_seen(scene: str, classifier: OnnxGroundClassifier) -> None:
     """A floor far below the scores on thousands of images:
     `docs/results/ground-classification.md`."""
-    assert split_of_place(scene, SEED) == "test"
+    assert split_of_layout(scene, SEED) == "test"
     patches = scene_patches(scene, SEED, PICTURES, classifier.image_size, variation=0)
     prediction = classifier.classify(np.stack([patch.rgb for patch in patches]))
     found = [LAND_CLASSES[best] for best in prediction.probabilities.argmax(axis=1)]
