@@ -84,7 +84,7 @@ def test_the_shore_is_found() -> None:
     assert view.site_class == "lawn" and not view.no_site
 
 
-def test_more_rounds_find_what_is_far_from_the_best() -> None:
+def test_more_rounds_find_a_site_far_from_the_best() -> None:
     """Water but for a corner, on a plane that falls away from it: the best dozen are all wet."""
 
     def corner(x: Array, y: Array) -> Array:
@@ -122,7 +122,7 @@ class _ChangesItsMind(ByColour):
         return prediction
 
 
-def test_a_closer_look_sends_it_around() -> None:
+def test_second_look_causes_a_go_around() -> None:
     classifier = _ChangesItsMind()
     lander = Photographer(plain("lawn"), classifier)
     puppet = Puppet(lander, flat_map())
@@ -137,7 +137,7 @@ def test_a_closer_look_sends_it_around() -> None:
     assert "at 10 m: unsure what it is" in around
 
 
-def test_an_emergency_lands_even_so() -> None:
+def test_emergency_lands_on_unsafe_ground() -> None:
     need = dataclasses.replace(PARAMS, emergency="battery")
     for name in ("road", "water"):
         _, view = fly(Puppet(Photographer(plain(name), ByColour(), need), flat_map()))
@@ -145,7 +145,7 @@ def test_an_emergency_lands_even_so() -> None:
         assert view.site_class == name
 
 
-def test_a_commanded_site_is_looked_at_too() -> None:
+def test_commanded_site_is_classified_too() -> None:
     wanted = dataclasses.replace(PARAMS, site_xy_m=(10.0, 3.0))
     _, view = fly(Puppet(Photographer(plain("water"), ByColour(), wanted), flat_map()))
     assert view.aborted and "looks like water" in view.candidates[0].reason

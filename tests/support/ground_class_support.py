@@ -36,7 +36,7 @@ def small_rig() -> SensorRig:
 
 
 def plain(name: str) -> Paint:
-    """One colour, mottled: an image without contrast is not believed."""
+    """One colour, mottled: an image without contrast is a defect."""
     return lambda x, y: np.array(COLOURS[name], float) + 8.0 * np.sin(2.1 * x + 1.7 * y)[..., None]
 
 
@@ -44,7 +44,7 @@ def photograph(
     rig: SensorRig, world_from_body: Pose, paint: Paint, time_s: float, noise: float = 1.0
 ) -> CameraImage:
     """What the camera, without distortion, sees of level ground at z = 0, with noise (levels),
-    since an image that repeats is not believed."""
+    since a repeated image is a defect."""
     camera = world_from_body @ rig.body_from_camera
     col, row = np.meshgrid(np.arange(rig.camera.width), np.arange(rig.camera.height))
     beams = np.stack([(col - rig.camera.cx) / rig.camera.fx,
@@ -59,7 +59,7 @@ def photograph(
 
 
 class ByColour:
-    """Says what is red, green or blue, as surely as told; keeps count."""
+    """Classifies by colour with the given probability; counts its batches."""
 
     image_size = 16
     min_probability = 0.9

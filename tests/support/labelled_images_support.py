@@ -1,4 +1,4 @@
-"""Images that a small network learns to tell apart within seconds."""
+"""Images that a small network learns to classify within seconds."""
 
 from __future__ import annotations
 

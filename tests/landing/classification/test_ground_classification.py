@@ -1,4 +1,4 @@
-"""Ground classification in flight: what is looked at, what is believed, and what is refused."""
+"""Ground classification in flight: decision limits, LIDAR evidence, refusals."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_safe_classes_count_together() -> None:
     assert not decision.taken_for_safe(scores, strange).any()
 
 
-def test_limits_let_a_quarter_of_a_percent_of_unsafe_pictures_pass() -> None:
+def test_limits_accept_a_quarter_of_a_percent_of_unsafe_images() -> None:
     """800 images of water, claimed to be lawn with 0.5 to 0.9: two of them may pass."""
     claims = np.linspace(0.5, 0.9, 800)
     rows = [_chances(lawn=float(claim)) for claim in claims]
@@ -81,7 +81,7 @@ def test_limits_let_a_quarter_of_a_percent_of_unsafe_pictures_pass() -> None:
     assert easy.min_probability == decision.LEAST
 
 
-def test_a_file_carries_its_limits_and_an_older_one_does_without() -> None:
+def test_file_carries_its_limits_and_an_older_one_gets_defaults() -> None:
     limits = decision.Limits(min_probability=0.8125, min_energy=-0.7)
     facts = weights.NetworkFacts(
         network="resnet18", labels="d_land", image_size=96, classes=D_LAND, limits=limits
@@ -137,7 +137,7 @@ def test_water_is_refused_and_the_first_safe_batch_ends_it() -> None:
     assert judged[6] is sites[6] and judged[7].class_predicted is None
 
 
-def test_refused_sites_are_not_asked_about() -> None:
+def test_refused_sites_are_not_classified() -> None:
     classifier = ByColour()
     bad, good = _sites((-9, 0), (9, 0))
     bad = dataclasses.replace(bad, accepted=False, reason="refused: a step")
@@ -152,13 +152,13 @@ def test_refused_sites_are_not_asked_about() -> None:
         (ByColour(in_distribution=False), "it looks like no known ground"),
     ],
 )
-def test_who_is_not_sure_is_not_believed(classifier: ByColour, words: str) -> None:
+def test_uncertain_predictions_are_refused(classifier: ByColour, words: str) -> None:
     (site,) = _check(classifier).judge(_sites((9, 0)), FLAT)
     assert not site.accepted and words in site.reason
     assert site.class_predicted == "lawn"
 
 
-def test_the_configuration_may_ask_for_more_or_less() -> None:
+def test_configuration_overrides_the_limit() -> None:
     (site,) = _check(ByColour(sure=0.6), classifier_min_probability=0.55).judge(
         _sites((9, 0)), FLAT
     )
@@ -167,20 +167,20 @@ def test_the_configuration_may_ask_for_more_or_less() -> None:
     assert "(at least 1.00)" in site.reason and not site.accepted
 
 
-def test_what_no_picture_shows_is_refused() -> None:
+def test_site_without_an_image_is_refused() -> None:
     classifier = ByColour()
     (site,) = _check(classifier).judge(_sites((60, 0)), FLAT)
     assert site.reason == "refused: no image shows what kind of ground it is"
     assert classifier.batches == [] and site.class_predicted is None
 
 
-def test_roads_are_taken_only_where_they_are_allowed() -> None:
+def test_roads_are_accepted_only_where_they_are_allowed() -> None:
     for allowed in (False, True):
         (site,) = _check(ByColour(), plain("road")).judge(_sites((9, 0)), FLAT, allow_risky=allowed)
         assert site.accepted is allowed and site.class_predicted == "road"
 
 
-def test_a_closer_look_counts_as_much_as_the_first() -> None:
+def test_second_look_has_the_weight_of_the_first() -> None:
     """Lawn from above, water from below: neither, so it is refused; lawn twice stays lawn."""
     check = _check(ByColour(), plain("water"))
     before = SiteClass(_chances(lawn=0.99), True)
@@ -209,7 +209,9 @@ def test_an_emergency_takes_the_least_bad() -> None:
 # ------------------------------------------------------------------------------- what LIDAR knows
 
 
-def test_lost_pulses_make_water_likelier_and_none_prove_nothing() -> None:
+def test_missing_pulses_raise_the_probability_of_water_and_their_absence_does_not_lower_it() -> (
+    None
+):
     doubtful = _chances(lawn=0.9, water=0.05)
     water = D_LAND.index("water")
     np.testing.assert_allclose(fuse_lidar_evidence(doubtful, 0.0, 900.0, False), doubtful)
@@ -221,7 +223,7 @@ def test_lost_pulses_make_water_likelier_and_none_prove_nothing() -> None:
     assert fuse_lidar_evidence(doubtful, 300.0, 700.0, False)[water] > 0.99
 
 
-def test_traffic_makes_a_road_of_a_doubtful_path() -> None:
+def test_traffic_turns_an_uncertain_path_into_a_road() -> None:
     doubtful = _chances(path=0.85, road=0.1)
     found = fuse_lidar_evidence(doubtful, 0.0, 900.0, True)
     assert D_LAND[int(found.argmax())] == "road"
@@ -230,7 +232,7 @@ def test_traffic_makes_a_road_of_a_doubtful_path() -> None:
     assert lawn[D_LAND.index("lawn")] > 0.95
 
 
-def test_a_doubtful_site_over_lossy_ground_is_refused() -> None:
+def test_uncertain_site_with_missing_pulses_is_refused() -> None:
     """What passes by the image alone is refused where a fifth of the pulses never came back."""
     grid = make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0))
     grid.missing[:, 140:] = 10.0
@@ -239,7 +241,7 @@ def test_a_doubtful_site_over_lossy_ground_is_refused() -> None:
     assert dry.accepted and not wet.accepted and wet.class_predicted == "water"
 
 
-def test_traffic_is_looked_up_where_the_site_is() -> None:
+def test_traffic_zone_is_read_at_the_site() -> None:
     view = view_of(make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0)))
     selection = select_sites(view, make_estimate(0, ABOVE), LandingParams(), footprint_radius_m=0.5)
     assert selection.costmap is not None
@@ -251,7 +253,7 @@ def test_traffic_is_looked_up_where_the_site_is() -> None:
     assert west.accepted and not east.accepted
 
 
-def test_surfaces_that_were_refused_rank_lower() -> None:
+def test_refused_surfaces_rank_lower() -> None:
     """Two surfaces with different echo: the one that a refused site lies on comes last."""
     grid = make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0))
     grid.intensity[:, :100] = 90.0
@@ -268,7 +270,7 @@ def test_surfaces_that_were_refused_rank_lower() -> None:
 # ------------------------------------------------------------------------------------ the network
 
 
-def test_the_network_of_a_file_says_what_it_sees(tmp_path: Path) -> None:
+def test_network_of_a_file_classifies(tmp_path: Path) -> None:
     pytest.importorskip("onnx")
     from touchdown.landing.classification.onboard import load_onboard_classifier
 
@@ -290,7 +292,7 @@ def test_the_network_of_a_file_says_what_it_sees(tmp_path: Path) -> None:
     assert load_onboard_classifier(path).min_probability == 0.5
 
 
-def test_one_line_for_a_network_that_cannot_fly(
+def test_unusable_network_is_refused_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("onnx")
@@ -314,9 +316,7 @@ def test_one_line_for_a_network_that_cannot_fly(
         assert words in told and told.count("\n") == 1 and not out.exists()
 
 
-def test_off_and_what_comes_with_the_project(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_classifier_off_and_auto(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("onnx")
     from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.flight.wiring import build_classifier
@@ -335,7 +335,7 @@ def test_off_and_what_comes_with_the_project(
             build_classifier(load_config(None, [override]))
 
 
-def test_who_counts_by_class() -> None:
+def test_landings_judged_by_class() -> None:
     from touchdown.experiments.api import is_good
     from touchdown.experiments.flight.run import class_counts
 

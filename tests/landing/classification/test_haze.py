@@ -1,4 +1,4 @@
-"""Haze: its veil by hand, found again in a climb, and taken out of an image."""
+"""Haze: the veil by hand, estimation in a climb, removal from an image."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_the_veil_at_a_known_distance() -> None:
     np.testing.assert_allclose(FOG.veil(np.array([0.0, half, 1e9])), [0.0, 0.25, 0.5])
 
 
-def test_what_haze_adds_is_taken_out() -> None:
+def test_haze_is_removed() -> None:
     rng = np.random.default_rng(1)
     clear = rng.integers(0, 256, (40, 60, 3)).astype(np.uint8)
     away = rng.uniform(5.0, 40.0, (40, 60))
@@ -39,7 +39,7 @@ def test_what_haze_adds_is_taken_out() -> None:
     np.testing.assert_array_equal(Haze().removed(hazy, away), hazy)
 
 
-def test_what_no_light_comes_through_is_not_made_up() -> None:
+def test_noise_is_not_amplified_where_no_light_comes_through() -> None:
     """At 300 m 0.2 % is left: a level of noise would be 400 levels."""
     noisy = np.full((2, 2, 3), 186, np.uint8)  # the airlight
     noisy[0, 0] = 187
@@ -75,12 +75,12 @@ def test_extinction_and_airlight_are_found_in_a_climb(ground: float) -> None:
         np.where(np.arange(43) % 4 == 0, 0.01, np.linspace(0.01, 0.3, 43)),  # from lawn over roofs
     ],
 )
-def test_bright_and_dark_ground_is_no_haze(lights: Array) -> None:
+def test_bright_and_dark_ground_is_not_taken_for_haze(lights: Array) -> None:
     heights = np.concatenate([CLIMB, np.full(30, 30.0)])
     assert estimate_haze(heights, lights) == Haze()
 
 
-def test_pictures_from_one_height_tell_nothing() -> None:
+def test_images_from_one_height_do_not_determine_haze() -> None:
     heights = np.linspace(28.0, 32.0, 40)
     assert estimate_haze(heights, FOG.veil(heights)) == Haze()
     assert estimate_haze(np.zeros(0), np.zeros(0)) == Haze()
@@ -110,7 +110,7 @@ def _climbed(haze: Haze) -> SurveyImages:
     return survey_images
 
 
-def test_squares_are_as_in_clear_air() -> None:
+def test_patches_are_as_in_clear_air() -> None:
     """But for where a pixel shows two colours, which mix in light and are interpolated in levels:
     the true haze leaves as much."""
     site = np.array([0.5, 0.5, 0.0])

@@ -1,4 +1,4 @@
-"""Scores by hand, class maps of photographs, and what a network's file must be like."""
+"""Metrics by hand, class maps of photographs, and the file of a network."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_files_that_are_refused(
         weights.read_network(path)
 
 
-def test_a_class_that_costs_more_to_miss_is_taken_sooner() -> None:
+def test_class_with_a_higher_miss_cost_is_predicted_earlier() -> None:
     """Lawn at 0.85 and water at 0.15 cost 0.15 * 10 and 0.85 to miss: 1.5 of 2.35 for water."""
     found = np.full((2, 7), -50.0, np.float32)
     found[:, D_LAND.index("lawn")] = np.log([0.85, 0.95])
@@ -160,7 +160,7 @@ def test_a_class_that_costs_more_to_miss_is_taken_sooner() -> None:
             dataclasses.replace(plain, miss_costs=costs)
 
 
-def test_a_file_that_does_not_say_what_it_is() -> None:
+def test_file_without_metadata_is_refused() -> None:
     facts = weights.NetworkFacts(network="resnet18", labels="d_land", image_size=64, classes=D_LAND)
     assert weights.facts_of(facts.properties(), Path("n")) == facts
     with pytest.raises(ValueError, match="has no usable metadata"):

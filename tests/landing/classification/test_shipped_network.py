@@ -1,4 +1,4 @@
-"""The network that comes with the project: what it is, and that it knows places it never saw."""
+"""The shipped network: metadata, and accuracy on unseen scenes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def classifier() -> OnnxGroundClassifier:
     return load_onboard_classifier(SHIPPED)
 
 
-def test_what_comes_along(classifier: OnnxGroundClassifier) -> None:
+def test_shipped_network_description(classifier: OnnxGroundClassifier) -> None:
     assert len(read_network(SHIPPED)) <= LARGEST_MB * 1e6
     description = classifier.description()
     assert description["network"] == "resnet50_cbam"
@@ -52,9 +52,8 @@ def test_number_of_weights() -> None:
 
 
 @pytest.mark.parametrize("scene", ["lake", "houses", *HELD_OUT_SCENES])
-def test_places_never_seen(scene: str, classifier: OnnxGroundClassifier) -> None:
-    """A floor far below the scores on thousands of images:
-    `docs/results/ground-classification.md`."""
+def test_accuracy_on_unseen_scenes(scene: str, classifier: OnnxGroundClassifier) -> None:
+    """The bound is far below the scores in `docs/results/ground-classification.md`."""
     assert split_of_layout(scene, SEED) == "test"
     patches = scene_patches(scene, SEED, PICTURES, classifier.image_size, variation=0)
     prediction = classifier.classify(np.stack([patch.rgb for patch in patches]))
@@ -67,7 +66,7 @@ def test_places_never_seen(scene: str, classifier: OnnxGroundClassifier) -> None
     assert not any(t and name in ("water", "trees") for t, name in zip(taken, true, strict=True))
 
 
-def test_commands_that_name_no_network_take_this_one(
+def test_commands_without_a_network_use_the_shipped_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     home = tmp_path / "pictures"

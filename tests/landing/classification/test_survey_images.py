@@ -1,4 +1,4 @@
-"""Images that the lander keeps, and squares of ground cut out of them."""
+"""Survey images and ground patches extracted from them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _kept(pose: Pose, paint: Any = _by_place, rig: Any = None, **more: Any) -> S
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5])
-def test_a_square_shows_the_ground_around_a_site(yaw: float) -> None:
+def test_patch_shows_the_ground_around_a_site(yaw: float) -> None:
     """Tilted by 4 degrees, 20 m up, 2 m aside: the square is level, centred, and not mirrored."""
     tilt = so3_exp(np.radians([4.0, -2.0, 0.0]))
     pose = Pose(rotation_from_yaw(yaw) @ tilt, np.array([1.0, -2.0, 20.0]))
@@ -50,7 +50,7 @@ def test_a_square_shows_the_ground_around_a_site(yaw: float) -> None:
     assert right[0] * down[1] - right[1] * down[0] < 0.0  # seen from above
 
 
-def test_the_lens_is_taken_out() -> None:
+def test_lens_distortion_is_removed() -> None:
     """OpenCV's own projection, with all five coefficients."""
     import cv2
 
@@ -66,7 +66,7 @@ def test_the_lens_is_taken_out() -> None:
     assert ahead.all() and not project(camera, -points)[1].any()
 
 
-def test_a_smaller_square_where_the_whole_one_is_not_shown() -> None:
+def test_smaller_patch_where_no_image_shows_the_whole_one() -> None:
     """At 5 m the image shows 3.9 m the short way: half of 6.4 m fits, nothing of a site aside."""
     survey_images = _kept(Pose(np.eye(3), np.array([0.0, 0.0, 5.0])))
     patch = survey_images.patch(np.zeros(3), 6.4, 32)
@@ -77,7 +77,7 @@ def test_a_smaller_square_where_the_whole_one_is_not_shown() -> None:
     assert survey_images.patch(np.zeros(3), 6.4, 32, since_s=1.5) is None
 
 
-def test_kept_pictures_are_few_and_apart() -> None:
+def test_kept_images_are_few_and_apart() -> None:
     rig = small_rig()
     survey_images = SurveyImages(rig, 5)
     rng = np.random.default_rng(7)
@@ -98,7 +98,7 @@ def test_kept_pictures_are_few_and_apart() -> None:
     assert all(kept.rgb is not source for kept in survey_images._kept for source in sources)
 
 
-def test_what_is_black_frozen_or_out_of_order_is_no_ground() -> None:
+def test_black_frozen_and_swapped_images_are_not_used() -> None:
     """5 m a step at 20 m; at odd steps something is wrong."""
     rig = small_rig()
     survey_images = SurveyImages(rig, 8)
@@ -121,7 +121,7 @@ def test_what_is_black_frozen_or_out_of_order_is_no_ground() -> None:
     assert survey_images._newest is not None and survey_images._newest.time_s == 1.8
 
 
-def test_an_exposure_is_placed_where_the_vehicle_was() -> None:
+def test_pose_of_an_image_is_that_of_its_exposure() -> None:
     """The image arrives 60 ms after its exposure, 0.3 m further on."""
     rig = small_rig()
     survey_images = SurveyImages(rig, 4)

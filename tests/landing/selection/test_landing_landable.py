@@ -1,4 +1,4 @@
-"""The geometric check on made-up ground, and the feeling for the ground."""
+"""The geometric check on synthetic ground, and touchdown detection."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_hole_in_the_map_is_unknown_not_flat() -> None:
     assert "not seen" in why_not(make_grid(hole))
 
 
-def test_water_shows_by_pulses_that_do_not_come_back() -> None:
+def test_water_is_detected_by_missing_pulses() -> None:
     grid = make_grid(ground())
     grid.missing[36:60, 36:60] = 25.0
     _terrain, result = judged(grid)
@@ -119,7 +119,7 @@ def test_water_shows_by_pulses_that_do_not_come_back() -> None:
     assert result.mask[15, 15]
 
 
-def test_traffic_shows_by_heights_that_change() -> None:
+def test_traffic_is_detected_by_changing_heights() -> None:
     """A lane 2 m wide on which cars passed, against a static edge one cell wide."""
     lane = make_grid(ground())
     lane.height_std_m[30:50, 58:68] = 0.5
@@ -151,7 +151,7 @@ def test_footprint_plane_of_a_known_slope() -> None:
     assert plane.normal == pytest.approx([-np.sin(angle), 0.0, np.cos(angle)], abs=1e-4)
 
 
-def test_selection_takes_the_good_half_and_says_why() -> None:
+def test_selection_accepts_the_good_half_with_reasons() -> None:
     rng = np.random.default_rng(2)
     half = ground()
     half[:, :40] += rng.uniform(0.0, 0.6, (80, 40))
@@ -178,8 +178,8 @@ def test_selection_takes_the_good_half_and_says_why() -> None:
             assert min(gaps) > 3.0
 
 
-def test_the_surface_that_traffic_uses_is_avoided_as_far_as_it_goes() -> None:
-    """A weak echo west of x = 8, a strong one east of it; at x = 1 something moved. All level."""
+def test_whole_surface_with_traffic_is_avoided() -> None:
+    """Level ground of low intensity west of x = 8, high east of it, with motion at x = 1."""
     grid = make_grid(ground())
     grid.intensity[:, :40] = 14.0
     grid.intensity[:, 40:] = 46.0
@@ -214,7 +214,7 @@ def fine(height: Array, corner: tuple[float, float] = (4.0, 4.0)) -> GridMap:
     return make_grid(height, 0.05, origin=corner, returns=10)
 
 
-def test_look_from_closer_keeps_a_good_site_and_moves_off_a_bad_one() -> None:
+def test_second_look_keeps_a_good_site_and_moves_a_bad_one() -> None:
     site = np.array([8.0, 8.0, 0.0])
     coarse = make_grid(ground())
     kept = look_again(view_of(coarse, fine(np.zeros((160, 160)))), site, 3.0, PARAMS)
@@ -243,7 +243,7 @@ def test_ground_height_prefers_the_fine_map() -> None:
     assert np.isnan(ground_under(view_of(coarse), np.array([99.0, 8.0])))
 
 
-def test_touchdown_is_felt_by_weight_on_the_legs_not_by_gusts_or_a_bump() -> None:
+def test_touchdown_is_detected_by_weight_on_the_legs_not_by_gusts_or_a_bump() -> None:
     detector = TouchdownDetector(make_rig())
     weight = 4.0 * 9.81
 
@@ -271,7 +271,7 @@ def test_touchdown_is_felt_by_weight_on_the_legs_not_by_gusts_or_a_bump() -> Non
     assert 0.1 < felt_after * 0.005 < 0.3
 
 
-def test_touchdown_is_felt_where_the_estimate_rises_and_the_vehicle_bounces() -> None:
+def test_touchdown_is_detected_where_the_estimate_rises_and_the_vehicle_bounces() -> None:
     detector = TouchdownDetector(make_rig())
     weight = 4.0 * 9.81
     share = 0.6
