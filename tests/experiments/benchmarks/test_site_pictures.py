@@ -118,7 +118,7 @@ def test_names_have_the_seed_where_there_are_several(tmp_path: Path) -> None:
     names = [file.name for file in figure_files(configs, tmp_path)]
     assert names == ["site_lake_1.jpg", "site_lake_2.jpg"]
     (tmp_path / "file").write_text("")
-    with pytest.raises(UsageError, match=r"--pictures: .* cannot be made"):
+    with pytest.raises(UsageError, match=r"--pictures: .* cannot be created"):
         figure_files(configs, tmp_path / "file")
 
 
