@@ -1,1 +1,4 @@
-"""Choosing a landing site and planning the flight to it."""
+"""Landing site selection, ground classification and the landing mission.
+
+Consumes maps, estimates and images; imports no simulator. Other folders use ``landing.api``.
+"""

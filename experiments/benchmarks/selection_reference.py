@@ -1,11 +1,12 @@
-"""The steps of ``experiments.benchmarks.selection_stages`` as one would write them with Open3D,
-SciPy and scikit-image.
-
-It is what the speed of the selector is compared with, and a second opinion on its result. Needs
+"""Reference implementation of ``experiments.benchmarks.selection_stages`` with Open3D, SciPy and
 scikit-image.
+
+Speed and result of the selector are compared with it. Needs scikit-image.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import open3d as o3d
@@ -26,17 +27,17 @@ Float32 = NDArray[np.float32]
 def reference_selection(
     grid: GridMap, position_odom: Array, params: LandingParams, footprint_radius_m: float
 ) -> Staged:
-    """As ``experiments.benchmarks.selection_stages.staged_selection``, corrected form of
-    flatness."""
+    """Computes ``experiments.benchmarks.selection_stages.staged_selection`` with the corrected form
+    of flatness."""
     cell = grid.cell_m
     timer = StageTimer()
-    cloud, origin, shape, spot = _down_sampled(grid)
+    cloud, origin, shape, cells = _down_sampled(grid)
     timer.lap("down_sampling")
-    flat = _flatness(cloud, spot, shape, cell, params)
+    flat = _flatness(cloud, cells, shape, cell, params)
     timer.lap("flatness")
-    smooth = _smoothness(np.asarray(cloud.colors), spot, shape, cell, params)
+    smooth = _smoothness(np.asarray(cloud.colors), cells, shape, cell, params)
     timer.lap("smoothness")
-    near = _distance(np.asarray(cloud.points), position_odom, spot, shape)
+    near = _distance(np.asarray(cloud.points), position_odom, cells, shape)
     timer.lap("distance")
     total = params.weight_smoothness * smooth + params.weight_flatness * flat
     total += params.weight_distance * near
@@ -51,11 +52,20 @@ def reference_selection(
     )
 
 
-def _down_sampled(
-    grid: GridMap,
-) -> tuple[o3d.geometry.PointCloud, Array, tuple[int, int], tuple[Array, Array]]:
-    """A point per voxel of one cell, the raster around the points, and the cell of each; a colour
-    of -1 stands for none."""
+class _DownSampled(NamedTuple):
+    """Points of a map and the raster around them."""
+
+    cloud: o3d.geometry.PointCloud
+    origin: Array
+    """(2,) corner of the raster"""
+    shape: tuple[int, int]
+    """rows and columns of the raster"""
+    cells: tuple[Array, Array]
+    """row and column of each point"""
+
+
+def _down_sampled(grid: GridMap) -> _DownSampled:
+    """Returns one point for each voxel of one cell; a colour of -1 stands for none."""
     seen = (grid.count > 0.0) | (grid.missing > 0.0)
     known = np.isfinite(grid.height_m)
     rows, cols = np.nonzero(known)
@@ -73,7 +83,7 @@ def _down_sampled(
     origin = grid.origin_xy_m + first * grid.cell_m
     shape = (int(box[0][-1] - box[0][0] + 1), int(box[1][-1] - box[1][0] + 1))
     col, row = np.floor((np.asarray(cloud.points)[:, :2] - origin) / grid.cell_m).astype(int).T
-    return cloud, origin, shape, (row, col)
+    return _DownSampled(cloud, origin, shape, (row, col))
 
 
 def _flatness(
@@ -103,8 +113,8 @@ def _smoothness(
     cell_m: float,
     params: LandingParams,
 ) -> Array:
-    """Eq. 14: scikit-image's Canny on the picture that the coloured points make from above, and
-    SciPy's distance transform."""
+    """Eq. 14: scikit-image's Canny on the orthographic image of the coloured points, and SciPy's
+    distance transform."""
     grey = np.zeros(shape)
     coloured = np.zeros(shape, np.bool_)
     grey[spot] = colours @ [0.299, 0.587, 0.114]

@@ -1,5 +1,5 @@
-"""The steps of the paper's Table 7 one by one, each timed: what ``landing.selection.selector`` does
-before it looks at single sites."""
+"""The steps of the paper's Table 7, timed one by one: those of ``landing.selection.selector``
+before the check of single sites."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from touchdown.estimator.api import GridMap
 from touchdown.landing.api import LandingParams
 from touchdown.landing.selection import costmap
 from touchdown.landing.selection.clustering import bandwidths, quick_shift
+from touchdown.landing.selection.elevation_raster import observed_raster
 from touchdown.landing.selection.landable import ground_planes
-from touchdown.landing.selection.terrain import observed_terrain
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -24,7 +24,7 @@ STAGES = ("down_sampling", "flatness", "smoothness", "distance", "clustering")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Staged:
-    """Costs and clusters on the observed part of a map, and what each step took."""
+    """Costs and clusters of the observed part of a map, with the time of each step."""
 
     origin_xy_m: Array
     cell_m: float
@@ -33,17 +33,18 @@ class Staged:
     modes: NDArray[np.int32]
     """(K, 2) row, col"""
     seconds: dict[str, float]
-    """by ``STAGES``"""
+    """by step of ``STAGES``"""
 
 
 class StageTimer:
-    """Seconds from one ``lap`` to the next."""
+    """Measures the seconds from one ``lap`` to the next."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self._last = time.perf_counter()
 
     def lap(self, name: str) -> None:
+        """Stores the time since the last call as that of the step ``name``."""
         now = time.perf_counter()
         self.seconds[name] = now - self._last
         self._last = now
@@ -52,26 +53,27 @@ class StageTimer:
 def staged_selection(
     grid: GridMap, position_odom: Array, params: LandingParams, footprint_radius_m: float
 ) -> Staged:
-    """Map to modes. ``position_odom`` (3,): the vehicle's. ValueError: nothing was mapped."""
+    """Computes costs and modes for a vehicle at ``position_odom`` (3,). Raises ValueError for an
+    empty map."""
     timer = StageTimer()
-    terrain = observed_terrain(grid)
-    if terrain is None:
+    raster = observed_raster(grid)
+    if raster is None:
         raise ValueError("the map is empty: there is nothing to select from")
     timer.lap("down_sampling")
-    planes = ground_planes(terrain, params)
-    flat = costmap.flatness_term(terrain, planes, params)
+    planes = ground_planes(raster, params)
+    flat = costmap.flatness_term(raster, planes, params)
     timer.lap("flatness")
-    smooth, _ = costmap.smoothness_term(terrain, params)
+    smooth, _ = costmap.smoothness_term(raster, params)
     timer.lap("smoothness")
-    near = costmap.distance(terrain, position_odom, np.inf)
+    near = costmap.distance(raster, position_odom, np.inf)
     timer.lap("distance")
     total = costmap.weighted_sum(smooth, flat, near, params)
-    bandwidth, radius = bandwidths(footprint_radius_m / terrain.cell_m)
+    bandwidth, radius = bandwidths(footprint_radius_m / raster.cell_m)
     clusters = quick_shift(total, bandwidth_cells=bandwidth, radius_cells=radius)
     timer.lap("clustering")
     return Staged(
-        origin_xy_m=terrain.origin_xy_m,
-        cell_m=terrain.cell_m,
+        origin_xy_m=raster.origin_xy_m,
+        cell_m=raster.cell_m,
         total=total,
         modes=clusters.modes,
         seconds=timer.seconds,

@@ -1,4 +1,5 @@
-"""Choosing sites without flying: towed surveys of many places, judged by the true maps."""
+"""Benchmark of site selection without flights: posed surveys of many scenes, judged by the
+ground-truth maps."""
 
 from __future__ import annotations
 
@@ -21,8 +22,9 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds
 from touchdown.experiments.flight.wiring import check_scene_name
 from touchdown.landing.api import CostmapView
+from touchdown.landing.selection import risk
 from touchdown.scenes.api import TruthMaps
-from touchdown.scenes.truth.maps import truth_maps as scene_truth_maps
+from touchdown.scenes.truth.maps import truth_maps
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -31,41 +33,42 @@ SCENES = (
     "cottage", "crossroad", "footbridge", "forest", "houses", "lake", "pools", "rooftop_parking",
     "turf",
 )  # fmt: skip
-"""All but ``flat`` and ``open_water``, where there is nothing to choose."""
+"""all scenes except ``flat`` and ``open_water``, which offer no choice"""
 TRUTH_CELL_M = 0.1
 AROUND_M = 15.0
-"""judged beside the path: more than the field of view ahead, less than half of it aside"""
+"""width of the judged area beside the path: more than the field of view ahead, less than half of it
+aside"""
 SAMPLES = 4000
-"""cells of a place by which calibration is judged"""
+"""cells of a scene by which calibration is judged"""
 _CELL_KEYS = ("safe", "allowed", "both")
 ROOM_CAP_M = 3.0
-"""truly safe ground farther than this from any unsafe one has all the room that counts"""
+"""distance to unsafe ground from which the room no longer rises"""
 
 
-def check_place(config: Config, picture: Path | None = None) -> dict[str, Any]:
-    """One place: what the selector chose beside the true map. Raises ValueError as `tow_survey`.
-    The steps that led to it are drawn into ``picture``, where one is named.
+def check_scene(config: Config, figure: Path | None = None) -> dict[str, Any]:
+    """Judges the selection in one scene by the ground-truth map. Raises ValueError as `tow_survey`.
+
+    Draws the steps of the selection into the file ``figure``, if given. Returns:
 
     ``chosen_safe`` (None where nothing was accepted), ``accepted`` and ``accepted_safe`` sites;
     ``cells``: numbers of surveyed cells that are safe, allowed, and both; ``room_m`` of the chosen
     site and ``best_room_m``: distance to the nearest unsafe ground, at most 3 m; ``sample``:
-    believed probabilities and truth of cells spread evenly, with their features.
+    predicted probabilities and truth of evenly spread cells, with their features.
     """
     surveyed = tow_survey(config)
-    truth = scene_truth_maps(surveyed.scene, TRUTH_CELL_M, _region(surveyed))
+    truth = truth_maps(surveyed.scene, TRUTH_CELL_M, _region(surveyed))
     selection, costmap = surveyed.selection, surveyed.selection.costmap
     accepted = [site for site in selection.candidates if site.accepted]
-    verdicts = [_at(truth, truth.safe_geometry, site.position_odom[:2]) for site in accepted]
+    verdicts = [_value_at(truth, truth.safe_geometry, site.position_odom[:2]) for site in accepted]
     room = np.minimum(distance_transform_edt(truth.safe_geometry) * TRUTH_CELL_M, ROOM_CAP_M)
     if costmap is None:
         raise ValueError(f"scene '{config.scene}': the survey mapped nothing")
-    if picture is not None:
+    if figure is not None:
         from touchdown.experiments.benchmarks.site_selection_figures import write_steps
 
-        write_steps(picture, config, selection)
+        write_steps(figure, config, selection)
     safe, judged = _on_grid(truth, costmap)
     seen = judged & np.isfinite(costmap.flatness)
-    risk = risk_model()
     features = risk.features_of(surveyed.map_view, surveyed.estimate, config.landing)
     rows, cols = np.nonzero(seen & features.open)
     spread = np.s_[:: max(1, rows.size // SAMPLES)]
@@ -81,10 +84,10 @@ def check_place(config: Config, picture: Path | None = None) -> dict[str, Any]:
             "allowed": int((selection.allowed & seen).sum()),
             "both": int((safe & selection.allowed & seen).sum()),
         },
-        "room_m": float(_at(truth, room, accepted[0].position_odom[:2])) if accepted else 0.0,
+        "room_m": float(_value_at(truth, room, accepted[0].position_odom[:2])) if accepted else 0.0,
         "best_room_m": float(room.max()),
         "sample": {
-            "believed": selection.probability[rows, cols],
+            "predicted": selection.probability[rows, cols],
             "safe": safe[rows, cols],
             "features": features.values[rows, cols],
         },
@@ -92,21 +95,20 @@ def check_place(config: Config, picture: Path | None = None) -> dict[str, Any]:
 
 
 def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Figures over many places.
+    """Returns figures over many scenes.
 
-    ``precision``: share of chosen sites that are safe; ``precision_sites``, of all accepted ones;
-    ``precision_cells`` and ``recall_cells`` of the raster; ``found``: share of places with safe
-    ground where a site was accepted; ``regret_m``: mean room lost beside the roomiest safe place;
-    ``calibration_error`` and ``reliability``: see `landing.selection.risk.calibration`.
-    """
+    ``precision``: share of chosen sites that are safe; ``precision_sites``: of all accepted ones;
+    ``precision_cells`` and ``recall_cells`` of the cells; ``found``: share of scenes with safe
+    ground where a site was accepted; ``regret_m``: mean loss of room relative to the best safe
+    site; ``calibration_error`` and ``reliability``: see `landing.selection.risk.calibration`."""
     chosen = [place["chosen_safe"] for place in places if place["chosen_safe"] is not None]
     offered = [place for place in places if place["best_room_m"] > 0.0]
     cells = {key: sum(place["cells"][key] for place in places) for key in _CELL_KEYS}
-    believed, safe = (
-        np.concatenate([place["sample"][key] for place in places]) for key in ("believed", "safe")
+    predicted, safe = (
+        np.concatenate([place["sample"][key] for place in places]) for key in ("predicted", "safe")
     )
-    error, rows = risk_model().calibration(believed, safe)
-    regrets = [place["best_room_m"] - _gain(place) for place in offered]
+    error, rows = risk.calibration(predicted, safe)
+    regrets = [place["best_room_m"] - _chosen_room(place) for place in offered]
     return {
         "places": len(places),
         "precision": _share(sum(chosen), len(chosen)),
@@ -123,40 +125,39 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def check_places(
+def check_scenes(
     configs: Sequence[Config],
     jobs: int,
     report: Callable[[dict[str, Any]], None],
     pictures: Sequence[Path | None] | None = None,
 ) -> list[dict[str, Any]]:
-    """`check_place` of each, in ``jobs`` processes; ``report`` is called in the order given."""
+    """Returns `check_scene` of each, in ``jobs`` processes; calls ``report`` in the order given."""
     files = pictures or [None] * len(configs)
     if jobs == 1:
         pairs = zip(configs, files, strict=True)
-        return [_reported(check_place(config, file), report) for config, file in pairs]
+        return [_reported(check_scene(config, file), report) for config, file in pairs]
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        return [_reported(place, report) for place in pool.map(check_place, configs, files)]
+        return [_reported(place, report) for place in pool.map(check_scene, configs, files)]
 
 
 def fit(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """``weights`` fitted to all samples, and ``calibration_error`` with ``reliability`` of fits to
-    the places of every other seed, on the others. ValueError: fewer than two seeds."""
+    """Returns ``weights`` fitted to all samples, and ``calibration_error`` and ``reliability`` by
+    two-fold cross-validation over seeds. Raises ValueError for fewer than two seeds."""
     seeds = sorted({place["seed"] for place in places})
     if len(seeds) < 2:
         raise ValueError(
-            "a fit needs at least two seeds, to be judged on what it was not fitted to"
+            "a fit needs at least two seeds, since it is judged on data that it was not fitted to"
         )
-    risk = risk_model()
     halves = [
         [place for place in places if seeds.index(place["seed"]) % 2 == parity] for parity in (0, 1)
     ]
-    believed, truth = [], []
+    predicted, truth = [], []
     for ours, others in (halves, halves[::-1]):
         weights = risk.fit_weights(_gathered(ours, "features"), _gathered(ours, "safe"))
-        believed.append(risk.believed(_gathered(others, "features"), weights))
+        predicted.append(risk.predict(_gathered(others, "features"), weights))
         truth.append(_gathered(others, "safe"))
-    error, rows = risk.calibration(np.concatenate(believed), np.concatenate(truth))
+    error, rows = risk.calibration(np.concatenate(predicted), np.concatenate(truth))
     weights = risk.fit_weights(_gathered(places, "features"), _gathered(places, "safe"))
     return {"weights": list(weights), "calibration_error": error, "reliability": rows}
 
@@ -165,7 +166,7 @@ def _gathered(places: Sequence[dict[str, Any]], key: str) -> NDArray[Any]:
     return np.concatenate([place["sample"][key] for place in places])
 
 
-def _gain(place: dict[str, Any]) -> float:
+def _chosen_room(place: dict[str, Any]) -> float:
     return float(place["room_m"]) if place["chosen_safe"] else 0.0
 
 
@@ -179,7 +180,7 @@ def _reported(place: dict[str, Any], report: Callable[[dict[str, Any]], None]) -
 
 
 def _region(surveyed: Surveyed) -> Array:
-    """[[x_min, y_min], [x_max, y_max]] of what was surveyed from near enough."""
+    """Returns [[x_min, y_min], [x_max, y_max]] of the judged area."""
     path = surveyed.survey.path
     track = np.array([path.sample(t)[0][:2] for t in np.linspace(0.0, path.duration_s, 73)])
     bounds = np.asarray(surveyed.scene.bounds_xy_m)
@@ -188,15 +189,15 @@ def _region(surveyed: Surveyed) -> Array:
     return np.array([low, high])
 
 
-def _at(truth: TruthMaps, raster: NDArray[Any], xy: Array) -> Any:
-    """The raster's value at a point; False outside."""
+def _value_at(truth: TruthMaps, raster: NDArray[Any], xy: Array) -> Any:
+    """Returns the raster's value at a point; False outside."""
     col, row = np.floor((xy - truth.origin_xy_m) / truth.cell_m).astype(int)
     inside = 0 <= row < raster.shape[0] and 0 <= col < raster.shape[1]
     return raster[row, col] if inside else False
 
 
 def _on_grid(truth: TruthMaps, costmap: CostmapView) -> tuple[Mask, Mask]:
-    """True safety at the centres of the cells, and where it is known."""
+    """Returns the true safety at the centres of the cells, and the mask where it is known."""
     rows, cols = costmap.total.shape
     x = costmap.origin_xy_m[0] + (np.arange(cols) + 0.5) * costmap.cell_m
     y = costmap.origin_xy_m[1] + (np.arange(rows) + 0.5) * costmap.cell_m
@@ -222,9 +223,11 @@ def run(
     report: Callable[[dict[str, Any]], None],
     pictures: Path | None = None,
 ) -> dict[str, Any]:
-    """Checks every scene with every seed: ``{"scorer", "places": [...], "summary", "fit"}``, the
-    last one only on request. ``pictures``: a folder for a picture of each place. Raises UsageError
-    for seeds that are none or a folder that cannot be, and as `load_config`."""
+    """Checks every scene with every seed. Returns ``{"scorer", "places": [...], "summary",
+    "fit"}``, the last one with ``fit_model`` only.
+
+    ``pictures``: folder for a figure of each scene. Raises UsageError for invalid seeds or a folder
+    that cannot be created, and as `load_config`."""
     for name in scenes:
         check_scene_name(name)
     given = ["sim.threads=1", *overrides, *([f"landing.scorer={scorer}"] if scorer else [])]
@@ -235,10 +238,10 @@ def run(
     ]
     files = None
     if pictures is not None:
-        from touchdown.experiments.benchmarks.site_selection_figures import picture_files
+        from touchdown.experiments.benchmarks.site_selection_figures import figure_files
 
-        files = picture_files(configs, pictures)
-    places = check_places(configs, jobs, report, files)
+        files = figure_files(configs, pictures)
+    places = check_scenes(configs, jobs, report, files)
     figures: dict[str, Any] = {"scorer": configs[0].landing.scorer, "summary": summary(places)}
     if fit_model:
         figures["fit"] = fit(places)
@@ -249,7 +252,7 @@ def run(
 
 
 def row(place: dict[str, Any]) -> str:
-    """One place in a line."""
+    """Returns the result of one scene as a line of text."""
     verdict = {True: "safe", False: "UNSAFE", None: "no site"}[place["chosen_safe"]]
     cells = place["cells"]
     precision, recall = (
@@ -265,17 +268,17 @@ def row(place: dict[str, Any]) -> str:
 
 
 def text(figures: dict[str, Any]) -> str:
-    """The summary in words."""
+    """Returns the summary as text."""
     total = figures["summary"]
     lines = [
-        f"{figures['scorer']} scorer, {total['places']} places: precision of the chosen site "
+        f"{figures['scorer']} scorer, {total['places']} scenes: precision of the chosen site "
         f"{_percent(total['precision'])}, of all sites {_percent(total['precision_sites'])}, "
         f"of cells {_percent(total['precision_cells'])}; recall of cells "
         f"{_percent(total['recall_cells'])}; a site found in {_percent(total['found'])}",
         f"regret {total['regret_m'] or 0.0:.2f} m; calibration error "
         f"{total['calibration_error']:.4f}",
     ]
-    lines += [f"  believed {mean:.3f}  safe {share:.3f}  ({number})"
+    lines += [f"  predicted {mean:.3f}  safe {share:.3f}  ({number})"
               for mean, share, number in total["reliability"]]  # fmt: skip
     if "fit" in figures:
         weights = ", ".join(f"{weight:.2f}" for weight in figures["fit"]["weights"])
@@ -286,10 +289,3 @@ def text(figures: dict[str, Any]) -> str:
 
 def _percent(share: float | None) -> str:
     return "-" if share is None else f"{100.0 * share:.1f}%"
-
-
-def risk_model() -> Any:
-    """The module `landing.selection.risk`."""
-    from touchdown.landing.selection import risk
-
-    return risk

@@ -1,4 +1,4 @@
-"""From the map to the site in pictures: the steps of one selection (the paper's Fig. 11)."""
+"""Figures of the steps of one selection, from the map to the site (the paper's Fig. 11)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _CLEAR_RADIUS_M = 1.5
 _INSET_M = 5.0
 """half the side of the enlarged site"""
 _HUE_STEP = 0.618034
-"""of a turn from one cluster's colour to the next: neighbours in number differ most"""
+"""hue difference of consecutive clusters, in turns: the golden ratio separates them"""
 _STYLE: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
@@ -51,13 +51,14 @@ _STYLE: Any = {
 }
 
 
-def steps_picture(selection: Selection, title: str, scorer: str) -> Colours:
-    """Two rows of four panels, north up, metres of the odom frame: the map in colour, smoothness,
-    flatness, distance; their sum, what the scorer makes of the ground, clusters, and the candidates
-    (blue, open where refused) with the site (red). (H, W, 3) RGB.
+def steps_figure(selection: Selection, title: str, scorer: str) -> Colours:
+    """Returns a figure (H, W, 3) RGB of two rows of four panels, north up, metres of the odom
+    frame.
 
-    ``scorer``: `landing.api.LandingParams.scorer`. ValueError: nothing was mapped.
-    """
+    Panels: the coloured map, smoothness, flatness, distance; their weighted sum, the probability or
+    check of the scorer, clusters, and the candidates (blue, open where refused) with the site
+    (red). ``scorer``: `landing.api.LandingParams.scorer`. Raises ValueError where nothing was
+    mapped."""
     view = selection.costmap
     if view is None:
         raise ValueError("nothing was mapped: there are no steps to draw")
@@ -80,24 +81,25 @@ def steps_picture(selection: Selection, title: str, scorer: str) -> Colours:
 
 
 def write_steps(path: Path, config: Config, selection: Selection) -> None:
-    """`steps_picture` of what was selected with ``config``, as JPEG of at most 250 kB. Raises
-    ValueError as it, and OSError where the file cannot be written."""
+    """Writes `steps_figure` of a selection with ``config`` as JPEG of at most 250 kB.
+
+    Raises ValueError as `steps_figure`, and OSError where the file cannot be written."""
     site = chosen(selection.candidates)
     verdict = "no site"
     if site is not None:
         east, north = site.position_odom[:2]
         verdict = f"site at ({east:.1f}, {north:.1f}) m, {site.reason}"
     title = f"{config.scene}, seed {config.seed}\n{verdict}"
-    path.write_bytes(jpeg(steps_picture(selection, title, config.landing.scorer)))
+    path.write_bytes(jpeg(steps_figure(selection, title, config.landing.scorer)))
 
 
-def picture_files(configs: Sequence[Config], folder: Path) -> list[Path]:
-    """A file of ``folder``, which is made, for each place: ``site_turf.jpg`` and so on, with the
-    seed in the name where there are several. Raises UsageError."""
+def figure_files(configs: Sequence[Config], folder: Path) -> list[Path]:
+    """Creates ``folder`` and returns a file in it for each scene, such as ``site_turf.jpg``, with
+    the seed in the name where there are several. Raises UsageError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"--pictures: '{folder}' cannot be made: {error.strerror}") from error
+        raise UsageError(f"--pictures: '{folder}' cannot be created: {error.strerror}") from error
     several = len({config.seed for config in configs}) > 1
     return [
         folder / f"site_{Path(config.scene).stem}{f'_{config.seed}' if several else ''}.jpg"
@@ -106,16 +108,16 @@ def picture_files(configs: Sequence[Config], folder: Path) -> list[Path]:
 
 
 def chosen(candidates: Sequence[Candidate]) -> Candidate | None:
-    """The site: the first candidate that was accepted."""
+    """Returns the site: the first candidate that was accepted."""
     return next((site for site in candidates if site.accepted), None)
 
 
-def jpeg(picture: Colours, most_bytes: int = MOST_BYTES) -> bytes:
-    """(H, W, 3) RGB in the best quality that fits, and in the least where none does."""
+def jpeg(image: Colours, most_bytes: int = MOST_BYTES) -> bytes:
+    """Returns an image (H, W, 3) RGB as JPEG in the best quality that fits, else in the lowest."""
     content = b""
     for quality in _QUALITIES:
         _, coded = cv2.imencode(
-            ".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality]
+            ".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality]
         )
         content = coded.tobytes()
         if len(content) <= most_bytes:
@@ -129,7 +131,7 @@ def _paint(
     photo = _photo(view)
     risk = scorer == "risk"
     known = np.isfinite(view.flatness)
-    believed = np.where(known, selection.probability, np.nan)
+    predicted = np.where(known, selection.probability, np.nan)
     clusters = cluster_colours(np.where(known, selection.cluster, np.int32(-1)))
     layers: list[tuple[str, Layer]] = [
         ("map, from above", photo),
@@ -137,7 +139,7 @@ def _paint(
         ("flatness (Eqs. 15–17)", view.flatness),
         ("distance (Eq. 18)", view.distance),
         ("weighted sum (Eq. 13)", view.total),
-        ("probability of a safe touchdown" if risk else "check of the ground", believed),
+        ("probability of a safe touchdown" if risk else "check of the ground", predicted),
         (f"{len(selection.modes)} clusters, Quick Shift (Eq. 19)", clusters),
         ("candidates (blue), site (red)", photo),
     ]
@@ -162,7 +164,7 @@ def _paint(
 
 
 def cluster_colours(label: NDArray[np.int32]) -> Colours:
-    """(rows, cols) numbers to (rows, cols, 3) RGB: one colour for each, dark outside."""
+    """Returns the colours (rows, cols, 3) RGB of cluster numbers (rows, cols), dark outside."""
     count = int(label.max(initial=-1)) + 1
     number = np.arange(count)
     hsv = np.empty((1, count + 1, 3), np.uint8)
@@ -175,7 +177,7 @@ def cluster_colours(label: NDArray[np.int32]) -> Colours:
 
 
 def _photo(view: CostmapView) -> Colours:
-    """The map in colour, dark where nothing is known, grey where only the LIDAR saw."""
+    """Returns the coloured map, dark where unknown, grey where it has no colour."""
     photo = view.rgb.copy()
     bare = ~photo.any(axis=2)
     photo[bare] = [int(_UNKNOWN[i : i + 2], 16) for i in (1, 3, 5)]
@@ -184,7 +186,7 @@ def _photo(view: CostmapView) -> Colours:
 
 
 def _show(axes: Axes, view: CostmapView, layer: Layer) -> Any:
-    """A raster in its place: (rows, cols) in [0, 1] or (rows, cols, 3) RGB."""
+    """Draws a raster at its position: (rows, cols) in [0, 1] or (rows, cols, 3) RGB."""
     low, high = _corner(view, 0, 0), _corner(view, *layer.shape[:2])
     axes.set_facecolor(_UNKNOWN)
     return axes.imshow(
@@ -199,14 +201,16 @@ def _show(axes: Axes, view: CostmapView, layer: Layer) -> Any:
 
 
 def _paint_modes(axes: Axes, view: CostmapView, selection: Selection) -> None:
-    places = _corner(view, 0, 0) + (selection.modes[:, ::-1] + 0.5) * view.cell_m
-    axes.scatter(places[:, 0], places[:, 1], s=5, color="white", edgecolors=_INK, linewidths=0.4)
+    positions = _corner(view, 0, 0) + (selection.modes[:, ::-1] + 0.5) * view.cell_m
+    axes.scatter(
+        positions[:, 0], positions[:, 1], s=5, color="white", edgecolors=_INK, linewidths=0.4
+    )
 
 
 def _paint_candidates(
     axes: Axes, view: CostmapView, photo: Colours, candidates: Sequence[Candidate]
 ) -> None:
-    """Candidates, the site among them, and what is around it."""
+    """Draws the candidates, the site, and an inset around it."""
     known = [site for site in candidates if np.isfinite(site.position_odom[:2]).all()]
     site = chosen(known)
     for other in known:
@@ -226,15 +230,15 @@ def _paint_candidates(
 
 
 def _paint_inset(
-    axes: Axes, view: CostmapView, photo: Colours, site: Candidate, places: Array
+    axes: Axes, view: CostmapView, photo: Colours, site: Candidate, positions: Array
 ) -> None:
-    """The site enlarged, in the corner with the fewest of ``places`` (N, 2), of those the farthest
-    from the site; the ring is the disc of 1.5 m that must be clear."""
+    """Draws the enlarged site in the corner with the fewest of ``positions`` (N, 2), of those the
+    farthest from the site; the ring is the radius of 1.5 m that must be clear."""
     east, north = (float(value) for value in site.position_odom[:2])
     rows, cols = seen_box(view)
     low, high = _corner(view, rows.start, cols.start), _corner(view, rows.stop, cols.stop)
     size = np.array([0.34, 0.34 * min(1.3, float((high - low)[0] / (high - low)[1]))])
-    share, own = (places - low) / (high - low), (np.array([east, north]) - low) / (high - low)
+    share, own = (positions - low) / (high - low), (np.array([east, north]) - low) / (high - low)
 
     def cost(corner: Array) -> tuple[int, float]:
         hidden = (np.abs(share - (corner + 0.5 * size)) < 0.5 * size + 0.02).all(axis=1)
@@ -256,5 +260,5 @@ def _paint_inset(
 
 
 def _corner(view: CostmapView, row: int, col: int) -> Array:
-    """(2,) east and north of the lower left corner of a cell."""
+    """Returns east and north (2,) of the lower left corner of a cell."""
     return np.asarray(view.origin_xy_m + view.cell_m * np.array([col, row], np.float64))

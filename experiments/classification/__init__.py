@@ -1,1 +1,2 @@
-"""`touchdown dataset`, `train`, `evaluate`, `quantize`, `classify`: the ground classifier."""
+"""Data, training and evaluation of the ground classifier: `touchdown dataset`, `train`, `evaluate`,
+`quantize`, `classify`. Produces images and labels; networks live in ``landing.classification``."""

@@ -1,4 +1,4 @@
-"""`touchdown classify`: the kind of ground all over a photograph, drawn over it."""
+"""`touchdown classify`: class maps of aerial photographs, drawn over them."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.experiments.classification.optional_import import recognition
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.images import read_picture, write_png
+from touchdown.landing.classification.engine import Classifier, class_probabilities
+from touchdown.landing.classification.windows import class_map
 
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 LAND_COLOURS = {
     "lawn": (120, 200, 80),
@@ -29,40 +30,40 @@ LAND_COLOURS = {
 UNSURE = "unsure"
 _UNSURE_RGB = (255, 255, 255)
 _COVER = 0.5
-"""share of a class's colour in the picture"""
+"""opacity of the class colours"""
 _LEGEND_PX = 34
 
 
-def classify_pictures(
+def classify_images(
     files: Sequence[Path],
     out: Path,
-    classifier: Any,
+    classifier: Classifier,
     window_px: int | None,
     least: float,
     notes: Any,
 ) -> list[dict[str, Any]]:
-    """Writes ``out``/NAME-classes.png for each file; shares of each class in it.
+    """Writes ``out``/NAME-classes.png for each file. Returns the share of each class in it.
 
-    ``window_px``: side of the square that is classified, by default a quarter of the picture's
-    shorter side, at least the network's own size; windows overlap by three quarters. Pixels whose
-    best class is less probable than ``least`` are left ``unsure``. Raises UsageError, before
-    anything is written, where a file is no picture or two would be written to one file.
+    ``window_px``: side of the square that is classified, by default a quarter of the image's
+    shorter side, at least the network's input size; windows overlap by three quarters. Pixels whose
+    best class is less probable than ``least`` are ``unsure``. Raises UsageError, before anything is
+    written, where a file is not an image or two results would have the same name.
     """
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out: '{out}' is a file; name a folder")
     targets = [out / f"{file.stem}-classes.png" for file in files]
     if len(set(targets)) < len(targets):
-        raise UsageError("two of the pictures have the same name: classify them one by one")
+        raise UsageError("two of the images have the same name: classify them one by one")
     for file in files:
         _window(read_picture(file), window_px, classifier.facts.image_size)
     out.mkdir(parents=True, exist_ok=True)
     rows = []
     for file, target in zip(files, targets, strict=True):
         notes(f"classifying {file}")
-        picture = read_picture(file)
-        window = _window(picture, window_px, classifier.facts.image_size)
-        chance = class_chances(picture, classifier, window)
-        write_png(target, class_picture(picture, chance, classifier.facts.classes, least))
+        image = read_picture(file)
+        window = _window(image, window_px, classifier.facts.image_size)
+        chance = class_chances(image, classifier, window)
+        write_png(target, class_overlay(image, chance, classifier.facts.classes, least))
         rows.append({
             "picture": str(file),
             "classes": str(target),
@@ -72,36 +73,31 @@ def classify_pictures(
     return rows
 
 
-def _window(picture: Picture, window_px: int | None, size: int) -> int:
-    shorter = min(picture.shape[:2])
+def _window(image: Image, window_px: int | None, size: int) -> int:
+    shorter = min(image.shape[:2])
     window = window_px or min(shorter, max(size, shorter // 4))
     if window > shorter:
         raise UsageError(
-            f"--window: {window} pixels do not fit into a picture of "
-            f"{picture.shape[1]} x {picture.shape[0]}"
+            f"--window: {window} pixels do not fit into an image of "
+            f"{image.shape[1]} x {image.shape[0]}"
         )
     return window
 
 
-def class_chances(picture: Picture, classifier: Any, window: int) -> NDArray[np.float32]:
-    """(H, W, C) probability of each class at each pixel."""
+def class_chances(image: Image, classifier: Classifier, window: int) -> NDArray[np.float32]:
+    """Returns the probability (H, W, C) of each class at each pixel."""
     size = classifier.facts.image_size
     way = cv2.INTER_AREA if window >= size else cv2.INTER_LINEAR
-    engine = recognition("engine")
 
-    def classify(windows: Picture) -> NDArray[np.float64]:
+    def classify(windows: Image) -> NDArray[np.float64]:
         scaled = [cv2.resize(w, (size, size), interpolation=way) for w in windows]
-        chances: NDArray[np.float64] = engine.chances(classifier, np.stack(scaled))
-        return chances
+        return class_probabilities(classifier, np.stack(scaled))
 
-    found: NDArray[np.float32] = recognition("windows").class_map(
-        picture, window, max(1, window // 4), classify
-    )
-    return found
+    return class_map(image, window, max(1, window // 4), classify)
 
 
 def class_colours(classes: Sequence[str]) -> dict[str, tuple[int, int, int]]:
-    """RGB of each class: fixed for D_Land, around the colour wheel for other schemes."""
+    """Returns the RGB colour of each class: fixed for D_Land, else around the colour wheel."""
     if set(classes) == set(LAND_COLOURS):
         return {name: LAND_COLOURS[name] for name in classes}
     wheel = {}
@@ -113,7 +109,7 @@ def class_colours(classes: Sequence[str]) -> dict[str, tuple[int, int, int]]:
 
 
 def _numbers(chance: NDArray[np.float32], least: float) -> NDArray[np.int64]:
-    """(H, W) class at each pixel; the number of classes where it is unsure."""
+    """Returns the class (H, W) of each pixel; the number of classes where it is unsure."""
     best = chance.argmax(axis=2)
     return np.where(chance.max(axis=2) >= least, best, chance.shape[2])
 
@@ -125,23 +121,24 @@ def _shares(chance: NDArray[np.float32], classes: Sequence[str], least: float) -
     return {name: float(share) for name, share in zip(names, counts, strict=True) if share > 0}
 
 
-def class_picture(
-    picture: Picture, chance: NDArray[np.float32], classes: Sequence[str], least: float
-) -> Picture:
-    """(H + legend, W, 3): the picture in the colours of its classes, white where unsure."""
+def class_overlay(
+    image: Image, chance: NDArray[np.float32], classes: Sequence[str], least: float
+) -> Image:
+    """Returns the image in the colours of its classes, white where unsure, with a legend below:
+    (H + legend, W, 3)."""
     colours = class_colours(classes) | {UNSURE: _UNSURE_RGB}
     palette = np.array(list(colours.values()), np.float32)
     numbers = _numbers(chance, least)
-    mixed = (1.0 - _COVER) * picture + _COVER * palette[numbers]
+    mixed = (1.0 - _COVER) * image + _COVER * palette[numbers]
     shares = np.bincount(numbers.ravel(), minlength=len(colours)) / numbers.size
     shown = [name for name, share in zip(colours, shares, strict=True) if share >= 0.002]
     legend = _legend([(n, colours[n], shares[list(colours).index(n)]) for n in shown],
-                     picture.shape[1])  # fmt: skip
+                     image.shape[1])  # fmt: skip
     return np.vstack([np.round(mixed).astype(np.uint8), legend])
 
 
-def _legend(rows: Sequence[tuple[str, tuple[int, int, int], float]], width: int) -> Picture:
-    """A line of names in as many bands as they need."""
+def _legend(rows: Sequence[tuple[str, tuple[int, int, int], float]], width: int) -> Image:
+    """Returns the legend, in as many bands as the names need."""
     scale, gap = 0.5, 14
     bands = [np.full((_LEGEND_PX, width, 3), 24, np.uint8)]
     left = gap

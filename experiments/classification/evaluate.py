@@ -1,5 +1,4 @@
-"""`touchdown evaluate`: how good a network is on pictures that it was not trained on, and what it
-costs."""
+"""`touchdown evaluate`: scores of a network on images that it was not trained on, and its cost."""
 
 from __future__ import annotations
 
@@ -16,39 +15,40 @@ import numpy as np
 from touchdown.experiments.classification.image_folders import (
     Entry,
     entries_of,
-    load_pictures,
+    load_images,
     read_catalogue,
 )
-from touchdown.experiments.classification.optional_import import recognition
+from touchdown.experiments.classification.optional_import import training_libraries
 from touchdown.experiments.classification.splits import HELD_OUT_SCENES
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.statistics import share_interval
-from touchdown.landing.api import LabelledPictures
+from touchdown.landing.api import LabelledImages
+from touchdown.landing.classification import footprint
+from touchdown.landing.classification.decision import decision_summary
+from touchdown.landing.classification.engine import Classifier
+from touchdown.landing.classification.onboard import SHIPPED
+from touchdown.landing.classification.scores import summary
+from touchdown.landing.classification.weights import NetworkFacts
 
 Progress = Callable[[int, int, str], None]
 _BATCH = 32
 _REPEATS = 30
 
 
-def load_classifier(network: Path, engine: str, threads: int) -> Any:
-    """A network's file in an engine. Raises UsageError where the engine is not installed."""
-    try:
-        return recognition("footprint").load_classifier(network, engine, threads)
-    except ImportError as error:
-        raise UsageError(
-            f"the engine '{engine}' needs {error.name}: install it with "
-            "pip install 'touchdown[train]'"
-        ) from error
+def load_classifier(network: Path, engine: str, threads: int) -> Classifier:
+    """Returns a network's file loaded in an engine. Raises UsageError where the engine is not
+    installed."""
+    with training_libraries():
+        return footprint.load_classifier(network, engine, threads)
 
 
 def shipped_network() -> Path:
-    """The one that comes with the project. Raises UsageError where none does."""
-    file: Path = recognition("onboard").SHIPPED
-    if not file.is_file():
+    """Returns the network that is shipped with the project. Raises UsageError without one."""
+    if not SHIPPED.is_file():
         raise UsageError(
-            "no network comes with touchdown: give --network, a file of `touchdown train`"
+            "no network is shipped with touchdown: give --network, a file of `touchdown train`"
         )
-    return file
+    return SHIPPED
 
 
 def evaluate_network(
@@ -61,18 +61,18 @@ def evaluate_network(
     progress: Progress,
     miss_costs: Sequence[tuple[str, float]] = (),
 ) -> dict[str, Any]:
-    """Scores on the pictures of ``split``, altogether, by data set and by scene; ROM, RAM and run
-    time. ``miss_costs``: in place of the file's.
+    """Returns the scores on the images of ``split``, overall, by data set and by scene, with the
+    size of the file (ROM), peak memory (RAM) and inference time.
 
-    Raises UsageError and ValueError for bad input.
+    ``miss_costs`` replace those of the file. Raises UsageError and ValueError for bad input.
     """
     classifier = load_classifier(network, engine, threads)
     if miss_costs:
         classifier.facts = replace(classifier.facts, miss_costs=tuple(miss_costs))
     facts = classifier.facts
     catalogues = [read_catalogue(argument, facts.labels) for argument in data]
-    pictures = load_pictures(catalogues, split, facts.labels, facts.image_size, progress)
-    scores = all_scores(classifier, pictures, progress)
+    images = load_images(catalogues, split, facts.labels, facts.image_size, progress)
+    scores = all_scores(classifier, images, progress)
     report: dict[str, Any] = {
         "network": facts.network,
         "labels": facts.labels,
@@ -82,24 +82,24 @@ def evaluate_network(
         "classes": list(facts.classes),
         "miss_costs": dict(facts.miss_costs),
         "rom_mb": network.stat().st_size / 1e6,
-        **_judged(scores, pictures.labels, facts),
+        **_summary(scores, images.labels, facts),
         "by_source": {
-            name: _judged(scores[of], pictures.labels[of], facts)
-            for number, name in enumerate(pictures.sources)
-            for of in [pictures.source == number]
+            name: _summary(scores[of], images.labels[of], facts)
+            for number, name in enumerate(images.sources)
+            for of in [images.source == number]
         },
-        "by_scene": _by_scene(scores, pictures.labels, entries_of(catalogues, split), facts),
+        "by_scene": _by_scene(scores, images.labels, entries_of(catalogues, split), facts),
     }
     if measure:
-        report |= footprint(network, engine)
+        report |= measured_footprint(network, engine)
     return report
 
 
 def _by_scene(
-    scores: Any, labels: Any, entries: Sequence[Entry], facts: Any
+    scores: Any, labels: Any, entries: Sequence[Entry], facts: NetworkFacts
 ) -> dict[str, dict[str, Any]]:
-    """Of rendered pictures: of each scene, and of those that are trained on and never trained on
-    together."""
+    """Returns the scores of rendered images by scene, and of the scenes trained on and never
+    trained on together."""
     of_picture = np.array([entry.scene for entry in entries])
     names = sorted(set(of_picture.tolist()) - {""})
     groups = {name: of_picture == name for name in names}
@@ -107,29 +107,31 @@ def _by_scene(
         held_out = np.isin(of_picture, HELD_OUT_SCENES)
         groups["scenes trained on"] = ~held_out & (of_picture != "")
         groups["scenes never trained on"] = held_out
-    return {name: _judged(scores[of], labels[of], facts) for name, of in groups.items() if of.any()}
+    return {
+        name: _summary(scores[of], labels[of], facts) for name, of in groups.items() if of.any()
+    }
 
 
-def all_scores(classifier: Any, pictures: LabelledPictures, progress: Progress) -> Any:
-    parts, count = [], len(pictures.labels)
+def all_scores(classifier: Classifier, images: LabelledImages, progress: Progress) -> Any:
+    """Returns the scores (N, C) of all images, computed batch by batch."""
+    parts, count = [], len(images.labels)
     for first in range(0, count, _BATCH):
-        parts.append(classifier.scores(pictures.images[first : first + _BATCH]))
+        parts.append(classifier.scores(images.images[first : first + _BATCH]))
         progress(min(first + _BATCH, count), count, "classifying")
     return np.concatenate(parts)
 
 
-def _judged(scores: Any, labels: Any, facts: Any) -> dict[str, Any]:
-    found: dict[str, Any] = recognition("scores").summary(scores, labels, facts.classes)
+def _summary(scores: Any, labels: Any, facts: NetworkFacts) -> dict[str, Any]:
+    found = summary(scores, labels, facts.classes)
     interval = share_interval(found["hits"], found["pictures"])
     found["top1_interval"] = [interval.low, interval.high]
     if facts.labels == "d_land":
-        decision = recognition("decision")
-        found["decision"] = decision.decision_summary(scores, labels, facts.limits)
+        found["decision"] = decision_summary(scores, labels, facts.limits)
     return found
 
 
-def footprint(network: Path, engine: str) -> dict[str, float]:
-    """Peak memory and time a picture on one thread, in a process of its own."""
+def measured_footprint(network: Path, engine: str) -> dict[str, float]:
+    """Returns peak memory and time for one image on one thread, measured in a separate process."""
     command = [
         sys.executable,
         "-m",

@@ -1,5 +1,5 @@
-"""Folders of labelled pictures, read for training: rendered patches, UC Merced, AID, Places365, and
-plain folders named as the classes."""
+"""Reading of labelled image folders: rendered patches, UC Merced, AID, Places365, and plain folders
+named as the classes."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from touchdown.experiments.classification.optional_import import recognition
 from touchdown.experiments.classification.render_dataset import COLUMNS, MANIFEST
 from touchdown.experiments.classification.splits import SPLITS, split_of_file, split_of_ucmerced
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.io.images import read_picture, squared
-from touchdown.landing.api import LabelledPictures
+from touchdown.landing.api import LabelledImages
+from touchdown.landing.classification import labels
 
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
 RENDERED = "rendered"
@@ -24,35 +23,34 @@ RENDERED = "rendered"
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One picture of a data set, not read yet."""
+    """File and label of one image of a data set."""
 
     file: Path
     label: int
     """index into the classes of the scheme"""
     split: str
     source: str
-    """kind of data set"""
+    """kind of the data set"""
     scene: str = ""
-    """of a rendered picture"""
+    """scene of a rendered image"""
 
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
-    """What a folder holds under one scheme."""
+    """Images of a folder with their labels under one scheme."""
 
     source: str
     entries: tuple[Entry, ...]
     left_out: int
-    """pictures whose class the scheme leaves out"""
+    """images whose class the scheme leaves out"""
 
 
 def read_catalogue(argument: str, scheme: str) -> Catalogue:
-    """The pictures of ``[KIND=]DIR``; without KIND the names of its folders tell the kind.
+    """Returns the images of ``[KIND=]DIR``; without KIND it follows from the names of the folders.
 
-    KIND: rendered, ucmerced, aid, places365, d_land. Raises UsageError: no such folder, no
-    pictures, a folder that is no class, a manifest of something else.
+    KIND is rendered, ucmerced, aid, places365 or d_land. Raises UsageError for a missing folder, a
+    folder without images, a folder that is not a class, or a manifest of another kind.
     """
-    labels = recognition("labels")
     kinds = (RENDERED, *labels.SOURCES)
     kind, _, rest = argument.rpartition("=")
     folder = Path(rest)
@@ -61,9 +59,9 @@ def read_catalogue(argument: str, scheme: str) -> Catalogue:
             f"--data: unknown kind '{kind}'{nearest(kind, kinds)}; known: {', '.join(kinds)}"
         )
     if not folder.is_dir():
-        raise UsageError(f"--data: '{folder}' is no folder")
+        raise UsageError(f"--data: '{folder}' is not a folder")
     if kind == RENDERED or (not kind and _is_rendered(folder)):
-        return _rendered(folder, scheme, labels)
+        return _rendered(folder, scheme)
     folders = sorted(path.name for path in folder.iterdir() if path.is_dir())
     if not folders:
         raise UsageError(f"--data: '{folder}' is empty: it has no folder for any class")
@@ -83,7 +81,7 @@ def _is_rendered(folder: Path) -> bool:
         return next(csv.reader(file), []) == list(COLUMNS)
 
 
-def _rendered(folder: Path, scheme: str, labels: Any) -> Catalogue:
+def _rendered(folder: Path, scheme: str) -> Catalogue:
     if not _is_rendered(folder):
         raise UsageError(
             f"--data: '{folder}' has no {MANIFEST} of `touchdown dataset render` in it"
@@ -100,12 +98,14 @@ def _rendered(folder: Path, scheme: str, labels: Any) -> Catalogue:
                 )
             else:
                 label = classes.index(row[scheme])
-                picture, split = folder / row["file"], row["split"]
-                entries.append(Entry(picture, label, split, RENDERED, row["scene"]))
+                image, split = folder / row["file"], row["split"]
+                entries.append(Entry(image, label, split, RENDERED, row["scene"]))
     return _checked(Catalogue(RENDERED, tuple(entries), left_out), folder)
 
 
-def _of_folders(folder: Path, kind: str, meanings: dict[str, Any], scheme: str) -> Catalogue:
+def _of_folders(
+    folder: Path, kind: str, meanings: dict[str, labels.Meaning], scheme: str
+) -> Catalogue:
     entries, left_out = [], 0
     for name, meaning in sorted(meanings.items()):
         files = sorted(
@@ -129,40 +129,40 @@ def _of_folders(folder: Path, kind: str, meanings: dict[str, Any], scheme: str) 
 
 def _checked(catalogue: Catalogue, folder: Path) -> Catalogue:
     if not catalogue.entries:
-        raise UsageError(f"--data: '{folder}' is empty: it holds no picture of any class")
+        raise UsageError(f"--data: '{folder}' is empty: it holds no image of any class")
     return catalogue
 
 
-def load_pictures(
+def load_images(
     catalogues: Sequence[Catalogue],
     split: str,
     scheme: str,
     pixels: int,
     progress: Callable[[int, int, str], None] = lambda done, total, note: None,
-) -> LabelledPictures:
-    """All pictures of a split, ``pixels`` across, in the order of the catalogues.
+) -> LabelledImages:
+    """Returns all images of a split, scaled to ``pixels``, in the order of the catalogues.
 
-    Raises UsageError as ``read_picture``, or where there is no picture in the split.
+    Raises UsageError as ``read_picture``, and where the split has no image.
     """
     entries = entries_of(catalogues, split)
     if not entries:
-        raise UsageError(f"--data: no picture is in the split '{split}': give more data")
+        raise UsageError(f"--data: no image is in the split '{split}': give more data")
     images = np.empty((len(entries), pixels, pixels, 3), np.uint8)
     for number, entry in enumerate(entries):
         images[number] = squared(read_picture(entry.file), pixels)
         progress(number + 1, len(entries), f"reading ({split})")
     sources = tuple(dict.fromkeys(entry.source for entry in entries))
-    return LabelledPictures(
+    return LabelledImages(
         images=images,
         labels=np.array([entry.label for entry in entries], np.int64),
-        classes=recognition("labels").SCHEMES[scheme],
+        classes=labels.SCHEMES[scheme],
         source=np.array([sources.index(entry.source) for entry in entries], np.int64),
         sources=sources,
     )
 
 
 def entries_of(catalogues: Sequence[Catalogue], split: str) -> list[Entry]:
-    """Of one split, in the order of the pictures that ``load_pictures`` gives."""
+    """Returns the entries of one split, in the order of ``load_images``."""
     return [
         entry for catalogue in catalogues for entry in catalogue.entries if entry.split == split
     ]

@@ -1,21 +1,24 @@
-"""Imports of modules that need an optional library."""
+"""One clear error where a library of the extra ``train`` is missing."""
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from touchdown.experiments.errors import UsageError
 
+LIBRARIES = ("torch", "onnx", "onnxruntime")
 
-def recognition(module: str) -> Any:
-    """A module of the package `landing.classification`, such as ``labels``. Raises UsageError where
-    it needs a library that is not installed."""
+
+@contextmanager
+def training_libraries() -> Iterator[None]:
+    """Turns the ImportError of a missing library of ``LIBRARIES`` inside the block into a
+    UsageError with the command that installs it."""
     try:
-        return importlib.import_module(f"touchdown.landing.classification.{module}")
+        yield
     except ImportError as error:
         missing = (error.name or "").partition(".")[0]
-        if missing not in ("torch", "onnx", "onnxruntime"):
+        if missing not in LIBRARIES:
             raise
         raise UsageError(
             f"this needs {missing}: install it with pip install 'touchdown[train]'"

@@ -1,8 +1,7 @@
-"""Square patches of scenes seen from the air, and the kind of ground each shows.
+"""Square aerial patches of rendered scenes with the class of their ground.
 
-A patch is what the vehicle's camera sees of a square of ground; its class is that of most of it, by
-the true segmentation. Light, blur and noise are drawn for each patch.
-"""
+A patch is cut out of an image of the vehicle's camera; its class is that of most of its pixels by
+the ground-truth segmentation. Light, blur and noise are random for each patch."""
 
 from __future__ import annotations
 
@@ -15,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.experiments.classification.colour_randomization import material_picture, recoloured
-from touchdown.experiments.classification.image_types import Counts, Int32, Picture
+from touchdown.experiments.classification.colour_randomization import material_image, recoloured
+from touchdown.experiments.classification.image_types import Counts, Image, Int32
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.experiments.scene_tools.aerial_views import (
@@ -33,41 +32,41 @@ Array = NDArray[np.float64]
 
 HEIGHTS_M = (5.0, 60.0)
 SIDES_M = (3.2, 25.6)
-"""of the square of ground, drawn by its logarithm; flights look at 6.4 m"""
+"""side of the square of ground, uniform in its logarithm; flights classify 6.4 m"""
 LEAST_SHARE, LEAST_MIDDLE = 0.6, 0.95
-"""of a patch that shows its class, and of the middle of it, where a vehicle would stand: less, and
-two answers are right"""
+"""least share of the class in a patch, and in its middle, where a vehicle would stand: below it the
+label is ambiguous"""
 _MIDDLE = 0.4
-"""width of the middle"""
+"""width of the middle relative to the patch"""
 _LEAST_PX = 48
 _DRAWN = 192
-"""squares that are tried in one picture"""
+"""number of squares that are tried in one image"""
 _PER_VIEW, _PER_CLASS = 4, 2
-"""patches of one picture at most, and of one class among them"""
+"""largest number of patches of one image, and of one class among them"""
 _MOST_VIEWS = 2
-"""pictures for every patch that is wanted, before a place is given up"""
+"""largest number of images for each wanted patch"""
 _NOTHING = -1
 _FULL = -1
-"""in place of the number of patches taken of a class: no more are wanted"""
+"""marks a class of which no more patches are wanted, in place of their number"""
 
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """One labelled picture."""
+    """A labelled patch."""
 
-    rgb: Picture
+    rgb: Image
     """(S, S, 3)"""
     land_class: str
     share: float
-    """of its pixels that show ``land_class``"""
+    """share of its pixels of ``land_class``"""
     height_m: float
-    """of the camera over the ground in the middle, along the optical axis"""
+    """height of the camera above the ground in the middle, along the optical axis"""
     side_m: float
 
 
 @dataclass(frozen=True, slots=True)
 class _Square:
-    """Of the half-size class picture: its first row and column, its side, and what it shows."""
+    """A square of the class image of half resolution: first row and column, side, and class."""
 
     row: int
     col: int
@@ -80,12 +79,12 @@ class _Square:
 def scene_patches(
     name: str, seed: int, count: int, pixels: int, variation: int, new_colours: float = 0.0
 ) -> list[Patch]:
-    """Up to ``count`` patches of ``pixels`` across of a scene's ``seed``; rare classes first.
+    """Returns up to ``count`` patches of ``pixels`` across of one seed of a scene; rare classes
+    first.
 
-    A pure function of its arguments; ``variation`` changes poses, squares and light. In a share of
-    ``new_colours`` of the pictures materials have colours that the scene does not give them. Fewer
-    come back where a place does not show enough ground of one class. Raises UsageError for bad
-    names.
+    A pure function of its arguments; ``variation`` changes poses, squares and light. In a share
+    ``new_colours`` of the images the materials have random colours. There are fewer patches where
+    the scene does not show enough unambiguous ground. Raises UsageError for an unknown scene.
     """
     config = load_config(None, ("camera.noise_sigma=0", "camera.samples=4"), scene=name, seed=seed)
     scene = build_scene(config)
@@ -99,11 +98,11 @@ def scene_patches(
     try:
         for number in range(_MOST_VIEWS * count):
             view, _, _ = look_anywhere(camera, scene, rng, number, HEIGHTS_M)
-            shown = class_picture(view, scene, classes, matrix)
+            shown = class_image(view, scene, classes, matrix)
             if new_colours > 0.0 and colours.uniform() < new_colours:
-                materials = material_picture(scene, view.geom_id[::2, ::2], shown)
+                materials = material_image(scene, view.geom_id[::2, ::2], shown)
                 view = replace(view, rgb=recoloured(view.rgb, materials, colours))
-            # while there is time, a class that has its share waits for the others
+            # at first, a class that has its share is not taken any more
             open_to = np.where(taken < _share(count, number), taken, _FULL)
             squares = list(_squares(view, shown, matrix, open_to, rng))
             for square in _rarest(squares, open_to, min(_PER_VIEW, count - len(found))):
@@ -117,12 +116,12 @@ def scene_patches(
 
 
 def _share(count: int, view: int) -> int:
-    """Patches of one class that are taken up to this picture: a fifth, then any number."""
+    """Returns the number of patches of one class up to this image: a fifth, later any number."""
     return max(1, count // 5) if view < count else count
 
 
 def geom_classes(scene: Scene) -> Int32:
-    """(G,) land class id of every geom, or ``OTHER_CLASS_ID``."""
+    """Returns the land class id (G,) of every geom, or ``OTHER_CLASS_ID``."""
     table = np.full(scene.model.ngeom, OTHER_CLASS_ID, np.int32)
     for geom in range(scene.model.ngeom):
         surface = scene.surfaces.get(scene.model.geom(geom).name)
@@ -131,23 +130,24 @@ def geom_classes(scene: Scene) -> Int32:
     return table
 
 
-def class_picture(view: AerialView, scene: Scene, classes: Int32, matrix: Array) -> Int32:
-    """(H/2, W/2) land class ids of a view, `OTHER_CLASS_ID` for other things, -1 for nothing."""
+def class_image(view: AerialView, scene: Scene, classes: Int32, matrix: Array) -> Int32:
+    """Returns the land class ids (H/2, W/2) of a view, `OTHER_CLASS_ID` for other objects, -1 for
+    the background."""
     geom_id = view.geom_id[::2, ::2]
-    picture = np.where(geom_id >= 0, classes[geom_id], _NOTHING).astype(np.int32)
+    image = np.where(geom_id >= 0, classes[geom_id], _NOTHING).astype(np.int32)
     if scene.ground is not None:
-        paint_ground(picture, view, scene, matrix)
-    return picture
+        paint_ground(image, view, scene, matrix)
+    return image
 
 
 def _squares(
-    view: AerialView, picture: Int32, matrix: Array, taken: Counts, rng: np.random.Generator
+    view: AerialView, image: Int32, matrix: Array, taken: Counts, rng: np.random.Generator
 ) -> Iterator[_Square]:
-    """Those among squares drawn at random that show one class of ground."""
-    rows, cols = picture.shape
-    sums = _integral(picture)
+    """Yields those of random squares that show one class of ground."""
+    rows, cols = image.shape
+    sums = _integral(image)
     half_focal = 0.5 * float(matrix[0, 0])
-    for row, col in _middles(picture, taken, rng):
+    for row, col in _middles(image, taken, rng):
         side_m = float(np.exp(rng.uniform(*np.log(SIDES_M))))
         depth = float(view.depth_m[2 * row, 2 * col])
         if not np.isfinite(depth):
@@ -166,43 +166,43 @@ def _squares(
             yield _Square(top, left, side, land_class, share, depth)
 
 
-def _middles(picture: Int32, taken: Counts, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
-    """Pixels drawn at random, as many of each class in the picture that is not full."""
-    flat = picture.ravel()
+def _middles(image: Int32, taken: Counts, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
+    """Yields random pixels, equally many of each class in the image that is still wanted."""
+    flat = image.ravel()
     order = np.argsort(flat, kind="stable")
     starts = np.searchsorted(flat[order], np.arange(len(LAND_CLASSES) + 1))
     shown = [c for c in np.flatnonzero(np.diff(starts)) if taken[c] >= 0]
     for number in range(_DRAWN if shown else 0):
         first, beyond = starts[shown[number % len(shown)]], starts[shown[number % len(shown)] + 1]
-        row, col = divmod(int(order[rng.integers(first, beyond)]), picture.shape[1])
+        row, col = divmod(int(order[rng.integers(first, beyond)]), image.shape[1])
         yield row, col
 
 
-def _integral(picture: Int32) -> NDArray[np.int32]:
-    """(classes + 1, H + 1, W + 1) sums over all rows before and all columns before; the last one
-    counts pixels that show nothing, beyond the rim of the place."""
-    rows, cols = picture.shape
+def _integral(image: Int32) -> NDArray[np.int32]:
+    """Returns integral images (classes + 1, H + 1, W + 1) of each class; the last counts background
+    pixels, beyond the border of the scene."""
+    rows, cols = image.shape
     sums = np.zeros((len(LAND_CLASSES) + 1, rows + 1, cols + 1), np.int32)
     for number in (*range(len(LAND_CLASSES)), _NOTHING):
-        sums[number] = cv2.integral((picture == number).astype(np.uint8))
+        sums[number] = cv2.integral((image == number).astype(np.uint8))
     return sums
 
 
 def _counts(sums: NDArray[np.int32], top: int, left: int, side: int) -> NDArray[np.int32]:
-    """(classes + 1,) pixels of each in a square."""
+    """Returns the number of pixels (classes + 1,) of each class in a square."""
     below, right = top + side, left + side
     return sums[:, below, right] - sums[:, top, right] - sums[:, below, left] + sums[:, top, left]
 
 
 def _majority(sums: NDArray[np.int32], top: int, left: int, side: int) -> tuple[int, float]:
-    """The commonest land class of a square and its share of all pixels in it."""
+    """Returns the most frequent land class of a square and its share of the pixels."""
     counts = _counts(sums, top, left, side)[:_NOTHING]
     best = int(counts.argmax())
     return best, float(counts[best]) / side**2
 
 
 def _rarest(squares: list[_Square], taken: Counts, most: int) -> list[_Square]:
-    """Up to ``most`` squares whose middles lie outside one another, of what is rarest so far."""
+    """Returns up to ``most`` squares that overlap little, of the rarest classes so far."""
     counts = taken.copy()
     of_view = np.zeros_like(counts)
     chosen: list[_Square] = []
@@ -243,9 +243,9 @@ def _cut(
     )
 
 
-def varied(rgb: Picture, rng: np.random.Generator) -> Picture:
-    """(H, W, 3) in another light, through another lens: exposure, white balance, haze, motion and
-    focus blur, noise. The same number of draws for every picture, but for the noise."""
+def varied(rgb: Image, rng: np.random.Generator) -> Image:
+    """Returns an image (H, W, 3) with random exposure, white balance, haze, motion blur, focus blur
+    and noise. Apart from the noise, the number of draws is the same for every image."""
     exposure, warmth = 2.0 ** rng.uniform(-0.9, 0.6), rng.normal(0.0, 0.06)
     tint, haze = rng.normal(0.0, 0.03), max(0.0, rng.uniform(-0.3, 0.15))
     motion_px, direction = max(0.0, rng.uniform(-6.0, 5.0)), rng.uniform(0.0, np.pi)
@@ -263,7 +263,8 @@ def varied(rgb: Picture, rng: np.random.Generator) -> Picture:
 
 
 def _streak(length_px: float, direction: float) -> NDArray[np.float32]:
-    """A kernel that sums to 1: a line of ``length_px`` through its middle."""
+    """Returns a kernel of motion blur that sums to 1: a line of ``length_px`` through its
+    middle."""
     reach = int(np.ceil(length_px / 2))
     down, across = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     along = across * np.cos(direction) + down * np.sin(direction)

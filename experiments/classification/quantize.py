@@ -1,4 +1,4 @@
-"""`touchdown quantize`: a network's file with smaller weights, and limits that suit it."""
+"""`touchdown quantize`: a network's file with smaller weights and refitted limits."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from touchdown.experiments.classification.evaluate import Progress, all_scores, load_classifier
-from touchdown.experiments.classification.image_folders import load_pictures, read_catalogue
-from touchdown.experiments.classification.optional_import import recognition
+from touchdown.experiments.classification.image_folders import load_images, read_catalogue
+from touchdown.experiments.classification.optional_import import training_libraries
 from touchdown.experiments.errors import UsageError
+from touchdown.landing.classification.decision import fitted_limits
 
 
 def quantize_network(
@@ -23,23 +24,23 @@ def quantize_network(
     pictures: int,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Writes ``out`` and its checksum; top-1 on the validation pictures before and after.
+    """Writes ``out`` and its checksum. Returns top-1 on the validation images before and after.
 
-    ``pictures``: of the training split, spread evenly, that give the ranges of int8 activations.
+    ``pictures``: number of images of the training split, evenly spread, that give the ranges of
+    int8 activations.
     Raises UsageError and ValueError for bad input, before anything is written.
     """
     if out.suffix != ".onnx" or out.is_dir():
-        raise UsageError(
-            f"--out: '{out}' is no name of a network's file: give one that ends in .onnx"
-        )
+        raise UsageError(f"--out: '{out}' is not a network's file: give a name that ends in .onnx")
     if out.resolve() == network.resolve():
         raise UsageError(f"--out: '{out}' is the network itself: give another name")
-    variants = recognition("learning.variants")
+    with training_libraries():
+        from touchdown.landing.classification.learning import variants
     before = load_classifier(network, "onnx", 1)
     facts = before.facts
     catalogues = [read_catalogue(argument, facts.labels) for argument in data]
     train, val = (
-        load_pictures(catalogues, split, facts.labels, facts.image_size, progress)
+        load_images(catalogues, split, facts.labels, facts.image_size, progress)
         for split in ("train", "val")
     )
     spread = np.linspace(0, len(train.labels) - 1, min(pictures, len(train.labels))).astype(int)
@@ -47,7 +48,7 @@ def quantize_network(
     variants.write_variant(network, out, weight_type, train.images[spread])
     scores = all_scores(load_classifier(out, "onnx", 1), val, progress)
     if facts.labels == "d_land":
-        limits = recognition("decision").fitted_limits(scores, val.labels)
+        limits = fitted_limits(scores, val.labels)
         facts = dataclasses.replace(facts, limits=limits)
         variants.with_facts(out, facts)
     own = all_scores(before, val, progress)

@@ -1,4 +1,5 @@
-"""A folder of labelled patches: pictures by place, `manifest.csv`, a contact sheet."""
+"""`touchdown dataset render`: a folder of labelled patches by scene and seed, `manifest.csv` and a
+contact sheet."""
 
 from __future__ import annotations
 
@@ -16,12 +17,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.experiments.classification.optional_import import recognition
 from touchdown.experiments.classification.patches import Patch, scene_patches
-from touchdown.experiments.classification.splits import SPLITS, split_of_place
+from touchdown.experiments.classification.splits import SPLITS, split_of_layout
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.io.images import read_picture, write_png
 from touchdown.experiments.io.run_directory import run_directory
+from touchdown.landing.classification.labels import Meaning, rendered_meaning
 from touchdown.scenes.api import LAND_CLASSES
 from touchdown.scenes.registry import scene_names
 
@@ -30,19 +31,22 @@ SHEET = "contact_sheet.png"
 COLUMNS = (
     "file", "d_land", "d_scene", "scene", "seed", "split", "height_m", "side_m", "share",
 )  # fmt: skip
-PER_PLACE = 40
+PER_SEED = 40
+Progress = Callable[[int, int, str], None]
 FIRST_SEED = 1000
-"""far from the seeds of flights: no flight is over a place that was trained on"""
+"""above the seeds of flights, so that no flight is over ground that was trained on"""
 _SEEDS_APART = 100_000
 """between the first seeds of two data sets"""
 _MOST_ROUNDS = 10
-"""of further seeds when places did not show enough"""
+"""rounds of further seeds where layouts did not show enough ground of one class"""
 _SHEET_COLUMNS = 10
 _SHEET_PX, _NAME_PX, _GAP = 96, 110, 4
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
+class _Layout:
+    """One seed of a scene and the patches to render of it."""
+
     scene: str
     seed: int
     count: int
@@ -56,28 +60,40 @@ class _Place:
         return f"{self.scene}-{self.seed}"
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DatasetParams:
+    """Size and content of a data set of rendered patches."""
+
+    images: int
+    seed: int = 0
+    """of the layouts, poses and light"""
+    scenes: Sequence[str] = ()
+    """names; all scenes where there are none"""
+    pixels: int = 128
+    """across a patch"""
+    per_seed: int = PER_SEED
+    """patches of each seed of a scene"""
+    new_colours: float = 0.0
+    """share of views in colours that the scene does not have"""
+
+
 def render_dataset(
     out: Path,
-    images: int,
-    seed: int,
-    scenes: Sequence[str] = (),
-    pixels: int = 128,
-    per_place: int = PER_PLACE,
+    params: DatasetParams,
+    *,
     jobs: int = 1,
-    new_colours: float = 0.0,
-    progress: Callable[[int, int, str], None] = lambda done, total, note: None,
+    progress: Progress = lambda done, total, note: None,
 ) -> dict[str, Any]:
-    """Renders ``images`` patches of ``pixels`` across into the new folder ``out``.
+    """Renders labelled patches into the new folder ``out``, in ``jobs`` processes.
 
-    Each scene is seen with as many seeds as it takes at ``per_place`` patches a seed, a share of
-    ``new_colours`` of the views in colours that the scene does not have. The same
-    arguments give the same bytes, whatever ``jobs``. The folder appears when it is complete.
-    Raises UsageError: ``out`` is not empty, an unknown scene.
+    Each scene is rendered with as many seeds as it takes at ``params.per_seed`` patches a seed. The
+    same ``params`` give the same bytes, whatever ``jobs``. The folder appears when it is complete.
+    Raises UsageError where ``out`` is not empty or a scene is unknown.
     """
-    names = _checked_scenes(scenes)
+    names = _checked_scenes(params.scenes)
     _check_target(out)
     with run_directory(out) as partial:
-        rows = _render(partial, names, images, seed, pixels, per_place, jobs, new_colours, progress)
+        rows = _render(partial, names, params, jobs, progress)
         (partial / MANIFEST).write_text(_csv(rows), encoding="utf-8")
         write_png(partial / SHEET, contact_sheet(_samples(partial, rows)))
     return {"directory": str(out), "images": len(rows), **_counts(rows)}
@@ -101,45 +117,45 @@ def _check_target(out: Path) -> None:
 
 
 def _render(
-    folder: Path,
-    scenes: Sequence[str],
-    images: int,
-    seed: int,
-    pixels: int,
-    per_place: int,
-    jobs: int,
-    new_colours: float,
-    progress: Callable[[int, int, str], None],
+    folder: Path, scenes: Sequence[str], params: DatasetParams, jobs: int, progress: Progress
 ) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
-    first = FIRST_SEED + _SEEDS_APART * seed
+    first = FIRST_SEED + _SEEDS_APART * params.seed
     with _workers(jobs) as run:
         for _ in range(_MOST_ROUNDS):
-            wanted = images - len(rows)
-            seeds = -(-wanted // (len(scenes) * per_place))
-            counts = _even(wanted, seeds * len(scenes))
-            places = [
-                _Place(name, first + number, counts.pop(), pixels, seed, new_colours, str(folder))
+            missing = params.images - len(rows)
+            seeds = -(-missing // (len(scenes) * params.per_seed))
+            counts = _even(missing, seeds * len(scenes))
+            layouts = [
+                _Layout(
+                    scene=name,
+                    seed=first + number,
+                    count=counts.pop(),
+                    pixels=params.pixels,
+                    variation=params.seed,
+                    new_colours=params.new_colours,
+                    folder=str(folder),
+                )
                 for number in range(seeds)
                 for name in scenes
             ]
             first += seeds
-            for place, found in zip(places, run(_render_place, places), strict=True):
+            for layout, found in zip(layouts, run(_render_layout, layouts), strict=True):
                 rows += found
-                progress(len(rows), images, f"{place.scene}, seed {place.seed}")
-            if len(rows) == images:
+                progress(len(rows), params.images, f"{layout.scene}, seed {layout.seed}")
+            if len(rows) == params.images:
                 return rows
     raise UsageError(f"these scenes show only {len(rows)} patches of one kind of ground")
 
 
 def _even(total: int, parts: int) -> list[int]:
-    """``parts`` numbers that differ by at most one and add up to ``total``."""
+    """Returns ``parts`` numbers that differ by at most one and add up to ``total``."""
     return [total // parts + (number < total % parts) for number in range(parts)][::-1]
 
 
 @contextmanager
 def _workers(jobs: int) -> Iterator[Callable[..., Iterator[list[dict[str, Any]]]]]:
-    """``map``, over worker processes where there is more than one job; results in order."""
+    """Yields ``map``, over worker processes for more than one job; results in order."""
     if jobs == 1:
         yield map
         return
@@ -148,35 +164,32 @@ def _workers(jobs: int) -> Iterator[Callable[..., Iterator[list[dict[str, Any]]]
         yield pool.map
 
 
-def _render_place(place: _Place) -> list[dict[str, Any]]:
-    """Writes the pictures of one place; their rows of the manifest."""
+def _render_layout(layout: _Layout) -> list[dict[str, Any]]:
+    """Writes the images of one layout. Returns their rows of the manifest."""
     cv2.setNumThreads(1)
-    if place.count == 0:
+    if layout.count == 0:
         return []
-    labels = recognition("labels")
-    folder = Path(place.folder) / place.name
+    folder = Path(layout.folder) / layout.name
     folder.mkdir()
     rows = []
     patches = scene_patches(
-        place.scene, place.seed, place.count, place.pixels, place.variation, place.new_colours
+        layout.scene, layout.seed, layout.count, layout.pixels, layout.variation, layout.new_colours
     )
     for number, patch in enumerate(patches):
-        file = f"{place.name}/{number:04d}.png"
-        write_png(Path(place.folder) / file, patch.rgb)
-        rows.append(
-            _row(file, place, patch, labels.rendered_meaning(place.scene, patch.land_class))
-        )
+        file = f"{layout.name}/{number:04d}.png"
+        write_png(Path(layout.folder) / file, patch.rgb)
+        rows.append(_row(file, layout, patch, rendered_meaning(layout.scene, patch.land_class)))
     return rows
 
 
-def _row(file: str, place: _Place, patch: Patch, meaning: Any) -> dict[str, Any]:
+def _row(file: str, layout: _Layout, patch: Patch, meaning: Meaning) -> dict[str, Any]:
     return {
         "file": file,
         "d_land": meaning.d_land,
         "d_scene": meaning.d_scene or "",
-        "scene": place.scene,
-        "seed": place.seed,
-        "split": split_of_place(place.scene, place.seed),
+        "scene": layout.scene,
+        "seed": layout.seed,
+        "split": split_of_layout(layout.scene, layout.seed),
         "height_m": f"{patch.height_m:.2f}",
         "side_m": f"{patch.side_m:.2f}",
         "share": f"{patch.share:.3f}",
@@ -192,7 +205,7 @@ def _csv(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
-    """How many patches there are of each class and in each split."""
+    """Returns the number of patches of each class and in each split."""
     found: dict[str, dict[str, int]] = {}
     for key, names in (("classes", LAND_CLASSES), ("splits", SPLITS)):
         column = "d_land" if key == "classes" else "split"
@@ -201,27 +214,27 @@ def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
 
 
 def _samples(folder: Path, rows: Sequence[dict[str, Any]]) -> dict[str, list[NDArray[np.uint8]]]:
-    """A few pictures of each class, from as many places as there are."""
+    """Returns a few images of each class, spread over the layouts."""
     samples: dict[str, list[NDArray[np.uint8]]] = {}
     for name in LAND_CLASSES:
         files = [row["file"] for row in rows if row["d_land"] == name]
         spread = np.linspace(0, len(files) - 1, min(_SHEET_COLUMNS, len(files)))
-        samples[name] = [read_picture(folder / files[place]) for place in spread.astype(int)]
+        samples[name] = [read_picture(folder / files[index]) for index in spread.astype(int)]
     return samples
 
 
 def contact_sheet(samples: dict[str, list[NDArray[np.uint8]]]) -> NDArray[np.uint8]:
-    """(H, W, 3): a row of pictures for each class, as the paper's Fig. 5."""
+    """Returns a contact sheet (H, W, 3): a row of images for each class, as the paper's Fig. 5."""
     pitch = _SHEET_PX + _GAP
     sheet = np.full(
         (pitch * len(samples) + _GAP, _NAME_PX + pitch * _SHEET_COLUMNS, 3), 255, np.uint8
     )
-    for number, (name, pictures) in enumerate(samples.items()):
+    for number, (name, images) in enumerate(samples.items()):
         top = _GAP + number * pitch
         cv2.putText(sheet, name, (_GAP + 4, top + _SHEET_PX // 2 + 5), cv2.FONT_HERSHEY_SIMPLEX,
                     0.6, (30, 30, 30), 1, cv2.LINE_AA)  # fmt: skip
-        for place, picture in enumerate(pictures[:_SHEET_COLUMNS]):
-            left = _NAME_PX + place * pitch
-            small = cv2.resize(picture, (_SHEET_PX, _SHEET_PX), interpolation=cv2.INTER_AREA)
+        for column, image in enumerate(images[:_SHEET_COLUMNS]):
+            left = _NAME_PX + column * pitch
+            small = cv2.resize(image, (_SHEET_PX, _SHEET_PX), interpolation=cv2.INTER_AREA)
             sheet[top : top + _SHEET_PX, left : left + _SHEET_PX] = small
     return sheet

@@ -1,4 +1,4 @@
-"""`touchdown train`: pictures in, a network's file and its learning curves out."""
+"""`touchdown train`: training of a network on labelled images, its file and learning curves."""
 
 from __future__ import annotations
 
@@ -11,14 +11,19 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.classification.image_folders import load_pictures, read_catalogue
-from touchdown.experiments.classification.optional_import import recognition
+from touchdown.experiments.classification.image_folders import load_images, read_catalogue
+from touchdown.experiments.classification.optional_import import training_libraries
 from touchdown.experiments.errors import UsageError
+from touchdown.landing.classification.decision import fitted_limits
+from touchdown.landing.classification.engine import apply_miss_costs
+from touchdown.landing.classification.labels import SCHEMES
+from touchdown.landing.classification.scores import summary
+from touchdown.landing.classification.weights import NetworkFacts
 
 CURVES, RECORDING, REPORT, NETWORK = "curves.csv", "curves.rrd", "training.json", "network.onnx"
 Progress = Callable[[int, int, str], None]
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4
-"""of glibc's mallopt"""
+"""parameters of glibc's mallopt"""
 
 
 def train_network(
@@ -32,21 +37,22 @@ def train_network(
     start: Path | None = None,
     compiled: bool = False,
 ) -> dict[str, Any]:
-    """Trains until it ends by itself; a training in ``out`` that was stopped goes on.
+    """Trains to the end; an interrupted training in ``out`` is resumed. Returns the report.
 
     ``options``: fields of ``landing.classification.learning.training.TrainParams``. Raises
     UsageError for bad input, before anything is written."""
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out: '{out}' is a file; name a folder")
-    training, registry = recognition("learning.training"), recognition("networks.registry")
-    export = recognition("learning.export")
+    with training_libraries():
+        from touchdown.landing.classification.learning import export, training
+        from touchdown.landing.classification.networks.registry import check_network
     params = training.TrainParams(**options)
-    registry.check_network(params.network, params.image_size)
-    facts = recognition("weights").NetworkFacts(
+    check_network(params.network, params.image_size)
+    facts = NetworkFacts(
         network=params.network,
         labels=params.labels,
         image_size=params.image_size,
-        classes=recognition("labels").SCHEMES[params.labels],
+        classes=SCHEMES[params.labels],
         miss_costs=params.miss_costs,
     )
     chosen = training.chosen_device(device)
@@ -54,13 +60,13 @@ def train_network(
         keep_freed_memory()
     catalogues = [read_catalogue(argument, params.labels) for argument in data]
     train, val = (
-        load_pictures(catalogues, split, params.labels, params.image_size, progress)
+        load_images(catalogues, split, params.labels, params.image_size, progress)
         for split in ("train", "val")
     )
     out.mkdir(parents=True, exist_ok=True)
     trainer = training.Trainer(params, train, val, out, chosen, start=start, compiled=compiled)
     if trainer.history:
-        notes(f"going on after epoch {len(trainer.history)}")
+        notes(f"resuming after epoch {len(trainer.history)}")
     while not trainer.finished:
         row = trainer.run_epoch(progress)
         write_curves(out / CURVES, trainer.history)
@@ -69,13 +75,13 @@ def train_network(
             "F1 {val_macro_f1:.3f}  top-1 {val_top1:.3f}".format(**row)
         )
     best = trainer.best()
-    weighed = recognition("engine").weighed(best.scores, facts)
+    weighted = apply_miss_costs(best.scores, facts)
     if params.labels == "d_land":
-        limits = recognition("decision").fitted_limits(weighed, val.labels)
+        limits = fitted_limits(weighted, val.labels)
         facts = replace(facts, limits=limits)
     export.export_network(out / NETWORK, best.network, best.temperature, facts)
     record_curves(out / RECORDING, best.history)
-    found = recognition("scores").summary(weighed, val.labels, val.classes)
+    found = summary(weighted, val.labels, val.classes)
     report = {
         "network_file": str(out / NETWORK),
         "parameters": asdict(params),
@@ -95,10 +101,10 @@ def train_network(
 
 
 def keep_freed_memory() -> None:
-    """Has this process keep what it frees, from now on.
+    """Makes this process keep freed memory.
 
-    Every step of a training needs as much as the last. glibc gives large blocks back to the system
-    and gets them again, zeroed page by page, which took a third of the time on a processor.
+    Every step of a training needs the same memory. glibc returns large blocks to the system and
+    allocates them again, zeroed page by page, which took a third of the time on a CPU.
     """
     if sys.platform == "linux":
         mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # other C libraries lack it
@@ -108,7 +114,7 @@ def keep_freed_memory() -> None:
 
 
 def write_curves(path: Path, history: Sequence[Mapping[str, float]]) -> None:
-    """One row an epoch."""
+    """Writes the learning curves as CSV, one row an epoch."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, list(history[0]), lineterminator="\n")
         writer.writeheader()
@@ -116,7 +122,7 @@ def write_curves(path: Path, history: Sequence[Mapping[str, float]]) -> None:
 
 
 def record_curves(path: Path, history: Sequence[Mapping[str, float]]) -> None:
-    """The same for the Rerun viewer: `touchdown view FILE`."""
+    """Writes the learning curves for the Rerun viewer: `touchdown view FILE`."""
     import rerun as rr
 
     stream = rr.RecordingStream("touchdown training", recording_id=str(path.parent.name))

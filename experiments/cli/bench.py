@@ -170,8 +170,8 @@ def bench_landing(
     for name, milliseconds in figures["stage_ms"].items():
         other = f"{beside[name]:9.1f}" if name in beside else ""
         click.echo(f"{name:14}{milliseconds:8.2f} ms{other}")
-    if "place_ms" in figures:
-        asked, ms = figures["place_asked"], figures["place_ms"]
+    if "classifier_ms" in figures:
+        asked, ms = figures["classified_sites"], figures["classifier_ms"]
         click.echo(f"{'ten patches':14}{ms['ten_patches']:8.2f} ms on {threads} threads")
         click.echo(f"{'with places':14}{ms['selection']:8.2f} ms ({asked} sites asked about)")
     if reference:

@@ -10,22 +10,22 @@ from typing import Any
 import click
 import numpy as np
 
-from touchdown.experiments.classification.optional_import import recognition
 from touchdown.experiments.cli.common import EXIT_DONE, CommandGroup
 from touchdown.experiments.errors import usage_errors
 
 SCHEMES = ("d_land", "d_scene")
-"""The keys of `landing.classification.labels.SCHEMES`, here so that help is instant."""
+"""Keys of `landing.classification.labels.SCHEMES`, repeated to keep `--help` fast."""
 
 
 class MissCostType(click.ParamType):
-    """``water=10`` to ("water", 10.0); whether there is such a class is known with the labels."""
+    """Parses ``water=10`` to ("water", 10.0); the class is checked once the labels are known."""
 
     name = "cost"
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[str, float]:
+        """Returns class and cost. Fails for a cost that is not above 0."""
         if isinstance(value, tuple):
             return value
         name, equals, number = str(value).partition("=")
@@ -55,8 +55,8 @@ def _miss_cost(default: str) -> Callable[[Any], Any]:
         type=MissCostType(),
         multiple=True,
         metavar="CLASS=K",
-        help="How many times as bad as any other mistake it is to take CLASS for something else, "
-        f"such as water=10. May be repeated.  {default}",
+        help="Cost of predicting another class for CLASS, relative to any other error, such as "
+        f"water=10. May be repeated.  {default}",
     )
 
 
@@ -69,7 +69,7 @@ _QUIET = click.option("--quiet", is_flag=True, help="No progress on stderr.")
 
 @click.group(cls=CommandGroup)
 def dataset() -> int:
-    """Pictures of ground to learn from.
+    """Labelled images of ground for training.
 
     Example: touchdown dataset render --out patches --images 4000
     """
@@ -80,39 +80,40 @@ def dataset() -> int:
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="A new folder.")
 @click.option("--images", type=click.IntRange(1, 10_000_000), default=4000, show_default=True)
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True,
-              help="Other places, other light; never a place of a seed below 1000.")  # fmt: skip
+              help="Of layouts, poses and light; scene seeds start at 1000.")  # fmt: skip
 @click.option("--scene", "scenes", multiple=True, metavar="NAME",
               help="Only this scene. May be repeated.  [all]")  # fmt: skip
 @click.option("--size", "pixels", type=click.IntRange(32, 480), default=128, show_default=True,
               help="Pixels across.")  # fmt: skip
-@click.option("--per-place", type=click.IntRange(1), default=40, show_default=True,
-              help="Patches of each scene's seed.")  # fmt: skip
+@click.option("--per-seed", type=click.IntRange(1), default=40, show_default=True,
+              help="Patches of each seed of a scene.")  # fmt: skip
 @click.option("--new-colours", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
-              help="Share of views in which roads, paving, roofs … have other colours than "
-              "the scene gives them.")  # fmt: skip
+              help="Share of views with random colours of roads, paving, roofs …")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True,
-              help="Processes; the pictures do not depend on it.")  # fmt: skip
+              help="Processes; the images do not depend on it.")  # fmt: skip
 @_JSON
 @_QUIET
-def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int:
-    """Render patches of the scenes as the vehicle's camera sees them, labelled by what they show.
+def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: Any) -> int:
+    """Render patches of the scenes by the vehicle's camera, labelled by the class of their ground.
 
-    Heights from 5 to 60 m, squares of ground from 3 to 26 m, light, blur and noise varied. Writes
-    PNG files by place, manifest.csv with both labels and the split, and a contact sheet.
+    Heights from 5 to 60 m, squares of ground from 3 to 26 m, random light, blur and noise. Writes
+    PNG files by scene and seed, manifest.csv with both labels and the split, and a contact sheet.
 
     Example: touchdown dataset render --out patches --images 4000 --jobs 2
     """
-    from touchdown.experiments.classification.render_dataset import render_dataset
+    from touchdown.experiments.classification.render_dataset import DatasetParams, render_dataset
     from touchdown.experiments.terminal import progress_bar
 
     with progress_bar(quiet) as progress:
-        done = usage_errors(lambda: render_dataset(out, progress=progress, **options))
+        done = usage_errors(
+            lambda: render_dataset(out, DatasetParams(**options), jobs=jobs, progress=progress)
+        )
     if as_json:
         click.echo(json.dumps(done, indent=2))
     else:
         for kind in ("classes", "splits"):
             click.echo("  ".join(f"{name} {count}" for name, count in done[kind].items()))
-        click.echo(f"written: {done['directory']} ({done['images']} pictures)")
+        click.echo(f"written: {done['directory']} ({done['images']} images)")
     return EXIT_DONE
 
 
@@ -123,37 +124,37 @@ def dataset_render(out: Path, as_json: bool, quiet: bool, **options: Any) -> int
 @click.option("--labels", type=click.Choice(SCHEMES), default="d_land", show_default=True)
 @_DATA
 @click.option("--out", type=click.Path(path_type=Path), required=True,
-              help="Folder; a training in it that was stopped goes on.")  # fmt: skip
+              help="Folder; an interrupted training in it is resumed.")  # fmt: skip
 @click.option("--start-from", "start", type=click.Path(path_type=Path), metavar="PATH",
-              help="Folder of another training, or a network's file: begin with its "
-              "weights.  [fresh ones]")  # fmt: skip
+              help="Folder of another training, or a network's file, with the initial "
+              "weights.  [random]")  # fmt: skip
 @click.option("--start-share", type=click.FloatRange(0.0, 1.0, max_open=True), default=0.0,
               show_default=True,
-              help="Of the weights that --start-from gives, in those that come out: such a mean "
-              "may know other ground better than either.")  # fmt: skip
+              help="Share of the weights of --start-from in the final ones: the mean may "
+              "generalise better than either.")  # fmt: skip
 @click.option("--epochs", type=click.IntRange(1), default=30, show_default=True)
 @click.option("--image-size", type=click.IntRange(32, 512), default=96, show_default=True,
-              help="Pixels across that the network sees.")  # fmt: skip
+              help="Side of the network's input, pixels.")  # fmt: skip
 @click.option("--first-size", type=click.IntRange(32, 512),
-              help="Of the first epochs; pictures grow from it.  [--image-size]")  # fmt: skip
+              help="Image size of the first epochs; it grows.  [--image-size]")  # fmt: skip
 @click.option("--batch-size", type=click.IntRange(2), default=64, show_default=True)
 @click.option("--learning-rate", type=click.FloatRange(0.0, min_open=True), default=1e-3,
               show_default=True)  # fmt: skip
 @click.option("--weight-decay", type=click.FloatRange(0.0), default=0.05, show_default=True)
 @click.option("--variation", type=click.FloatRange(0.0, 2.0), default=1.0, show_default=True,
-              help="How strongly zoom, light, colour and noise vary in pictures.")  # fmt: skip
+              help="Strength of the augmentation of zoom, light, colour and noise.")  # fmt: skip
 @click.option("--markings", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
-              help="Share of pictures that get painted lines, as of lanes and bays.")  # fmt: skip
+              help="Share of images with painted lines, as of lanes and bays.")  # fmt: skip
 @click.option("--blending", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
-              help="How strongly pictures are blended with one another.")  # fmt: skip
+              help="Strength of the blending of images with one another.")  # fmt: skip
 @_miss_cost("[1 each]")
 @click.option("--patience", type=click.IntRange(1), default=8, show_default=True,
-              help="Epochs without a better validation before it ends.")  # fmt: skip
+              help="Epochs without a better validation score before training ends.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
 @click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
 @click.option("--threads", type=click.IntRange(1), help="Of the processor.  [all]")
 @click.option("--compile", "compiled", is_flag=True,
-              help="Compile the network: slow at each new size of pictures, then faster. "
+              help="Compile the network: slow at each new image size, then faster. "
               "Needs a C++ compiler.")  # fmt: skip
 @_JSON
 @_QUIET
@@ -168,11 +169,11 @@ def train(
     quiet: bool,
     **options: Any,
 ) -> int:
-    """Train a network to tell kinds of ground apart.
+    """Train a network to classify ground.
 
     Writes network.onnx (float16 weights) and its checksum, curves.csv, curves.rrd for the Rerun
-    viewer, training.json, and after every epoch a checkpoint: the same command goes on from it.
-    Ends early when the validation pictures are not recognised better any more.
+    viewer, training.json, and after every epoch a checkpoint, from which the same command resumes.
+    Ends early when the validation score no longer improves.
 
     Example: touchdown train --data patches --out trained --epochs 20
     """
@@ -208,15 +209,16 @@ def train(
 
 def _use_threads(threads: int | None) -> None:
     if threads is not None:
-        usage_errors(lambda: _torch().set_num_threads(threads))
+        usage_errors(lambda: _limit_torch(threads))
 
 
-def _torch() -> Any:
+def _limit_torch(threads: int) -> None:
+    from touchdown.experiments.classification.optional_import import training_libraries
 
-    recognition("learning.training")
-    import torch
+    with training_libraries():
+        import torch
 
-    return torch
+    torch.set_num_threads(threads)
 
 
 @click.command()
@@ -232,12 +234,12 @@ def _torch() -> Any:
 @_JSON
 @_QUIET
 def evaluate(network: Path | None, as_json: bool, quiet: bool, **options: Any) -> int:
-    """Score NETWORK, a file of `touchdown train`, on pictures that it was not trained on.
+    """Score NETWORK, a file of `touchdown train`, on images that it was not trained on.
 
-    Without NETWORK: the one that comes with touchdown.
+    Without NETWORK: the one that is shipped with touchdown.
 
     Loss, macro F1, recall, top-1 with its interval, calibration error (ECE), confusion matrix; size
-    of the file (ROM), peak memory (RAM) and time a picture.
+    of the file (ROM), peak memory (RAM) and time an image.
 
     Example: touchdown evaluate trained/network.onnx --data patches
     """
@@ -262,17 +264,17 @@ def evaluate(network: Path | None, as_json: bool, quiet: bool, **options: Any) -
 @_DATA
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="A file *.onnx.")
 @click.option("--pictures", type=click.IntRange(1), default=256, show_default=True,
-              help="Of the training split, that give the ranges of int8 activations.")  # fmt: skip
+              help="Number of training images for the ranges of int8 activations.")  # fmt: skip
 @_JSON
 @_QUIET
 def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **options: Any) -> int:
     """Write NETWORK, a file of `touchdown train`, with smaller weights.
 
-    Without NETWORK: the one that comes with touchdown.
+    Without NETWORK: the one that is shipped with touchdown.
 
-    int8 computes in int8 too; bfloat16 and float16 are kept so and computed in float32. The limits
-    at which ground counts as safe are fitted anew to the validation pictures. `touchdown evaluate`
-    measures what comes out.
+    int8 computes in int8 too; bfloat16 and float16 are stored so and computed in float32. The
+    limits at which ground counts as safe are refitted to the validation images. `touchdown
+    evaluate` measures the result.
 
     Example: touchdown quantize trained/network.onnx --data patches --out network-int8.onnx
     """
@@ -300,13 +302,13 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
 @click.command()
 @click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--network", type=click.Path(path_type=Path),
-              help="A file of `touchdown train`.  [the one that comes with touchdown]")  # fmt: skip
+              help="A file of `touchdown train`.  [the shipped one]")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), default=Path("classes"), show_default=True,
               help="Folder for NAME-classes.png.")  # fmt: skip
 @click.option("--window", "window_px", type=click.IntRange(16),
-              help="Side of the classified square.  [a quarter of the picture]")  # fmt: skip
+              help="Side of the classified square.  [a quarter of the image]")  # fmt: skip
 @click.option("--least", type=click.FloatRange(0.0, 1.0), default=0.5, show_default=True,
-              help="Probability below which ground is called unsure.")  # fmt: skip
+              help="Probability below which the class is unsure.")  # fmt: skip
 @_ENGINE
 @click.option("--threads", type=click.IntRange(1), default=1, show_default=True)
 @_JSON
@@ -314,31 +316,30 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
 def classify(
     images: tuple[Path, ...],
     network: Path | None,
-    out: Path,
-    window_px: int | None,
-    least: float,
     engine: str,
     threads: int,
     as_json: bool,
     quiet: bool,
+    **options: Any,
 ) -> int:
-    """Draw what kinds of ground photographs from the air show.
+    """Draw the classes of ground over aerial photographs.
 
-    A window slides over each picture; what overlapping windows say is averaged.
+    A window slides over each image; the predictions of overlapping windows are averaged.
 
     Example: touchdown classify photograph.jpg --network trained/network.onnx
     """
-    from touchdown.experiments.classification.class_map import classify_pictures
+    from touchdown.experiments.classification.class_map import classify_images
     from touchdown.experiments.classification.evaluate import load_classifier, shipped_network
     from touchdown.experiments.terminal import make_notes
 
     rows = usage_errors(
-        lambda: classify_pictures(
-            images, out, load_classifier(network or shipped_network(), engine, threads),
-            window_px, least,
-            make_notes(quiet),
+        lambda: classify_images(
+            images,
+            classifier=load_classifier(network or shipped_network(), engine, threads),
+            notes=make_notes(quiet),
+            **options,
         )
-    )  # fmt: skip
+    )
     if as_json:
         click.echo(json.dumps({"pictures": rows}, indent=2))
     else:
@@ -349,7 +350,7 @@ def classify(
 
 
 def print_evaluation(report: Mapping[str, Any]) -> None:
-    """Tables: overall and by data set, recall of each class, confusion matrix."""
+    """Prints tables: scores overall, by data set and by scene, and the confusion matrix."""
     from rich.table import Table
 
     from touchdown.experiments.terminal import make_console
@@ -358,8 +359,8 @@ def print_evaluation(report: Mapping[str, Any]) -> None:
     table = Table(
         title=f"{report['network']}, {report['labels']}, {report['split']}", title_justify="left"
     )
-    for heading in ("pictures of", "n", "loss", "macro F1", "recall", "top-1", "95 %", "ECE"):
-        table.add_column(heading, justify="left" if heading == "pictures of" else "right")
+    for heading in ("images of", "n", "loss", "macro F1", "recall", "top-1", "95 %", "ECE"):
+        table.add_column(heading, justify="left" if heading == "images of" else "right")
     rows = {"all": report} | (report["by_source"] if len(report["by_source"]) > 1 else {})
     rows |= report["by_scene"]
     for name, row in rows.items():
@@ -371,36 +372,36 @@ def print_evaluation(report: Mapping[str, Any]) -> None:
     console.print(table)
     console.print(_confusion_table(report))
     if "decision" in report:
-        console.print(_decision_words(report["decision"]))
+        console.print(_decision_text(report["decision"]))
     cost = [f"ROM {report['rom_mb']:.1f} MB"]
     if "image_ms" in report:
         cost += [
             f"peak RAM {report['peak_ram_mb']:.0f} MB",
-            f"{report['image_ms']:.1f} ms a picture on one thread ({report['engine']})",
+            f"{report['image_ms']:.1f} ms an image on one thread ({report['engine']})",
         ]
     console.print(", ".join(cost))
 
 
-def _decision_words(decision: Mapping[str, Any]) -> str:
-    """Mistakes that would hurt, beside good sites that would be lost."""
+def _decision_text(decision: Mapping[str, Any]) -> str:
+    """Returns the counts of unsafe images taken for safe and of safe ones refused, as text."""
     parts = []
-    for kind, wrong, words in (
-        ("unsafe", "unsafe_taken_for_safe", "pictures of unsafe ground taken for safe"),
+    for kind, wrong, text in (
+        ("unsafe", "unsafe_taken_for_safe", "images of unsafe ground taken for safe"),
         ("safe", "safe_refused", "of safe ground refused"),
     ):
         count, of = decision[wrong], decision[kind]
         share = f" ({count / of:.2%})" if of else ""
-        parts.append(f"{count} of {of} {words}{share}")
-    return f"at {decision['least_probability']:.3f}: {', '.join(parts)}"
+        parts.append(f"{count} of {of} {text}{share}")
+    return f"at {decision['min_probability']:.3f}: {', '.join(parts)}"
 
 
 def _confusion_table(report: Mapping[str, Any]) -> Any:
-    """Classes that occur, or that something was taken for."""
+    """Returns the confusion matrix of classes that occur or are predicted."""
     from rich.table import Table
 
     counts = np.array(report["confusion"])
     shown = np.flatnonzero(counts.sum(axis=0) + counts.sum(axis=1))
-    table = Table(title="what it is, and what it was taken for", title_justify="left")
+    table = Table(title="true class by row, predicted class by column", title_justify="left")
     table.add_column("")
     for number in shown:
         table.add_column(report["classes"][number], justify="right")

@@ -90,15 +90,13 @@ def _start_over_if_changed(home: Path, settings: dict[str, Any]) -> None:
 
 
 def _render(folder: Path, size: Recognition, jobs: int, notes: Notes) -> None:
-    from touchdown.experiments.classification.render_dataset import render_dataset
+    from touchdown.experiments.classification.render_dataset import DatasetParams, render_dataset
 
     render_dataset(
         folder,
-        images=size.images,
-        seed=0,
-        scenes=size.scenes,
-        pixels=size.pixels,
-        per_place=size.per_place,
+        DatasetParams(
+            images=size.images, scenes=size.scenes, pixels=size.pixels, per_seed=size.per_place
+        ),
         jobs=jobs,
         progress=lambda done, total, note: notes(f"picture {done} of {total}: {note}"),
     )

@@ -98,7 +98,7 @@ def site_table(figures: Figures) -> Table:
 def speed_table(figures: Figures) -> Table:
     """Table 7: milliseconds of each step."""
     ours = dict(figures["stage_ms"])
-    places = figures.get("place_ms", {})
+    places = figures.get("classifier_ms", {})
     ours["places"] = places.get("ten_patches")
     ours["total"] = places.get("selection", ours["selection"])
     theirs = figures.get("reference_ms", {})
@@ -123,7 +123,7 @@ def speed_table(figures: Figures) -> Table:
     if places:
         notes.append(
             f"Places: ten patches on {figures['classifier_threads']} threads; total: a whole "
-            f"decision, {figures['place_asked']} sites asked about."
+            f"decision, {figures['classified_sites']} sites asked about."
         )
     else:
         notes.append(

@@ -1,4 +1,4 @@
-"""A trained network in ONNX Runtime: the engine that needs no torch."""
+"""Inference of a trained network in ONNX Runtime, without torch."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ Array = NDArray[np.float64]
 
 
 class Classifier(Protocol):
-    """Either engine."""
+    """A network loaded in ONNX Runtime or torch."""
 
     facts: NetworkFacts
 
     def scores(self, images: NDArray[np.uint8]) -> Float32:
-        """(N, C), calibrated and `weighed`, of pictures (N, S, S, 3) RGB with
-        S = ``facts.image_size``."""
+        """Returns calibrated scores (N, C) with miss costs applied, of images (N, S, S, 3) RGB
+        with S = ``facts.image_size``."""
 
 
 class OnnxClassifier:
-    """Loads offline, on ``threads`` threads of the processor.
+    """A network's file in ONNX Runtime, on ``threads`` threads of the processor.
 
-    Raises ValueError, FileNotFoundError as `landing.classification.weights.read_network`,
+    Raises ValueError and FileNotFoundError as `landing.classification.weights.read_network`, and
     ImportError without onnxruntime."""
 
     def __init__(self, path: Path, threads: int = 1) -> None:
@@ -43,43 +43,48 @@ class OnnxClassifier:
             self._session = onnxruntime.InferenceSession(
                 content, options, providers=["CPUExecutionProvider"]
             )
-        except Exception as error:  # its errors share no class of their own
+        except Exception as error:  # onnxruntime's errors share no base class
             first = str(error).splitlines()[0]
-            raise ValueError(f"'{path}' is no network that can be loaded: {first}") from error
+            raise ValueError(f"'{path}' cannot be loaded as a network: {first}") from error
         self.facts = facts_of(self._session.get_modelmeta().custom_metadata_map, path)
 
     def scores(self, images: NDArray[np.uint8]) -> Float32:
-        pictures = as_input(images, self.facts.image_size)
-        found = np.asarray(self._session.run(None, {INPUT: pictures})[0], np.float32)
-        return weighed(found, self.facts)
+        """As ``Classifier.scores``."""
+        inputs = as_input(images, self.facts.image_size)
+        found = np.asarray(self._session.run(None, {INPUT: inputs})[0], np.float32)
+        return apply_miss_costs(found, self.facts)
 
 
 def as_input(images: NDArray[np.uint8], size: int) -> Float32:
-    """(N, 3, S, S) within 0..1. Raises ValueError for another shape than (N, S, S, 3)."""
+    """Returns images as (N, 3, S, S) float32 in [0, 1]. Raises ValueError for another shape than
+    (N, S, S, 3) or another type than uint8."""
     if images.ndim != 4 or images.shape[1:] != (size, size, 3) or images.dtype != np.uint8:
         raise ValueError(
-            f"pictures of shape {images.shape} and type {images.dtype} given, "
+            f"images of shape {images.shape} and type {images.dtype} given, "
             f"(N, {size}, {size}, 3) uint8 needed"
         )
     return np.ascontiguousarray(images.transpose(0, 3, 1, 2), np.float32) / np.float32(255.0)
 
 
-def weighed(found: Float32, facts: NetworkFacts) -> Float32:
-    """(N, C) scores plus the logarithms of what it costs to miss a class: the highest one is then
-    the class of least expected cost (Elkan, IJCAI 2001, section 2), and their softmax what would
-    be calibrated if the class were as many times as frequent."""
+def apply_miss_costs(found: Float32, facts: NetworkFacts) -> Float32:
+    """Returns scores (N, C) plus the logarithms of the miss costs of the classes.
+
+    The highest score is then the class of least expected cost (Elkan, IJCAI 2001, section 2). The
+    softmax is calibrated for data in which each class is as many times more frequent."""
     added = np.zeros(len(facts.classes), np.float32)
     for name, cost in facts.miss_costs:
         added[facts.classes.index(name)] = np.log(cost)
     return found + added
 
 
-def chances(classifier: Classifier, images: NDArray[np.uint8], batch: int = 32) -> Array:
-    """(N, C) calibrated probabilities."""
+def class_probabilities(
+    classifier: Classifier, images: NDArray[np.uint8], batch: int = 32
+) -> Array:
+    """Returns calibrated probabilities (N, C)."""
     return scores.probabilities(all_scores(classifier, images, batch))
 
 
 def all_scores(classifier: Classifier, images: NDArray[np.uint8], batch: int = 32) -> Float32:
-    """(N, C) scores, a batch at a time."""
+    """Returns scores (N, C), computed batch by batch."""
     parts = [classifier.scores(images[i : i + batch]) for i in range(0, len(images), batch)]
     return np.concatenate(parts)

@@ -1,4 +1,6 @@
-"""What one network costs: run as a program, in a process of its own, it prints one JSON object.
+"""Memory and inference time of one network, measured in a process of its own.
+
+As a program it prints one JSON object:
 
 python -m landing.classification.footprint FILE ENGINE REPEATS
 """
@@ -20,10 +22,10 @@ _WARM_UP = 3
 
 
 def load_classifier(path: Path, engine: str, threads: int = 1) -> Classifier:
-    """A network's file in ``onnx`` (ONNX Runtime) or ``torch``.
+    """Loads a network's file in the engine ``onnx`` (ONNX Runtime) or ``torch``.
 
-    Raises ValueError, FileNotFoundError as `landing.classification.weights.read_network`,
-    ImportError without the engine."""
+    Raises ValueError and FileNotFoundError as `landing.classification.weights.read_network`,
+    and ImportError without the engine."""
     if engine == "onnx":
         return OnnxClassifier(path, threads)
     if engine != "torch":
@@ -37,17 +39,17 @@ def load_classifier(path: Path, engine: str, threads: int = 1) -> Classifier:
 
 
 def measured(path: Path, engine: str, repeats: int) -> dict[str, float]:
-    """Milliseconds for one picture, median of ``repeats`` on one thread, and the most memory that
-    this process has had, MB of 1e6 bytes."""
+    """Returns the milliseconds for one image, median of ``repeats`` on one thread, the seconds to
+    load, and the peak memory of this process, MB of 1e6 bytes."""
     begin = time.perf_counter()
     classifier = load_classifier(path, engine)
     loaded = time.perf_counter()
     size = classifier.facts.image_size
-    picture = np.random.default_rng(0).integers(0, 256, (1, size, size, 3), dtype=np.uint8)
+    image = np.random.default_rng(0).integers(0, 256, (1, size, size, 3), dtype=np.uint8)
     times = []
     for _ in range(_WARM_UP + repeats):
         start = time.perf_counter()
-        classifier.scores(picture)
+        classifier.scores(image)
         times.append(time.perf_counter() - start)
     return {
         "load_s": loaded - begin,
@@ -57,8 +59,8 @@ def measured(path: Path, engine: str, repeats: int) -> dict[str, float]:
 
 
 def _peak_memory_mb() -> float:
-    """High-water mark of this process. ``getrusage`` would count what the parent had before it
-    started this program."""
+    """Returns the high-water mark of this process. ``getrusage`` would include the memory of the
+    parent before it started this program."""
     for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
         if line.startswith("VmHWM:"):
             return float(line.split()[1]) * 1024 / 1e6

@@ -1,12 +1,12 @@
-"""How hazy the air is, from how the darkest ground brightens with height, and pictures without it.
+"""Haze estimation from the brightening of the darkest ground with height, and haze removal.
 
 Through haze the light of a pixel at the distance d is L exp(-e d) + A (1 - exp(-e d)), with the
-extinction e and the airlight A (Koschmieder, 1924). Nearly every picture of open ground shows
-something dark in some colour, such as shadows, leaves, wet soil: what its darkest pixels have is
-mostly airlight (He, Sun and Tang, "Single image haze removal using dark channel prior", CVPR 2009).
-One picture does not tell bright ground from haze. Many do, from heights that differ, as a climb
-gives them: the veil grows with height in the way that e and A say, and the ground does not (Nayar
-and Narasimhan, "Vision in bad weather", ICCV 1999, take depth from haze; here depth is known).
+extinction e and the airlight A (Koschmieder, 1924). Nearly every image of open ground contains
+pixels that are dark in some colour, such as shadows, leaves or wet soil; their light is mostly
+airlight (He, Sun and Tang, "Single image haze removal using dark channel prior", CVPR 2009). One
+image cannot separate bright ground from haze. Images from different heights, as of a climb, can:
+the veil grows with height as e and A predict, the ground does not (Nayar and Narasimhan, "Vision in
+bad weather", ICCV 1999, take depth from haze; here depth is known).
 """
 
 from __future__ import annotations
@@ -18,62 +18,63 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 _GAMMA = 2.2
-"""light is the grey level to this power"""
+"""exponent from grey level to linear light"""
 _LIGHT = (np.arange(256) / 255.0) ** _GAMMA
 _STRIDE = 4
 _DARKEST = 0.005
-"""share of a picture's pixels"""
+"""quantile of an image's pixels"""
 _RING = 1.25
-"""highest over lowest of the heights that are taken together"""
+"""ratio of the heights that are grouped together"""
 _LEAST_RINGS = 4
-"""fewer tell nothing"""
+"""fewer groups do not determine the fit"""
 _LEAST_RISE = 0.05
-"""linear light that the darkest ground gains from the least height to the greatest; less is left as
-it is, and ground that is bright from everywhere is no haze"""
+"""least gain of linear light of the darkest ground from the lowest height to the highest; below it
+the air counts as clear, so that ground that is bright from every height is not taken for haze"""
 _COVERED, _COVERED_SHARE = 0.6, 0.9
-"""of the veil, which so many of the pictures from high up must not be darker than: trees and roofs
-lie nearer than the ground, but where a picture shows hardly any veil there is none"""
+"""share of the veil that images from high up must reach, and the share of the images that must
+reach it. Trees and roofs lie nearer than the ground, so some images do not; many mean clear air."""
 _LEAST_CLEAR = 0.1
-"""share of the ground's light; where less comes through, noise is all that would be brought out"""
+"""least share of the ground's light; below it haze removal would only amplify noise"""
 _SCALE = 0.02
-"""linear light; what lies further from the fit counts less"""
+"""linear light; scale of the robust loss"""
 
 
 @dataclass(frozen=True, slots=True)
 class Haze:
-    """Extinction, 1/m, and airlight in linear light, 1 for white; extinction 0: clear air."""
+    """Extinction in 1/m and airlight in linear light (1 is white); clear air has extinction 0."""
 
     extinction: float = 0.0
     airlight: float = 0.0
 
     def veil(self, distances_m: Array) -> Array:
-        """Linear light that the air adds over distances of any shape."""
+        """Returns the linear light that the air adds over distances of any shape."""
         return np.asarray(self.airlight * (1.0 - np.exp(-self.extinction * distances_m)))
 
-    def removed(self, rgb: Picture, distances_m: Array) -> Picture:
-        """(H, W, 3) as it would be in clear air, from how far each pixel (H, W) looks."""
+    def removed(self, rgb: Image, distances_m: Array) -> Image:
+        """Returns the image (H, W, 3) in clear air, given the distance of each pixel (H, W)."""
         clear = np.maximum(np.exp(-self.extinction * distances_m), _LEAST_CLEAR)[..., None]
         light = (_LIGHT[rgb] - self.veil(distances_m)[..., None]) / clear
         return np.asarray(np.rint(255.0 * np.clip(light, 0.0, 1.0) ** (1.0 / _GAMMA)), np.uint8)
 
 
-def darkest_light(rgb: Picture) -> float:
-    """Linear light, in its darkest colour, of the darkest pixels of (H, W, 3): their quantile."""
+def darkest_light(rgb: Image) -> float:
+    """Returns the linear light of the darkest pixels of an image (H, W, 3): a low quantile of the
+    darkest colour of each pixel."""
     dark = rgb[::_STRIDE, ::_STRIDE].min(axis=2)
     return float(_LIGHT[int(np.quantile(dark, _DARKEST))])
 
 
 def estimate_haze(heights_m: Array, darkest: Array) -> Haze:
-    """From (N,) heights above ground that pictures were taken at and their ``darkest_light`` (N,).
+    """Fits extinction, airlight and the light of the darkest ground, robustly.
 
-    Fits extinction, airlight and the light of the darkest ground, robustly; clear air where the
-    pictures tell nothing or show none.
+    ``heights_m`` (N,): heights above ground of the images; ``darkest`` (N,): their
+    ``darkest_light``. Returns clear air where the images do not determine haze or show none.
     """
     rings = np.rint(np.log(heights_m) / np.log(_RING))
-    # most pictures are from survey height: every ring of heights counts the same
+    # most images are from survey height: every group of heights has the same weight
     members = [rings == ring for ring in np.unique(rings)]
     if len(members) < _LEAST_RINGS:
         return Haze()

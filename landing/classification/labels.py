@@ -1,8 +1,8 @@
-"""The two label schemes, and what the classes of public data sets are called in them.
+"""The two label schemes, and the mapping of the classes of public data sets into them.
 
-Mappings were fixed before any network was trained. A class goes to what most of its area shows; a
-class that shows two things about equally goes to the one that is less safe to land on, or, where
-neither is a kind of ground, is left out.
+The mappings were fixed before any network was trained. A class is mapped by what fills most of its
+area; a class that two things fill about equally is mapped to the one that is less safe to land on,
+or left out where neither is a kind of ground.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ D_SCENE: tuple[str, ...] = (
 
 SCHEMES: dict[str, tuple[str, ...]] = {"d_land": D_LAND, "d_scene": D_SCENE}
 NO_LABEL = -1
-"""of a picture whose class is left out of a scheme"""
+"""label of an image whose class is not part of a scheme"""
 
 
 @dataclass(frozen=True, slots=True)
 class Meaning:
-    """What a class of a data set is called in each scheme; None: left out."""
+    """Labels of a class of a data set in each scheme; None where the scheme leaves it out."""
 
     d_land: str | None
     d_scene: str | None
 
     def label(self, scheme: str) -> int:
-        """Index into ``SCHEMES[scheme]``, or ``NO_LABEL``."""
+        """Returns the index into ``SCHEMES[scheme]``, or ``NO_LABEL``."""
         name: str | None = getattr(self, scheme)
         return NO_LABEL if name is None else SCHEMES[scheme].index(name)
 
 
 def _table(text: str) -> dict[str, Meaning]:
-    """Rows of class, D_Land, D_Scene; ``-`` leaves the class out."""
+    """Parses rows of class, D_Land, D_Scene; ``-`` leaves the class out."""
     rows = [line.split() for line in text.strip().splitlines()]
     return {
         name: Meaning(*(None if cell == "-" else cell for cell in cells)) for name, *cells in rows
@@ -127,7 +127,7 @@ SOURCES: dict[str, Mapping[str, Meaning]] = {
     "aid": AID,
     "places365": PLACES365,
 }
-"""by kind of data set: its classes; names are compared by letters and digits alone"""
+"""classes by kind of data set; names are compared by letters and digits alone"""
 
 _RENDERED = {
     "crossroad": ("commercial", {"road": "viaduct", "lawn": "park", "field": "farmland",
@@ -143,33 +143,34 @@ _RENDERED = {
     "flat": ("meadow", {"field": "farmland"}),
     "open_water": ("pond", {"path": "port", "building": "port"}),
 }  # fmt: skip
-"""by rendered scene: the AID class of the place, and of parts of it that look otherwise"""
+"""by rendered scene: the AID class of the scene, and of the land classes that differ from it"""
 
 
 def rendered_meaning(scene: str, land_class: str) -> Meaning:
-    """Of a rendered patch of ``land_class``; a place without a name has no D_Scene class."""
+    """Returns the labels of a rendered patch of ``land_class``; an unknown scene has no D_Scene
+    class."""
     if scene not in _RENDERED:
         return Meaning(land_class, None)
-    place, parts = _RENDERED[scene]
-    return Meaning(land_class, parts.get(land_class, place))
+    whole, parts = _RENDERED[scene]
+    return Meaning(land_class, parts.get(land_class, whole))
 
 
 def check_scheme(scheme: str) -> tuple[str, ...]:
-    """The classes of a scheme. Raises ValueError for an unknown one."""
+    """Returns the classes of a scheme. Raises ValueError for an unknown one."""
     if scheme not in SCHEMES:
         raise ValueError(f"unknown labels '{scheme}': give one of {', '.join(SCHEMES)}")
     return SCHEMES[scheme]
 
 
 def plain_name(name: str) -> str:
-    """Letters and digits of a folder's or a class's name, small."""
+    """Returns the letters and digits of a folder's or a class's name in lower case."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
 def meanings(kind: str, folders: Sequence[str]) -> dict[str, Meaning]:
-    """What each folder of a data set of ``kind`` (a key of ``SOURCES``) shows.
+    """Returns the labels of each folder of a data set of ``kind`` (a key of ``SOURCES``).
 
-    Raises ValueError for a folder that is no class of it, with the nearest one.
+    Raises ValueError for a folder that is not a class of it; the message names the nearest one.
     """
     known = {plain_name(name): meaning for name, meaning in SOURCES[kind].items()}
     for folder in folders:
@@ -181,8 +182,8 @@ def meanings(kind: str, folders: Sequence[str]) -> dict[str, Meaning]:
 
 
 def kind_of_folders(folders: Sequence[str]) -> str:
-    """The data set whose classes ``folders`` are: the one that knows most of them, of equals the
-    one named first in ``SOURCES``. Raises ValueError where none knows half of them."""
+    """Returns the data set that has the most of ``folders`` as classes; of equals the first in
+    ``SOURCES``. Raises ValueError where no data set has half of them."""
     names = {plain_name(folder) for folder in folders}
     counts = {
         kind: len(names & {plain_name(name) for name in table}) for kind, table in SOURCES.items()

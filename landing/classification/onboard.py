@@ -1,4 +1,4 @@
-"""A network's file as the lander asks it: ``landing.api.GroundClassifier`` by ONNX Runtime."""
+"""``landing.api.GroundClassifier`` of a network's file, in ONNX Runtime."""
 
 from __future__ import annotations
 
@@ -9,20 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.landing.api import PlaceOpinion
+from touchdown.landing.api import GroundPrediction
 from touchdown.landing.classification.decision import energies
 from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.landing.classification.scores import probabilities
 from touchdown.landing.classification.weights import checksum_file
 
 SHIPPED = Path(__file__).with_name("trained") / "network.onnx"
-"""comes with the project"""
+"""the network that is shipped with the project"""
 _LABELS = "d_land"
 
 
 class OnnxGroundClassifier:
-    """Raises ValueError, FileNotFoundError, ImportError as `OnnxClassifier`, ValueError for a
-    network that tells other classes apart than D_Land."""
+    """Classifies ground into the classes of D_Land.
+
+    Raises ValueError, FileNotFoundError and ImportError as `OnnxClassifier`, and ValueError for a
+    network with other classes than D_Land."""
 
     def __init__(self, path: Path, threads: int = 1) -> None:
         self._network = OnnxClassifier(path, threads)
@@ -30,39 +32,43 @@ class OnnxGroundClassifier:
         facts = self._network.facts
         if facts.labels != _LABELS:
             raise ValueError(
-                f"'{path}' tells the classes of '{facts.labels}' apart; a flight needs one trained "
-                f"with --labels {_LABELS}"
+                f"'{path}' predicts the classes of '{facts.labels}'; a flight needs a network "
+                f"trained with --labels {_LABELS}"
             )
 
     @property
     def image_size(self) -> int:
+        """As `landing.api.GroundClassifier.image_size`."""
         return self._network.facts.image_size
 
     @property
-    def least_probability(self) -> float:
-        return self._network.facts.limits.least_probability
+    def min_probability(self) -> float:
+        """As `landing.api.GroundClassifier.min_probability`."""
+        return self._network.facts.limits.min_probability
 
     def description(self) -> dict[str, Any]:
-        """For a flight's result: which network, and the beginning of its checksum."""
+        """Returns the network's name, image size, checksum (first 16 digits) and limit for a
+        result."""
         facts = self._network.facts
         return {
             "network": facts.network,
             "image_size": facts.image_size,
             "sha256": self._sha256[:16],
-            "least_probability": facts.limits.least_probability,
+            "min_probability": facts.limits.min_probability,
         }
 
-    def look(self, pictures: NDArray[np.uint8]) -> PlaceOpinion:
-        """As `landing.api.GroundClassifier.look`."""
-        scores = self._network.scores(pictures)
-        return PlaceOpinion(
-            chances=probabilities(scores),
-            familiar=energies(scores) >= self._network.facts.limits.least_energy,
+    def classify(self, images: NDArray[np.uint8]) -> GroundPrediction:
+        """As `landing.api.GroundClassifier.classify`."""
+        scores = self._network.scores(images)
+        return GroundPrediction(
+            probabilities=probabilities(scores),
+            in_distribution=energies(scores) >= self._network.facts.limits.min_energy,
         )
 
 
 def load_onboard_classifier(path: Path, threads: int = 1) -> OnnxGroundClassifier:
-    """The network in ``path``, loaded once in a process for as long as the file does not change.
+    """Returns the network in ``path``, loaded once in a process until the file changes.
+
     Raises as `OnnxGroundClassifier`."""
     stamps = tuple(_stamp(file) for file in (path, checksum_file(path)))
     return _loaded(path.resolve(), threads, stamps)

@@ -1,5 +1,5 @@
 """The 365 classes of Places365 (Zhou et al., IEEE TPAMI 2018), for `landing.classification.labels`.
-Which ones are outdoors is the data set's own list."""
+The split into indoor and outdoor classes is the data set's own."""
 
 OUTDOOR = """
 airfield                       road      airport

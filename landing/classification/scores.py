@@ -1,4 +1,4 @@
-"""How good a classifier is. Scores before the softmax are (N, C), labels (N,) index into C."""
+"""Metrics of a classifier. Scores before the softmax are (N, C), labels (N,) index into C."""
 
 from __future__ import annotations
 
@@ -16,33 +16,34 @@ _BINS = 15
 
 
 def probabilities(scores: Float32) -> Array:
-    """(N, C) softmax."""
+    """Returns the softmax (N, C)."""
     shifted = scores.astype(np.float64)
     exponents = np.exp(shifted - shifted.max(axis=1, keepdims=True))
     return np.asarray(exponents / exponents.sum(axis=1, keepdims=True))
 
 
 def confusion(labels: Labels, predicted: Labels, classes: int) -> Labels:
-    """(C, C) counts: row is what it is, column what it was taken for."""
+    """Returns the confusion matrix (C, C) of counts: true class by row, predicted class by
+    column."""
     counts = np.bincount(labels * classes + predicted, minlength=classes**2)
     return counts.reshape(classes, classes).astype(np.int64)
 
 
 def recalls(counts: Labels) -> Array:
-    """(C,) share of each class that was recognised; NaN where there was none of it."""
+    """Returns the recall (C,) of each class; NaN where the class does not occur."""
     present = counts.sum(axis=1)
     return np.where(present > 0, np.diag(counts) / np.maximum(present, 1), np.nan)
 
 
 def f1_scores(counts: Labels) -> Array:
-    """(C,) harmonic mean of recall and precision, 2 TP / (2 TP + FP + FN); NaN where there was
-    none of the class."""
+    """Returns the F1 score (C,) of each class, 2 TP / (2 TP + FP + FN); NaN where the class does
+    not occur."""
     hits, present, claimed = np.diag(counts), counts.sum(axis=1), counts.sum(axis=0)
     return np.where(present > 0, 2.0 * hits / np.maximum(present + claimed, 1), np.nan)
 
 
 def log_loss(scores: Float32, labels: Labels) -> float:
-    """Mean cross-entropy, natural logarithm."""
+    """Returns the mean cross-entropy, natural logarithm."""
     shifted = scores.astype(np.float64)
     shifted -= shifted.max(axis=1, keepdims=True)
     total = np.log(np.exp(shifted).sum(axis=1))
@@ -50,8 +51,8 @@ def log_loss(scores: Float32, labels: Labels) -> float:
 
 
 def calibration_error(scores: Float32, labels: Labels) -> float:
-    """Expected calibration error of the probability of the best class, 15 bins of equal width
-    (Guo et al., ICML 2017)."""
+    """Returns the expected calibration error of the probability of the best class, in 15
+    bins of equal width (Guo et al., ICML 2017)."""
     from touchdown.landing.selection.risk import calibration  # numba is not loaded for a softmax
 
     chance = probabilities(scores)
@@ -60,7 +61,8 @@ def calibration_error(scores: Float32, labels: Labels) -> float:
 
 
 def fitted_temperature(scores: Float32, labels: Labels) -> float:
-    """T for which scores / T lose least (Guo et al. 2017), between 0.05 and 20."""
+    """Returns the temperature T between 0.05 and 20 that minimises the loss of scores / T (Guo et
+    al. 2017)."""
     from scipy.optimize import minimize_scalar
 
     found = minimize_scalar(
@@ -72,8 +74,8 @@ def fitted_temperature(scores: Float32, labels: Labels) -> float:
 
 
 def summary(scores: Float32, labels: Labels, classes: Sequence[str]) -> dict[str, Any]:
-    """Loss, macro F1, mean recall and recall of each class (over classes that occur), top-1,
-    calibration error, confusion matrix."""
+    """Returns loss, macro F1, mean recall and recall of each class (over classes that occur),
+    top-1, calibration error and confusion matrix."""
     predicted = scores.argmax(axis=1)
     counts = confusion(labels, predicted, len(classes))
     recall, hits = recalls(counts), int(np.trace(counts))

@@ -1,9 +1,9 @@
-"""Pictures of the ground that were taken on the way, and squares of ground cut out of them.
+"""Camera images of the survey, and ground patches extracted from them.
 
-A classifier is trained on squares cut out of the camera's pictures, so that is what it gets: not
-the coloured map, whose cells are far coarser. A square is laid level through the ground at a site,
-along the picture's own axes, which takes out the camera's tilt and lens and keeps the resolution.
-Haze, if the pictures taken so far show any, is taken out as well.
+The classifier is trained on patches of camera images and gets the same in flight, not the coloured
+map, whose cells are far coarser. A patch is a level square through the ground at a site, along the
+axes of the image: this removes tilt and lens distortion and keeps the resolution. Haze that the
+images so far show is removed as well.
 """
 
 from __future__ import annotations
@@ -21,36 +21,37 @@ from touchdown.sim.api import CameraImage, CameraIntrinsics, Observation, Sensor
 from touchdown.sim.frames import Pose, interpolate_pose
 
 Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 _TRACK = 128
-"""poses to find that of an exposure among: at 200 Hz, longer than a picture is on its way"""
+"""number of kept poses, for the pose of an exposure: at 200 Hz longer than the delay of an image"""
 _SPACING = 0.2
-"""of kept pictures, relative to their height"""
-_WIDER = 1.25
-"""times as far apart they are where there are too many"""
+"""distance between kept images, relative to their height"""
+_SPACING_GROWTH = 1.25
+"""growth of the spacing where there are too many images"""
 _LOWEST_M = 3.0
 _MOST_PX = 480
-_SHRUNK = (1.0, 0.7, 0.5)
-"""sides that are tried, relative to the wanted one, where no picture shows all of the square"""
-_PER_METRE = 0.01
-"""what a metre more of height counts, beside the tangent of the angle to the vertical"""
+_SIDE_FACTORS = (1.0, 0.7, 0.5)
+"""sides of the patch, relative to the wanted one, that are tried in this order"""
+_HEIGHT_WEIGHT = 0.01
+"""weight of a metre of height relative to the tangent of the viewing angle"""
 
 
 @dataclass(frozen=True, slots=True)
-class _Kept:
-    rgb: Picture
+class _KeptImage:
+    """An image with its pose at exposure."""
+
+    rgb: Image
     time_s: float
     odom_from_camera: Pose
     height_m: float
     """above the ground of the take-off"""
     darkest: float = 0.0
-    """``landing.classification.haze.darkest_light``, of those that are kept"""
+    """``landing.classification.haze.darkest_light``; 0 for images that are not kept"""
 
 
-class KeptPictures:
-    """At most ``limit`` pictures, a fifth of their height apart if so many are enough, and the
-    newest."""
+class SurveyImages:
+    """At most ``limit`` images, at least a fifth of their height apart, and the newest image."""
 
     def __init__(self, rig: SensorRig, limit: int) -> None:
         self._rig = rig
@@ -59,38 +60,38 @@ class KeptPictures:
         start = rig.world_from_body_start.translation[2]
         self._ground_world = float(start) - rig.vehicle.leg_height_m
         self._track: deque[tuple[float, Pose]] = deque(maxlen=_TRACK)
-        self._kept: list[_Kept] = []
-        self._newest: _Kept | None = None
+        self._kept: list[_KeptImage] = []
+        self._newest: _KeptImage | None = None
         self._newest_s = -np.inf
-        """stamp of the newest picture that was believed"""
-        self._pixels: Picture = np.zeros(0, np.uint8)
-        """some of it"""
+        """time stamp of the newest usable image"""
+        self._pixels: Image = np.zeros(0, np.uint8)
+        """sample of its pixels"""
         self._haze: Haze | None = None
-        """as the kept pictures have it; None: to be estimated"""
+        """of the kept images; None: to be estimated"""
 
     def __len__(self) -> int:
         return len(self._kept)
 
-    def take_in(self, obs: Observation, estimate: Estimate) -> None:
-        """Call once a control step."""
+    def update(self, obs: Observation, estimate: Estimate) -> None:
+        """Takes over the images of a control step; called once a step."""
         self._track.append((estimate.time_s, estimate.odom_from_body))
         if not estimate.healthy:
             return
-        for image in self._believed(obs.images):
+        for image in self._usable(obs.images):
             pose = self._pose_at(image.time_s)
             if pose is None:
                 continue
             camera = pose @ self._rig.body_from_camera
             height = float(estimate.world_from_odom.apply(camera.translation)[2])
-            kept = _Kept(image.rgb, image.time_s, camera, height - self._ground_world)
+            kept = _KeptImage(image.rgb, image.time_s, camera, height - self._ground_world)
             self._newest = kept
             low = kept.height_m < _LOWEST_M
-            if not low and (not self._kept or self._apart(self._kept[-1], kept)):
+            if not low and (not self._kept or self._far_enough(self._kept[-1], kept)):
                 self._keep(kept)
 
-    def _believed(self, images: tuple[CameraImage, ...]) -> list[CameraImage]:
-        """Those that show something, something new, and come in order: what is black or frozen is
-        no ground, and of two that are swapped neither tells where it was taken."""
+    def _usable(self, images: tuple[CameraImage, ...]) -> list[CameraImage]:
+        """Returns the images without a defect, none where they are out of order: black and frozen
+        images show no ground, and the pose of swapped ones is unknown."""
         times = [image.time_s for image in images]
         if times != sorted(times):
             return []
@@ -104,8 +105,8 @@ class KeptPictures:
         return found
 
     def _pose_at(self, time_s: float) -> Pose | None:
-        """odom_from_body between the causal estimates around an exposure; None for one from before
-        the first of them."""
+        """Returns odom_from_body at an exposure, interpolated between the causal estimates around
+        it; None before the first of them."""
         if not self._track or time_s < self._track[0][0]:
             return None
         later = self._track[-1]
@@ -117,58 +118,60 @@ class KeptPictures:
             later = entry
         return None
 
-    def _apart(self, before: _Kept, picture: _Kept) -> bool:
-        away = picture.odom_from_camera.translation - before.odom_from_camera.translation
-        return float(np.linalg.norm(away)) >= self._spacing * picture.height_m
+    def _far_enough(self, before: _KeptImage, image: _KeptImage) -> bool:
+        away = image.odom_from_camera.translation - before.odom_from_camera.translation
+        return float(np.linalg.norm(away)) >= self._spacing * image.height_m
 
-    def _keep(self, picture: _Kept) -> None:
-        """A copy, since the picture is another's. Where there are too many, they move apart."""
+    def _keep(self, image: _KeptImage) -> None:
+        """Keeps a copy, since the caller owns the image; above the limit the spacing grows."""
         self._kept.append(
-            _Kept(
-                picture.rgb.copy(), picture.time_s, picture.odom_from_camera, picture.height_m,
-                darkest_light(picture.rgb),
+            _KeptImage(
+                image.rgb.copy(), image.time_s, image.odom_from_camera, image.height_m,
+                darkest_light(image.rgb),
             )
         )  # fmt: skip
         self._haze = None
         while len(self._kept) > self._limit:
-            self._spacing *= _WIDER
+            self._spacing *= _SPACING_GROWTH
             kept = self._kept[:1]
             for other in self._kept[1:]:
-                if self._apart(kept[-1], other):
+                if self._far_enough(kept[-1], other):
                     kept.append(other)
             self._kept = kept
 
     @property
     def haze(self) -> Haze:
-        """By the pictures kept so far."""
+        """Haze by the images kept so far."""
         if self._haze is None:
             heights = np.array([kept.height_m for kept in self._kept])
             self._haze = estimate_haze(heights, np.array([kept.darkest for kept in self._kept]))
         return self._haze
 
-    def square(
+    def patch(
         self, site_odom: Array, side_m: float, pixels: int, since_s: float = -np.inf
-    ) -> Picture | None:
-        """(pixels, pixels, 3) RGB of the level square of ``side_m`` around ``site_odom`` (3,), out
-        of the picture since ``since_s`` that looks down on it most steeply and from nearest by.
+    ) -> Image | None:
+        """Returns (pixels, pixels, 3) RGB of the level square of ``side_m`` around ``site_odom``
+        (3,).
 
-        A smaller square, down to half the side, where no picture shows all of it; None where none
-        shows even that.
+        It is taken from the image since ``since_s`` with the steepest and nearest view. Where no
+        image shows all of the square, a smaller one is tried, down to half the side; None where no
+        image shows that.
         """
-        pictures = [*self._kept, *([] if self._newest is None else [self._newest])]
-        recent = [kept for kept in pictures if kept.time_s >= since_s]
-        for share in _SHRUNK:
-            best: tuple[float, _Kept] | None = None
+        images = [*self._kept, *([] if self._newest is None else [self._newest])]
+        recent = [kept for kept in images if kept.time_s >= since_s]
+        for share in _SIDE_FACTORS:
+            best: tuple[float, _KeptImage] | None = None
             for kept in recent:
                 rank = self._rank(kept, site_odom, share * side_m)
                 if rank is not None and (best is None or rank < best[0]):
                     best = rank, kept
             if best is not None:
-                return self._cut(best[1], site_odom, share * side_m, pixels)
+                return self._extract(best[1], site_odom, share * side_m, pixels)
         return None
 
-    def _rank(self, kept: _Kept, site: Array, side_m: float) -> float | None:
-        """Lower is better; None where the picture does not show all of the square."""
+    def _rank(self, kept: _KeptImage, site: Array, side_m: float) -> float | None:
+        """Returns the rank of an image, lower is better; None where it does not show all of the
+        square."""
         camera = self._rig.camera
         offset = kept.odom_from_camera.translation - site
         if offset[2] < _LOWEST_M:
@@ -178,10 +181,11 @@ class KeptPictures:
         inside = (pixels >= 0.0).all() and (pixels[..., 0] <= camera.width - 1).all()
         if not (ahead.all() and inside and (pixels[..., 1] <= camera.height - 1).all()):
             return None
-        return float(np.hypot(offset[0], offset[1]) / offset[2] + _PER_METRE * offset[2])
+        return float(np.hypot(offset[0], offset[1]) / offset[2] + _HEIGHT_WEIGHT * offset[2])
 
-    def _cut(self, kept: _Kept, site: Array, side_m: float, pixels: int) -> Picture:
-        """At the picture's own resolution, then averaged down to ``pixels``."""
+    def _extract(self, kept: _KeptImage, site: Array, side_m: float, pixels: int) -> Image:
+        """Returns the patch, sampled at the image's own resolution and averaged down to
+        ``pixels``."""
         depth = float(kept.odom_from_camera.translation[2] - site[2])
         native = round(side_m * self._rig.camera.fx / depth)
         count = int(np.clip(native, pixels, max(_MOST_PX, pixels)))
@@ -199,8 +203,8 @@ class KeptPictures:
 
 
 def _ground_points(odom_from_camera: Pose, site: Array, side_m: float, steps: Array) -> Array:
-    """(N, N, 3) points of the level square around ``site``: rows down and columns to the right in
-    the picture, at ``steps`` (N,) within -0.5..0.5 of its side."""
+    """Returns points (N, N, 3) of the level square around ``site``, rows down and columns to the
+    right in the image, at ``steps`` (N,) in [-0.5, 0.5] of its side."""
     right, down = odom_from_camera.rotation[:2, 0], odom_from_camera.rotation[:2, 1]
     right = right / np.linalg.norm(right)
     across = np.array([-right[1], right[0]])
@@ -213,8 +217,8 @@ def _ground_points(odom_from_camera: Pose, site: Array, side_m: float, steps: Ar
 
 
 def project(camera: CameraIntrinsics, points: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Pixels (..., 2) of points (..., 3) in the camera's frame by OpenCV's lens model, and which of
-    them lie ahead of the camera."""
+    """Projects points (..., 3) in the camera's frame by OpenCV's lens model. Returns pixels (...,
+    2) and the mask of points ahead of the camera."""
     ahead = points[..., 2] > 1e-6
     depth = np.where(ahead, points[..., 2], 1.0)
     x, y = points[..., 0] / depth, points[..., 1] / depth

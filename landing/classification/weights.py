@@ -1,4 +1,4 @@
-"""The file of a trained network: ONNX with float16 weights, and its checksum beside it."""
+"""The file of a trained network: ONNX with float16 weights, and its checksum file."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from touchdown.landing.classification.labels import SCHEMES
 
 SUFFIX = ".onnx"
 INPUT, OUTPUT = "pictures", "scores"
+_LIMIT_KEYS = {"min_probability": "least_probability", "min_energy": "least_energy"}
+"""fields of ``Limits``, and their keys in a file"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NetworkFacts:
-    """What a file says of the network in it."""
+    """Metadata of a network in its file."""
 
     network: str
     labels: str
@@ -25,13 +27,12 @@ class NetworkFacts:
     image_size: int
     classes: tuple[str, ...]
     limits: Limits = field(default_factory=Limits)
-    """what an answer must reach to be landed on; fitted with ``d_land`` alone"""
+    """limits at which a prediction counts as safe; fitted for ``d_land`` only"""
     miss_costs: tuple[tuple[str, float], ...] = ()
-    """classes, and how many times as bad as any other mistake it is to take one for something
-    else; 1 for those that are left out"""
+    """classes with the cost of a miss relative to any other error; 1 for classes left out"""
 
     def __post_init__(self) -> None:
-        """Raises ValueError for the cost of a class that it does not know, or no cost."""
+        """Raises ValueError for the cost of an unknown class, or a cost that is not above 0."""
         for name, cost in self.miss_costs:
             if name not in self.classes:
                 raise ValueError(
@@ -41,20 +42,21 @@ class NetworkFacts:
                 raise ValueError(f"miss cost {cost:g} of '{name}': give a number above 0")
 
     def properties(self) -> dict[str, str]:
-        """As a file keeps them."""
+        """Returns the metadata as a file keeps them."""
         return {
             "network": self.network,
             "labels": self.labels,
             "image_size": str(self.image_size),
             "classes": " ".join(self.classes),
-            "least_probability": repr(self.limits.least_probability),
-            "least_energy": repr(self.limits.least_energy),
+            "least_probability": repr(self.limits.min_probability),
+            "least_energy": repr(self.limits.min_energy),
             "miss_costs": " ".join(f"{name}={cost!r}" for name, cost in self.miss_costs),
         }
 
 
 def facts_of(properties: Mapping[str, str], path: Path) -> NetworkFacts:
-    """The reverse of ``NetworkFacts.properties``. Raises ValueError where something is missing."""
+    """Returns the inverse of ``NetworkFacts.properties``. Raises ValueError where something is
+    missing."""
     try:
         facts = NetworkFacts(
             network=properties["network"],
@@ -63,9 +65,9 @@ def facts_of(properties: Mapping[str, str], path: Path) -> NetworkFacts:
             classes=tuple(properties["classes"].split()),
             limits=Limits(
                 **{
-                    name: float(properties[name])
-                    for name in ("least_probability", "least_energy")
-                    if name in properties
+                    name: float(properties[key])
+                    for name, key in _LIMIT_KEYS.items()
+                    if key in properties
                 }
             ),
             miss_costs=tuple(
@@ -76,18 +78,19 @@ def facts_of(properties: Mapping[str, str], path: Path) -> NetworkFacts:
             ),
         )
     except (KeyError, ValueError) as error:
-        raise ValueError(f"'{path}' does not say what it recognises: {error}") from error
+        raise ValueError(f"'{path}' has no usable metadata: {error}") from error
     if SCHEMES.get(facts.labels) != facts.classes:
         raise ValueError(f"'{path}' has classes that are not those of '{facts.labels}'")
     return facts
 
 
 def checksum_file(path: Path) -> Path:
+    """Returns the path of the checksum of a network's file."""
     return path.with_name(path.name + ".sha256")
 
 
 def write_network(path: Path, content: bytes) -> None:
-    """Writes a network's file and, first, the checksum, in the form of ``sha256sum``."""
+    """Writes the checksum, in the format of ``sha256sum``, and then the network's file."""
     line = f"{hashlib.sha256(content).hexdigest()}  {path.name}\n"
     for target, data in ((checksum_file(path), line.encode()), (path, content)):
         partial = target.with_name(f".{target.name}.partial")
@@ -96,22 +99,22 @@ def write_network(path: Path, content: bytes) -> None:
 
 
 def read_network(path: Path) -> bytes:
-    """The content of a network's file, once its checksum is found right.
+    """Returns the content of a network's file after a check of its checksum.
 
-    Raises FileNotFoundError where it or its checksum is missing, ValueError where they differ: the
-    file was cut short or changed.
+    Raises FileNotFoundError where the file or its checksum is missing, ValueError where they do not
+    match: the file was truncated or changed.
     """
     if not path.is_file():
         raise FileNotFoundError(f"'{path}' does not exist; name a network, a file {SUFFIX}")
     if not checksum_file(path).is_file():
         raise FileNotFoundError(
-            f"'{checksum_file(path)}' is missing: without it '{path.name}' cannot be trusted"
+            f"'{checksum_file(path)}' is missing: '{path.name}' is not loaded without it"
         )
     content = path.read_bytes()
     words = checksum_file(path).read_text(encoding="utf-8", errors="replace").split()
     if not words or words[0].lower() != hashlib.sha256(content).hexdigest():
         raise ValueError(
             f"'{path}' ({len(content)} bytes) does not have the checksum in "
-            f"'{checksum_file(path).name}': it is cut short or changed; copy it again"
+            f"'{checksum_file(path).name}': it is truncated or changed; copy it again"
         )
     return content

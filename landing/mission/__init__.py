@@ -1,1 +1,2 @@
-"""The landing state machine: phases, trajectories, descent, touchdown."""
+"""The landing mission: state machine, reference trajectories, descent, touchdown detection,
+energy and estimator health. Decides where to fly; the sites come from ``landing.selection``."""

@@ -1,4 +1,4 @@
-"""What flying on costs, in seconds of the battery's remaining flying time."""
+"""Cost of flight segments in seconds of the battery's remaining flight time."""
 
 from __future__ import annotations
 
@@ -7,47 +7,49 @@ import numpy as np
 from touchdown.landing.api import LandingParams, SurveyParams
 
 RAMP_S = 3.0
-"""to gain or to lose speed"""
+"""duration of a change of speed"""
 _LOOK_S = 2.5
 _SWEEP_S = 8.0
 _FINAL_S = 6.0
-"""slowing down above the ground, the last decimetres, motors off"""
+"""deceleration above the ground, the last decimetres, motors off"""
 _MARGIN = 1.2
-"""gusts, go-rounds of the reference, and a battery that gives less when it is low"""
+"""safety factor for gusts, tracking errors and the lower yield of a low battery"""
 
 
 def travel_time_s(distance_m: float, params: LandingParams) -> float:
-    """From rest to rest by the minimum-jerk segment of ``landing.mission.trajectory``, in which the
-    peak speed is 15/8 of the mean."""
+    """Returns the time from rest to rest by the minimum-jerk segment of
+    ``landing.mission.trajectory``, whose peak speed is 15/8 of the mean."""
     return max(1.875 * distance_m / params.cruise_speed_mps, np.sqrt(4.0 * max(distance_m, 0.0)))
 
 
-def landing_time_s(height_m: float, params: LandingParams, *, hurried: bool = False) -> float:
-    """From a hover at ``height_m`` above the site to motors off; ``hurried``: one look alone."""
+def landing_time_s(height_m: float, params: LandingParams, *, emergency: bool = False) -> float:
+    """Returns the time from a hover at ``height_m`` above the site to motors off; in an
+    ``emergency`` with one look only."""
     sink = max(height_m - params.commit_height_m, 0.0) / params.descent_speed_mps
     last = params.commit_height_m / params.final_speed_mps + _FINAL_S
-    looks = _LOOK_S if hurried else 2.0 * _LOOK_S + _SWEEP_S
+    looks = _LOOK_S if emergency else 2.0 * _LOOK_S + _SWEEP_S
     return sink + 2.0 * RAMP_S + last + (looks if params.second_look else 0.0)
 
 
 def return_time_s(away_m: float, height_m: float, params: LandingParams) -> float:
-    """Back to the take-off spot ``away_m`` away and down from ``height_m``."""
+    """Returns the time to the take-off spot ``away_m`` away and down from ``height_m``."""
     return _MARGIN * (travel_time_s(away_m, params) + landing_time_s(height_m, params))
 
 
 def search_leg_time_s(survey: SurveyParams, params: LandingParams) -> float:
-    """Another leg and the way to its beginning."""
+    """Returns the time for another leg and the way to its start."""
     way = travel_time_s(survey.leg_spacing_m, params)
     return _MARGIN * (way + travel_time_s(survey.leg_length_m, params))
 
 
 def go_around_time_s(height_m: float, params: LandingParams) -> float:
-    """Back up to ``height_m`` and another landing from there."""
+    """Returns the time for the climb back to ``height_m`` and another landing from there."""
     climb = height_m / params.climb_speed_mps + RAMP_S
     return _MARGIN * (climb + landing_time_s(height_m, params))
 
 
 def emergency_reach_m(height_m: float, seconds: float, params: LandingParams) -> float:
-    """How far away a site may be that is to be reached and landed on within ``seconds``."""
-    spare = seconds - landing_time_s(height_m, params, hurried=True)
+    """Returns the largest distance to a site that can be reached and landed on within
+    ``seconds``."""
+    spare = seconds - landing_time_s(height_m, params, emergency=True)
     return max(spare, 0.0) * params.cruise_speed_mps / 1.875

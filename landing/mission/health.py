@@ -1,10 +1,10 @@
-"""What to do when the estimator says that it is not to be trusted."""
+"""Reaction to an unhealthy estimate: hold the position, then descend."""
 
 from __future__ import annotations
 
 from touchdown.controller.api import Setpoint
 from touchdown.landing.api import Phase
-from touchdown.landing.mission.mission_state import Flight, Steps
+from touchdown.landing.mission.mission_state import Mission, Steps
 from touchdown.landing.mission.phases import come_down_here, rest
 
 _IN_THE_AIR = frozenset(
@@ -13,19 +13,20 @@ _IN_THE_AIR = frozenset(
 
 
 class HealthWatch:
-    """Holds the reference while the estimate is unhealthy, and gives the flight up when it stays
-    so. A hold stops the flight's own clock: trajectories go on where they stopped."""
+    """Holds the reference while the estimate is unhealthy, and ends the mission where it stays so.
+
+    A hold stops the clock of the mission: trajectories resume where they stopped."""
 
     def __init__(self) -> None:
         self._bad_since_s: float | None = None
         self._gave_up = False
 
-    def hold(self, flight: Flight) -> Setpoint | None:
-        """A setpoint that stands in for this control step's own, or None to fly on."""
-        params, now = flight.params, flight.obs.time_s
-        if self._gave_up or flight.final or flight.phase not in _IN_THE_AIR:
+    def hold(self, mission: Mission) -> Setpoint | None:
+        """Returns the setpoint that replaces that of this control step, or None to continue."""
+        params, now = mission.params, mission.obs.time_s
+        if self._gave_up or mission.final or mission.phase not in _IN_THE_AIR:
             return None
-        if flight.estimate.healthy:
+        if mission.estimate.healthy:
             self._bad_since_s = None
             return None
         if self._bad_since_s is None:
@@ -34,22 +35,23 @@ class HealthWatch:
             return None
         if now - self._bad_since_s >= params.unhealthy_abort_s:
             return None
-        flight.pause()
-        return flight.setpoint(flight.reference_world, in_world=True)
+        mission.pause()
+        return mission.setpoint(mission.reference_world, in_world=True)
 
-    def lost(self, flight: Flight) -> bool:
-        """True once: from now on ``give_up`` flies."""
-        if self._gave_up or self._bad_since_s is None or flight.estimate.healthy:
+    def lost(self, mission: Mission) -> bool:
+        """True once, when the mission is to be replaced by ``give_up``."""
+        if self._gave_up or self._bad_since_s is None or mission.estimate.healthy:
             return False
-        if flight.obs.time_s - self._bad_since_s < flight.params.unhealthy_abort_s:
+        if mission.obs.time_s - self._bad_since_s < mission.params.unhealthy_abort_s:
             return False
         self._gave_up = True
         return True
 
 
-def give_up(flight: Flight) -> Steps:
-    """Straight down where the vehicle believes to be: nothing farther away can be aimed at."""
-    flight.aborted = True
-    flight.note = "the position estimate stays unhealthy: landing straight down"
-    yield from come_down_here(flight)
-    yield from rest(flight)
+def give_up(mission: Mission) -> Steps:
+    """Descends at the current position, since no other target can be reached without an
+    estimate."""
+    mission.aborted = True
+    mission.note = "the position estimate stays unhealthy: landing straight down"
+    yield from come_down_here(mission)
+    yield from rest(mission)

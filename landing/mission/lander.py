@@ -1,4 +1,4 @@
-"""The landing state machine as the main loop sees it."""
+"""The lander: the landing state machine behind ``landing.api.Lander``."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import GroundClassifier, LanderView, LandingParams, Phase, SurveyParams
 from touchdown.landing.classification.site_check import SiteClassCheck
 from touchdown.landing.mission.health import HealthWatch, give_up
-from touchdown.landing.mission.mission_state import Flight, Steps
-from touchdown.landing.mission.phases import fly
+from touchdown.landing.mission.mission_state import Mission, Steps
+from touchdown.landing.mission.phases import run_phases
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
 
 
 class SiteLander:
-    """Takes off, surveys, chooses a site from the map, looks again on the way down and lands.
+    """Takes off, surveys, selects a site in the map, checks it again during the descent and lands.
 
-    Implements ``landing.api.Lander``. The sequence itself is ``landing.mission.phases.fly``, a
+    Implements ``landing.api.Lander``. The sequence is ``landing.mission.phases.run_phases``, a
     generator that is resumed once a control step."""
 
     needs = SensorNeeds(camera_hz=10, lidar=True)
@@ -25,41 +25,43 @@ class SiteLander:
         rig: SensorRig,
         params: LandingParams,
         survey: SurveyParams,
-        places: GroundClassifier | None = None,
+        classifier: GroundClassifier | None = None,
     ) -> None:
-        check = None if places is None else SiteClassCheck(places, rig, params)
-        self._flight = Flight(rig, params, survey, check)
-        self._steps: Steps = fly(self._flight)
+        class_check = None if classifier is None else SiteClassCheck(classifier, rig, params)
+        self._mission = Mission(rig, params, survey, class_check)
+        self._steps: Steps = run_phases(self._mission)
         self._health = HealthWatch()
 
     @property
     def phase(self) -> Phase:
-        return self._flight.phase
+        """As `landing.api.Lander.phase`."""
+        return self._mission.phase
 
     def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> Setpoint:
-        """The setpoint of this control step; call once a step."""
-        flight = self._flight
-        flight.take_in(obs, estimate, map_view)
-        held = self._health.hold(flight)
+        """Returns the setpoint of this control step; called once a step."""
+        mission = self._mission
+        mission.update(obs, estimate, map_view)
+        held = self._health.hold(mission)
         if held is not None:
             return held
-        if self._health.lost(flight):
-            self._steps = give_up(flight)
+        if self._health.lost(mission):
+            self._steps = give_up(mission)
         return next(self._steps)
 
     def view(self) -> LanderView:
-        flight = self._flight
-        place = flight.site_place
+        """As `landing.api.Lander.view`."""
+        mission = self._mission
+        site_class = mission.site_class
         return LanderView(
-            phase=flight.phase,
-            note=flight.note,
-            candidates=flight.candidates,
-            costmap=flight.costmap,
-            site_world=flight.site_world,
-            committed_site_world=flight.committed_site_world,
-            reference_world=flight.reference_world,
-            no_site=flight.no_site,
-            aborted=flight.aborted,
-            site_class=None if place is None else place.name,
-            site_class_probability=float("nan") if place is None else place.probability,
+            phase=mission.phase,
+            note=mission.note,
+            candidates=mission.candidates,
+            costmap=mission.costmap,
+            site_world=mission.site_world,
+            committed_site_world=mission.committed_site_world,
+            reference_world=mission.reference_world,
+            no_site=mission.no_site,
+            aborted=mission.aborted,
+            site_class=None if site_class is None else site_class.name,
+            site_class_probability=float("nan") if site_class is None else site_class.probability,
         )

@@ -1,4 +1,4 @@
-"""What all phases of a landing flight share: the newest inputs, the reference, the decisions."""
+"""Shared state of the phases of a mission: latest inputs, reference, decisions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import Candidate, CostmapView, LandingParams, Phase, SurveyParams
-from touchdown.landing.classification.site_check import SiteClassCheck, SitePlace
+from touchdown.landing.classification.site_check import SiteClass, SiteClassCheck
 from touchdown.landing.mission.energy import (
     RAMP_S,
     emergency_reach_m,
@@ -19,7 +19,7 @@ from touchdown.landing.mission.energy import (
     search_leg_time_s,
 )
 from touchdown.landing.mission.trajectory import PiecewiseTrajectory, State, through
-from touchdown.landing.mission.wind import WindGuess
+from touchdown.landing.mission.wind import WindEstimator
 from touchdown.sim.api import Observation, SensorRig
 from touchdown.sim.frames import wrap_angle, yaw_from_rotation
 
@@ -29,9 +29,9 @@ Steps = Generator[Setpoint, None, None]
 _RAMP_S = RAMP_S
 
 
-class Flight:
-    """The lander's memory. ``obs``, ``estimate`` and ``map_view`` are the newest; phases read
-    them, move the reference and write their decisions here."""
+class Mission:
+    """State of a landing mission. ``obs``, ``estimate`` and ``map_view`` are the latest; phases
+    read them, move the reference and store their decisions here."""
 
     obs: Observation
     estimate: Estimate
@@ -42,7 +42,7 @@ class Flight:
         rig: SensorRig,
         params: LandingParams,
         survey: SurveyParams,
-        places: SiteClassCheck | None = None,
+        class_check: SiteClassCheck | None = None,
     ) -> None:
         self.rig = rig
         self.params = params
@@ -59,18 +59,18 @@ class Flight:
         self.site_odom: Array | None = None
         self.committed_site_world: Array | None = None
         self.refused_odom: list[Array] = []
-        self.places = places
-        """ground classification; None: it is off"""
-        self.site_place: SitePlace | None = None
-        self.alike_odom: list[Array] = []
-        """sites whose kind of ground was refused"""
+        self.class_check = class_check
+        """ground classification; None where it is off"""
+        self.site_class: SiteClass | None = None
+        self.unsafe_ground_odom: list[Array] = []
+        """sites whose class of ground was refused"""
         self.no_site = False
         self.aborted = False
         self.reference_world: Array = self.start_world.copy()
         self.takeoff_s: float | None = None
-        self.wind = WindGuess(rig.vehicle)
+        self.wind = WindEstimator(rig.vehicle)
         self.final = False
-        """in the last metres: nothing but down"""
+        """in the final descent, which nothing interrupts"""
         self.deadline_s: float | None = None
         """of an emergency, by ``now``"""
         self._paused_s = 0.0
@@ -78,49 +78,53 @@ class Flight:
 
     # ------------------------------------------------------------------------------- inputs
 
-    def take_in(self, obs: Observation, estimate: Estimate, map_view: MapView) -> None:
+    def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> None:
+        """Takes over the inputs of a control step."""
         self._last_s = obs.time_s if self.takeoff_s is None else self.obs.time_s
         self.obs, self.estimate, self.map_view = obs, estimate, map_view
-        if self.places is not None:
-            self.places.take_in(obs, estimate)
+        if self.class_check is not None:
+            self.class_check.update(obs, estimate)
         if self.takeoff_s is not None and self.phase is not Phase.TOUCHDOWN:
             self.wind.update(obs, estimate)
 
     @property
     def now(self) -> float:
-        """Time that has been flown, pauses left out."""
+        """Mission time without pauses, s."""
         return self.obs.time_s - self._paused_s
 
     def pause(self) -> None:
-        """Takes this control step out of ``now``: call before its setpoint."""
+        """Excludes this control step from ``now``; called before its setpoint."""
         self._paused_s += self.obs.time_s - self._last_s
 
     @property
     def position_odom(self) -> Array:
+        """(3,) estimated position of the vehicle, odom frame."""
         return self.estimate.odom_from_body.translation
 
     def odom(self, world: Array) -> Array:
-        """A world position in the odom frame as the estimate sees it now."""
+        """Returns a world position in the odom frame by the current estimate."""
         return self.estimate.world_from_odom.inverse().apply(world)
 
     def world(self, odom: Array) -> Array:
+        """Returns an odom position in the world frame by the current estimate."""
         return self.estimate.world_from_odom.apply(odom)
 
     @property
     def commanded_odom(self) -> Array | None:
-        """(2,) the commanded site where the estimate sees it now; None where none was given."""
+        """(2,) the commanded site in the odom frame by the current estimate; None without one."""
         if self.params.site_xy_m is None:
             return None
         return self.odom(np.array([*self.params.site_xy_m, self.ground_world]))[:2]
 
     @property
     def site_world(self) -> Array | None:
+        """(3,) the committed site, else the current one, world frame; None without one."""
         if self.committed_site_world is not None:
             return self.committed_site_world
         return None if self.site_odom is None else self.world(self.site_odom)
 
     def time_left_s(self) -> float:
-        """Flying time that the battery still gives at the mean rate since take-off."""
+        """Returns the remaining flight time of the battery at the mean rate since take-off."""
         if self.takeoff_s is None or self.now - self.takeoff_s < 5.0:
             return np.inf
         used = 1.0 - self.obs.battery_fraction
@@ -135,29 +139,31 @@ class Flight:
 
     @property
     def in_emergency(self) -> bool:
-        """Whether the least bad site must do: asked for, or what the battery still gives is just
-        enough for it."""
+        """True where the least bad site is accepted: by the parameters, or since the remaining
+        battery time is below ``emergency_s``."""
         return self.params.emergency == "battery" or self.time_left_s() < self.params.emergency_s
 
     @property
     def takes_risky(self) -> bool:
-        """Whether roads and roofs will do."""
+        """True where roads and roofs are accepted."""
         return self.params.allow_risky or self.in_emergency
 
     def affords(self, seconds: float) -> bool:
-        """Whether the battery gives ``seconds`` and then the way home and a landing there."""
+        """True if the battery lasts for ``seconds`` and then the way home and a landing there."""
         home = return_time_s(self.away_m, self.survey.height_m, self.params)
         return self.time_left_s() >= seconds + home
 
     def affords_search_leg(self) -> bool:
+        """True if the battery lasts for another survey leg."""
         return self.affords(search_leg_time_s(self.survey, self.params))
 
     def affords_go_around(self) -> bool:
+        """True if the battery lasts for a go-around."""
         return self.affords(go_around_time_s(self.survey.height_m, self.params))
 
     def reach_m(self) -> float:
-        """How far a site may be (the energy threshold of Eq. 18): near enough to land there and,
-        should it not be what it seemed, to go around; in an emergency to be down in time."""
+        """Returns the largest distance to a site (the energy threshold of Eq. 18): the battery must
+        last for a landing there and a go-around, in an emergency for a landing in time."""
         params, height = self.params, self.survey.height_m
         if self.in_emergency:
             left = self.time_left_s()
@@ -179,8 +185,8 @@ class Flight:
         motors_on: bool = True,
         thrust_limit: float | None = None,
     ) -> Setpoint:
-        """A setpoint in the odom frame from a reference in it or in the world frame; also what
-        the recording shows as the reference."""
+        """Returns a setpoint in the odom frame from a reference in that or in the world frame, and
+        stores the reference for the recording."""
         velocity = np.zeros(3) if velocity is None else velocity
         acceleration = np.zeros(3) if acceleration is None else acceleration
         world_from_odom = self.estimate.world_from_odom
@@ -203,7 +209,7 @@ class Flight:
     def follow(
         self, trajectory: PiecewiseTrajectory, *, in_world: bool = False, hold_s: float = 0.0
     ) -> Steps:
-        """Flies a trajectory that ends at rest, and stays at its end for ``hold_s``."""
+        """Follows a trajectory that ends at rest, and stays at its end for ``hold_s``."""
         start = self.now
         while (t := self.now - start) < trajectory.duration_s + hold_s:
             yield self.setpoint(
@@ -211,16 +217,18 @@ class Flight:
             )
 
     def hover(self, seconds: float) -> Steps:
-        """Stays at the reference."""
-        place = self.odom(self.reference_world)
+        """Stays at the reference for ``seconds``."""
+        position = self.odom(self.reference_world)
         start = self.now
         while self.now - start < seconds:
-            yield self.setpoint(place)
+            yield self.setpoint(position)
 
 
 def vertical_move(start: Array, height: float, speed: float) -> PiecewiseTrajectory:
-    """Straight up or down from rest at ``start`` (3,) to rest at z = ``height``: three seconds to
-    reach ``speed`` and to leave it again, or one minimum-jerk segment where that is too far."""
+    """Returns a vertical trajectory from rest at ``start`` (3,) to rest at z = ``height``.
+
+    ``speed`` is reached and left in three seconds each; where the distance is too short for that,
+    the trajectory is one minimum-jerk segment."""
     distance = abs(height - float(start[2]))
     end = np.array([start[0], start[1], height])
     level = distance - speed * _RAMP_S

@@ -1,4 +1,4 @@
-"""The phases of a landing flight, each a generator that yields one setpoint a control step."""
+"""The phases of a landing mission, each a generator that yields one setpoint a control step."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from touchdown.controller.api import Setpoint
 from touchdown.landing.api import Candidate, Phase
 from touchdown.landing.mission.descent import descend_to, final_descent
-from touchdown.landing.mission.mission_state import Flight, Steps, vertical_move
+from touchdown.landing.mission.mission_state import Mission, Steps, vertical_move
 from touchdown.landing.mission.second_look import ground_under
 from touchdown.landing.mission.trajectory import straight_trajectory, survey_trajectory
 from touchdown.landing.selection.choice import choose_commanded, choose_sites
@@ -23,184 +23,186 @@ _SPIN_UP_S = 0.8
 _SPIN_UP_THRUST = 0.4
 _HOVER_AFTER_CLIMB_S = 1.0
 _SETTLE_S = 0.5
-"""hover before a decision, so that scans and images on their way arrive"""
+"""hover before a decision, so that delayed scans and images arrive"""
 _ACCEL_MPS2 = 1.5
 _CORRIDOR_M = 3.0
 
 
-def fly(flight: Flight) -> Steps:
-    """The whole flight, top to bottom; never ends."""
-    yield from initialise(flight)
-    yield from take_off(flight)
-    yield from survey(flight)
-    if not flight.params.survey_only:
-        landed = yield from land_somewhere(flight)
-        if not landed and flight.deadline_s is not None:
-            yield from come_down_here(flight)
+def run_phases(mission: Mission) -> Steps:
+    """Runs the whole mission; never ends."""
+    yield from initialise(mission)
+    yield from take_off(mission)
+    yield from survey(mission)
+    if not mission.params.survey_only:
+        landed = yield from land_somewhere(mission)
+        if not landed and mission.deadline_s is not None:
+            yield from come_down_here(mission)
         elif not landed:
-            yield from return_home(flight)
-    yield from rest(flight)
+            yield from return_home(mission)
+    yield from rest(mission)
 
 
-def initialise(flight: Flight) -> Steps:
-    """Motors off while the estimator learns biases at rest, then idle up."""
-    flight.phase = Phase.INIT
-    start = flight.now
-    while flight.now - start < _SENSOR_SETTLE_S:
-        yield flight.setpoint(flight.start_world, in_world=True, motors_on=False)
-    flight.note = "motors on"
-    start = flight.now
-    while flight.now - start < _SPIN_UP_S:
-        yield flight.setpoint(flight.start_world, in_world=True, thrust_limit=_SPIN_UP_THRUST)
+def initialise(mission: Mission) -> Steps:
+    """Keeps the motors off while the estimator determines biases at rest, then spins them up."""
+    mission.phase = Phase.INIT
+    start = mission.now
+    while mission.now - start < _SENSOR_SETTLE_S:
+        yield mission.setpoint(mission.start_world, in_world=True, motors_on=False)
+    mission.note = "motors on"
+    start = mission.now
+    while mission.now - start < _SPIN_UP_S:
+        yield mission.setpoint(mission.start_world, in_world=True, thrust_limit=_SPIN_UP_THRUST)
 
 
-def take_off(flight: Flight) -> Steps:
-    """Climb to survey height above the start."""
-    flight.phase = Phase.TAKEOFF
-    flight.takeoff_s = flight.now
-    height = flight.ground_world + flight.survey.height_m
-    flight.note = f"climbing to {flight.survey.height_m:.0f} m"
-    climb = vertical_move(flight.start_world, height, flight.params.climb_speed_mps)
-    yield from flight.follow(climb, in_world=True, hold_s=_HOVER_AFTER_CLIMB_S)
+def take_off(mission: Mission) -> Steps:
+    """Climbs to survey height above the start."""
+    mission.phase = Phase.TAKEOFF
+    mission.takeoff_s = mission.now
+    height = mission.ground_world + mission.survey.height_m
+    mission.note = f"climbing to {mission.survey.height_m:.0f} m"
+    climb = vertical_move(mission.start_world, height, mission.params.climb_speed_mps)
+    yield from mission.follow(climb, in_world=True, hold_s=_HOVER_AFTER_CLIMB_S)
 
 
-def survey(flight: Flight) -> Steps:
-    """The serpentine above the place."""
-    flight.phase = Phase.SURVEY
-    params = flight.survey
-    flight.note = f"surveying {params.legs} legs of {params.leg_length_m:.0f} m"
-    path = survey_trajectory(flight.reference_world.copy(), flight.start_yaw, params)
-    yield from flight.follow(path, in_world=True)
+def survey(mission: Mission) -> Steps:
+    """Flies the serpentine."""
+    mission.phase = Phase.SURVEY
+    params = mission.survey
+    mission.note = f"surveying {params.legs} legs of {params.leg_length_m:.0f} m"
+    path = survey_trajectory(mission.reference_world.copy(), mission.start_yaw, params)
+    yield from mission.follow(path, in_world=True)
 
 
-def land_somewhere(flight: Flight) -> Generator[Setpoint, None, bool]:
-    """Select, approach, descend; another try after a go-around. False: nothing to land on."""
-    for attempt in range(flight.params.go_arounds + 1):
-        site = yield from select(flight)
+def land_somewhere(mission: Mission) -> Generator[Setpoint, None, bool]:
+    """Selects a site, approaches it and descends, again after a go-around. Returns False where
+    there is no site to land on."""
+    for attempt in range(mission.params.go_arounds + 1):
+        site = yield from select(mission)
         if site is None:
             return False
-        yield from approach(flight, site)
-        look = yield from descend_to(flight)
+        yield from approach(mission, site)
+        look = yield from descend_to(mission)
         if look is None:
-            yield from final_descent(flight)
+            yield from final_descent(mission)
             return True
-        assert flight.site_odom is not None
-        flight.refused_odom.append(flight.site_odom)
-        flight.site_odom = flight.site_place = None
-        if flight.params.site_xy_m is not None:
-            flight.aborted = True
-            flight.note = f"the commanded site is refused: {look}"
+        assert mission.site_odom is not None
+        mission.refused_odom.append(mission.site_odom)
+        mission.site_odom = mission.site_class = None
+        if mission.params.site_xy_m is not None:
+            mission.aborted = True
+            mission.note = f"the commanded site is refused: {look}"
             return False
-        flight.note = f"going around ({attempt + 1} of {flight.params.go_arounds}): {look}"
-        if not flight.affords_go_around():
-            flight.note = f"no energy to go around: {look}"
+        mission.note = f"going around ({attempt + 1} of {mission.params.go_arounds}): {look}"
+        if not mission.affords_go_around():
+            mission.note = f"no energy to go around: {look}"
             break
-        yield from climb_back(flight)
-    flight.no_site = True
+        yield from climb_back(mission)
+    mission.no_site = True
     return False
 
 
-def select(flight: Flight) -> Generator[Setpoint, None, Candidate | None]:
-    """Decide where to land; more legs where the map offers nothing."""
-    for extra in range(flight.params.search_legs + 1):
-        flight.phase = Phase.SELECT
-        if flight.in_emergency and flight.deadline_s is None:
-            flight.deadline_s = flight.now + flight.params.emergency_s
-        yield from flight.hover(_SETTLE_S)
-        asked = _batches(flight)
-        site = _decide(flight)
-        seconds = (_batches(flight) - asked) * flight.params.place_batch_latency_s
-        yield from flight.hover(flight.params.decision_latency_s + seconds)
+def select(mission: Mission) -> Generator[Setpoint, None, Candidate | None]:
+    """Returns the site to land on, after further legs where the map has none; None without one."""
+    for extra in range(mission.params.search_legs + 1):
+        mission.phase = Phase.SELECT
+        if mission.in_emergency and mission.deadline_s is None:
+            mission.deadline_s = mission.now + mission.params.emergency_s
+        yield from mission.hover(_SETTLE_S)
+        before = _classified_batches(mission)
+        site = _decide(mission)
+        batches = _classified_batches(mission) - before
+        seconds = batches * mission.params.classifier_batch_latency_s
+        yield from mission.hover(mission.params.decision_latency_s + seconds)
         if site is not None:
             return site
-        if flight.params.site_xy_m is not None:
+        if mission.params.site_xy_m is not None:
             return None
-        if flight.in_emergency:
-            break  # nothing in reach: down here, whatever is below
-        if extra < flight.params.search_legs and flight.affords_search_leg():
-            yield from search_leg(flight, extra)
-    flight.no_site = True
-    going = "coming down here" if flight.in_emergency else "returning to the take-off spot"
-    flight.note = f"no safe site found: {going}"
+        if mission.in_emergency:
+            break  # no site within reach: descend at the current position
+        if extra < mission.params.search_legs and mission.affords_search_leg():
+            yield from search_leg(mission, extra)
+    mission.no_site = True
+    going = "coming down here" if mission.in_emergency else "returning to the take-off spot"
+    mission.note = f"no safe site found: {going}"
     return None
 
 
-def _decide(flight: Flight) -> Candidate | None:
-    params = flight.params
-    wanted = flight.commanded_odom
+def _decide(mission: Mission) -> Candidate | None:
+    params = mission.params
+    wanted = mission.commanded_odom
     if wanted is not None:
-        candidate = choose_commanded(flight, wanted)
+        candidate = choose_commanded(mission, wanted)
         if not (candidate.accepted or params.check_site):
-            candidate = _on_their_word(flight, wanted, candidate)
-        flight.candidates = (candidate,)
-        flight.aborted = not candidate.accepted
-        flight.note = f"commanded site {params.site_xy_m}: {candidate.reason}"
+            candidate = _accepted_unchecked(mission, wanted, candidate)
+        mission.candidates = (candidate,)
+        mission.aborted = not candidate.accepted
+        mission.note = f"commanded site {params.site_xy_m}: {candidate.reason}"
     else:
-        flight.candidates = choose_sites(flight)
-        if not flight.candidates:
-            flight.note = "nothing mapped to choose from"
+        mission.candidates = choose_sites(mission)
+        if not mission.candidates:
+            mission.note = "nothing is mapped"
             return None
-        candidate = flight.candidates[0]
-        where = flight.world(candidate.position_odom)
-        flight.note = f"site at ({where[0]:.1f}, {where[1]:.1f}): {candidate.reason}"
+        candidate = mission.candidates[0]
+        where = mission.world(candidate.position_odom)
+        mission.note = f"site at ({where[0]:.1f}, {where[1]:.1f}): {candidate.reason}"
     if not candidate.accepted:
         return None
-    flight.site_odom = candidate.position_odom
-    if flight.places is not None:
-        flight.site_place = flight.places.place_of(candidate)
+    mission.site_odom = candidate.position_odom
+    if mission.class_check is not None:
+        mission.site_class = mission.class_check.class_of(candidate)
     return candidate
 
 
-def _batches(flight: Flight) -> int:
-    """That ground classification was asked for so far."""
-    return 0 if flight.places is None else flight.places.batches
+def _classified_batches(mission: Mission) -> int:
+    """Returns the number of batches that ground classification has classified so far."""
+    return 0 if mission.class_check is None else mission.class_check.batches
 
 
-def _on_their_word(flight: Flight, wanted: Array, refused: Candidate) -> Candidate:
-    """The commanded site ``wanted`` (2,), accepted whatever the map says."""
-    height = ground_under(flight.map_view, wanted)
+def _accepted_unchecked(mission: Mission, wanted: Array, refused: Candidate) -> Candidate:
+    """Returns the commanded site ``wanted`` (2,), accepted without the check of the map."""
+    height = ground_under(mission.map_view, wanted)
     if not np.isfinite(height):
-        height = float(flight.odom(flight.start_world)[2]) - flight.leg_height
+        height = float(mission.odom(mission.start_world)[2]) - mission.leg_height
     return dataclasses.replace(
         refused,
         position_odom=np.array([*wanted, height]),
         accepted=True,
-        reason=f"landed on unchecked; the map would have {refused.reason}",
+        reason=f"accepted unchecked; by the map: {refused.reason}",
     )
 
 
-def search_leg(flight: Flight, extra: int) -> Steps:
-    """One more leg beside the last one, flown back."""
-    flight.phase = Phase.SURVEY
-    flight.note = "no safe site yet: another leg"
-    params = flight.survey
-    side = np.array([-np.sin(flight.start_yaw), np.cos(flight.start_yaw), 0.0])
-    ahead = np.array([np.cos(flight.start_yaw), np.sin(flight.start_yaw), 0.0])
-    base = flight.start_world.copy()
-    base[2] = flight.ground_world + params.height_m
+def search_leg(mission: Mission, extra: int) -> Steps:
+    """Flies one more leg beside the last one."""
+    mission.phase = Phase.SURVEY
+    mission.note = "no safe site yet: another leg"
+    params = mission.survey
+    side = np.array([-np.sin(mission.start_yaw), np.cos(mission.start_yaw), 0.0])
+    ahead = np.array([np.cos(mission.start_yaw), np.sin(mission.start_yaw), 0.0])
+    base = mission.start_world.copy()
+    base[2] = mission.ground_world + params.height_m
     row = base + (params.legs + extra) * params.leg_spacing_m * side
     near, far = row, row + params.leg_length_m * ahead
-    here = flight.reference_world
+    here = mission.reference_world
     ends = (near, far) if np.linalg.norm(here - near) < np.linalg.norm(here - far) else (far, near)
     for end in ends:
-        yield from _straight(flight, end, in_world=True)
+        yield from _straight(mission, end, in_world=True)
 
 
-def approach(flight: Flight, site: Candidate) -> Steps:
-    """To a point above the site, sloping down as far as what was mapped on the way allows."""
-    flight.phase = Phase.APPROACH
-    start = flight.odom(flight.reference_world)
-    height = approach_height(flight, start, site.position_odom)
+def approach(mission: Mission, site: Candidate) -> Steps:
+    """Flies to a point above the site, as low as the mapped obstacles on the way allow."""
+    mission.phase = Phase.APPROACH
+    start = mission.odom(mission.reference_world)
+    height = approach_height(mission, start, site.position_odom)
     end = np.array([site.position_odom[0], site.position_odom[1], height])
-    yield from _straight(flight, end, hold_s=0.5)
+    yield from _straight(mission, end, hold_s=0.5)
 
 
-def approach_height(flight: Flight, start: Array, site: Array) -> float:
-    """Lowest z of the end point above the site, in steps of 2 m from the look height up to the
-    start's height, whose straight way keeps the obstacle margin above the mapped corridor."""
-    lowest = site[2] + flight.params.look_height_m + flight.leg_height + 2.0
+def approach_height(mission: Mission, start: Array, site: Array) -> float:
+    """Returns the lowest z of the end point above the site, in steps of 2 m between the look height
+    and the start's height, at which the straight way keeps the obstacle margin above the map."""
+    lowest = site[2] + mission.params.look_height_m + mission.leg_height + 2.0
     highest = max(float(start[2]), lowest)
-    grid = flight.map_view.coarse
+    grid = mission.map_view.coarse
     length = float(np.linalg.norm(site[:2] - start[:2]))
     fractions = np.linspace(0.0, 1.0, max(int(length / 1.0), 2))
     along = start[:2] + fractions[:, None] * (site[:2] - start[:2])
@@ -216,64 +218,66 @@ def approach_height(flight: Flight, start: Array, site: Array) -> float:
             tops[index] = float(np.nanmax(patch))
     for height in np.arange(lowest, highest, 2.0):
         way = start[2] + fractions * (height - start[2])
-        if (way - tops >= flight.params.obstacle_margin_m).all():
+        if (way - tops >= mission.params.obstacle_margin_m).all():
             return float(height)
     return highest
 
 
-def climb_back(flight: Flight) -> Steps:
-    """Straight up to survey height, where the next decision is made."""
-    here = flight.odom(flight.reference_world)
-    height = flight.odom(flight.start_world)[2] - flight.leg_height + flight.survey.height_m
+def climb_back(mission: Mission) -> Steps:
+    """Climbs to survey height, where the next decision is made."""
+    here = mission.odom(mission.reference_world)
+    height = mission.odom(mission.start_world)[2] - mission.leg_height + mission.survey.height_m
     if height > here[2] + 0.5:
-        yield from flight.follow(vertical_move(here, height, flight.params.climb_speed_mps))
+        yield from mission.follow(vertical_move(here, height, mission.params.climb_speed_mps))
 
 
-def return_home(flight: Flight) -> Steps:
-    """Back to the take-off spot, the one place known to be good, and down."""
-    flight.phase = Phase.RETURN
-    yield from climb_back(flight)
-    above = flight.start_world.copy()
-    above[2] = flight.reference_world[2]
-    yield from _straight(flight, above, in_world=True, hold_s=1.0)
-    home = flight.start_world.copy()
-    home[2] = flight.ground_world
-    flight.site_odom, flight.site_place = flight.odom(home), None
-    low = flight.site_odom + np.array([0, 0, flight.params.commit_height_m + flight.leg_height])
-    here = flight.odom(flight.reference_world)
-    yield from flight.follow(vertical_move(here, low[2], flight.params.descent_speed_mps))
-    flight.committed_site_world = home
-    yield from final_descent(flight)
+def return_home(mission: Mission) -> Steps:
+    """Flies back to the take-off spot, which is known to be safe, and lands."""
+    mission.phase = Phase.RETURN
+    yield from climb_back(mission)
+    above = mission.start_world.copy()
+    above[2] = mission.reference_world[2]
+    yield from _straight(mission, above, in_world=True, hold_s=1.0)
+    home = mission.start_world.copy()
+    home[2] = mission.ground_world
+    mission.site_odom, mission.site_class = mission.odom(home), None
+    low = mission.site_odom + np.array([0, 0, mission.params.commit_height_m + mission.leg_height])
+    here = mission.odom(mission.reference_world)
+    yield from mission.follow(vertical_move(here, low[2], mission.params.descent_speed_mps))
+    mission.committed_site_world = home
+    yield from final_descent(mission)
 
 
-def come_down_here(flight: Flight) -> Steps:
-    """Straight down from the reference, without looks."""
-    flight.phase, flight.final = Phase.DESCEND, True
-    here = flight.odom(flight.reference_world)
-    ground = ground_under(flight.map_view, here[:2])
+def come_down_here(mission: Mission) -> Steps:
+    """Descends from the reference without looks."""
+    mission.phase, mission.final = Phase.DESCEND, True
+    here = mission.odom(mission.reference_world)
+    ground = ground_under(mission.map_view, here[:2])
     if not np.isfinite(ground):
-        ground = float(flight.odom(flight.start_world)[2]) - flight.leg_height
-    flight.site_odom, flight.site_place = np.array([here[0], here[1], ground]), None
-    low = ground + flight.params.commit_height_m + flight.leg_height
+        ground = float(mission.odom(mission.start_world)[2]) - mission.leg_height
+    mission.site_odom, mission.site_class = np.array([here[0], here[1], ground]), None
+    low = ground + mission.params.commit_height_m + mission.leg_height
     if low < here[2]:
-        yield from flight.follow(vertical_move(here, low, flight.params.descent_speed_mps))
-    flight.committed_site_world = flight.world(flight.site_odom)
-    yield from final_descent(flight)
+        yield from mission.follow(vertical_move(here, low, mission.params.descent_speed_mps))
+    mission.committed_site_world = mission.world(mission.site_odom)
+    yield from final_descent(mission)
 
 
-def rest(flight: Flight) -> Steps:
-    """Done: motors off on the ground (after a survey alone: hover, someone else ends it)."""
-    flight.phase = Phase.DONE
-    place = flight.reference_world.copy()
+def rest(mission: Mission) -> Steps:
+    """Keeps the motors off on the ground; after a survey alone hovers until the run is ended."""
+    mission.phase = Phase.DONE
+    position = mission.reference_world.copy()
     while True:
-        yield flight.setpoint(place, in_world=True, motors_on=flight.params.survey_only)
+        yield mission.setpoint(position, in_world=True, motors_on=mission.params.survey_only)
 
 
-def _straight(flight: Flight, end: Array, *, in_world: bool = False, hold_s: float = 0.0) -> Steps:
-    start = flight.reference_world if in_world else flight.odom(flight.reference_world)
+def _straight(
+    mission: Mission, end: Array, *, in_world: bool = False, hold_s: float = 0.0
+) -> Steps:
+    start = mission.reference_world if in_world else mission.odom(mission.reference_world)
     if np.linalg.norm(end - start) < 1e-3:
         return
     path = straight_trajectory(
-        start.copy(), np.zeros(3), end, flight.params.cruise_speed_mps, _ACCEL_MPS2
+        start.copy(), np.zeros(3), end, mission.params.cruise_speed_mps, _ACCEL_MPS2
     )
-    yield from flight.follow(path, in_world=in_world, hold_s=hold_s)
+    yield from mission.follow(path, in_world=in_world, hold_s=hold_s)

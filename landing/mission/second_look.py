@@ -1,4 +1,4 @@
-"""The looks at 10 m and at 4 m: is the site what it seemed from above?"""
+"""The second look at 10 m and 4 m: the check of the site on the fine map."""
 
 from __future__ import annotations
 
@@ -9,6 +9,12 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import MapView
 from touchdown.landing.api import LandingParams
+from touchdown.landing.selection.elevation_raster import (
+    ElevationRaster,
+    distance_to,
+    observed_raster,
+    pooled,
+)
 from touchdown.landing.selection.landable import (
     FOOTPRINT_M,
     assess,
@@ -16,19 +22,18 @@ from touchdown.landing.selection.landable import (
     fit_footprint,
     ground_planes,
 )
-from touchdown.landing.selection.terrain import Terrain, distance_to, observed_terrain, pooled
 
 Array = NDArray[np.float64]
 
 _POOL = 2
-"""fine cells merged along each axis: enough returns in each for its mean to be trusted"""
+"""fine cells merged along each axis, for enough returns in each"""
 _MIN_RETURNS = 3.0
 _ENOUGH_ROOM_M = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Look:
-    """Outcome: where to land now (None: go around) and why, in words."""
+    """Result of a look: where to land (None: go around) and the reason, as text."""
 
     position_odom: Array | None
     reason: str
@@ -37,36 +42,40 @@ class Look:
 def look_again(
     map_view: MapView, site_odom: Array, max_shift_m: float, params: LandingParams
 ) -> Look:
-    """Examines the fine map around ``site_odom`` (3,). Keeps the site where it is landable, else
-    moves to the landable spot within ``max_shift_m`` that offers most room for the way."""
-    terrain = _fine_window(map_view, site_odom, max_shift_m, params)
-    if terrain is None:
+    """Checks the fine map around ``site_odom`` (3,).
+
+    Keeps the site where it is landable, else moves it to the landable cell within ``max_shift_m``
+    with the most room minus distance."""
+    raster = _fine_window(map_view, site_odom, max_shift_m, params)
+    if raster is None:
         return Look(position_odom=None, reason="no fine map of the site")
     margin = params.low_margin_m
-    planes = ground_planes(terrain, params)
-    landable = assess(terrain, planes, params, margin_m=margin, min_returns=_MIN_RETURNS)
-    row, col = terrain.cell_of(site_odom)
-    if not terrain.contains(row, col):
+    planes = ground_planes(raster, params)
+    landable = assess(raster, planes, params, margin_m=margin, min_returns=_MIN_RETURNS)
+    row, col = raster.cell_of(site_odom)
+    if not raster.contains(row, col):
         return Look(position_odom=None, reason="the site lies outside the fine map")
     if landable.mask[row, col]:
-        return _settled(terrain, site_odom[:2], params, "as it seemed")
-    why = explain(terrain, landable, row, col, params, margin)
-    x, y = terrain.offsets_from(site_odom)
+        return _checked_plane(raster, site_odom[:2], params, "as selected")
+    defect = explain(raster, landable, row, col, params, margin)
+    x, y = raster.offsets_from(site_odom)
     away = np.hypot(x[None, :], y[:, None])
-    room = np.minimum(distance_to(~landable.mask, terrain.cell_m), _ENOUGH_ROOM_M)
+    room = np.minimum(distance_to(~landable.mask, raster.cell_m), _ENOUGH_ROOM_M)
     merit = np.where(landable.mask & (away <= max_shift_m), room - away, -np.inf)
     best = int(np.argmax(merit))
     if not np.isfinite(merit.flat[best]):
-        return Look(position_odom=None, reason=f"not landable from closer: {why}")
-    row, col = divmod(best, terrain.shape[1])
-    return _settled(
-        terrain, terrain.centre_of(row, col), params, f"moved {away[row, col]:.1f} m: {why}"
+        return Look(position_odom=None, reason=f"not landable from closer: {defect}")
+    row, col = divmod(best, raster.shape[1])
+    return _checked_plane(
+        raster, raster.centre_of(row, col), params, f"moved {away[row, col]:.1f} m: {defect}"
     )
 
 
 def ground_under(map_view: MapView, xy_odom: Array, radius_m: float = 0.5) -> float:
-    """Height of the ground at ``xy_odom`` (2,): plane through the cells within ``radius_m``, of
-    the fine map where it is known there, else of the coarse one; NaN if neither is."""
+    """Returns the height of the ground at ``xy_odom`` (2,).
+
+    It is that of the plane through the cells within ``radius_m``, of the fine map where it is known
+    there, else of the coarse one; NaN if neither is."""
     for grid in (map_view.fine, map_view.coarse):
         if grid is None:
             continue
@@ -89,23 +98,23 @@ def ground_under(map_view: MapView, xy_odom: Array, radius_m: float = 0.5) -> fl
 
 def _fine_window(
     map_view: MapView, site: Array, max_shift_m: float, params: LandingParams
-) -> Terrain | None:
+) -> ElevationRaster | None:
     if map_view.fine is None:
         return None
-    terrain = observed_terrain(map_view.fine)
-    if terrain is None:
+    raster = observed_raster(map_view.fine)
+    if raster is None:
         return None
     half = max_shift_m + params.clear_radius_m + FOOTPRINT_M
-    window = terrain.window(site, half)
+    window = raster.window(site, half)
     if min(window.shape) < 4 * _POOL:
         return None
     return pooled(window, _POOL)
 
 
-def _settled(terrain: Terrain, xy: Array, params: LandingParams, how: str) -> Look:
-    plane = fit_footprint(terrain, xy)
+def _checked_plane(raster: ElevationRaster, xy: Array, params: LandingParams, how: str) -> Look:
+    plane = fit_footprint(raster, xy)
     if plane is None:
-        return Look(position_odom=None, reason="the ground under the site was not seen")
+        return Look(position_odom=None, reason="the ground under the site is unknown")
     if plane.slope_deg > params.max_slope_deg:
         return Look(position_odom=None, reason=f"slope {plane.slope_deg:.1f} deg from closer")
     if plane.roughness_m > params.max_step_m:

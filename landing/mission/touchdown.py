@@ -1,4 +1,4 @@
-"""Feeling the ground: no sensor for it, only the IMU and the motors' telemetry."""
+"""Touchdown detection from the IMU and the motors' telemetry, without a contact sensor."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from touchdown.estimator.api import Estimate
 from touchdown.sim.api import GRAVITY_MPS2, Observation, SensorRig
 
 _REACTION_SHARE = 0.3
-"""ground reaction, as a share of the weight, that ground effect and gusts do not reach"""
+"""ground reaction relative to the weight, above that of ground effect and gusts"""
 _STILL_MPS = 0.10
 _HOLD_S = 0.12
 _SMOOTHING = 0.2
 _CARRIED_SHARE, _CARRIED_S = 0.2, 0.8
-"""mean ground reaction, and the time constant of its mean: in the air it is 0, but for a tenth of
-the weight by ground effect"""
+"""limit of the mean ground reaction relative to the weight, and the time constant of the mean: in
+the air it is 0, or a tenth of the weight in ground effect"""
 
 
 class TouchdownDetector:
@@ -26,9 +26,9 @@ class TouchdownDetector:
     the legs add to it. The difference (IMU minus thrust from rotor telemetry), low-passed over
     about five samples, must stay above 30 % of the weight while the vehicle no longer sinks.
 
-    Where the estimate of that speed has gone astray, as it may so near the ground that the LIDAR
-    measures nothing, or the vehicle bounces, the mean over about a second tells the same later: no
-    vehicle stays in the air with a fifth of its weight missing from the thrust.
+    Near the ground the LIDAR has no returns and the estimated vertical speed may be wrong, or the
+    vehicle may bounce. Then the mean over about a second detects the ground later: no vehicle stays
+    in the air with a fifth of its weight missing from the thrust.
     """
 
     def __init__(self, rig: SensorRig) -> None:
@@ -44,7 +44,7 @@ class TouchdownDetector:
         return self._reaction_n
 
     def update(self, obs: Observation, estimate: Estimate) -> bool:
-        """Call once a control step while close to the ground; True from the touchdown on."""
+        """True from the touchdown on; called once a control step while close to the ground."""
         thrust = self._vehicle.thrust_coefficient * float(np.sum(obs.rotor_speed_radps**2))
         for sample in obs.imu:
             force = self._vehicle.mass_kg * float(self._up_in_imu @ sample.specific_force)

@@ -1,8 +1,8 @@
 """Reference trajectories with continuous acceleration.
 
-Everything is a chain of quintic polynomials. A quintic is the curve of least squared jerk between
+A trajectory is a chain of quintic polynomials. A quintic is the curve of least squared jerk between
 two states of position, velocity and acceleration (Flash and Hogan 1985; Mueller, Hehn and D'Andrea
-2015), and it joins its neighbours without a step in acceleration.
+2015), so that the acceleration is continuous where two of them meet.
 """
 
 from __future__ import annotations
@@ -24,20 +24,22 @@ Array = NDArray[np.float64]
 Sample = tuple[Array, Array, Array]
 
 _MANY_LEGS = 20
-"""from so many on, the shares of the time that a turn may take shrink as the legs grow in number"""
+"""number of legs above which the shares of the time for a turn shrink with the number of legs"""
 _MOST_LEGS = 10_000
 _MAX_SURVEY_ACCEL = 6.0
 _ZERO = np.zeros(3)
 
 
 class Trajectory(Protocol):
-    """A position over time, odom frame unless its maker says otherwise."""
+    """A position over time, odom frame unless stated otherwise."""
 
     @property
-    def duration_s(self) -> float: ...
+    def duration_s(self) -> float:
+        """Duration, s."""
+        ...
 
     def sample(self, t: float) -> Sample:
-        """Position (3,) m, velocity (3,) m/s, acceleration (3,) m/s^2 at ``t`` seconds."""
+        """Returns position (3,) m, velocity (3,) m/s, acceleration (3,) m/s^2 at ``t`` seconds."""
         ...
 
 
@@ -51,10 +53,10 @@ class State:
 
 
 class PiecewiseTrajectory:
-    """Quintics one after the other.
+    """A chain of quintics.
 
-    Before its start it stands at the first state's position, at rest; after its end it goes on at
-    the last state's velocity, unaccelerated.
+    Before its start it rests at the position of the first state; after its end it continues at the
+    velocity of the last state without acceleration.
     """
 
     def __init__(self, durations_s: Array, coefficients: Array) -> None:
@@ -67,6 +69,7 @@ class PiecewiseTrajectory:
 
     @property
     def duration_s(self) -> float:
+        """Duration, s."""
         return float(self._starts[-1])
 
     @property
@@ -75,10 +78,11 @@ class PiecewiseTrajectory:
         return self._starts.copy()
 
     def sample(self, t: float) -> Sample:
+        """As ``Trajectory.sample``."""
         return _sample(self._starts, self._coefficients, t)
 
     def then(self, following: PiecewiseTrajectory) -> PiecewiseTrajectory:
-        """This trajectory and then ``following``; the states where they meet are the caller's."""
+        """Returns this trajectory followed by ``following``; the caller makes the states match."""
         return PiecewiseTrajectory(
             np.concatenate([np.diff(self._starts), np.diff(following._starts)]),
             np.concatenate([self._coefficients, following._coefficients]),
@@ -107,7 +111,7 @@ def _sample(starts: Array, coefficients: Array, t: float) -> Sample:
 
 
 def through(states: list[State], durations_s: list[float]) -> PiecewiseTrajectory:
-    """Minimum-jerk quintics from each state to the next; one duration fewer than states."""
+    """Returns minimum-jerk quintics from each state to the next; one duration fewer than states."""
     pieces = [
         _quintic(first, second, duration)
         for first, second, duration in zip(states[:-1], states[1:], durations_s, strict=True)
@@ -116,7 +120,7 @@ def through(states: list[State], durations_s: list[float]) -> PiecewiseTrajector
 
 
 def _quintic(first: State, second: State, duration: float) -> Array:
-    """(6, 3) coefficients of the quintic between two states."""
+    """Returns the coefficients (6, 3) of the quintic between two states."""
     if duration <= 0.0:
         raise ValueError(f"a segment's duration must be above 0 s, not {duration:g}")
     t = duration
@@ -136,7 +140,8 @@ def _quintic(first: State, second: State, duration: float) -> Array:
 
 
 def peaks(trajectory: PiecewiseTrajectory, per_segment: int = 64) -> tuple[float, float]:
-    """Largest speed (m/s) and acceleration (m/s^2), from ``per_segment`` samples of each piece."""
+    """Returns the largest speed (m/s) and acceleration (m/s^2) of ``per_segment`` samples of each
+    segment."""
     speed = acceleration = 0.0
     breaks = trajectory.breaks_s
     for start, end in pairwise(breaks):
@@ -151,15 +156,15 @@ def peaks(trajectory: PiecewiseTrajectory, per_segment: int = 64) -> tuple[float
 
 
 def survey_trajectory(start: Array, yaw: float, params: SurveyParams) -> PiecewiseTrajectory:
-    """The serpentine: legs along the heading ``yaw`` (rad) joined by minimum-jerk turns.
+    """Returns the serpentine: legs along the heading ``yaw`` (rad) joined by minimum-jerk turns.
 
     Leg i runs between 0 and ``leg_length_m`` along the heading, ``i * leg_spacing_m`` to the left
-    of ``start`` (3,), the first one outward from ``start``. Legs are flown at one speed, which the
-    turns take over and hand on, so a turn swings out beyond the ends of its legs. Rest at both
-    ends. Short turns are hard, long ones leave little time for the legs: the time is shared so that
-    the product of the largest speed and the largest acceleration is smallest.
-    Raises ValueError when ``duration_s`` cannot be met with less than 6 m/s^2, and says how long it
-    takes.
+    of ``start`` (3,), the first one outward from ``start``. All legs have the same
+    constant speed, so that a turn extends beyond the ends of its legs. The vehicle rests at both
+    ends. Short turns need large accelerations, long ones leave little time for the legs: the share
+    of the turns minimises the product of the largest speed and the largest acceleration.
+    Raises ValueError where ``duration_s`` needs 6 m/s^2 or more; the message names the duration
+    that is needed.
     """
     if params.legs < 1 or min(params.leg_length_m, params.leg_spacing_m, params.duration_s) <= 0.0:
         raise ValueError(
@@ -169,7 +174,7 @@ def survey_trajectory(start: Array, yaw: float, params: SurveyParams) -> Piecewi
     if params.legs > _MOST_LEGS:
         raise ValueError(f"survey.legs = {params.legs} must be {_MOST_LEGS} at most")
     shares = np.linspace(0.02, 0.40, 77) * min(1.0, _MANY_LEGS / params.legs)
-    # Legs out and back are all alike: of many, the first four tell what all of them ask for.
+    # All legs are alike: the first four of many have the same peaks as all of them.
     rated_legs = params.legs if params.legs <= _MANY_LEGS else 4
     candidates = [(share, _survey(start, yaw, params, share, rated_legs)) for share in shares]
     rated = [(*peaks(c, per_segment=24), share) for share, c in candidates if c is not None]
@@ -190,9 +195,9 @@ def survey_trajectory(start: Array, yaw: float, params: SurveyParams) -> Piecewi
 def _survey(
     start: Array, yaw: float, params: SurveyParams, turn_share: float, first_legs: int
 ) -> PiecewiseTrajectory | None:
-    """The first legs of a survey whose turns each take the given share of the duration, speeding up
-    and slowing down half of that; None where these leave no time, or the legs no room to speed up.
-    """
+    """Returns the first legs of a survey whose turns each take the given share of the duration, and
+    the ramps at start and end half of that; None where no time remains for the legs, or the legs
+    are too short for the ramps."""
     total, legs, length = params.duration_s, params.legs, params.leg_length_m
     turn, ramp = turn_share * total, 0.5 * turn_share * total
     # A ramp between rest and the leg's speed covers half of what the leg's speed would.
@@ -237,11 +242,11 @@ def straight_trajectory(
     max_accel: float,
     acceleration_start: Array = _ZERO,
 ) -> PiecewiseTrajectory:
-    """One minimum-jerk segment to rest at ``position_end`` (3,), as quick as the limits allow.
+    """Returns the shortest minimum-jerk segment to rest at ``position_end`` (3,) within the limits.
 
-    The limits (m/s, m/s^2) bound the norms; an initial velocity or acceleration above its limit is
-    taken as the limit, and where no duration meets both the mildest is flown. From rest the way is
-    a straight line.
+    The limits (m/s, m/s^2) bound the norms. An initial velocity or acceleration above its limit
+    becomes the limit; where no duration meets both, the one of least excess is taken. From rest the
+    path is a straight line. Raises ValueError for a limit that is not positive.
     """
     if max_speed <= 0.0 or max_accel <= 0.0:
         raise ValueError("max_speed and max_accel must be above 0")
@@ -270,7 +275,7 @@ def straight_trajectory(
         if best is None or excess < best[0]:
             best = excess, trajectory
     assert best is not None
-    return best[1]  # an initial acceleration can make a limit unreachable: the mildest
+    return best[1]  # an initial acceleration can make a limit unreachable: least excess
 
 
 def descent_trajectory(
@@ -282,14 +287,13 @@ def descent_trajectory(
     max_accel: float = 0.8,
     vertical_speed_start: float = 0.0,
 ) -> PiecewiseTrajectory:
-    """Straight down: speed up, cruise, slow down to ``touchdown_speed``, which then persists.
+    """Returns a vertical descent: accelerate, cruise, decelerate to ``touchdown_speed``.
 
-    The touchdown speed is reached at z = ``height_end`` (m, frame of ``position_start`` (3,)); the
-    trajectory ends there and goes on downward at that speed until the ground is felt.
+    The touchdown speed is reached at z = ``height_end`` (m, frame of ``position_start`` (3,)),
+    where the trajectory ends; beyond its end it continues downward at that speed.
     ``vertical_speed_start``: initial velocity along z, negative when already sinking. A height too
     short for ``cruise_speed`` gives a slower cruise. Raises ValueError when the height is too short
-    to slow down in, or a parameter is not positive.
-    """
+    for the deceleration, or a parameter is not positive."""
     if min(touchdown_speed, max_accel) <= 0.0 or cruise_speed < touchdown_speed:
         raise ValueError("a descent needs touchdown_speed and max_accel above 0, cruise above both")
     height = float(position_start[2]) - height_end
@@ -323,7 +327,8 @@ def _descent(
     level_m: float,
     ramp_s: Callable[[float], float],
 ) -> PiecewiseTrajectory:
-    """Ramp to ``cruise``, ``level_m`` at it, ramp to ``touchdown`` (m/s, positive downward)."""
+    """Returns a ramp to ``cruise``, ``level_m`` at it, and a ramp to ``touchdown`` (m/s, positive
+    downward)."""
     up = np.array([0.0, 0.0, 1.0])
     durations, falls = [ramp_s(cruise - initial)], [0.5 * (initial + cruise)]
     speeds = [initial, cruise]

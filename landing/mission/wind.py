@@ -1,4 +1,4 @@
-"""The wind as the vehicle feels it: no sensor for it, only attitude, thrust and motion."""
+"""Wind estimation from attitude, thrust and motion, without an anemometer."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ Array = NDArray[np.float64]
 _TIME_CONSTANT_S = 3.0
 
 
-class WindGuess:
-    """Mean horizontal wind, odom frame: what is left of Newton's law when thrust (rotor telemetry)
-    and gravity are taken away is the rotors' drag, linear in the air-relative velocity."""
+class WindEstimator:
+    """Estimates the mean horizontal wind, odom frame.
+
+    The residual force after thrust (rotor telemetry) and gravity is the rotors' drag, which is
+    linear in the air-relative velocity."""
 
     def __init__(self, vehicle: VehicleModel) -> None:
         self._vehicle = vehicle
@@ -24,15 +26,16 @@ class WindGuess:
 
     @property
     def speed_mps(self) -> float:
+        """Wind speed, m/s."""
         return float(np.hypot(*self._wind))
 
     @property
     def wind_odom(self) -> Array:
-        """(2,) m/s, where it blows to."""
+        """(2,) m/s, direction that the wind blows to."""
         return self._wind.copy()
 
     def update(self, obs: Observation, estimate: Estimate) -> None:
-        """Call once a control step in the air."""
+        """Updates the estimate; called once a control step in the air."""
         vehicle = self._vehicle
         if vehicle.linear_drag <= 0.0:
             return

@@ -1,4 +1,4 @@
-"""One decision: the sites that the map offers, and what ground classification leaves of them."""
+"""One landing decision: candidate sites of the map, checked by ground classification."""
 
 from __future__ import annotations
 
@@ -9,71 +9,82 @@ from numpy.typing import NDArray
 
 from touchdown.landing.api import Candidate, Selection
 from touchdown.landing.classification.site_check import SiteClassCheck, least_bad
-from touchdown.landing.mission.mission_state import Flight
-from touchdown.landing.selection.selector import check_site, select_sites
+from touchdown.landing.mission.mission_state import Mission
+from touchdown.landing.selection.selector import SelectionLimits, check_site, select_sites
 
 Array = NDArray[np.float64]
 
 
-def choose_sites(flight: Flight) -> tuple[Candidate, ...]:
-    """Candidates, accepted ones first, best first; ``flight.costmap`` becomes the decision's.
+def choose_sites(mission: Mission) -> tuple[Candidate, ...]:
+    """Returns candidates, accepted ones first, best first; sets ``mission.costmap``.
 
-    With ground classification: where no candidate's ground is safe, others are looked for, rather
-    not on the surfaces that were refused, ``place_rounds`` times in all. In an emergency there is
-    one round, and the least bad of what it refused is accepted."""
-    selection = _select(flight, ())
-    places = flight.places
-    if places is None:
+    With ground classification: where no candidate lies on safe ground, sites are selected again,
+    preferably not on the refused surfaces, in at most ``classifier_rounds`` rounds. In an emergency
+    there is one round, and the least bad of its refused sites is accepted."""
+    selection = _select(mission, ())
+    class_check = mission.class_check
+    if class_check is None:
         return selection.candidates
-    emergency, refused = flight.in_emergency, list[Candidate]()
-    for left in reversed(range(1 if emergency else max(flight.params.place_rounds, 1))):
-        judged = _judged(flight, places, selection)
-        if any(site.accepted for site in judged):
-            ranked = sorted(judged, key=lambda site: not site.accepted)
+    emergency, refused = mission.in_emergency, list[Candidate]()
+    for left in reversed(range(1 if emergency else max(mission.params.classifier_rounds, 1))):
+        checked = _checked(mission, class_check, selection)
+        if any(site.accepted for site in checked):
+            ranked = sorted(checked, key=lambda site: not site.accepted)
             return (*ranked, *refused)
         offered = [
             after
-            for before, after in zip(selection.candidates, judged, strict=True)
+            for before, after in zip(selection.candidates, checked, strict=True)
             if before.accepted
         ]
-        flight.alike_odom += [s.position_odom for s in offered if s.class_predicted is not None]
+        mission.unsafe_ground_odom += [
+            s.position_odom for s in offered if s.class_predicted is not None
+        ]
         refused += offered
         if not offered or left == 0:
             break
-        selection = _select(flight, [site.position_odom for site in refused])
+        selection = _select(mission, [site.position_odom for site in refused])
     others = [site for site in selection.candidates if not site.accepted]
     return (*(least_bad(refused) if emergency else refused), *others)
 
 
-def choose_commanded(flight: Flight, wanted: Array) -> Candidate:
-    """The commanded site ``wanted`` (2,): accepted or refused with the reason."""
-    candidate, flight.costmap = check_site(flight.map_view, flight.estimate, flight.params, wanted)
-    if flight.places is None or not candidate.accepted:
+def choose_commanded(mission: Mission, wanted: Array) -> Candidate:
+    """Returns the commanded site ``wanted`` (2,), accepted or refused with the reason."""
+    candidate, mission.costmap = check_site(
+        mission.map_view, mission.estimate, mission.params, wanted
+    )
+    if mission.class_check is None or not candidate.accepted:
         return candidate
-    (judged,) = flight.places.judge((candidate,), flight.map_view, allow_risky=flight.takes_risky)
-    return judged
+    (checked,) = mission.class_check.judge(
+        (candidate,), mission.map_view, allow_risky=mission.takes_risky
+    )
+    return checked
 
 
-def _judged(flight: Flight, places: SiteClassCheck, selection: Selection) -> list[Candidate]:
-    return places.judge(
+def _checked(
+    mission: Mission, class_check: SiteClassCheck, selection: Selection
+) -> list[Candidate]:
+    return class_check.judge(
         selection.candidates,
-        flight.map_view,
+        mission.map_view,
         selection=selection,
-        allow_risky=flight.takes_risky,
+        allow_risky=mission.takes_risky,
     )
 
 
-def _select(flight: Flight, avoid_odom: Sequence[Array]) -> Selection:
+def _select(mission: Mission, avoid_odom: Sequence[Array]) -> Selection:
+    limits = SelectionLimits(
+        reach_m=mission.reach_m(),
+        avoid_odom=(*mission.refused_odom, *avoid_odom),
+        unsafe_ground_odom=mission.unsafe_ground_odom,
+        wind_mps=mission.wind.speed_mps,
+        least_bad=mission.in_emergency,
+    )
     selection = select_sites(
-        flight.map_view,
-        flight.estimate,
-        flight.params,
-        footprint_radius_m=flight.rig.vehicle.footprint_radius_m,
-        reach_m=flight.reach_m(),
-        avoid_odom=(*flight.refused_odom, *avoid_odom),
-        alike_odom=flight.alike_odom,
-        wind_mps=flight.wind.speed_mps,
-        least_bad=flight.in_emergency,
+        mission.map_view,
+        mission.estimate,
+        mission.params,
+        footprint_radius_m=mission.rig.vehicle.footprint_radius_m,
+        limits=limits,
     )
-    flight.costmap = selection.costmap
+    mission.costmap = selection.costmap
     return selection

@@ -14,14 +14,16 @@ Int32 = NDArray[np.int32]
 
 
 _BANDWIDTHS = 1.5
-"""kernel bandwidth of the density, in footprint radii: about what a landing covers"""
+"""kernel bandwidth of the density, in footprint radii: about the area of a landing"""
 _SEARCH_RADII = 4.0
 """Quick Shift looks for a higher density within this many bandwidths"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Clusters:
-    """``label``: (rows, cols) int32, index of the cell's mode, -1 outside; ``modes``: (K, 2)
+    """Modes of a density and the cells of each.
+
+    ``label``: (rows, cols) int32, index of the cell's mode, -1 outside; ``modes``: (K, 2)
     int32 row, col, in row-major order; ``density``: (rows, cols) float32, NaN outside."""
 
     label: Int32
@@ -30,15 +32,15 @@ class Clusters:
 
 
 def bandwidths(footprint_cells: float) -> tuple[float, float]:
-    """Bandwidth of the density and radius of the search, in cells, for a vehicle whose footprint
-    has the radius ``footprint_cells``."""
+    """Returns the bandwidth of the density and the search radius, in cells, for a vehicle whose
+    footprint has the radius ``footprint_cells``."""
     bandwidth = _BANDWIDTHS * footprint_cells
     return bandwidth, _SEARCH_RADII * bandwidth
 
 
 def kernel_density(values: Float32, bandwidth_cells: float) -> Float32:
-    """P of Eq. 19: average of ``values`` under a Gaussian kernel of the given bandwidth; cells
-    that are NaN neither count nor have a density."""
+    """Returns P of Eq. 19: the average of ``values`` under a Gaussian kernel. NaN cells have no
+    weight and no density."""
     known = np.isfinite(values)
     weight = cv2.GaussianBlur(
         known.astype(np.float32), (0, 0), bandwidth_cells, borderType=cv2.BORDER_CONSTANT
@@ -51,7 +53,7 @@ def kernel_density(values: Float32, bandwidth_cells: float) -> Float32:
 
 
 def _search_offsets(radius_cells: float) -> Int32:
-    """(M, 2) row, col offsets within the radius, nearest first, ties in row-major order."""
+    """Returns (M, 2) row, col offsets within the radius, nearest first, ties in row-major order."""
     reach = int(radius_cells)
     offset = np.arange(-reach, reach + 1)
     dr, dc = (axis.ravel() for axis in np.meshgrid(offset, offset, indexing="ij"))
@@ -63,8 +65,8 @@ def _search_offsets(radius_cells: float) -> Int32:
 
 @numba.njit(cache=True)
 def _nearest_higher(density: Float32, offsets: Int32) -> Int32:
-    """Flat index of the nearest cell of higher density, itself where there is none in reach, -1
-    outside. Equal densities are ordered by index, so plateaus have one mode."""
+    """Returns the flat index of the nearest cell of higher density, the cell itself where there is
+    none within reach, -1 outside. Equal densities are ordered by index: a plateau has one mode."""
     rows, cols = density.shape
     parent = np.full(rows * cols, -1, np.int32)
     for row in range(rows):
@@ -87,7 +89,7 @@ def _nearest_higher(density: Float32, offsets: Int32) -> Int32:
 
 @numba.njit(cache=True)
 def _follow(parent: Int32) -> Int32:
-    """Root of every cell, with path compression."""
+    """Returns the root of every cell, with path compression."""
     root = parent.copy()
     for index in range(parent.shape[0]):
         if parent[index] < 0:
@@ -104,10 +106,10 @@ def _follow(parent: Int32) -> Int32:
 
 
 def quick_shift(values: Float32, *, bandwidth_cells: float, radius_cells: float) -> Clusters:
-    """Moves every cell to its nearest neighbour of higher density until none is in reach.
+    """Moves every cell to its nearest neighbour of higher density until none is within reach.
 
-    values: (rows, cols), higher is better, NaN cells take no part. The end points are the modes:
-    the alternative landing sites.
+    ``values`` (rows, cols): higher is better, NaN cells are left out. The end points are the modes:
+    the candidate landing sites.
     """
     density = kernel_density(values, bandwidth_cells)
     root = _follow(_nearest_higher(density, _search_offsets(radius_cells)))

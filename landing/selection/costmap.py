@@ -1,10 +1,9 @@
-"""The cost energy map of Zou, Sun, Kong 2024, section 4.1: one function per equation.
+"""The cost energy map of Zou, Sun, Kong 2024, section 4.1, one function for each equation.
 
-Every term is oriented so that higher is better and normalised to [0, 1]; NaN is unknown. Two forms
-of flatness: ``literal`` follows Eqs. 16 and 17 to the letter (kernel centred on the mean angle, sum
-over the disc), ``corrected`` centres the kernel on level ground and takes the mean per cell, since
-the letter rewards the average slope and the density of points.
-"""
+Every term is normalised to [0, 1], higher is better; NaN is unknown. Flatness has two forms:
+``literal`` follows Eqs. 16 and 17 (kernel centred on the mean angle, sum over the disc), which
+rewards the average slope and the point density; ``corrected`` centres the kernel on level ground
+and takes the mean per cell."""
 
 from __future__ import annotations
 
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.landing.api import CostmapView, LandingParams
-from touchdown.landing.selection.terrain import PlaneField, Terrain, distance_to
+from touchdown.landing.selection.elevation_raster import ElevationRaster, PlaneField, distance_to
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -27,9 +26,9 @@ def colour_edges(
 ) -> tuple[NDArray[np.uint8], Mask]:
     """Canny(x) of Eq. 14 on the orthographic colour map after a Gaussian filter.
 
-    rgb: (rows, cols, 3), 0..255, NaN uncoloured. Returns the binary edges (1 = edge) and the mask
-    of coloured cells. The filter averages coloured cells only, so holes cast no edges of their own;
-    larger holes count as edges, since nobody knows what is in them.
+    ``rgb`` (rows, cols, 3), 0..255, NaN uncoloured. Returns the binary edges (1 = edge) and the
+    mask of coloured cells. The filter averages coloured cells only, so small holes cause no edges;
+    larger holes count as edges, since their content is unknown.
     """
     coloured = np.isfinite(rgb[..., 0])
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
@@ -49,8 +48,8 @@ def colour_edges(
 
 
 def smoothness(edges: NDArray[np.uint8], coloured: Mask, cell_m: float, full_m: float) -> Float32:
-    """Eq. 14: radius of the largest circle around a cell that holds no edge, by the exact
-    Euclidean distance transform; 1 from ``full_m`` on. NaN where uncoloured."""
+    """Eq. 14: radius of the largest circle around a cell without an edge, by the exact Euclidean
+    distance transform; 1 from ``full_m`` on. NaN where uncoloured."""
     radius = distance_to(edges > 0, cell_m)
     cost = np.minimum(radius / np.float32(full_m), 1.0)
     return np.where(coloured, cost, np.nan).astype(np.float32)
@@ -62,8 +61,9 @@ def normal_angles(planes: PlaneField) -> Float32:
 
 
 def flatness_kernel(angles: Float32, *, form: str, sigma_rad: float) -> Float32:
-    """Eq. 16: Gaussian of the angle. ``literal``: centred on the mean of all cells with their
-    standard deviation; ``corrected``: centred on level with ``sigma_rad``."""
+    """Eq. 16: Gaussian of the angle. ``literal``: with mean and standard deviation of all cells;
+    ``corrected``: centred on level ground with ``sigma_rad``. Raises ValueError for another
+    form."""
     if form == "literal":
         centre, sigma = float(np.nanmean(angles)), max(float(np.nanstd(angles)), 1e-6)
     elif form == "corrected":
@@ -78,8 +78,8 @@ def flatness(
 ) -> Float32:
     """Eq. 17: the kernel accumulated over the disc of ``radius_m``.
 
-    ``literal`` sums over all returns of the disc, over the largest sum; ``corrected`` takes the
-    mean over the disc's cells, where unknown cells add nothing. NaN where the cell is unknown.
+    ``literal``: sum over all returns of the disc, divided by the largest sum; ``corrected``: mean
+    over the cells of the disc, unknown ones as 0. NaN where the cell is unknown.
     """
     reach = int(radius_m / cell_m)
     offset = np.arange(-reach, reach + 1)
@@ -94,66 +94,66 @@ def flatness(
     return np.where(np.isfinite(kernel), cost, np.nan).astype(np.float32)
 
 
-def distance(terrain: Terrain, position_odom: Array, reach_m: float) -> Float32:
-    """Eq. 18: straight-line distance from the vehicle as a stand-in for energy, 1 here and 0 at
-    the farthest cell; NaN beyond ``reach_m``, which the energy left does not allow."""
-    x, y = (axis.astype(np.float32) for axis in terrain.offsets_from(position_odom[:2]))
-    z = terrain.height - np.float32(position_odom[2])
+def distance(raster: ElevationRaster, position_odom: Array, reach_m: float) -> Float32:
+    """Eq. 18: straight-line distance from the vehicle as a proxy for energy, 1 at the nearest cell
+    and 0 at the farthest; NaN beyond ``reach_m``, the range of the remaining energy."""
+    x, y = (axis.astype(np.float32) for axis in raster.offsets_from(position_odom[:2]))
+    z = raster.height - np.float32(position_odom[2])
     horizontal = (x**2)[None, :] + (y**2)[:, None]
     metres = np.sqrt(horizontal + z**2)
     allowed = np.isfinite(metres) & (horizontal <= np.float32(min(reach_m, 1e9)) ** 2)
     if not allowed.any():
-        return np.full(terrain.shape, np.nan, np.float32)
+        return np.full(raster.shape, np.nan, np.float32)
     near, far = float(metres[allowed].min()), float(metres[allowed].max())
     cost = 1.0 - (metres - near) / max(far - near, 1e-6)
     return np.where(allowed, cost, np.nan).astype(np.float32)
 
 
 def weighted_sum(smooth: Float32, flat: Float32, near: Float32, params: LandingParams) -> Float32:
-    """Eq. 13, with the largest weight on flatness; unknown in one term is unknown in the sum."""
+    """Eq. 13, with the largest weight on flatness; NaN where any term is NaN."""
     total = params.weight_smoothness * smooth + params.weight_flatness * flat
     return (total + params.weight_distance * near).astype(np.float32)
 
 
-def smoothness_term(terrain: Terrain, params: LandingParams) -> tuple[Float32, Mask]:
-    """Eq. 14 on a terrain, and which of its cells are coloured."""
+def smoothness_term(raster: ElevationRaster, params: LandingParams) -> tuple[Float32, Mask]:
+    """Returns Eq. 14 of a raster and the mask of its coloured cells."""
     edges, coloured = colour_edges(
-        terrain.rgb,
-        blur_cells=params.edge_blur_m / terrain.cell_m,
+        raster.rgb,
+        blur_cells=params.edge_blur_m / raster.cell_m,
         low=params.edge_low,
         high=params.edge_high,
     )
-    return smoothness(edges, coloured, terrain.cell_m, params.smoothness_full_m), coloured
+    return smoothness(edges, coloured, raster.cell_m, params.smoothness_full_m), coloured
 
 
-def flatness_term(terrain: Terrain, planes: PlaneField, params: LandingParams) -> Float32:
-    """Eqs. 15 to 17 on a terrain with the planes through its cells."""
-    angles = np.where(terrain.known, normal_angles(planes), np.float32(np.nan))
+def flatness_term(raster: ElevationRaster, planes: PlaneField, params: LandingParams) -> Float32:
+    """Returns Eqs. 15 to 17 of a raster with the planes of its cells."""
+    angles = np.where(raster.known, normal_angles(planes), np.float32(np.nan))
     form = params.flatness_form
     kernel = flatness_kernel(angles, form=form, sigma_rad=np.deg2rad(params.flatness_sigma_deg))
     return flatness(
-        kernel, terrain.count, form=form, radius_m=params.clear_radius_m, cell_m=terrain.cell_m
+        kernel, raster.count, form=form, radius_m=params.clear_radius_m, cell_m=raster.cell_m
     )
 
 
 def compute_costmap(
-    terrain: Terrain,
+    raster: ElevationRaster,
     planes: PlaneField,
     position_odom: Array,
     reach_m: float,
     params: LandingParams,
 ) -> CostmapView:
-    """All terms on the raster of ``terrain``, with the planes through its cells, for a vehicle at
+    """Returns all terms of ``raster`` with the planes of its cells, for a vehicle at
     ``position_odom`` (3,)."""
-    smooth, coloured = smoothness_term(terrain, params)
-    flat = flatness_term(terrain, planes, params)
-    near = distance(terrain, position_odom, reach_m)
+    smooth, coloured = smoothness_term(raster, params)
+    flat = flatness_term(raster, planes, params)
+    near = distance(raster, position_odom, reach_m)
     return CostmapView(
-        origin_xy_m=terrain.origin_xy_m,
-        cell_m=terrain.cell_m,
+        origin_xy_m=raster.origin_xy_m,
+        cell_m=raster.cell_m,
         total=weighted_sum(smooth, flat, near, params),
         flatness=flat,
         smoothness=smooth,
         distance=near,
-        rgb=np.where(coloured[..., None], terrain.rgb, np.float32(0.0)).astype(np.uint8),
+        rgb=np.where(coloured[..., None], raster.rgb, np.float32(0.0)).astype(np.uint8),
     )

@@ -1,8 +1,8 @@
-"""Where the ground itself allows a landing: the check that decides acceptance.
+"""Geometric check of the ground: the cells at which a touchdown is safe.
 
-Every cell is examined for defects of its own (unknown, water, steep, step, object, traffic); a
-site is landable when its footprint, widened by the error of the map, holds none of them and
-nothing tall stands around it. Geometry only: what kind of place it is remains for the classifier.
+Every cell is checked for defects (unknown, water, steep, step, object, traffic). A site is landable
+if its footprint, widened by the error of the map, contains none and nothing tall stands around it.
+The class of the ground is checked by ``landing.classification``.
 """
 
 from __future__ import annotations
@@ -15,21 +15,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams
-from touchdown.landing.selection.terrain import PlaneField, Terrain, disc_maximum, fit_planes, near
+from touchdown.landing.selection.elevation_raster import (
+    ElevationRaster,
+    PlaneField,
+    dilated,
+    disc_maximum,
+    fit_planes,
+)
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 FOOTPRINT_M = 1.0
-"""no defect within this distance of the touchdown point"""
+"""radius around the touchdown point that must be free of defects"""
 _TALL_M = 0.25
 _NEVER_HIGHEST = np.float32(-1e6)
 _STEP_HALF_WIDTH_M = 0.2
 _PEAK_ALLOWANCE_M = 0.05
-"""how far the highest return of flat ground may stick out beyond a real object: LIDAR noise"""
+"""allowance for LIDAR noise in the highest return of flat ground"""
 _ROUGH_STD_M = 0.05
-"""spread of returns within a cell above LIDAR noise (2 cm) and the slope inside the cell"""
+"""limit of the spread of returns in a cell, above LIDAR noise (2 cm) and the slope in the cell"""
 _MOVING_STD_M = 0.15
 _MOVING_SHARE = 0.4
 _MOVING_WIDTH_M = 1.0
@@ -39,7 +45,7 @@ _WATER_MIN_MISSING = 3.0
 
 
 class Defect(IntEnum):
-    """What is wrong with a cell; 0 is nothing. Higher ones win where several apply."""
+    """Defect of a cell; 0 is none. Where several apply, the highest is kept."""
 
     NONE = 0
     UNKNOWN = 1
@@ -52,21 +58,21 @@ class Defect(IntEnum):
     WATER = 8
 
 
-_WORDS = {
+_DEFECT_TEXT = {
     Defect.UNKNOWN: "ground not seen",
     Defect.SPARSE: "too few returns",
     Defect.ROUGH: "returns spread in height",
     Defect.STEEP: "too steep",
     Defect.STEP: "a step",
     Defect.OBSTACLE: "an object",
-    Defect.MOVING: "something moves there",
-    Defect.WATER: "pulses do not come back (water)",
+    Defect.MOVING: "motion observed",
+    Defect.WATER: "missing pulses (water)",
 }
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LandableMap:
-    """Result for a whole terrain, (rows, cols)."""
+    """Result of the check of a whole raster, (rows, cols)."""
 
     mask: Mask
     """a touchdown at this cell's centre is safe by geometry"""
@@ -82,7 +88,7 @@ class LandableMap:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Footprint:
-    """The plane through one site, from the cells within the footprint radius."""
+    """Plane through the cells within the footprint radius of a site."""
 
     position: Array
     """(3,) centre on the plane"""
@@ -92,28 +98,29 @@ class Footprint:
     """largest |residual| of a cell's mean height"""
 
 
-def water_cells(terrain: Terrain, max_ratio: float) -> Mask:
-    """Cells around which more than ``max_ratio`` of the pulses never came back."""
-    size = 2 * round(0.5 * _WATER_WINDOW_M / terrain.cell_m) + 1
+def water_cells(raster: ElevationRaster, max_ratio: float) -> Mask:
+    """Returns the mask of cells around which more than ``max_ratio`` of the pulses are missing."""
+    size = 2 * round(0.5 * _WATER_WINDOW_M / raster.cell_m) + 1
     window = (size, size)
-    missing = cv2.boxFilter(terrain.missing, -1, window, normalize=False,
+    missing = cv2.boxFilter(raster.missing, -1, window, normalize=False,
                             borderType=cv2.BORDER_CONSTANT)  # fmt: skip
-    hits = cv2.boxFilter(terrain.count, -1, window, normalize=False,
+    hits = cv2.boxFilter(raster.count, -1, window, normalize=False,
                          borderType=cv2.BORDER_CONSTANT)  # fmt: skip
     return (missing >= _WATER_MIN_MISSING) & (missing > max_ratio * (missing + hits))
 
 
-def moving_cells(terrain: Terrain) -> Mask:
-    """Where something passed, widened by the room that traffic takes.
+def moving_cells(raster: ElevationRaster) -> Mask:
+    """Returns the mask of cells that a moving object passed, widened by the room of traffic.
 
-    A cell over which a vehicle drove gave mostly ground and now and then a roof: wide spread, mean
-    near the lowest return. A crown that lets pulses through has its mean up in the leaves, and a
-    standing object spreads the returns of its edge alone, so narrow patches are opened away.
+    A cell that a vehicle drove over has mostly returns of the ground and a few of its roof: a wide
+    spread with the mean near the lowest return. In a tree crown the mean lies high, and a static
+    object spreads returns at its edge only: such narrow regions are removed by morphological
+    opening.
     """
     with np.errstate(invalid="ignore"):
-        mostly_ground = terrain.height - terrain.low < _MOVING_SHARE * (terrain.high - terrain.low)
-        spread = mostly_ground & (terrain.std > _MOVING_STD_M)
-    width = 2 * round(0.5 * _MOVING_WIDTH_M / terrain.cell_m) + 1
+        mostly_ground = raster.height - raster.low < _MOVING_SHARE * (raster.high - raster.low)
+        spread = mostly_ground & (raster.std > _MOVING_STD_M)
+    width = 2 * round(0.5 * _MOVING_WIDTH_M / raster.cell_m) + 1
     blobs = cv2.morphologyEx(
         spread.astype(np.uint8),
         cv2.MORPH_OPEN,
@@ -121,53 +128,53 @@ def moving_cells(terrain: Terrain) -> Mask:
         borderType=cv2.BORDER_CONSTANT,
         borderValue=0,
     )
-    return near(blobs > 0, _MOVING_MARGIN_M / terrain.cell_m)
+    return dilated(blobs > 0, _MOVING_MARGIN_M / raster.cell_m)
 
 
-def ground_planes(terrain: Terrain, params: LandingParams) -> PlaneField:
-    """The plane through the ground around every cell."""
-    return fit_planes(terrain.height, terrain.cell_m, params.normal_half_width_m)
+def ground_planes(raster: ElevationRaster, params: LandingParams) -> PlaneField:
+    """Returns the plane through the ground around every cell."""
+    return fit_planes(raster.height, raster.cell_m, params.normal_half_width_m)
 
 
 def assess(
-    terrain: Terrain,
+    raster: ElevationRaster,
     planes: PlaneField,
     params: LandingParams,
     *,
     margin_m: float,
     min_returns: float,
 ) -> LandableMap:
-    """Examines every cell.
+    """Checks every cell.
 
-    ``planes``: see ``ground_planes``; ``margin_m`` widens the footprint and the clear radius by
-    the error of map and position; ``min_returns``: a cell with fewer is too thinly seen to trust.
+    ``planes``: of ``ground_planes``; ``margin_m``: error of map and position, by which footprint
+    and clear radius are widened; ``min_returns``: a cell with fewer counts as sparse.
     """
-    cell, known = terrain.cell_m, terrain.known
+    cell, known = raster.cell_m, raster.known
     slope = np.rad2deg(planes.angle_rad)
     reach = max(round(_STEP_HALF_WIDTH_M / cell), 1)
     square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    top = cv2.dilate(np.where(known, terrain.height, _NEVER_HIGHEST), square)
-    bottom = cv2.erode(np.where(known, terrain.height, -_NEVER_HIGHEST), square)
+    top = cv2.dilate(np.where(known, raster.height, _NEVER_HIGHEST), square)
+    bottom = cv2.erode(np.where(known, raster.height, -_NEVER_HIGHEST), square)
     with np.errstate(invalid="ignore"):
         step = (top - bottom).astype(np.float32)
-        peak = (terrain.high - planes.level).astype(np.float32)
-        defect = np.zeros(terrain.shape, np.uint8)
+        peak = (raster.high - planes.level).astype(np.float32)
+        defect = np.zeros(raster.shape, np.uint8)
         rules: tuple[tuple[Defect, Mask], ...] = (
-            (Defect.SPARSE, terrain.count < min_returns),
+            (Defect.SPARSE, raster.count < min_returns),
             (Defect.UNKNOWN, ~known | ~np.isfinite(slope)),
-            (Defect.ROUGH, terrain.std > _ROUGH_STD_M),
+            (Defect.ROUGH, raster.std > _ROUGH_STD_M),
             (Defect.STEEP, slope > params.max_slope_deg - params.slope_margin_deg),
             (Defect.STEP, known & (step > params.max_step_m - params.step_margin_m)),
             (Defect.OBSTACLE, peak > params.max_step_m + _PEAK_ALLOWANCE_M),
-            (Defect.MOVING, moving_cells(terrain)),
-            (Defect.WATER, water_cells(terrain, params.max_missing_ratio)),
+            (Defect.MOVING, moving_cells(raster)),
+            (Defect.WATER, water_cells(raster, params.max_missing_ratio)),
         )
-        for kind, where in rules:
-            defect[where] = kind
+        for found, where in rules:
+            defect[where] = found
         clear_cells = (params.clear_radius_m + margin_m) / cell
-        tall = disc_maximum(terrain.high, clear_cells) - terrain.height
-        mask = ~near(defect > 0, (FOOTPRINT_M + margin_m) / cell) & (tall <= _TALL_M)
-    mask &= _inside(terrain.shape, (FOOTPRINT_M + margin_m) / cell)
+        tall = disc_maximum(raster.high, clear_cells) - raster.height
+        mask = ~dilated(defect > 0, (FOOTPRINT_M + margin_m) / cell) & (tall <= _TALL_M)
+    mask &= _inside(raster.shape, (FOOTPRINT_M + margin_m) / cell)
     return LandableMap(
         mask=mask,
         defect=defect,
@@ -179,17 +186,19 @@ def assess(
 
 
 def _inside(shape: tuple[int, int], border_cells: float) -> Mask:
-    """Cells whose footprint lies within the raster."""
+    """Returns the mask of cells whose footprint lies within the raster."""
     inside = np.zeros(shape, bool)
     border = int(np.ceil(border_cells))
     inside[border : max(shape[0] - border, 0), border : max(shape[1] - border, 0)] = True
     return inside
 
 
-def fit_footprint(terrain: Terrain, xy: Array, radius_m: float = FOOTPRINT_M) -> Footprint | None:
-    """Plane through the known cells within ``radius_m`` of ``xy``; None if fewer than half of
-    them are known."""
-    local = terrain.window(xy, radius_m)
+def fit_footprint(
+    raster: ElevationRaster, xy: Array, radius_m: float = FOOTPRINT_M
+) -> Footprint | None:
+    """Returns the plane through the known cells within ``radius_m`` of ``xy``; None if fewer than
+    half of the cells are known."""
+    local = raster.window(xy, radius_m)
     x, y = local.offsets_from(xy)
     xx, yy = np.meshgrid(x, y)
     inside = xx**2 + yy**2 <= radius_m**2
@@ -210,34 +219,34 @@ def fit_footprint(terrain: Terrain, xy: Array, radius_m: float = FOOTPRINT_M) ->
 
 
 def explain(
-    terrain: Terrain, landable: LandableMap, row: int, col: int, params: LandingParams,
+    raster: ElevationRaster, landable: LandableMap, row: int, col: int, params: LandingParams,
     margin_m: float,
 ) -> str:  # fmt: skip
-    """Why (row, col) is not landable, in words with figures."""
-    radius = (FOOTPRINT_M + margin_m) / terrain.cell_m
+    """Returns the reason why the cell (row, col) is not landable, as text with figures."""
+    radius = (FOOTPRINT_M + margin_m) / raster.cell_m
     reach = int(np.ceil(radius))
     top, left = max(row - reach, 0), max(col - reach, 0)
     defect = landable.defect[top : row + reach + 1, left : col + reach + 1]
     r, c = np.indices(defect.shape)
     away = np.hypot(r + top - row, c + left - col)
-    wrong = (defect > 0) & (away <= radius)
-    if not wrong.any():
+    defective = (defect > 0) & (away <= radius)
+    if not defective.any():
         tall = float(landable.tall_m[row, col])
         if tall > _TALL_M:
             around = params.clear_radius_m + margin_m
             return f"something {tall:.2f} m high within {around:.1f} m (limit {_TALL_M:.2f} m)"
         return "the footprint reaches beyond the map"
-    nearest = np.where(wrong, away, np.inf)
+    nearest = np.where(defective, away, np.inf)
     r, c = np.unravel_index(int(np.argmin(nearest)), nearest.shape)
-    metres = float(nearest[r, c]) * terrain.cell_m
+    metres = float(nearest[r, c]) * raster.cell_m
     r, c = r + top, c + left
-    kind = Defect(int(landable.defect[r, c]))
+    found = Defect(int(landable.defect[r, c]))
     figure = {
         Defect.STEEP: f" ({landable.slope_deg[r, c]:.1f} deg, limit {params.max_slope_deg:.1f})",
         Defect.STEP: f" ({landable.step_m[r, c]:.2f} m, limit {params.max_step_m:.2f})",
         Defect.OBSTACLE: f" ({landable.peak_m[r, c]:.2f} m, limit {params.max_step_m:.2f})",
-        Defect.ROUGH: f" (standard deviation {terrain.std[r, c]:.2f} m)",
-        Defect.SPARSE: f" ({terrain.count[r, c]:.0f})",
-        Defect.WATER: f" ({terrain.missing[r, c]:.0f} missing, {terrain.count[r, c]:.0f} seen)",
-    }.get(kind, "")
-    return f"{_WORDS[kind]}{figure} {metres:.1f} m away"
+        Defect.ROUGH: f" (standard deviation {raster.std[r, c]:.2f} m)",
+        Defect.SPARSE: f" ({raster.count[r, c]:.0f})",
+        Defect.WATER: f" ({raster.missing[r, c]:.0f} missing, {raster.count[r, c]:.0f} seen)",
+    }.get(found, "")
+    return f"{_DEFECT_TEXT[found]}{figure} {metres:.1f} m away"

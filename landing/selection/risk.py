@@ -1,8 +1,8 @@
-"""Our own scorer beside the paper's: the probability that a touchdown is safe.
+"""Probability of a safe touchdown: a scorer beside that of the paper.
 
-A logistic model of ``landing.selection.risk_features``, fitted to true maps by
-``touchdown bench selector --fit``. Every coefficient but the constant is negative: nothing
-that speaks against a place can make it better.
+A logistic model of ``landing.selection.risk_features``, fitted to ground-truth maps by
+``touchdown bench selector --fit``. Every coefficient except the constant is negative: a higher
+feature never raises the probability.
 """
 
 from __future__ import annotations
@@ -14,44 +14,46 @@ from scipy.optimize import minimize
 
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import LandingParams
+from touchdown.landing.selection.elevation_raster import ElevationRaster, observed_raster
 from touchdown.landing.selection.landable import LandableMap, assess, ground_planes
 from touchdown.landing.selection.risk_features import NAMES, RiskFeatures, risk_features
-from touchdown.landing.selection.terrain import Terrain, observed_terrain
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 TERMS = ("constant", *NAMES, "worst", "near the limit")
-"""of the logistic model, in the order of ``LandingParams.risk_weights``"""
+"""terms of the logistic model, in the order of ``LandingParams.risk_weights``"""
 _SLOPE, _STEP, _NEIGHBOUR = (NAMES.index(name) for name in ("slope", "step", "neighbour"))
 _KNEE = 0.8
-"""share of a limit beyond which the map's own error decides"""
-_LEAST = -0.2
-"""a coefficient is at most this, also where the fitted data has no say: true maps stand still, so
-they cannot show what an old map costs"""
+"""share of a limit beyond which the error of the map dominates"""
+_MAX_COEFFICIENT = -0.2
+"""upper bound of the fitted coefficients. It decides where the data has no information: the maps
+are static, so that the effect of an old map cannot be fitted."""
 _RIDGE = 1e-4
 
 
 def terms(values: Float32) -> Float32:
-    """(..., 10) the model's terms without the constant, from (..., 8) features: the features, the
-    worst of those that the geometric rule limits, and what that has beyond 0.8 of the limit."""
+    """Returns the model's terms (..., 10) without the constant, from features (..., 8): the
+    features, the worst of slope, step and neighbour, and its excess over 0.8 of the limit."""
     worst = values[..., [_SLOPE, _STEP, _NEIGHBOUR]].max(axis=-1)
     knee = np.maximum(worst - np.float32(_KNEE), np.float32(0.0))
     return np.concatenate([values, worst[..., None], knee[..., None]], axis=-1)
 
 
 def probability(features: RiskFeatures, weights: tuple[float, ...]) -> Float32:
-    """(rows, cols) float32 of a touchdown that is safe by geometry; 0 where ``open`` is not.
-    ``weights``: (11,) as ``TERMS``. ValueError: another number of them."""
+    """Returns the probability (rows, cols) float32 of a touchdown that is safe by geometry; 0
+    outside ``open``.
+
+    ``weights`` (11,): as ``TERMS``. Raises ValueError for another number of them."""
     result = np.zeros(features.open.shape, np.float32)
     flat = features.values.reshape(-1, len(NAMES))
-    _believe(flat, features.open.ravel(), _checked(weights), result.ravel())
+    _apply_model(flat, features.open.ravel(), _checked(weights), result.ravel())
     return result
 
 
 @numba.njit(cache=True)
-def _believe(values: Float32, chosen: Mask, weights: Array, result: Float32) -> None:
+def _apply_model(values: Float32, chosen: Mask, weights: Array, result: Float32) -> None:
     """The logistic model of ``terms`` on the chosen rows of (N, 8) features, into ``result``."""
     count = values.shape[1]
     for i in range(values.shape[0]):
@@ -71,38 +73,45 @@ def _checked(weights: tuple[float, ...]) -> Array:
     return np.asarray(weights, np.float64)
 
 
-def believed(values: Float32, weights: tuple[float, ...]) -> Float32:
-    """(N,) float32 probabilities from features (N, 8). ValueError: wrong number of weights."""
+def predict(values: Float32, weights: tuple[float, ...]) -> Float32:
+    """Returns probabilities (N,) float32 from features (N, 8). Raises ValueError for a wrong number
+    of weights."""
     result = np.zeros(len(values), np.float32)
     every = np.ones(len(values), np.bool_)
-    _believe(np.ascontiguousarray(values), every, _checked(weights), result)
+    _apply_model(np.ascontiguousarray(values), every, _checked(weights), result)
     return result
 
 
 def safe_probability(
-    terrain: Terrain, landable: LandableMap, params: LandingParams, *, now_s: float, drift_m: float
+    raster: ElevationRaster,
+    landable: LandableMap,
+    params: LandingParams,
+    *,
+    now_s: float,
+    drift_m: float,
 ) -> Float32:
-    """(rows, cols) of every cell as a touchdown point; see ``risk_features``."""
-    features = risk_features(terrain, landable, params, now_s=now_s, drift_m=drift_m)
+    """Returns the probability (rows, cols) of every cell as a touchdown point; see
+    ``risk_features``."""
+    features = risk_features(raster, landable, params, now_s=now_s, drift_m=drift_m)
     return probability(features, params.risk_weights)
 
 
 def features_of(map_view: MapView, estimate: Estimate, params: LandingParams) -> RiskFeatures:
-    """Features on the raster of ``landing.selection.selector.select_sites``. ValueError: an empty
-    map."""
-    terrain = observed_terrain(map_view.coarse)
-    if terrain is None:
+    """Returns the features that ``landing.selection.selector.select_sites`` uses. Raises ValueError
+    for an empty map."""
+    raster = observed_raster(map_view.coarse)
+    if raster is None:
         raise ValueError("the map is empty: it has no features")
-    planes = ground_planes(terrain, params)
+    planes = ground_planes(raster, params)
     landable = assess(
-        terrain, planes, params, margin_m=params.map_margin_m, min_returns=params.min_returns
+        raster, planes, params, margin_m=params.map_margin_m, min_returns=params.min_returns
     )
-    return risk_features(terrain, landable, params, now_s=estimate.time_s)
+    return risk_features(raster, landable, params, now_s=estimate.time_s)
 
 
 def fit_weights(values: Float32, safe: NDArray[np.bool_]) -> tuple[float, ...]:
-    """(11,) maximum likelihood of ``safe`` (N,) given features (N, 8), with a slight ridge, each
-    coefficient at most -0.2."""
+    """Returns the weights (11,) of maximum likelihood for ``safe`` (N,) given features (N, 8), with
+    a slight ridge penalty, each coefficient at most -0.2."""
     design = np.column_stack([np.ones(len(values)), terms(values)]).astype(np.float64)
     truth = safe.astype(np.float64)
 
@@ -114,23 +123,23 @@ def fit_weights(values: Float32, safe: NDArray[np.bool_]) -> tuple[float, ...]:
         return value, slope + 2.0 * _RIDGE * np.concatenate([[0.0], weights[1:]])
 
     start = np.concatenate([[5.0], np.full(len(TERMS) - 1, -1.0)])
-    bounds = [(None, None)] + [(None, _LEAST)] * (len(TERMS) - 1)
+    bounds = [(None, None)] + [(None, _MAX_COEFFICIENT)] * (len(TERMS) - 1)
     found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds,
                      options={"maxiter": 2000})  # fmt: skip
     return tuple(float(weight) for weight in found.x)
 
 
 def calibration(
-    believed: Float32, safe: NDArray[np.bool_], bins: int = 10
+    predicted: Float32, safe: NDArray[np.bool_], bins: int = 10
 ) -> tuple[float, list[tuple[float, float, int]]]:
-    """Expected calibration error of probabilities (N,), and the reliability diagram: mean belief,
-    share that is safe and number of every bin of equal width that holds any."""
-    index = np.minimum((believed * bins).astype(int), bins - 1)
+    """Returns the expected calibration error of probabilities (N,), and the reliability diagram:
+    mean probability, share of safe ones and number of each bin of equal width that is not empty."""
+    index = np.minimum((predicted * bins).astype(int), bins - 1)
     rows, error = [], 0.0
     for number in range(bins):
         inside = index == number
         if inside.any():
-            mean, share = float(believed[inside].mean()), float(safe[inside].mean())
+            mean, share = float(predicted[inside].mean()), float(safe[inside].mean())
             rows.append((mean, share, int(inside.sum())))
             error += abs(mean - share) * float(inside.mean())
     return error, rows

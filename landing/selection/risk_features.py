@@ -1,5 +1,5 @@
-"""What the risk of a touchdown is estimated from: eight rasters, each 0 where nothing speaks
-against landing and about 1 at the limit of the geometric rule.
+"""The eight features of the risk of a touchdown, each 0 for perfect ground and about 1 at the limit
+of the geometric check.
 """
 
 from __future__ import annotations
@@ -12,8 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams
+from touchdown.landing.selection.elevation_raster import (
+    ElevationRaster,
+    dilated,
+    disc_maximum,
+    distance_to,
+)
 from touchdown.landing.selection.landable import FOOTPRINT_M, Defect, LandableMap
-from touchdown.landing.selection.terrain import Terrain, disc_maximum, distance_to, near
 
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -24,63 +29,66 @@ _SLOPE_DISC_M = 0.5
 _SPREAD_LIMIT_M = 0.05
 _NEIGHBOUR_LIMIT_M = 0.25
 _ROOM_M = 2.0
-"""beyond the footprint; more room than this makes no landing safer"""
+"""room beyond the footprint from which confinement is 0"""
 _MOST = 2.0
-"""twice a limit is as bad as any more"""
+"""features are clipped at twice the limit"""
 _AGE_S = 60.0
 _IS_HARD = np.isin(np.arange(len(Defect)), (Defect.UNKNOWN, Defect.MOVING, Defect.WATER))
-"""by defect: no coefficient outweighs these"""
+"""defects that exclude a cell whatever the coefficients"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RiskFeatures:
-    """``values``: (rows, cols, 8) float32, last axis as ``NAMES``, finite everywhere; ``open``:
-    (rows, cols), the cells whose footprint lies in seen, dry, quiet ground within the map."""
+    """Features of every cell.
+
+    ``values``: (rows, cols, 8) float32, last axis as ``NAMES``, finite everywhere; ``open``: (rows,
+    cols), cells whose footprint lies within the map and contains no unknown ground, motion or
+    water."""
 
     values: Float32
     open: Mask
 
 
 def risk_features(
-    terrain: Terrain,
+    raster: ElevationRaster,
     landable: LandableMap,
     params: LandingParams,
     *,
     now_s: float,
     drift_m: float = 0.0,
 ) -> RiskFeatures:
-    """Of every cell as a touchdown point.
+    """Returns the features of every cell as a touchdown point.
 
-    ``now_s``: the time that ages are counted to; ``drift_m``: how far gusts may carry the vehicle,
-    taken off the room around the footprint.
+    ``now_s``: current time, for the age of cells; ``drift_m``: drift of the vehicle in gusts,
+    subtracted from the room around the footprint.
     """
-    cell = terrain.cell_m
+    cell = raster.cell_m
     pad = FOOTPRINT_M / cell
     hard = _IS_HARD[landable.defect]
     border = int(np.ceil(pad))
-    inside = np.zeros(terrain.shape, np.bool_)
+    inside = np.zeros(raster.shape, np.bool_)
     inside[border:-border, border:-border] = True
     flawed = hard | (landable.defect >= Defect.ROUGH)
     room = distance_to(flawed, cell)
     side = 2 * border + 1
-    few = np.reciprocal(1.0 + terrain.count).astype(np.float32)
+    few = np.reciprocal(1.0 + raster.count).astype(np.float32)
     thin = np.asarray(cv2.blur(few, (side, side), borderType=cv2.BORDER_REPLICATE), np.float32)
-    values = np.empty((*terrain.shape, len(NAMES)), np.float32)
+    values = np.empty((*raster.shape, len(NAMES)), np.float32)
     _scaled(disc_maximum(landable.slope_deg, _SLOPE_DISC_M / cell), 0.0,
             1.0 / params.max_slope_deg, values[..., 0])  # fmt: skip
     for index, layer in ((1, landable.step_m), (2, landable.peak_m)):
         _scaled(disc_maximum(layer, pad), 0.0, 1.0 / params.max_step_m, values[..., index])
-    _scaled(disc_maximum(terrain.std, pad), 0.0, 1.0 / _SPREAD_LIMIT_M, values[..., 3])
+    _scaled(disc_maximum(raster.std, pad), 0.0, 1.0 / _SPREAD_LIMIT_M, values[..., 3])
     _scaled(landable.tall_m, 0.0, 1.0 / _NEIGHBOUR_LIMIT_M, values[..., 4])
     _scaled(room, _ROOM_M + FOOTPRINT_M + drift_m, -1.0 / _ROOM_M, values[..., 5])
     _scaled(thin, 0.0, 1.0, values[..., 6])
-    _scaled(terrain.last_seen, now_s, -1.0 / _AGE_S, values[..., 7])
-    return RiskFeatures(values=values, open=inside & ~near(hard, pad))
+    _scaled(raster.last_seen, now_s, -1.0 / _AGE_S, values[..., 7])
+    return RiskFeatures(values=values, open=inside & ~dilated(hard, pad))
 
 
 @numba.njit(cache=True)
 def _scaled(layer: Float32, zero: float, gain: float, out: Float32) -> None:
-    """(layer - zero) * gain within [0, 2]; 2 where the layer is not a number."""
+    """Writes (layer - zero) * gain clipped to [0, 2] into ``out``; 2 where the layer is NaN."""
     rows, cols = layer.shape
     for row in range(rows):
         for col in range(cols):

@@ -1,4 +1,4 @@
-"""From the map to a list of alternative landing sites, best first (section 4 of the paper)."""
+"""Site selection: candidate landing sites of a map, best first (section 4 of the paper)."""
 
 from __future__ import annotations
 
@@ -12,6 +12,11 @@ from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import Candidate, CostmapView, LandingParams, Selection
 from touchdown.landing.selection.clustering import Clusters, bandwidths, quick_shift
 from touchdown.landing.selection.costmap import compute_costmap
+from touchdown.landing.selection.elevation_raster import (
+    ElevationRaster,
+    distance_to,
+    observed_raster,
+)
 from touchdown.landing.selection.landable import (
     LandableMap,
     assess,
@@ -20,21 +25,20 @@ from touchdown.landing.selection.landable import (
     ground_planes,
 )
 from touchdown.landing.selection.risk import safe_probability
-from touchdown.landing.selection.terrain import Terrain, distance_to, observed_terrain
-from touchdown.landing.selection.traffic import near_traffic, surfaces_of_sites, traffic_penalty
+from touchdown.landing.selection.traffic import surfaces_of_sites, traffic_penalty, traffic_zone
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _AVOID_M = 3.0
-"""a site refused on a closer look is not offered again within this distance"""
+"""radius around a refused site in which no site is accepted again"""
 _ENOUGH_ROOM_M = 1.0
 _ROOM_WEIGHT = 0.1
 _PLENTY_M = 3.0
-"""room that counts where sites are ranked by risk"""
+"""room from which the rank by risk no longer rises"""
 _APART_M = 3.0
-"""alternatives closer than this are no alternatives"""
+"""least distance between candidates"""
 
 
 NOTHING_MAPPED = Selection(
@@ -48,10 +52,10 @@ NOTHING_MAPPED = Selection(
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Judged:
-    """One map with everything that was computed of it; rasters (rows, cols)."""
+class _Assessed:
+    """Intermediate results of one map, (rows, cols)."""
 
-    terrain: Terrain
+    raster: ElevationRaster
     costmap: CostmapView
     landable: LandableMap
     allowed: Mask
@@ -61,98 +65,114 @@ class _Judged:
     margin_m: float
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SelectionLimits:
+    """Limits of one selection beyond those in ``LandingParams``; the defaults set none."""
+
+    reach_m: float = np.inf
+    """horizontal distance from the vehicle to a site that the remaining energy allows"""
+    avoid_odom: Sequence[Array] = ()
+    """(3,) each, sites that were refused already"""
+    unsafe_ground_odom: Sequence[Array] = ()
+    """(3,) each, sites refused for their kind of ground: the surfaces they lie on rank lower"""
+    wind_mps: float = 0.0
+    """estimated wind speed"""
+    least_bad: bool = False
+    """accept the most probable site where none is good enough"""
+
+
+NO_LIMITS = SelectionLimits()
+
+
 def select_sites(
     map_view: MapView,
     estimate: Estimate,
     params: LandingParams,
     *,
     footprint_radius_m: float,
-    reach_m: float = np.inf,
-    avoid_odom: Sequence[Array] = (),
-    alike_odom: Sequence[Array] = (),
-    wind_mps: float = 0.0,
-    least_bad: bool = False,
+    limits: SelectionLimits = NO_LIMITS,
 ) -> Selection:
-    """Alternative sites in the observed map: accepted ones first, then by the value that
-    ``params.scorer`` gives them less the penalty of ``landing.selection.traffic``.
+    """Returns the candidate sites of the observed map: accepted ones first, then by the value of
+    ``params.scorer`` minus the penalty of ``landing.selection.traffic``.
 
-    ``reach_m``: how far the energy left allows to fly; ``avoid_odom``: sites already refused;
-    ``alike_odom``: sites whose kind of ground was refused: the surfaces they lie on rank lower;
-    ``wind_mps``: speed of the wind as far as it is known; ``least_bad``: accept the most probable
-    site where none is good enough. ValueError: an unknown scorer.
+    Raises ValueError for an unknown scorer.
     """
-    terrain = observed_terrain(map_view.coarse)
-    if terrain is None:
+    raster = observed_raster(map_view.coarse)
+    if raster is None:
         return NOTHING_MAPPED
-    drift_m = params.gust_drift_s * wind_mps
-    judged = _judge(terrain, estimate, reach_m, params, params.map_margin_m, drift_m)
-    for avoid in avoid_odom:
-        x, y = terrain.offsets_from(avoid)
+    drift_m = params.gust_drift_s * limits.wind_mps
+    assessed = _assess(raster, estimate, limits.reach_m, params, params.map_margin_m, drift_m)
+    for avoid in limits.avoid_odom:
+        x, y = raster.offsets_from(avoid)
         np.logical_and(
-            judged.allowed, np.hypot(x[None, :], y[:, None]) > _AVOID_M, out=judged.allowed
+            assessed.allowed, np.hypot(x[None, :], y[:, None]) > _AVOID_M, out=assessed.allowed
         )
-    driven = near_traffic(terrain, judged.landable)
-    worse = driven | surfaces_of_sites(terrain, alike_odom) if alike_odom else driven
-    value = _value_map(judged, params) - traffic_penalty(worse, params)
-    if least_bad and not judged.allowed.any() and np.isfinite(value).any():
-        judged.allowed.flat[int(np.nanargmax(value))] = True
-    bandwidth, radius = bandwidths(footprint_radius_m / terrain.cell_m)
+    zone = traffic_zone(raster, assessed.landable)
+    worse = zone
+    if limits.unsafe_ground_odom:
+        worse = zone | surfaces_of_sites(raster, limits.unsafe_ground_odom)
+    value = _value_map(assessed, params) - traffic_penalty(worse, params)
+    if limits.least_bad and not assessed.allowed.any() and np.isfinite(value).any():
+        assessed.allowed.flat[int(np.nanargmax(value))] = True
+    bandwidth, radius = bandwidths(footprint_radius_m / raster.cell_m)
     clusters = quick_shift(
-        _cluster_map(judged, params), bandwidth_cells=bandwidth, radius_cells=radius
+        _cluster_map(assessed, params), bandwidth_cells=bandwidth, radius_cells=radius
     )
-    spots = _best_spots(clusters, value, judged)
-    apart = _APART_M / terrain.cell_m
+    spots = _best_spots(clusters, value, assessed)
+    apart = _APART_M / raster.cell_m
     candidates = [
-        _candidate(judged, spot, terrain.centre_of(*spot), params, certain=not least_bad)
-        for spot in _shortlist(spots, value, judged.allowed, params.max_candidates, apart)
+        _candidate(assessed, spot, raster.centre_of(*spot), params, certain=not limits.least_bad)
+        for spot in _shortlist(spots, value, assessed.allowed, params.max_candidates, apart)
     ]
     candidates.sort(key=lambda site: not site.accepted)  # stable: best first within both
     return Selection(
         candidates=tuple(candidates),
-        costmap=judged.costmap,
-        allowed=judged.allowed,
-        probability=judged.probability,
+        costmap=assessed.costmap,
+        allowed=assessed.allowed,
+        probability=assessed.probability,
         cluster=clusters.label,
         modes=clusters.modes,
-        driven=driven,
+        traffic_zone=zone,
     )
 
 
-def _cluster_map(judged: _Judged, params: LandingParams) -> Float32:
-    """What Quick Shift climbs: C_sum, or where it is the risk that counts, the probability."""
-    return judged.costmap.total if params.scorer == "paper" else judged.probability
+def _cluster_map(assessed: _Assessed, params: LandingParams) -> Float32:
+    """Returns the density values for Quick Shift: C_sum, or the probability for the scorer
+    ``risk``."""
+    return assessed.costmap.total if params.scorer == "paper" else assessed.probability
 
 
-def _value_map(judged: _Judged, params: LandingParams) -> Float32:
-    """Rank of a cell as a site; NaN where energy or the map do not reach."""
+def _value_map(assessed: _Assessed, params: LandingParams) -> Float32:
+    """Returns the value of every cell as a site; NaN out of reach or unknown."""
     if params.scorer == "paper":
-        return judged.costmap.total
-    energy = np.float32(params.energy_weight) * (1.0 - judged.costmap.distance)
-    room = np.minimum(judged.room_m, _PLENTY_M) * np.float32(_ROOM_WEIGHT / _PLENTY_M)
-    tilt = np.minimum(judged.landable.slope_deg / np.float32(params.max_slope_deg), 1.0)
-    value = judged.probability - energy + room - np.float32(params.level_weight) * tilt
+        return assessed.costmap.total
+    energy = np.float32(params.energy_weight) * (1.0 - assessed.costmap.distance)
+    room = np.minimum(assessed.room_m, _PLENTY_M) * np.float32(_ROOM_WEIGHT / _PLENTY_M)
+    tilt = np.minimum(assessed.landable.slope_deg / np.float32(params.max_slope_deg), 1.0)
+    value = assessed.probability - energy + room - np.float32(params.level_weight) * tilt
     return value.astype(np.float32)
 
 
 def check_site(
     map_view: MapView, estimate: Estimate, params: LandingParams, xy_odom: Array
 ) -> tuple[Candidate, CostmapView | None]:
-    """The commanded site ``xy_odom`` (2,) as a candidate: accepted or refused with the reason.
+    """Returns the commanded site ``xy_odom`` (2,) as a candidate, accepted or refused with the
+    reason, and the costmap.
 
-    Someone chose this place, so it needs less room to err than one that the map alone suggests.
+    Its margin is smaller than that of selected sites, since an operator chose it.
     """
-    terrain = observed_terrain(map_view.coarse)
-    if terrain is None:
-        return _unseen(xy_odom), None
-    judged = _judge(terrain, estimate, np.inf, params, params.low_margin_m, 0.0)
-    spot = terrain.cell_of(xy_odom)
-    if not terrain.contains(*spot):
-        return _unseen(xy_odom), judged.costmap
-    judged.allowed[spot] = judged.landable.mask[spot]
-    return _candidate(judged, spot, xy_odom, params), judged.costmap
+    raster = observed_raster(map_view.coarse)
+    if raster is None:
+        return _unmapped(xy_odom), None
+    assessed = _assess(raster, estimate, np.inf, params, params.low_margin_m, 0.0)
+    spot = raster.cell_of(xy_odom)
+    if not raster.contains(*spot):
+        return _unmapped(xy_odom), assessed.costmap
+    assessed.allowed[spot] = assessed.landable.mask[spot]
+    return _candidate(assessed, spot, xy_odom, params), assessed.costmap
 
 
-def _unseen(xy: Array, why: str = "outside what was mapped") -> Candidate:
+def _unmapped(xy: Array, why: str = "outside what was mapped") -> Candidate:
     return Candidate(
         position_odom=np.array([xy[0], xy[1], np.nan]),
         normal_odom=np.array([0.0, 0.0, 1.0]),
@@ -168,44 +188,44 @@ def _unseen(xy: Array, why: str = "outside what was mapped") -> Candidate:
     )
 
 
-def _judge(
-    terrain: Terrain,
+def _assess(
+    raster: ElevationRaster,
     estimate: Estimate,
     reach_m: float,
     params: LandingParams,
     margin_m: float,
     drift_m: float,
-) -> _Judged:
-    planes = ground_planes(terrain, params)
+) -> _Assessed:
+    planes = ground_planes(raster, params)
     position = estimate.odom_from_body.translation
-    costmap = compute_costmap(terrain, planes, position, reach_m, params)
-    landable = assess(terrain, planes, params, margin_m=margin_m, min_returns=params.min_returns)
+    costmap = compute_costmap(raster, planes, position, reach_m, params)
+    landable = assess(raster, planes, params, margin_m=margin_m, min_returns=params.min_returns)
     if params.scorer == "paper":
         allowed = landable.mask & np.isfinite(costmap.total)
-        believed = allowed.astype(np.float32)
+        predicted = allowed.astype(np.float32)
     elif params.scorer == "risk":
         now_s = estimate.time_s
-        believed = safe_probability(terrain, landable, params, now_s=now_s, drift_m=drift_m)
-        allowed = (believed >= params.min_safe_probability) & np.isfinite(costmap.distance)
+        predicted = safe_probability(raster, landable, params, now_s=now_s, drift_m=drift_m)
+        allowed = (predicted >= params.min_safe_probability) & np.isfinite(costmap.distance)
     else:
         raise ValueError(f"landing.scorer is {params.scorer!r}: use 'risk' or 'paper'")
-    return _Judged(
-        terrain=terrain,
+    return _Assessed(
+        raster=raster,
         costmap=costmap,
         landable=landable,
         allowed=allowed,
-        probability=believed,
-        room_m=distance_to(~allowed, terrain.cell_m),
+        probability=predicted,
+        room_m=distance_to(~allowed, raster.cell_m),
         margin_m=margin_m,
     )
 
 
-def _best_spots(clusters: Clusters, value: Float32, judged: _Judged) -> list[tuple[int, int]]:
-    """One cell per cluster: the allowed one of highest value, room to err counting up to 1 m; the
-    mode itself where nothing in the cluster is allowed."""
+def _best_spots(clusters: Clusters, value: Float32, assessed: _Assessed) -> list[tuple[int, int]]:
+    """Returns one cell for each cluster: the allowed one of highest value, with a bonus for up to
+    1 m of room; the mode itself where no cell of the cluster is allowed."""
     spots = clusters.modes.copy()
-    room = np.minimum(judged.room_m, _ENOUGH_ROOM_M) / _ENOUGH_ROOM_M
-    cells = np.flatnonzero(judged.allowed & (clusters.label >= 0))
+    room = np.minimum(assessed.room_m, _ENOUGH_ROOM_M) / _ENOUGH_ROOM_M
+    cells = np.flatnonzero(assessed.allowed & (clusters.label >= 0))
     merit = value.ravel()[cells] + _ROOM_WEIGHT * room.ravel()[cells]
     label = clusters.label.ravel()[cells]
     best = np.full(spots.shape[0], -np.inf, np.float32)
@@ -223,14 +243,14 @@ def _shortlist(
     limit: int,
     apart_cells: float,
 ) -> list[tuple[int, int]]:
-    """The best ``limit`` spots that keep apart; two thirds of the places are for allowed ones, if
-    there are as many, so that refused ones of high value stay visible."""
+    """Returns the best ``limit`` spots at the least distance from one another. Two thirds are
+    reserved for allowed ones, so that refused ones of high value are listed too."""
     filled = np.nan_to_num(value, nan=-np.inf)
     by_value = sorted(spots, key=lambda spot: (-float(filled[spot]), spot))
     chosen: list[tuple[int, int]] = []
-    for wanted, places in ((True, (2 * limit + 2) // 3), (False, limit)):
+    for wanted, most in ((True, (2 * limit + 2) // 3), (False, limit)):
         for spot in by_value:
-            if len(chosen) >= places:
+            if len(chosen) >= most:
                 break
             if bool(allowed[spot]) is wanted and all(
                 np.hypot(spot[0] - other[0], spot[1] - other[1]) >= apart_cells for other in chosen
@@ -240,36 +260,36 @@ def _shortlist(
 
 
 def _candidate(
-    judged: _Judged,
+    assessed: _Assessed,
     spot: tuple[int, int],
     xy: Array,
     params: LandingParams,
     *,
     certain: bool = True,
 ) -> Candidate:
-    """The site at ``xy`` (2,) in the cell ``spot``. Where it must be ``certain``, the plane through
-    the whole footprint has the last word."""
-    costmap = judged.costmap
+    """Returns the site at ``xy`` (2,) in the cell ``spot``. Where it must be ``certain``, the plane
+    through the whole footprint is checked too."""
+    costmap = assessed.costmap
     xy = np.asarray(xy, dtype=np.float64)
-    plane = fit_footprint(judged.terrain, xy)
+    plane = fit_footprint(assessed.raster, xy)
     if plane is None:
-        return _unseen(xy, _why_not(judged, spot, params))
-    believed = float(judged.probability[spot])
+        return _unmapped(xy, _refusal(assessed, spot, params))
+    predicted = float(assessed.probability[spot])
     refusal = None
-    if not judged.allowed[spot]:
-        refusal = _why_not(judged, spot, params)
+    if not assessed.allowed[spot]:
+        refusal = _refusal(assessed, spot, params)
     elif certain and plane.slope_deg > params.max_slope_deg - params.slope_margin_deg:
         refusal = f"slope {plane.slope_deg:.1f} deg over the footprint"
     elif certain and plane.roughness_m > params.max_step_m - params.step_margin_m:
         refusal = f"{plane.roughness_m:.2f} m off its plane"
-    room = float(judged.room_m[spot])
+    room = float(assessed.room_m[spot])
     figures = (
         f"slope {plane.slope_deg:.1f} deg, roughness {plane.roughness_m:.2f} m, "
         f"clearance {room:.1f} m, C_sum {_value(costmap.total, spot):.2f}"
     )
     if params.scorer == "risk":
-        figures += f", safe with probability {believed:.3f}"
-    verdict = "landable" if certain or believed >= params.min_safe_probability else "the least bad"
+        figures += f", safe with probability {predicted:.3f}"
+    verdict = "landable" if certain or predicted >= params.min_safe_probability else "the least bad"
     return Candidate(
         position_odom=plane.position,
         normal_odom=plane.normal,
@@ -282,17 +302,17 @@ def _candidate(
         clearance_m=room,
         accepted=refusal is None,
         reason=f"{verdict}: {figures}" if refusal is None else f"refused: {refusal}",
-        safe_probability=believed if params.scorer == "risk" else float("nan"),
+        safe_probability=predicted if params.scorer == "risk" else float("nan"),
     )
 
 
-def _why_not(judged: _Judged, spot: tuple[int, int], params: LandingParams) -> str:
-    landable = judged.landable
+def _refusal(assessed: _Assessed, spot: tuple[int, int], params: LandingParams) -> str:
+    landable = assessed.landable
     if not landable.mask[spot]:
-        return explain(judged.terrain, landable, *spot, params, judged.margin_m)
-    believed = float(judged.probability[spot])
-    if believed < params.min_safe_probability and params.scorer == "risk":
-        return f"safe with probability {believed:.2f} (at least {params.min_safe_probability:.2f})"
+        return explain(assessed.raster, landable, *spot, params, assessed.margin_m)
+    predicted = float(assessed.probability[spot])
+    if predicted < params.min_safe_probability and params.scorer == "risk":
+        return f"safe with probability {predicted:.2f} (at least {params.min_safe_probability:.2f})"
     return "seen from closer it was not landable, or out of reach"
 
 

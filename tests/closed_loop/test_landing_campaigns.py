@@ -1,4 +1,4 @@
-"""The campaigns of landings: what they fly, and that the spot of one of them is a good one."""
+"""The landing campaigns: their contents, and the safety of the commanded site."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_campaigns_of_landings(name: str, scenes: int, methods: int, seeds: int)
     assert all(config.wind.mean_kmh == 12.0 and config.mapper.enabled for config in configs)
 
 
-def test_one_place_and_one_spot_for_all_methods() -> None:
+def test_one_scene_and_one_site_for_all_methods() -> None:
     configs = configs_of(load_plan(ROOT / "configs" / "commanded_site.toml"))
     assert {config.scene_seed for config in configs} == {0}
     assert {config.landing.site_xy_m for config in configs} == {(14.0, -33.5)}
@@ -52,7 +52,7 @@ def test_one_place_and_one_spot_for_all_methods() -> None:
     assert unchecked == {"gps": 5, "optical_flow": 5, "hybrid_flow": 5}
 
 
-def test_the_commanded_spot_is_safe_with_room_around_it() -> None:
+def test_commanded_site_is_safe_with_room_around_it() -> None:
     """By the true map, as the campaign's file says."""
     from touchdown.scenes.api import LAND_CLASSES
     from touchdown.scenes.truth.maps import truth_maps
@@ -67,7 +67,7 @@ def test_the_commanded_spot_is_safe_with_room_around_it() -> None:
     assert np.hypot(*(spot - scene.takeoff_xy_m)) == pytest.approx(42.5, abs=0.5)
 
 
-def test_the_seed_of_the_place_is_apart_from_that_of_the_flight(
+def test_scene_seed_is_separate_from_the_seed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     asked: list[tuple[str, int]] = []
@@ -81,7 +81,7 @@ def test_the_seed_of_the_place_is_apart_from_that_of_the_flight(
         load_config(None, ["scene_seed=-1"])
 
 
-def test_the_commanded_spot_is_in_the_result() -> None:
+def test_commanded_site_is_in_the_result() -> None:
     touched: Any = SimpleNamespace(landing={"target_offset_m": 0.1})
     never: Any = SimpleNamespace(landing=None)
     assert _landing(touched, (14.0, -33.5)) == {

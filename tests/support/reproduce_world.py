@@ -136,7 +136,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
         return {"scene": "crossroad", "cells": [300, 400], "stage_ms": times}
 
     @replaced("classification.render_dataset.render_dataset", "pictures")
-    def _(out: Path, **options: Any) -> None:
+    def _(out: Path, params: Any, **options: Any) -> None:
         out.mkdir(parents=True)
         draw(out / "contact_sheet.png")
 

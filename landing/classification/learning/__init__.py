@@ -1,1 +1,1 @@
-"""Training and what else needs torch."""
+"""Training, checkpoints, export and quantisation of networks; needs torch and onnx."""

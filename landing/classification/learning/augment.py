@@ -1,7 +1,7 @@
-"""Variations of training pictures, a batch at a time, on whatever device they are on.
+"""Augmentation of training images, batch by batch, on the device of the images.
 
-All numbers but the grain of the noise are drawn on the CPU from one generator, so that every device
-sees the same ones.
+All random numbers except the pixel noise are drawn on the CPU from one generator, so that they are
+the same on every device.
 """
 
 from __future__ import annotations
@@ -14,33 +14,33 @@ from torch.nn import functional
 
 _ZOOM = math.log(1.35)
 _SHIFT = 0.12
-"""of half a picture"""
+"""relative to half of an image"""
 _LIGHT, _TINT = 0.25, 0.07
-"""deviation of the logarithm of brightness, and of each channel's"""
+"""standard deviation of the logarithm of brightness, and of that of each channel"""
 _CONTRAST, _COLOUR = (0.7, 1.3), (0.5, 1.4)
 _NOISE = 0.03
 _ERASED = (0.1, 0.35)
-"""side of the rectangle that hides part of one picture in four"""
+"""side of the rectangle that covers part of one image in four"""
 _PERIOD, _THICKNESS = (0.1, 0.7), (0.03, 0.25)
-"""between painted lines, in pictures; how wide they are, of that"""
+"""distance of painted lines relative to the image, and their width relative to the distance"""
 _WAVE, _WAVE_LENGTH = 0.03, (0.15, 0.6)
-"""deviation and length of the waves of lines seen through water, in pictures"""
+"""amplitude and length of the waves of lines under water, relative to the image"""
 _DASH, _EDGE = (0.08, 0.4), (0.004, 0.03)
-"""of a dashed line, and of a blurred edge, in pictures"""
+"""length of dashes and of blurred edges, relative to the image"""
 
 
 def as_input(images: Tensor) -> Tensor:
-    """(B, S, S, 3) uint8 to (B, 3, S, S) float32 within 0..1, as networks get them."""
+    """Converts (B, S, S, 3) uint8 to the network input (B, 3, S, S) float32 in [0, 1]."""
     return images.permute(0, 3, 1, 2).float() / 255.0
 
 
 def augmented(
     images: Tensor, generator: torch.Generator, strength: float = 1.0, markings: float = 0.0
 ) -> Tensor:
-    """(B, 3, S, S) within 0..1, turned, mirrored, zoomed, lit otherwise, partly hidden; with lines
-    painted on a share ``markings`` of them.
+    """Returns images (B, 3, S, S) in [0, 1] rotated, mirrored, scaled, with changed light, partly
+    covered, and with lines painted on a share ``markings`` of them.
 
-    ``strength`` 0 leaves turning and mirroring, and a shift."""
+    With ``strength`` 0 only rotation, mirroring and a shift remain."""
     moved = _moved(images, generator, strength)
     if markings > 0.0:
         moved = marked(moved, generator, markings)
@@ -52,7 +52,8 @@ def _uniform(generator: torch.Generator, shape: tuple[int, ...], low: float, hig
 
 
 def _moved(images: Tensor, generator: torch.Generator, strength: float = 1.0) -> Tensor:
-    """Seen from above there is no up: any angle is as likely, and so is the mirror image."""
+    """Returns images in random pose. Aerial images have no preferred direction: rotation and
+    mirroring are uniform."""
     count = len(images)
     angle = _uniform(generator, (count,), 0.0, 2.0 * math.pi)
     zoom = torch.exp(strength * _uniform(generator, (count,), -_ZOOM, _ZOOM))
@@ -74,7 +75,7 @@ def _relit(images: Tensor, generator: torch.Generator, strength: float) -> Tenso
         for span in (_CONTRAST, _COLOUR)
     )
     noise = strength * _uniform(generator, (count, 1, 1, 1), 0.0, _NOISE).to(images)
-    # millions of numbers: drawn where the pictures are, from a seed that is drawn here
+    # millions of numbers: drawn where the images are, from a seed that is drawn here
     local = torch.Generator(images.device)
     local.manual_seed(int(torch.randint(2**62, (), generator=generator)))
     grain = torch.randn(images.shape, generator=local, device=images.device)
@@ -86,7 +87,7 @@ def _relit(images: Tensor, generator: torch.Generator, strength: float) -> Tenso
 
 
 def _hidden(images: Tensor, generator: torch.Generator, strength: float) -> Tensor:
-    """A grey rectangle over one picture in four (Zhong et al., AAAI 2020)."""
+    """Covers a rectangle of one image in four with grey (Zhong et al., AAAI 2020)."""
     count, size = len(images), images.shape[-1]
     pick = torch.rand(count, generator=generator) < 0.25 * strength
     sides = size * _uniform(generator, (count, 2), *_ERASED)
@@ -98,9 +99,10 @@ def _hidden(images: Tensor, generator: torch.Generator, strength: float) -> Tens
 
 
 def marked(images: Tensor, generator: torch.Generator, share: float) -> Tensor:
-    """Parallel lines over a share of the pictures (B, 3, S, S): whole or dashed, straight or wavy,
-    of any colour, half of them white. Lanes, bays and courts are painted on all sorts of ground,
-    and in pools; what it is they do not tell."""
+    """Paints parallel lines on a share of the images (B, 3, S, S).
+
+    Lines are whole or dashed, straight or wavy, of any colour, half of them white. Lanes, bays and
+    courts are marked on many kinds of ground and in pools: lines must not determine the class."""
     count, size = len(images), images.shape[-1]
 
     def draw(low: float, high: float) -> Tensor:
@@ -135,9 +137,11 @@ def marked(images: Tensor, generator: torch.Generator, share: float) -> Tensor:
 def blended(
     images: Tensor, targets: Tensor, generator: torch.Generator, strength: float
 ) -> tuple[Tensor, Tensor]:
-    """Pictures (B, 3, S, S) and probabilities of their classes (B, C), blended with those that a
-    permutation gives (Zhang et al., ICLR 2018): all by one share from Beta(``strength``,
-    ``strength``), at least half of it their own."""
+    """Returns images (B, 3, S, S) and class probabilities (B, C), each blended with another of the
+    batch (mixup, Zhang et al., ICLR 2018).
+
+    One share is drawn for the batch from Beta(``strength``, ``strength``); each image keeps at
+    least half of itself."""
     pair = torch.randperm(len(images), generator=generator).to(images.device)
     draw = _beta(strength, generator)
     own = max(draw, 1.0 - draw)
@@ -145,7 +149,7 @@ def blended(
 
 
 def _beta(strength: float, generator: torch.Generator) -> float:
-    """One draw of Beta(a, a) for a up to 1, by Joehnk's method: torch's own takes no generator."""
+    """Draws from Beta(a, a) for a up to 1 by Joehnk's method: that of torch takes no generator."""
     while True:
         u, v = torch.rand(2, generator=generator, dtype=torch.float64).tolist()
         x, y = u ** (1.0 / strength), v ** (1.0 / strength)

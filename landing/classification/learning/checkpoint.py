@@ -1,4 +1,4 @@
-"""What a training leaves behind after every epoch, so that it can go on after any of them."""
+"""Checkpoints of a training after every epoch, from which it resumes."""
 
 from __future__ import annotations
 
@@ -15,17 +15,21 @@ from touchdown.landing.classification.learning.weights_file import load_weights,
 from touchdown.landing.classification.weights import SUFFIX
 
 LAST, BEST = "last.pt", "best.pt"
-_OTHER = {"data": "other pictures", "start": "other weights to begin with"}
+_OTHER = {"data": "other images", "start": "other weights to begin with"}
 
 
 class Resumable(Protocol):
-    def take_state(self, state: dict[str, Any]) -> None: ...
+    """A training that resumes from a checkpoint."""
+
+    def take_state(self, state: dict[str, Any]) -> None:
+        """Takes over the state of a checkpoint."""
 
 
 def restore(trainer: Resumable, folder: Path, identity: dict[str, Any]) -> None:
-    """Goes on from ``last.pt`` in ``folder``, where there is one.
+    """Resumes from ``last.pt`` in ``folder``, if it exists.
 
-    Raises ValueError where it is of a training with other parameters or pictures, or is broken.
+    Raises ValueError where it belongs to a training with other parameters or images, or cannot be
+    read.
     """
     path = folder / LAST
     if not path.is_file():
@@ -40,22 +44,26 @@ def restore(trainer: Resumable, folder: Path, identity: dict[str, Any]) -> None:
 
 
 def write_last(folder: Path, state: dict[str, Any]) -> None:
+    """Writes the checkpoint of the last epoch."""
     _write(folder / LAST, state)
 
 
 def write_best(folder: Path, weights: dict[str, Any]) -> None:
+    """Writes the weights of the best epoch."""
     _write(folder / BEST, weights)
 
 
 def read_best(folder: Path) -> dict[str, Any]:
-    """Weights of the best epoch. Raises ValueError: no such file, or broken."""
+    """Returns the weights of the best epoch. Raises ValueError where they cannot be read."""
     return _read(folder / BEST)
 
 
 def begin_with(network: nn.Module, name: str, classes: tuple[str, ...], start: Path) -> None:
     """Loads the best weights of the training in the folder ``start``, or those of the network's
-    file ``start``. ``name`` and ``classes`` are of ``network``. Raises ValueError: as
-    ``read_best`` or ``read_weights``, or of another network or other classes."""
+    file ``start``.
+
+    ``name`` and ``classes`` are of ``network``. Raises ValueError as ``read_best`` and
+    ``read_weights``, and for weights of another network or of other classes."""
     other = ValueError(f"'{start}' holds weights of another network or of other classes")
     try:
         if start.suffix != SUFFIX:
@@ -70,7 +78,7 @@ def begin_with(network: nn.Module, name: str, classes: tuple[str, ...], start: P
 
 
 def fingerprint(start: Path) -> int:
-    """Of the best weights in a folder, or of a network's file."""
+    """Returns the CRC-32 of the best weights in a folder, or of a network's file."""
     return crc32((start if start.suffix == SUFFIX else start / BEST).read_bytes())
 
 
@@ -88,5 +96,5 @@ def _read(path: Path) -> dict[str, Any]:
         value: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
     except (OSError, RuntimeError, ValueError, EOFError, pickle.UnpicklingError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"'{path}' is no checkpoint that can be read: {reason}") from error
+        raise ValueError(f"'{path}' cannot be read as a checkpoint: {reason}") from error
     return value

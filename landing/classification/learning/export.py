@@ -1,7 +1,7 @@
-"""Between torch and the file that ONNX Runtime reads.
+"""Export of torch networks to ONNX files, and their import into torch.
 
-Matrices and filters are kept as float16 under the names that torch gives them, and cast to float32
-before they are used; biases and the numbers of the norms stay float32, a thousandth of the whole.
+Matrices and filters are stored as float16 under their torch names and cast to float32 before use;
+biases and the parameters of the norms stay float32, a thousandth of the file.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
-from touchdown.landing.classification.engine import as_input, weighed
+from touchdown.landing.classification.engine import apply_miss_costs, as_input
 from touchdown.landing.classification.learning.training import normalised
 from touchdown.landing.classification.learning.weights_file import load_weights, read_weights
 from touchdown.landing.classification.networks.registry import build_network
@@ -28,7 +28,7 @@ _CAST = "/float32"
 
 
 class Calibrated(nn.Module):
-    """A network from pictures within 0..1 to scores whose softmax is a calibrated probability."""
+    """A network that maps images in [0, 1] to scores whose softmax is a calibrated probability."""
 
     temperature: Tensor
 
@@ -37,18 +37,19 @@ class Calibrated(nn.Module):
         self.network = network
         self.register_buffer("temperature", torch.tensor([temperature]))
 
-    def forward(self, pictures: Tensor) -> Tensor:
-        scores: Tensor = self.network(normalised(pictures))
+    def forward(self, images: Tensor) -> Tensor:
+        """Returns scores (B, C) of images (B, 3, S, S)."""
+        scores: Tensor = self.network(normalised(images))
         return scores / self.temperature
 
 
 def export_network(path: Path, network: nn.Module, temperature: float, facts: NetworkFacts) -> None:
-    """Writes ``network`` to ``path`` with its checksum."""
+    """Writes ``network`` to ``path``, and its checksum."""
     module = Calibrated(network, temperature).eval()
     size = facts.image_size
     with warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "network.onnx"
-        # torch would rather have its newer exporter used, which renames weights
+        # torch warns in favour of its newer exporter, which renames weights
         warnings.simplefilter("ignore")
         torch.onnx.export(
             module,
@@ -71,7 +72,8 @@ def export_network(path: Path, network: nn.Module, temperature: float, facts: Ne
 
 
 def _halve(graph: onnx.GraphProto) -> None:
-    """Large initial values to float16, with a cast where they are used."""
+    """Converts initial values of two or more dimensions to float16, with a cast where they are
+    used."""
     casts = {}
     for value in graph.initializer:
         if value.data_type == TensorProto.FLOAT and len(value.dims) >= 2:
@@ -92,9 +94,9 @@ def _halve(graph: onnx.GraphProto) -> None:
 
 
 class TorchClassifier:
-    """The same file in torch.
+    """A network's file in torch.
 
-    Raises ValueError, FileNotFoundError as `landing.classification.weights.read_network`.
+    Raises ValueError and FileNotFoundError as `landing.classification.weights.read_network`.
     """
 
     def __init__(self, path: Path, device: torch.device | None = None) -> None:
@@ -106,7 +108,8 @@ class TorchClassifier:
         self._module.eval().to(self._device)
 
     def scores(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
-        pictures = torch.from_numpy(as_input(images, self.facts.image_size))
+        """As `landing.classification.engine.Classifier.scores`."""
+        inputs = torch.from_numpy(as_input(images, self.facts.image_size))
         with torch.inference_mode():
-            scores: Tensor = self._module(pictures.to(self._device))
-        return weighed(scores.float().cpu().numpy(), self.facts)
+            scores: Tensor = self._module(inputs.to(self._device))
+        return apply_miss_costs(scores.float().cpu().numpy(), self.facts)

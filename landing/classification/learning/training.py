@@ -1,4 +1,4 @@
-"""Training a network on labelled pictures: AdamW, cosine schedule, averaged weights, early stop."""
+"""Training a network on labelled images: AdamW, cosine schedule, averaged weights, early stop."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from touchdown.landing.api import LabelledPictures
+from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification import scores
 from touchdown.landing.classification.learning import checkpoint
 from touchdown.landing.classification.learning.augment import as_input, augmented, blended
@@ -28,45 +28,47 @@ from touchdown.landing.classification.networks.registry import (
 
 Progress = Callable[[int, int, str], None]
 _AVERAGE = 0.998
-"""of the weights of before that the averaged weights keep at each step"""
+"""share of the previous average that the averaged weights keep at each step"""
 _LARGEST_GRADIENT = 1.0
 _WARM_UP = 0.05
-"""share of all steps in which the learning rate rises from nothing"""
+"""share of all steps in which the learning rate rises from 0"""
 _BETTER = 1e-4
-"""macro F1 that an epoch must gain to count as better"""
+"""least gain of macro F1 of a better epoch"""
 _MAY_CHANGE = ("epochs", "patience", "start_share", "miss_costs")
-"""parameters of a training that goes on: its schedule is as long as it is told to be now, and what
-becomes of its weights is decided at the end"""
+"""parameters that may change when a training resumes: they affect the length of the schedule and
+the final weights only"""
 _SIZES, _SIZE_STEP = 4, 16
-"""Growing pictures have this many sizes, which are multiples of so many pixels"""
+"""number of sizes of growing images, and the number of pixels that a size is a multiple of"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrainParams:
+    """Parameters of a training."""
+
     network: str = "resnet50_cbam"
     labels: str = "d_land"
     image_size: int = 96
     first_size: int | None = None
-    """pixels across of the first epochs' pictures, which grow to ``image_size`` (Tan and Le, ICML
-    2021, section 4.2); None: all alike"""
+    """side of the images of the first epochs, which grow to ``image_size`` (Tan and Le, ICML 2021,
+    section 4.2); None: the same for all epochs"""
     epochs: int = 30
     batch_size: int = 64
     learning_rate: float = 1e-3
     weight_decay: float = 0.05
     label_smoothing: float = 0.05
     variation: float = 1.0
-    """strength of what is changed in pictures (`augment.augmented`)"""
+    """strength of the augmentation (`augment.augmented`)"""
     markings: float = 0.0
-    """share of pictures with lines painted on them (`augment.marked`)"""
+    """share of images with lines painted on them (`augment.marked`)"""
     blending: float = 0.0
-    """strength of `augment.blended`, up to 1; 0: pictures are not blended"""
+    """strength of `augment.blended`, up to 1; 0: no blending"""
     start_share: float = 0.0
-    """of the weights that the training began with in those that it ends with: between the two may
-    lie what knows other ground better than either (Wortsman et al., CVPR 2022, Eq. 1)"""
+    """share of the initial weights in the final ones: the mean may generalise better than either
+    (Wortsman et al., CVPR 2022, Eq. 1)"""
     miss_costs: tuple[tuple[str, float], ...] = ()
-    """as ``NetworkFacts.miss_costs``: what is trained is the same, not what is made of it"""
+    """as ``NetworkFacts.miss_costs``; they do not affect the training itself"""
     patience: int = 8
-    """epochs without a better macro F1 on the validation pictures before training ends"""
+    """epochs without a better macro F1 on the validation images before training ends"""
     seed: int = 0
 
 
@@ -79,11 +81,12 @@ class Trained:
     history: list[dict[str, float]]
     best_epoch: int
     scores: NDArray[np.float32]
-    """(N, C) calibrated, of the validation pictures"""
+    """(N, C) calibrated scores of the validation images"""
 
 
 def chosen_device(name: str) -> torch.device:
-    """``auto``: a GPU where there is one. Raises ValueError for a device that is not here."""
+    """Returns the device; ``auto`` is a GPU where there is one. Raises ValueError for a device that
+    this machine does not have."""
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if name not in ("cpu", "cuda"):
@@ -94,27 +97,27 @@ def chosen_device(name: str) -> torch.device:
 
 
 class Trainer:
-    """Training that can be stopped after any epoch and goes on where it was.
+    """A training that can be interrupted after any epoch and resumed.
 
-    Every random number is keyed by seed, epoch and step, so that a training that was interrupted
-    ends with the same weights, to the bit on a CPU.
-    Raises ValueError: unknown network, too small pictures, a folder of another training.
+    Every random number is keyed by seed, epoch and step: an interrupted training ends with the same
+    weights, on a CPU to the bit. Raises ValueError for an unknown network, images that are too
+    small, or a folder of another training.
     """
 
     def __init__(
         self,
         params: TrainParams,
-        train: LabelledPictures,
-        val: LabelledPictures,
+        train: LabelledImages,
+        val: LabelledImages,
         folder: Path,
         device: torch.device,
         *,
         start: Path | None = None,
         compiled: bool = False,
     ) -> None:
-        """``start``: what this one begins with, the best weights in the folder of another training
-        of this network or those in a network's file. ``compiled``: by `torch.compile`, which takes
-        a minute for every size of pictures."""
+        """``start``: folder of another training of this network, or a network's file, with the
+        initial weights. ``compiled``: use `torch.compile`, which takes a minute for every image
+        size."""
         check_network(params.network, params.image_size)
         check_growth(params)
         if params.start_share and start is None:
@@ -148,12 +151,12 @@ class Trainer:
         done = len(self.history)
         if done >= self.params.epochs:
             return True
-        # pictures that still grow make the network better at what it is validated on
+        # images that still grow make the network better at what it is validated on
         grown = size_of_epoch(self.params, done) == self.params.image_size
         return grown and done - 1 - self.best_epoch >= self.params.patience
 
     def state(self) -> dict[str, Any]:
-        """All that the next epoch depends on."""
+        """Returns the state that the next epoch depends on."""
         return {
             "identity": self._identity,
             "network": self.network.state_dict(),
@@ -181,7 +184,7 @@ class Trainer:
         self.network.train()
         total = 0.0
         for step in range(self.steps):
-            # Two pictures at least: of one, batch norm may find nothing to divide by.
+            # Two images at least: of one, batch norm may find nothing to divide by.
             first = min(step * self.params.batch_size, max(0, len(draws) - 2))
             batch = draws[first : (step + 1) * self.params.batch_size]
             total += self._step(epoch * self.steps + step, batch, generator)
@@ -208,8 +211,8 @@ class Trainer:
         return row
 
     def best(self) -> Trained:
-        """The averaged weights of the best epoch, or what is between those and the ones it began
-        with, with the temperature that suits them."""
+        """Returns the averaged weights of the best epoch, mixed with the initial ones by
+        ``start_share``, with their fitted temperature."""
         network = copy.deepcopy(self._average)
         network.load_state_dict(checkpoint.read_best(self._folder))
         if self._start is not None and self.params.start_share:
@@ -236,7 +239,7 @@ class Trainer:
         size = size_of_epoch(self.params, step // self.steps)
         if size < images.shape[-1]:
             images = functional.interpolate(images, size=(size, size), mode="area")
-        # the last pictures of an epoch are too few to be worth compiling for
+        # the last images of an epoch are too few to be worth compiling for
         whole = len(batch) == self.params.batch_size
         network = self._compiled if self._compiled is not None and whole else self.network
         with _autocast(self._device):
@@ -264,22 +267,22 @@ class Trainer:
 
 def check_growth(params: TrainParams) -> None:
     """Raises ValueError where ``first_size`` is too large, too small for the network, or where the
-    network sees pictures of one size only."""
+    network sees images of one size only."""
     first = params.first_size
     if first is None:
         return
     if first > params.image_size:
         raise ValueError(
-            f"first_size {first} is more than image_size {params.image_size}: pictures grow"
+            f"first_size {first} is more than image_size {params.image_size}: images grow"
         )
     if params.network in FIXED_SIZE:
-        raise ValueError(f"{params.network} sees pictures of one size only: leave out first_size")
+        raise ValueError(f"{params.network} sees images of one size only: leave out first_size")
     check_network(params.network, first)
 
 
 def size_of_epoch(params: TrainParams, epoch: int) -> int:
-    """Pixels across of the pictures that an epoch (from 0) trains on: as long at each of a few
-    sizes, from ``first_size`` to ``image_size``."""
+    """Returns the side of the images of an epoch (from 0): equally many epochs for each of a few
+    sizes from ``first_size`` to ``image_size``."""
     if params.first_size is None:
         return params.image_size
     stage = min(_SIZES * epoch // params.epochs, _SIZES - 1)
@@ -289,16 +292,18 @@ def size_of_epoch(params: TrainParams, epoch: int) -> int:
 
 
 def schedule(step: int, steps: int) -> float:
-    """Share of the learning rate: up in a line, then down along half a cosine."""
+    """Returns the factor of the learning rate: linear rise, then decay along half a cosine."""
     warm = max(1, round(_WARM_UP * steps))
     if step < warm:
         return (step + 1) / warm
     return 0.5 * (1.0 + math.cos(math.pi * (step - warm) / max(1, steps - warm)))
 
 
-def balanced_order(pictures: LabelledPictures, seed: int, epoch: int) -> NDArray[np.int64]:
-    """(N,) pictures of an epoch. One is drawn as often as the inverse root of how many there are
-    of its class in its data set, by one comb over the cumulated weights: as evenly as can be."""
+def balanced_order(pictures: LabelledImages, seed: int, epoch: int) -> NDArray[np.int64]:
+    """Returns the image numbers (N,) of an epoch, in random order.
+
+    An image is drawn with a weight of the inverse root of the number of images of its class in its
+    data set, by systematic resampling."""
     group = pictures.labels * len(pictures.sources) + pictures.source
     weights = 1.0 / np.sqrt(np.bincount(group)[group])
     count = len(weights)
@@ -310,14 +315,14 @@ def balanced_order(pictures: LabelledPictures, seed: int, epoch: int) -> NDArray
 
 
 def normalised(images: Tensor) -> Tensor:
-    """Pictures within 0..1 about zero, as the networks were trained on them."""
+    """Returns images in [0, 1] as the normalised input of the networks."""
     return (images - 0.5) / 0.25
 
 
 def predict(
     network: nn.Module, images: NDArray[np.uint8], device: torch.device, batch: int = 64
 ) -> NDArray[np.float32]:
-    """(N, C) float32 scores of pictures (N, S, S, 3)."""
+    """Returns scores (N, C) float32 of images (N, S, S, 3)."""
     network.eval()
     parts = []
     with torch.inference_mode():
@@ -328,7 +333,7 @@ def predict(
 
 
 def _optimizer(network: nn.Module, params: TrainParams) -> torch.optim.AdamW:
-    """Weight decay for matrices and filters, not for biases and norms."""
+    """Returns AdamW with weight decay for matrices and filters, not for biases and norms."""
     large = [p for p in network.parameters() if p.ndim >= 2]
     small = [p for p in network.parameters() if p.ndim < 2]
     groups = [
@@ -339,8 +344,8 @@ def _optimizer(network: nn.Module, params: TrainParams) -> torch.optim.AdamW:
 
 
 def _precision(device: torch.device) -> torch.dtype | None:
-    """Of mixed precision: bfloat16 where GPU or processor compute in it, float16 on other GPUs,
-    none on other processors."""
+    """Returns the type of mixed precision: bfloat16 where the GPU or processor supports it, float16
+    on other GPUs, None on other processors."""
     if device.type != "cuda":
         able = torch.cpu.get_capabilities()
         return torch.bfloat16 if able.get("avx512_bf16") or able.get("amx_bf16") else None
@@ -354,7 +359,7 @@ def _autocast(device: torch.device) -> torch.autocast:
 
 @torch.no_grad()
 def _follow(average: nn.Module, network: nn.Module, keep: float) -> None:
-    """average = keep average + (1 - keep) network, running means of the norms included."""
+    """Updates average = keep average + (1 - keep) network, running means of the norms included."""
     for mean, now in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
         if mean.is_floating_point():
             mean.lerp_(now, 1.0 - keep)
@@ -362,7 +367,7 @@ def _follow(average: nn.Module, network: nn.Module, keep: float) -> None:
             mean.copy_(now)
 
 
-def _fingerprint(*sets: LabelledPictures) -> int:
+def _fingerprint(*sets: LabelledImages) -> int:
     value = 0
     for pictures in sets:
         for array in (pictures.images, pictures.labels, pictures.source):

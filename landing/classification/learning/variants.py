@@ -1,4 +1,4 @@
-"""A trained network with smaller weights: bfloat16 in place of float16, or all of it in int8."""
+"""Trained networks with smaller weights: bfloat16 in place of float16, or int8 computation."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from touchdown.landing.classification.weights import (
     write_network,
 )
 
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 TYPES = ("float16", "bfloat16", "int8")
 _BATCH = 16
 
 
-def write_variant(source: Path, target: Path, weight_type: str, pictures: Picture) -> None:
+def write_variant(source: Path, target: Path, weight_type: str, images: Image) -> None:
     """Writes the network of ``source`` with weights of ``weight_type`` to ``target``.
 
-    ``int8``: weights by channel and activations by tensor, whose ranges ``pictures`` (N, S, S, 3)
-    give; additions and products are computed in int8 where ONNX Runtime has them. Raises ValueError
-    for another type, or a file whose weights are not float16 any more.
+    ``int8`` scales weights by channel and activations by tensor; ``images`` (N, S, S, 3) give the
+    ranges. Additions and products are computed in int8 where ONNX Runtime supports it. Raises
+    ValueError for another type, or a file whose weights are not float16.
     """
     if weight_type not in TYPES:
         raise ValueError(f"unknown type '{weight_type}': give one of {', '.join(TYPES)}")
@@ -43,14 +43,14 @@ def write_variant(source: Path, target: Path, weight_type: str, pictures: Pictur
         _to_bfloat16(model.graph)
         content = model.SerializeToString(deterministic=True)
     elif weight_type == "int8":
-        content = _int8(model, pictures)
+        content = _int8(model, images)
     else:
         content = model.SerializeToString(deterministic=True)
     write_network(target, content)
 
 
 def with_facts(path: Path, facts: NetworkFacts) -> None:
-    """Writes a network's file anew with other facts in it."""
+    """Replaces the metadata in a network's file."""
     model = onnx.load_from_string(read_network(path))
     del model.metadata_props[:]
     helper.set_model_props(model, facts.properties())
@@ -58,7 +58,7 @@ def with_facts(path: Path, facts: NetworkFacts) -> None:
 
 
 def _to_bfloat16(graph: onnx.GraphProto) -> None:
-    """Rounds half to even to the 16 upper bits of a float32."""
+    """Rounds float16 weights to the upper 16 bits of a float32, half to even."""
     for value in graph.initializer:
         if value.data_type == TensorProto.FLOAT16:
             bits = numpy_helper.to_array(value).astype(np.float32).view(np.uint32)
@@ -70,28 +70,30 @@ def _to_bfloat16(graph: onnx.GraphProto) -> None:
             value.CopyFrom(rounded)
 
 
-class _Pictures:
-    """Feeds a calibration batch by batch."""
+class _CalibrationImages:
+    """Feeds the calibration of ranges batch by batch."""
 
-    def __init__(self, pictures: Picture) -> None:
-        size = pictures.shape[1]
-        self._batches: Iterator[Picture] = iter(
-            [pictures[first : first + _BATCH] for first in range(0, len(pictures), _BATCH)]
+    def __init__(self, images: Image) -> None:
+        size = images.shape[1]
+        self._batches: Iterator[Image] = iter(
+            [images[first : first + _BATCH] for first in range(0, len(images), _BATCH)]
         )
         self._size = size
 
     def get_next(self) -> dict[str, NDArray[np.float32]] | None:
+        """Returns the next batch, None at the end."""
         batch = next(self._batches, None)
         return None if batch is None else {INPUT: as_input(batch, self._size)}
 
 
-def _int8(model: onnx.ModelProto, pictures: Picture) -> bytes:
-    """The graph is first simplified by ONNX Runtime, so that norms are part of the filters."""
+def _int8(model: onnx.ModelProto, images: Image) -> bytes:
+    """Returns the model in int8. ONNX Runtime simplifies the graph first, which merges norms into
+    the filters."""
     import onnxruntime
     from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType
     from onnxruntime.quantization import quantize_static as quantize
 
-    CalibrationDataReader.register(_Pictures)
+    CalibrationDataReader.register(_CalibrationImages)
     with tempfile.TemporaryDirectory() as folder:
         plain, simple, small = (
             Path(folder) / f"{name}.onnx" for name in ("plain", "simple", "int8")
@@ -104,13 +106,13 @@ def _int8(model: onnx.ModelProto, pictures: Picture) -> bytes:
         options.log_severity_level = 3
         onnxruntime.InferenceSession(plain, options, providers=["CPUExecutionProvider"])
         prepared = onnx.load(simple)
-        # or the quantizer asks for this very step to be done
+        # marks the step as done, else the quantizer warns
         prepared.metadata_props.add(key="onnx.quant.pre_process", value="onnxruntime.quant")
         onnx.save(prepared, simple)
         quantize(
             simple,
             small,
-            _Pictures(pictures),
+            _CalibrationImages(images),
             quant_format=QuantFormat.QDQ,
             per_channel=True,
             activation_type=QuantType.QUInt8,

@@ -1,4 +1,4 @@
-"""The weights in a network's file, as torch names them."""
+"""Reading the weights of a network's file under their torch names."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from touchdown.landing.classification.weights import NetworkFacts, facts_of, rea
 
 
 def read_weights(path: Path) -> tuple[NetworkFacts, dict[str, Tensor]]:
-    """What the file says of itself, and every array of numbers in it (float32), by name.
+    """Returns the metadata of a file and its arrays (float32) by name.
 
-    Raises ValueError, FileNotFoundError as `landing.classification.weights.read_network`,
-    ValueError too for a file that is no network."""
+    Raises ValueError and FileNotFoundError as `landing.classification.weights.read_network`, and
+    ValueError for a file that is not a network."""
     content = read_network(path)
     try:
         model = onnx.load_from_string(content)
     except Exception as error:  # protobuf's own class moves between versions
-        raise ValueError(f"'{path}' is no network that can be loaded: {error}") from error
+        raise ValueError(f"'{path}' cannot be loaded as a network: {error}") from error
     facts = facts_of({p.key: p.value for p in model.metadata_props}, path)
     given = {value.name: numpy_helper.to_array(value) for value in model.graph.initializer}
     # the exporter gives values that are equal one name, and an Identity for each other
@@ -37,9 +37,8 @@ def read_weights(path: Path) -> tuple[NetworkFacts, dict[str, Tensor]]:
 
 
 def load_weights(module: nn.Module, given: dict[str, Tensor], prefix: str = "") -> None:
-    """Gives ``module`` the weights that are called as its own, after ``prefix``; counters of the
-    norms are not in a file. Raises ValueError where one is missing, RuntimeError where one has
-    another shape."""
+    """Loads the weights of ``module`` by name after ``prefix``; counters of the norms are not in a
+    file. Raises ValueError where a weight is missing, RuntimeError where one has another shape."""
     state = module.state_dict()
     for name, own in state.items():
         if prefix + name in given:

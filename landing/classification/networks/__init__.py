@@ -1,1 +1,1 @@
-"""Networks that tell ground apart, in plain torch. `registry` names them without loading torch."""
+"""Classification networks in plain torch. `registry` lists them without loading torch."""

@@ -1,4 +1,4 @@
-"""What the networks share: convolution with batch normalisation, the ends, fresh weights."""
+"""Blocks that networks share: convolution with batch normalisation, pooling, initialisation."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from torch.nn import functional
 REDUCTION = 16
 """r: the hidden layer of the channel attention has C / r units"""
 WINDOW = 7
-"""pixels across which the spatial attention looks"""
+"""side of the window of the spatial attention, pixels"""
 
 
 def channel_attention(features: Tensor, mlp: Callable[[Tensor], Tensor]) -> Tensor:

@@ -11,7 +11,7 @@ _EPS = 1e-3
 
 
 class Branches(nn.Module):
-    """The outputs of several branches, one behind the other."""
+    """Concatenates the outputs of several branches."""
 
     def __init__(self, *branches: nn.Module) -> None:
         super().__init__()
@@ -24,14 +24,14 @@ class Branches(nn.Module):
 def _conv(
     inside: int, outside: int, kernel: int | tuple[int, int], stride: int = 1, valid: bool = False
 ) -> ConvNorm:
-    """Keeps the size of the picture unless ``valid``."""
+    """Keeps the size of the image unless ``valid``."""
     sides = (kernel, kernel) if isinstance(kernel, int) else kernel
     padding = (0, 0) if valid else (sides[0] // 2, sides[1] // 2)
     return ConvNorm(inside, outside, sides, stride=stride, padding=padding, eps=_EPS)
 
 
 def _chain(inside: int, *layers: tuple[int, int | tuple[int, int]]) -> nn.Sequential:
-    """Convolutions of (channels, kernel) that keep the size of the picture."""
+    """Convolutions of (channels, kernel) that keep the size of the image."""
     chain = []
     for outside, kernel in layers:
         chain.append(_conv(inside, outside, kernel))

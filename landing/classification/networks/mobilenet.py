@@ -42,7 +42,7 @@ def rounded_channels(channels: float) -> int:
 
 
 class SqueezeExcite(nn.Module):
-    """Scales each channel by what the means of all channels say."""
+    """Scales each channel by a function of the means of all channels."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()

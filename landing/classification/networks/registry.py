@@ -1,4 +1,4 @@
-"""The networks by name. Loads torch when one is built, not before."""
+"""The networks by name. torch is loaded when a network is built."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _BUILDERS = {
     "inception_v4": "inception:inception_v4",
 }
 _SMALLEST = {"inception_v4": 75}
-"""pixels below which a convolution without padding has nothing left to look at"""
+"""image size below which a convolution without padding has no input left"""
 _SMALLEST_OF_OTHERS = 32
 FIXED_SIZE = ("vgg19",)
-"""whose linear layers are laid out for one size of pictures"""
+"""networks whose linear layers fit one image size only"""
 
 NETWORKS = tuple(_BUILDERS)
 
@@ -38,7 +38,7 @@ def check_network(name: str, image_size: int) -> None:
         raise ValueError(f"unknown network '{name}':{hint} known: {', '.join(NETWORKS)}")
     smallest = _SMALLEST.get(name, _SMALLEST_OF_OTHERS)
     if image_size < smallest:
-        raise ValueError(f"{name} needs pictures of at least {smallest} pixels, not {image_size}")
+        raise ValueError(f"{name} needs images of at least {smallest} pixels, not {image_size}")
 
 
 def build_network(name: str, classes: int, image_size: int) -> nn.Module:

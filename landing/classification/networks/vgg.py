@@ -9,7 +9,7 @@ from touchdown.landing.classification.networks.blocks import MeanGrid, fresh_wei
 _STAGES = ((64, 2), (128, 2), (256, 4), (512, 4), (512, 4))
 """channels and number of 3x3 convolutions before each halving"""
 _GRID = 7
-"""cells across what the linear layers see, whatever the size of the picture"""
+"""side of the input of the linear layers, cells, for any image size"""
 _HIDDEN = 4096
 
 

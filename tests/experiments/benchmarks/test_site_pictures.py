@@ -14,9 +14,9 @@ from touchdown.experiments.benchmarks import site_selection as selector_check
 from touchdown.experiments.benchmarks import site_selection_figures as site_pictures
 from touchdown.experiments.benchmarks.site_selection_figures import (
     cluster_colours,
+    figure_files,
     jpeg,
-    picture_files,
-    steps_picture,
+    steps_figure,
     write_steps,
 )
 from touchdown.experiments.cli import main as cli
@@ -62,7 +62,7 @@ def test_clusters_cover_the_known_map_and_hold_their_modes(selection: Selection)
 
 
 def test_candidates_are_blue_and_the_site_is_red_in_the_last_panel(selection: Selection) -> None:
-    picture = steps_picture(selection, "a garden", "risk")
+    picture = steps_figure(selection, "a garden", "risk")
     height, width, _ = picture.shape
     assert width > height
     for colour in (RED, BLUE):
@@ -77,14 +77,14 @@ def test_no_red_where_nothing_was_accepted(selection: Selection) -> None:
         selection,
         candidates=tuple(dataclasses.replace(c, accepted=False) for c in selection.candidates),
     )
-    picture = steps_picture(refused, "no site", "risk")
+    picture = steps_figure(refused, "no site", "risk")
     assert len(drawn(picture, RED)) == 0
     assert len(drawn(picture, BLUE)) > 20
 
 
 def test_both_scorers_are_drawn_and_differ(selection: Selection) -> None:
-    by_paper = steps_picture(selection_of("paper"), "a garden", "paper")
-    assert not np.array_equal(by_paper, steps_picture(selection, "a garden", "risk"))
+    by_paper = steps_figure(selection_of("paper"), "a garden", "paper")
+    assert not np.array_equal(by_paper, steps_figure(selection, "a garden", "risk"))
 
 
 def test_colours_of_clusters_differ_and_outside_is_dark() -> None:
@@ -107,7 +107,7 @@ def test_jpeg_gives_way_in_quality_to_fit() -> None:
 
 def test_file_is_written_below_its_limit(selection: Selection, tmp_path: Path) -> None:
     config = load_config(None, [], scene="turf", seed=3)
-    (file,) = picture_files([config], tmp_path / "deep" / "folder")
+    (file,) = figure_files([config], tmp_path / "deep" / "folder")
     assert file.name == "site_turf.jpg"
     write_steps(file, config, selection)
     assert 10_000 < file.stat().st_size <= site_pictures.MOST_BYTES
@@ -115,11 +115,11 @@ def test_file_is_written_below_its_limit(selection: Selection, tmp_path: Path) -
 
 def test_names_have_the_seed_where_there_are_several(tmp_path: Path) -> None:
     configs = [load_config(None, [], scene="lake", seed=seed) for seed in (1, 2)]
-    names = [file.name for file in picture_files(configs, tmp_path)]
+    names = [file.name for file in figure_files(configs, tmp_path)]
     assert names == ["site_lake_1.jpg", "site_lake_2.jpg"]
     (tmp_path / "file").write_text("")
-    with pytest.raises(UsageError, match=r"--pictures: .* cannot be made"):
-        picture_files(configs, tmp_path / "file")
+    with pytest.raises(UsageError, match=r"--pictures: .* cannot be created"):
+        figure_files(configs, tmp_path / "file")
 
 
 def test_the_command_draws_each_place(
@@ -128,7 +128,7 @@ def test_the_command_draws_each_place(
     place = {
         "chosen_safe": True, "accepted": 1, "accepted_safe": 1, "room_m": 2.0, "best_room_m": 3.0,
         "cells": {"safe": 10, "allowed": 5, "both": 5},
-        "sample": {"believed": np.array([0.9], np.float32), "safe": np.array([True])},
+        "sample": {"predicted": np.array([0.9], np.float32), "safe": np.array([True])},
     }  # fmt: skip
 
     def check(config: Config, picture: Path | None = None) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def test_the_command_draws_each_place(
             write_steps(picture, config, selection)
         return place | {"scene": config.scene, "seed": config.seed}
 
-    monkeypatch.setattr(selector_check, "check_place", check)
+    monkeypatch.setattr(selector_check, "check_scene", check)
     command = ["bench", "selector", "turf", "lake", "--seeds", "0", "--json"]
     assert cli.main([*command, "--pictures", str(tmp_path / "drawn")]) == 0
     names = sorted(file.name for file in (tmp_path / "drawn").iterdir())
@@ -146,4 +146,4 @@ def test_the_command_draws_each_place(
 
 def test_nothing_mapped_is_nothing_to_draw() -> None:
     with pytest.raises(ValueError, match="nothing was mapped"):
-        steps_picture(NOTHING_MAPPED, "", "risk")
+        steps_figure(NOTHING_MAPPED, "", "risk")

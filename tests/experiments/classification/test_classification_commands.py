@@ -18,12 +18,12 @@ from touchdown.experiments.io.images import read_picture
 from touchdown.landing.classification import weights
 from touchdown.landing.classification.labels import D_LAND
 
-from support.recognition_support import coloured
+from support.labelled_images_support import coloured
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folders of coloured pictures."""
+    """Folders of coloured images."""
     home = tmp_path_factory.mktemp("coloured")
     pictures = coloured(90, 5, 40)
     for number, (image, label) in enumerate(zip(pictures.images, pictures.labels, strict=True)):
@@ -130,7 +130,7 @@ def test_evaluating_by_command(
     assert report["peak_ram_mb"] > 20.0 and report["image_ms"] > 0.0
     assert list(report["by_source"]) == ["d_land"]
     assert cli.main([*arguments[:-1], "--no-cost", "--engine", "torch"]) == 0
-    assert "what it is, and what it was taken for" in capsys.readouterr().out
+    assert "true class by row, predicted class by column" in capsys.readouterr().out
 
 
 def test_rendered_pictures_are_scored_by_scene(
@@ -164,7 +164,7 @@ def test_classifying_by_command(
     assert sum(row["shares"].values()) == pytest.approx(1.0) and row["window_px"] == 32
     assert read_picture(out / "photograph-classes.png").shape[1] == 90
     assert cli.main([*arguments, "--window", "64"]) == 2
-    assert "64 pixels do not fit into a picture of 90 x 60" in capsys.readouterr().err
+    assert "64 pixels do not fit into an image of 90 x 60" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("change", [lambda content: content[:-100], lambda content: b"x" + content])
@@ -176,12 +176,12 @@ def test_broken_networks_are_told_in_one_line(
     weights.checksum_file(broken).write_bytes(weights.checksum_file(trained).read_bytes())
     assert cli.main(["evaluate", str(broken), "--data", str(folder), "--quiet"]) == 2
     told = capsys.readouterr().err
-    assert "is cut short or changed" in told and told.count("\n") == 1
+    assert "is truncated or changed" in told and told.count("\n") == 1
     for engine in ("onnx", "torch"):
         weights.write_network(broken, b"no network at all")
         assert cli.main(["evaluate", str(broken), "--data", str(folder), "--engine", engine]) == 2
         told = capsys.readouterr().err
-        assert "is no network that can be loaded" in told and told.count("\n") == 1
+        assert "cannot be loaded as a network" in told and told.count("\n") == 1
 
 
 def test_commands_say_what_is_missing(
@@ -207,7 +207,7 @@ def test_commands_say_what_is_missing(
     ("arguments", "message"),
     [
         (["--network", "resnet51"], "unknown network 'resnet51': did you mean"),
-        (["--data", "nowhere"], "'nowhere' is no folder"),
+        (["--data", "nowhere"], "'nowhere' is not a folder"),
         (["--device", "tpu"], "unknown device 'tpu'"),
         (["--miss-cost", "lava=10"], "miss cost of 'lava': the classes are lawn, field"),
         (["--miss-cost", "water"], "'water': give a class and a number above 0, such as water=10"),

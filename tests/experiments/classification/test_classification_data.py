@@ -1,4 +1,4 @@
-"""Label mappings, splits, rendered patches, and folders of pictures of people's own."""
+"""Label mappings, splits, rendered patches, and folders of images of people's own."""
 
 from __future__ import annotations
 
@@ -13,13 +13,12 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.classification import colour_randomization as recolour
-from touchdown.experiments.classification import patches
-from touchdown.experiments.classification import render_dataset as patch_dataset
-from touchdown.experiments.classification.image_folders import load_pictures, read_catalogue
-from touchdown.experiments.classification.render_dataset import contact_sheet
+from touchdown.experiments.classification import patches, render_dataset
+from touchdown.experiments.classification.image_folders import load_images, read_catalogue
+from touchdown.experiments.classification.render_dataset import DatasetParams, contact_sheet
 from touchdown.experiments.classification.splits import (
     split_of_file,
-    split_of_place,
+    split_of_layout,
     split_of_ucmerced,
 )
 from touchdown.experiments.cli import main as cli
@@ -94,9 +93,9 @@ def test_folders_tell_the_kind_of_data() -> None:
 
 
 def test_places_are_split_by_seed_and_two_scenes_are_held_out() -> None:
-    splits = [split_of_place("lake", seed) for seed in range(1000, 1010)]
+    splits = [split_of_layout("lake", seed) for seed in range(1000, 1010)]
     assert splits == 2 * ["train", "train", "train", "val", "test"]
-    assert {split_of_place("pools", seed) for seed in range(10)} == {"test"}
+    assert {split_of_layout("pools", seed) for seed in range(10)} == {"test"}
 
 
 def test_uc_merced_is_split_by_number() -> None:
@@ -191,7 +190,7 @@ def test_new_colours(tmp_path: Path) -> None:
 
 
 def test_a_material_has_one_colour() -> None:
-    """Two materials in a grey picture: what each shows is multiplied, in linear light."""
+    """Two materials in a grey image: what each shows is multiplied, in linear light."""
     grey = np.full((4, 8, 3), 96, np.uint8)
     road = LAND_CLASSES.index("road")
     materials = np.full((2, 4), road + 1, np.int32)
@@ -216,23 +215,26 @@ def _painted(
 
 def test_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten patches of two scenes at four a place; places give two, so that more are needed."""
-    monkeypatch.setattr(patch_dataset, "scene_patches", _painted)
+    monkeypatch.setattr(render_dataset, "scene_patches", _painted)
     out = tmp_path / "patches"
-    done = patch_dataset.render_dataset(out, 10, 0, ["lake", "pools"], pixels=48, per_place=4)
+    done = render_dataset.render_dataset(
+        out,
+        DatasetParams(images=10, scenes=["lake", "pools"], pixels=48, per_seed=4),
+    )
     assert done["images"] == 10 and done["splits"]["test"] >= 4
     with (out / "manifest.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len({row["file"] for row in rows}) == 10
-    assert tuple(rows[0]) == patch_dataset.COLUMNS
+    assert tuple(rows[0]) == render_dataset.COLUMNS
     assert rows[0] == {
         "file": "lake-1000/0000.png", "d_land": "lawn", "d_scene": "meadow", "scene": "lake",
         "seed": "1000", "split": "train", "height_m": "20.00", "side_m": "6.40", "share": "0.900",
     }  # fmt: skip
     for row in rows:
         assert (read_picture(out / row["file"]) == int(row["seed"]) % 256).all()
-        assert row["split"] == split_of_place(row["scene"], int(row["seed"]))
+        assert row["split"] == split_of_layout(row["scene"], int(row["seed"]))
     assert read_picture(out / "contact_sheet.png").shape[0] == 7 * 100 + 4
-    pictures = load_pictures([read_catalogue(str(out), "d_scene")], "test", "d_scene", 32)
+    pictures = load_images([read_catalogue(str(out), "d_scene")], "test", "d_scene", 32)
     expected = [row["d_scene"] for row in rows if row["split"] == "test"]
     assert [pictures.classes[label] for label in pictures.labels] == expected
     assert pictures.images.shape == (len(expected), 32, 32, 3) and pictures.sources == ("rendered",)
@@ -244,9 +246,9 @@ def test_an_interrupted_dataset_leaves_nothing(
     def stop(*_: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(patch_dataset, "scene_patches", stop)
+    monkeypatch.setattr(render_dataset, "scene_patches", stop)
     with pytest.raises(KeyboardInterrupt):
-        patch_dataset.render_dataset(tmp_path / "new", 4, 0, ["lake"])
+        render_dataset.render_dataset(tmp_path / "new", DatasetParams(images=4, scenes=["lake"]))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -263,7 +265,7 @@ def test_sheet_has_a_row_for_each_class() -> None:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Any:
-    """Makes class folders with small coloured pictures."""
+    """Makes class folders with small coloured images."""
 
     def make(files: dict[str, int]) -> Path:
         for name, count in files.items():
@@ -280,7 +282,7 @@ def test_a_folder_of_uc_merced(folder: Any) -> None:
     data = folder({"river": 70, "airplane": 3})
     catalogue = read_catalogue(str(data), "d_land")
     assert (catalogue.source, len(catalogue.entries), catalogue.left_out) == ("ucmerced", 70, 3)
-    test = load_pictures([catalogue], "test", "d_land", 16)
+    test = load_images([catalogue], "test", "d_land", 16)
     assert list(test.images[:, 0, 0, 0]) == list(range(64, 70))
     assert {test.classes[label] for label in test.labels} == {"water"}
 
@@ -289,12 +291,12 @@ def test_a_folder_of_uc_merced(folder: Any) -> None:
     ("files", "argument", "message"),
     [
         ({}, "{}", "is empty"),
-        ({"river": 0}, "{}", "is empty: it holds no picture of any class"),
+        ({"river": 0}, "{}", "is empty: it holds no image of any class"),
         ({"river": 1, "habor": 1}, "{}", "'habor' is no class of ucmerced; did you mean 'harbor'"),
         ({"cats": 1}, "{}", "are not the classes of any"),
         ({"lawn": 1}, "rendered={}", "has no manifest.csv"),
         ({"lawn": 1}, "ucmercy={}", r"unknown kind 'ucmercy' \(did you mean 'ucmerced'\?\)"),
-        ({}, "{}/nowhere", "is no folder"),
+        ({}, "{}/nowhere", "is not a folder"),
     ],
 )
 def test_folders_that_cannot_be_used(
@@ -306,8 +308,8 @@ def test_folders_that_cannot_be_used(
 
 def test_no_picture_in_a_split(folder: Any) -> None:
     catalogue = read_catalogue(str(folder({"river": 3})), "d_land")
-    with pytest.raises(UsageError, match="no picture is in the split 'test'"):
-        load_pictures([catalogue], "test", "d_land", 16)
+    with pytest.raises(UsageError, match="no image is in the split 'test'"):
+        load_images([catalogue], "test", "d_land", 16)
 
 
 def test_pictures_that_are_refused(tmp_path: Path) -> None:
@@ -315,7 +317,7 @@ def test_pictures_that_are_refused(tmp_path: Path) -> None:
     cv2.imwrite(str(grey), np.zeros((8, 8), np.uint8))
     cv2.imwrite(str(deep), np.zeros((8, 8, 3), np.uint16))
     cv2.imwrite(str(alpha), np.full((8, 8, 4), (1, 2, 3, 4), np.uint8))
-    (tmp_path / "text.png").write_text("no picture")
+    (tmp_path / "text.png").write_text("no image")
     for path, message in (
         (grey, "is grey"),
         (deep, "has 16 bits"),

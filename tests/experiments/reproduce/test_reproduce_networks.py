@@ -64,5 +64,5 @@ def test_networks_do_not_depend_on_how_many_are_trained_at_a_time(
 def test_a_training_that_fails_says_why(tmp_path: Path) -> None:
     (tmp_path / PICTURES).mkdir()
     (tmp_path / PICTURES / "lawn").mkdir()
-    with pytest.raises(UsageError, match="is empty: it holds no picture"):
+    with pytest.raises(UsageError, match="is empty: it holds no image"):
         train_and_score(tmp_path, SIZE, [], {}, 2, lambda note: None)

@@ -1,4 +1,4 @@
-"""What is varied in the pictures of a training."""
+"""What is varied in the images of a training."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from support.recognition_support import coloured
+from support.labelled_images_support import coloured
 
 
 def test_variations_keep_the_kind_of_picture(torch: Any) -> None:
@@ -50,7 +50,7 @@ def test_lines_are_painted_on_a_share_of_the_pictures(torch: Any) -> None:
 
 
 def test_paint_has_one_colour(torch: Any) -> None:
-    """Of each picture, what was added is a multiple of one colour: paint has no picture in it."""
+    """Of each image, what was added is a multiple of one colour: paint has no image in it."""
     from touchdown.landing.classification.learning.augment import marked
 
     plain = torch.full((30, 3, 48, 48), 0.5)
@@ -61,7 +61,7 @@ def test_paint_has_one_colour(torch: Any) -> None:
 
 
 def test_blended_pictures_have_blended_classes(torch: Any) -> None:
-    """Pictures as bright as their class is high: what is left of a class is left of its light."""
+    """Images as bright as their class is high: what is left of a class is left of its light."""
     from touchdown.landing.classification.learning.augment import blended
 
     generator = torch.Generator().manual_seed(3)

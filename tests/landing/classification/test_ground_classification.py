@@ -1,4 +1,4 @@
-"""Ground classification in flight: what is looked at, what is believed, and what is refused."""
+"""Ground classification in flight: decision limits, LIDAR evidence, refusals."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from touchdown.landing.api import Candidate, LandingParams, Selection
 from touchdown.landing.classification import decision, weights
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.site_check import (
+    SiteClass,
     SiteClassCheck,
-    SitePlace,
+    fuse_lidar_evidence,
     least_bad,
-    weighed,
 )
-from touchdown.landing.selection.selector import select_sites
+from touchdown.landing.selection.selector import SelectionLimits, select_sites
 from touchdown.sim.frames import Pose
 
-from support.ground_classifier_support import (
+from support.ground_class_support import (
     COLOURS,
     ByColour,
     photograph,
@@ -61,14 +61,14 @@ def test_energy_is_the_logarithm_of_the_sum_of_exponentials() -> None:
 def test_safe_classes_count_together() -> None:
     """Half lawn, half field is safe ground all the same; half lawn, half water is not."""
     scores = _scores(_chances(lawn=0.5, field=0.46), _chances(lawn=0.55, water=0.44))
-    limits = decision.Limits(least_probability=0.9)
+    limits = decision.Limits(min_probability=0.9)
     assert decision.taken_for_safe(scores, limits).tolist() == [True, False]
-    strange = dataclasses.replace(limits, least_energy=1.0)
+    strange = dataclasses.replace(limits, min_energy=1.0)
     assert not decision.taken_for_safe(scores, strange).any()
 
 
-def test_limits_let_a_quarter_of_a_percent_of_unsafe_pictures_pass() -> None:
-    """800 pictures of water, claimed to be lawn with 0.5 to 0.9: two of them may pass."""
+def test_limits_accept_a_quarter_of_a_percent_of_unsafe_images() -> None:
+    """800 images of water, claimed to be lawn with 0.5 to 0.9: two of them may pass."""
     claims = np.linspace(0.5, 0.9, 800)
     rows = [_chances(lawn=float(claim)) for claim in claims]
     labels = np.full(800, D_LAND.index("water"))
@@ -78,11 +78,11 @@ def test_limits_let_a_quarter_of_a_percent_of_unsafe_pictures_pass() -> None:
     found = decision.decision_summary(_scores(*rows), labels, limits)
     assert (found["unsafe"], found["unsafe_taken_for_safe"], found["safe"]) == (800, 2, 0)
     easy = decision.fitted_limits(_scores(_chances(lawn=SURE)), np.array([D_LAND.index("lawn")]))
-    assert easy.least_probability == decision.LEAST
+    assert easy.min_probability == decision.LEAST
 
 
-def test_a_file_carries_its_limits_and_an_older_one_does_without() -> None:
-    limits = decision.Limits(least_probability=0.8125, least_energy=-0.7)
+def test_file_carries_its_limits_and_an_older_one_gets_defaults() -> None:
+    limits = decision.Limits(min_probability=0.8125, min_energy=-0.7)
     facts = weights.NetworkFacts(
         network="resnet18", labels="d_land", image_size=96, classes=D_LAND, limits=limits
     )
@@ -117,7 +117,7 @@ def _check(classifier: Any, paint: Any = _west_is_water, **params: Any) -> SiteC
     obs = make_obs(
         600, images=(photograph(rig, Pose(np.eye(3), np.array([0, 0, 40.0])), paint, 1.0),)
     )
-    check.take_in(obs, make_estimate(600, Pose(np.eye(3), np.array([0, 0, 40.0]))))
+    check.update(obs, make_estimate(600, Pose(np.eye(3), np.array([0, 0, 40.0]))))
     return check
 
 
@@ -137,7 +137,7 @@ def test_water_is_refused_and_the_first_safe_batch_ends_it() -> None:
     assert judged[6] is sites[6] and judged[7].class_predicted is None
 
 
-def test_refused_sites_are_not_asked_about() -> None:
+def test_refused_sites_are_not_classified() -> None:
     classifier = ByColour()
     bad, good = _sites((-9, 0), (9, 0))
     bad = dataclasses.replace(bad, accepted=False, reason="refused: a step")
@@ -149,16 +149,16 @@ def test_refused_sites_are_not_asked_about() -> None:
     ("classifier", "words"),
     [
         (ByColour(sure=0.6), "unsure what it is: lawn with probability 0.60"),
-        (ByColour(familiar=False), "it looks like no ground that is known"),
+        (ByColour(in_distribution=False), "it looks like no known ground"),
     ],
 )
-def test_who_is_not_sure_is_not_believed(classifier: ByColour, words: str) -> None:
+def test_uncertain_predictions_are_refused(classifier: ByColour, words: str) -> None:
     (site,) = _check(classifier).judge(_sites((9, 0)), FLAT)
     assert not site.accepted and words in site.reason
     assert site.class_predicted == "lawn"
 
 
-def test_the_configuration_may_ask_for_more_or_less() -> None:
+def test_configuration_overrides_the_limit() -> None:
     (site,) = _check(ByColour(sure=0.6), classifier_min_probability=0.55).judge(
         _sites((9, 0)), FLAT
     )
@@ -167,30 +167,30 @@ def test_the_configuration_may_ask_for_more_or_less() -> None:
     assert "(at least 1.00)" in site.reason and not site.accepted
 
 
-def test_what_no_picture_shows_is_refused() -> None:
+def test_site_without_an_image_is_refused() -> None:
     classifier = ByColour()
     (site,) = _check(classifier).judge(_sites((60, 0)), FLAT)
-    assert site.reason == "refused: no picture shows what kind of ground it is"
+    assert site.reason == "refused: no image shows what kind of ground it is"
     assert classifier.batches == [] and site.class_predicted is None
 
 
-def test_roads_are_taken_only_where_they_are_allowed() -> None:
+def test_roads_are_accepted_only_where_they_are_allowed() -> None:
     for allowed in (False, True):
         (site,) = _check(ByColour(), plain("road")).judge(_sites((9, 0)), FLAT, allow_risky=allowed)
         assert site.accepted is allowed and site.class_predicted == "road"
 
 
-def test_a_closer_look_counts_as_much_as_the_first() -> None:
+def test_second_look_has_the_weight_of_the_first() -> None:
     """Lawn from above, water from below: neither, so it is refused; lawn twice stays lawn."""
     check = _check(ByColour(), plain("water"))
-    before = SitePlace(_chances(lawn=0.99), True)
-    place = check.look_again(before, np.zeros(3), FLAT, 2.0)
-    assert place is not None
+    before = SiteClass(_chances(lawn=0.99), True)
+    site_class = check.reclassify(before, np.zeros(3), FLAT, 2.0)
+    assert site_class is not None
     water = D_LAND.index("water")
     expected = 0.5 * (_chances(lawn=0.99) + _chances(water=SURE))
-    assert place.chances[water] == pytest.approx(expected[water])
-    assert check.refusal(place, False) is not None
-    again = _check(ByColour()).look_again(before, np.array([9.0, 0, 0]), FLAT, 2.0)
+    assert site_class.probabilities[water] == pytest.approx(expected[water])
+    assert check.refusal(site_class, False) is not None
+    again = _check(ByColour()).reclassify(before, np.array([9.0, 0, 0]), FLAT, 2.0)
     assert again is not None and check.refusal(again, False) is None
 
 
@@ -209,29 +209,31 @@ def test_an_emergency_takes_the_least_bad() -> None:
 # ------------------------------------------------------------------------------- what LIDAR knows
 
 
-def test_lost_pulses_make_water_likelier_and_none_prove_nothing() -> None:
+def test_missing_pulses_raise_the_probability_of_water_and_their_absence_does_not_lower_it() -> (
+    None
+):
     doubtful = _chances(lawn=0.9, water=0.05)
     water = D_LAND.index("water")
-    np.testing.assert_allclose(weighed(doubtful, 0.0, 900.0, False), doubtful)
-    np.testing.assert_allclose(weighed(doubtful, 0.0, 0.0, False), doubtful)
+    np.testing.assert_allclose(fuse_lidar_evidence(doubtful, 0.0, 900.0, False), doubtful)
+    np.testing.assert_allclose(fuse_lidar_evidence(doubtful, 0.0, 0.0, False), doubtful)
     # 2 of 20 lost: 15^2 (0.85 / 0.99)^18
     ratio = 15.0**2 * (0.85 / 0.99) ** 18
     expected = 0.05 * ratio / (0.05 * ratio + 0.95)
-    assert weighed(doubtful, 100.0, 900.0, False)[water] == pytest.approx(expected)
-    assert weighed(doubtful, 300.0, 700.0, False)[water] > 0.99
+    assert fuse_lidar_evidence(doubtful, 100.0, 900.0, False)[water] == pytest.approx(expected)
+    assert fuse_lidar_evidence(doubtful, 300.0, 700.0, False)[water] > 0.99
 
 
-def test_traffic_makes_a_road_of_a_doubtful_path() -> None:
+def test_traffic_turns_an_uncertain_path_into_a_road() -> None:
     doubtful = _chances(path=0.85, road=0.1)
-    found = weighed(doubtful, 0.0, 900.0, True)
+    found = fuse_lidar_evidence(doubtful, 0.0, 900.0, True)
     assert D_LAND[int(found.argmax())] == "road"
     assert found[D_LAND.index("road")] == pytest.approx(2.0 / 2.9)
-    lawn = weighed(_chances(lawn=0.994), 0.0, 900.0, True)
+    lawn = fuse_lidar_evidence(_chances(lawn=0.994), 0.0, 900.0, True)
     assert lawn[D_LAND.index("lawn")] > 0.95
 
 
-def test_a_doubtful_site_over_lossy_ground_is_refused() -> None:
-    """What passes by the picture alone is refused where a fifth of the pulses never came back."""
+def test_uncertain_site_with_missing_pulses_is_refused() -> None:
+    """What passes by the image alone is refused where a fifth of the pulses never came back."""
     grid = make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0))
     grid.missing[:, 140:] = 10.0
     check = _check(ByColour(sure=0.95), plain("lawn"))
@@ -239,19 +241,19 @@ def test_a_doubtful_site_over_lossy_ground_is_refused() -> None:
     assert dry.accepted and not wet.accepted and wet.class_predicted == "water"
 
 
-def test_traffic_is_looked_up_where_the_site_is() -> None:
+def test_traffic_zone_is_read_at_the_site() -> None:
     view = view_of(make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0)))
     selection = select_sites(view, make_estimate(0, ABOVE), LandingParams(), footprint_radius_m=0.5)
     assert selection.costmap is not None
-    driven = np.zeros_like(selection.allowed)
-    driven[:, driven.shape[1] // 2 :] = True
-    marked: Selection = dataclasses.replace(selection, driven=driven)
+    traffic_zone = np.zeros_like(selection.allowed)
+    traffic_zone[:, traffic_zone.shape[1] // 2 :] = True
+    marked: Selection = dataclasses.replace(selection, traffic_zone=traffic_zone)
     check = _check(ByColour(sure=0.93), plain("lawn"))
     west, east = check.judge(_sites((-9, 0), (9, 0)), view, selection=marked)
     assert west.accepted and not east.accepted
 
 
-def test_surfaces_that_were_refused_rank_lower() -> None:
+def test_refused_surfaces_rank_lower() -> None:
     """Two surfaces with different echo: the one that a refused site lies on comes last."""
     grid = make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0))
     grid.intensity[:, :100] = 90.0
@@ -260,7 +262,7 @@ def test_surfaces_that_were_refused_rank_lower() -> None:
         refused = np.array([8.0 * side, 0.0, 0.0])
         sites = select_sites(
             view, estimate, LandingParams(), footprint_radius_m=0.5,
-            avoid_odom=[refused], alike_odom=[refused],
+            limits=SelectionLimits(avoid_odom=[refused], unsafe_ground_odom=[refused]),
         ).candidates  # fmt: skip
         assert sites[0].accepted and np.sign(sites[0].position_odom[0]) == -side
 
@@ -268,25 +270,29 @@ def test_surfaces_that_were_refused_rank_lower() -> None:
 # ------------------------------------------------------------------------------------ the network
 
 
-def test_the_network_of_a_file_says_what_it_sees(tmp_path: Path) -> None:
+def test_network_of_a_file_classifies(tmp_path: Path) -> None:
     pytest.importorskip("onnx")
     from touchdown.landing.classification.onboard import load_onboard_classifier
 
-    limits = decision.Limits(least_probability=0.75, least_energy=8.0)
+    limits = decision.Limits(min_probability=0.75, min_energy=8.0)
     path = write_colour_network(tmp_path / "network.onnx", limits=limits)
-    places = load_onboard_classifier(path)
-    assert (places.image_size, places.least_probability) == (16, 0.75)
-    pictures = np.zeros((3, 16, 16, 3), np.uint8)
-    pictures[0, ..., 2] = pictures[1, ..., 1] = 255
-    opinion = places.look(pictures)
-    assert [D_LAND[i] for i in opinion.chances.argmax(axis=1)[:2]] == ["water", "lawn"]
-    assert opinion.familiar.tolist() == [True, True, False]  # black is like nothing it knows
-    assert load_onboard_classifier(path) is places
-    write_colour_network(path, limits=dataclasses.replace(limits, least_probability=0.5))
-    assert load_onboard_classifier(path).least_probability == 0.5
+    classifier = load_onboard_classifier(path)
+    assert (classifier.image_size, classifier.min_probability) == (16, 0.75)
+    images = np.zeros((3, 16, 16, 3), np.uint8)
+    images[0, ..., 2] = images[1, ..., 1] = 255
+    prediction = classifier.classify(images)
+    assert [D_LAND[i] for i in prediction.probabilities.argmax(axis=1)[:2]] == ["water", "lawn"]
+    assert prediction.in_distribution.tolist() == [
+        True,
+        True,
+        False,
+    ]  # black is like nothing it knows
+    assert load_onboard_classifier(path) is classifier
+    write_colour_network(path, limits=dataclasses.replace(limits, min_probability=0.5))
+    assert load_onboard_classifier(path).min_probability == 0.5
 
 
-def test_one_line_for_a_network_that_cannot_fly(
+def test_unusable_network_is_refused_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("onnx")
@@ -298,9 +304,9 @@ def test_one_line_for_a_network_that_cannot_fly(
     bare = write_colour_network(tmp_path / "bare.onnx")
     weights.checksum_file(bare).unlink()
     for name, words in (
-        (cut, "is cut short or changed"),
-        (scene, "a flight needs one trained with --labels d_land"),
-        (bare, "cannot be trusted"),
+        (cut, "is truncated or changed"),
+        (scene, "a flight needs a network trained with --labels d_land"),
+        (bare, "is not loaded without it"),
         (tmp_path / "none.onnx", "does not exist"),
     ):
         out = tmp_path / "run"
@@ -310,9 +316,7 @@ def test_one_line_for_a_network_that_cannot_fly(
         assert words in told and told.count("\n") == 1 and not out.exists()
 
 
-def test_off_and_what_comes_with_the_project(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_classifier_off_and_auto(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("onnx")
     from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.flight.wiring import build_classifier
@@ -331,9 +335,9 @@ def test_off_and_what_comes_with_the_project(
             build_classifier(load_config(None, [override]))
 
 
-def test_who_counts_by_class() -> None:
+def test_landings_judged_by_class() -> None:
+    from touchdown.experiments.api import is_good
     from touchdown.experiments.flight.run import class_counts
-    from touchdown.experiments.io.results import Landing, is_success
 
     assert class_counts(LandingParams())
     assert class_counts(LandingParams(site_xy_m=(1.0, 2.0)))
@@ -343,6 +347,6 @@ def test_who_counts_by_class() -> None:
         {"site_xy_m": (1.0, 2.0), "check_site": False},
     ):
         assert not class_counts(LandingParams(**changes))  # type: ignore[arg-type]
-    for judged_on, success in (("geometry", True), ("geometry and class", False)):
-        wet = Landing(safe_geometry=True, safe=False, judged_on=judged_on)
-        assert is_success("LANDED", wet.ground_safe) is success
+    wet = {"safe_geometry": True, "safe": False}
+    for judged_on, good in (("geometry", True), ("geometry and class", False)):
+        assert is_good({"outcome": "LANDED", "landing": wet | {"judged_on": judged_on}}) is good

@@ -1,4 +1,4 @@
-"""Haze: its veil by hand, found again in a climb, and taken out of a picture."""
+"""Haze: the veil by hand, estimation in a climb, removal from an image."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.landing.classification.haze import Haze, darkest_light, estimate_haze
-from touchdown.landing.classification.survey_images import KeptPictures
+from touchdown.landing.classification.survey_images import SurveyImages
 from touchdown.sim.frames import Pose
 
-from support.ground_classifier_support import photograph, small_rig
+from support.ground_class_support import photograph, small_rig
 from support.landing_support import make_estimate, make_obs
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ def test_the_veil_at_a_known_distance() -> None:
     np.testing.assert_allclose(FOG.veil(np.array([0.0, half, 1e9])), [0.0, 0.25, 0.5])
 
 
-def test_what_haze_adds_is_taken_out() -> None:
+def test_haze_is_removed() -> None:
     rng = np.random.default_rng(1)
     clear = rng.integers(0, 256, (40, 60, 3)).astype(np.uint8)
     away = rng.uniform(5.0, 40.0, (40, 60))
@@ -39,7 +39,7 @@ def test_what_haze_adds_is_taken_out() -> None:
     np.testing.assert_array_equal(Haze().removed(hazy, away), hazy)
 
 
-def test_what_no_light_comes_through_is_not_made_up() -> None:
+def test_noise_is_not_amplified_where_no_light_comes_through() -> None:
     """At 300 m 0.2 % is left: a level of noise would be 400 levels."""
     noisy = np.full((2, 2, 3), 186, np.uint8)  # the airlight
     noisy[0, 0] = 187
@@ -56,7 +56,7 @@ def test_darkest_light_is_that_of_a_few_pixels_in_one_colour() -> None:
 
 @pytest.mark.parametrize("ground", [0.0, 0.02])
 def test_extinction_and_airlight_are_found_in_a_climb(ground: float) -> None:
-    """With most pictures from one height, and treetops in a third of these."""
+    """With most images from one height, and treetops in a third of these."""
     heights = np.concatenate([CLIMB, np.full(30, 30.0)])
     away = heights.copy()
     away[-10:] = 22.0
@@ -75,12 +75,12 @@ def test_extinction_and_airlight_are_found_in_a_climb(ground: float) -> None:
         np.where(np.arange(43) % 4 == 0, 0.01, np.linspace(0.01, 0.3, 43)),  # from lawn over roofs
     ],
 )
-def test_bright_and_dark_ground_is_no_haze(lights: Array) -> None:
+def test_bright_and_dark_ground_is_not_taken_for_haze(lights: Array) -> None:
     heights = np.concatenate([CLIMB, np.full(30, 30.0)])
     assert estimate_haze(heights, lights) == Haze()
 
 
-def test_pictures_from_one_height_tell_nothing() -> None:
+def test_images_from_one_height_do_not_determine_haze() -> None:
     heights = np.linspace(28.0, 32.0, 40)
     assert estimate_haze(heights, FOG.veil(heights)) == Haze()
     assert estimate_haze(np.zeros(0), np.zeros(0)) == Haze()
@@ -92,9 +92,9 @@ def _ground(x: Array, y: Array) -> Array:
     return np.array([[200.0, 30.0, 10.0], [40.0, 160.0, 20.0], [5.0, 5.0, 5.0]])[which]
 
 
-def _climbed(haze: Haze) -> KeptPictures:
+def _climbed(haze: Haze) -> SurveyImages:
     rig = small_rig()
-    pictures = KeptPictures(rig, 40)
+    survey_images = SurveyImages(rig, 40)
     for step, height in enumerate(CLIMB):
         pose = Pose(np.eye(3), np.array([0.0, 0.0, height]))
 
@@ -106,20 +106,20 @@ def _climbed(haze: Haze) -> KeptPictures:
             return 255.0 * (light + haze.veil(away)[..., None]) ** (1.0 / 2.2)
 
         image = photograph(rig, pose, hazy, float(step), noise=0.0)
-        pictures.take_in(make_obs(600 * step, images=(image,)), make_estimate(600 * step, pose))
-    return pictures
+        survey_images.update(make_obs(600 * step, images=(image,)), make_estimate(600 * step, pose))
+    return survey_images
 
 
-def test_squares_are_as_in_clear_air() -> None:
+def test_patches_are_as_in_clear_air() -> None:
     """But for where a pixel shows two colours, which mix in light and are interpolated in levels:
     the true haze leaves as much."""
     site = np.array([0.5, 0.5, 0.0])
     clear, hazy = _climbed(Haze()), _climbed(FOG)
     assert clear.haze == Haze()
     assert hazy.haze.extinction == pytest.approx(0.02, rel=0.15)
-    wanted = np.asarray(clear.square(site, 3.2, 48, since_s=12.0), float)
-    found = np.asarray(hazy.square(site, 3.2, 48, since_s=12.0), float)
+    wanted = np.asarray(clear.patch(site, 3.2, 48, since_s=12.0), float)
+    found = np.asarray(hazy.patch(site, 3.2, 48, since_s=12.0), float)
     hazy._haze = Haze()
-    left = np.asarray(hazy.square(site, 3.2, 48, since_s=12.0), float)
+    left = np.asarray(hazy.patch(site, 3.2, 48, since_s=12.0), float)
     assert np.abs(left - wanted).mean() > 80.0
     assert np.abs(found - wanted).mean() < 8.0

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.landing.api import LabelledPictures
+from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification import weights
 from touchdown.landing.classification.labels import D_LAND
 
-from support.recognition_support import coloured
+from support.labelled_images_support import coloured
 
 
 def test_rare_classes_are_drawn_more_often(torch: Any) -> None:
@@ -25,7 +25,7 @@ def test_rare_classes_are_drawn_more_often(torch: Any) -> None:
     pictures = coloured(100, 1)
     labels = np.array([0] * 81 + [1] * 19, np.int64)
     source = np.array([0] * 81 + [0] * 18 + [1], np.int64)
-    uneven = LabelledPictures(
+    uneven = LabelledImages(
         images=pictures.images, labels=labels, classes=D_LAND, source=source, sources=("a", "b")
     )
     draws = np.bincount(balanced_order(uneven, 0, 0), minlength=100)
@@ -92,7 +92,7 @@ def test_a_stopped_training_ends_as_one_that_was_not(torch: Any, tmp_path: Path)
     state, other = whole.network.state_dict(), pieces.network.state_dict()
     assert all(bool((state[name] == other[name]).all()) for name in state)
     assert whole.history[-1]["train_loss"] < whole.history[0]["train_loss"]
-    with pytest.raises(ValueError, match="holds a training with other pictures"):
+    with pytest.raises(ValueError, match="holds a training with other images"):
         Trainer(params, val, train, tmp_path / "whole", cpu)
     longer = TrainParams(**(plan | {"epochs": 4}), batch_size=12)
     assert not Trainer(longer, train, val, tmp_path / "whole", cpu).finished
@@ -100,7 +100,7 @@ def test_a_stopped_training_ends_as_one_that_was_not(torch: Any, tmp_path: Path)
     with pytest.raises(ValueError, match="a training with batch_size 12, not 8"):
         Trainer(changed, train, val, tmp_path / "whole", cpu)
     (tmp_path / "whole" / "last.pt").write_bytes(b"PK broken")
-    with pytest.raises(ValueError, match="is no checkpoint that can be read"):
+    with pytest.raises(ValueError, match="cannot be read as a checkpoint"):
         trainer("whole")
 
 
@@ -122,7 +122,7 @@ def test_a_training_may_begin_with_the_weights_of_another(torch: Any, tmp_path: 
     other = TrainParams(network="resnet18", image_size=32, epochs=1, batch_size=6)
     with pytest.raises(ValueError, match="holds weights of another network"):
         Trainer(other, train, val, second, cpu, start=first)
-    with pytest.raises(ValueError, match="is no checkpoint that can be read"):
+    with pytest.raises(ValueError, match="cannot be read as a checkpoint"):
         Trainer(params, train, val, second, cpu, start=tmp_path / "none")
 
 

@@ -87,7 +87,7 @@ def test_the_same_seed_gives_the_same_network(name: str) -> None:
     ("name", "size", "message"),
     [
         ("resnet51", 96, "unknown network 'resnet51': did you mean 'resnet"),
-        ("inception_v4", 64, "inception_v4 needs pictures of at least 75 pixels, not 64"),
+        ("inception_v4", 64, "inception_v4 needs images of at least 75 pixels, not 64"),
         ("resnet18", 16, "at least 32 pixels"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Scores by hand, class maps of photographs, and what a network's file must be like."""
+"""Metrics by hand, class maps of photographs, and the file of a network."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.experiments.classification import class_map as class_pictures
+from touchdown.experiments.classification import class_map as class_overlays
 from touchdown.landing.classification import scores, weights, windows
-from touchdown.landing.classification.engine import weighed
+from touchdown.landing.classification.engine import apply_miss_costs
 from touchdown.landing.classification.labels import D_LAND
 
 # ----------------------------------------------------------------------------------------- scores
@@ -91,14 +91,14 @@ def test_unsure_ground_stays_white() -> None:
     chance = np.full((16, 40, 7), 0.1, np.float32)
     chance[:, :20, D_LAND.index("water")] = 0.4
     chance[:, 20:, D_LAND.index("lawn")] = 0.9
-    drawn = class_pictures.class_picture(picture, chance, D_LAND, 0.5)
+    drawn = class_overlays.class_overlay(picture, chance, D_LAND, 0.5)
     assert (drawn[0, 0] == 128).all() and (drawn[0, 39] == [60, 100, 40]).all()
     assert drawn.shape[1] == 40 and drawn.shape[0] > 16
-    assert class_pictures._shares(chance, D_LAND, 0.5) == {"lawn": 0.5, "unsure": 0.5}
+    assert class_overlays._shares(chance, D_LAND, 0.5) == {"lawn": 0.5, "unsure": 0.5}
 
 
 def test_thirty_colours_differ() -> None:
-    colours = class_pictures.class_colours([str(n) for n in range(30)])
+    colours = class_overlays.class_colours([str(n) for n in range(30)])
     assert len(set(colours.values())) == 30
 
 
@@ -138,15 +138,15 @@ def test_files_that_are_refused(
         weights.read_network(path)
 
 
-def test_a_class_that_costs_more_to_miss_is_taken_sooner() -> None:
+def test_class_with_a_higher_miss_cost_is_predicted_earlier() -> None:
     """Lawn at 0.85 and water at 0.15 cost 0.15 * 10 and 0.85 to miss: 1.5 of 2.35 for water."""
     found = np.full((2, 7), -50.0, np.float32)
     found[:, D_LAND.index("lawn")] = np.log([0.85, 0.95])
     found[:, D_LAND.index("water")] = np.log([0.15, 0.05])
     plain = weights.NetworkFacts(network="resnet18", labels="d_land", image_size=64, classes=D_LAND)
     dear = dataclasses.replace(plain, miss_costs=(("water", 10.0),))
-    np.testing.assert_array_equal(weighed(found, plain), found)
-    chance = scores.probabilities(weighed(found, dear))
+    np.testing.assert_array_equal(apply_miss_costs(found, plain), found)
+    chance = scores.probabilities(apply_miss_costs(found, dear))
     water = chance[:, D_LAND.index("water")]
     np.testing.assert_allclose(water, [1.5 / 2.35, 0.5 / 1.45], rtol=1e-6)
     assert [D_LAND[best] for best in chance.argmax(axis=1)] == ["water", "lawn"]
@@ -160,12 +160,12 @@ def test_a_class_that_costs_more_to_miss_is_taken_sooner() -> None:
             dataclasses.replace(plain, miss_costs=costs)
 
 
-def test_a_file_that_does_not_say_what_it_is() -> None:
+def test_file_without_metadata_is_refused() -> None:
     facts = weights.NetworkFacts(network="resnet18", labels="d_land", image_size=64, classes=D_LAND)
     assert weights.facts_of(facts.properties(), Path("n")) == facts
-    with pytest.raises(ValueError, match="does not say what it recognises"):
+    with pytest.raises(ValueError, match="has no usable metadata"):
         weights.facts_of(facts.properties() | {"miss_costs": "water"}, Path("n"))
-    with pytest.raises(ValueError, match="does not say what it recognises"):
+    with pytest.raises(ValueError, match="has no usable metadata"):
         weights.facts_of({}, Path("n"))
     with pytest.raises(ValueError, match="classes that are not those of 'd_land'"):
         weights.facts_of(facts.properties() | {"classes": "cat dog"}, Path("n"))

@@ -1,4 +1,4 @@
-"""The network that comes with the project: what it is, and that it knows places it never saw."""
+"""The shipped network: metadata, and accuracy on unseen scenes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.classification.patches import scene_patches
-from touchdown.experiments.classification.splits import HELD_OUT_SCENES, split_of_place
+from touchdown.experiments.classification.splits import HELD_OUT_SCENES, split_of_layout
 from touchdown.experiments.cli import main as cli
 from touchdown.landing.classification.onboard import (
     SHIPPED,
@@ -30,16 +30,16 @@ LARGEST_MB = 60.0
 
 
 @pytest.fixture(scope="module")
-def places() -> OnnxGroundClassifier:
+def classifier() -> OnnxGroundClassifier:
     return load_onboard_classifier(SHIPPED)
 
 
-def test_what_comes_along(places: OnnxGroundClassifier) -> None:
+def test_shipped_network_description(classifier: OnnxGroundClassifier) -> None:
     assert len(read_network(SHIPPED)) <= LARGEST_MB * 1e6
-    description = places.description()
+    description = classifier.description()
     assert description["network"] == "resnet50_cbam"
-    assert places.image_size == 128
-    assert 0.5 <= places.least_probability < 1.0
+    assert classifier.image_size == 128
+    assert 0.5 <= classifier.min_probability < 1.0
 
 
 def test_number_of_weights() -> None:
@@ -52,21 +52,21 @@ def test_number_of_weights() -> None:
 
 
 @pytest.mark.parametrize("scene", ["lake", "houses", *HELD_OUT_SCENES])
-def test_places_never_seen(scene: str, places: OnnxGroundClassifier) -> None:
-    """A floor far below the scores on thousands of pictures: `docs/results/recognition.md`."""
-    assert split_of_place(scene, SEED) == "test"
-    patches = scene_patches(scene, SEED, PICTURES, places.image_size, variation=0)
-    opinion = places.look(np.stack([patch.rgb for patch in patches]))
-    found = [LAND_CLASSES[best] for best in opinion.chances.argmax(axis=1)]
+def test_accuracy_on_unseen_scenes(scene: str, classifier: OnnxGroundClassifier) -> None:
+    """The bound is far below the scores in `docs/results/ground-classification.md`."""
+    assert split_of_layout(scene, SEED) == "test"
+    patches = scene_patches(scene, SEED, PICTURES, classifier.image_size, variation=0)
+    prediction = classifier.classify(np.stack([patch.rgb for patch in patches]))
+    found = [LAND_CLASSES[best] for best in prediction.probabilities.argmax(axis=1)]
     true = [patch.land_class for patch in patches]
     assert np.mean([a == b for a, b in zip(found, true, strict=True)]) >= 0.75
     safe = np.array([name in SAFE_CLASSES for name in LAND_CLASSES])
-    sure = opinion.chances[:, safe].sum(axis=1) >= places.least_probability
-    taken = sure & opinion.familiar & safe[opinion.chances.argmax(axis=1)]
+    sure = prediction.probabilities[:, safe].sum(axis=1) >= classifier.min_probability
+    taken = sure & prediction.in_distribution & safe[prediction.probabilities.argmax(axis=1)]
     assert not any(t and name in ("water", "trees") for t, name in zip(taken, true, strict=True))
 
 
-def test_commands_that_name_no_network_take_this_one(
+def test_commands_without_a_network_use_the_shipped_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     home = tmp_path / "pictures"

@@ -1,4 +1,4 @@
-"""Pictures that the lander keeps, and squares of ground cut out of them."""
+"""Survey images and ground patches extracted from them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.landing.classification.survey_images import KeptPictures, project
+from touchdown.landing.classification.survey_images import SurveyImages, project
 from touchdown.sim.api import CameraImage
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
 
-from support.ground_classifier_support import photograph, plain, small_rig
+from support.ground_class_support import photograph, plain, small_rig
 from support.landing_support import make_estimate, make_obs
 
 Array = NDArray[np.float64]
@@ -24,23 +24,23 @@ def _by_place(x: Array, y: Array) -> Array:
     return np.stack([128.0 + 4.0 * x, 128.0 + 4.0 * y, np.zeros_like(x)], -1)
 
 
-def _kept(pose: Pose, paint: Any = _by_place, rig: Any = None, **more: Any) -> KeptPictures:
+def _kept(pose: Pose, paint: Any = _by_place, rig: Any = None, **more: Any) -> SurveyImages:
     rig = rig or small_rig()
-    pictures = KeptPictures(rig, more.get("limit", 8))
+    survey_images = SurveyImages(rig, more.get("limit", 8))
     obs = make_obs(600, images=(photograph(rig, pose, paint, 1.0),))
-    pictures.take_in(obs, make_estimate(600, pose))
-    return pictures
+    survey_images.update(obs, make_estimate(600, pose))
+    return survey_images
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5])
-def test_a_square_shows_the_ground_around_a_site(yaw: float) -> None:
+def test_patch_shows_the_ground_around_a_site(yaw: float) -> None:
     """Tilted by 4 degrees, 20 m up, 2 m aside: the square is level, centred, and not mirrored."""
     tilt = so3_exp(np.radians([4.0, -2.0, 0.0]))
     pose = Pose(rotation_from_yaw(yaw) @ tilt, np.array([1.0, -2.0, 20.0]))
     site = np.array([3.0, -1.0, 0.0])
-    square = _kept(pose).square(site, 6.4, 64)
-    assert square is not None and square.shape == (64, 64, 3)
-    place = (square[..., :2].astype(float) - 128.0) / 4.0
+    patch = _kept(pose).patch(site, 6.4, 64)
+    assert patch is not None and patch.shape == (64, 64, 3)
+    place = (patch[..., :2].astype(float) - 128.0) / 4.0
     assert place.mean(axis=(0, 1)) == pytest.approx(site[:2], abs=0.05)
     right = (place[:, -8:] - place[:, :8]).mean(axis=(0, 1)) / (56 / 64)
     down = (place[-8:] - place[:8]).mean(axis=(0, 1)) / (56 / 64)
@@ -50,7 +50,7 @@ def test_a_square_shows_the_ground_around_a_site(yaw: float) -> None:
     assert right[0] * down[1] - right[1] * down[0] < 0.0  # seen from above
 
 
-def test_the_lens_is_taken_out() -> None:
+def test_lens_distortion_is_removed() -> None:
     """OpenCV's own projection, with all five coefficients."""
     import cv2
 
@@ -66,20 +66,20 @@ def test_the_lens_is_taken_out() -> None:
     assert ahead.all() and not project(camera, -points)[1].any()
 
 
-def test_a_smaller_square_where_the_whole_one_is_not_shown() -> None:
-    """At 5 m the picture shows 3.9 m the short way: half of 6.4 m fits, nothing of a site aside."""
-    pictures = _kept(Pose(np.eye(3), np.array([0.0, 0.0, 5.0])))
-    square = pictures.square(np.zeros(3), 6.4, 32)
-    assert square is not None
-    width = (float(square[:, -1, :2].mean()) - float(square[:, 0, :2].mean())) / 2.0
+def test_smaller_patch_where_no_image_shows_the_whole_one() -> None:
+    """At 5 m the image shows 3.9 m the short way: half of 6.4 m fits, nothing of a site aside."""
+    survey_images = _kept(Pose(np.eye(3), np.array([0.0, 0.0, 5.0])))
+    patch = survey_images.patch(np.zeros(3), 6.4, 32)
+    assert patch is not None
+    width = (float(patch[:, -1, :2].mean()) - float(patch[:, 0, :2].mean())) / 2.0
     assert abs(width) == pytest.approx(0.5 * 6.4 * 31 / 32, abs=0.4)
-    assert pictures.square(np.array([0.0, 9.0, 0.0]), 6.4, 32) is None
-    assert pictures.square(np.zeros(3), 6.4, 32, since_s=1.5) is None
+    assert survey_images.patch(np.array([0.0, 9.0, 0.0]), 6.4, 32) is None
+    assert survey_images.patch(np.zeros(3), 6.4, 32, since_s=1.5) is None
 
 
-def test_kept_pictures_are_few_and_apart() -> None:
+def test_kept_images_are_few_and_apart() -> None:
     rig = small_rig()
-    pictures = KeptPictures(rig, 5)
+    survey_images = SurveyImages(rig, 5)
     rng = np.random.default_rng(7)
     sources = [
         rng.integers(0, 255, (rig.camera.height, rig.camera.width, 3)).astype(np.uint8)
@@ -90,18 +90,18 @@ def test_kept_pictures_are_few_and_apart() -> None:
         image = photograph(rig, pose, plain("lawn"), step / 10.0)
         obs = make_obs(60 * step, images=(dataclasses.replace(image, rgb=source),))
         estimate = make_estimate(60 * step, pose)
-        pictures.take_in(obs, dataclasses.replace(estimate, healthy=step != 16))
-    assert 4 <= len(pictures) <= 5
-    places = sorted(kept.odom_from_camera.translation[0] for kept in pictures._kept)
+        survey_images.update(obs, dataclasses.replace(estimate, healthy=step != 16))
+    assert 4 <= len(survey_images) <= 5
+    places = sorted(kept.odom_from_camera.translation[0] for kept in survey_images._kept)
     assert places[0] == 0.0 and 16.0 not in places
     assert np.diff(places).min() >= 8.0 and places[-1] >= 40.0
-    assert all(kept.rgb is not source for kept in pictures._kept for source in sources)
+    assert all(kept.rgb is not source for kept in survey_images._kept for source in sources)
 
 
-def test_what_is_black_frozen_or_out_of_order_is_no_ground() -> None:
+def test_black_frozen_and_swapped_images_are_not_used() -> None:
     """5 m a step at 20 m; at odd steps something is wrong."""
     rig = small_rig()
-    pictures = KeptPictures(rig, 8)
+    survey_images = SurveyImages(rig, 8)
     images = []
     for step in range(10):
         pose = Pose(np.eye(3), np.array([5.0 * step, 0.0, 20.0]))
@@ -112,24 +112,24 @@ def test_what_is_black_frozen_or_out_of_order_is_no_ground() -> None:
     for step in range(6):
         pose = Pose(np.eye(3), np.array([5.0 * step, 0.0, 20.0]))
         estimate = make_estimate(600 + 60 * step, pose)
-        pictures.take_in(make_obs(600 + 60 * step, images=(images[step],)), estimate)
-    assert [kept.time_s for kept in pictures._kept] == [1.0, 1.2, 1.4]
+        survey_images.update(make_obs(600 + 60 * step, images=(images[step],)), estimate)
+    assert [kept.time_s for kept in survey_images._kept] == [1.0, 1.2, 1.4]
     swapped = (images[7], images[6])
-    pictures.take_in(make_obs(1080, images=swapped), make_estimate(1080, pose))
-    assert len(pictures) == 3
-    pictures.take_in(make_obs(1140, images=(images[8],)), make_estimate(1140, pose))
-    assert pictures._newest is not None and pictures._newest.time_s == 1.8
+    survey_images.update(make_obs(1080, images=swapped), make_estimate(1080, pose))
+    assert len(survey_images) == 3
+    survey_images.update(make_obs(1140, images=(images[8],)), make_estimate(1140, pose))
+    assert survey_images._newest is not None and survey_images._newest.time_s == 1.8
 
 
-def test_an_exposure_is_placed_where_the_vehicle_was() -> None:
-    """The picture arrives 60 ms after its exposure, 0.3 m further on."""
+def test_pose_of_an_image_is_that_of_its_exposure() -> None:
+    """The image arrives 60 ms after its exposure, 0.3 m further on."""
     rig = small_rig()
-    pictures = KeptPictures(rig, 4)
+    survey_images = SurveyImages(rig, 4)
     for step in range(13):
         pose = Pose(np.eye(3), np.array([0.025 * step, 0.0, 20.0]))
         images: tuple[CameraImage, ...] = ()
         if step == 12:
             there = Pose(np.eye(3), np.array([0.0125, 0.0, 20.0]))
             images = (photograph(rig, there, _by_place, 0.0025),)
-        pictures.take_in(make_obs(3 * step, images=images), make_estimate(3 * step, pose))
-    assert pictures._kept[0].odom_from_camera.translation[0] == pytest.approx(0.0125)
+        survey_images.update(make_obs(3 * step, images=images), make_estimate(3 * step, pose))
+    assert survey_images._kept[0].odom_from_camera.translation[0] == pytest.approx(0.0125)

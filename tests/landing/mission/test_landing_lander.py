@@ -105,14 +105,14 @@ def test_unsuitable_commanded_site_is_refused_with_its_reason() -> None:
     assert puppet.position[:2] == pytest.approx([0.0, 0.0], abs=0.02)
 
 
-def test_a_commanded_site_is_taken_unchecked_where_that_is_asked_for() -> None:
+def test_commanded_site_is_accepted_unchecked_without_check_site() -> None:
     height = np.zeros((280, 280))
     height[120:130, 132:140] = 0.8
     lander = make_lander(site_xy_m=(7.0, 5.0), check_site=False)
     phases, view = fly(Puppet(lander, make_grid(height, origin=ORIGIN)))
     assert not view.aborted
     assert Phase.RETURN not in phases
-    assert view.candidates[0].reason.startswith("landed on unchecked; the map would have refused")
+    assert view.candidates[0].reason.startswith("accepted unchecked; by the map: refused")
     assert view.committed_site_world is not None
     assert view.committed_site_world[:2] == pytest.approx([7.0, 5.0])
 
@@ -132,7 +132,7 @@ def test_a_commanded_site_stays_in_the_world_when_the_odometry_frame_is_correcte
     assert puppet.position[:2] == pytest.approx([7.0, 4.5], abs=0.02)
 
 
-def test_a_site_that_looks_worse_from_10_m_is_given_up() -> None:
+def test_site_that_fails_the_look_at_10_m_is_refused() -> None:
     """The coarse map says flat, the fine one says rubble: go around twice, then home."""
     lander = make_lander()
     puppet = Puppet(lander, flat_map())

@@ -1,4 +1,4 @@
-"""Places that look like landing sites and are none. Each is surveyed with the real sensors."""
+"""Scenes with ground that resembles landing sites, surveyed with the simulated sensors."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_open_lawn_is_taken(garden: Surveyed) -> None:
     assert allowed_share(garden, 12.5, 15.5, -4.0, 1.0) > 0.95
 
 
-def test_flat_pond_is_refused_since_pulses_do_not_come_back(garden: Surveyed) -> None:
+def test_flat_pond_is_refused_by_missing_pulses(garden: Surveyed) -> None:
     """As flat as anything, and near the nadir it even gives returns."""
     assert allowed_share(garden, 4.0, 14.0, 3.0, 13.0) == 0.0
     assert "water" in refusal(garden, 9.0, 8.0)

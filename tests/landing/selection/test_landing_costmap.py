@@ -11,24 +11,24 @@ from touchdown.landing.api import LandingParams
 from touchdown.landing.selection import costmap
 from touchdown.landing.selection.clustering import _search_offsets, kernel_density, quick_shift
 from touchdown.landing.selection.costmap import compute_costmap
-from touchdown.landing.selection.landable import ground_planes
-from touchdown.landing.selection.terrain import (
-    Terrain,
+from touchdown.landing.selection.elevation_raster import (
+    ElevationRaster,
     disc_maximum,
     fit_planes,
-    observed_terrain,
+    observed_raster,
     pooled,
 )
+from touchdown.landing.selection.landable import ground_planes
 
 from support.landing_support import make_grid
 
 PARAMS = LandingParams()
 
 
-def terrain_of(height: np.ndarray, **grid: object) -> Terrain:
-    terrain = observed_terrain(make_grid(height, **({"sigma": 0.0} | grid)))  # type: ignore[arg-type]
-    assert terrain is not None
-    return terrain
+def raster_of(height: np.ndarray, **grid: object) -> ElevationRaster:
+    raster = observed_raster(make_grid(height, **({"sigma": 0.0} | grid)))  # type: ignore[arg-type]
+    assert raster is not None
+    return raster
 
 
 def test_planes_recover_slope_and_level_and_skip_unknown_windows() -> None:
@@ -44,8 +44,8 @@ def test_planes_recover_slope_and_level_and_skip_unknown_windows() -> None:
 
 def test_eq15_angle_of_the_normal() -> None:
     _y, x = np.mgrid[0:30, 0:30] * 0.2
-    terrain = terrain_of(np.tan(np.deg2rad(7.0)) * x)
-    angles = costmap.normal_angles(ground_planes(terrain, PARAMS))
+    raster = raster_of(np.tan(np.deg2rad(7.0)) * x)
+    angles = costmap.normal_angles(ground_planes(raster, PARAMS))
     assert np.rad2deg(angles[5:25, 5:25]) == pytest.approx(7.0, abs=1e-3)
 
 
@@ -98,8 +98,8 @@ def test_eq14_distance_to_the_only_edge() -> None:
 
 
 def test_eq18_distance_and_its_energy_threshold() -> None:
-    terrain = terrain_of(np.zeros((3, 50)))
-    cost = costmap.distance(terrain, np.array([0.1, 0.3, 0.0]), reach_m=6.05)
+    raster = raster_of(np.zeros((3, 50)))
+    cost = costmap.distance(raster, np.array([0.1, 0.3, 0.0]), reach_m=6.05)
     assert cost[1, 0] == pytest.approx(1.0)
     assert cost[1, 15] == pytest.approx(0.5, abs=0.01)
     assert cost[1, 30] == pytest.approx(0.0, abs=0.01)
@@ -116,11 +116,11 @@ def test_eq13_weights_and_unknown() -> None:
 
 def test_level_lawn_beats_slope_and_stays_within_bounds() -> None:
     _y, x = np.mgrid[0:80, 0:80] * 0.2
-    terrain = terrain_of(np.where(x < 8.0, 0.0, (x - 8.0) * 0.2))
+    raster = raster_of(np.where(x < 8.0, 0.0, (x - 8.0) * 0.2))
     for form in ("corrected", "literal"):
         params = dataclasses.replace(PARAMS, flatness_form=form)
         view = compute_costmap(
-            terrain, ground_planes(terrain, params), np.array([8.0, 8.0, 30.0]), np.inf, params
+            raster, ground_planes(raster, params), np.array([8.0, 8.0, 30.0]), np.inf, params
         )
         for layer in (view.total, view.flatness, view.smoothness, view.distance):
             assert np.nanmin(layer) >= 0.0
@@ -138,8 +138,8 @@ def test_disc_maximum_reaches_exactly_its_radius() -> None:
 
 
 def test_pooling_keeps_mean_spread_and_top() -> None:
-    terrain = terrain_of(np.array([[0.0, 0.2], [0.2, np.nan]]))
-    merged = pooled(terrain, 2)
+    raster = raster_of(np.array([[0.0, 0.2], [0.2, np.nan]]))
+    merged = pooled(raster, 2)
     assert merged.shape == (1, 1)
     assert merged.cell_m == pytest.approx(0.4)
     assert merged.count[0, 0] == 120.0

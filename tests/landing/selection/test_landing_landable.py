@@ -1,4 +1,4 @@
-"""The geometric check on made-up ground, and the feeling for the ground."""
+"""The geometric check on synthetic ground, and touchdown detection."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from touchdown.estimator.api import GridMap
 from touchdown.landing.api import LandingParams
 from touchdown.landing.mission.second_look import ground_under, look_again
 from touchdown.landing.mission.touchdown import TouchdownDetector
+from touchdown.landing.selection.elevation_raster import ElevationRaster, observed_raster
 from touchdown.landing.selection.landable import (
     Defect,
     LandableMap,
@@ -20,9 +21,8 @@ from touchdown.landing.selection.landable import (
     fit_footprint,
     ground_planes,
 )
-from touchdown.landing.selection.selector import check_site, select_sites
-from touchdown.landing.selection.terrain import Terrain, observed_terrain
-from touchdown.landing.selection.traffic import near_traffic, traffic_penalty
+from touchdown.landing.selection.selector import SelectionLimits, check_site, select_sites
+from touchdown.landing.selection.traffic import traffic_penalty, traffic_zone
 from touchdown.sim.frames import Pose
 
 from support.landing_support import make_estimate, make_grid, make_imu, make_obs, make_rig, view_of
@@ -40,12 +40,12 @@ def ground(slope_deg: float = 0.0) -> Array:
     return np.tan(np.deg2rad(slope_deg)) * x
 
 
-def judged(grid: GridMap) -> tuple[Terrain, LandableMap]:
-    terrain = observed_terrain(grid)
-    assert terrain is not None
-    return terrain, assess(
-        terrain,
-        ground_planes(terrain, PARAMS),
+def judged(grid: GridMap) -> tuple[ElevationRaster, LandableMap]:
+    raster = observed_raster(grid)
+    assert raster is not None
+    return raster, assess(
+        raster,
+        ground_planes(raster, PARAMS),
         PARAMS,
         margin_m=PARAMS.map_margin_m,
         min_returns=PARAMS.min_returns,
@@ -57,9 +57,9 @@ def landable(grid: GridMap) -> bool:
 
 
 def why_not(grid: GridMap, spot: tuple[int, int] = MIDDLE) -> str:
-    terrain, result = judged(grid)
+    raster, result = judged(grid)
     assert not result.mask[spot]
-    return explain(terrain, result, *spot, PARAMS, PARAMS.map_margin_m)
+    return explain(raster, result, *spot, PARAMS, PARAMS.map_margin_m)
 
 
 def test_noise_of_2_cm_leaves_flat_ground_landable() -> None:
@@ -96,10 +96,10 @@ def test_thin_post_is_seen_by_its_few_returns() -> None:
 def test_something_tall_beyond_the_footprint_keeps_1_5_m_away() -> None:
     grid = make_grid(ground())
     grid.max_height_m[:, 48] = 1.0  # a wire fence 1.6 m from the middle cell's centre
-    terrain, result = judged(grid)
+    raster, result = judged(grid)
     assert not result.mask[MIDDLE]
     assert result.mask[40, 38]
-    assert "m high within 1.9 m (limit 0.25 m)" in explain(terrain, result, *MIDDLE, PARAMS, 0.35)
+    assert "m high within 1.9 m (limit 0.25 m)" in explain(raster, result, *MIDDLE, PARAMS, 0.35)
 
 
 def test_hole_in_the_map_is_unknown_not_flat() -> None:
@@ -109,7 +109,7 @@ def test_hole_in_the_map_is_unknown_not_flat() -> None:
     assert "not seen" in why_not(make_grid(hole))
 
 
-def test_water_shows_by_pulses_that_do_not_come_back() -> None:
+def test_water_is_detected_by_missing_pulses() -> None:
     grid = make_grid(ground())
     grid.missing[36:60, 36:60] = 25.0
     _terrain, result = judged(grid)
@@ -119,7 +119,7 @@ def test_water_shows_by_pulses_that_do_not_come_back() -> None:
     assert result.mask[15, 15]
 
 
-def test_traffic_shows_by_heights_that_change() -> None:
+def test_traffic_is_detected_by_changing_heights() -> None:
     """A lane 2 m wide on which cars passed, against a static edge one cell wide."""
     lane = make_grid(ground())
     lane.height_std_m[30:50, 58:68] = 0.5
@@ -141,8 +141,8 @@ def test_traffic_shows_by_heights_that_change() -> None:
 
 
 def test_footprint_plane_of_a_known_slope() -> None:
-    terrain, _ = judged(make_grid(ground(4.0), sigma=0.0))
-    plane = fit_footprint(terrain, np.array([8.0, 8.0]))
+    raster, _ = judged(make_grid(ground(4.0), sigma=0.0))
+    plane = fit_footprint(raster, np.array([8.0, 8.0]))
     assert plane is not None
     assert plane.slope_deg == pytest.approx(4.0, abs=1e-3)
     assert plane.roughness_m == pytest.approx(0.0, abs=1e-5)
@@ -151,7 +151,7 @@ def test_footprint_plane_of_a_known_slope() -> None:
     assert plane.normal == pytest.approx([-np.sin(angle), 0.0, np.cos(angle)], abs=1e-4)
 
 
-def test_selection_takes_the_good_half_and_says_why() -> None:
+def test_selection_accepts_the_good_half_with_reasons() -> None:
     rng = np.random.default_rng(2)
     half = ground()
     half[:, :40] += rng.uniform(0.0, 0.6, (80, 40))
@@ -166,7 +166,11 @@ def test_selection_takes_the_good_half_and_says_why() -> None:
     assert scores == sorted(scores, reverse=True)
     avoid = [site.position_odom for site in sites if site.accepted]
     others = select_sites(
-        view_of(make_grid(half)), ABOVE, PARAMS, footprint_radius_m=0.5, avoid_odom=avoid
+        view_of(make_grid(half)),
+        ABOVE,
+        PARAMS,
+        footprint_radius_m=0.5,
+        limits=SelectionLimits(avoid_odom=avoid),
     )
     for site in others.candidates:
         if site.accepted:
@@ -174,18 +178,18 @@ def test_selection_takes_the_good_half_and_says_why() -> None:
             assert min(gaps) > 3.0
 
 
-def test_the_surface_that_traffic_uses_is_avoided_as_far_as_it_goes() -> None:
-    """A weak echo west of x = 8, a strong one east of it; at x = 1 something moved. All level."""
+def test_whole_surface_with_traffic_is_avoided() -> None:
+    """Level ground of low intensity west of x = 8, high east of it, with motion at x = 1."""
     grid = make_grid(ground())
     grid.intensity[:, :40] = 14.0
     grid.intensity[:, 40:] = 46.0
-    terrain, result = judged(grid)
+    raster, result = judged(grid)
     # nothing moved: nothing known
-    assert traffic_penalty(near_traffic(terrain, result), PARAMS).max() == 0.0
+    assert traffic_penalty(traffic_zone(raster, result), PARAMS).max() == 0.0
     grid.height_std_m[30:50, 2:10] = 0.5
     grid.max_height_m[30:50, 2:10] = 1.5
-    terrain, result = judged(grid)
-    penalty = traffic_penalty(near_traffic(terrain, result), PARAMS)
+    raster, result = judged(grid)
+    penalty = traffic_penalty(traffic_zone(raster, result), PARAMS)
     assert penalty[70, 30] == pytest.approx(0.3)  # the same surface, far from where it moved
     assert penalty[70, 60] == 0.0
     sites = select_sites(view_of(grid), ABOVE, PARAMS, footprint_radius_m=0.5).candidates
@@ -203,19 +207,19 @@ def test_empty_map_gives_no_candidate() -> None:
 def test_commanded_site_outside_the_map_is_refused() -> None:
     site, _ = check_site(view_of(make_grid(ground())), ABOVE, PARAMS, np.array([40.0, 8.0]))
     assert not site.accepted
-    assert "external" in site.reason
+    assert "outside" in site.reason
 
 
 def fine(height: Array, corner: tuple[float, float] = (4.0, 4.0)) -> GridMap:
     return make_grid(height, 0.05, origin=corner, returns=10)
 
 
-def test_look_from_closer_keeps_a_good_site_and_moves_off_a_bad_one() -> None:
+def test_second_look_keeps_a_good_site_and_moves_a_bad_one() -> None:
     site = np.array([8.0, 8.0, 0.0])
     coarse = make_grid(ground())
     kept = look_again(view_of(coarse, fine(np.zeros((160, 160)))), site, 3.0, PARAMS)
     assert kept.position_odom is not None
-    assert "as it seemed" in kept.reason
+    assert "as selected" in kept.reason
     assert kept.position_odom[:2] == pytest.approx([8.0, 8.0])
     stone = np.zeros((160, 160))
     stone[78:84, 84:90] = 0.25  # at x 8.2..8.5, y 7.9..8.2
@@ -239,7 +243,7 @@ def test_ground_height_prefers_the_fine_map() -> None:
     assert np.isnan(ground_under(view_of(coarse), np.array([99.0, 8.0])))
 
 
-def test_touchdown_is_felt_by_weight_on_the_legs_not_by_gusts_or_a_bump() -> None:
+def test_touchdown_is_detected_by_weight_on_the_legs_not_by_gusts_or_a_bump() -> None:
     detector = TouchdownDetector(make_rig())
     weight = 4.0 * 9.81
 
@@ -267,7 +271,7 @@ def test_touchdown_is_felt_by_weight_on_the_legs_not_by_gusts_or_a_bump() -> Non
     assert 0.1 < felt_after * 0.005 < 0.3
 
 
-def test_touchdown_is_felt_where_the_estimate_rises_and_the_vehicle_bounces() -> None:
+def test_touchdown_is_detected_where_the_estimate_rises_and_the_vehicle_bounces() -> None:
     detector = TouchdownDetector(make_rig())
     weight = 4.0 * 9.81
     share = 0.6

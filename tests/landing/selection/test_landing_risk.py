@@ -21,7 +21,7 @@ from touchdown.landing.selection.clustering import (
     bandwidths,
 )
 from touchdown.landing.selection.risk_features import NAMES, RiskFeatures
-from touchdown.landing.selection.selector import select_sites
+from touchdown.landing.selection.selector import SelectionLimits, select_sites
 from touchdown.sim.frames import Pose
 
 from support.landing_support import make_estimate, make_grid, view_of
@@ -66,29 +66,29 @@ def test_logistic_model_by_hand() -> None:
     expected = 1.0 / (1.0 + np.exp(-odds))
     seen = RiskFeatures(values=values, open=np.array([[True]]))
     assert risk.probability(seen, weights)[0, 0] == pytest.approx(expected, rel=1e-5)
-    assert risk.believed(values[0], weights)[0] == pytest.approx(expected, rel=1e-5)
+    assert risk.predict(values[0], weights)[0] == pytest.approx(expected, rel=1e-5)
     shut = RiskFeatures(values=values, open=np.array([[False]]))
     assert risk.probability(shut, weights)[0, 0] == 0.0
     with pytest.raises(ValueError, match="risk_weights needs 11 numbers"):
-        risk.believed(values[0], (1.0, 2.0))
+        risk.predict(values[0], (1.0, 2.0))
 
 
 def test_fit_finds_calibrated_probabilities_and_keeps_signs() -> None:
     rng = np.random.default_rng(4)
     values = rng.uniform(0.0, 1.5, (20000, len(NAMES))).astype(np.float32)
     weights = (4.0, -1.0, -2.0, -0.2, -0.2, -0.2, -3.0, -0.2, -0.2, -0.2, -1.0)
-    safe = rng.uniform(size=20000) < risk.believed(values, weights)
+    safe = rng.uniform(size=20000) < risk.predict(values, weights)
     found = risk.fit_weights(values, safe)
     assert all(weight <= -0.2 for weight in found[1:])
-    error, rows = risk.calibration(risk.believed(values, found), safe)
+    error, rows = risk.calibration(risk.predict(values, found), safe)
     assert error < 0.01
     assert sum(number for _, _, number in rows) == 20000
 
 
 def test_calibration_error_by_hand() -> None:
-    believed = np.array([0.15, 0.15, 0.95, 0.95], np.float32)
+    predict = np.array([0.15, 0.15, 0.95, 0.95], np.float32)
     safe = np.array([True, False, True, True])
-    error, rows = risk.calibration(believed, safe)
+    error, rows = risk.calibration(predict, safe)
     assert error == pytest.approx(0.5 * 0.35 + 0.5 * 0.05, abs=1e-6)
     assert [(share, number) for _, share, number in rows] == [(0.5, 2), (1.0, 2)]
 
@@ -107,7 +107,9 @@ def test_both_scorers_land_on_the_good_half_and_an_emergency_takes_the_least_bad
     steep = view_of(make_grid(np.tan(np.deg2rad(7.0)) * x))
     refused = select_sites(steep, ABOVE, PARAMS, footprint_radius_m=0.5)
     assert not any(site.accepted for site in refused.candidates)
-    forced = select_sites(steep, ABOVE, PARAMS, footprint_radius_m=0.5, least_bad=True)
+    forced = select_sites(
+        steep, ABOVE, PARAMS, footprint_radius_m=0.5, limits=SelectionLimits(least_bad=True)
+    )
     assert forced.candidates[0].accepted
     assert "the least bad" in forced.candidates[0].reason
     odd = dataclasses.replace(PARAMS, scorer="luck")  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Images of painted ground, classifiers by colour, and the file of a small network."""
+"""Painted ground seen by a camera, classifiers that go by colour, and a small network's file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.landing.api import PlaceOpinion
+from touchdown.landing.api import GroundPrediction
 from touchdown.landing.classification.decision import Limits
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.weights import INPUT, OUTPUT, NetworkFacts, write_network
@@ -36,15 +36,15 @@ def small_rig() -> SensorRig:
 
 
 def plain(name: str) -> Paint:
-    """One mottled colour: images without contrast are rejected."""
+    """One colour, mottled: an image without contrast is a defect."""
     return lambda x, y: np.array(COLOURS[name], float) + 8.0 * np.sin(2.1 * x + 1.7 * y)[..., None]
 
 
 def photograph(
     rig: SensorRig, world_from_body: Pose, paint: Paint, time_s: float, noise: float = 1.0
 ) -> CameraImage:
-    """Returns an undistorted image of level ground at z = 0, with noise (levels), since repeated
-    images are rejected."""
+    """What the camera, without distortion, sees of level ground at z = 0, with noise (levels),
+    since a repeated image is a defect."""
     camera = world_from_body @ rig.body_from_camera
     col, row = np.meshgrid(np.arange(rig.camera.width), np.arange(rig.camera.height))
     beams = np.stack([(col - rig.camera.cx) / rig.camera.fx,
@@ -59,24 +59,27 @@ def photograph(
 
 
 class ByColour:
-    """Classifies red, green and blue ground with a given probability; counts its batches."""
+    """Classifies by colour with the given probability; counts its batches."""
 
     image_size = 16
-    least_probability = 0.9
+    min_probability = 0.9
 
-    def __init__(self, sure: float = 0.97, familiar: bool = True) -> None:
-        self.sure, self.familiar = sure, familiar
+    def __init__(self, sure: float = 0.97, in_distribution: bool = True) -> None:
+        self.sure, self.in_distribution = sure, in_distribution
         self.batches: list[int] = []
 
-    def look(self, images: Image) -> PlaceOpinion:
+    def classify(self, images: Image) -> GroundPrediction:
         self.batches.append(len(images))
         names = list(COLOURS)
         mean = images.mean(axis=(1, 2))
-        chances = np.full((len(images), len(D_LAND)), (1.0 - self.sure) / (len(D_LAND) - 1))
-        for chance, colour in zip(chances, mean, strict=True):
+        probabilities = np.full((len(images), len(D_LAND)), (1.0 - self.sure) / (len(D_LAND) - 1))
+        for chance, colour in zip(probabilities, mean, strict=True):
             nearest = min(names, key=lambda name: float(np.abs(colour - COLOURS[name]).sum()))
             chance[D_LAND.index(nearest)] = self.sure
-        return PlaceOpinion(chances=chances, familiar=np.full(len(images), self.familiar, np.bool_))
+        return GroundPrediction(
+            probabilities=probabilities,
+            in_distribution=np.full(len(images), self.in_distribution, np.bool_),
+        )
 
 
 def write_colour_network(

@@ -1,6 +1,7 @@
-"""The part of an elevation map that a landing decision looks at, and the local geometry of it.
+"""The observed part of an elevation map as rasters, and operations on them.
 
-All rasters are (rows, cols), row = y, column = x, in the odom frame of ``estimator.api.GridMap``.
+A raster is an array (rows, cols) of cells, row = y, column = x, in the odom frame of
+``estimator.api.GridMap``.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Terrain:
-    """The observed part of a grid; unseen cells have count 0 and NaN elsewhere."""
+class ElevationRaster:
+    """Layers of the observed part of a map; unobserved cells have count 0 and NaN elsewhere."""
 
     origin_xy_m: Array
     cell_m: float
@@ -39,40 +40,43 @@ class Terrain:
 
     @property
     def known(self) -> Mask:
+        """Cells with a height."""
         return np.isfinite(self.height)
 
     @property
     def shape(self) -> tuple[int, int]:
+        """Numbers of rows and columns."""
         return self.height.shape  # type: ignore[return-value]
 
     def cell_of(self, xy: Array) -> tuple[int, int]:
-        """(row, col) of the cell that holds ``xy``; may lie outside."""
+        """Returns (row, col) of the cell that contains ``xy``; may lie outside."""
         col, row = np.floor((np.asarray(xy)[:2] - self.origin_xy_m) / self.cell_m).astype(int)
         return int(row), int(col)
 
     def contains(self, row: int, col: int) -> bool:
+        """True if the cell lies within the raster."""
         return 0 <= row < self.shape[0] and 0 <= col < self.shape[1]
 
     def centre_of(self, row: int, col: int) -> Array:
-        """(2,) x, y of a cell's centre."""
+        """Returns x, y (2,) of a cell's centre."""
         return self.origin_xy_m + (np.array([col, row]) + 0.5) * self.cell_m
 
     def offsets_from(self, xy: Array) -> tuple[Array, Array]:
-        """x of every column (cols,) and y of every row (rows,) relative to ``xy``."""
+        """Returns x of every column (cols,) and y of every row (rows,) relative to ``xy``."""
         rows, cols = self.shape
         x = self.origin_xy_m[0] + (np.arange(cols) + 0.5) * self.cell_m - xy[0]
         y = self.origin_xy_m[1] + (np.arange(rows) + 0.5) * self.cell_m - xy[1]
         return x, y
 
-    def window(self, xy: Array, half_width_m: float) -> Terrain:
-        """The square of ``half_width_m`` around ``xy``, clipped to the raster (never empty of
-        rows or columns unless ``xy`` is that far outside)."""
+    def window(self, xy: Array, half_width_m: float) -> ElevationRaster:
+        """Returns the square of ``half_width_m`` around ``xy``, clipped to the raster; empty only
+        where ``xy`` lies farther outside than ``half_width_m``."""
         row, col = self.cell_of(xy)
         reach = int(np.ceil(half_width_m / self.cell_m))
         rows = slice(max(row - reach, 0), max(row + reach + 1, 0))
         cols = slice(max(col - reach, 0), max(col + reach + 1, 0))
         corner = self.origin_xy_m + np.array([cols.start, rows.start]) * self.cell_m
-        return Terrain(
+        return ElevationRaster(
             origin_xy_m=corner,
             cell_m=self.cell_m,
             count=self.count[rows, cols],
@@ -87,15 +91,16 @@ class Terrain:
         )
 
 
-def observed_terrain(grid: GridMap) -> Terrain | None:
-    """The bounding box of everything seen (returns or missing pulses), None for an empty map. The
-    layers are views: the mapper goes on writing to them in later control steps."""
+def observed_raster(grid: GridMap) -> ElevationRaster | None:
+    """Returns the bounding box of all cells with returns or missing pulses, None for an empty map.
+
+    The layers are views: the mapper writes to them in later control steps."""
     seen = (grid.count > 0.0) | (grid.missing > 0.0)
     rows, cols = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
     if rows.size == 0:
         return None
     box = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-    return Terrain(
+    return ElevationRaster(
         origin_xy_m=grid.origin_xy_m + np.array([cols[0], rows[0]]) * grid.cell_m,
         cell_m=grid.cell_m,
         count=grid.count[box],
@@ -110,34 +115,35 @@ def observed_terrain(grid: GridMap) -> Terrain | None:
     )
 
 
-def pooled(terrain: Terrain, factor: int) -> Terrain:
+def pooled(raster: ElevationRaster, factor: int) -> ElevationRaster:
     """Merges ``factor`` x ``factor`` cells into one: weighted mean, total spread, highest return.
-    Rows and columns that fill no whole cell are dropped."""
-    rows, cols = (n // factor for n in terrain.shape)
+
+    Rows and columns at the end that do not fill a merged cell are dropped."""
+    rows, cols = (n // factor for n in raster.shape)
 
     def blocks(layer: Float32) -> Float32:
         cut = layer[: rows * factor, : cols * factor]
         return cut.reshape(rows, factor, cols, factor, *layer.shape[2:])
 
-    count = blocks(terrain.count)
-    weight = np.where(np.isfinite(blocks(terrain.height)), np.maximum(count, 1e-6), 0.0)
+    count = blocks(raster.count)
+    weight = np.where(np.isfinite(blocks(raster.height)), np.maximum(count, 1e-6), 0.0)
     total = weight.sum(axis=(1, 3))
     safe_total = np.where(total > 0.0, total, np.nan)
-    mean = np.nansum(weight * blocks(terrain.height), axis=(1, 3)) / safe_total
-    spread = blocks(terrain.std) ** 2 + (blocks(terrain.height) - mean[:, None, :, None]) ** 2
+    mean = np.nansum(weight * blocks(raster.height), axis=(1, 3)) / safe_total
+    spread = blocks(raster.std) ** 2 + (blocks(raster.height) - mean[:, None, :, None]) ** 2
     variance = np.nansum(weight * spread, axis=(1, 3)) / safe_total
-    intensity = np.nansum(weight * blocks(terrain.intensity), axis=(1, 3)) / safe_total
-    high = np.where(np.isfinite(blocks(terrain.high)), blocks(terrain.high), -np.inf)
+    intensity = np.nansum(weight * blocks(raster.intensity), axis=(1, 3)) / safe_total
+    high = np.where(np.isfinite(blocks(raster.high)), blocks(raster.high), -np.inf)
     top = high.max(axis=(1, 3))
-    low = np.where(np.isfinite(blocks(terrain.low)), blocks(terrain.low), np.inf)
+    low = np.where(np.isfinite(blocks(raster.low)), blocks(raster.low), np.inf)
     bottom = low.min(axis=(1, 3))
-    coloured = np.isfinite(blocks(terrain.rgb))
-    rgb_sum = np.where(coloured, blocks(terrain.rgb), 0.0).sum(axis=(1, 3))
+    coloured = np.isfinite(blocks(raster.rgb))
+    rgb_sum = np.where(coloured, blocks(raster.rgb), 0.0).sum(axis=(1, 3))
     rgb_number = coloured.sum(axis=(1, 3))
     rgb = np.where(rgb_number > 0, rgb_sum / np.maximum(rgb_number, 1), np.nan)
-    return Terrain(
-        origin_xy_m=terrain.origin_xy_m,
-        cell_m=terrain.cell_m * factor,
+    return ElevationRaster(
+        origin_xy_m=raster.origin_xy_m,
+        cell_m=raster.cell_m * factor,
         count=count.sum(axis=(1, 3)).astype(np.float32),
         height=mean.astype(np.float32),
         std=np.sqrt(variance).astype(np.float32),
@@ -145,15 +151,15 @@ def pooled(terrain: Terrain, factor: int) -> Terrain:
         high=np.where(np.isfinite(top), top, np.nan).astype(np.float32),
         rgb=rgb.astype(np.float32),
         intensity=intensity.astype(np.float32),
-        missing=blocks(terrain.missing).sum(axis=(1, 3)).astype(np.float32),
-        last_seen=blocks(terrain.last_seen).max(axis=(1, 3)),
+        missing=blocks(raster.missing).sum(axis=(1, 3)).astype(np.float32),
+        last_seen=blocks(raster.last_seen).max(axis=(1, 3)),
     )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlaneField:
-    """A plane per cell, least squares over the square window around it; NaN where too few cells
-    of the window are known."""
+    """Least-squares plane of the square window around every cell; NaN where too few cells of the
+    window are known."""
 
     angle_rad: Float32
     """between the plane's normal and the vertical, (rows, cols)"""
@@ -164,11 +170,10 @@ class PlaneField:
 def fit_planes(
     height: Float32, cell_m: float, half_width_m: float, *, min_share: float = 0.6
 ) -> PlaneField:
-    """Least-squares planes by running sums of moments: cost does not depend on the window.
+    """Fits planes by running sums of moments: the cost does not depend on the window.
 
-    height: (rows, cols) float32 metres, NaN unknown. A window with less than ``min_share`` of its
-    cells known, or whose known cells lie on a line, gives NaN.
-    """
+    ``height`` (rows, cols): float32, metres, NaN unknown. A window with less than ``min_share`` of
+    its cells known, or whose known cells lie on a line, gives NaN."""
     reach = max(round(half_width_m / cell_m), 1)
     enough = min_share * (2 * reach + 1) ** 2
     angle, level = (np.full(height.shape, np.nan, np.float32) for _ in range(2))
@@ -178,7 +183,7 @@ def fit_planes(
 
 @numba.njit(cache=True)
 def _add_row(height: Float32, row: int, sign: float, base: float, sums: Array) -> None:
-    """Adds (or takes away) one row to the column sums of n, y, z, yy, yz."""
+    """Adds or subtracts one row to the column sums of n, y, z, yy, yz."""
     y = float(row)
     for col in range(height.shape[1]):
         z = height[row, col] - base
@@ -193,7 +198,7 @@ def _add_row(height: Float32, row: int, sign: float, base: float, sums: Array) -
 
 @numba.njit(cache=True)
 def _add_column(sums: Array, col: int, sign: float, w: Array) -> None:
-    """Adds (or takes away) one column to the window sums n, x, y, z, xx, xy, yy, xz, yz."""
+    """Adds or subtracts one column to the window sums n, x, y, z, xx, xy, yy, xz, yz."""
     x = float(col)
     n, y, z = sums[col, 0], sums[col, 1], sums[col, 2]
     w[0] += sign * n
@@ -255,8 +260,8 @@ def _sliding_planes(
 
 
 def distance_to(mask: Mask, cell_m: float) -> Float32:
-    """Exact Euclidean distance in metres from every cell to the nearest True cell (0 on them;
-    1e6 if there is none)."""
+    """Returns the exact Euclidean distance in metres from every cell to the nearest True cell; 1e6
+    if there is none."""
     if not mask.any():
         return np.full(mask.shape, 1e6, np.float32)
     free = (~mask).astype(np.uint8)
@@ -265,8 +270,8 @@ def distance_to(mask: Mask, cell_m: float) -> Float32:
 
 
 def disc_maximum(layer: Float32, radius_cells: float) -> Float32:
-    """Maximum over the disc of ``radius_cells`` around each cell, row by row of the disc; unknown
-    (NaN) cells do not take part, -inf where nothing is known."""
+    """Returns the maximum over the disc of ``radius_cells`` around each cell. NaN cells are left
+    out; -inf where the disc has no other."""
     rows = layer.shape[0]
     best = np.where(np.isfinite(layer), layer, np.float32(-np.inf))
     filled = best.copy()
@@ -285,8 +290,9 @@ def disc_maximum(layer: Float32, radius_cells: float) -> Float32:
     return best
 
 
-def near(mask: Mask, radius_cells: float) -> Mask:
-    """Cells whose centre lies within ``radius_cells`` of that of a True cell."""
+def dilated(mask: Mask, radius_cells: float) -> Mask:
+    """Returns the mask of cells whose centre lies within ``radius_cells`` of that of a True
+    cell."""
     if not mask.any():
         return np.zeros(mask.shape, np.bool_)
     reach = int(radius_cells)

@@ -1,14 +1,14 @@
-"""Pictures that a small network learns to tell apart within seconds."""
+"""Images that a small network learns to classify within seconds."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from touchdown.landing.api import LabelledPictures
+from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification.labels import D_LAND
 
 
-def coloured(count: int, seed: int, size: int = 32) -> LabelledPictures:
+def coloured(count: int, seed: int, size: int = 32) -> LabelledImages:
     """Lawn is green, water is blue, buildings are red; with noise."""
     rng = np.random.default_rng([seed, 11])
     kinds = {"lawn": 1, "water": 2, "building": 0}
@@ -16,7 +16,7 @@ def coloured(count: int, seed: int, size: int = 32) -> LabelledPictures:
     images = rng.integers(60, 120, (count, size, size, 3))
     for image, name in zip(images, names, strict=True):
         image[..., kinds[name]] += 80
-    return LabelledPictures(
+    return LabelledImages(
         images=images.astype(np.uint8),
         labels=np.array([D_LAND.index(name) for name in names], np.int64),
         classes=D_LAND,

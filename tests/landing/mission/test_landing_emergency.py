@@ -1,4 +1,4 @@
-"""Emergencies, energy and an estimator that has lost its way, with the puppet of the lander."""
+"""Emergencies, energy and unhealthy estimates, with a vehicle that follows its setpoint."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from touchdown.landing.mission.energy import (
     return_time_s,
     travel_time_s,
 )
-from touchdown.landing.mission.wind import WindGuess
+from touchdown.landing.mission.wind import WindEstimator
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import Pose
 
@@ -32,8 +32,8 @@ def fly_timed(puppet: Puppet, seconds: float = 200.0) -> tuple[dict[Phase, float
     return began, view
 
 
-def test_emergency_is_down_in_time_on_the_least_bad_site() -> None:
-    """A slope of 7 degrees everywhere: refused in peace, taken in need, within the time given."""
+def test_emergency_lands_in_time_on_the_least_bad_site() -> None:
+    """A slope of 7 degrees everywhere is refused, in an emergency accepted within the limit."""
     _, x = np.mgrid[0:280, 0:280] * 0.2
     steep = make_grid(np.tan(np.deg2rad(7.0)) * (x - 20.0), origin=ORIGIN)
     lander = make_lander(emergency="battery")
@@ -44,7 +44,7 @@ def test_emergency_is_down_in_time_on_the_least_bad_site() -> None:
     assert not view.no_site
 
 
-def test_emergency_without_a_map_comes_down_where_it_is() -> None:
+def test_emergency_without_a_map_descends_in_place() -> None:
     void = make_grid(np.full((280, 280), np.nan), origin=ORIGIN)
     began, view = fly_timed(Puppet(make_lander(emergency="battery"), void))
     assert Phase.RETURN not in began
@@ -54,14 +54,14 @@ def test_emergency_without_a_map_comes_down_where_it_is() -> None:
 
 def test_reach_in_an_emergency_leaves_time_to_land() -> None:
     reach = emergency_reach_m(20.0, 45.0, PARAMS)
-    used = travel_time_s(reach, PARAMS) + landing_time_s(20.0, PARAMS, hurried=True)
+    used = travel_time_s(reach, PARAMS) + landing_time_s(20.0, PARAMS, emergency=True)
     assert used == pytest.approx(45.0)
     assert emergency_reach_m(20.0, 5.0, PARAMS) == 0.0
     assert return_time_s(50.0, 20.0, PARAMS) > landing_time_s(20.0, PARAMS)
 
 
 @pytest.mark.parametrize(("battery", "legs"), [(0.9, 2), (0.35, 1)])
-def test_search_leg_only_where_the_battery_pays_for_it_and_the_way_home(
+def test_search_leg_only_where_the_battery_suffices_for_it_and_the_way_home(
     battery: float, legs: int
 ) -> None:
     """Rubble; the flight so far took what is missing of the battery."""
@@ -88,7 +88,7 @@ class Lost(Puppet):
         self.lander.update = update  # type: ignore[method-assign]
 
 
-def test_short_loss_holds_and_goes_on_where_it_stopped() -> None:
+def test_short_unhealthy_period_holds_and_resumes() -> None:
     puppet = Lost(12.0, 16.0)
     held, jumps, last = [], [], None
     for view, setpoint in puppet.run(200.0):
@@ -105,7 +105,7 @@ def test_short_loss_holds_and_goes_on_where_it_stopped() -> None:
     assert view.committed_site_world is not None
 
 
-def test_lasting_loss_ends_in_an_abort_straight_down() -> None:
+def test_long_unhealthy_period_aborts_and_descends_in_place() -> None:
     puppet = Lost(12.0, 1e9)
     phases, view = fly(puppet)
     assert view.aborted
@@ -125,7 +125,7 @@ def test_wind_follows_from_tilt_and_thrust() -> None:
     ahead = np.array([np.cos(tilt), 0.0, np.sin(tilt)])
     attitude = np.column_stack([ahead, [0.0, 1.0, 0.0], up])
     speed = np.full(4, np.sqrt(weight / np.cos(tilt) / 4.0 / vehicle.thrust_coefficient))
-    guess = WindGuess(vehicle)
+    guess = WindEstimator(vehicle)
     for tick in range(0, 12000, 12):
         obs = make_obs(tick, rotor_speed_radps=speed)
         guess.update(obs, make_estimate(tick, Pose(attitude, np.zeros(3))))

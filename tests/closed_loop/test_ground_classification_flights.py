@@ -18,7 +18,7 @@ from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.mission.lander import SiteLander
 from touchdown.sim.api import Observation
 
-from support.ground_classifier_support import (
+from support.ground_class_support import (
     COLOURS,
     ByColour,
     Paint,
@@ -37,10 +37,10 @@ class Photographer(SiteLander):
     """A lander that is shown painted ground five times a second."""
 
     def __init__(
-        self, paint: Paint, places: GroundClassifier | None, params: LandingParams = PARAMS
+        self, paint: Paint, classifier: GroundClassifier | None, params: LandingParams = PARAMS
     ) -> None:
         self._rig = small_rig()
-        super().__init__(self._rig, params, QUICK, places)
+        super().__init__(self._rig, params, QUICK, classifier)
         self.paint = paint
 
     def update(self, obs: Observation, estimate: Any, map_view: Any) -> Any:
@@ -56,12 +56,12 @@ def _striped(x: Array, y: Array) -> Array:
 
 
 def test_the_class_of_the_site_is_in_the_view() -> None:
-    places = ByColour()
-    lander = Photographer(plain("lawn"), places)
+    classifier = ByColour()
+    lander = Photographer(plain("lawn"), classifier)
     phases, view = fly(Puppet(lander, flat_map()))
     assert phases[-2:] == [Phase.TOUCHDOWN, Phase.DONE] and not view.no_site
     assert view.site_class == "lawn" and view.site_class_probability == pytest.approx(0.97)
-    assert places.batches == [3, 1]  # from above, and once more from 10 m
+    assert classifier.batches == [3, 1]  # from above, and once more from 10 m
 
 
 def test_a_lake_is_not_landed_on() -> None:
@@ -84,7 +84,7 @@ def test_the_shore_is_found() -> None:
     assert view.site_class == "lawn" and not view.no_site
 
 
-def test_more_rounds_find_what_is_far_from_the_best() -> None:
+def test_more_rounds_find_a_site_far_from_the_best() -> None:
     """Water but for a corner, on a plane that falls away from it: the best dozen are all wet."""
 
     def corner(x: Array, y: Array) -> Array:
@@ -95,7 +95,7 @@ def test_more_rounds_find_what_is_far_from_the_best() -> None:
     grid.intensity[:] = 20.0
     col, row = np.meshgrid(*(ORIGIN[0] + 0.2 * (np.arange(280) + 0.5),) * 2)
     grid.intensity[(col > 18.0) & (row > 8.0)] = 60.0
-    few = dataclasses.replace(PARAMS, place_rounds=1, search_legs=0)
+    few = dataclasses.replace(PARAMS, classifier_rounds=1, search_legs=0)
     _, without = fly(Puppet(Photographer(corner, ByColour(), few), grid))
     _, found = fly(Puppet(Photographer(corner, ByColour()), grid))
     assert without.no_site and not found.no_site
@@ -110,23 +110,25 @@ class _ChangesItsMind(ByColour):
         super().__init__()
         self.low = False
 
-    def look(self, pictures: NDArray[np.uint8]) -> Any:
-        opinion = super().look(pictures)
+    def classify(self, images: NDArray[np.uint8]) -> Any:
+        prediction = super().classify(images)
         if self.low:
             order = np.arange(len(D_LAND))
             lawn, water = D_LAND.index("lawn"), D_LAND.index("water")
             order[[lawn, water]] = water, lawn
-            opinion = dataclasses.replace(opinion, chances=opinion.chances[:, order])
-        return opinion
+            prediction = dataclasses.replace(
+                prediction, probabilities=prediction.probabilities[:, order]
+            )
+        return prediction
 
 
-def test_a_closer_look_sends_it_around() -> None:
-    places = _ChangesItsMind()
-    lander = Photographer(plain("lawn"), places)
+def test_second_look_causes_a_go_around() -> None:
+    classifier = _ChangesItsMind()
+    lander = Photographer(plain("lawn"), classifier)
     puppet = Puppet(lander, flat_map())
     notes = []
     for view, _ in puppet.run(200.0):
-        places.low = view.phase is Phase.DESCEND
+        classifier.low = view.phase is Phase.DESCEND
         notes.append(view.note)
         if view.phase is Phase.DONE:
             break
@@ -135,7 +137,7 @@ def test_a_closer_look_sends_it_around() -> None:
     assert "at 10 m: unsure what it is" in around
 
 
-def test_an_emergency_lands_even_so() -> None:
+def test_emergency_lands_on_unsafe_ground() -> None:
     need = dataclasses.replace(PARAMS, emergency="battery")
     for name in ("road", "water"):
         _, view = fly(Puppet(Photographer(plain(name), ByColour(), need), flat_map()))
@@ -143,7 +145,7 @@ def test_an_emergency_lands_even_so() -> None:
         assert view.site_class == name
 
 
-def test_a_commanded_site_is_looked_at_too() -> None:
+def test_commanded_site_is_classified_too() -> None:
     wanted = dataclasses.replace(PARAMS, site_xy_m=(10.0, 3.0))
     _, view = fly(Puppet(Photographer(plain("water"), ByColour(), wanted), flat_map()))
     assert view.aborted and "looks like water" in view.candidates[0].reason
@@ -153,7 +155,7 @@ def test_a_commanded_site_is_looked_at_too() -> None:
 
 
 def test_without_a_classifier_nothing_changes() -> None:
-    """The same setpoints to the bit, with and without pictures, and with one that always agrees up
+    """The same setpoints to the bit, with and without images, and with one that always agrees up
     to its decision."""
 
     def setpoints(lander: SiteLander) -> list[tuple[Phase, Array]]:
@@ -173,8 +175,8 @@ def test_without_a_classifier_nothing_changes() -> None:
 
 
 @pytest.fixture(scope="module")
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folders of pictures in the colours of their classes, noisy."""
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders of images in the colours of their classes, noisy."""
     home = tmp_path_factory.mktemp("pictures")
     rng = np.random.default_rng([8, 2])
     for name, colour in COLOURS.items():
@@ -187,7 +189,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("weight_type", ["float16", "bfloat16", "int8"])
 def test_smaller_weights_say_the_same(
-    weight_type: str, pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    weight_type: str, images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("torch")
     pytest.importorskip("onnx")
@@ -196,31 +198,31 @@ def test_smaller_weights_say_the_same(
 
     source = write_colour_network(tmp_path / "network.onnx")
     out = tmp_path / "small" / "network.onnx"
-    arguments = ["quantize", str(source), "--data", str(pictures), "--out", str(out), "--quiet"]
+    arguments = ["quantize", str(source), "--data", str(images), "--out", str(out), "--quiet"]
     assert cli.main([*arguments, "--type", weight_type, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["top1"] == report["top1_before"] == 1.0
-    places = load_onboard_classifier(out)
-    assert places.least_probability == 0.5  # fitted anew: no mistake was made
+    classifier = load_onboard_classifier(out)
+    assert classifier.min_probability == 0.5  # fitted anew: no mistake was made
     shown = np.array([np.full((16, 16, 3), colour) for colour in COLOURS.values()], np.uint8)
-    before = load_onboard_classifier(source).look(shown).chances
-    np.testing.assert_allclose(places.look(shown).chances, before, atol=0.03)
-    assert cli.main(["evaluate", str(out), "--data", str(pictures), "--no-cost", "--quiet"]) == 0
-    assert "pictures of unsafe ground taken for safe" in " ".join(capsys.readouterr().out.split())
+    before = load_onboard_classifier(source).classify(shown).probabilities
+    np.testing.assert_allclose(classifier.classify(shown).probabilities, before, atol=0.03)
+    assert cli.main(["evaluate", str(out), "--data", str(images), "--no-cost", "--quiet"]) == 0
+    assert "images of unsafe ground taken for safe" in " ".join(capsys.readouterr().out.split())
     if weight_type != "float16":
         assert cli.main([*arguments[:1], str(out), *arguments[2:-2], str(tmp_path / "x.onnx")]) == 2
         assert "has no float16 weights" in capsys.readouterr().err
 
 
 def test_a_variant_does_not_replace_the_network(
-    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("onnx")
     from touchdown.experiments.cli import main as cli
 
     source = write_colour_network(tmp_path / "network.onnx")
     for out, words in ((source, "is the network itself"), (tmp_path, "ends in .onnx")):
-        arguments = ["quantize", str(source), "--data", str(pictures), "--out", str(out)]
+        arguments = ["quantize", str(source), "--data", str(images), "--out", str(out)]
         assert cli.main([*arguments, "--quiet"]) == 2
         assert words in capsys.readouterr().err
 
@@ -237,7 +239,7 @@ def test_classify_asks_for_a_network_where_none_comes_along(
     arguments = ["classify", str(photo), "--out", str(tmp_path / "out"), "--json"]
     monkeypatch.setattr(in_flight, "SHIPPED", tmp_path / "none.onnx")
     assert cli.main(arguments) == 2
-    assert "no network comes with touchdown" in capsys.readouterr().err
+    assert "no network is shipped with touchdown" in capsys.readouterr().err
     monkeypatch.setattr(in_flight, "SHIPPED", write_colour_network(tmp_path / "network.onnx"))
     assert cli.main(arguments) == 0
     (row,) = json.loads(capsys.readouterr().out)["pictures"]
