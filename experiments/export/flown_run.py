@@ -12,7 +12,7 @@ import numpy as np
 from touchdown.experiments.errors import UsageError
 
 LIBRARY = "touchdown export"
-"""what exported MCAP files say wrote them"""
+"""name of the writer in exported files"""
 SAME_TIME_S = 1e-6
 
 
