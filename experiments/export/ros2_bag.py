@@ -15,6 +15,7 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
+import pymap3d
 from numpy.typing import NDArray
 from rosbags.interfaces import (
     Connection,
@@ -34,10 +35,10 @@ from touchdown.experiments.export.flown_run import (
     Exported,
     ExportOptions,
     FlownRun,
+    GeodeticPoint,
 )
 from touchdown.experiments.export.tables import PosesAt, with_neighbours
 from touchdown.experiments.io import ros2_messages as ros
-from touchdown.experiments.io.geodesy import LocalFrame
 from touchdown.experiments.io.ros2_messages import Link
 from touchdown.experiments.io.sensor_log_reader import PackedImage, SensorLogReader, unpack_image
 from touchdown.experiments.io.tum import tum_rows
@@ -161,8 +162,9 @@ class _Sensors:
         self._bag = bag
         self._rig = rig
         self._images = options.images
-        origin = options.origin or (*SITE_DEG, rig.nav.barometer.site_elevation_m)
-        self._local_frame = LocalFrame(*origin)
+        self._origin = options.origin or GeodeticPoint(
+            *SITE_DEG, rig.nav.barometer.site_elevation_m
+        )
         hz = rig.tick_hz / rig.imu_ticks
         self._imu_variances = (rig.imu.gyro_density**2 * hz, rig.imu.accel_density**2 * hz)
         self._shifts = (0.0, ros.right_camera_shift(rig))
@@ -199,8 +201,8 @@ class _Sensors:
 
     def _add_navigation(self, arrival_ns: int, obs: Observation) -> None:
         for fix in obs.gps:
-            geodetic = self._local_frame.geodetic(fix.position_world)
-            message = ros.fix_message(self._ns(fix.tick), GPS, geodetic, fix)
+            antenna = geodetic(self._origin, fix.position_world)
+            message = ros.fix_message(self._ns(fix.tick), GPS, antenna, fix)
             self._bag.put("/gps/fix", arrival_ns, message)
         for air in obs.barometer:
             message = ros.pressure_message(self._ns(air.tick), BODY, air.pressure_pa)
@@ -217,6 +219,12 @@ class _Sensors:
 
     def _ns(self, tick: int) -> int:
         return ros.tick_ns(tick, self._rig.tick_hz)
+
+
+def geodetic(origin: GeodeticPoint, local: Array) -> Array:
+    """(3,) latitude, longitude (degrees) and height (m) on WGS 84 of ``local``, (3,) metres east,
+    north and up of ``origin``."""
+    return np.array(pymap3d.enu2geodetic(*local.tolist(), *origin))
 
 
 def mounts(rig: SensorRig, sensed: SensorNeeds) -> dict[str, Pose]:

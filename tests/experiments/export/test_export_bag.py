@@ -11,10 +11,10 @@ import pytest
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from touchdown.experiments.export.flown_run import ExportOptions
+from touchdown.experiments.export.flown_run import ExportOptions, GeodeticPoint
+from touchdown.experiments.export.ros2_bag import geodetic
 from touchdown.experiments.export.run import export
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
-from touchdown.experiments.io.geodesy import LocalFrame
 from touchdown.experiments.io.ros2_messages import right_camera_shift
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import TumWriter, read_tum
@@ -341,11 +341,11 @@ def test_fixes_are_where_the_antenna_is(
     fix = next(fix for obs in stream for fix in obs.gps)
     _, message = messages["/gps/fix"][0]
     assert message.header.frame_id == "gps_link"
-    expected = LocalFrame(40.0, 116.0, 50.0).geodetic(fix.position_world)
+    expected = geodetic(GeodeticPoint(40.0, 116.0, 50.0), fix.position_world)
     assert [message.latitude, message.longitude, message.altitude] == expected.tolist()
     assert message.position_covariance.tolist() == [0.25, 0, 0, 0, 0.25, 0, 0, 0, 0.5625]
     assert (message.position_covariance_type, message.status.status) == (2, 0)
-    options = ExportOptions(images="none", origin=(-33.0, 151.0, 0.0))
+    options = ExportOptions(images="none", origin=GeodeticPoint(-33.0, 151.0, 0.0))
     _, other = read_bag(export(run, "mcap", tmp_path / "south", options).out)["/gps/fix"][0]
     assert (round(other.latitude, 2), round(other.longitude, 2)) == (-33.0, 151.0)
 
