@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import Estimate, Estimator
 from touchdown.experiments.external.conformance_motion import MotionCheck
 from touchdown.experiments.external.estimate_checks import (
+    describe_error,
     meaningless,
     no_number,
     not_finite,
-    told,
     wrong_estimator,
     wrong_shape,
 )
@@ -129,7 +129,7 @@ class _Check:
         try:
             estimator = self._build(copy.deepcopy(self._params), self._rig)
         except Exception as error:  # whatever it is, the author wants to read it
-            self._note("builds", f"build raised {told(error)}", _trace(error))
+            self._note("builds", f"build raised {describe_error(error)}", _trace(error))
             return None
         reason = wrong_estimator(estimator, self._rig)
         if reason:
@@ -171,7 +171,7 @@ class _Check:
         try:
             estimate = estimator.update(obs)
         except Exception as error:
-            reason = f"at {obs.time_s:.3f} s update raised {told(error)}"
+            reason = f"at {obs.time_s:.3f} s update raised {describe_error(error)}"
             self._note("answers", reason, _trace(error))
             return None
         if not isinstance(estimate, Estimate):
@@ -285,7 +285,7 @@ class _Check:
             except Exception as error:
                 self._note(
                     "missing data",
-                    f"without {field}, at {obs.time_s:.3f} s, update raised {told(error)}",
+                    f"without {field}, at {obs.time_s:.3f} s, update raised {describe_error(error)}",
                     _trace(error),
                 )
                 return

@@ -33,7 +33,7 @@ def wrong_estimator(estimator: Any, rig: SensorRig) -> str:
     try:
         needs = getattr(estimator, "needs", None)
     except Exception as error:  # whatever a property raises
-        return f"'needs' of the estimator raised {told(error)}"
+        return f"'needs' of the estimator raised {describe_error(error)}"
     if needs is None:
         return f"the estimator, a {kind}, has no SensorNeeds in an attribute 'needs'"
     if not isinstance(needs, SensorNeeds):
@@ -48,7 +48,7 @@ def wrong_estimator(estimator: Any, rig: SensorRig) -> str:
     return ""
 
 
-def told(error: BaseException) -> str:
+def describe_error(error: BaseException) -> str:
     """An exception in one line."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -21,7 +21,7 @@ from weakref import WeakKeyDictionary
 
 from touchdown.estimator.api import Estimator
 from touchdown.experiments.errors import UsageError, nearest
-from touchdown.experiments.external.estimate_checks import told
+from touchdown.experiments.external.estimate_checks import describe_error
 from touchdown.sim.api import SensorRig
 
 Build = Callable[[dict[str, Any], SensorRig], Estimator]
@@ -99,7 +99,7 @@ def external_module(name: str) -> ModuleType:
     except (Exception, SystemExit) as error:
         where = location(error, module_name)
         raise UsageError(
-            f"estimator '{name}': importing {module_name} raised {told(error)}{where}"
+            f"estimator '{name}': importing {module_name} raised {describe_error(error)}{where}"
         ) from error
     if module not in _AT_IMPORT:
         _AT_IMPORT[module] = _hash(module)
@@ -134,7 +134,7 @@ def _missing(module_name: str, error: ModuleNotFoundError) -> str:
         where = f" ({_short(places[0])})" if places else ""
         return f"'{parent}'{where} has no module '{last}'{hint}{_hidden(top, places)}"
     what = "is not there" if missing.partition(".")[0] == top else "is not installed"
-    return f"{_importer(error) or module_name} imports {missing or told(error)}, which {what}"
+    return f"{_importer(error) or module_name} imports {missing or describe_error(error)}, which {what}"
 
 
 def _hidden(top: str, places: list[str]) -> str:

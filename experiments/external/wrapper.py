@@ -8,7 +8,11 @@ from typing import Any
 
 from touchdown.estimator.api import Estimate
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.external.estimate_checks import told, wrong_estimate, wrong_estimator
+from touchdown.experiments.external.estimate_checks import (
+    describe_error,
+    wrong_estimate,
+    wrong_estimator,
+)
 from touchdown.experiments.external.loading import external_builder, location, wrong_signature
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
 
@@ -35,7 +39,7 @@ class ExternalEstimator:
         try:
             inner: Any = build(copy.deepcopy(dict(params)), rig)
         except (Exception, SystemExit) as error:  # it is somebody else's code
-            raise self._error(f"build raised {told(error)}", error) from error
+            raise self._error(f"build raised {describe_error(error)}", error) from error
         reason = wrong_estimator(inner, rig)
         if reason:
             raise self._error(reason)
@@ -46,7 +50,7 @@ class ExternalEstimator:
         try:
             estimate: Estimate = self._update(obs)
         except (Exception, SystemExit) as error:
-            what = f"at {obs.time_s:.3f} s update raised {told(error)}"
+            what = f"at {obs.time_s:.3f} s update raised {describe_error(error)}"
             raise self._error(what, error) from error
         reason = wrong_estimate(estimate)
         if reason:
