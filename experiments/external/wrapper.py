@@ -1,4 +1,4 @@
-"""An external estimator in flight: what it does wrong is told in one line, where it does it."""
+"""Wrapper of an external estimator in flight, which reports its errors in one line."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ from touchdown.sim.api import Observation, SensorNeeds, SensorRig
 
 
 class ExternalEstimatorError(UsageError):
-    """What an estimator that somebody brings did wrong, in one line."""
+    """Error of an external estimator, in one line."""
 
 
 class ExternalEstimator:
-    """Passes observations on to the estimator that ``name``, MODULE:FUNCTION, builds of ``params``
-    and ``rig``, and looks at what it returns.
+    """Passes observations to the estimator that ``name``, MODULE:FUNCTION, builds from ``params``
+    and ``rig``, and checks its estimates.
 
-    Raises ExternalEstimatorError for whatever it raises, in building and in every update, and for
-    an estimate that a flight cannot go on with; UsageError where the function is not there."""
+    Raises ExternalEstimatorError for every exception in building or updating, and for an invalid
+    estimate; UsageError if the function does not exist.
+    """
 
     needs: SensorNeeds
 
@@ -38,7 +39,7 @@ class ExternalEstimator:
             raise self._error(reason)
         try:
             inner: Any = build(copy.deepcopy(dict(params)), rig)
-        except (Exception, SystemExit) as error:  # it is somebody else's code
+        except (Exception, SystemExit) as error:  # external code may raise anything
             raise self._error(f"build raised {describe_error(error)}", error) from error
         reason = wrong_estimator(inner, rig)
         if reason:
@@ -47,6 +48,7 @@ class ExternalEstimator:
         self._update = inner.update
 
     def update(self, obs: Observation) -> Estimate:
+        """Estimate of the external estimator, checked."""
         try:
             estimate: Estimate = self._update(obs)
         except (Exception, SystemExit) as error:
