@@ -1,4 +1,4 @@
-"""Maps and costmaps as files: PLY clouds and PNG pictures."""
+"""Maps and costmaps as files: PLY clouds and PNG images."""
 
 from __future__ import annotations
 
@@ -96,8 +96,8 @@ def write_costmap(
     world_from_odom: Pose,
     marks: Marks,
 ) -> None:
-    """The picture of `costmap_picture` with ticks in metres of the world frame, take-off spot, the
-    survey's rectangle and a key of its colours."""
+    """Writes the image of `costmap_picture` with ticks in metres of the world frame, take-off
+    point, the survey's rectangle and a key of its colours."""
     rows, cols = seen_box(view)
     panels = _panels(view, candidates, site_odom)
     corner = view.origin_xy_m + view.cell_m * np.array([cols.start, rows.start])

@@ -72,8 +72,9 @@ class MotionCheck:
         if found is not None:
             moved, summed = windows[found, :3], windows[found, 3:6]
             return (
-                f"in the second from {starts[found]:.1f} s odom_from_body moved by {_text(moved)} m, "
-                f"but velocity_odom adds up to {_text(summed)} m; it is in m/s, in the odom frame"
+                f"in the second from {starts[found]:.1f} s odom_from_body moved by {_text(moved)} "
+                f"m, but velocity_odom adds up to {_text(summed)} m; it is in m/s, "
+                "in the odom frame"
             )
         found = _disagreement(windows[:, 6:9], windows[:, 9:], _ATTITUDE)
         if found is not None:
