@@ -1,1 +1,1 @@
-"""`touchdown bench`: speed and accuracy beside peers and bounds."""
+"""`touchdown bench`: speed and accuracy, compared with reference implementations and bounds."""

@@ -1,4 +1,4 @@
-"""What each part of an estimator is worth: the same log with the part left out."""
+"""Ablation: the same log through an estimator with one part left out."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ VARIANTS: dict[str, tuple[str, dict[str, bool]]] = {
     "paper: no bundle": ("paper", {"use_bundle": False}),
     "paper: no closures": ("paper", {"use_closures": False}),
 }
-"""Name of a variant: its estimator, and the parameters that it changes."""
+"""Estimator and changed parameters by name of the variant."""
 
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 def changes(variant: str) -> tuple[str, ...]:
-    """The ``KEY=VALUE`` texts of a variant."""
+    """``KEY=VALUE`` texts of a variant."""
     estimator, values = VARIANTS[variant]
     return tuple(f"{estimator}.{name}={str(value).lower()}" for name, value in values.items())
 
 
-def ablate_log(logged: LoggedRun, seconds: float | None, tell: Tell) -> dict[str, Any]:
+def ablate_log(logged: LoggedRun, seconds: float | None, report: Report) -> dict[str, Any]:
     """``{"error_m", "lost_s", "cpu_ms"}`` by variant."""
     end_s = math.inf if seconds is None else logged.from_s + seconds
     rows: dict[str, Any] = {}
     for variant, (estimator, _) in VARIANTS.items():
-        tell(variant)
+        report(variant)
         config = replay_config(logged.path, estimator, changes(variant), fresh=True)
         measured = measure(logged, config, end_s)
         rows[variant] = {
@@ -58,22 +58,22 @@ def ablate(
     seed: int,
     runs: Path,
     seconds: float | None = None,
-    tell: Tell = lambda _text: None,
+    report: Report = lambda _text: None,
 ) -> dict[str, Any]:
     """``{SCENE: {VARIANT: figures}}``, open loop: the vehicle flew on ``livo`` with all its parts,
-    and goes there whatever a variant believes. Raises UsageError as `open_run`."""
+    and its path does not depend on the variant. Raises UsageError as `open_run`."""
     if not scenes:
         raise UsageError("name at least one scene")
     found: dict[str, Any] = {}
     for scene in scenes:
-        tell(f"{scene}: the log")
-        run = logged_survey(scene, seed, runs, tell)
-        found[scene] = ablate_log(open_run(run), seconds, tell)
+        report(f"{scene}: the log")
+        run = logged_survey(scene, seed, runs, report)
+        found[scene] = ablate_log(open_run(run), seconds, report)
     return found
 
 
 def ablation_table(found: dict[str, Any]) -> str:
-    """Markdown, a column a scene: mean error in metres; what was lost says when."""
+    """Markdown table, one column per scene: mean error in metres, or the time of the loss."""
     scenes = list(found)
     lines = ["| variant | " + " | ".join(scenes) + " |", "|---|" + "---|" * len(scenes)]
     for variant in VARIANTS:

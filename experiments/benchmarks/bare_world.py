@@ -1,8 +1,7 @@
-"""Physics, rays and pixels alone: the least that a simulated flight has to compute.
+"""Physics, rays and pixels alone: the least work of a simulated flight.
 
-What a loop costs beyond this is its overhead. Every method does the work that the flight just asked
-for with MuJoCo's, Embree's or OpenGL's own function and nothing around it, and returns the time of
-the thread's processor that the function took, in seconds.
+The cost of the loop beyond this is its overhead. Every method repeats one task of the flight with
+the function of MuJoCo, Embree or OpenGL alone and returns its processor time in seconds.
 """
 
 from __future__ import annotations
@@ -28,7 +27,8 @@ Array = NDArray[np.float64]
 
 
 class BareWorld:
-    """Beside a flight in the same scene: own physics state, rays and OpenGL context.
+    """Bare computation beside a flight in the same scene, with its own physics state, rays and
+    OpenGL context.
 
     The scene's model must have been prepared by a world (time step, air).
     """
@@ -75,7 +75,7 @@ class BareWorld:
         return time.thread_time() - started
 
     def pixels(self, truth: Truth) -> float:
-        """``mjr_render`` and ``mjr_readPixels`` of the camera's picture."""
+        """``mjr_render`` and ``mjr_readPixels`` of the camera's image."""
         self._eye.aim(self._snapshot(truth))
         started = time.thread_time()
         self._eye.draw()
@@ -100,13 +100,14 @@ class BareWorld:
         return time.thread_time() - started
 
     def camera_sensor(self, truth: Truth) -> float:
-        """The whole camera on the same picture: scene update, drawing, noise."""
+        """The whole camera on the same image: scene update, rendering, noise."""
         snapshot = self._snapshot(truth)
         started = time.thread_time()
         self._camera.render(snapshot, truth.tick)
         return time.thread_time() - started
 
     def close(self) -> None:
+        """Frees the OpenGL contexts."""
         self._eye.close()
         self._camera.close()
 
@@ -120,7 +121,7 @@ class BareWorld:
 
 
 class _Eye(Stage):
-    """The camera's stage with its preparation and its drawing apart."""
+    """Stage of the camera, with preparation and rendering as separate steps."""
 
     def __init__(self, model: Any, camera: CameraSensor, samples: int) -> None:
         super().__init__(model, camera.intrinsics(), samples)

@@ -1,10 +1,9 @@
-"""Long flights: whether error, memory and time per scan stay what they are in the first minute."""
+"""Long flights: error, memory and time per scan of each minute, compared with the first."""
 
 from __future__ import annotations
 
 import dataclasses
 import multiprocessing
-import os
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
 from touchdown.experiments.benchmarks.jit_warmup import compiled_before
 from touchdown.experiments.config.loading import load_config
@@ -22,15 +22,15 @@ from touchdown.experiments.recording.run_recorder import NullRecorder
 from touchdown.experiments.recording.step_record import StepRecord
 
 _TAIL_S = 15.0
-"""climb and hover of a survey: what it takes beside the legs"""
+"""duration of climb and hover, which comes on top of the legs"""
 _LEG_M, _FIELD_M = 70.0, 76.0
 
 
 def endurance_config(
     *, scene: str, estimator: str, seed: int, minutes: int, overrides: Sequence[str] = ()
 ) -> Config:
-    """A survey of so many minutes, four legs in each, close together: most of what it sees, it has
-    seen before. Raises UsageError."""
+    """Survey of ``minutes`` minutes with four legs in each, close together, so that most ground is
+    revisited. Raises UsageError."""
     legs = 4 * minutes
     survey = (
         f"survey.legs={legs}",
@@ -47,8 +47,7 @@ def endurance_config(
 
 
 class _Minutes(NullRecorder):
-    """Samples what estimator and process have cost, and what the process holds, at every full
-    minute."""
+    """Samples CPU time of estimator and process, and resident memory, at every full minute."""
 
     def __init__(
         self, clock: StageClock, process_time: Callable[[], float] = time.process_time
@@ -138,7 +137,7 @@ def _fly_compiled(config: Config) -> dict[str, Any]:
 
 
 def row(flight: dict[str, Any]) -> str:
-    """One line for people."""
+    """One line of text."""
     over = flight["last_over_first"]
     return (
         f"{flight['scene']:12}{flight['seed']:3}  {flight['outcome']:10}"
@@ -184,5 +183,4 @@ def plot(flights: Sequence[dict[str, Any]], path: Path) -> None:
 
 
 def _resident_mb() -> float:
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+    return float(psutil.Process().memory_info().rss / 1e6)

@@ -1,19 +1,18 @@
-"""Speed of the LIDAR sensor beside bare ray casters, on the same rays in one process."""
+"""Benchmark of the LIDAR sensor against bare ray casters, on the same rays in one process."""
 
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from touchdown.experiments.benchmarks.reference_casters import ReferenceCasters
 from touchdown.experiments.config.loading import load_config
-from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.wiring import build_scene
-from touchdown.scenes.api import Scene
 
 HOVERS = 6
-"""Places over the scene's middle from which scans are taken."""
+"""Number of positions over the scene's middle from which scans are taken."""
 _HEIGHT_M = 30.0
 _RING_M = 15.0
 
@@ -21,21 +20,23 @@ _RING_M = 15.0
 def bench_lidar(
     *, scene: str = "crossroad", seed: int = 0, preset: str = "horizon", rounds: int = 7
 ) -> dict[str, Any]:
-    """Rays per second of the whole sensor (poses, noise, returns; the extra rays of split beams are
-    not counted), of Embree alone, of ``mujoco.mj_multiRay`` and of the package ``mujoco-lidar`` on
-    the CPU, one thread each: ``{"scene", "rays_per_s": {...}, "ms_per_scan": {...}, "ratio":
-    {"embree", "mj_multiRay", "mujoco_lidar"}}``, ratios being the sensor's rate over the peer's.
+    """Returns the rays per second of the whole sensor (poses, noise, returns; the extra rays of
+    split beams are not counted), of Embree alone, of ``mujoco.mj_multiRay`` and of the package
+    ``mujoco-lidar`` on the CPU, one thread each: ``{"scene", "rays_per_s": {...}, "ms_per_scan":
+    {...}, "ratio": {"embree", "mj_multiRay", "mujoco_lidar"}}``. A ratio is the sensor's rate over
+    that of a reference implementation.
 
-    The contenders take turns on every scan, after warming up, so that what else the machine does
-    hits all of them; a figure is the median over ``rounds`` through the scans. A peer that is not
-    installed is left out. Raises UsageError and ValueError as `load_config` and `build_scene`.
+    All casters take turns on every scan, after a round of warm-up, so that other load of the
+    machine affects all of them; a figure is the median over ``rounds`` through the scans. A package
+    that is not installed is left out. Raises UsageError and ValueError as `load_config` and
+    `build_scene`.
     """
     config = load_config(
         None, [f"lidar.preset={preset}"], scene=scene, estimator="oracle", seed=seed, record=False
     )
-    place = build_scene(config)
-    peers = lidar_peers(config, place)
-    middle = np.append(place.takeoff_xy_m, _HEIGHT_M)
+    built = build_scene(config)
+    references = ReferenceCasters(built, config.lidar, config.seed)
+    middle = np.append(built.takeoff_xy_m, _HEIGHT_M)
     seconds: dict[str, list[float]] = {}
     rays = 0
     for round_number in range(rounds + 1):
@@ -44,7 +45,7 @@ def bench_lidar(
         for hover in range(HOVERS):
             angle = 2.0 * np.pi * hover / HOVERS
             position = middle + _RING_M * np.array([np.cos(angle), np.sin(angle), 0.0])
-            for name, cast in peers.casters(position, 7 * hover).items():
+            for name, cast in references.casters(position, 7 * hover).items():
                 started = time.perf_counter()
                 distances = cast()
                 spent[name] = spent.get(name, 0.0) + time.perf_counter() - started
@@ -64,14 +65,3 @@ def bench_lidar(
             name: wall / wall_s["sensor"] for name, wall in wall_s.items() if name != "sensor"
         },
     }
-
-
-if TYPE_CHECKING:
-    from touchdown.experiments.benchmarks.lidar_peers import LidarPeers
-
-
-def lidar_peers(config: Config, scene: Scene) -> LidarPeers:
-    """Ray casters beside the configured LIDAR in a scene."""
-    from touchdown.experiments.benchmarks.lidar_peers import LidarPeers
-
-    return LidarPeers(scene, config.lidar, config.seed)

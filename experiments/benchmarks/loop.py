@@ -1,4 +1,4 @@
-"""Speed of the whole loop, measured on real flights with everything on."""
+"""Benchmark of the whole loop on flights with all sensors and recording."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ SHORT_SURVEY = (
 
 
 def bench_config(*, scene: str, estimator: str, seed: int, full: bool) -> Config:
-    """A landing with recording; unless ``full``, after a short survey. Raises UsageError."""
+    """Configuration of a landing with recording; unless ``full``, after a short survey. Raises
+    UsageError."""
     overrides = () if full else SHORT_SURVEY
     return load_config(None, overrides, scene=scene, estimator=estimator, seed=seed, record=True)
 
 
 def overhead_config(*, scene: str, seed: int, full: bool) -> Config:
-    """The flight of `measure_loop_overhead`: one thread, truth for the estimator, and the survey
-    alone, unless ``full``. Raises UsageError."""
+    """Configuration of the flight of `measure_loop_overhead`: one thread, oracle estimator, survey
+    alone, and a short one unless ``full``. Raises UsageError."""
     overrides = ["sim.threads=1", "landing.survey_only=true"]
     overrides += [] if full else list(SHORT_SURVEY)
     return load_config(None, overrides, scene=scene, estimator="oracle", seed=seed, record=True)
 
 
 def measure_loop_overhead(config: Config) -> dict[str, Any]:
-    """`experiments.benchmarks.loop_overhead.measure_on_one_core` into a directory that is thrown
-    away."""
+    """Runs `loop_overhead.measure_on_one_core` in a temporary directory."""
     from touchdown.experiments.benchmarks.loop_overhead import measure_on_one_core
 
     with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
@@ -45,7 +45,7 @@ def measure_loop_overhead(config: Config) -> dict[str, Any]:
 
 
 def measure_loop(config: Config, fly: Callable[[Config, Path], RunResult]) -> dict[str, Any]:
-    """Flies into a directory that is thrown away; once more if kernels were compiled in the air.
+    """Flies in a temporary directory, once more if kernels were compiled during the flight.
 
     ``result`` is the flight's result; ``figures`` holds ``real_time_factor``, ``stage_ms`` (wall
     milliseconds per 0.1 s of flight, one LIDAR scan), ``stage_share`` of the wall time, and

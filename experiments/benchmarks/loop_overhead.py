@@ -1,8 +1,8 @@
-"""What the loop costs beyond bare physics, rays and pixels.
+"""Overhead of the flight loop over bare physics, rays and pixels.
 
-A flight on one core, truth for its estimator, sensors and recording as always. After every LIDAR
-scan the same number of physics steps, the same pulses and the same picture are computed once more
-by MuJoCo, Embree and OpenGL alone, so that both sides meet the same state of the machine. Time is
+The flight runs on one core with the oracle estimator, all sensors and the recording. After every
+LIDAR scan MuJoCo, Embree and OpenGL alone compute the same number of physics steps, the same pulses
+and the same image once more, so that both sides meet the same state of the machine. Time is
 processor time (of the thread, and of the recorder's threads), which other programs on the machine
 hardly change; the first seconds, in which compiled code is loaded, do not count.
 """
@@ -17,8 +17,9 @@ from collections import deque
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from touchdown.experiments.benchmarks.bare_world import BareWorld
 from touchdown.experiments.benchmarks.jit_warmup import compiled_before
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.loop import run_flight
@@ -27,7 +28,6 @@ from touchdown.experiments.flight.run import make_referee, timed_parts
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
 from touchdown.experiments.flight.wiring import build_flight_stack, build_scene
 from touchdown.experiments.recording.run_recorder import RunRecorder
-from touchdown.scenes.api import Scene
 from touchdown.sim.api import (
     Command,
     LidarScan,
@@ -38,13 +38,13 @@ from touchdown.sim.api import (
 
 WARM_UP_S = 2.0
 SENSOR_EVERY = 4
-"""The sensors by themselves, which only explain the difference, run beside every fourth scan."""
+"""The sensors alone, which only explain the difference, run beside every fourth scan."""
 NOT_OVERHEAD = ("estimator", "lander")
 
 
 @dataclass(slots=True)
 class _Sums:
-    """Seconds of processor time, and how often."""
+    """Sums of processor time, s, and their counts, by name."""
 
     seconds: dict[str, float] = field(default_factory=dict)
     count: dict[str, int] = field(default_factory=dict)
@@ -58,7 +58,7 @@ class _Sums:
 
 
 class _Mirrored:
-    """The world of a flight; what a step delivered is computed once more by the bare world."""
+    """World of a flight; the bare world computes the data of each step once more."""
 
     def __init__(self, world: Any, bare: Any, sim: SimParams, clock: StageClock) -> None:
         self._world, self._bare, self._sim, self._clock = world, bare, sim, clock
@@ -67,9 +67,9 @@ class _Mirrored:
         self.sums = _Sums()
         self.start_s, self.scans = 0.0, 0
         self.beside_s = 0.0
-        """of the thread, spent on everything here"""
+        """thread time spent by this class, s"""
         self.process_s = 0.0
-        """of the whole process when measuring began"""
+        """process time at the begin of the measurement, s"""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._world, name)
@@ -116,13 +116,15 @@ def measure_overhead(config: Config, out_dir: Path) -> dict[str, Any]:
 
     Returns ``outcome``, ``sim_s`` and, in milliseconds of processor time per LIDAR scan (0.1 s),
     ``bare_ms`` (physics, rays, pixels, all), ``loop_ms`` (every stage, the recorder's threads, the
-    rest of the loop, and ``all`` but estimator and lander), ``excess_ms`` (what makes up the
+    rest of the loop, and ``all`` but estimator and lander), ``excess_ms`` (the parts of the
     difference of both) and ``ratio``. Raises ValueError for a configuration that cannot be flown.
     """
     limit_threads()
     scene = build_scene(config)
     flight = build_flight_stack(config, scene)
-    bare = build_bare(config, scene)
+    bare = BareWorld(
+        scene, sim=config.sim, camera=config.camera, lidar=config.lidar, seed=config.seed
+    )
     out_dir.mkdir(parents=True)
     recorder = RunRecorder(out_dir, scene, flight.world.rig, config)
     referee = make_referee(config, scene, lambda: None)
@@ -154,8 +156,8 @@ def measure_overhead(config: Config, out_dir: Path) -> dict[str, Any]:
 
 
 def measure_on_one_core(config: Config, out_dir: Path) -> dict[str, Any]:
-    """`measure_overhead` in a process of its own that is bound to one core and draws in the calling
-    thread, so that the thread's processor time is all there is."""
+    """Runs `measure_overhead` in a separate process on one core that renders in the calling thread,
+    so that the processor time of the thread is complete."""
     fresh = multiprocessing.get_context("spawn")
     kept = os.environ.get("LP_NUM_THREADS")
     os.environ["LP_NUM_THREADS"] = "0"  # Mesa's software renderer
@@ -199,16 +201,3 @@ def _compare(loop_ms: dict[str, float], sums: _Sums) -> dict[str, Any]:
         "excess_ms": excess,
         "ratio": loop_all / bare_all,
     }
-
-
-if TYPE_CHECKING:
-    from touchdown.experiments.benchmarks.bare_world import BareWorld
-
-
-def build_bare(config: Config, scene: Scene) -> BareWorld:
-    """The bare computation beside a flight that was built before, whose world set the physics."""
-    from touchdown.experiments.benchmarks.bare_world import BareWorld
-
-    return BareWorld(
-        scene, sim=config.sim, camera=config.camera, lidar=config.lidar, seed=config.seed
-    )

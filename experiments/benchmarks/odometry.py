@@ -1,9 +1,10 @@
-"""Positioning on equal scans: ``livo`` and ``paper`` beside KISS-ICP and small_gicp.
+"""Positioning error on equal scans: ``livo`` and ``paper``, KISS-ICP and small_gicp.
 
-One survey per scene is flown with ``livo`` in the loop and its sensors are logged. Everybody then
-gets that log: the estimators as in a flight, causally and over the whole span from lift-off to the
-end of the survey; the peers its scans (see `experiments.benchmarks.odometry_baselines`), each with
-the best setting of its grid. Errors are evo's: APE of the translation, nothing aligned."""
+One survey per scene is flown with ``livo`` in the loop and its sensors are logged. The estimators
+replay that log as in a flight, causally and from lift-off to the end of the survey; the reference
+implementations get its scans (see `odometry_baselines`), each with the best setting of its grid.
+Errors are those of evo: APE of the translation, not aligned.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +20,10 @@ from numpy.typing import NDArray
 
 from touchdown.experiments.benchmarks.odometry_baselines import (
     GRIDS,
-    PeerTrack,
+    OdometryTrack,
     ScanPoints,
-    require_peers,
-    run_peer,
+    require_references,
+    run_reference,
     settings,
 )
 from touchdown.experiments.config.loading import load_config
@@ -40,17 +41,17 @@ from touchdown.experiments.flight.replay import (
 from touchdown.sim.frames import Pose, interpolate_pose
 
 Array = NDArray[np.float64]
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 
 SCENES = ("crossroad", "lake", "houses", "forest")
 ESTIMATORS = ("livo", "paper")
 _SURVEY_BELOW_M = 0.5
-"""The survey begins where the vehicle first is so near to its greatest height."""
+"""The survey begins where the vehicle first is this near to its greatest height."""
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One estimator over one log."""
+    """Result of one estimator on one log."""
 
     error_m: float
     """by evo"""
@@ -59,28 +60,28 @@ class Measured:
     cpu_ms: float
     """of one core per 0.1 s of data"""
     lost_s: float | None
-    """when it was further off than a flight may be; the error is that until then"""
+    """time at which its error exceeded the limit of a flight; the error is that until then"""
 
 
 def flight_config(scene: str, seed: int, overrides: Sequence[str] = ()) -> Config:
-    """The survey that is logged. Raises UsageError."""
+    """Configuration of the logged survey. Raises UsageError."""
     return load_config(
         None, list(overrides), scene=scene, seed=seed, estimator="livo", record=False,
         survey_only=True, log_sensors=True,
     )  # fmt: skip
 
 
-def bench_scene(logged: LoggedRun, seconds: float | None, tell: Tell) -> dict[str, Any]:
+def bench_scene(logged: LoggedRun, seconds: float | None, report: Report) -> dict[str, Any]:
     """Errors and costs of all methods over one log, of its first ``seconds`` after lift-off where
     these are given: ``error_m``, ``cpu_ms``, ``own_difference_m``, ``lost_s`` by method, and
-    ``settings`` with every setting of the peers and its error."""
+    ``settings`` with every setting of the reference implementations and its error."""
     end_s = math.inf if seconds is None else logged.from_s + seconds
     found: dict[str, Any] = {
         "error_m": {}, "cpu_ms": {}, "own_difference_m": {}, "lost_s": {}, "best": {},
         "settings": {},
     }  # fmt: skip
     for name in ESTIMATORS:
-        tell(f"{name}")
+        report(f"{name}")
         measured = measure(logged, replay_config(logged.path, name, fresh=True), end_s)
         found["error_m"][name] = measured.error_m
         found["own_difference_m"][name] = abs(measured.error_m - measured.own_error_m)
@@ -88,20 +89,25 @@ def bench_scene(logged: LoggedRun, seconds: float | None, tell: Tell) -> dict[st
         found["lost_s"][name] = measured.lost_s
     scans = logged_scans(logged, end_s)
     truth = TruePath(logged)
-    for peer in GRIDS:
+    for method in GRIDS:
         rows = []
-        for setting in settings(peer):
-            tell(f"{peer} {setting}")
-            track = run_peer(
-                peer, setting, scans, truth.at, logged.sensors.rig.body_from_lidar, truth.survey_s()
+        for setting in settings(method):
+            report(f"{method} {setting}")
+            track = run_reference(
+                method,
+                setting,
+                scans,
+                truth.at,
+                logged.sensors.rig.body_from_lidar,
+                truth.survey_s(),
             )
-            rows.append(_peer_row(track, truth))
+            rows.append(_reference_row(track, truth))
         best = min(rows, key=_badness)
-        found["error_m"][peer] = best["error_m"]
-        found["cpu_ms"][peer] = best["cpu_ms"]
-        found["lost_s"][peer] = best["lost_s"]
-        found["best"][peer] = best["setting"]
-        found["settings"][peer] = rows
+        found["error_m"][method] = best["error_m"]
+        found["cpu_ms"][method] = best["cpu_ms"]
+        found["lost_s"][method] = best["lost_s"]
+        found["best"][method] = best["setting"]
+        found["settings"][method] = rows
     return found
 
 
@@ -114,7 +120,7 @@ def measure(logged: LoggedRun, config: Config, end_s: float = math.inf) -> Measu
     check_needs(config.estimator, estimator.needs, logged.sensors)
     clock, own = CpuClock(), PositioningError()
     times: list[float] = []
-    believed: list[Array] = []
+    estimated: list[Array] = []
     true: list[Array] = []
     lost_s, data_s = None, 0.0
     for obs, estimate in run_estimator(estimator, seen_by(estimator.needs, logged.sensors), clock):
@@ -131,17 +137,17 @@ def measure(logged: LoggedRun, config: Config, end_s: float = math.inf) -> Measu
             break
         own.add(estimate.world_from_body, pose)
         times.append(obs.time_s)
-        believed.append(position)
+        estimated.append(position)
         true.append(pose.translation)
     cpu_ms = 1e3 * clock.seconds() / max(data_s / 0.1, 1e-9)
-    error_m = evo_error(times, true, believed)
+    error_m = evo_error(times, true, estimated)
     return Measured(error_m, own.summary().mean or math.nan, cpu_ms, lost_s)
 
 
 # ------------------------------------------------------------------------------------- evo
 
 
-def evo_error(times_s: Sequence[float], true: Sequence[Array], believed: Sequence[Array]) -> float:
+def evo_error(times_s: Sequence[float], true: Sequence[Array], estimated: Sequence[Array]) -> float:
     """evo's mean APE of positions (N, 3) at times (N,), translation part, not aligned."""
     from evo.core import metrics
     from evo.core.trajectory import PoseTrajectory3D
@@ -152,15 +158,15 @@ def evo_error(times_s: Sequence[float], true: Sequence[Array], believed: Sequenc
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(times_s), 1))  # wxyz; rotations play no part
     reference, estimate = (
         PoseTrajectory3D(np.asarray(rows), upright, np.asarray(times_s))
-        for rows in (true, believed)
+        for rows in (true, estimated)
     )
     relation = metrics.PoseRelation.translation_part
     return float(ape(reference, estimate, relation, align=False).stats["mean"])
 
 
 def evo_of_run(run: Path) -> float:
-    """What ``evo_ape tum truth.tum estimate.tum`` says of a run directory between lift-off and the
-    end of the survey: mean, metres."""
+    """Mean error, metres, of ``evo_ape tum truth.tum estimate.tum`` for a run directory between
+    lift-off and the end of the survey."""
     from evo.core import metrics, sync
     from evo.main_ape import ape
     from evo.tools import file_interface
@@ -206,7 +212,7 @@ class TruePath:
         return interpolate_pose(self._poses[row], self._poses[row + 1], share)
 
     def survey_s(self) -> float:
-        """When the vehicle first is at the height of the survey."""
+        """Time at which the vehicle first reaches the height of the survey."""
         heights = np.array([pose.translation[2] for pose in self._poses])
         there = heights > heights.max() - _SURVEY_BELOW_M
         return float(self._ticks[np.argmax(there)] / self._hz)
@@ -230,12 +236,12 @@ def logged_scans(logged: LoggedRun, end_s: float) -> list[ScanPoints]:
 
 
 def _badness(row: dict[str, Any]) -> tuple[float, float]:
-    """Whoever is lost is worse than whoever is not, the sooner the worse."""
+    """Sort key: lost settings are the worst, the sooner lost the worse."""
     lost_s = row["lost_s"]
     return (-math.inf if lost_s is None else -lost_s, row["error_m"])
 
 
-def _peer_row(track: PeerTrack, truth: TruePath) -> dict[str, Any]:
+def _reference_row(track: OdometryTrack, truth: TruePath) -> dict[str, Any]:
     true = [truth.at(time_s).translation for time_s in track.times_s]
     return {
         "setting": track.setting,
@@ -254,24 +260,24 @@ def bench_estimator(
     seed: int,
     runs: Path,
     seconds: float | None = None,
-    tell: Tell = lambda _text: None,
+    report: Report = lambda _text: None,
 ) -> dict[str, Any]:
-    """Flies what ``runs`` does not hold yet, one directory ``SCENE-SEED`` each, and compares.
+    """Flies the surveys that ``runs`` lacks, one directory ``SCENE-SEED`` each, and compares.
 
-    ``error_m.SCENE.METHOD``, ``ratio.peer.SCENE`` (the better peer over ``livo``) with their
-    ``geometric_mean``, ``ms_per_0.1s.METHOD`` (mean over scenes), ``evo_difference_m.SCENE`` (evo
-    on the flight's files less the flight's own figure) and the details by scene. Raises UsageError.
+    ``error_m.SCENE.METHOD``, ``ratio.reference.SCENE`` (the better of them over ``livo``) with
+    their ``geometric_mean``, ``ms_per_0.1s.METHOD`` (mean over scenes), ``evo_difference_m.SCENE``
+    (evo on the flight's files less its own figure) and the details by scene. Raises UsageError.
     """
-    require_peers()
+    require_references()
     found: dict[str, dict[str, Any]] = {}
     difference: dict[str, float] = {}
     for scene in scenes:
-        tell_of = partial(_tell_of, tell, scene)
-        run = logged_survey(scene, seed, runs, tell_of)
+        report_scene = partial(_report_scene, report, scene)
+        run = logged_survey(scene, seed, runs, report_scene)
         logged = open_run(run)
         flown_error_m = float(logged.result.value("position_error_m.mean"))
         difference[scene] = evo_of_run(run) - flown_error_m
-        found[scene] = bench_scene(logged, seconds, tell_of)
+        found[scene] = bench_scene(logged, seconds, report_scene)
     return {
         "seed": seed,
         "seconds": seconds,
@@ -282,17 +288,17 @@ def bench_estimator(
 
 
 def summary(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """The figures over scenes from those of each, as `bench_scene` gives them."""
+    """Figures over all scenes from those of each, as `bench_scene` returns them."""
     ratios = {}
     for scene, figures in found.items():
         errors, lost = figures["error_m"], figures["lost_s"]
-        rivals = [peer for peer in GRIDS if lost[peer] is None] or list(GRIDS)
-        ratios[scene] = min(errors[peer] for peer in rivals) / errors["livo"]
+        kept = [method for method in GRIDS if lost[method] is None] or list(GRIDS)
+        ratios[scene] = min(errors[method] for method in kept) / errors["livo"]
     mean = math.exp(float(np.mean([math.log(ratio) for ratio in ratios.values()])))
     methods = (*ESTIMATORS, *GRIDS)
     return {
         "error_m": {scene: figures["error_m"] for scene, figures in found.items()},
-        "ratio": {"peer": {**ratios, "geometric_mean": mean}},
+        "ratio": {"reference": {**ratios, "geometric_mean": mean}},
         "ms_per_0.1s": {
             name: float(np.mean([figures["cpu_ms"][name] for figures in found.values()]))
             for name in methods
@@ -300,12 +306,12 @@ def summary(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _tell_of(tell: Tell, scene: str, text: str) -> None:
-    tell(f"{scene}: {text}")
+def _report_scene(report: Report, scene: str, text: str) -> None:
+    report(f"{scene}: {text}")
 
 
-def logged_survey(scene: str, seed: int, runs: Path, tell: Tell) -> Path:
-    """The run directory of a survey with sensor log below ``runs``, flown unless it is there."""
+def logged_survey(scene: str, seed: int, runs: Path, report: Report) -> Path:
+    """The run directory of a survey with sensor log below ``runs``, flown unless it exists."""
     from touchdown.experiments.flight.platform import limit_threads
     from touchdown.experiments.flight.run import fly
     from touchdown.experiments.io.sensor_log import FILE_NAME
@@ -314,5 +320,5 @@ def logged_survey(scene: str, seed: int, runs: Path, tell: Tell) -> Path:
     run = runs / f"{Path(scene).stem}-{seed}"
     if not (run / FILE_NAME).is_file():
         config = flight_config(scene, seed)
-        fly(config, run, lambda time_s, phase, _note: tell(f"flying, {time_s:.0f} s, {phase}"))
+        fly(config, run, lambda time_s, phase, _note: report(f"flying, {time_s:.0f} s, {phase}"))
     return run

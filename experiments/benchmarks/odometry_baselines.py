@@ -1,8 +1,8 @@
-"""LIDAR odometry of others on logged scans: KISS-ICP and small_gicp, each over a grid of settings.
+"""Reference implementations of LIDAR odometry on logged scans: KISS-ICP and small_gicp.
 
-Both see the scans alone and start at the true pose of their first scan. A constant-velocity model
-predicts and, where a setting says so, unbends each scan by its points' own times; the pose then
-belongs to the scan's end, else to its middle, the instant that a rigid scan fits best.
+Both run over a grid of settings, receive the scans alone and start at the true pose of their first
+scan. A constant-velocity model predicts and, with ``deskew``, corrects each scan by the times of
+its points; the pose is then that of the end of the scan, else that of its middle.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from touchdown.sim.frames import Pose, so3_log
 Array = NDArray[np.float64]
 
 LOST_M = 10.0
-"""A run is broken off once the odometry is so far from the truth: nothing more can be learned."""
+"""Distance from the truth at which a run ends as lost."""
 
 GRIDS: dict[str, dict[str, tuple[Any, ...]]] = {
     "kiss_icp": {
@@ -38,17 +38,18 @@ GRIDS: dict[str, dict[str, tuple[Any, ...]]] = {
         "start": ("lift-off", "survey"),
     },
 }
-"""The settings that are tried, all combinations. ``start``: where the odometry begins; from there
-on its errors count, so that a method that cannot follow the climb is not judged by it. What is not
-named is the packages' default."""
+"""Settings of each method, of which all combinations run. ``start``: begin of the odometry, from
+which its errors count, so that a method that cannot follow the climb is not judged by it. All other
+settings are the defaults of the packages."""
 
 MAP_SCANS = 1000
-"""small_gicp's map forgets voxels that so many scans did not touch: longer than a survey, so that
-ground seen again is still known"""
+"""Scans after which the map of small_gicp drops an untouched voxel: more than a survey has, so that
+revisited ground is still in it."""
 _MOST_ITERATIONS = 100
-"""of KISS-ICP on a scan; its default is 500, to which only scans go that do not converge"""
+"""Iterations of KISS-ICP per scan. Its default is 500, which only scans reach that do not
+converge."""
 _LEAST_RETURNS, _LEAST_POINTS = 100, 20
-"""of a scan, and of it after downsampling, to be of use at all: near the ground there are few"""
+"""Least points of a usable scan, before and after downsampling: near the ground there are few."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,18 +64,18 @@ class ScanPoints:
 
 
 @dataclass(slots=True)
-class PeerTrack:
-    """What a setting made of the scans: times (N,) s and positions (N, 3) of the BODY, world."""
+class OdometryTrack:
+    """Result of a method with one setting: times (N,) s and positions (N, 3) of the body, world."""
 
-    peer: str
+    method: str
     setting: dict[str, Any]
     times_s: list[float] = field(default_factory=list)
     positions: list[Array] = field(default_factory=list)
     cpu_s: float = 0.0
     data_s: float = 0.0
-    """seconds of scans that it took the processor time for"""
+    """duration of the scans that took ``cpu_s``"""
     lost_s: float | None = None
-    """when it was broken off"""
+    """time at which it was lost"""
 
 
 class Odometry(Protocol):
@@ -85,27 +86,28 @@ class Odometry(Protocol):
         ...
 
 
-def require_peers() -> None:
-    """Raises UsageError unless the packages are there."""
+def require_references() -> None:
+    """Raises UsageError unless the packages are installed."""
     try:
         import evo  # noqa: F401
         import kiss_icp  # noqa: F401
         import small_gicp  # noqa: F401
     except ImportError as error:
         raise UsageError(
-            f"{error.name} is not installed; pip install 'touchdown[bench]' adds what others made"
+            f"{error.name} is not installed; pip install 'touchdown[bench]' installs what the "
+            "comparison needs"
         ) from error
 
 
-def settings(peer: str) -> Iterator[dict[str, Any]]:
-    """Every combination of a peer's grid."""
-    grid = GRIDS[peer]
+def settings(method: str) -> Iterator[dict[str, Any]]:
+    """Yields all combinations of a method's grid."""
+    grid = GRIDS[method]
     for values in itertools.product(*grid.values()):
         yield dict(zip(grid, values, strict=True))
 
 
 class KissIcp:
-    """KISS-ICP (Vizzo et al. 2023) by its package, one thread."""
+    """KISS-ICP (Vizzo et al. 2023), one thread."""
 
     def __init__(self, voxel_m: float, initial_threshold_m: float, deskew: bool) -> None:
         from kiss_icp.config import KISSConfig
@@ -120,7 +122,7 @@ class KissIcp:
         self._odometry = KissICP(config)
 
     def register(self, points: Array, shares: Array) -> Array:
-        # It divides by the span of the times, and aborts where that is nothing.
+        # It divides by the span of the times, and aborts where that is 0.
         self._odometry.register_frame(points, shares if np.ptp(shares) > 0.0 else np.zeros(0))
         return np.asarray(self._odometry.last_pose)
 
@@ -140,7 +142,7 @@ class SmallGicp:
 
     def register(self, points: Array, shares: Array) -> Array:
         if self._deskew:
-            points = unbend(points, shares, self._step)
+            points = deskew_by_step(points, shares, self._step)
         cloud = self._lib.voxelgrid_sampling(points, self._downsampling, num_threads=1)
         if cloud.size() < _LEAST_POINTS:
             self._pose = self._pose @ self._step
@@ -159,27 +161,30 @@ class SmallGicp:
 ODOMETRY: dict[str, Callable[..., Odometry]] = {"kiss_icp": KissIcp, "small_gicp": SmallGicp}
 
 
-def unbend(points: Array, shares: Array, step: Array) -> Array:
-    """(N, 3) points as if all were seen at the scan's end, for a motion ``step`` (4, 4,
+def deskew_by_step(points: Array, shares: Array, step: Array) -> Array:
+    """(N, 3) points in the frame at the end of the scan, for the motion ``step`` (4, 4,
     previous_from_this scan) at constant velocity; small angles."""
     missing = (shares - 1.0)[:, None]
     turn = so3_log(step[:3, :3])
     return np.asarray(points + missing * (step[:3, 3] + np.cross(turn, points)))
 
 
-def run_peer(
-    peer: str,
+def run_reference(
+    method: str,
     setting: dict[str, Any],
     scans: Sequence[ScanPoints],
     true_pose: Callable[[float], Pose],
     body_from_lidar: Pose,
     survey_s: float,
-) -> PeerTrack:
-    """One setting over scans from the lift-off on. ``true_pose(time_s)`` is ``world_from_body``: it
-    gives the start, and says when to break off. ``survey_s``: when the survey begins."""
-    track = PeerTrack(peer, setting)
+) -> OdometryTrack:
+    """Runs one setting over scans from lift-off on.
+
+    ``true_pose(time_s)``: ``world_from_body``, for the start and the distance at which the run is
+    lost. ``survey_s``: begin of the survey.
+    """
+    track = OdometryTrack(method, setting)
     own = {name: value for name, value in setting.items() if name != "start"}
-    odometry = ODOMETRY[peer](**own)
+    odometry = ODOMETRY[method](**own)
     lidar_from_body = body_from_lidar.inverse()
     world_from_first: Pose | None = None
     for scan in scans:
@@ -196,10 +201,10 @@ def run_peer(
         track.cpu_s += time.process_time() - began
         track.data_s += scan.end_s - scan.start_s
         first_from_scan = Pose(pose[:3, :3], pose[:3, 3])
-        believed = world_from_first @ first_from_scan @ lidar_from_body
+        estimated = world_from_first @ first_from_scan @ lidar_from_body
         track.times_s.append(time_s)
-        track.positions.append(believed.translation)
-        if not np.linalg.norm(believed.translation - true.translation) <= LOST_M:
+        track.positions.append(estimated.translation)
+        if not np.linalg.norm(estimated.translation - true.translation) <= LOST_M:
             track.lost_s = time_s
             break
     return track

@@ -1,4 +1,4 @@
-"""What a second worker is worth: the same flights by one worker and by several."""
+"""Scaling of a campaign: throughput of several workers over that of one, on the same flights."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from touchdown.experiments.campaign.session import fly_campaign
 from touchdown.experiments.errors import UsageError
 
 _PLAN = """
-name = "workers"
+name = "scaling"
 mode = "land"
 record = "none"
 [axes]
@@ -27,17 +27,17 @@ seeds = "0-{last}"
 """
 
 
-def workers_plan(folder: Path, *, scene: str, estimator: str, runs: int) -> Plan:
-    """Landings after a short survey, seeds from 0; its file is written to ``folder``. Raises
-    UsageError."""
+def scaling_plan(folder: Path, *, scene: str, estimator: str, runs: int) -> Plan:
+    """Plan of landings after a short survey, seeds from 0, whose file is written to ``folder``.
+    Raises UsageError."""
     lines = [_PLAN.format(scene=scene, estimator=estimator, last=runs - 1), "[base]\n"]
     lines += [f"{setting}\n" for setting in SHORT_SURVEY]
-    file = folder / "workers.toml"
+    file = folder / "scaling.toml"
     file.write_text("".join(lines), encoding="utf-8")
     return load_plan(file)
 
 
-def measure_workers(
+def measure_scaling(
     *,
     scene: str,
     estimator: str,
@@ -46,25 +46,25 @@ def measure_workers(
     rounds: int,
     report: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
-    """Flies ``runs`` flights with one single-threaded worker, then with ``workers``, ``rounds``
-    times over.
+    """Flies ``runs`` flights with one single-threaded worker, then with ``workers`` of them,
+    ``rounds`` times.
 
-    ``wall_s`` lists the campaigns' wall seconds, loading of the workers included; ``ratio.one`` is
-    the median over the rounds of how many times as many flights the workers end in a second.
-    Raises UsageError: bad names, runs that do not share out evenly, a campaign with crashes.
+    ``wall_s`` lists the wall time of the campaigns in seconds, start of the workers included;
+    ``ratio.one`` is the throughput of ``workers`` over that of one, the median over the rounds.
+    Raises UsageError for bad names, ``runs`` that ``workers`` does not divide, and crashes.
     """
     if runs % workers:
-        raise UsageError(f"--runs {runs} do not share out among {workers} workers")
+        raise UsageError(f"--runs {runs} is no multiple of --workers {workers}")
     wall: dict[str, list[float]] = {"one": [], "workers": []}
     with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
-        plan = workers_plan(Path(folder), scene=scene, estimator=estimator, runs=runs)
-        # The first flight on a machine compiles kernels: one that does not count comes before.
+        plan = scaling_plan(Path(folder), scene=scene, estimator=estimator, runs=runs)
+        # The first flight on a machine compiles kernels and is not counted.
         _flown(replace(plan, runs=plan.runs[:1]), Path(folder) / "first", 1)
         for number in range(rounds):
             for name, jobs in (("one", 1), ("workers", workers)):
                 spent = _flown(plan, Path(folder) / f"{name}-{number}", jobs)
                 wall[name].append(spent)
-                report(f"round {number + 1}: {jobs} at work, {runs} flights in {spent:.1f} s")
+                report(f"round {number + 1}: {jobs} workers, {runs} flights in {spent:.1f} s")
     ratios = [one / more for one, more in zip(wall["one"], wall["workers"], strict=True)]
     return {
         "scene": scene,

@@ -1,4 +1,4 @@
-"""Commands that measure speed: ``touchdown bench ...``."""
+"""Commands ``touchdown bench ...``, which measure speed and accuracy."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def bench() -> int:
 def bench_loop(
     scene: str, estimator: str, seed: int, full: bool, ratio: bool, as_json: bool, quiet: bool
 ) -> int:
-    """Fly with everything on, recording too: real-time factor and the share of each stage.
+    """Fly with all sensors and recording: real-time factor and the share of each stage.
 
-    ratio.bare is what the loop costs on one core, estimator and lander left out, over the same
-    physics steps, rays and pixels computed by MuJoCo, Embree and OpenGL alone: a second flight,
-    the survey on true poses, with the bare computation beside it scan by scan.
+    ratio.bare is the cost of the loop on one core, without estimator and lander, over that of the
+    same physics steps, rays and pixels by MuJoCo, Embree and OpenGL alone. It is measured on a
+    second flight, a survey on true poses, with the bare computation beside it scan by scan.
 
     Example: touchdown bench loop --json
     """
@@ -76,16 +76,16 @@ def bench_loop(
 def bench_scaling_command(
     scene: str, estimator: str, workers: int, runs: int, rounds: int, as_json: bool
 ) -> int:
-    """The same campaign of short landings by one single-threaded worker and by several.
+    """Fly the same campaign of short landings with one single-threaded worker and with several.
 
-    ratio.one is how many times as many flights they end in a second, their start included.
+    ratio.one is the throughput of the workers over that of one, their start included.
 
     Example: touchdown bench scaling --json
     """
-    from touchdown.experiments.benchmarks.scaling import measure_workers
+    from touchdown.experiments.benchmarks.scaling import measure_scaling
 
     figures = usage_errors(
-        lambda: measure_workers(
+        lambda: measure_scaling(
             scene=scene,
             estimator=estimator,
             workers=workers,
@@ -108,7 +108,7 @@ def bench_scaling_command(
 @click.option("--rounds", type=click.IntRange(1, 100), default=7, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def bench_lidar(scene: str, preset: str, seed: int, rounds: int, as_json: bool) -> int:
-    """Rays per second of the LIDAR sensor and of bare ray casters, same rays, one thread each.
+    """Measure rays per second of the LIDAR sensor and of bare ray casters, one thread each.
 
     Example: touchdown bench lidar --json
     """
@@ -245,8 +245,8 @@ def bench_endurance(
     overrides: tuple[str, ...],
     as_json: bool,
 ) -> int:
-    """Long surveys: position error, time per scan (the estimator's, the whole process's) and memory
-    in each minute. SCENES: crossroad, lake, houses and forest, unless given.
+    """Fly long surveys: position error, time per scan (of the estimator and of the whole process)
+    and memory in each minute. SCENES: crossroad, lake, houses and forest, unless given.
 
     Example: touchdown bench endurance forest --seeds 0 --minutes 10
     """

@@ -16,9 +16,11 @@ from touchdown.experiments.errors import usage_errors
 
 @click.command("estimator")
 @click.argument("scenes", nargs=-1)
-@click.option("--ablate", is_flag=True, help="What each part is worth, instead of peers.")
+@click.option(
+    "--ablate", is_flag=True, help="Leave out one part of the estimators after the other instead."
+)
 @click.option("--seed", type=int, default=0, show_default=True)
-@click.option("--seconds", type=float, help="Of each log after lift-off.  [all]")
+@click.option("--seconds", type=float, help="Duration of each log after lift-off.  [all]")
 @click.option(
     "--runs",
     type=click.Path(path_type=Path),
@@ -35,12 +37,12 @@ def bench_estimator(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Positioning error and cost on equal scans, beside KISS-ICP and small_gicp.
+    """Compare positioning error and cost with KISS-ICP and small_gicp on equal scans.
 
-    One survey per scene (crossroad, lake, houses and forest unless named) is flown with livo, and
-    its log goes through livo, paper and the peers, these over a grid of settings of which the best
-    counts. With --ablate the log goes through livo and paper with one part after the other left
-    out. All of it is open loop.
+    One survey per scene (crossroad, lake, houses and forest unless named) is flown with livo. Its
+    log is replayed through livo, paper and the reference implementations, these with the best of a
+    grid of settings. With --ablate the log is replayed through livo and paper with one part after
+    the other left out. All of it is open loop.
 
     Example: touchdown bench estimator crossroad --seconds 20 --runs runs/logged
     """
@@ -50,15 +52,15 @@ def bench_estimator(
 
     _check(seconds)
     chosen = scenes or bench.SCENES
-    tell = _quiet if quiet else _to_stderr
+    report = _quiet if quiet else _to_stderr
     with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
         where: dict[str, Any] = {"seed": seed, "runs": runs or Path(folder), "seconds": seconds}
         if ablate:
-            table = usage_errors(lambda: run_ablation(chosen, tell=tell, **where))
+            table = usage_errors(lambda: run_ablation(chosen, report=report, **where))
             text = json.dumps({"seed": seed, "seconds": seconds, "ablation": table}, indent=2)
             click.echo(text if as_json else ablation_table(table))
             return EXIT_DONE
-        figures = usage_errors(lambda: bench.bench_estimator(chosen, tell=tell, **where))
+        figures = usage_errors(lambda: bench.bench_estimator(chosen, report=report, **where))
     click.echo(json.dumps(figures, indent=2) if as_json else _table(figures))
     return EXIT_DONE
 
@@ -81,25 +83,25 @@ def _to_stderr(text: str) -> None:
 
 def _table(figures: dict[str, Any]) -> str:
     methods = list(figures["ms_per_0.1s"])
-    lines = ["| scene | " + " | ".join(methods) + " | best peer / livo |"]
+    lines = ["| scene | " + " | ".join(methods) + " | best reference / livo |"]
     lines.append("|---|" + "---|" * (len(methods) + 1))
     for scene, errors in figures["error_m"].items():
         lost = figures["scenes"][scene]["lost_s"]
         cells = [_error(errors[name], lost[name]) for name in methods]
-        cells.append(f"{figures['ratio']['peer'][scene]:.1f}")
+        cells.append(f"{figures['ratio']['reference'][scene]:.1f}")
         lines.append(f"| {scene} | " + " | ".join(cells) + " |")
     costs = [f"{figures['ms_per_0.1s'][name]:.1f}" for name in methods]
     lines.append("| ms per 0.1 s | " + " | ".join(costs) + " | |")
-    mean = figures["ratio"]["peer"]["geometric_mean"]
+    mean = figures["ratio"]["reference"]["geometric_mean"]
     worst = max(abs(value) for value in figures["evo_difference_m"].values())
     lines.append(
         f"\nmean error in metres by evo, not aligned; geometric mean of the ratio {mean:.1f}"
     )
-    lines.append(f"evo and our own figure of the flights differ by at most {1e3 * worst:.3f} mm")
+    lines.append(f"evo and the figures of the flights differ by at most {1e3 * worst:.3f} mm")
     for scene, details in figures["scenes"].items():
-        for peer, setting in details["best"].items():
+        for method, setting in details["best"].items():
             text = ", ".join(f"{name} {value}" for name, value in setting.items())
-            lines.append(f"{scene}: best of {peer}: {text}")
+            lines.append(f"{scene}: best of {method}: {text}")
     return "\n".join(lines)
 
 

@@ -16,7 +16,7 @@ from touchdown.experiments.terminal import make_notes
 
 @click.group(cls=CommandGroup)
 def edges() -> None:
-    """Train the edge detector of the estimator `paper`, score it, and draw what it sees.
+    """Train the edge detector of the estimator `paper`, score it, and draw its output.
 
     Example: touchdown edges evaluate
     """
@@ -27,11 +27,11 @@ def edges() -> None:
               show_default=True, help="The model, *.yml.gz; flights take it by "
               "--set paper.edge_model=FILE.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True,
-              help="Varies the places, the poses and the forest.")  # fmt: skip
+              help="Varies the scenes, the poses and the forest.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
 def edges_train(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
-    """Render pictures of the scenes with their true boundaries and grow a structured forest.
+    """Render images of the scenes with their true boundaries and grow a structured forest.
 
     Takes about six minutes of one core. The same seed gives the same file.
 
@@ -85,7 +85,7 @@ def edges_evaluate(model: str, seeds: int, plot: Path | None, as_json: bool, qui
 @click.option("--model", default="shipped", show_default=True)
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
 def edges_picture(out: Path, seed: int, model: str, quiet: bool) -> int:
-    """Draw the edge energy beside Canny and the truth, and what the estimator makes of it.
+    """Draw the edge energy beside Canny and the truth, and the smoothness of the estimator.
 
     Example: touchdown edges picture --out edge-pictures
     """

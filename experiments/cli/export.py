@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from touchdown.experiments.cli.common import EXIT_DONE
+
+if TYPE_CHECKING:
+    from touchdown.experiments.export.flown_run import GeodeticPoint
 
 _ONLY: dict[str, tuple[tuple[str, ...], Any]] = {
     "points": (("ply",), "map"),
@@ -18,7 +21,7 @@ _ONLY: dict[str, tuple[tuple[str, ...], Any]] = {
     "origin": (("mcap",), None),
     "judged": (("tum", "csv"), False),
 }
-"""Formats that an option is for, and its default."""
+"""Formats to which an option applies, and its default."""
 
 
 class OriginType(click.ParamType):
@@ -28,16 +31,18 @@ class OriginType(click.ParamType):
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, float, float]:
-        if isinstance(value, tuple):
+    ) -> GeodeticPoint:
+        from touchdown.experiments.export.flown_run import GeodeticPoint
+
+        if isinstance(value, GeodeticPoint):
             return value
         try:
             latitude, longitude, height = (float(part) for part in str(value).split(","))
         except ValueError:
             self.fail(f"'{value}' is not of the form LAT,LON,HEIGHT, such as 40,116,50", param, ctx)
         if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and abs(height) <= 1e5):
-            self.fail(f"'{value}' is no place on Earth in degrees and metres", param, ctx)
-        return latitude, longitude, height
+            self.fail(f"'{value}' is no point on Earth in degrees and metres", param, ctx)
+        return GeodeticPoint(latitude, longitude, height)
 
 
 @click.command()
@@ -47,15 +52,17 @@ class OriginType(click.ParamType):
     "kind",
     type=click.Choice(["mcap", "ply", "tum", "csv"]),
     required=True,
-    help="mcap: a ROS 2 bag; ply: a cloud; tum: a trajectory; csv: a table of time steps.",
+    help="mcap: a rosbag2 folder; ply: a cloud; tum: a trajectory; csv: a table of time steps.",
 )
-@click.option("--out", type=click.Path(path_type=Path), help="The file.  [RUN.FORMAT]")
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="The file or folder.  [RUN.FORMAT, RUN-bag]"
+)
 @click.option(
     "--poses",
     type=click.Choice(["estimate", "truth", "reference"]),
     default="estimate",
     show_default=True,
-    help="tum: which trajectory; mcap, ply: where the vehicle was.",
+    help="tum: the trajectory; mcap, ply: the poses of the vehicle.",
 )
 @click.option(
     "--points",
@@ -91,12 +98,14 @@ class OriginType(click.ParamType):
     type=OriginType(),
     help="mcap: latitude and longitude in degrees and height in metres of the world's origin.",
 )
-@click.option("--judged", is_flag=True, help="tum, csv: only while positions are judged.")
+@click.option(
+    "--judged", is_flag=True, help="tum, csv: only rows at which the position error is evaluated."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def export(run: Path, kind: str, out: Path | None, as_json: bool, **choices: Any) -> int:
     """Write RUN, a run directory, in a format of other tools.
 
-    What sensors said (mcap, and ply of scans) needs a flight with --log-sensors.
+    Sensor data (mcap, and ply of scans) needs a flight with --log-sensors.
 
     Example: touchdown export runs/crossroad-livo-0 --format mcap
     """
@@ -108,11 +117,11 @@ def export(run: Path, kind: str, out: Path | None, as_json: bool, **choices: Any
         if kind not in kinds and choices[name] != default:
             raise UsageError(f"--{name} is for --format {' or '.join(kinds)}, not {kind}")
     if kind != "tum" and choices["poses"] == "reference":
-        raise UsageError("--poses reference is for --format tum: the vehicle was never there")
+        raise UsageError("--poses reference is for --format tum alone")
     if kind == "csv" and choices["poses"] != "estimate":
         raise UsageError("--poses is not for --format csv: it holds all trajectories")
     if kind == "ply" and choices["points"] == "map" and choices["poses"] != "estimate":
-        raise UsageError("--poses is for --points scans: the map is the run's own")
+        raise UsageError("--poses is for --points scans: the map is a file of the run")
     if kind == "ply" and choices["points"] == "map" and choices["every"] != 1:
         raise UsageError("--every is for --points scans")
     done = export_run(run, kind, out, ExportOptions(**choices))

@@ -15,7 +15,7 @@ from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, EXIT_INTERR
 
 @click.command()
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR",
-              help="Directory, needed but for --list; an earlier one is gone on with.")  # fmt: skip
+              help="Directory; required without --list. An earlier one is continued.")  # fmt: skip
 @click.option("--quick", is_flag=True, help="Few flights and one small network.")
 @click.option("--jobs", type=click.IntRange(1, 1024), help="Flights at a time.  [cores]")
 @click.option("--skip", multiple=True, metavar="PART",
@@ -24,7 +24,7 @@ from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, EXIT_INTERR
               help="Labelled photographs to learn from and test on beside rendered "
               "pictures, as --data of touchdown train. May be repeated.")  # fmt: skip
 @click.option("--list", "only_list", is_flag=True,
-              help="Print the parts, what each shows and about how long it takes.")  # fmt: skip
+              help="Print the parts, their tables and figures, and approximate times.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
 def reproduce(
@@ -37,7 +37,7 @@ def reproduce(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Do everything that the paper did, and set every table and figure of it beside ours.
+    """Reproduce all tables and figures of the paper and compare them with the published ones.
 
     Calibrates, flies the campaigns of positioning and landing, trains networks, and writes
     DIR/report: report.html (one file, no network needed), report.md and report.json. Stop it at any
@@ -81,7 +81,7 @@ def reproduce(
         click.echo(json.dumps(figures, indent=2))
     else:
         _print_parts(figures)
-    return EXIT_DONE if done.good else EXIT_FAILED
+    return EXIT_DONE if done.successful else EXIT_FAILED
 
 
 def _print_list(parts: Sequence[Mapping[str, Any]], as_json: bool) -> None:

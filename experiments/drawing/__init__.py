@@ -1,1 +1,1 @@
-"""Map images, axes and contact sheets. Knows nothing of flights."""
+"""Map images, axes and contact sheets, independent of flights."""

@@ -1,4 +1,4 @@
-"""Many scenes at a glance: one row of small pictures for each."""
+"""Contact sheet of many scenes: one row of small images per scene."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PAPER, _INK = 255, (30, 30, 30)
 
 
 def thumbnails(pictures: Mapping[str, Picture]) -> dict[str, Picture]:
-    """The views of one scene that the sheet shows, small, so that many scenes fit into memory."""
+    """Small views of one scene for the sheet, so that many scenes fit into memory."""
     return {view: _fit(pictures[view]) for view in SHEET_VIEWS}
 
 

@@ -1,6 +1,7 @@
-"""Margins around maps: ticks in metres, the take-off spot, where the survey goes, keys of colours.
+"""Margins around maps: ticks in metres, take-off point, survey area and colour keys.
 
-What is inside a map's own pixels is left as it was, but for the marks asked for.
+Drawn by OpenCV, not by matplotlib: a cell stays a whole number of pixels, and a flight need not
+load matplotlib. Pixels of the map itself change only under the requested marks.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ Picture = NDArray[np.uint8]
 INK, PAPER = (235, 235, 235), 24
 _MARK_RGB, _RIM_RGB = (255, 255, 255), (20, 20, 20)
 _TICKS = 17
-"""no more on the longer edge"""
+"""most ticks on the longer edge"""
 _DASH_PIXELS = 9
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Marks:
-    """What a flight does over a map, world frame."""
+    """Take-off and survey of a flight on a map, world frame."""
 
     takeoff_xy_m: Array
     """(2,)"""
@@ -38,7 +39,8 @@ class Marks:
 
 
 def survey_marks(takeoff_xy_m: Array, yaw: float, survey: SurveyParams) -> Marks:
-    """Legs run along the heading from the take-off spot, the further ones to the left of it."""
+    """Marks of a survey whose legs run along the heading from the take-off point, each next leg to
+    the left."""
     length, width = survey.leg_length_m, (survey.legs - 1) * survey.leg_spacing_m
     local = np.array([[0.0, 0.0], [length, 0.0], [length, width], [0.0, width]])
     c, s = np.cos(yaw), np.sin(yaw)
@@ -48,7 +50,7 @@ def survey_marks(takeoff_xy_m: Array, yaw: float, survey: SurveyParams) -> Marks
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MapFrame:
-    """Where the pixels of a map with north up lie."""
+    """Position and scale of the pixels of a map with north up."""
 
     west_m: float
     south_m: float
@@ -57,7 +59,7 @@ class MapFrame:
     """of letters and lines"""
 
     def draw_marks(self, picture: Picture, marks: Marks) -> None:
-        """Writes take-off spot, heading and the survey's rectangle into ``picture``."""
+        """Writes take-off point, heading and the survey's rectangle into ``picture``."""
         corners = [self._pixel(picture, corner) for corner in marks.corners_xy_m]
         for start, end in zip(corners, [*corners[1:], corners[0]], strict=True):
             self._dashed(picture, start, end)
@@ -95,7 +97,7 @@ class MapFrame:
         return np.vstack([framed, wide])
 
     def write(self, picture: Picture, words: str, left: int, base: int) -> int:
-        """Writes in place and returns the column where the words end."""
+        """Writes in place and returns the column at the end of the text."""
         return write_words(picture, words, left, base, 0.5 * self.scale)
 
     @property
@@ -152,7 +154,7 @@ def tick_step(span_m: float) -> float:
 
 
 def write_words(picture: Picture, words: str, left: int, base: int, font: float) -> int:
-    """Writes in place and returns the column where the words end."""
+    """Writes in place and returns the column at the end of the text."""
     line = max(1, round(font * 2.0))
     cv2.putText(
         picture, words, (left, base), cv2.FONT_HERSHEY_SIMPLEX, font, INK, line, cv2.LINE_AA

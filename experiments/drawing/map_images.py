@@ -1,4 +1,4 @@
-"""Maps and costmaps as files: PLY clouds and PNG pictures."""
+"""Maps and costmaps as files: PLY clouds and PNG images."""
 
 from __future__ import annotations
 
@@ -23,6 +23,9 @@ _ACCEPTED_BGR = (255, 230, 120)
 _REFUSED_BGR = (80, 80, 255)
 _PANEL_PIXELS = 1200
 _MARGIN_CELLS = 8
+_VERTEX = np.dtype(
+    [(name, "<f4") for name in "xyz"] + [(n, "u1") for n in ("red", "green", "blue")]
+)
 _LABEL_PIXELS = 66
 _WORDS = "x east, y north (m, world); white circle: take-off; dashed: the survey's legs"
 
@@ -47,15 +50,12 @@ def map_points(
 
 def write_ply(path: Path, points: Points, colours: Colours) -> None:
     """Binary little-endian PLY: points (N, 3) metres, colours (N, 3) RGB."""
-    header = (
-        "ply\nformat binary_little_endian 1.0\n"
-        f"element vertex {len(points)}\n"
-        "property float x\nproperty float y\nproperty float z\n"
-        "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
-    )
-    rows = np.empty(len(points), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
-    rows["xyz"], rows["rgb"] = points, colours
-    path.write_bytes(header.encode("ascii") + rows.tobytes())
+    from plyfile import PlyData, PlyElement
+
+    rows = np.empty(len(points), dtype=_VERTEX)
+    for column, name in enumerate(_VERTEX.names or ()):
+        rows[name] = points[:, column] if column < 3 else colours[:, column - 3]
+    PlyData([PlyElement.describe(rows, "vertex")], byte_order="<").write(path)
 
 
 def costmap_picture(
@@ -96,8 +96,8 @@ def write_costmap(
     world_from_odom: Pose,
     marks: Marks,
 ) -> None:
-    """The picture of `costmap_picture` with ticks in metres of the world frame, take-off spot, the
-    survey's rectangle and a key of its colours."""
+    """Writes the image of `costmap_picture` with ticks in metres of the world frame, take-off
+    point, the survey's rectangle and a key of its colours."""
     rows, cols = seen_box(view)
     panels = _panels(view, candidates, site_odom)
     corner = view.origin_xy_m + view.cell_m * np.array([cols.start, rows.start])

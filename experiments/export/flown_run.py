@@ -1,45 +1,52 @@
-"""A finished run as exporters read it."""
+"""Finished run, export options and results, as all exporters use them."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from touchdown.experiments.errors import UsageError
 
 LIBRARY = "touchdown export"
-"""what exported MCAP files say wrote them"""
+"""name of the writer in exported files"""
 SAME_TIME_S = 1e-6
+
+
+class GeodeticPoint(NamedTuple):
+    """Point on or above the ellipsoid of WGS 84."""
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExportOptions:
-    """What of a run is exported, and how."""
+    """Content and form of an export."""
 
     poses: str = "estimate"
-    """``estimate``, ``truth`` or, for TUM alone, ``reference``: which trajectory is written, or
-    where the vehicle is taken to have been"""
+    """trajectory: ``estimate``, ``truth`` or, for TUM alone, ``reference``"""
     points: str = "map"
     """PLY: ``map``, the run's own, or ``scans``, all returns of the LIDAR"""
     every: int = 1
-    """PLY of scans: one return of so many"""
+    """PLY of scans: one of this many returns is written"""
     images: str = "compressed"
     """MCAP: ``compressed`` (PNG, as logged), ``raw`` or ``none``"""
     tf: str = "all"
-    """MCAP: ``all`` transforms; ``odom``: not that from map to odom; ``none`` that moves"""
-    origin: tuple[float, float, float] | None = None
-    """MCAP: latitude, longitude (degrees) and height (m) of the world's origin"""
+    """MCAP: ``all`` transforms; ``odom``: all but map to odom; ``none``: static ones alone"""
+    origin: GeodeticPoint | None = None
+    """MCAP: the world's origin"""
     judged: bool = False
-    """TUM, CSV: only rows at which positions are judged"""
+    """TUM, CSV: only rows at which the position error is evaluated"""
 
 
 @dataclass(slots=True)
 class Exported:
-    """What was written."""
+    """Result of an export."""
 
     out: Path
     counts: dict[str, int] = field(default_factory=dict)
@@ -71,14 +78,14 @@ class FlownRun:
             return Path(replayed) / FILE_NAME
         if not own.is_file():
             raise UsageError(
-                f"'{self.path}' has no {FILE_NAME}: fly with --log-sensors to export what sensors "
-                "said; tum, csv and the map as ply do not need it"
+                f"'{self.path}' has no {FILE_NAME}: fly with --log-sensors to export sensor "
+                "data; tum, csv and the map as ply do not need it"
             )
         return own
 
     def span_s(self) -> tuple[float, float]:
-        """Positions are judged from here on, and before there: never, where it never took off;
-        always, in runs of earlier versions, which do not tell."""
+        """Begin and end of the evaluated span, s: (inf, inf) for a flight that never took off,
+        (-inf, inf) for runs of earlier versions, which do not record it."""
         first, last = self.result.get("span_s") or (-np.inf, None)
         return (
             np.inf if first is None else float(first),
@@ -86,7 +93,7 @@ class FlownRun:
         )
 
     def wanted_s(self, judged: bool) -> tuple[float, float]:
-        """The span to export: all, or ``judged`` alone. Raises UsageError where that is nothing."""
+        """Span to export: all, or ``judged`` alone. Raises UsageError if it is empty."""
         if not judged:
             return -np.inf, np.inf
         first_s, end_s = self.span_s()

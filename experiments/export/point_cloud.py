@@ -1,4 +1,4 @@
-"""Clouds of a flight as PLY: its map, or every return of the LIDAR in the colours of the camera."""
+"""Point clouds of a flight as PLY: its map, or all LIDAR returns in the colours of the camera."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import BinaryIO
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from plyfile import PlyData, PlyParseError
 
 from touchdown.estimator.api import PoseTrack
 from touchdown.experiments.errors import UsageError
@@ -24,11 +25,11 @@ Colours = NDArray[np.uint8]
 
 _HEADER_BYTES = 400
 _KEPT_S = 2.0
-"""Poses are kept for so long: a scan that arrives later than this after its beginning is left
+"""Poses are kept for this time: a scan that arrives later than this after its beginning is left
 out."""
 _KEPT_IMAGES = 4
 _MAX_COLOUR_AGE_S = 0.5
-"""A return is coloured by an image no further away in time."""
+"""Greatest time between a return and the image that colours it."""
 _VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3), ("intensity", "<f4")])
 
 
@@ -41,15 +42,15 @@ def write_cloud(flown: FlownRun, path: Path, options: ExportOptions) -> Exported
 
 
 def _write_map(flown: FlownRun, path: Path) -> Exported:
-    data = flown.file("map.ply").read_bytes()
-    head, end, body = data.partition(b"end_header\n")
-    lines = head.decode("ascii", errors="replace").splitlines()
-    counts = [int(line.split()[2]) for line in lines if line.startswith("element vertex ")]
-    if lines[:2] != ["ply", "format binary_little_endian 1.0"] or len(counts) != 1:
-        raise UsageError(f"'{flown.path / 'map.ply'}' is no map of a flight")
-    lines.insert(2, f"comment {LIBRARY}: map, world frame, metres")
-    path.write_bytes("\n".join(lines).encode() + b"\n" + end + body)
-    return Exported(path, {"points": counts[0]})
+    source = flown.file("map.ply")
+    try:
+        cloud = PlyData.read(source)
+        count = len(cloud["vertex"].data)
+    except (PlyParseError, KeyError, ValueError) as error:
+        raise UsageError(f"'{source}' is no map of a flight: {error}") from error
+    cloud.comments = [f"{LIBRARY}: map, world frame, metres"]
+    cloud.write(path)
+    return Exported(path, {"points": count})
 
 
 # -------------------------------------------------------------------------------------------- scans
@@ -82,14 +83,14 @@ def _write_scans(flown: FlownRun, path: Path, options: ExportOptions) -> Exporte
 
 
 class _Track:
-    """A trajectory, read as far as it is needed; the last seconds of it are kept."""
+    """Trajectory that is read as needed; its last seconds are kept."""
 
     def __init__(self, path: Path) -> None:
         self._rows = tum_rows(path)
         self._kept: deque[tuple[float, Pose]] = deque()
 
     def around(self, scan: LidarScan) -> PoseTrack | None:
-        """Poses that span a scan; None where there are none."""
+        """Poses that span a scan; None if there are none."""
         return self._between(scan.start_time_s, scan.end_time_s)
 
     def at(self, time_s: float) -> tuple[Array, Array] | None:
@@ -126,7 +127,7 @@ class _Track:
 def _placed(
     scan: LidarScan, track: PoseTrack, body_from_lidar: Pose, every: int
 ) -> tuple[Array, NDArray[np.float32]]:
-    """(N, 3) world points of a scan's returns, each from the pose of its own instant, and (N,)
+    """(N, 3) world points of a scan's returns, each from the pose at its own time, and (N,)
     intensities."""
     hits = np.flatnonzero((scan.ranges > 0.0) & np.isfinite(scan.ranges))[::every]
     times = scan.start_time_s + scan.time_offsets[hits].astype(np.float64)
@@ -137,7 +138,7 @@ def _placed(
 
 
 def _grey(intensity: NDArray[np.float32]) -> Colours:
-    """(N, 3) of returns that no image shows: the brighter, the more came back."""
+    """(N, 3) grey levels, by intensity, of returns that no image shows."""
     level = (30.0 + 1.5 * np.minimum(intensity, 100.0)).astype(np.uint8)
     return np.repeat(level[:, None], 3, axis=1)
 
@@ -151,7 +152,7 @@ def _paint(
     body_from_camera: Pose,
     camera: CameraIntrinsics,
 ) -> None:
-    """Gives points that the image nearest in time shows its colours."""
+    """Writes the colours of the image nearest in time to the points that it shows."""
     middle = 0.5 * (scan.start_time_s + scan.end_time_s)
     near = [image for image in images if abs(image.time_s - middle) <= _MAX_COLOUR_AGE_S]
     if not near:
@@ -167,13 +168,13 @@ def _paint(
 
 
 def project(points: Array, camera: CameraIntrinsics) -> tuple[Array, NDArray[np.bool_]]:
-    """Pixels (N, 2) of (N, 3) points in the camera's frame, and which of them it sees, (N,). What
-    hides behind something else counts as seen: LIDAR and camera look from the same place."""
+    """Pixels (N, 2) of (N, 3) points in the camera's frame, and (N,) True for those in the image.
+    Occlusion is ignored: LIDAR and camera look from nearly the same point."""
     ahead = points[:, 2] > 0.01
     depth = np.where(ahead, points[:, 2], 1.0)
     plane = points[:, :2] / depth[:, None]
     half = np.array([camera.width / camera.fx, camera.height / camera.fy])
-    # Beyond its picture a lens model may fold back into it.
+    # Outside the image a lens model may fold back into it.
     ahead &= (np.abs(plane) < half).all(axis=1)
     pixels = np.full((len(points), 2), -1.0)
     if ahead.any():
@@ -187,7 +188,8 @@ def project(points: Array, camera: CameraIntrinsics) -> tuple[Array, NDArray[np.
 
 
 class _PlyFile:
-    """Vertices one after the other; the header, of fixed length, tells their number at the end."""
+    """PLY file that grows by scans; its header, of fixed length, gets the number of vertices at the
+    end. Not by `plyfile`, which writes arrays that are in memory as a whole."""
 
     def __init__(self, file: BinaryIO, comment: str) -> None:
         self._file, self._comment = file, comment

@@ -1,18 +1,32 @@
-"""A flight as a ROS 2 bag: sensors under the names that Foxglove, FAST-LIO and RTAB-Map look for.
+"""Flight as a rosbag2 folder, with the topic names of Foxglove, FAST-LIO and RTAB-Map.
 
 Frames follow REP 103 and REP 105: ``map`` and ``odom`` east, north, up; ``base_link`` forward,
-left, up; cameras optical. A header's stamp is the time of measurement in seconds of the flight, of
-a scan that of its beginning; the time of the log is when the message arrived on board, so that a
-player plays everything in the order of the flight.
+left, up; cameras optical. A header's stamp is the time of measurement in seconds of the flight (for
+a scan, of its beginning). The time in the bag is that of the arrival on board, so that a player
+sends all messages in the order of the flight.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
+import pymap3d
 from numpy.typing import NDArray
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.export.flown_run import (
@@ -21,12 +35,11 @@ from touchdown.experiments.export.flown_run import (
     Exported,
     ExportOptions,
     FlownRun,
+    GeodeticPoint,
 )
 from touchdown.experiments.export.tables import PosesAt, with_neighbours
-from touchdown.experiments.io import ros2_conversions as more
 from touchdown.experiments.io import ros2_messages as ros
-from touchdown.experiments.io.geodesy import LocalFrame
-from touchdown.experiments.io.ros2_bag import RosBag, tick_ns
+from touchdown.experiments.io.ros2_messages import Link
 from touchdown.experiments.io.sensor_log_reader import PackedImage, SensorLogReader, unpack_image
 from touchdown.experiments.io.tum import tum_rows
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
@@ -38,38 +51,86 @@ MAP, ODOM, BODY, TRUE_BODY = "map", "odom", "base_link", "base_link_gt"
 IMU, LIDAR, GPS, RANGEFINDER = "imu_link", "lidar_link", "gps_link", "rangefinder_link"
 CAMERAS = ("camera_optical_frame", "camera_right_optical_frame")
 SITE_DEG = (40.0, 116.0)
-"""latitude and longitude of the world's origin by default: the place of the simulated magnetic
-field"""
+"""latitude and longitude of the world's origin by default: where the simulated magnetic field is"""
 
 _CAMERA_TOPICS = ("/camera", "/camera_right")
 _STATIC = "/tf_static"
-_TYPES = {
-    "/lidar/points": "sensor_msgs/msg/PointCloud2",
-    "/imu/data_raw": "sensor_msgs/msg/Imu",
-    "/imu/mag": "sensor_msgs/msg/MagneticField",
-    "/imu/pressure": "sensor_msgs/msg/FluidPressure",
-    "/gps/fix": "sensor_msgs/msg/NavSatFix",
-    "/rangefinder/point": "geometry_msgs/msg/PointStamped",
-    "/odom": "nav_msgs/msg/Odometry",
-    "/ground_truth/odom": "nav_msgs/msg/Odometry",
-    "/tf": "tf2_msgs/msg/TFMessage",
-    _STATIC: "tf2_msgs/msg/TFMessage",
-    **{f"{name}/camera_info": "sensor_msgs/msg/CameraInfo" for name in _CAMERA_TOPICS},
-    **{f"{name}/image_raw": "sensor_msgs/msg/Image" for name in _CAMERA_TOPICS},
-    **{
-        f"{name}/image_raw/compressed": "sensor_msgs/msg/CompressedImage" for name in _CAMERA_TOPICS
-    },
-}
+_FOREVER = QosTime(9223372036, 854775807)
+_LATCHED = Qos(
+    history=QosHistory.KEEP_LAST,
+    depth=1,
+    reliability=QosReliability.RELIABLE,
+    durability=QosDurability.TRANSIENT_LOCAL,
+    deadline=_FOREVER,
+    lifespan=_FOREVER,
+    liveliness=QosLiveliness.AUTOMATIC,
+    liveliness_lease_duration=_FOREVER,
+    avoid_ros_namespace_conventions=False,
+)
+"""of static transforms: a player offers the last message to nodes that start late"""
+WRITTEN_BY = "written_by"
+"""key of the bag's metadata under which its writer stands"""
 _BEAM_DOWN = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """body_from_rangefinder: x, along the beam, points down"""
 
 
-def write_bag(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:
-    """All that the run's sensors said, its trajectories as odometry, and the transforms. Memory
-    does not grow with the flight but for the file's index."""
+class Bag:
+    """A rosbag2 folder with MCAP storage, complete when the context ends without an error.
+
+    Memory does not grow with the number of messages but for the file's index. Version 8 of the
+    metadata is the newest that ROS 2 Humble reads.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._writer = Writer(folder, version=8, storage_plugin=StoragePlugin.MCAP)
+        self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        self._writer.set_custom_data(WRITTEN_BY, LIBRARY)
+        self._connections: dict[str, Connection] = {}
+        self.counts: Counter[str] = Counter()
+        """messages so far, by topic"""
+
+    def __enter__(self) -> Self:
+        self._writer.open()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._writer.__exit__(kind, error, trace)
+
+    def put(self, topic: str, time_ns: int, message: Any) -> None:
+        """Appends a message of `ros2_messages`. All messages of a topic have one type."""
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(
+                topic,
+                message.__msgtype__,
+                typestore=ros.typestore(),
+                offered_qos_profiles=[_LATCHED] if topic == _STATIC else [],
+            )
+        self._writer.write(self._connections[topic], time_ns, ros.serialized(message))
+        self.counts[topic] += 1
+
+
+def write_bag(flown: FlownRun, folder: Path, options: ExportOptions) -> Exported:
+    """Writes all sensor messages of the run, its trajectories as odometry, and the transforms, to
+    the new ``folder``."""
     log = SensorLogReader(flown.sensors())
-    bag = RosBag(path, _TYPES, LIBRARY, latched=frozenset({_STATIC}))
     try:
+        bag = _fill(log, flown, folder, options)
+    except ValueError as error:
+        raise error if isinstance(error, UsageError) else UsageError(str(error)) from error
+    done = Exported(folder, dict(sorted(bag.counts.items())))
+    done.facts["imu_from_lidar"] = _plain(log.rig.body_from_imu.inverse() @ log.rig.body_from_lidar)
+    if not (flown.path / "odometry.tum").is_file():
+        done.notes.append("the run has no odometry.tum: odom and map are the same frame here")
+    return done
+
+
+def _fill(log: SensorLogReader, flown: FlownRun, folder: Path, options: ExportOptions) -> Bag:
+    with Bag(folder) as bag:
         sensors = _Sensors(bag, log.rig, log.sensed, options)
         path_rows = _trajectories(flown, options, bag)
         waiting = next(path_rows, None)
@@ -79,15 +140,7 @@ def write_bag(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:
                 waiting = next(path_rows, None)
         while waiting is not None:
             waiting = next(path_rows, None)
-    except ValueError as error:
-        raise error if isinstance(error, UsageError) else UsageError(str(error)) from error
-    finally:
-        bag.close()
-    done = Exported(path, dict(sorted(bag.counts.items())))
-    done.facts["imu_from_lidar"] = _plain(log.rig.body_from_imu.inverse() @ log.rig.body_from_lidar)
-    if not (flown.path / "odometry.tum").is_file():
-        done.notes.append("the run does not tell odom from map: the two are the same here")
-    return done
+    return bag
 
 
 def _plain(pose: Pose) -> dict[str, list[float]]:
@@ -101,75 +154,81 @@ def _plain(pose: Pose) -> dict[str, list[float]]:
 
 
 class _Sensors:
-    """Puts what arrived into the bag, and before all else the mounts."""
+    """Writes sensor messages to the bag; the mounts are the first message."""
 
     def __init__(
-        self, bag: RosBag, rig: SensorRig, sensed: SensorNeeds, options: ExportOptions
+        self, bag: Bag, rig: SensorRig, sensed: SensorNeeds, options: ExportOptions
     ) -> None:
         self._bag = bag
         self._rig = rig
         self._images = options.images
-        origin = options.origin or (*SITE_DEG, rig.nav.barometer.site_elevation_m)
-        self._place = LocalFrame(*origin)
+        self._origin = options.origin or GeodeticPoint(
+            *SITE_DEG, rig.nav.barometer.site_elevation_m
+        )
         hz = rig.tick_hz / rig.imu_ticks
         self._imu_variances = (rig.imu.gyro_density**2 * hz, rig.imu.accel_density**2 * hz)
         self._shifts = (0.0, ros.right_camera_shift(rig))
-        self._put(_STATIC, 0, 0, ros.mounts_message(0, BODY, mounts(rig, sensed)))
+        bag.put(_STATIC, 0, ros.mounts_message(0, BODY, mounts(rig, sensed)))
 
     def add(self, obs: Observation, images: tuple[PackedImage, ...]) -> None:
-        """What has arrived."""
+        """Writes one observation, with its images as they were logged."""
+        arrival_ns = self._ns(obs.tick)
         for scan in obs.scans:
-            start = scan.start_tick
-            message = more.timed_cloud_message(self._ns(start), LIDAR, scan)
-            self._put("/lidar/points", obs.tick, start, message)
+            start_ns = self._ns(scan.start_tick)
+            message = ros.cloud_message(start_ns, LIDAR, scan, ros.VELODYNE_POINT)
+            self._bag.put("/lidar/points", arrival_ns, message)
         for image in images if self._images != "none" else ():
-            self._add_image(obs.tick, image)
+            self._add_image(arrival_ns, image)
         for sample in obs.imu:
             message = ros.imu_message(self._ns(sample.tick), IMU, sample, *self._imu_variances)
-            self._put("/imu/data_raw", obs.tick, sample.tick, message)
-        self._add_navigation(obs)
+            self._bag.put("/imu/data_raw", arrival_ns, message)
+        self._add_navigation(arrival_ns, obs)
 
-    def _add_image(self, arrival: int, image: PackedImage) -> None:
+    def _add_image(self, arrival_ns: int, image: PackedImage) -> None:
         stamp = self._ns(image.tick)
         for number, png in enumerate((image.png, image.right_png)):
             if png is None:
                 continue
             topic, frame = _CAMERA_TOPICS[number], CAMERAS[number]
             info = ros.camera_message(stamp, frame, self._rig.camera, self._shifts[number])
-            self._put(f"{topic}/camera_info", arrival, image.tick, info)
+            self._bag.put(f"{topic}/camera_info", arrival_ns, info)
             if self._images == "raw":
-                message = more.raw_image_message(stamp, frame, unpack_image(png))
-                self._put(f"{topic}/image_raw", arrival, image.tick, message)
+                message = ros.raw_image_message(stamp, frame, unpack_image(png))
+                self._bag.put(f"{topic}/image_raw", arrival_ns, message)
             else:
-                message = ros.image_message(stamp, frame, png)
-                self._put(f"{topic}/image_raw/compressed", arrival, image.tick, message)
+                message = ros.compressed_image_message(stamp, frame, png)
+                self._bag.put(f"{topic}/image_raw/compressed", arrival_ns, message)
 
-    def _add_navigation(self, obs: Observation) -> None:
+    def _add_navigation(self, arrival_ns: int, obs: Observation) -> None:
         for fix in obs.gps:
-            place = self._place.geodetic(fix.position_world)
-            message = more.fix_message(self._ns(fix.tick), GPS, place, fix)
-            self._put("/gps/fix", obs.tick, fix.tick, message)
+            antenna = geodetic(self._origin, fix.position_world)
+            message = ros.fix_message(self._ns(fix.tick), GPS, antenna, fix)
+            self._bag.put("/gps/fix", arrival_ns, message)
         for air in obs.barometer:
             message = ros.pressure_message(self._ns(air.tick), BODY, air.pressure_pa)
-            self._put("/imu/pressure", obs.tick, air.tick, message)
+            self._bag.put("/imu/pressure", arrival_ns, message)
         for north in obs.magnetometer:
-            message = ros.field_message(self._ns(north.tick), BODY, north.field_body_ut)
-            self._put("/imu/mag", obs.tick, north.tick, message)
+            stamp = self._ns(north.tick)
+            message = ros.magnetic_field_message(stamp, BODY, north.field_body_ut)
+            self._bag.put("/imu/mag", arrival_ns, message)
         for echo in obs.rangefinder:
             if echo.range_m > 0.0:
                 at = np.array([echo.range_m, 0.0, 0.0])
                 message = ros.point_message(self._ns(echo.tick), RANGEFINDER, at)
-                self._put("/rangefinder/point", obs.tick, echo.tick, message)
-
-    def _put(self, topic: str, arrival_tick: int, measured_tick: int, data: bytes) -> None:
-        self._bag.put(topic, self._ns(arrival_tick), self._ns(measured_tick), data)
+                self._bag.put("/rangefinder/point", arrival_ns, message)
 
     def _ns(self, tick: int) -> int:
-        return tick_ns(tick, self._rig.tick_hz)
+        return ros.tick_ns(tick, self._rig.tick_hz)
+
+
+def geodetic(origin: GeodeticPoint, local: Array) -> Array:
+    """(3,) latitude, longitude (degrees) and height (m) on WGS 84 of ``local``, (3,) metres east,
+    north and up of ``origin``."""
+    return np.array(pymap3d.enu2geodetic(*local.tolist(), *origin))
 
 
 def mounts(rig: SensorRig, sensed: SensorNeeds) -> dict[str, Pose]:
-    """``body_from_sensor`` of what was sensed, by frame."""
+    """``body_from_sensor`` of the sensors in use, by frame."""
     level = np.eye(3)
     nav = rig.nav
     table = (
@@ -190,9 +249,9 @@ def mounts(rig: SensorRig, sensed: SensorNeeds) -> dict[str, Pose]:
 # ------------------------------------------------------------------------------------- trajectories
 
 
-def _trajectories(flown: FlownRun, options: ExportOptions, bag: RosBag) -> Iterator[float]:
-    """Puts odometry, true and believed, and moving transforms into the bag, row by row. Yields the
-    time of the row that comes next, before it is put there."""
+def _trajectories(flown: FlownRun, options: ExportOptions, bag: Bag) -> Iterator[float]:
+    """Writes true and estimated odometry and the moving transforms to the bag, row by row. Yields
+    the time of each row before it is written."""
     chosen = with_neighbours(tum_rows(flown.file(f"{options.poses}.tum")))
     truth = with_neighbours(tum_rows(flown.file("truth.tum")))
     drift = _Drift(flown, options.poses)
@@ -202,33 +261,36 @@ def _trajectories(flown: FlownRun, options: ExportOptions, bag: RosBag) -> Itera
         time_s = min(times)
         yield time_s
         stamp = round(1e9 * time_s)
-        links: list[tuple[str, str, Pose]] = []
+        links: list[Link] = []
         if here is not None and here[1][0] == time_s:
             local = [(at, drift.odom_from_body(at, pose)) for at, pose in here]
-            _put_odometry(bag, "/odom", stamp, (ODOM, BODY), local)
+            odom_from_body = Link(ODOM, BODY, local[1][1])
+            _put_odometry(bag, "/odom", stamp, odom_from_body, local)
             map_from_odom = here[1][1] @ local[1][1].inverse()
-            links += [(MAP, ODOM, map_from_odom)] if options.tf == "all" else []
-            links.append((ODOM, BODY, local[1][1]))
+            links += [Link(MAP, ODOM, map_from_odom)] if options.tf == "all" else []
+            links.append(odom_from_body)
             here = next(chosen, None)
         if true is not None and true[1][0] == time_s:
-            _put_odometry(bag, "/ground_truth/odom", stamp, (MAP, TRUE_BODY), list(true))
-            links.append((MAP, TRUE_BODY, true[1][1]))
+            map_from_body = Link(MAP, TRUE_BODY, true[1][1])
+            _put_odometry(bag, "/ground_truth/odom", stamp, map_from_body, list(true))
+            links.append(map_from_body)
             true = next(truth, None)
         if options.tf != "none":
-            bag.put("/tf", stamp, stamp, ros.transforms_message(stamp, links))
+            bag.put("/tf", stamp, ros.transforms_message(stamp, links))
 
 
 class _Drift:
-    """What the estimator, closing loops, moved the odometry's frame by, where a run tells."""
+    """Correction of the odometry frame by loop closures, where the run records it."""
 
     def __init__(self, flown: FlownRun, poses: str) -> None:
         file = flown.path / "odometry.tum"
-        told = poses == "estimate" and file.is_file()
-        self._odometry = PosesAt(tum_rows(file)) if told else None
+        recorded = poses == "estimate" and file.is_file()
+        self._odometry = PosesAt(tum_rows(file)) if recorded else None
         self._known: dict[float, Pose] = {}
 
     def odom_from_body(self, time_s: float, map_from_body: Pose) -> Pose:
-        """At a row of the trajectory or a neighbour of it; the same as in the map where unknown."""
+        """Pose in the odometry frame at a row of the trajectory or a neighbour of it;
+        ``map_from_body`` where it is unknown."""
         if self._odometry is None:
             return map_from_body
         if time_s not in self._known:
@@ -240,18 +302,13 @@ class _Drift:
 
 
 def _put_odometry(
-    bag: RosBag,
-    topic: str,
-    stamp: int,
-    frames: tuple[str, str],
-    rows: list[tuple[float, Pose]],
+    bag: Bag, topic: str, stamp: int, link: Link, rows: list[tuple[float, Pose]]
 ) -> None:
-    """``rows``: the present one between its neighbours, which give its velocity."""
+    """Writes ``link`` with the velocity between its neighbours; ``rows``: before, here, after."""
     (before_s, before), (_, here), (after_s, after) = rows
     span = after_s - before_s
     velocity = rate = np.zeros(3)
     if span > 0.0:
         velocity = here.rotation.T @ (after.translation - before.translation) / span
         rate = so3_log(before.rotation.T @ after.rotation) / span
-    message = more.odometry_message(stamp, *frames, here, velocity, rate)
-    bag.put(topic, stamp, stamp, message)
+    bag.put(topic, stamp, ros.odometry_message(stamp, link, velocity, rate))

@@ -1,7 +1,11 @@
-"""Writes a finished run in another format."""
+"""Export of a finished run in another format."""
 
 from __future__ import annotations
 
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from touchdown.experiments.errors import UsageError
@@ -23,27 +27,46 @@ _OWN_FILES = (
 
 
 def export(run: Path, kind: str, out: Path | None, options: ExportOptions) -> Exported:
-    """Writes ``run`` as one file of format ``kind``, at once or not at all; an earlier export of
-    that name is replaced.
+    """Writes ``run`` as one file of format ``kind`` (mcap: one rosbag2 folder), whole or not at
+    all; an earlier export of that name is replaced.
 
-    ``out``: by default beside the run directory. Raises UsageError before anything is written for
-    what is no run, or lacks what the format needs, and for an ``out`` that is something else.
+    ``out``: by default beside the run directory. Raises UsageError before anything is written if
+    ``run`` is no run directory or lacks what the format needs, or if ``out`` is something else.
     """
     flown = open_flown(run)
     if out is None:
         named = run if run.name not in ("", "..") else run.resolve()
-        which = f"-{options.poses}" if kind == "tum" else ""
-        out = named.with_name(f"{named.name}{which}.{kind}")
+        ending = {"mcap": "-bag", "tum": f"-{options.poses}.tum"}.get(kind, f".{kind}")
+        out = named.with_name(f"{named.name}{ending}")
     check_out_file(out, kind, run)
     _check_inputs(flown, kind, options)
     try:
-        with whole_file(out) as partial:
+        with whole_folder(out) if kind == "mcap" else whole_file(out) as partial:
             done = _write(flown, kind, partial, options)
     except OSError as error:
         raise UsageError(f"--out {out}: cannot be written: {error.strerror or error}") from error
     done.out = out
-    done.facts["bytes"] = out.stat().st_size
+    done.facts["bytes"] = sum(file.stat().st_size for file in _files(out))
     return done
+
+
+@contextmanager
+def whole_folder(out: Path) -> Iterator[Path]:
+    """Yields the path of a folder to make, which becomes ``out``, in place of an earlier one, when
+    the context ends without an error. Its last part is the name of ``out``."""
+    partial = out.with_name(f".{out.name}.partial-{os.getpid()}")
+    partial.mkdir(parents=True)
+    try:
+        yield partial / out.name
+        if out.exists():
+            shutil.rmtree(out)
+        os.replace(partial / out.name, out)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _files(path: Path) -> list[Path]:
+    return [path] if path.is_file() else sorted(path.iterdir())
 
 
 def _check_inputs(flown: FlownRun, kind: str, options: ExportOptions) -> None:
@@ -72,24 +95,26 @@ def _write(flown: FlownRun, kind: str, path: Path, options: ExportOptions) -> Ex
 
 def check_out_file(out: Path, kind: str, run: Path) -> None:
     """Raises UsageError unless ``out`` is new or an earlier export of that kind."""
-    if out.is_dir():
-        raise UsageError(f"--out {out}: is a directory; name a file")
     if out.name in _OWN_FILES and out.resolve().parent == run.resolve():
         raise UsageError(f"--out {out}: is a file of the run itself; name another file")
+    if kind == "mcap" and out.is_file():
+        raise UsageError(f"--out {out}: is a file; a bag is a folder")
+    if kind != "mcap" and out.is_dir():
+        raise UsageError(f"--out {out}: is a directory; name a file")
     if out.exists() and not _is_export(out, kind):
         raise UsageError(
-            f"--out {out}: holds something that is no earlier export; name another file"
+            f"--out {out}: holds something that is no earlier export; choose another name"
         )
 
 
 def _is_export(path: Path, kind: str) -> bool:
     try:
+        if kind == "mcap":
+            return not any(path.iterdir()) or _is_our_bag(path)
         with path.open("rb") as file:
             head = file.read(400)
     except OSError as error:
         raise UsageError(f"--out {path}: cannot be read: {error.strerror}") from error
-    if kind == "mcap":
-        return head.startswith(b"\x89MCAP") and LIBRARY.encode() in head
     if kind == "ply":
         return head.startswith(b"ply\n") and f"comment {LIBRARY}".encode() in head
     if kind == "csv":
@@ -98,3 +123,11 @@ def _is_export(path: Path, kind: str) -> bool:
         return len([float(word) for word in head.partition(b"\n")[0].split()]) == 8
     except ValueError:
         return False
+
+
+def _is_our_bag(folder: Path) -> bool:
+    from touchdown.experiments.export.ros2_bag import WRITTEN_BY
+
+    metadata = folder / "metadata.yaml"
+    text = metadata.read_text(encoding="utf-8") if metadata.is_file() else ""
+    return f"{WRITTEN_BY}: {LIBRARY}" in text

@@ -1,4 +1,4 @@
-"""Flights in the formats of other tools: what is common to all formats, and TUM and CSV tables."""
+"""Trajectories and tables of a flight: TUM and CSV."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ _COLUMNS = (
 
 
 def write_csv(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:
-    """A row for each of truth.tum: time, phase, whether it is judged, true and believed pose, where
-    the vehicle should have been, the error of the estimate (world axes) and the deviation from
-    the reference. Cells without a value are empty."""
+    """A row for each of truth.tum: time, phase, ``judged``, true and estimated pose, reference
+    position, error of the estimate (world axes) and deviation from the reference. Cells without a
+    value are empty."""
     first_s, end_s = flown.span_s()
-    flown.wanted_s(options.judged)  # refuses what would be an empty table
+    flown.wanted_s(options.judged)  # refuses an empty table
     truth = tum_rows(flown.file("truth.tum"))
     others = [_at_times(flown, name) for name in ("estimate", "reference")]
     phase = _Phases(flown.result)
@@ -65,25 +65,25 @@ def write_csv(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:
                 judged = first_s <= time_s < end_s
                 if options.judged and not judged:
                     continue
-                believed, reference = (other.at(time_s) for other in others)
+                estimated, reference = (other.at(time_s) for other in others)
                 head = (f"{time_s:.9f}", phase.at(time_s), str(judged))
-                _line(file, (*head, *_cells(true, believed, reference)))
+                _line(file, (*head, *_cells(true, estimated, reference)))
                 count += 1
         except ValueError as error:
             raise UsageError(str(error)) from error
     return Exported(path, {"rows": count})
 
 
-def _cells(true: Pose, believed: Pose | None, reference: Pose | None) -> Iterator[str]:
+def _cells(true: Pose, estimated: Pose | None, reference: Pose | None) -> Iterator[str]:
     nothing = np.full(8, np.nan)
     yield from _numbers(_pose_cells(true))
-    yield from _numbers(nothing if believed is None else _pose_cells(believed))
+    yield from _numbers(nothing if estimated is None else _pose_cells(estimated))
     yield from _numbers(nothing[:3] if reference is None else reference.translation)
-    if believed is None:
+    if estimated is None:
         yield from _numbers(nothing[:5])
     else:
-        error = believed.translation - true.translation
-        turn = yaw_from_rotation(believed.rotation) - yaw_from_rotation(true.rotation)
+        error = estimated.translation - true.translation
+        turn = yaw_from_rotation(estimated.rotation) - yaw_from_rotation(true.rotation)
         size = float(np.linalg.norm(error))
         yield from _numbers([*error, size, np.degrees(wrap_angle(turn))])
     away = np.nan if reference is None else np.linalg.norm(reference.translation - true.translation)
@@ -105,7 +105,7 @@ def _line(file: TextIO, cells: Iterable[str]) -> None:
 
 
 class PosesAt:
-    """The rows of a trajectory at ascending times; None where it has no row."""
+    """Rows of a trajectory at ascending times; None where it has no row."""
 
     def __init__(self, rows: Iterator[tuple[float, Pose]]) -> None:
         self._rows = rows
@@ -125,7 +125,7 @@ def _at_times(flown: FlownRun, name: str) -> PosesAt:
 
 
 class _Phases:
-    """The phase of a flight by time; empty for runs whose results do not tell."""
+    """Phase of a flight by time; empty for runs whose results do not record it."""
 
     def __init__(self, result: dict[str, Any]) -> None:
         self._rest = iter([(p["time_s"], p["phase"]) for p in result.get("phases") or []])
@@ -133,7 +133,7 @@ class _Phases:
         self._now = ""
 
     def at(self, time_s: float) -> str:
-        """Of times that ascend."""
+        """Phase at a time; times must ascend."""
         while self._next is not None and self._next[0] <= time_s + SAME_TIME_S:
             self._now, self._next = self._next[1], next(self._rest, None)
         return self._now
@@ -142,7 +142,7 @@ class _Phases:
 def with_neighbours(
     rows: Iterator[tuple[float, Pose]],
 ) -> Iterator[tuple[tuple[float, Pose], tuple[float, Pose], tuple[float, Pose]]]:
-    """Each row between its neighbours; the first and the last are their own."""
+    """Each row between its neighbours; first and last row are their own neighbours."""
     before = here = next(rows, None)
     if here is None or before is None:
         return

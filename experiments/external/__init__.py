@@ -1,1 +1,1 @@
-"""Estimators of users: loading, wrapping, conformance checks."""
+"""External estimators: loading, wrapping, conformance checks."""

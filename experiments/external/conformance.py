@@ -1,7 +1,7 @@
-"""The contract of an estimator, checked from outside: what a flight will count on.
+"""Conformance check of an estimator against the rules that a flight relies on.
 
-`check_estimator` runs an estimator over a few seconds of sensor messages, made up or logged, and
-tells every rule that it breaks and why. No flight and no simulator are needed.
+`check_estimator` runs an estimator over a few seconds of synthetic or logged sensor messages and
+returns every rule that it breaks, with the reason. It needs no flight and no simulator.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import Estimate, Estimator
 from touchdown.experiments.external.conformance_motion import MotionCheck
 from touchdown.experiments.external.estimate_checks import (
+    describe_error,
     meaningless,
     no_number,
     not_finite,
-    told,
     wrong_estimator,
     wrong_shape,
 )
@@ -47,26 +47,27 @@ RULES = {
     "motion": "velocity_odom and angular_velocity_body are those of odom_from_body",
     "missing data": "a second without scans, or without images, is survived",
 }
-"""What is checked, by name."""
+"""Checked rules by name."""
 
 START_DISTANCE_M, START_ANGLE_DEG = 5.0, 20.0
-"""from the take-off pose: what a receiver's first fix may be off, not what a mistaken frame is"""
+"""Limits of the first estimate to the take-off pose: above the error of a first GPS fix, below that
+of a mistaken frame."""
 JUMP_M, JUMP_DEG = 0.5, 10.0
-"""of ``odom_from_body`` between two control steps, beyond what its own velocity explains"""
+"""Limits of ``odom_from_body`` between two control steps, beyond the motion by its own velocity."""
 TURN_RAD = 0.5
-"""of the made-up flight: without it degrees could not be told from radians"""
+"""Turn of the synthetic flight, which distinguishes degrees from radians."""
 _GAP = (0.4, 0.75)
 """share of the stream between which data is missing"""
 
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """A broken rule, a key of `RULES`, and how it was seen."""
+    """Broken rule, a key of `RULES`, and the evidence."""
 
     rule: str
     reason: str
     trace: str = field(default="", compare=False)
-    """the traceback of what was raised, where that is how it was seen"""
+    """traceback of the exception, if one was raised"""
 
     def __str__(self) -> str:
         return f"{self.rule}: {self.reason}"
@@ -80,14 +81,15 @@ def check_estimator(
     params: dict[str, Any] | None = None,
     seconds: float = 3.0,
 ) -> list[Violation]:
-    """The first violation of every rule that ``build``'s estimator breaks; an empty list is a pass.
+    """Returns the first violation of every rule that the estimator of ``build`` breaks; an empty
+    list is a pass.
 
-    Without ``observations``, ``seconds`` of made-up messages are used, with all that the estimator
-    says it needs; with them, ``rig`` must be what they were taken with. The estimator is built and
-    run up to four times.
+    Without ``observations``, ``seconds`` of synthetic messages are used, with all that the
+    estimator needs; with them, ``rig`` must be the rig that recorded them. The estimator is built
+    and run up to four times.
     """
     if observations is not None and rig is None:
-        raise ValueError("observations need the rig that they were taken with")
+        raise ValueError("observations need the rig that recorded them")
     rig = rig or synthetic_rig()
     check = _Check(build, rig, params or {})
     estimator = check.built()
@@ -128,8 +130,8 @@ class _Check:
             return None
         try:
             estimator = self._build(copy.deepcopy(self._params), self._rig)
-        except Exception as error:  # whatever it is, the author wants to read it
-            self._note("builds", f"build raised {told(error)}", _trace(error))
+        except Exception as error:  # any error is reported to the author
+            self._note("builds", f"build raised {describe_error(error)}", _trace(error))
             return None
         reason = wrong_estimator(estimator, self._rig)
         if reason:
@@ -140,7 +142,7 @@ class _Check:
         return estimator
 
     def run(self, estimator: Estimator, stream: Sequence[Observation]) -> list[bytes]:
-        """One pass with every rule of a single pass; digests of the estimates."""
+        """Checks all rules of a single pass; returns digests of the estimates."""
         digests: list[bytes] = []
         previous: tuple[Observation, Estimate] | None = None
         rig_before, motion = _digest(self._rig), MotionCheck()
@@ -156,7 +158,7 @@ class _Check:
                 motion.add(estimate)
             previous = (obs, estimate)
             digests.append(_digest(estimate))
-            if len(kept) > 200:  # a second: whoever writes later than that is not caught
+            if len(kept) > 200:  # one second: later writes are not detected
                 self._compare(kept.pop(0), obs.time_s)
         for pair in kept:
             self._compare(pair, pair[0].time_s)
@@ -171,7 +173,7 @@ class _Check:
         try:
             estimate = estimator.update(obs)
         except Exception as error:
-            reason = f"at {obs.time_s:.3f} s update raised {told(error)}"
+            reason = f"at {obs.time_s:.3f} s update raised {describe_error(error)}"
             self._note("answers", reason, _trace(error))
             return None
         if not isinstance(estimate, Estimate):
@@ -230,7 +232,7 @@ class _Check:
         start = self._rig.world_from_body_start
         distance, angle_deg = _between(start, estimate.world_from_body)
         if distance > START_DISTANCE_M:
-            self._note("frames", f"the first estimate is {distance:.1f} m from the take-off place")
+            self._note("frames", f"the first estimate is {distance:.1f} m from the take-off point")
         elif angle_deg > START_ANGLE_DEG:
             self._note(
                 "frames",
@@ -256,7 +258,8 @@ class _Check:
     # ------------------------------------------------------------------------ more passes
 
     def repeat(self, stream: Sequence[Observation], first: list[bytes]) -> None:
-        """A second estimator over the same messages, while others draw random numbers too."""
+        """Runs a second estimator over the same messages with another state of the global random
+        stream, and compares."""
         estimator = self.built()
         if estimator is None:
             return
@@ -275,7 +278,7 @@ class _Check:
             np.random.set_state(state)  # noqa: NPY002
 
     def without(self, field: str, stream: Sequence[Observation]) -> None:
-        """A pass in the middle of which ``field`` of the observations is empty."""
+        """Runs a pass in the middle of which ``field`` of the observations is empty."""
         estimator = self.built()
         if estimator is None:
             return
@@ -285,7 +288,8 @@ class _Check:
             except Exception as error:
                 self._note(
                     "missing data",
-                    f"without {field}, at {obs.time_s:.3f} s, update raised {told(error)}",
+                    f"without {field}, at {obs.time_s:.3f} s, update raised "
+                    f"{describe_error(error)}",
                     _trace(error),
                 )
                 return
@@ -313,7 +317,7 @@ def _with_gap(field: str, stream: Sequence[Observation]) -> Iterator[Observation
 
 
 def _between(first: Pose, second: Pose) -> tuple[float, float]:
-    """Metres and degrees."""
+    """Distance in metres and angle in degrees."""
     distance = float(np.linalg.norm(second.translation - first.translation))
     angle = float(np.linalg.norm(so3_log(first.rotation.T @ second.rotation)))
     return distance, float(np.degrees(angle))
@@ -326,10 +330,12 @@ def _trace(error: Exception) -> str:
 
 
 def _not_finite(estimate: Estimate) -> str:
-    """The name of the first part that is not finite, or nothing."""
-    told_too = ((f"diagnostics['{name}']", value) for name, value in estimate.diagnostics.items())
+    """Name of the first part that is not finite, or an empty string."""
+    diagnostics = (
+        (f"diagnostics['{name}']", value) for name, value in estimate.diagnostics.items()
+    )
     return not_finite(estimate) or next(
-        (name for name, value in told_too if not np.all(np.isfinite(value))), ""
+        (name for name, value in diagnostics if not np.all(np.isfinite(value))), ""
     )
 
 
@@ -342,7 +348,7 @@ def _digests(obs: Observation) -> list[tuple[str, bytes]]:
 
 
 def _digest(value: Any) -> bytes:
-    """Equal for values that are equal to the bit."""
+    """Bytes that are equal for values that are equal to the bit."""
     return b"".join(_pieces(value))
 
 

@@ -1,7 +1,7 @@
-"""Whether an estimator's velocities are those of its own poses: units, signs, frames.
+"""Check that an estimator's velocities match its own poses in unit, sign and frame.
 
-Corrections move a pose without any velocity, so that a single one proves nothing: over most seconds
-in which something moves, velocity and motion must agree.
+Corrections move a pose without a velocity, so that one disagreement proves nothing: velocity and
+motion must agree in most seconds with motion.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ _STRIDE_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class _Limits:
-    """A window counts where pose or velocity says ``least``; they agree within ``floor`` and
-    ``share`` of the larger."""
+    """Limits of a window. It counts if pose or velocity gives at least ``least``; the two agree
+    within ``floor`` plus ``share`` of the larger."""
 
     least: float
     floor: float
@@ -37,7 +37,7 @@ _ATTITUDE = _Limits(least=np.deg2rad(10.0), floor=np.deg2rad(5.0), share=0.25)
 
 
 class MotionCheck:
-    """Collects estimates, one a control step, whose shapes and numbers are right."""
+    """Collects estimates of valid shapes and numbers, one per control step."""
 
     def __init__(self) -> None:
         self._times: list[float] = []
@@ -45,14 +45,14 @@ class MotionCheck:
         self._last: Estimate | None = None
 
     def add(self, estimate: Estimate) -> None:
-        """Notes the steps (12,) of position and attitude, and what the velocities make of them."""
+        """Stores the steps (12,) of position and attitude, and the summed velocities."""
         last, self._last = self._last, estimate
         if last is None:
             return
         step_s = estimate.time_s - last.time_s
         before, now = last.odom_from_body, estimate.odom_from_body
         velocity = 0.5 * (last.velocity_odom + estimate.velocity_odom)
-        # Small turns in the body's frame add up, whatever the whole turn is.
+        # Small turns in the body frame add up for any total turn.
         turn = so3_log(before.rotation.T @ now.rotation)
         rates = estimate.angular_velocity_body
         moved = now.translation - before.translation
@@ -60,7 +60,7 @@ class MotionCheck:
         self._rows.append(np.concatenate([moved, velocity * step_s, turn, rates * step_s]))
 
     def reason(self) -> str:
-        """What does not agree, or nothing; nothing, too, of less than a second."""
+        """Disagreement in one line; empty if there is none or less than a second of data."""
         if not self._times or self._times[-1] - self._times[0] < WINDOW_S:
             return ""
         times = np.array(self._times)
@@ -70,31 +70,33 @@ class MotionCheck:
         windows = sums[np.searchsorted(times, starts + WINDOW_S)] - sums[first]
         found = _disagreement(windows[:, :3], windows[:, 3:6], _POSITION)
         if found is not None:
-            moved, said = windows[found, :3], windows[found, 3:6]
+            moved, summed = windows[found, :3], windows[found, 3:6]
             return (
-                f"in the second from {starts[found]:.1f} s odom_from_body moved by {_told(moved)} "
-                f"m, but velocity_odom adds up to {_told(said)} m; it is in m/s, in the odom frame"
+                f"in the second from {starts[found]:.1f} s odom_from_body moved by {_text(moved)} "
+                f"m, but velocity_odom adds up to {_text(summed)} m; it is in m/s, "
+                "in the odom frame"
             )
         found = _disagreement(windows[:, 6:9], windows[:, 9:], _ATTITUDE)
         if found is not None:
-            turned, said = np.rad2deg(windows[found, 6:9]), np.rad2deg(windows[found, 9:])
+            turned, summed = np.rad2deg(windows[found, 6:9]), np.rad2deg(windows[found, 9:])
             return (
                 f"in the second from {starts[found]:.1f} s odom_from_body turned by "
-                f"{_told(turned)} degrees, but angular_velocity_body adds up to {_told(said)} "
+                f"{_text(turned)} degrees, but angular_velocity_body adds up to {_text(summed)} "
                 "degrees; it is in rad/s, in the body frame"
             )
         return ""
 
 
-def _disagreement(moved: Array, said: Array, limits: _Limits) -> int | None:
-    """The worst of (N, 3) and (N, 3) where most that count disagree, else None."""
-    larger = np.maximum(np.linalg.norm(moved, axis=1), np.linalg.norm(said, axis=1))
-    off = np.linalg.norm(moved - said, axis=1) - limits.floor - limits.share * larger
+def _disagreement(moved: Array, summed: Array, limits: _Limits) -> int | None:
+    """Index of the largest difference of (N, 3) and (N, 3) if most windows that count disagree,
+    else None."""
+    larger = np.maximum(np.linalg.norm(moved, axis=1), np.linalg.norm(summed, axis=1))
+    off = np.linalg.norm(moved - summed, axis=1) - limits.floor - limits.share * larger
     counts = larger > limits.least
     if not counts.any() or np.mean(off[counts] > 0.0) <= 0.5:
         return None
     return int(np.argmax(np.where(counts, off, -np.inf)))
 
 
-def _told(vector: Array) -> str:
+def _text(vector: Array) -> str:
     return "(" + ", ".join(f"{value:.2f}" for value in vector) + ")"

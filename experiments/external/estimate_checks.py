@@ -1,7 +1,7 @@
-"""What makes an estimator, and an estimate, such that a flight can begin and go on.
+"""Checks of estimators and estimates that a flight depends on.
 
-Each function returns what is wrong in words, or an empty string. Those of a single estimate are
-cheap enough for every control step.
+Each function returns the defect as text, or an empty string. Those of a single estimate are cheap
+enough for every control step.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ SHAPES = {
 
 
 def wrong_estimator(estimator: Any, rig: SensorRig) -> str:
-    """What keeps ``estimator`` from flying, before its first update."""
+    """Defect of ``estimator`` that can be found before its first update."""
     kind = type(estimator).__name__
     try:
         needs = getattr(estimator, "needs", None)
-    except Exception as error:  # whatever a property raises
-        return f"'needs' of the estimator raised {told(error)}"
+    except Exception as error:  # a property may raise anything
+        return f"'needs' of the estimator raised {describe_error(error)}"
     if needs is None:
         return f"the estimator, a {kind}, has no SensorNeeds in an attribute 'needs'"
     if not isinstance(needs, SensorNeeds):
@@ -48,8 +48,8 @@ def wrong_estimator(estimator: Any, rig: SensorRig) -> str:
     return ""
 
 
-def told(error: BaseException) -> str:
-    """An exception in one line."""
+def describe_error(error: BaseException) -> str:
+    """Exception as one line of text."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
@@ -58,7 +58,7 @@ def told(error: BaseException) -> str:
 
 
 def wrong_shape(estimate: Estimate) -> str:
-    """What is wrong with the form of an estimate."""
+    """Defect in the shapes and types of an estimate."""
     for name, pose in _poses(estimate):
         if not isinstance(pose, Pose):
             return f"{name} is no Pose"
@@ -83,8 +83,7 @@ def wrong_shape(estimate: Estimate) -> str:
 
 
 def not_finite(estimate: Estimate) -> str:
-    """The name of the first part that is not finite; diagnostics are left out. The shapes must be
-    right."""
+    """Name of the first part that is not finite, without diagnostics. The shapes must be valid."""
     for name, value, _ in _arrays(estimate):
         if not np.isfinite(value).all():
             return name
@@ -97,7 +96,7 @@ def not_finite(estimate: Estimate) -> str:
 
 
 def wrong_estimate(estimate: Any) -> str:
-    """What a flight cannot go on with, as in "at 1 s update returned ..."."""
+    """Defect that ends a flight, as in "at 1 s update returned ..."."""
     if not isinstance(estimate, Estimate):
         return f"{type(estimate).__name__}, not Estimate"
     reason = wrong_shape(estimate) or no_number(estimate)
@@ -115,18 +114,18 @@ def wrong_estimate(estimate: Any) -> str:
 
 _IDENTITY = np.eye(3)
 _ROTATION_OFF = 1e-2
-"""from orthonormal: more than anybody's rounding, less than a mistake"""
+"""Limit of the deviation from orthonormal: above rounding, below a mistake."""
 
 
 def no_number(estimate: Estimate) -> str:
-    """What is no number, or no text, of what is recorded beside the arrays."""
+    """Defect in the time, the diagnostics or the events."""
     try:
         if not math.isfinite(estimate.time_s):
             return "time_s is not finite"
         for value in estimate.diagnostics.values():
             float(value)
     except (TypeError, ValueError, AttributeError):
-        return "time_s or diagnostics holds what is no number"
+        return "time_s or diagnostics holds a value that is no number"
     if not isinstance(estimate.events, tuple | list):
         return f"events is {type(estimate.events).__name__}, not a tuple of texts"
     return ""
@@ -140,7 +139,7 @@ def _poses(estimate: Estimate) -> tuple[tuple[str, Pose], tuple[str, Pose]]:
 
 
 def _arrays(estimate: Estimate) -> Iterator[tuple[str, Any, tuple[int, ...]]]:
-    """(name, value, shape); of poses that are such."""
+    """(name, value, shape) of the arrays; the poses must be of type Pose."""
     for name, pose in _poses(estimate):
         yield f"{name}.rotation", pose.rotation, (3, 3)
         yield f"{name}.translation", pose.translation, (3,)
@@ -149,7 +148,7 @@ def _arrays(estimate: Estimate) -> Iterator[tuple[str, Any, tuple[int, ...]]]:
 
 
 def meaningless(estimate: Estimate) -> str:
-    """What is no rotation or no covariance, of the right shape."""
+    """Name of an invalid rotation, covariance or track, of valid shape, with its defect."""
     for name, pose in _poses(estimate):
         off = float(np.abs(pose.rotation @ pose.rotation.T - np.eye(3)).max())
         if off > 1e-6 or np.linalg.det(pose.rotation) < 0.0:

@@ -1,6 +1,6 @@
-"""Estimators that somebody brings: from MODULE:FUNCTION to the function, and the code behind it.
+"""External estimators: loading of MODULE:FUNCTION and identification of its code.
 
-Where a name leads nowhere, one line says what is missing and what to do about it.
+For a name that cannot be loaded, one line states what is missing and the remedy.
 """
 
 from __future__ import annotations
@@ -21,26 +21,25 @@ from weakref import WeakKeyDictionary
 
 from touchdown.estimator.api import Estimator
 from touchdown.experiments.errors import UsageError, nearest
-from touchdown.experiments.external.estimate_checks import told
+from touchdown.experiments.external.estimate_checks import describe_error
 from touchdown.sim.api import SensorRig
 
 Build = Callable[[dict[str, Any], SensorRig], Estimator]
 
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 _AT_IMPORT: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()
-"""Hashes of the code behind modules, when they were imported."""
+"""Hashes of the code of modules at their import."""
 
 
 def is_external(name: str) -> bool:
-    """Whether an estimator's name is MODULE:FUNCTION."""
+    """True if an estimator's name is MODULE:FUNCTION."""
     return ":" in name
 
 
 def external_builder(name: str) -> Build:
-    """``my_lab.vio:build`` -> the function ``build`` of the module ``my_lab.vio``.
+    """Function ``build`` of the module ``my_lab.vio`` for ``my_lab.vio:build``.
 
-    Modules are also looked for in the current directory, after all other places, so that what lies
-    there hides nothing. Raises UsageError.
+    The current directory is searched last, so that it hides no installed module. Raises UsageError.
     """
     module, function = external_module(name), name.partition(":")[2]
     build: Any = getattr(module, function, None)
@@ -57,18 +56,18 @@ def external_builder(name: str) -> Build:
 
 
 def check_external(name: str) -> None:
-    """Raises UsageError unless the builder is there and takes (params, rig)."""
+    """Raises UsageError unless the builder exists and takes (params, rig)."""
     reason = wrong_signature(external_builder(name))
     if reason:
         raise UsageError(f"estimator '{name}': {reason}")
 
 
 def wrong_signature(build: Callable[..., Any]) -> str:
-    """What is wrong with the arguments that ``build`` takes, or nothing."""
+    """Defect of the signature of ``build``, or an empty string."""
     try:
         signature = inspect.signature(build)
     except (TypeError, ValueError):
-        return ""  # of a function that is not written in Python; calling it tells
+        return ""  # not written in Python: a call will show
     try:
         signature.bind({}, None)
     except TypeError:
@@ -81,7 +80,7 @@ def wrong_signature(build: Callable[..., Any]) -> str:
 
 
 def external_module(name: str) -> ModuleType:
-    """The module of MODULE:FUNCTION, imported. Raises UsageError."""
+    """Imported module of MODULE:FUNCTION. Raises UsageError."""
     if not _NAME.fullmatch(name):
         raise UsageError(
             f"estimator '{name}' is not of the form MODULE:FUNCTION, such as my_lab.vio:build"
@@ -99,7 +98,7 @@ def external_module(name: str) -> ModuleType:
     except (Exception, SystemExit) as error:
         where = location(error, module_name)
         raise UsageError(
-            f"estimator '{name}': importing {module_name} raised {told(error)}{where}"
+            f"estimator '{name}': importing {module_name} raised {describe_error(error)}{where}"
         ) from error
     if module not in _AT_IMPORT:
         _AT_IMPORT[module] = _hash(module)
@@ -107,7 +106,7 @@ def external_module(name: str) -> ModuleType:
 
 
 def _look_here() -> None:
-    """Puts the current directory at the end of where modules are looked for."""
+    """Appends the current directory to the module search path."""
     try:
         here = os.getcwd()
     except OSError:
@@ -118,7 +117,7 @@ def _look_here() -> None:
 
 
 def _missing(module_name: str, error: ModuleNotFoundError) -> str:
-    """What to tell of a module that was not found: the one that was named, or one that it wants."""
+    """Message for a missing module: the named one, or one that it imports."""
     missing, top = error.name or "", module_name.partition(".")[0]
     parent, _, last = missing.rpartition(".")
     if f"{module_name}.".startswith(f"{missing}.") and not parent:
@@ -134,11 +133,12 @@ def _missing(module_name: str, error: ModuleNotFoundError) -> str:
         where = f" ({_short(places[0])})" if places else ""
         return f"'{parent}'{where} has no module '{last}'{hint}{_hidden(top, places)}"
     what = "is not there" if missing.partition(".")[0] == top else "is not installed"
-    return f"{_importer(error) or module_name} imports {missing or told(error)}, which {what}"
+    importer = _importer(error) or module_name
+    return f"{importer} imports {missing or describe_error(error)}, which {what}"
 
 
 def _hidden(top: str, places: list[str]) -> str:
-    """A hint where a folder here has the name of a package that is found before it."""
+    """Hint for a folder here whose name is that of an installed package."""
     here = Path.cwd() / top
     if not here.is_dir() or any(Path(place).resolve().is_relative_to(here) for place in places):
         return ""
@@ -146,7 +146,7 @@ def _hidden(top: str, places: list[str]) -> str:
 
 
 def _importer(error: BaseException) -> str:
-    """The module whose import failed."""
+    """Name of the module whose import failed."""
     names = [str(frame.f_globals.get("__name__", ""))
              for frame, _ in traceback.walk_tb(error.__traceback__)]  # fmt: skip
     others = [name for name in names if not name.startswith("importlib") and name != __name__]
@@ -157,8 +157,8 @@ def _importer(error: BaseException) -> str:
 
 
 def location(error: BaseException, module_name: str) -> str:
-    """`` (my_lab/vio.py:12)``: the last line of the estimator's own code that an exception passed
-    through; nothing where there is none."""
+    """`` (my_lab/vio.py:12)``: the last line of the estimator's own code in the traceback of an
+    exception, or an empty string."""
     top, found = module_name.partition(".")[0], ""
     for frame, line in traceback.walk_tb(error.__traceback__):
         if str(frame.f_globals.get("__name__", "")).partition(".")[0] == top:
@@ -167,18 +167,18 @@ def location(error: BaseException, module_name: str) -> str:
 
 
 def flown_code(name: str) -> dict[str, str]:
-    """``estimator_sha`` of a result: twelve hexadecimal digits that name the code of an outside
-    estimator as it was imported. Of others nothing: ``git_revision`` tells theirs."""
+    """``estimator_sha`` of a result: twelve hexadecimal digits that identify the imported code of
+    an external estimator. Empty for built-in ones, whose code ``git_revision`` identifies."""
     return {"estimator_sha": _AT_IMPORT[external_module(name)]} if is_external(name) else {}
 
 
 def code_now(name: str) -> str:
-    """The same of the code as it lies there now. Raises UsageError."""
+    """``estimator_sha`` of the code in its present state on disk. Raises UsageError."""
     return _hash(external_module(name))
 
 
 def _hash(module: ModuleType) -> str:
-    """Of the module's file; of a package, of every Python file of its topmost folder too."""
+    """Hash of the module's file and, for a package, of all Python files of its topmost folder."""
     root, own = _root(module), getattr(module, "__file__", None)
     files = {Path(own)} if own else set()
     if root is not None and root.is_dir():
@@ -198,7 +198,7 @@ def _hash(module: ModuleType) -> str:
 
 
 def _root(module: ModuleType) -> Path | None:
-    """The topmost folder of the package that a module is in; None of a module by itself."""
+    """Topmost folder of a module's package; None for a module without a package."""
     top = sys.modules.get(module.__name__.partition(".")[0])
     places = [Path(place) for place in getattr(top, "__path__", ())]
     own = getattr(module, "__file__", None)
@@ -209,7 +209,7 @@ def _root(module: ModuleType) -> Path | None:
 
 
 def _short(path: str) -> str:
-    """As seen from here, where it lies below."""
+    """Path relative to the current directory, if it lies below it."""
     try:
         return Path(path).relative_to(Path.cwd()).as_posix()
     except (ValueError, OSError):

@@ -1,7 +1,7 @@
-"""A few seconds of sensor messages made up with numpy alone: a take-off over rolling ground.
+"""Synthetic sensor messages of a few seconds, by numpy alone: a take-off over rolling ground.
 
-For checks that need plausible input and no simulator. Rates, delays and mounts are those of the
-vehicle; the ground is a sum of waves, its picture a random mosaic, and the vehicle stays level.
+For checks that need plausible input without a simulator. Rates, delays and mounts are those of the
+vehicle; the ground is a sum of waves, its texture a random mosaic, and the vehicle stays level.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 CONTROL_TICKS = 3
 REST_S = 0.6
-"""on the ground before the take-off"""
+"""time on the ground before the take-off"""
 _CLIMB_M, _ASIDE_M, _CLIMB_S = 2.5, 1.0, 2.4
 _PULSES = 6000
 _TILE_M = 0.05
@@ -47,7 +47,7 @@ _SEA_LEVEL_PA, _LAPSE_PER_M, _EXPONENT = 101325.0, 2.25577e-5, 5.25588
 
 
 def synthetic_rig() -> SensorRig:
-    """A vehicle of 4 kg with downward camera and LIDAR, told without error."""
+    """Vehicle of 4 kg with downward camera and LIDAR, without calibration error."""
     down = BODY_FROM_DOWNWARD_OPTICAL
     side = 0.24
     return SensorRig(
@@ -83,9 +83,10 @@ def synthetic_rig() -> SensorRig:
 
 
 class SyntheticStream:
-    """Iterating gives the same observations every time: ``seconds`` of what ``needs`` asks for.
+    """Observations of ``seconds`` with the sensors of ``needs``, the same in every iteration.
 
-    ``turn_rad`` is what the heading changes by on the way up."""
+    ``turn_rad``: change of the heading during the climb.
+    """
 
     def __init__(
         self,
@@ -125,7 +126,7 @@ class SyntheticStream:
         return Pose(self._start.rotation @ turn, self._positions(times)[0])
 
     def _due(self, tick: int) -> list[tuple[str, int, Callable[..., Any]]]:
-        """(field, arrival tick, measuring function) of what is measured at ``tick``."""
+        """(field, arrival tick, measuring function) of the measurements at ``tick``."""
         rig, needs, nav = self._rig, self._needs, self._rig.nav
         late = rig.compute_latency_ticks
         clock_hz = rig.tick_hz // rig.camera_ticks
@@ -254,11 +255,11 @@ class SyntheticStream:
         right = rig.body_from_camera_right if self._needs.stereo else None
         return CameraImage(
             **self._time(tick),
-            rgb=self._picture(tick, rig.body_from_camera, rng),
-            right_rgb=None if right is None else self._picture(tick, right, rng),
+            rgb=self._render(tick, rig.body_from_camera, rng),
+            right_rgb=None if right is None else self._render(tick, right, rng),
         )
 
-    def _picture(self, tick: int, mount: Pose, rng: np.random.Generator) -> NDArray[np.uint8]:
+    def _render(self, tick: int, mount: Pose, rng: np.random.Generator) -> NDArray[np.uint8]:
         k = self._rig.camera
         columns, rows = np.meshgrid(np.arange(k.width), np.arange(k.height))
         rays = np.stack([(columns - k.cx) / k.fx, (rows - k.cy) / k.fy, np.ones_like(rows)], -1)

@@ -1,4 +1,4 @@
-"""An external estimator in flight: what it does wrong is told in one line, where it does it."""
+"""Wrapper of an external estimator in flight, which reports its errors in one line."""
 
 from __future__ import annotations
 
@@ -8,21 +8,26 @@ from typing import Any
 
 from touchdown.estimator.api import Estimate
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.external.estimate_checks import told, wrong_estimate, wrong_estimator
+from touchdown.experiments.external.estimate_checks import (
+    describe_error,
+    wrong_estimate,
+    wrong_estimator,
+)
 from touchdown.experiments.external.loading import external_builder, location, wrong_signature
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
 
 
 class ExternalEstimatorError(UsageError):
-    """What an estimator that somebody brings did wrong, in one line."""
+    """Error of an external estimator, in one line."""
 
 
 class ExternalEstimator:
-    """Passes observations on to the estimator that ``name``, MODULE:FUNCTION, builds of ``params``
-    and ``rig``, and looks at what it returns.
+    """Passes observations to the estimator that ``name``, MODULE:FUNCTION, builds from ``params``
+    and ``rig``, and checks its estimates.
 
-    Raises ExternalEstimatorError for whatever it raises, in building and in every update, and for
-    an estimate that a flight cannot go on with; UsageError where the function is not there."""
+    Raises ExternalEstimatorError for every exception in building or updating, and for an invalid
+    estimate; UsageError if the function does not exist.
+    """
 
     needs: SensorNeeds
 
@@ -34,8 +39,8 @@ class ExternalEstimator:
             raise self._error(reason)
         try:
             inner: Any = build(copy.deepcopy(dict(params)), rig)
-        except (Exception, SystemExit) as error:  # it is somebody else's code
-            raise self._error(f"build raised {told(error)}", error) from error
+        except (Exception, SystemExit) as error:  # external code may raise anything
+            raise self._error(f"build raised {describe_error(error)}", error) from error
         reason = wrong_estimator(inner, rig)
         if reason:
             raise self._error(reason)
@@ -43,10 +48,11 @@ class ExternalEstimator:
         self._update = inner.update
 
     def update(self, obs: Observation) -> Estimate:
+        """Estimate of the external estimator, checked."""
         try:
             estimate: Estimate = self._update(obs)
         except (Exception, SystemExit) as error:
-            what = f"at {obs.time_s:.3f} s update raised {told(error)}"
+            what = f"at {obs.time_s:.3f} s update raised {describe_error(error)}"
             raise self._error(what, error) from error
         reason = wrong_estimate(estimate)
         if reason:

@@ -50,7 +50,7 @@ class ExtrinsicPart(BaseModel):
 
 
 class CovariancePart(BaseModel):
-    """What the calibration says of its own errors."""
+    """Standard deviations and residuals that the calibration states."""
 
     model_config = _STRICT
 
@@ -81,7 +81,7 @@ class CalibrationFile(BaseModel):
     views_used: int | None = None
 
     def intrinsics(self) -> CameraIntrinsics:
-        """As an estimator is told them."""
+        """Intrinsics for the believed rig."""
         part = self.camera.model_dump(exclude={"distortion"})
         return CameraIntrinsics(**part, distortion=np.array(self.camera.distortion))
 
@@ -94,7 +94,7 @@ class CalibrationFile(BaseModel):
 
 
 def write_calibration(path: Path, result: CalibrationResult) -> None:
-    """Writes a calibration. Raises OSError where that cannot be."""
+    """Writes a calibration. Raises OSError."""
     k, pose = result.camera, result.camera_from_lidar
     content = CalibrationFile(
         camera=CameraPart(
@@ -124,7 +124,7 @@ def write_calibration(path: Path, result: CalibrationResult) -> None:
 
 
 def read_calibration(path: Path) -> CalibrationFile:
-    """Raises UsageError, one line: the file is not there or not readable, a key is missing, unknown
+    """Raises UsageError, one line: the file is missing or unreadable, a key is missing, unknown
     or of the wrong kind."""
     if not path.is_file():
         raise UsageError(

@@ -1,4 +1,8 @@
-"""Dataclasses of numbers as plain JSON and back, to the bit."""
+"""Dataclasses of numbers as plain JSON and back, equal to the bit.
+
+Not by pydantic: it has no schema for the numpy arrays of `sim.api`, whose dtype, NaN and infinity
+must survive.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +16,8 @@ import numpy as np
 
 
 def to_plain(value: Any) -> Any:
-    """Dicts, lists, numbers and text of a dataclass of such. JSON text of them keeps every float64
-    as it is; a vector of float64 becomes a list, any other array a dict that also tells dtype and
-    shape."""
+    """Dicts, lists, numbers and text of a dataclass. Their JSON text keeps every float64; a vector
+    of float64 becomes a list, any other array a dict with dtype and shape."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {name: to_plain(getattr(value, name)) for name in _names(type(value))}
     if isinstance(value, np.ndarray):
@@ -33,8 +36,8 @@ def to_plain(value: Any) -> Any:
 
 
 def from_plain(kind: Any, plain: Any) -> Any:
-    """The value of type ``kind`` that ``to_plain`` turned into ``plain``. A field that ``plain``
-    lacks takes its default. Raises TypeError or KeyError where the two do not fit."""
+    """Value of type ``kind`` from the output of ``to_plain``. A field that ``plain`` lacks gets
+    its default. Raises TypeError or KeyError if ``plain`` does not fit ``kind``."""
     if plain is None:
         return None
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
@@ -71,6 +74,6 @@ def _names(kind: type) -> tuple[str, ...]:
 
 @functools.cache
 def _hints(kind: type) -> dict[str, Any]:
-    """Resolved types of a dataclass' fields."""
+    """Resolved types of the fields of a dataclass."""
     hints = typing.get_type_hints(kind)
     return {field.name: hints[field.name] for field in dataclasses.fields(kind)}

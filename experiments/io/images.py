@@ -1,4 +1,4 @@
-"""Pictures read from files of people's own, and written."""
+"""Reading of image files of users, and writing of images."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def squared(picture: Picture, pixels: int) -> Picture:
 
 
 def write_png(path: Path, rgb: Picture) -> None:
-    """Writes (H, W, 3) RGB; the same picture gives the same bytes. Raises OSError."""
+    """Writes (H, W, 3) RGB; the same image gives the same bytes. Raises OSError."""
     done, data = cv2.imencode(".png", rgb[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6])
     if not done:
         raise OSError(f"'{path}' cannot be written")

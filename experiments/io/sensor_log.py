@@ -1,10 +1,10 @@
-"""Writes every message that reached a flight's observations to an MCAP file, to be replayed.
+"""Sensor log: writes all observations of a flight to an MCAP file, from which it is replayed.
 
-Each control step is one JSON text on ``/touchdown/observation``, which closes the step: it holds
-the small messages with every digit, and how many scans and images went before it. Scans are packed
-on ``/touchdown/scan``, pictures are PNG. The same data stands beside it as the usual ROS 2 messages
-(``/lidar/points``, ``/imu``, ``/camera/image/compressed``, ...), for other tools. A message is
-logged at the time it arrived and published at the time it was measured.
+Each control step ends with one JSON text on ``/touchdown/observation``. It holds the small messages
+with every digit, and the number of scans and images that precede it. Scans are packed on
+``/touchdown/scan``, images are PNG. The same data is stored beside it as the usual ROS 2 messages
+(``/lidar/points``, ``/imu``, ``/camera/image/compressed``, ...), for other tools. The log time of a
+message is that of its arrival, the publish time that of its measurement.
 """
 
 from __future__ import annotations
@@ -19,58 +19,43 @@ from numpy.typing import NDArray
 
 from touchdown.experiments.io import ros2_messages as ros
 from touchdown.experiments.io.dataclass_json import to_plain
-from touchdown.experiments.io.ros2_bag import RosBag, tick_ns
+from touchdown.experiments.io.message_log import MessageLog
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 
 FILE_NAME = "sensors.mcap"
 """of the log in a run directory"""
 FORMAT = "1"
 METADATA = "touchdown"
-"""name of the record that tells the rig, the rates and what was sensed"""
+"""name of the record that holds the rig and what was sensed"""
 OBSERVATION_TOPIC = "/touchdown/observation"
 SCAN_TOPIC = "/touchdown/scan"
 IMAGE_TOPICS = ("/camera/image/compressed", "/camera_right/image/compressed")
 BODY, IMU, LIDAR, CAMERA, CAMERA_RIGHT = "body", "imu", "lidar", "camera", "camera_right"
 """frames of the ROS messages"""
 
-_TYPES = {
-    OBSERVATION_TOPIC: "std_msgs/msg/String",
-    SCAN_TOPIC: "std_msgs/msg/UInt8MultiArray",
-    IMAGE_TOPICS[0]: "sensor_msgs/msg/CompressedImage",
-    IMAGE_TOPICS[1]: "sensor_msgs/msg/CompressedImage",
-    "/lidar/points": "sensor_msgs/msg/PointCloud2",
-    "/imu": "sensor_msgs/msg/Imu",
-    "/gps/position": "geometry_msgs/msg/PointStamped",
-    "/pressure": "sensor_msgs/msg/FluidPressure",
-    "/magnetic_field": "sensor_msgs/msg/MagneticField",
-    "/camera/camera_info": "sensor_msgs/msg/CameraInfo",
-    "/camera_right/camera_info": "sensor_msgs/msg/CameraInfo",
-    "/tf_static": "tf2_msgs/msg/TFMessage",
-}
 _PNG = (
     (cv2.IMWRITE_PNG_COMPRESSION, 1),
     (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY),
     (cv2.IMWRITE_PNG_FILTER, 0x40),  # the mean of the left and the upper neighbour
 )
-"""sensor noise leaves nothing to repeat: a good prediction and Huffman codes take a third of the
-time of a search for repetitions, and 8 % more space"""
+"""Sensor noise does not repeat: prediction and Huffman codes take a third of the time of a search
+for repetitions, and 8 % more space."""
 
 
 class SensorLog:
     """Appends observations to ``path``; complete after ``close``. Memory does not grow with the
     flight but for the file's index (a kilobyte a second).
 
-    ``rig`` is what the estimator is told; ``sensed`` is all that was asked to be simulated,
-    ``shared`` what others than the estimator asked for.
+    ``rig``: the believed rig. ``sensed``: all data that was requested from the simulation;
+    ``shared``: the part that components other than the estimator requested.
     """
 
     def __init__(
         self, path: Path, rig: SensorRig, sensed: SensorNeeds, shared: SensorNeeds | None = None
     ) -> None:
         self._tick_hz = rig.tick_hz
-        # Checksums are left to the file system: they cost more than packing.
-        self._bag = RosBag(path, _TYPES, checksums=False)
-        self._bag.note(
+        self._log = MessageLog(path)
+        self._log.add_metadata(
             METADATA,
             {
                 "format": FORMAT,
@@ -82,7 +67,7 @@ class SensorLog:
         self._write_rig(rig, sensed)
 
     def add(self, obs: Observation) -> None:
-        """Writes what has arrived."""
+        """Appends one observation."""
         for scan in obs.scans:
             self._put(SCAN_TOPIC, obs.tick, scan.end_tick, ros.bytes_message(pack_scan(scan)))
             start_ns = self._ns(scan.start_tick)
@@ -98,13 +83,15 @@ class SensorLog:
         self._put(OBSERVATION_TOPIC, obs.tick, obs.tick, ros.text_message(text))
 
     def close(self) -> None:
-        self._bag.close()
+        """Completes the file."""
+        self._log.close()
 
     def _add_image(self, arrival: int, image: CameraImage) -> None:
         eyes = (image.rgb, image.right_rgb)
         for topic, frame, rgb in zip(IMAGE_TOPICS, (CAMERA, CAMERA_RIGHT), eyes, strict=True):
             if rgb is not None:
-                message = ros.image_message(self._ns(image.tick), frame, pack_image(rgb))
+                stamp, png = self._ns(image.tick), pack_image(rgb)
+                message = ros.compressed_image_message(stamp, frame, png)
                 self._put(topic, arrival, image.tick, message)
 
     def _add_navigation(self, obs: Observation) -> None:
@@ -115,7 +102,7 @@ class SensorLog:
             message = ros.pressure_message(self._ns(air.tick), BODY, air.pressure_pa)
             self._put("/pressure", obs.tick, air.tick, message)
         for north in obs.magnetometer:
-            message = ros.field_message(self._ns(north.tick), BODY, north.field_body_ut)
+            message = ros.magnetic_field_message(self._ns(north.tick), BODY, north.field_body_ut)
             self._put("/magnetic_field", obs.tick, north.tick, message)
 
     def _write_rig(self, rig: SensorRig, sensed: SensorNeeds) -> None:
@@ -131,15 +118,15 @@ class SensorLog:
             message = ros.camera_message(0, CAMERA_RIGHT, rig.camera, shift)
             self._put("/camera_right/camera_info", 0, 0, message)
 
-    def _put(self, topic: str, arrival_tick: int, measured_tick: int, data: bytes) -> None:
-        self._bag.put(topic, self._ns(arrival_tick), self._ns(measured_tick), data)
+    def _put(self, topic: str, arrival_tick: int, measured_tick: int, message: Any) -> None:
+        self._log.put(topic, self._ns(arrival_tick), self._ns(measured_tick), message)
 
     def _ns(self, tick: int) -> int:
-        return tick_ns(tick, self._tick_hz)
+        return ros.tick_ns(tick, self._tick_hz)
 
 
 def plain_observation(obs: Observation) -> dict[str, Any]:
-    """As JSON, but of scans and images only what is no array."""
+    """JSON values of an observation, without the arrays of scans and images."""
     plain: dict[str, Any] = {
         name: to_plain(getattr(obs, name))
         for name in type(obs).__dataclass_fields__
@@ -151,7 +138,7 @@ def plain_observation(obs: Observation) -> dict[str, Any]:
 
 
 def pack_scan(scan: LidarScan) -> bytes:
-    """The arrays of a scan as planes of bytes, most alike side by side, which compress twofold."""
+    """Arrays of a scan as planes of bytes: like bytes side by side compress twofold."""
     columns = [*scan.directions.T, scan.ranges, scan.time_offsets]
     count = np.array([len(scan.ranges)], dtype="<u4").tobytes()
     table = np.array(columns, dtype="<f4").view(np.uint8).reshape(len(columns), -1, 4)
@@ -159,10 +146,10 @@ def pack_scan(scan: LidarScan) -> bytes:
     return b"".join([count, planes.tobytes(), scan.intensity.tobytes()])
 
 
-def pack_image(rgb: NDArray[np.uint8]) -> bytes:
-    """A PNG file of (H, W, 3)."""
+def pack_image(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """PNG file, (N,) bytes, of an (H, W, 3) image."""
     options = [number for pair in _PNG for number in pair]
     done, data = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), options)
     if not done:
         raise RuntimeError(f"an image of shape {rgb.shape} cannot be packed")
-    return data.tobytes()
+    return np.asarray(data, dtype=np.uint8).ravel()

@@ -1,11 +1,10 @@
-"""Reads what `experiments.io.sensor_log` wrote: the observations of a flight, bit-equal."""
+"""Reader of sensor logs: returns the observations of a flight, equal to the bit."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
 import json
-import struct
 from collections import defaultdict, deque
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -38,37 +37,35 @@ class PackedImage:
     """One exposure at ``tick``, as PNG."""
 
     tick: int
-    png: memoryview
-    right_png: memoryview | None
+    png: NDArray[np.uint8]
+    right_png: NDArray[np.uint8] | None
 
 
 class SensorLogReader:
-    """A log at ``path``. Iterating gives its observations in order, every time from the beginning;
-    nothing but the present one is kept.
+    """A log at ``path``. Iteration returns its observations in order, each time from the beginning;
+    only the present one is kept in memory.
 
-    Raises UsageError if the file is missing, broken or none of ours.
+    Raises UsageError if the file is missing, damaged or not a sensor log.
     """
 
     rig: SensorRig
-    """as the estimator of the flight was told"""
+    """the believed rig of the flight"""
     sensed: SensorNeeds
-    """all that was simulated in the flight, hence in the log"""
+    """all sensor data that the flight simulated, hence that the log holds"""
     shared: SensorNeeds
-    """the part of it that others than the flight's estimator asked for"""
+    """the part of it that components other than the estimator requested"""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         if not path.is_file():
-            raise UsageError(
-                f"'{path}' does not exist; fly with --log-sensors to record what sensors said"
-            )
+            raise UsageError(f"'{path}' does not exist; fly with --log-sensors to record one")
         facts = self._metadata()
         if facts.get("format") != FORMAT:
             raise UsageError(
                 f"'{path}' is a sensor log of format {facts.get('format')}, not {FORMAT}; "
                 "fly again with --log-sensors"
             )
-        with _damage_told(path):
+        with _damage_reported(path):
             self.rig = from_plain(SensorRig, json.loads(facts["rig"]))
             self.sensed = from_plain(SensorNeeds, json.loads(facts["sensed"]))
             self.shared = from_plain(SensorNeeds, json.loads(facts["shared"]))
@@ -77,31 +74,31 @@ class SensorLogReader:
         return self.observations()
 
     def packed(self) -> Iterator[tuple[Observation, tuple[PackedImage, ...]]]:
-        """From the beginning; images apart, as the PNG files that they were logged as."""
+        """Observations from the beginning; images separately, as the logged PNG files."""
         arrived: defaultdict[str, deque[bytes]] = defaultdict(deque)
         left, right = (arrived[topic] for topic in IMAGE_TOPICS)
         for topic, data in self._messages():
             if topic != OBSERVATION_TOPIC:
                 arrived[topic].append(data)
                 continue
-            plain = json.loads(ros.text_of(data))
+            plain = json.loads(_text(data))
             images = tuple(
                 PackedImage(
                     tick=tick,
-                    png=ros.image_data(left.popleft()),
-                    right_png=ros.image_data(right.popleft()) if stereo else None,
+                    png=_png(left.popleft()),
+                    right_png=_png(right.popleft()) if stereo else None,
                 )
                 for tick, _time_s, stereo in plain.pop("images", [])
             )
             yield _observation(plain, arrived), images
 
     def observations(self, images: bool = True) -> Iterator[Observation]:
-        """From the beginning; without images in half the time, for who needs none."""
+        """Observations from the beginning; half the time without images."""
         arrived: defaultdict[str, deque[bytes]] = defaultdict(deque)
         for topic, data in self._messages():
             if topic == OBSERVATION_TOPIC:
-                with _damage_told(self.path):
-                    plain = json.loads(ros.text_of(data))
+                with _damage_reported(self.path):
+                    plain = json.loads(_text(data))
                     obs = _observation(plain if images else plain | {"images": []}, arrived)
                 yield obs
             elif images or topic not in IMAGE_TOPICS:
@@ -116,7 +113,7 @@ class SensorLogReader:
         raise UsageError(f"'{self.path}' is an MCAP file, but no sensor log of a flight")
 
     def _messages(self) -> Iterator[tuple[str, bytes]]:
-        """In the order of writing, which the order by time does not promise."""
+        """Topics and messages in the order of writing, which an order by time does not preserve."""
         topics: dict[int, str] = {}
         for record in self._records():
             if isinstance(record, Channel):
@@ -134,13 +131,15 @@ class SensorLogReader:
 
 
 @contextlib.contextmanager
-def _damage_told(path: Path) -> Iterator[None]:
-    """What does not fit together in a file that can be read is a UsageError, too."""
+def _damage_reported(path: Path) -> Iterator[None]:
+    """Turns errors of inconsistent content into a UsageError."""
+    from rosbags.serde import SerdeError
+
     try:
         yield
     except UsageError:
         raise
-    except (ValueError, LookupError, TypeError, struct.error) as error:
+    except (ValueError, LookupError, TypeError, SerdeError) as error:
         detail = f"{type(error).__name__}: {error}"
         raise UsageError(f"'{path}' is damaged ({detail}); fly again with --log-sensors") from error
 
@@ -155,7 +154,7 @@ def _observation(plain: dict[str, Any], arrived: defaultdict[str, deque[bytes]])
 
 
 def _scan(head: list[Any], message: bytes) -> LidarScan:
-    data = np.frombuffer(ros.bytes_of(message), dtype=np.uint8)
+    data = ros.deserialized(message, "std_msgs/msg/UInt8MultiArray").data
     count = int(data[:4].view("<u4")[0])
     planes = data[4 : 4 + 20 * count].reshape(5, 4, count)
     columns = np.ascontiguousarray(planes.transpose(0, 2, 1)).view("<f4")[..., 0]
@@ -178,21 +177,25 @@ def _image(head: list[Any], arrived: defaultdict[str, deque[bytes]]) -> CameraIm
     return CameraImage(
         tick=tick,
         time_s=time_s,
-        rgb=_picture(left.popleft()),
-        right_rgb=_picture(right.popleft()) if stereo else None,
+        rgb=unpack_image(_png(left.popleft())),
+        right_rgb=unpack_image(_png(right.popleft())) if stereo else None,
     )
 
 
-def _picture(message: bytes) -> NDArray[np.uint8]:
-    return unpack_image(ros.image_data(message))
+def _text(message: bytes) -> str:
+    return str(ros.deserialized(message, "std_msgs/msg/String").data)
 
 
-def unpack_image(png: memoryview) -> NDArray[np.uint8]:
+def _png(message: bytes) -> NDArray[np.uint8]:
+    png: NDArray[np.uint8] = ros.deserialized(message, "sensor_msgs/msg/CompressedImage").data
+    return png
+
+
+def unpack_image(png: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """(H, W, 3) RGB of a PNG file. Raises UsageError where it is none."""
-    file = np.frombuffer(png, dtype=np.uint8)
-    bgr = cv2.imdecode(file, cv2.IMREAD_COLOR)
+    bgr = cv2.imdecode(png, cv2.IMREAD_COLOR)
     if bgr is None:
-        raise UsageError("a picture in the sensor log is damaged; fly again with --log-sensors")
+        raise UsageError("an image in the sensor log is damaged; fly again with --log-sensors")
     return _frozen(np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8))
 
 

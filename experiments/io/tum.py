@@ -18,7 +18,7 @@ _BUFFERED_ROWS = 256
 
 
 class TumWriter:
-    """Appends poses to a file. Memory is fixed: rows are handed on in blocks."""
+    """Appends poses to a file. Memory is fixed: rows are written in blocks."""
 
     def __init__(self, path: Path) -> None:
         self._file: TextIO = path.open("w", encoding="ascii")
@@ -51,8 +51,8 @@ def read_tum(path: Path) -> tuple[Array, Array, Array]:
 
 
 def tum_rows(path: Path) -> Iterator[tuple[float, Pose]]:
-    """Time (s) and pose of one row after the other; nothing but the present one is kept. Raises
-    ValueError for a line that is no row."""
+    """Yields time (s) and pose of each row, with one row in memory. Raises ValueError for a line
+    that is no row."""
     with path.open(encoding="ascii") as file:
         for line in file:
             if line.isspace() or line.startswith("#"):

@@ -1,1 +1,1 @@
-"""What a flight writes while it flies."""
+"""Files that a flight writes: trajectories, the Rerun recording, map and costmap."""

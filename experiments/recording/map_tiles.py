@@ -1,4 +1,4 @@
-"""Cuts the growing map into square tiles and tells which ones are worth recording again."""
+"""Square tiles of the growing map, and the selection of those to record again."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _MIN_CELLS = 20
 
 
 class MapTiles:
-    """Remembers the number of returns and of coloured cells of each tile when last recorded."""
+    """Number of returns and of coloured cells of each tile when it was last recorded."""
 
     def __init__(self) -> None:
         self._recorded: dict[tuple[int, int], tuple[float, int]] = {}
 
     def changed(self, grid: GridMap, *, everything: bool = False) -> Iterator[tuple[slice, slice]]:
-        """Rows and columns of the tiles that gained much since they were last given out;
-        ``everything``: that gained anything at all."""
+        """Rows and columns of the tiles that have grown by `_GROWTH` since they were last returned;
+        ``everything``: of all tiles that have grown."""
         side = max(1, round(_TILE_M / grid.cell_m))
         growth = 1.0 if everything else _GROWTH
         returns = _tile_sums(grid.count, side)

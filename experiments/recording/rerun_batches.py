@@ -14,7 +14,7 @@ from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
 Array = NDArray[np.float64]
 
 _PATH_WIDTHS = {"true": 2.2, "estimated": 1.6, "reference": 1.0}
-"""In points of the screen: where paths coincide, the broader one shows as a rim."""
+"""Widths in screen points; where paths coincide, the broader one shows as a rim."""
 _MOTION_STYLE = {
     "height_m": (120, 200, 255),
     "speed_mps": (255, 200, 80),
@@ -106,7 +106,7 @@ class PathBatch:
 
 
 def log_styles(stream: rr.RecordingStream) -> None:
-    """Colours, widths and names, once."""
+    """Sends colours, widths and names once."""
     for name, colour in PATHS.items():
         style = rr.LineStrips3D.from_fields(
             colors=[colour], radii=rr.Radius.ui_points([_PATH_WIDTHS[name]])

@@ -1,4 +1,4 @@
-"""How a recording opens in the Rerun viewer."""
+"""Layout of a recording in the Rerun viewer."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def flight_blueprint(centre_xy_m: NDArray[np.float64], span_m: float) -> rrb.Blu
 
 
 def _plot(origin: str, name: str) -> rrb.TimeSeriesView:
-    """A plot of the whole flight; by itself, the viewer would follow the cursor."""
+    """Plot of the whole flight; by default the viewer follows the cursor."""
     whole = rrb.TimeRange(
         start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite()
     )

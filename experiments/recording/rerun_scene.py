@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 _VEHICLE_PREFIX = "vehicle/"
 _TERRAIN_SIDE = 257
 _GROUND_TINT = (140, 143, 155)
-"""Darkens the ground, so that what has been mapped stands out on it."""
+"""Darkens the ground, so that the map stands out on it."""
 
 
 def log_scene(stream: rr.RecordingStream, scene: Scene, texture_pixels: int) -> None:

@@ -1,4 +1,4 @@
-"""A recorded scan: its returns in the odom frame, each from the pose of its own instant."""
+"""Deskewing of a recorded scan: returns in the odom frame, each from the pose at its own time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TURBO_RGB: NDArray[np.uint8] = _TURBO_BGR.reshape(256, 3)[:, ::-1].astype(np.ui
 
 
 class OdomTrack:
-    """The newest odometry poses, for estimators that offer no track of their own."""
+    """Latest odometry poses, for estimators without a track of their own."""
 
     def __init__(self) -> None:
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=_TRACK_POSES)

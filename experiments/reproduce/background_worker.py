@@ -1,4 +1,4 @@
-"""A process beside the flights of a reproduction: it draws while they are flown, on one core."""
+"""Background process of a reproduction: it renders on one core while flights run."""
 
 from __future__ import annotations
 
@@ -21,55 +21,54 @@ from touchdown.experiments.errors import UsageError
 
 Notes = Callable[[str], None]
 
-_teller: Connection | None = None
-"""in the process beside: where it sends what it notes"""
+_sender: Connection | None = None
+"""in the background process: the end of the pipe to which it sends messages"""
 
 
-def tell(note: str) -> None:
-    """Of the process beside, to the ``notes`` of its `Beside`."""
-    assert _teller is not None
-    _teller.send(note)
+def send_note(note: str) -> None:
+    """Sends a message from the background process to the ``notes`` of its `BackgroundWorker`."""
+    assert _sender is not None
+    _sender.send(note)
 
 
-class Beside:
-    """One piece of work in a process of its own, which takes one of the slots that flights wait
-    for. Leaving the context by an error ends the process at once."""
+class BackgroundWorker:
+    """One task in a separate process, which occupies one of the slots of the flights. An error in
+    the context ends the process at once."""
 
     def __init__(self, slots: threading.Semaphore, notes: Notes) -> None:
         self._slots, self._notes = slots, notes
         self._work: Future[None] | None = None
 
-    def __enter__(self) -> Beside:
+    def __enter__(self) -> BackgroundWorker:
         return self
 
     def start(self, work: Callable[..., None], *arguments: Any) -> None:
-        """``work`` and its arguments must be picklable; it may `tell`."""
+        """Starts ``work``, which must be picklable like its arguments; it may call `send_note`."""
         fresh = multiprocessing.get_context("spawn")
-        told, teller = fresh.Pipe(duplex=False)
+        receiver, sender = fresh.Pipe(duplex=False)
         self._pool: Executor = ProcessPoolExecutor(
-            1, fresh, initializer=_begin, initargs=(os.getpid(), teller)
+            1, fresh, initializer=_begin, initargs=(os.getpid(), sender)
         )
         self._slots.acquire()
         self._work = self._pool.submit(work, *arguments)
         self._work.add_done_callback(lambda _work: self._slots.release())
-        teller.close()  # the other process has its own: when that is gone, reading ends
-        self._reader = threading.Thread(target=self._read, args=(told,), daemon=True)
+        sender.close()  # the other process has its own: reading ends with it
+        self._reader = threading.Thread(target=self._read, args=(receiver,), daemon=True)
         self._reader.start()
 
     def wait(self) -> None:
-        """Until the work is done. Raises what it raised; UsageError when its process was killed."""
+        """Waits for the end of the work. Raises its error; UsageError if its process was killed."""
         if self._work is None:
             return
         try:
             self._work.result()
         except BrokenProcessPool as error:
             raise UsageError(
-                "the process that draws beside the flights was ended from outside; the same "
-                "command goes on where it was"
+                "the background process was killed; run the same command again to continue"
             ) from error
 
     def check(self) -> None:
-        """Raises what the work raised, if it has ended."""
+        """Raises the error of the work, if it has ended with one."""
         if self._work is not None and self._work.done():
             self.wait()
 
@@ -87,17 +86,17 @@ class Beside:
         self._pool.shutdown(cancel_futures=True)
         self._reader.join()
 
-    def _read(self, told: Connection) -> None:
-        with told, contextlib.suppress(EOFError, OSError):
+    def _read(self, receiver: Connection) -> None:
+        with receiver, contextlib.suppress(EOFError, OSError):
             while True:
-                self._notes(told.recv())
+                self._notes(receiver.recv())
 
 
-def _begin(parent: int, teller: Connection) -> None:
-    """Without its parent the process is gone, and Ctrl-C is for the parent."""
-    global _teller
+def _begin(parent: int, sender: Connection) -> None:
+    """Makes the process end with its parent and ignore Ctrl-C, which the parent handles."""
+    global _sender
     die_with_parent(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # what is half-written is taken away
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # removes partial files
     os.environ.update(SINGLE_THREAD)
-    _teller = teller
+    _sender = sender

@@ -1,4 +1,4 @@
-"""How much of everything a reproduction does, whole or quick, and what its flights cost."""
+"""Extent of a reproduction, whole or quick, and the cost of its flights."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ CORE_SECONDS: Mapping[tuple[str, str], float] = {
     ("land", "paper"): 104.0,
     ("land", "livo"): 70.0,
 }
-"""of one flight on one core of the machine that this project is measured on"""
+"""CPU time of one flight on one core of the reference machine, by mode and estimator"""
 
 
 @dataclass(frozen=True, slots=True)
 class Recognition:
-    """A data set that is rendered, and the networks that learn from it."""
+    """Rendered data set, and the networks trained on it."""
 
     images: int
     pixels: int
@@ -51,11 +51,11 @@ class Recognition:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Extent:
-    """How much of a reproduction is asked for."""
+    """Requested extent of a reproduction."""
 
     quick: bool
     photographs: tuple[str, ...] = ()
-    """further labelled pictures for ground classification, as ``--data`` of `touchdown train`"""
+    """further labelled images for ground classification, as ``--data`` of `touchdown train`"""
 
     @property
     def edition(self) -> Edition:
@@ -64,6 +64,8 @@ class Extent:
 
 @dataclass(frozen=True, slots=True)
 class Edition:
+    """Sizes of all parts of a reproduction."""
+
     name: str
     poses: int
     """of the chessboard"""
@@ -87,7 +89,7 @@ WHOLE = Edition(
         epochs=6,
     ),
 )
-# Of another name: what a processor had time for and what a GPU had are never in one table.
+# A separate name: results of CPU and GPU trainings are never in one table.
 WHOLE_ON_GPU = replace(
     WHOLE,
     name="whole-gpu",
@@ -112,6 +114,7 @@ QUICK = Edition(
 
 
 def edition(*, quick: bool) -> Edition:
+    """Edition for this machine."""
     if quick:
         return QUICK
     return WHOLE_ON_GPU if _gpu() else WHOLE
@@ -132,13 +135,13 @@ _QUICK_RUNS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
     "real_sites": lambda run: run["scene"] in _QUICK_SITES,
     "commanded_site": lambda run: True,
 }
-"""Of the first seed of each campaign, the runs that the quick edition flies."""
+"""Selects the runs of the quick edition among those of the first seed of each campaign."""
 
 
 def plan_of(campaign: str, *, quick: bool) -> Plan:
-    """A campaign as its file says; of it, for the quick edition, a part of the first seed's runs.
+    """Plan of a campaign from its file; for the quick edition, some runs of the first seed.
 
-    The whole edition has all runs of the quick one, by the same names: it goes on where that ended.
+    The whole edition has all runs of the quick one, with the same names, and continues it.
     """
     plan = load_plan(PLANS / f"{campaign}.toml")
     if not quick:
@@ -146,19 +149,19 @@ def plan_of(campaign: str, *, quick: bool) -> Plan:
     wanted = _QUICK_RUNS[campaign]
     first = min(run.values["seed"] for run in plan.runs)
     runs = [run for run in plan.runs if run.values["seed"] == first and wanted(run.values)]
-    # The longest first, so that the last to end do so at much the same time.
+    # The longest run first, so that the workers end at nearly the same time.
     runs.sort(key=lambda run: -_cost(plan.mode, run))
     return replace(plan, runs=tuple(runs), record="none")
 
 
 def digest(plan: Plan) -> str:
-    """Twelve hexadecimal digits that name the flights of a plan."""
+    """Twelve hexadecimal digits that identify the flights of a plan."""
     text = "\n".join(sorted(f"{run.run_id} {run.config_sha}" for run in plan.runs))
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def core_seconds(plan: Plan) -> float:
-    """What the flights of a plan take on one core, from `CORE_SECONDS`."""
+    """CPU time of the flights of a plan on one core, by `CORE_SECONDS`."""
     return sum(_cost(plan.mode, run) for run in plan.runs)
 
 

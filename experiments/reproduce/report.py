@@ -1,4 +1,4 @@
-"""The report of a reproduction: the paper's tables and figures in its order, ours beside them."""
+"""Report of a reproduction: the paper's tables and figures in its order, with ours beside them."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ ITEMS: tuple[tuple[str, str], ...] = (
     ("Table 6", "landings on five kinds of sites"),
     ("Table 7", "time of each step of choosing a site"),
 )
-"""What the paper shows, by what; its Figs. 1, 3 and 6 are drawings of ideas."""
+"""Tables and figures of the paper by part; its Figs. 1, 3 and 6 are concept drawings."""
 
 _SECTIONS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "positioning": (
@@ -66,7 +66,7 @@ _SECTIONS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "real_sites": (("summary", "landings", "outcomes"), ()),
     "landing": (("summary", "paths", "landings", "outcomes"), ("fig9b",)),
 }
-"""Of the report of each campaign, the sections and the pictures that are taken over."""
+"""Sections and figures that are copied from the report of each campaign."""
 
 _NOT_SAID = "No flight was to land"
 
@@ -92,7 +92,7 @@ def make_reproduction(done: Reproduction) -> tuple[Report, list[dict[str, Any]]]
     summary = Section("summary", "In words", _summary_words(done), [], [])
     items = Section("items", "What the paper shows, and where it is here", [], [_items(done)], [])
     ends = [Section("conditions", "Conditions", condition_words(rows), [], [])] if rows else []
-    good = sum(state.good for state in done.states.values())
+    good = sum(state.successful for state in done.states.values())
     heads = [("parts done", f"{good} of {len(PARTS)}"), *(tiles(rows) if rows else [])]
     name = "quick edition" if done.quick else "whole edition"
     title = f"Touchdown: the paper reproduced, {name}"
@@ -120,7 +120,11 @@ def _summary_words(done: Reproduction) -> list[str]:
             lines.append(f"{what} could not be ended: {state.error}.")
         elif state.why:
             lines.append(f"{what} failed its purpose: {state.why}.")
-    if done.states and all(s.good for s in done.states.values()) and len(done.states) == len(PARTS):
+    if (
+        done.states
+        and all(s.successful for s in done.states.values())
+        and len(done.states) == len(PARTS)
+    ):
         lines.append("All parts are done, and did what they are for.")
     return lines
 
@@ -141,7 +145,7 @@ def _items(done: Reproduction) -> Table:
 def _verdict(state: PartState) -> str:
     if state.error:
         return "not ended"
-    return f"{'done' if state.good else 'failed its purpose'} ({state.edition})"
+    return f"{'done' if state.successful else 'failed its purpose'} ({state.edition})"
 
 
 # ---------------------------------------------------------------------------------------- sections
@@ -297,12 +301,12 @@ def raster(name: str, title: str, caption: str, file: Path) -> Picture:
 
 
 def figures_of(done: Reproduction, report: Path) -> dict[str, Any]:
-    """For ``--json``: what each part came to, and the files of the ``report``."""
+    """Result of each part and the files of the ``report``, for ``--json``."""
     parts = [
         {
             "part": name,
             "edition": state.edition,
-            "good": state.good,
+            "good": state.successful,
             "why": state.error or state.why,
             "wall_s": state.wall_s,
             "figures": state.figures,
@@ -312,7 +316,7 @@ def figures_of(done: Reproduction, report: Path) -> dict[str, Any]:
     return {
         "directory": str(done.out),
         "edition": "quick" if done.quick else "whole",
-        "good": done.good,
+        "good": done.successful,
         "skipped": list(done.skipped),
         "wall_s": done.wall_s,
         "parts": parts,

@@ -1,4 +1,4 @@
-"""`touchdown reproduce`: every table and figure of the paper from one command, part by part."""
+"""Reproduction of all tables and figures of the paper, part by part."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from touchdown.experiments.campaign.executor import EngineStoppedError
 from touchdown.experiments.campaign.session import Watcher
 from touchdown.experiments.errors import UsageError, system_message
 from touchdown.experiments.io.run_directory import utc_now, write_text
-from touchdown.experiments.reproduce.background_worker import Beside, tell
+from touchdown.experiments.reproduce.background_worker import BackgroundWorker, send_note
 from touchdown.experiments.reproduce.plans import Extent
 from touchdown.experiments.reproduce.state import (
     _LOCK,
@@ -35,7 +35,7 @@ from touchdown.experiments.reproduce.steps import PARTS, Done, Job, Notes, Part,
 
 _QUICK, _WHOLE = '"edition": "quick"', '"edition": "whole"'
 _OF_THE_MACHINE = (OSError, EngineStoppedError)
-"""what stops everything, since the next part would meet it too"""
+"""errors that end the reproduction, because the next part would meet them, too"""
 
 
 def reproduce(
@@ -48,10 +48,11 @@ def reproduce(
     notes: Notes = lambda _note: None,
     watcher: Callable[[], Watcher] = Watcher,
 ) -> Reproduction:
-    """Does what ``out`` lacks of the quick or the whole edition and writes ``out/report``.
+    """Runs the parts of the quick or the whole edition that ``out`` lacks and writes
+    ``out/report``.
 
-    Parts that are done are not repeated. A part that goes wrong is told in its state and in the
-    report, and the others go on; what stops the machine (a full disk) stops all. Raises UsageError.
+    Parts that are done are not repeated. An error of a part stands in its state and in the report,
+    and the other parts follow; an error of the machine (a full disk) ends all. Raises UsageError.
     """
     from touchdown.experiments.reproduce.report import write_reproduction
 
@@ -71,7 +72,7 @@ def reproduce(
                 notes(f"{heads[part.name]}: done already")
         slots = threading.Semaphore(jobs)
         aside = _aside(todo, jobs)
-        with Beside(slots, notes) as beside:
+        with BackgroundWorker(slots, notes) as beside:
             if aside:
                 beside.start(_do_aside, out, extent, {name: heads[name] for name in aside})
             for part in todo:
@@ -100,20 +101,20 @@ def reproduce(
 
 
 def _aside(todo: Sequence[Part], jobs: int) -> tuple[str, ...]:
-    """Names of the parts that are done while others fly."""
+    """Names of the parts that run while others fly."""
     if jobs == 1 or not any(part.flies for part in todo):
         return ()
     return tuple(part.name for part in todo if part.beside)
 
 
 def _do_aside(out: Path, extent: Extent, heads: Mapping[str, str]) -> None:
-    """In the process beside: the parts named, one after the other."""
+    """Runs the named parts one after the other, in the background process."""
     for name, head in heads.items():
-        _do(part_named(name), Job(folder=out / name, extent=extent, jobs=1, notes=tell), head)
+        _do(part_named(name), Job(folder=out / name, extent=extent, jobs=1, notes=send_note), head)
 
 
 def _do(part: Part, job: Job, head: str) -> None:
-    """Runs a part and writes its state down; ``head`` begins what is noted of it."""
+    """Runs a part and writes its state; ``head`` begins its progress messages."""
     from touchdown.experiments.io.provenance import git_revision
 
     job.notes(f"{head}: {part.title}, for {', '.join(part.shows)}")
@@ -145,8 +146,8 @@ def _do(part: Part, job: Job, head: str) -> None:
     )
     tree = {name: getattr(state, name) for name in PartState.__slots__}
     write_text(job.folder / STATE, json.dumps(tree, indent=1) + "\n")
-    told = state.error or state.why
-    job.notes(f"{head}: {f'FAILED: {told}' if told else 'done'} after {state.wall_s:.0f} s")
+    failure = state.error or state.why
+    job.notes(f"{head}: {f'FAILED: {failure}' if failure else 'done'} after {state.wall_s:.0f} s")
 
 
 def _check_libraries(todo: Sequence[Part]) -> None:
@@ -160,8 +161,8 @@ def _check_libraries(todo: Sequence[Part]) -> None:
 
 
 def _sign(out: Path, *, quick: bool) -> None:
-    """Marks the directory as a reproduction, so that nothing else is ever overwritten. A quick one
-    may become whole, but not the other way round: it would leave flights out that are there."""
+    """Marks the directory as a reproduction, so that nothing else is overwritten. A quick one may
+    become whole. The reverse is refused: it would omit existing flights."""
     mark = out / MARK
     if quick and mark.is_file() and _WHOLE in mark.read_text(encoding="utf-8", errors="replace"):
         raise UsageError(
@@ -172,7 +173,7 @@ def _sign(out: Path, *, quick: bool) -> None:
 
 @contextlib.contextmanager
 def _locked(out: Path) -> Iterator[None]:
-    """Makes the directory and keeps others out. Raises UsageError for one of something else."""
+    """Makes and locks the directory. Raises UsageError if it holds something else."""
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: is a file; name a new directory")
     ours = (out / MARK).is_file()
@@ -199,7 +200,7 @@ def _locked(out: Path) -> Iterator[None]:
 
 
 def overview(*, quick: bool, jobs: int, skip: Sequence[str] = ()) -> list[dict[str, Any]]:
-    """Each part, what it shows and about how long it takes with ``jobs`` processes."""
+    """Parts with their tables, figures and approximate times with ``jobs`` processes."""
     skipped = {part_named(name).name for name in skip}
     return [
         {

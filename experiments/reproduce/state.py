@@ -1,4 +1,4 @@
-"""What is on disk of a reproduction: the state of each part."""
+"""State of each part of a reproduction on disk."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _LOCK = ".lock"
 
 @dataclass(frozen=True, slots=True)
 class PartState:
-    """``part.json``: what a part came to. ``error`` is of a part that could not be ended, and is
-    tried again; ``why`` says in what a part failed its purpose, empty where it did not."""
+    """``part.json``: result of a part. ``error``: of a part that did not end and will run again;
+    ``why``: the reason why a part failed its purpose, else empty."""
 
     part: str
     edition: str
@@ -32,14 +32,15 @@ class PartState:
     git_revision: str | None
 
     @property
-    def good(self) -> bool:
+    def successful(self) -> bool:
+        """True if the part ended and served its purpose."""
         return not self.why and not self.error
 
 
 @dataclass(frozen=True, slots=True)
 class Reproduction:
-    """``states`` by name of the part, of all parts that were ever ended; ``skipped`` are those that
-    were left out now, whatever earlier calls did."""
+    """Result of a reproduction. ``states``: of all parts that ever ended, by name; ``skipped``:
+    parts that this call left out."""
 
     out: Path
     quick: bool
@@ -48,13 +49,15 @@ class Reproduction:
     wall_s: float
 
     @property
-    def good(self) -> bool:
-        """Whether every part that was asked for did what it is for."""
-        return all(state.good for name, state in self.states.items() if name not in self.skipped)
+    def successful(self) -> bool:
+        """True if every requested part served its purpose."""
+        return all(
+            state.successful for name, state in self.states.items() if name not in self.skipped
+        )
 
 
 def read_states(out: Path) -> dict[str, PartState]:
-    """What each part came to, in the order of `PARTS`. Raises UsageError for a damaged state."""
+    """States of the parts in the order of `PARTS`. Raises UsageError for a damaged state."""
     return {part.name: state for part in PARTS if (state := _read_state(out / part.name / STATE))}
 
 
@@ -65,13 +68,13 @@ def _read_state(file: Path) -> PartState | None:
         return PartState(**json.loads(file.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError) as error:
         raise UsageError(
-            f"'{file}' is damaged or of another program; delete it, and its part is done again"
+            f"'{file}' is damaged or of another program; delete it, and its part runs again"
         ) from error
 
 
 def _is_done(part: Part, out: Path, extent: Extent) -> bool:
-    """Parts whose settings are the same quick and whole serve as both. A campaign with flights that
-    came to no outcome is gone on with."""
+    """True if a part with the same settings ended; quick and whole editions may share it. A
+    campaign with flights without an outcome is not done."""
     state = _read_state(out / part.name / STATE)
     if state is None or state.error:
         return False
@@ -80,5 +83,5 @@ def _is_done(part: Part, out: Path, extent: Extent) -> bool:
 
 
 def _as_read(tree: Mapping[str, Any]) -> Any:
-    """As it comes back from a file: tuples are lists there."""
+    """Tree as read back from a file, where tuples are lists."""
     return json.loads(json.dumps(tree))

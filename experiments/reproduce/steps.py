@@ -1,4 +1,4 @@
-"""The parts of a reproduction: each fills a directory and says whether it did what it is for.
+"""Parts of a reproduction: each fills a directory and reports success or the reason of a failure.
 
 Heavy modules are imported by the part that needs them.
 """
@@ -37,7 +37,7 @@ Notes = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """What a part is given: its own directory, how much to do, and whom to tell."""
+    """Input of a part: its directory, the extent of the work, and where to report progress."""
 
     folder: Path
     extent: Extent
@@ -45,7 +45,7 @@ class Job:
     notes: Notes = lambda _note: None
     watcher: Watcher = field(default_factory=Watcher)
     slots: threading.Semaphore | None = None
-    """one is taken for each flight"""
+    """each flight occupies one"""
 
     @property
     def edition(self) -> Edition:
@@ -54,8 +54,8 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """``figures`` are for the report; ``why`` says in what the part failed its purpose, empty where
-    it did not."""
+    """Result of a part. ``figures``: for the report; ``why``: the reason why it failed its purpose,
+    else empty."""
 
     figures: dict[str, Any]
     why: str = ""
@@ -63,17 +63,19 @@ class Done:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
+    """One part of a reproduction."""
+
     name: str
     title: str
     shows: tuple[str, ...]
     """tables and figures of the paper"""
     settings: Callable[[Extent], dict[str, Any]]
-    """what decides its result"""
+    """settings that determine its result"""
     run: Callable[[Job], Done]
     core_seconds: Callable[[Extent], float]
-    """roughly, on one core"""
+    """approximate time on one core"""
     beside: bool = False
-    """measures no time, and may be done while flights are flown"""
+    """measures no time and may run while flights are flown"""
     flies: bool = False
     needs_torch: bool = False
 
@@ -94,7 +96,7 @@ def _calibration(job: Job) -> Done:
         )
     del report["file"]
     agreed = report["consistency"]["consistent"]
-    return Done(report, "" if agreed else "its errors are beyond what it says of them")
+    return Done(report, "" if agreed else "its errors exceed its stated standard deviations")
 
 
 def _edges(job: Job) -> Done:
@@ -295,7 +297,7 @@ PARTS: tuple[Part, ...] = (
         needs_torch=True,
     ),
 )
-"""In the order of doing: what may be beside flights, flights, what is timed with nothing beside."""
+"""In the order of work: parts that may run beside flights, flights, parts that are timed alone."""
 
 
 def part_named(name: str) -> Part:

@@ -1,4 +1,4 @@
-"""A flown run for the tests of exports, and what a reader of its bag does with the messages."""
+"""A run for the tests of exports, and a reader of its bag."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
+from rosbags.highlevel import AnyReader
 
 from touchdown.estimator.api import MapperParams
 from touchdown.estimator.mapping.mapper import GridMapper
@@ -30,7 +30,7 @@ PHASES = [{"time_s": 0.0, "phase": "INIT"}, {"time_s": 0.7, "phase": "TAKEOFF"}]
 
 
 def make_flown(folder: Path) -> Path:
-    """Believed 0.5 m away from where it is, and with a map of the true path."""
+    """A run whose estimate is 0.5 m off, with a map of the true path."""
     made = make_run(
         folder,
         seconds=SECONDS,
@@ -48,10 +48,9 @@ def make_flown(folder: Path) -> Path:
 
 
 def read_bag(path: Path) -> dict[str, list[Any]]:
-    """(log time, message) by topic, by the readers of rosbags."""
-    highlevel = pytest.importorskip("rosbags.highlevel")
+    """(log time, message) by topic, read by rosbags."""
     found: dict[str, list[Any]] = defaultdict(list)
-    with highlevel.AnyReader([path]) as reader:
+    with AnyReader([path]) as reader:
         for connection, time_ns, raw in reader.messages():
             message = reader.deserialize(raw, connection.msgtype)
             found[connection.topic].append((time_ns, message))

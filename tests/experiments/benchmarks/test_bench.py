@@ -288,6 +288,6 @@ def test_what_was_measured_while_kernels_were_compiled_is_measured_again() -> No
     assert compiled_before(measure) == 3  # nothing left to compile
 
 
-def test_runs_of_the_workers_share_out_evenly(capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_must_be_a_multiple_of_workers(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["bench", "scaling", "--runs", "5"]) == 2
-    assert "--runs 5 do not share out among 2 workers" in capsys.readouterr().err
+    assert "--runs 5 is no multiple of --workers 2" in capsys.readouterr().err

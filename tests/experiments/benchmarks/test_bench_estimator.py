@@ -1,4 +1,4 @@
-"""The estimator benchmark: evo and our figure agree, peers are run as they should be."""
+"""Estimator benchmark: evo and our figure agree; reference implementations run as intended."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import pytest
 
 from touchdown.experiments.benchmarks import ablation
 from touchdown.experiments.benchmarks import odometry as bench_estimator
-from touchdown.experiments.benchmarks import odometry_baselines as bench_peers
+from touchdown.experiments.benchmarks import odometry_baselines as baselines
 from touchdown.experiments.benchmarks.odometry import (
     TruePath,
     bench_scene,
@@ -30,9 +30,9 @@ from touchdown.experiments.benchmarks.odometry import (
 )
 from touchdown.experiments.benchmarks.odometry_baselines import (
     ScanPoints,
-    run_peer,
+    deskew_by_step,
+    run_reference,
     settings,
-    unbend,
 )
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import load_config
@@ -89,7 +89,7 @@ def test_an_estimator_is_measured_from_lift_off_to_the_end(run: Path) -> None:
     assert early.error_m != measured.error_m
 
 
-# ----------------------------------------------------------------------------------------- peers
+# ------------------------------------------------------------------------------------ references
 
 
 def _room(lidar: Pose, count: int, rng: np.random.Generator) -> Array:
@@ -124,18 +124,16 @@ def _scans(count: int) -> list[ScanPoints]:
 
 @needs_evo
 @pytest.mark.parametrize(
-    ("peer", "setting"),
+    ("method", "setting"),
     [
         ("kiss_icp", {"voxel_m": 0.5, "initial_threshold_m": 0.5}),
         ("small_gicp", {"downsampling_m": 0.25, "voxel_m": 1.0}),
     ],
 )
-def test_peers_follow_where_there_is_something_to_follow(
-    peer: str, setting: dict[str, Any]
-) -> None:
+def test_references_follow_structured_ground(method: str, setting: dict[str, Any]) -> None:
     """Poses are the body's, start at the truth, and are of the scan's end."""
     whole = setting | {"deskew": True, "start": "lift-off"}
-    track = run_peer(peer, whole, _scans(15), _flight, LIDAR, survey_s=0.0)
+    track = run_reference(method, whole, _scans(15), _flight, LIDAR, survey_s=0.0)
     true = np.array([_flight(time_s).translation for time_s in track.times_s])
     assert track.times_s == pytest.approx(0.1 * np.arange(1, 16))
     assert track.positions[0] == pytest.approx(true[0], abs=1e-9)
@@ -144,20 +142,20 @@ def test_peers_follow_where_there_is_something_to_follow(
 
 
 @needs_evo
-def test_where_a_peer_begins_and_when_it_is_lost() -> None:
+def test_where_a_reference_begins_and_when_it_is_lost() -> None:
     setting = {"downsampling_m": 0.5, "voxel_m": 1.0, "deskew": False, "start": "survey"}
-    track = run_peer("small_gicp", setting, _scans(6), _flight, LIDAR, survey_s=0.2)
+    track = run_reference("small_gicp", setting, _scans(6), _flight, LIDAR, survey_s=0.2)
     assert track.times_s == pytest.approx([0.25, 0.35, 0.45, 0.55])  # the middles
 
     def elsewhere(time_s: float) -> Pose:
         return Pose(np.eye(3), np.array([200.0 * time_s, 0.0, 0.0]))
 
-    lost = run_peer("small_gicp", setting, _scans(6), elsewhere, LIDAR, survey_s=0.0)
+    lost = run_reference("small_gicp", setting, _scans(6), elsewhere, LIDAR, survey_s=0.0)
     assert lost.lost_s == pytest.approx(0.15)
     assert len(lost.times_s) == 2
 
 
-def test_unbending_is_a_share_of_the_step_backwards() -> None:
+def test_deskew_by_steping_is_a_share_of_the_step_backwards() -> None:
     """A step of 1 m in x and a quarter of a degree about z, seen at start, middle and end."""
     points = np.tile([10.0, 0.0, 0.0], (3, 1))
     step = np.eye(4)
@@ -165,24 +163,24 @@ def test_unbending_is_a_share_of_the_step_backwards() -> None:
     turned = np.eye(4)
     turned[:3, :3] = rotation_from_yaw(np.radians(0.25))
     shares = np.array([0.0, 0.5, 1.0])
-    assert unbend(points, shares, step)[:, 0].tolist() == [9.0, 9.5, 10.0]
+    assert deskew_by_step(points, shares, step)[:, 0].tolist() == [9.0, 9.5, 10.0]
     expected = -10.0 * np.radians([0.25, 0.125, 0.0])
-    assert unbend(points, shares, turned)[:, 1] == pytest.approx(expected, abs=1e-9)
+    assert deskew_by_step(points, shares, turned)[:, 1] == pytest.approx(expected, abs=1e-9)
 
 
 def test_grids_are_tried_whole() -> None:
-    for peer, grid in bench_peers.GRIDS.items():
-        tried = list(settings(peer))
+    for method, grid in baselines.GRIDS.items():
+        tried = list(settings(method))
         assert len(tried) == np.prod([len(values) for values in grid.values()])
         assert len({tuple(setting.values()) for setting in tried}) == len(tried)
         assert {True, False} == {setting["deskew"] for setting in tried}
 
 
-def test_missing_peers_are_one_line(
+def test_missing_references_are_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for peer in ("evo", "kiss_icp", "small_gicp"):
-        monkeypatch.setitem(sys.modules, peer, None)
+    for package in ("evo", "kiss_icp", "small_gicp"):
+        monkeypatch.setitem(sys.modules, package, None)
     assert cli.main(["bench", "estimator", "crossroad"]) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.count("\n") == 1
@@ -212,12 +210,14 @@ def test_the_true_path_is_interpolated(run: Path) -> None:
 
 
 @needs_evo
-def test_the_best_setting_of_each_peer_counts(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_best_setting_of_each_reference_counts(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     small = {"downsampling_m": (0.1,), "voxel_m": (0.5, 1.0)}
     small |= {"deskew": (True,), "start": ("lift-off",)}
     kiss = {"voxel_m": (0.5,), "initial_threshold_m": (0.5,), "deskew": (True,)}
     grids = {"kiss_icp": kiss | {"start": ("lift-off",)}, "small_gicp": small}
-    for module in (bench_peers, bench_estimator):
+    for module in (baselines, bench_estimator):
         monkeypatch.setattr(module, "GRIDS", grids)
     monkeypatch.setattr(bench_estimator, "ESTIMATORS", ("livo",))
     told: list[str] = []
@@ -230,7 +230,7 @@ def test_the_best_setting_of_each_peer_counts(run: Path, monkeypatch: pytest.Mon
     assert set(figures["ms_per_0.1s"]) == {"livo", "kiss_icp", "small_gicp"}
 
 
-def test_ratios_are_of_the_best_peer_that_is_not_lost() -> None:
+def test_ratios_are_of_the_best_reference_that_is_not_lost() -> None:
     def scene(livo: float, kiss: float, gicp: float, kiss_lost: float | None) -> dict[str, Any]:
         names = ("livo", "paper", "kiss_icp", "small_gicp")
         errors = dict(zip(names, (livo, 1.0, kiss, gicp), strict=True))
@@ -239,7 +239,7 @@ def test_ratios_are_of_the_best_peer_that_is_not_lost() -> None:
 
     found = {"a": scene(0.02, 0.1, 0.3, None), "b": scene(0.01, 0.05, 0.2, 7.0)}
     figures = summary(found)
-    ratios = figures["ratio"]["peer"]
+    ratios = figures["ratio"]["reference"]
     assert ratios["a"] == pytest.approx(5.0)
     assert ratios["b"] == pytest.approx(20.0)
     assert ratios["geometric_mean"] == pytest.approx(10.0)

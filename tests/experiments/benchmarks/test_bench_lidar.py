@@ -1,4 +1,4 @@
-"""The comparison of ray casters: that all of them see the same, and what is reported."""
+"""Comparison of ray casters: agreement of their ranges, and the reported figures."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from touchdown.experiments.benchmarks.lidar_peers import LidarPeers
+from touchdown.experiments.benchmarks.reference_casters import ReferenceCasters
 from touchdown.experiments.cli.main import cli
 from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import LidarParams
 
 
-def test_contenders_agree_on_the_ranges() -> None:
+def test_casters_agree_on_the_ranges() -> None:
     """MuJoCo's casters among themselves to the last digits, Embree within its single precision,
     moving cars apart, which its merged scene leaves out; the noiseless sensor where it returns."""
     scene = load_scene("crossroad", 0)
     params = LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.0, divergence=False)
-    peers = LidarPeers(scene, params, 0)
-    casters = peers.casters(np.array([*scene.takeoff_xy_m, 30.0]), 4)
+    references = ReferenceCasters(scene, params, 0)
+    casters = references.casters(np.array([*scene.takeoff_xy_m, 30.0]), 4)
     distances = {name: np.array(cast()) for name, cast in casters.items()}
     multi = distances["mj_multiRay"]
     assert (multi > 0.0).mean() > 0.99

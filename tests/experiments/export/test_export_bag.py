@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from touchdown.experiments.export.flown_run import ExportOptions
+from touchdown.experiments.export.flown_run import ExportOptions, GeodeticPoint
+from touchdown.experiments.export.ros2_bag import geodetic
 from touchdown.experiments.export.run import export
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
-from touchdown.experiments.io.geodesy import LocalFrame
 from touchdown.experiments.io.ros2_messages import right_camera_shift
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import TumWriter, read_tum
@@ -41,13 +43,13 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def stream(run: Path) -> list[Observation]:
-    """What the run's sensors said."""
+    """The observations of the run."""
     return list(SensorLogReader(run / "sensors.mcap"))
 
 
 @pytest.fixture(scope="module")
 def bag(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("bags") / "flown.mcap"
+    out = tmp_path_factory.mktemp("bags") / "flown-bag"
     return export(run, "mcap", out, ExportOptions()).out
 
 
@@ -78,8 +80,8 @@ def test_counts_and_times_are_the_runs(
         ],
     }
     for name in ("camera", "camera_right"):
-        pictures = [image.tick for obs in stream for image in obs.images]
-        measured[f"/{name}/image_raw/compressed"] = measured[f"/{name}/camera_info"] = pictures
+        images = [image.tick for obs in stream for image in obs.images]
+        measured[f"/{name}/image_raw/compressed"] = measured[f"/{name}/camera_info"] = images
     for topic, ticks in measured.items():
         assert len(ticks) > 3, topic
         assert [stamp_of(message) for _, message in messages[topic]] == list(map(_ns, ticks)), topic
@@ -93,23 +95,53 @@ def test_counts_and_times_are_the_runs(
 
 def test_messages_are_logged_as_they_arrived(bag: Path, stream: list[Observation]) -> None:
     """In the order of the file, which is that of a player."""
-    from mcap.stream_reader import StreamReader
-
-    with bag.open("rb") as file:
-        records = [r for r in StreamReader(file).records if type(r).__name__ == "Message"]
-    times = [record.log_time for record in records]
+    with Reader(bag) as reader:
+        records = [(connection.topic, time_ns) for connection, time_ns, _ in reader.messages()]
+    times = [time_ns for _, time_ns in records]
     assert times == sorted(times)
-    assert all(record.publish_time <= record.log_time for record in records)
-    arrived = {_ns(obs.tick) for obs in stream if obs.scans}
-    cloud = next(record for record in records if len(record.data) > 50_000)
-    assert cloud.log_time in arrived and cloud.log_time > cloud.publish_time
+    arrivals = [_ns(obs.tick) for obs in stream for _ in obs.scans]
+    assert [time_ns for topic, time_ns in records if topic == "/lidar/points"] == arrivals
+
+
+def test_stamps_precede_arrivals(messages: dict[str, list[Any]]) -> None:
+    stamped = [pair for topic, found in messages.items() if "/tf" not in topic for pair in found]
+    assert all(stamp_of(message) <= time_ns for time_ns, message in stamped)
+    time_ns, cloud = messages["/lidar/points"][0]
+    assert stamp_of(cloud) < time_ns
+
+
+def test_a_bag_is_a_rosbag2_folder(bag: Path, messages: dict[str, list[Any]]) -> None:
+    assert {path.name for path in bag.iterdir()} == {"metadata.yaml", "flown-bag.mcap"}
+    text = (bag / "metadata.yaml").read_text()
+    information = pytest.importorskip("yaml").safe_load(text)["rosbag2_bagfile_information"]
+    assert information["version"] == 8 and information["storage_identifier"] == "mcap"
+    assert information["relative_file_paths"] == ["flown-bag.mcap"]
+    counts = {
+        topic["topic_metadata"]["name"]: topic["message_count"]
+        for topic in information["topics_with_message_count"]
+    }
+    assert counts == {topic: len(found) for topic, found in messages.items()}
+
+
+def test_definitions_are_those_of_current_ros(bag: Path) -> None:
+    """Fields are equal, and constants are theirs: readers need those of point fields."""
+    for version in (Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY, Stores.LATEST):
+        store = get_typestore(version)
+        with Reader(bag) as reader:
+            for connection in reader.connections:
+                types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+                assert connection.msgtype in types
+                for name, (constants, fields) in types.items():
+                    theirs, their_fields = store.fielddefs[name]
+                    assert fields == their_fields, (version, name)
+                    assert set(constants) <= set(theirs), (version, name)
 
 
 def test_the_reader_of_mcap_decodes_every_message(bag: Path, messages: Any) -> None:
     decoder = pytest.importorskip("mcap_ros2.decoder")
     reader = pytest.importorskip("mcap.reader")
     counts: dict[str, int] = defaultdict(int)
-    with bag.open("rb") as file:
+    with (bag / "flown-bag.mcap").open("rb") as file:
         opened = reader.make_reader(file, decoder_factories=[decoder.DecoderFactory()])
         assert opened.get_header().profile == "ros2"
         for schema, channel, _message, decoded in opened.iter_decoded_messages():
@@ -119,9 +151,25 @@ def test_the_reader_of_mcap_decodes_every_message(bag: Path, messages: Any) -> N
     assert counts == {topic: len(found) for topic, found in messages.items()}
 
 
-def test_static_transforms_wait_for_those_who_come_later(bag: Path) -> None:
-    rosbag2 = pytest.importorskip("rosbags.rosbag2")
-    with rosbag2.Reader(bag) as reader:
+def test_lidar_inertial_odometry_reads_the_bag(bag: Path) -> None:
+    """RKO-LIO finds topics, extrinsics and the absolute time of each point by itself."""
+    loaders = pytest.importorskip("rko_lio.dataloaders.rosbag")
+    from rko_lio.config import TimestampConfig
+
+    loader = loaders.RosbagDataLoader(bag, None, None, None, None, "base_link", TimestampConfig())
+    rig = synthetic_rig()
+    imu, lidar = loader.extrinsics
+    np.testing.assert_allclose(imu, rig.body_from_imu.matrix(), atol=1e-9)
+    np.testing.assert_allclose(lidar, rig.body_from_lidar.matrix(), atol=1e-9)
+    scans = [data for kind, data in loader if kind == "lidar"]
+    assert len(scans) == 23
+    for scan in scans:
+        assert scan["end_time_ns"] - scan["start_time_ns"] == pytest.approx(0.1e9, rel=0.01)
+        assert scan["timestamps"].min() >= scan["start_time_ns"]
+
+
+def test_static_transforms_wait_for_nodes_that_start_late(bag: Path) -> None:
+    with Reader(bag) as reader:
         offered = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
     (profile,) = offered.pop("/tf_static")
     assert profile.durability.name == "TRANSIENT_LOCAL"
@@ -152,7 +200,7 @@ def test_clouds_hold_what_lidar_odometry_reads(
     assert 1e-9 * stamp_of(cloud) + points["time"].max() == pytest.approx(scan.end_time_s)
 
 
-def test_imu_tells_its_noise_and_no_orientation(messages: dict[str, list[Any]]) -> None:
+def test_imu_states_its_noise_and_no_orientation(messages: dict[str, list[Any]]) -> None:
     _, message = messages["/imu/data_raw"][7]
     assert message.header.frame_id == "imu_link"
     assert message.orientation_covariance[0] == -1.0
@@ -229,7 +277,7 @@ def test_speeds_are_in_the_vehicles_axes(messages: dict[str, list[Any]]) -> None
 
 
 def test_a_drifting_odometry_stays_apart_from_the_map(run: Path, tmp_path: Path) -> None:
-    """Where a run tells the odometry's frame from the world's, map to odom is between them."""
+    """Where a run records odometry apart from the map, map to odom lies between them."""
     drifted = tmp_path / "run"
     drifted.mkdir()
     for name in ("sensors.mcap", "truth.tum", "estimate.tum", "result.json"):
@@ -241,7 +289,7 @@ def test_a_drifting_odometry_stays_apart_from_the_map(run: Path, tmp_path: Path)
     for time_s, pose in zip(times, believed, strict=True):
         writer.add(time_s, world_from_odom.inverse() @ pose)
     writer.close()
-    done = export(drifted, "mcap", tmp_path / "b.mcap", ExportOptions(images="none"))
+    done = export(drifted, "mcap", tmp_path / "bag", ExportOptions(images="none"))
     assert done.notes == []
     found = read_bag(done.out)
     assert not any("camera" in topic for topic in found)
@@ -257,15 +305,17 @@ def test_transforms_may_be_left_out(run: Path, tmp_path: Path) -> None:
         ("none", None),
     ):
         options = ExportOptions(images="none", tf=tf, poses="truth")
-        found = read_bag(export(run, "mcap", tmp_path / f"{tf}.mcap", options).out)
+        found = read_bag(export(run, "mcap", tmp_path / tf, options).out)
         assert len(found["/tf_static"]) == 1
         assert (set(links_of(found["/tf"][0][1])) if found["/tf"] else None) == expected
         here, true = (found[topic][9][1].pose.pose for topic in ("/odom", "/ground_truth/odom"))
         assert vector(here.position).tolist() == vector(true.position).tolist()
 
 
-def test_raw_images_are_the_pictures(run: Path, tmp_path: Path, stream: list[Observation]) -> None:
-    found = read_bag(export(run, "mcap", tmp_path / "raw.mcap", ExportOptions(images="raw")).out)
+def test_raw_images_are_those_of_the_log(
+    run: Path, tmp_path: Path, stream: list[Observation]
+) -> None:
+    found = read_bag(export(run, "mcap", tmp_path / "raw", ExportOptions(images="raw")).out)
     image = next(image for obs in stream for image in obs.images)
     for name, rgb in (("camera", image.rgb), ("camera_right", image.right_rgb)):
         _, message = found[f"/{name}/image_raw"][0]
@@ -291,16 +341,16 @@ def test_fixes_are_where_the_antenna_is(
     fix = next(fix for obs in stream for fix in obs.gps)
     _, message = messages["/gps/fix"][0]
     assert message.header.frame_id == "gps_link"
-    expected = LocalFrame(40.0, 116.0, 50.0).geodetic(fix.position_world)
+    expected = geodetic(GeodeticPoint(40.0, 116.0, 50.0), fix.position_world)
     assert [message.latitude, message.longitude, message.altitude] == expected.tolist()
     assert message.position_covariance.tolist() == [0.25, 0, 0, 0, 0.25, 0, 0, 0, 0.5625]
     assert (message.position_covariance_type, message.status.status) == (2, 0)
-    options = ExportOptions(images="none", origin=(-33.0, 151.0, 0.0))
-    _, other = read_bag(export(run, "mcap", tmp_path / "s.mcap", options).out)["/gps/fix"][0]
+    options = ExportOptions(images="none", origin=GeodeticPoint(-33.0, 151.0, 0.0))
+    _, other = read_bag(export(run, "mcap", tmp_path / "south", options).out)["/gps/fix"][0]
     assert (round(other.latitude, 2), round(other.longitude, 2)) == (-33.0, 151.0)
 
 
-def test_a_log_is_read_without_unpacking_its_pictures(run: Path, stream: list[Observation]) -> None:
+def test_a_log_is_read_without_unpacking_its_images(run: Path, stream: list[Observation]) -> None:
     from touchdown.experiments.io.sensor_log_reader import unpack_image
 
     for (obs, images), expected in zip(

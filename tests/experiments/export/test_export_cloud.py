@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plyfile import PlyData
 
 from touchdown.experiments.export.flown_run import ExportOptions
 from touchdown.experiments.export.point_cloud import project
@@ -26,7 +27,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def messages(run: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
-    out = tmp_path_factory.mktemp("bags") / "flown.mcap"
+    out = tmp_path_factory.mktemp("bags") / "flown"
     return read_bag(export(run, "mcap", out, ExportOptions()).out)
 
 
@@ -40,13 +41,7 @@ def _mean_heights(points: np.ndarray, origin: np.ndarray) -> dict[tuple[int, int
 
 
 def _read_ply(path: Path) -> Any:
-    head, _, body = path.read_bytes().partition(b"end_header\n")
-    kinds = {"float": "<f4", "uchar": "u1"}
-    words = [line.split() for line in head.decode().splitlines()]
-    dtype = np.dtype([(w[2], kinds[w[1]]) for w in words if w[0] == "property"])
-    rows = np.frombuffer(body, dtype)
-    assert [int(w[2]) for w in words if w[:2] == ["element", "vertex"]] == [len(rows)]
-    return rows
+    return PlyData.read(path)["vertex"].data
 
 
 def _xyz(rows: Any) -> np.ndarray:
@@ -59,8 +54,8 @@ def _placed(messages: dict[str, list[Any]], body: str) -> np.ndarray:
     poses = []
     for _, message in messages["/tf"]:
         links = links_of(message)
-        believed = links["map", "odom"] @ links["odom", "base_link"]
-        poses.append(links["map", body] if body == "base_link_gt" else believed)
+        estimated = links["map", "odom"] @ links["odom", "base_link"]
+        poses.append(links["map", body] if body == "base_link_gt" else estimated)
     mount = links_of(messages["/tf_static"][0][1])["base_link", "lidar_link"]
     placed = []
     for _, cloud in messages["/lidar/points"]:

@@ -23,7 +23,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def bag(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("bags") / "flown.mcap"
+    out = tmp_path_factory.mktemp("bags") / "flown-bag"
     return export(run, "mcap", out, ExportOptions()).out
 
 
@@ -36,15 +36,20 @@ def _cli(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str,
 def test_the_command_prints_what_it_wrote(
     run: Path, bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "new" / "b.mcap"
+    out = tmp_path / "new" / "flown-bag"
     code, printed, _ = _cli(capsys, "export", run, "--format", "mcap", "--out", out, "--json")
-    told = json.loads(printed)
-    assert code == 0 and told["file"] == str(out) and told["bytes"] == out.stat().st_size
-    assert told["counts"]["/lidar/points"] == 23 and told["counts"]["/tf_static"] == 1
+    facts = json.loads(printed)
+    assert (
+        code == 0
+        and facts["file"] == str(out)
+        and facts["bytes"] == sum(f.stat().st_size for f in out.iterdir())
+    )
+    assert facts["counts"]["/lidar/points"] == 23 and facts["counts"]["/tf_static"] == 1
     rig = synthetic_rig()
     pose = rig.body_from_imu.inverse() @ rig.body_from_lidar
-    assert told["imu_from_lidar"]["rotation_row_major"] == pose.rotation.ravel().tolist()
-    assert out.read_bytes() == bag.read_bytes()  # equal runs, equal files
+    assert facts["imu_from_lidar"]["rotation_row_major"] == pose.rotation.ravel().tolist()
+    # equal runs, equal files
+    assert (out / "flown-bag.mcap").read_bytes() == (bag / "flown-bag.mcap").read_bytes()
     code, printed, _ = _cli(capsys, "export", run, "--format", "tum", "--out", tmp_path / "e.tum")
     assert code == 0 and printed.splitlines()[-1].startswith(f"written: {tmp_path / 'e.tum'}")
 
@@ -55,11 +60,12 @@ def test_by_default_beside_the_run_and_again(run: Path, capsys: pytest.CaptureFi
             ("tum", "flown-estimate.tum"),
             ("csv", "flown.csv"),
             ("ply", "flown.ply"),
+            ("mcap", "flown-bag/flown-bag.mcap"),
         ):
             assert _cli(capsys, "export", run, "--format", kind)[0] == 0
             assert (run.parent / name).is_file()
     names = {path.name for path in run.parent.iterdir()}
-    assert names == {"flown", "flown-estimate.tum", "flown.csv", "flown.ply"}
+    assert names == {"flown", "flown-bag", "flown-estimate.tum", "flown.csv", "flown.ply"}
 
 
 @pytest.mark.parametrize(
@@ -77,12 +83,15 @@ def test_by_default_beside_the_run_and_again(run: Path, capsys: pytest.CaptureFi
         (["{run}", "--format", "mcap", "--poses", "reference"], "reference"),
         (["{run}", "--format", "tum", "--poses", "reference"], "no reference.tum"),
         (["{run}", "--format", "mcap", "--origin", "here"], "LAT,LON,HEIGHT"),
-        (["{run}", "--format", "mcap", "--origin", "91,0,0"], "no place on Earth"),
-        (["{run}", "--format", "mcap", "--origin", "nan,0,0"], "no place on Earth"),
+        (["{run}", "--format", "mcap", "--origin", "91,0,0"], "no point on Earth"),
+        (["{run}", "--format", "mcap", "--origin", "nan,0,0"], "no point on Earth"),
         (["{blind}", "--format", "mcap"], "--log-sensors"),
         (["{blind}", "--format", "ply", "--points", "scans"], "--log-sensors"),
         (["{blind}", "--format", "ply"], "no map.ply"),
         (["{run}", "--format", "csv", "--out", "{tmp}"], "is a directory"),
+        (["{run}", "--format", "mcap", "--out", "{tmp}"], "no earlier export"),
+        (["{run}", "--format", "mcap", "--out", "{run}"], "no earlier export"),
+        (["{run}", "--format", "mcap", "--out", "{tmp}/note.txt"], "a bag is a folder"),
         (["{run}", "--format", "csv", "--out", "{tmp}/note.txt"], "no earlier export"),
         (["{run}", "--format", "tum", "--out", "{tmp}/note.tum"], "no earlier export"),
         (["{run}", "--format", "mcap", "--out", "{run}/sensors.mcap"], "file of the run itself"),

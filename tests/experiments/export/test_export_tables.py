@@ -105,6 +105,6 @@ def test_rows_meet_by_time_and_gaps_stay_empty(run: Path, tmp_path: Path) -> Non
     assert np.allclose(table.error_m[known], 0.5) and table.error_m[~known].isna().all()
     assert np.allclose(table.deviation_m, 0.0) and table.phase.isna().all()
     # and its bag holds the sensors of the flight, with the trajectory of the replay
-    found = read_bag(export(short, "mcap", tmp_path / "b.mcap", ExportOptions(images="none")).out)
+    found = read_bag(export(short, "mcap", tmp_path / "bag", ExportOptions(images="none")).out)
     assert len(found["/odom"]) == 15 and len(found["/ground_truth/odom"]) == len(table)
     assert len(found["/tf"]) == len(table) and len(found["/lidar/points"]) > 5

@@ -131,7 +131,7 @@ def test_what_is_done_is_not_done_again(world: World, tmp_path: Path) -> None:
     run_quick(tmp_path)
     before = list(world.calls)
     again = run_quick(tmp_path)
-    assert world.calls == before and again.good
+    assert world.calls == before and again.successful
 
 
 @pytest.mark.usefixtures("no_report")
@@ -143,7 +143,7 @@ def test_stopped_anywhere_it_goes_on_there(world: World, tmp_path: Path) -> None
     world.interrupted = ""
     of_one_killed = tmp_path / "speed" / ".pictures.partial-1"
     of_one_killed.mkdir(parents=True)
-    assert run_quick(tmp_path).good and not of_one_killed.exists()
+    assert run_quick(tmp_path).successful and not of_one_killed.exists()
     assert world.count("calibration") == world.count("pictures") == 1
     # Once in each of two campaigns, and the one that was interrupted once more.
     assert world.count("crossroad-hybrid_flow-s0") == 3
@@ -154,7 +154,7 @@ def test_stopped_anywhere_it_goes_on_there(world: World, tmp_path: Path) -> None
 def test_quick_becomes_whole_and_keeps_its_flights(world: World, tmp_path: Path) -> None:
     run_quick(tmp_path)
     whole = reproduce.reproduce(tmp_path, quick=False, jobs=1, skip=["landing", "positioning"])
-    assert whole.good
+    assert whole.successful
     assert {name: state.edition for name, state in whole.states.items()} == {
         part.name: "quick" if part.name in ("landing", "positioning", *_SAME) else "whole"
         for part in PARTS
@@ -172,7 +172,7 @@ _SAME = ("calibration", "edges", "world", "sites")
 # --------------------------------------------------------------------------------- going wrong
 
 
-def test_a_part_that_fails_its_purpose_is_told(
+def test_a_part_that_fails_its_purpose_is_reported(
     world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     world.consistent = False
@@ -181,7 +181,7 @@ def test_a_part_that_fails_its_purpose_is_told(
     assert cli.main(arguments) == 1
     told = capsys.readouterr()
     assert told.err == ""
-    assert re.search(r"calibration +quick .* FAILED: its errors are beyond", told.out)
+    assert re.search(r"calibration +quick .* FAILED: its errors exceed", told.out)
     text = (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
     assert "`calibration` (Fig. 2) failed its purpose" in text
     assert "`landing` (Fig. 9 b) is left out, by `--skip`" in text
@@ -191,13 +191,13 @@ def test_a_part_that_fails_its_purpose_is_told(
 def test_a_part_that_breaks_leaves_the_others(world: World, tmp_path: Path) -> None:
     world.broken = "speed"
     done = run_quick(tmp_path, skip=["recognition", *CAMPAIGNS])
-    assert not done.good
+    assert not done.successful
     assert done.states["speed"].error == "RuntimeError: a wing came off"
     assert "Traceback" in (tmp_path / "speed" / "error.txt").read_text()
-    assert done.states["sites"].good
+    assert done.states["sites"].successful
     assert "could not be ended" in (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
     world.broken = ""
-    assert run_quick(tmp_path, skip=["recognition", *CAMPAIGNS]).good
+    assert run_quick(tmp_path, skip=["recognition", *CAMPAIGNS]).successful
 
 
 @pytest.mark.usefixtures("no_report")
@@ -219,8 +219,8 @@ def test_a_campaign_without_some_outcomes_fails(
 @pytest.mark.usefixtures("no_report")
 def test_photographs_are_learned_from_too(world: World, tmp_path: Path) -> None:
     skip = [part.name for part in PARTS if part.name != "recognition"]
-    assert run_quick(tmp_path, skip=skip).good
-    assert run_quick(tmp_path, skip=skip).good and world.count("pictures") == 1
+    assert run_quick(tmp_path, skip=skip).successful
+    assert run_quick(tmp_path, skip=skip).successful and world.count("pictures") == 1
     done = run_quick(tmp_path, skip=skip, photographs=["ucmerced=photographs"])
     assert world.count("pictures") == 2, "other pictures start over"
     assert done.states["recognition"].figures["size"]["photographs"] == ["ucmerced=photographs"]
@@ -231,12 +231,12 @@ def test_photographs_are_learned_from_too(world: World, tmp_path: Path) -> None:
 def test_trained_networks_are_kept(world: World, tmp_path: Path) -> None:
     skip = [part.name for part in PARTS if part.name != "recognition"]
     world.broken = "scores"
-    assert not run_quick(tmp_path, skip=skip).good
+    assert not run_quick(tmp_path, skip=skip).successful
     world.broken = ""
     home = tmp_path / "recognition" / "quick"
     assert (home / "pictures").is_dir()
     (home / "settings.json").write_text("{}")
-    assert run_quick(tmp_path, skip=skip).good
+    assert run_quick(tmp_path, skip=skip).successful
     assert world.count("pictures") == 2, "other settings start over"
     assert (home / "networks" / "resnet18-d_land" / "scores.json").is_file()
 

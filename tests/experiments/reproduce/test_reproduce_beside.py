@@ -19,7 +19,7 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.run_directory import run_directory
 from touchdown.experiments.reproduce import background_worker as reproduce_beside
 from touchdown.experiments.reproduce import run as reproduce
-from touchdown.experiments.reproduce.background_worker import Beside, tell
+from touchdown.experiments.reproduce.background_worker import BackgroundWorker, send_note
 
 from support.campaign_flights import RUNNER, axes, figures, fly, make_plan
 
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 pytest_plugins = ("support.reproduce_world",)
 
 
-def write_and_tell(file: Path) -> None:
-    tell(f"threads: {os.environ['OMP_NUM_THREADS']}")
+def write_and_send(file: Path) -> None:
+    send_note(f"threads: {os.environ['OMP_NUM_THREADS']}")
     file.write_text(str(os.getpid()))
 
 
@@ -44,15 +44,15 @@ def die() -> None:
 
 def draw_for_ever(folder: Path) -> None:
     with run_directory(folder / "pictures"):
-        tell("drawing")
+        send_note("drawing")
         time.sleep(600.0)
 
 
 def test_work_beside_has_its_own_process_and_one_slot(tmp_path: Path) -> None:
     slots, notes = threading.Semaphore(2), list[str]()
-    with Beside(slots, notes.append) as beside:
+    with BackgroundWorker(slots, notes.append) as beside:
         assert slots.acquire(blocking=False)
-        beside.start(write_and_tell, tmp_path / "pid")
+        beside.start(write_and_send, tmp_path / "pid")
         assert not slots.acquire(blocking=False), "one is ours, one the work's"
         beside.wait()
         assert slots.acquire(timeout=5.0), "it is given back"
@@ -60,10 +60,10 @@ def test_work_beside_has_its_own_process_and_one_slot(tmp_path: Path) -> None:
     assert int((tmp_path / "pid").read_text()) != os.getpid()
 
 
-@pytest.mark.parametrize(("work", "words"), [(run_out_of_paper, "no paper"), (die, "from outside")])
+@pytest.mark.parametrize(("work", "words"), [(run_out_of_paper, "no paper"), (die, "was killed")])
 def test_its_errors_are_ours(work: Callable[[], None], words: str) -> None:
     slots = threading.Semaphore(1)
-    with Beside(slots, print) as beside:
+    with BackgroundWorker(slots, print) as beside:
         beside.start(work)
         with pytest.raises(UsageError, match=words):
             beside.wait()
@@ -74,7 +74,7 @@ def test_it_ends_with_us_and_leaves_nothing_half_written(tmp_path: Path) -> None
     drawing = threading.Event()
 
     def be_interrupted() -> None:
-        with Beside(threading.Semaphore(1), lambda _note: drawing.set()) as beside:
+        with BackgroundWorker(threading.Semaphore(1), lambda _note: drawing.set()) as beside:
             beside.start(draw_for_ever, tmp_path)
             assert drawing.wait(60.0)
             raise KeyboardInterrupt
@@ -107,7 +107,7 @@ def test_flights_wait_for_slots_and_come_out_the_same(tmp_path: Path) -> None:
 
 @pytest.fixture
 def beside_in_a_thread(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The parts of a fake world are not to be had in another process. What it would tell."""
+    """Runs parts in this process, because another lacks the fake world; returns its messages."""
     notes: list[str] = []
 
     def pool(jobs: int, _fresh: Any, **_beginning: Any) -> ThreadPoolExecutor:
@@ -115,7 +115,7 @@ def beside_in_a_thread(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     monkeypatch.setattr(reproduce_beside, "ProcessPoolExecutor", pool)
     monkeypatch.setattr(reproduce_beside, "_begin", lambda *_: None)
-    monkeypatch.setattr(reproduce, "tell", notes.append)
+    monkeypatch.setattr(reproduce, "send_note", notes.append)
     return notes
 
 
@@ -124,7 +124,7 @@ def test_parts_beside_flights_are_done_once_and_before_what_is_timed(
     world: World, tmp_path: Path, beside_in_a_thread: list[str]
 ) -> None:
     done = reproduce.reproduce(tmp_path, quick=True, jobs=2)
-    assert done.good and len(done.states) == 10
+    assert done.successful and len(done.states) == 10
     for what in ("calibration", "edges", "sites", "speed", "training"):
         assert world.count(what) == 1, what
     drawn = max(world.calls.index(what) for what in ("calibration", "edges", "scene", "sites"))
@@ -132,14 +132,14 @@ def test_parts_beside_flights_are_done_once_and_before_what_is_timed(
     assert max(drawn, flown) < world.calls.index("speed") < world.calls.index("training")
     assert sum(note.startswith("[1/10] calibration: ") for note in beside_in_a_thread) == 2
     again = reproduce.reproduce(tmp_path, quick=True, jobs=2)
-    assert again.good and world.count("calibration") == 1
+    assert again.successful and world.count("calibration") == 1
 
 
 @pytest.mark.usefixtures("no_report", "beside_in_a_thread")
 def test_a_part_that_breaks_beside_leaves_the_others(world: World, tmp_path: Path) -> None:
     world.broken = "edges"
     done = reproduce.reproduce(tmp_path, quick=True, jobs=2)
-    assert [name for name, state in done.states.items() if not state.good] == ["edges"]
+    assert [name for name, state in done.states.items() if not state.successful] == ["edges"]
     world.broken = ""
-    assert reproduce.reproduce(tmp_path, quick=True, jobs=2).good
+    assert reproduce.reproduce(tmp_path, quick=True, jobs=2).successful
     assert world.count("calibration") == 1 and world.count("edges") == 2

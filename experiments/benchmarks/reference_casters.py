@@ -1,7 +1,7 @@
-"""The same LIDAR rays through other ray casters, for comparison of speed.
+"""Reference implementations of ray casting, on the rays of the LIDAR, for comparison of speed.
 
-All of them see one scene from one hovering pose: MuJoCo's own caster and what builds on it know
-only rays from a common origin.
+All cast from one hovering pose in one scene, because MuJoCo's caster and the packages that build on
+it support only rays from a common origin.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _SCAN_TICKS = 60
 _LIDAR_SITE = "vehicle/lidar"
 
 
-class LidarPeers:
-    """Ray casters on the rays of one scan of ``params``' LIDAR at a time, one thread each."""
+class ReferenceCasters:
+    """Ray casters for the rays of one scan of the LIDAR of ``params``, one thread each."""
 
     def __init__(self, scene: Scene, params: LidarParams, seed: int) -> None:
         self._model, self._params = scene.model, params
@@ -41,10 +41,10 @@ class LidarPeers:
         self._groups = (np.arange(mujoco.mjNGROUP) < FIRST_HIDDEN_GROUP).astype(np.uint8)
 
     def casters(self, position: Array, scan_number: int) -> Mapping[str, Callable[[], Array]]:
-        """What to call for distances (N,) of the rays of a scan from a body at ``position`` (3,),
-        hovering level: ``sensor`` (everything a LIDAR does; ranges), ``embree`` (the bare cast of
-        given rays, one acceleration structure), ``mj_multiRay``, and ``mujoco_lidar``, the CPU
-        backend of the package of that name, where it is installed. Valid until the next call."""
+        """Functions by name that return distances (N,) of the rays of a scan from a level body at
+        ``position`` (3,): ``sensor`` (the whole LIDAR; ranges), ``embree`` (the bare cast of given
+        rays, one acceleration structure), ``mj_multiRay``, and ``mujoco_lidar``, the CPU backend of
+        the package of that name, where it is installed. Valid until the next call."""
         rotation = rotation_from_yaw(self._yaw)
         world_from_lidar = Pose(rotation, position) @ self._mount
         scan_pattern = pattern(self._params.preset)
@@ -63,7 +63,7 @@ class LidarPeers:
         return casters | ({} if package is None else {"mujoco_lidar": package})
 
     def _place(self, position: Array, rotation: Array, time_s: float) -> None:
-        """Vehicle and moving bodies of the MuJoCo casters."""
+        """Sets vehicle and moving bodies for the MuJoCo casters."""
         self._data.qpos[:3], self._data.qpos[3:7] = position, quat_wxyz_from_matrix(rotation)
         self._moving.write(self._data, time_s)
         mujoco.mj_kinematics(self._model, self._data)
@@ -85,7 +85,7 @@ class LidarPeers:
     def _embree(self, origin: Array, beams: Array) -> Callable[[], Array]:
         static = self._sensor.scene.static
         if static is None:
-            raise ValueError("the scene holds nothing that stands still: choose another scene")
+            raise ValueError("the scene has no static geometry: choose another scene")
         rays = np.column_stack([np.tile(origin, (len(beams), 1)), beams]).astype(np.float32)
         return lambda: static.embree(rays)["t_hit"].numpy()  # type: ignore[no-any-return]
 
