@@ -145,7 +145,20 @@ class ImuParams:
     """m/s^2/sqrt(Hz), likewise; 0.12 on the same flights (three times that along the rotor axes)"""
 
 
-# ------------------------------------------------------------------- what a vehicle knows of itself
+@dataclass(frozen=True, kw_only=True, slots=True)
+class WorldParams:
+    """Every parameter of the simulated world but its scene and its seed."""
+
+    sim: SimParams = field(default_factory=SimParams)
+    wind: WindParams = field(default_factory=WindParams)
+    lidar: LidarParams = field(default_factory=LidarParams)
+    camera: CameraParams = field(default_factory=CameraParams)
+    imu: ImuParams = field(default_factory=ImuParams)
+    nav: NavParams = field(default_factory=NavParams)
+    faults: FaultParams = field(default_factory=FaultParams)
+
+
+# -------------------------------------------------------------- the vehicle's model and calibration
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

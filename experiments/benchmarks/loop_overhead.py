@@ -25,7 +25,7 @@ from touchdown.experiments.flight.loop import run_flight
 from touchdown.experiments.flight.platform import limit_threads
 from touchdown.experiments.flight.run import make_referee, timed_parts
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
-from touchdown.experiments.flight.wiring import build_flight, build_scene
+from touchdown.experiments.flight.wiring import build_flight, build_scene, world_params
 from touchdown.experiments.recording.run_recorder import RunRecorder
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import (
@@ -209,6 +209,4 @@ def build_bare(config: Config, scene: Scene) -> BareWorld:
     """The bare computation beside a flight that was built before, whose world set the physics."""
     from touchdown.experiments.benchmarks.bare_world import BareWorld
 
-    return BareWorld(
-        scene, sim=config.sim, camera=config.camera, lidar=config.lidar, seed=config.seed
-    )
+    return BareWorld(scene, world_params(config), config.seed)

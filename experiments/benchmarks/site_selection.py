@@ -1,4 +1,4 @@
-"""Choosing sites without flying: towed surveys of many places, judged by the true maps."""
+"""Choosing sites without flying: posed surveys of many scenes, judged by the true maps."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scipy.ndimage import distance_transform_edt
 
 from touchdown.experiments.benchmarks.posed_survey import (
     Surveyed,
-    tow_survey,
+    posed_survey,
 )
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
@@ -43,7 +43,7 @@ ROOM_CAP_M = 3.0
 
 
 def check_place(config: Config, picture: Path | None = None) -> dict[str, Any]:
-    """One place: what the selector chose beside the true map. Raises ValueError as `tow_survey`.
+    """One place: what the selector chose beside the true map. Raises ValueError as `posed_survey`.
     The steps that led to it are drawn into ``picture``, where one is named.
 
     ``chosen_safe`` (None where nothing was accepted), ``accepted`` and ``accepted_safe`` sites;
@@ -51,7 +51,7 @@ def check_place(config: Config, picture: Path | None = None) -> dict[str, Any]:
     site and ``best_room_m``: distance to the nearest unsafe ground, at most 3 m; ``sample``:
     believed probabilities and truth of cells spread evenly, with their features.
     """
-    surveyed = tow_survey(config)
+    surveyed = posed_survey(config)
     truth = scene_truth_maps(surveyed.scene, TRUTH_CELL_M, _region(surveyed))
     selection, costmap = surveyed.selection, surveyed.selection.costmap
     accepted = [site for site in selection.candidates if site.accepted]

@@ -17,7 +17,7 @@ from touchdown.estimator.api import (
     Estimate,
     GridMap,
 )
-from touchdown.experiments.benchmarks.posed_survey import SCAN_PERIOD_S, Surveyed, tow_survey
+from touchdown.experiments.benchmarks.posed_survey import SCAN_PERIOD_S, Surveyed, posed_survey
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
@@ -66,7 +66,7 @@ def bench_landing(
         pictures[0].take_in(obs, estimate)
 
     watch = None if classifier is None else remember
-    surveyed = tow_survey(config, period_s=SCAN_PERIOD_S, watch=watch)
+    surveyed = posed_survey(config, period_s=SCAN_PERIOD_S, watch=watch)
     stages = selection_stages(config, surveyed.survey.rig)
     view, estimate = surveyed.map_view, surveyed.estimate
     laps: dict[str, list[float]] = {}

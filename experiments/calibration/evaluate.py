@@ -37,7 +37,7 @@ def run_calibration(
     files that cannot be written."""
     limit_threads()
     board = Chessboard()
-    views, stand = calibration_views(
+    views, truth = calibration_views(
         config, board, count, lambda done: note(f"view {done} of {count}")
     )
     note("calibrating")
@@ -45,7 +45,6 @@ def run_calibration(
     write_calibration(out, result)
     if pictures is not None:
         write_pictures(pictures, views, result, board)
-    truth = stand.body_from_camera.inverse() @ stand.body_from_lidar
     return {
         "file": str(out),
         "seed": config.seed,
@@ -58,7 +57,7 @@ def run_calibration(
             "reprojection_rms_px": result.reprojection_rms_px,
             "plane_rms_m": result.plane_rms_m,
         },
-        **errors(result, stand.intrinsics, truth),
+        **errors(result, truth.camera, truth.camera_from_lidar),
     }
 
 

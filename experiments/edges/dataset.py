@@ -20,23 +20,26 @@ from touchdown.estimator.paper.structured_edges.forest import segment_edges
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.wiring import build_scene
-from touchdown.experiments.scene_tools.aerial_views import (
-    _STEEPEST,
-    _STEP_M,
-    aerial_camera,
-    look_anywhere,
-    paint_ground,
+from touchdown.experiments.scene_tools.posed_views import (
+    posed_sensors,
+    random_view,
+    write_ground_classes,
 )
 from touchdown.scenes.api import LAND_CLASSES, Scene
 from touchdown.sim.frames import Pose
 
 if TYPE_CHECKING:
-    from touchdown.sim.aerial import AerialView
+    from touchdown.sim.posed_sensors import PosedView
 
 Array = NDArray[np.float64]
 Int32 = NDArray[np.int32]
 
+_STEP_M = 0.4
+"""Jump of depth between neighbouring pixels that separates two things of one kind"""
 _CROWN_STEP_M = 2.0
+"""The same within vegetation"""
+_STEEPEST = 8.0
+"""Change of depth, in pixel widths, that is still one surface seen obliquely, walls included"""
 _SMALLEST_PX = 12
 """segments below this many half-size pixels go to what surrounds them"""
 
@@ -76,18 +79,22 @@ def edge_views(
 
 def _scene_views(config: Config, scene: Scene, views: int) -> Iterator[EdgeView]:
     rng = np.random.default_rng([config.seed, crc32(b"edge views"), crc32(scene.name.encode())])
-    camera = aerial_camera(config, scene)
+    sensors = posed_sensors(config, scene)
     kinds = surface_kinds(scene)
     try:
         for number in range(views):
-            view, pose, time_s = look_anywhere(camera, scene, rng, number)
-            segments = segments_of(view, scene, kinds, camera.intrinsics.matrix())
+            view = random_view(sensors, scene, rng, number)
             half = cv2.resize(view.rgb, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             yield EdgeView(
-                np.asarray(half, np.uint8), segments, scene.name, scene.seed, pose, time_s
+                rgb=np.asarray(half, np.uint8),
+                segments=segments_of(view, scene, kinds, sensors.intrinsics.matrix()),
+                scene=scene.name,
+                seed=scene.seed,
+                world_from_body=view.world_from_body,
+                time_s=view.time_s,
             )
     finally:
-        camera.close()
+        sensors.close()
 
 
 def surface_kinds(scene: Scene) -> Int32:
@@ -101,13 +108,13 @@ def surface_kinds(scene: Scene) -> Int32:
     return kinds
 
 
-def segments_of(view: AerialView, scene: Scene, kinds: Int32, matrix: Array) -> Int32:
+def segments_of(view: PosedView, scene: Scene, kinds: Int32, matrix: Array) -> Int32:
     """(H/2, W/2) int32 segments of a view: connected pixels, every other one in both directions, of
     one kind without a jump of depth."""
     geom_id, depth = view.geom_id[::2, ::2], view.depth_m[::2, ::2]
     kind = np.where(geom_id >= 0, kinds[geom_id], -1).astype(np.int32)
     if scene.ground is not None:
-        paint_ground(kind, view, scene, matrix)
+        write_ground_classes(kind, view, scene, matrix)
     segments = connected(kind, *_depth_jumps(depth, kind, 0.5 * float(matrix[0, 0])))
     return without_specks(segments, _SMALLEST_PX)
 

@@ -18,8 +18,13 @@ from touchdown.experiments.edges.dataset import EdgeView, boundaries, edge_views
 from touchdown.experiments.edges.train import CANNY_THRESHOLDS, canny_masks
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.wiring import build_scene, make_world
+from touchdown.experiments.scene_tools.posed_views import posed_sensors
 from touchdown.scenes.api import Scene
 from touchdown.sim.frames import Pose
+
+if TYPE_CHECKING:
+    from touchdown.estimator.paper.still_scan import StillFeatures
+    from touchdown.sim.posed_sensors import PosedView
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -197,29 +202,24 @@ def _write(path: Path, picture: Picture) -> None:
         raise UsageError(f"--out: '{path}' cannot be written: {error}") from error
 
 
-if TYPE_CHECKING:
-    from touchdown.estimator.paper.still_scan import StillFeatures
-    from touchdown.sim.aerial import AerialView
-
-
 def still_features(
     config: Config, scene: Scene, world_from_body: Pose, time_s: float
-) -> tuple[AerialView, StillFeatures]:
-    """What camera and LIDAR see from a pose, and what `paper` makes of one scan of it."""
+) -> tuple[PosedView, StillFeatures]:
+    """The view from a pose, and the features that `paper` finds in one scan from there."""
     from touchdown.estimator.paper.still_scan import features_of_still_scan
-    from touchdown.sim.aerial import AerialCamera, still_scan
+    from touchdown.sim.moving import BodyTrack
 
     world = make_world(config, scene)
     rig = world.rig
     world.close()
-    camera = AerialCamera(scene, config.camera, config.seed)
+    sensors = posed_sensors(config, scene)
     try:
-        view = camera.look(world_from_body, time_s, 0)
+        view = sensors.view(world_from_body, time_s, 0)
     finally:
-        camera.close()
+        sensors.close()
     start = round(time_s * config.sim.tick_hz)
-    ticks = start + config.sim.lidar_scan_ticks * np.arange(2)
-    scan = still_scan(scene, config.lidar, config.seed, world_from_body, ticks, config.sim.tick_hz)
+    both_ends_s = sensors.scan_times(start)[[0, -1]]
+    scan = sensors.scan(BodyTrack.at_rest(world_from_body, both_ends_s), start)
     return view, features_of_still_scan(scan, view.rgb, rig, config.paper)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -15,12 +14,10 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.drawing.map_axes import PAPER, MapFrame, survey_marks, write_words
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.run_directory import whole_file
+from touchdown.experiments.scene_tools.posed_views import HoverView, hover_view
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene, TruthMaps
 from touchdown.scenes.render import scene_picture
 from touchdown.scenes.truth.maps import truth_maps as scene_truth_maps
-
-if TYPE_CHECKING:
-    from touchdown.sim.hover import HoverView
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -265,22 +262,3 @@ def _with_key(picture: Picture, key: list[tuple[str, tuple[int, int, int]]]) -> 
 def _text(strip: Picture, text: str, left: int) -> int:
     """Writes into a strip in place and returns the column where the text ends."""
     return write_words(strip, text, left, 29, 0.55)
-
-
-if TYPE_CHECKING:
-    from touchdown.sim.hover import HoverView
-
-
-def hover_view(config: Config, scene: Scene, height_m: float, seconds: float) -> HoverView:
-    """What the configured camera and LIDAR see from a hover above the take-off spot."""
-    from touchdown.sim.hover import hover_view as look
-
-    return look(
-        scene,
-        sim=config.sim,
-        camera=config.camera,
-        lidar=config.lidar,
-        seed=config.seed,
-        height_m=height_m,
-        seconds=seconds,
-    )

@@ -7,6 +7,7 @@ its sites and ``<numeric>`` entries works as well.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -33,6 +34,15 @@ class RotorGeometry:
     """In-plane drag of one rotor, N / ((rad/s)(m/s))"""
     inflow: float
     """Thrust lost by axial inflow, N / ((rad/s)(m/s))"""
+
+
+class SensorMounts(NamedTuple):
+    """Poses of the sensors on the body: body_from_imu, body_from_lidar and so on."""
+
+    imu: Pose
+    lidar: Pose
+    camera: Pose
+    camera_right: Pose
 
 
 def vehicle_body_id(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> int:
@@ -82,16 +92,13 @@ def rotor_geometry(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> Rotor
     )
 
 
-def sensor_poses(
-    model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX
-) -> tuple[Pose, Pose, Pose, Pose]:
-    """``body_from_imu, body_from_lidar, body_from_camera, body_from_camera_right`` from the sites
-    of these names."""
-    return (
-        _site_pose(model, prefix, "imu"),
-        _site_pose(model, prefix, "lidar"),
-        _site_pose(model, prefix, "camera"),
-        _site_pose(model, prefix, "camera_right"),
+def sensor_mounts(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> SensorMounts:
+    """Poses of the sites ``imu``, ``lidar``, ``camera`` and ``camera_right``."""
+    return SensorMounts(
+        imu=_site_pose(model, prefix, "imu"),
+        lidar=_site_pose(model, prefix, "lidar"),
+        camera=_site_pose(model, prefix, "camera"),
+        camera_right=_site_pose(model, prefix, "camera_right"),
     )
 
 

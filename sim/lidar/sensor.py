@@ -18,20 +18,17 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import LidarParams, LidarScan
 from touchdown.sim.faults.weather import Weather
-from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
+from touchdown.sim.frames import Pose
 from touchdown.sim.lidar import beams, returns
 from touchdown.sim.lidar.patterns.livox import ScanPattern, pattern
 from touchdown.sim.lidar.raycast_scene import Hits, LidarScene, RayTarget, rays_behind
 from touchdown.sim.lidar.weather import Clutter, LidarWeather
+from touchdown.sim.moving import BodyTrack
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Uint32 = NDArray[np.uint32]
 Indices = NDArray[np.int64]
-
-MovingTrack = Pose | tuple[Array, Array]
-"""A moving body during a scan: one pose, or (positions (M, 3), quats_wxyz (M, 4)) at the same
-instants as the vehicle's own track."""
 
 _MOST_PASSES = 5
 """Porous surfaces that one pulse may cross (each crown counts twice: in and out)."""
@@ -53,11 +50,11 @@ class _Track:
     rotations: Array
 
     @staticmethod
-    def of(times_s: Array, positions: Array, quats_wxyz: Array) -> _Track:
+    def of(body: BodyTrack) -> _Track:
         return _Track(
-            np.ascontiguousarray(times_s, dtype=np.float64),
-            np.ascontiguousarray(positions, dtype=np.float64),
-            beams.rotations_of(np.ascontiguousarray(quats_wxyz, dtype=np.float64)),
+            np.ascontiguousarray(body.times_s, dtype=np.float64),
+            np.ascontiguousarray(body.positions, dtype=np.float64),
+            beams.rotations_of(np.ascontiguousarray(body.quats_wxyz, dtype=np.float64)),
         )
 
     def mounted(self, mount: Pose) -> _Track:
@@ -138,17 +135,15 @@ class LidarSensor:
         start_tick: int,
         end_tick: int,
         tick_hz: int,
-        body_times_s: Array,
-        body_positions: Array,
-        body_quats_wxyz: Array,
+        body: BodyTrack,
         body_from_lidar: Pose,
-        moving_poses: Mapping[str, MovingTrack],
+        moving: Mapping[str, BodyTrack],
     ) -> LidarScan:
         """All pulses fired in (start_tick, end_tick].
 
-        The vehicle's track: body_times_s (M,) seconds, ascending, covering the scan (a pose per
-        tick, both ends included); body_positions (M, 3) world metres; body_quats_wxyz (M, 4)
-        world_from_body. ``moving_poses`` by body name; a body left out stays at its rest pose.
+        ``body``: the vehicle's track, which covers the scan (a pose per tick, both ends included).
+        ``moving``: tracks by body name, of one instant or over the scan; a body left out stays at
+        its rest pose.
 
         Raises ValueError when the track does not cover the scan or a name is not a moving body's.
         """
@@ -156,12 +151,11 @@ class LidarSensor:
         first = start_tick * rate // tick_hz + 1
         count = end_tick * rate // tick_hz + 1 - first
         start_s = start_tick / tick_hz
-        self._check_track(body_times_s, start_s, end_tick / tick_hz)
+        self._check_track(body.times_s, start_s, end_tick / tick_hz)
         nominal = self._pattern.directions(first, count)
-        body = _Track.of(body_times_s, body_positions, body_quats_wxyz)
-        track = body.mounted(body_from_lidar)
+        track = _Track.of(body).mounted(body_from_lidar)
         pulses = self._aim(first, nominal, np.arange(count), _ON_AXIS, track)
-        movers = self._in_view(track, self._movers(body_times_s, moving_poses))
+        movers = self._in_view(track, self._movers(body.times_s, moving))
         clutter = self._weather.at(end_tick) if self._weather is not None else None
         ranges, intensity = self._measure(first, nominal, pulses, track, movers, clutter)
         return LidarScan(
@@ -209,8 +203,8 @@ class LidarSensor:
         )
         return rays
 
-    def _movers(self, times_s: Array, poses: Mapping[str, MovingTrack]) -> _Movers:
-        unknown = sorted(set(poses) - set(self._scene.moving))
+    def _movers(self, times_s: Array, moving: Mapping[str, BodyTrack]) -> _Movers:
+        unknown = sorted(set(moving) - set(self._scene.moving))
         if unknown:
             raise ValueError(
                 f"'{unknown[0]}' is not a moving body of the scene: name one of "
@@ -218,13 +212,10 @@ class LidarSensor:
             )
         movers = []
         for name, target in self._scene.moving.items():
-            motion = poses.get(name, self._scene.rest_poses[name])
-            if isinstance(motion, Pose):
-                positions = motion.translation[None]
-                quats = quat_wxyz_from_matrix(motion.rotation)[None]
-                movers.append((target, _Track.of(times_s[:1], positions, quats)))
-            else:
-                movers.append((target, _Track.of(times_s, *motion)))
+            motion = moving.get(name)
+            if motion is None:
+                motion = BodyTrack.at_rest(self._scene.rest_poses[name], times_s[:1])
+            movers.append((target, _Track.of(motion)))
         return movers
 
     def _in_view(self, track: _Track, movers: _Movers) -> _Movers:

@@ -19,13 +19,13 @@ from touchdown.sim.api import (
     CameraParams,
     Command,
     ImuParams,
-    LidarParams,
     Observation,
     SensorNeeds,
     SimParams,
     Truth,
     VehicleModel,
     WindParams,
+    WorldParams,
 )
 from touchdown.sim.frames import so3_exp, yaw_from_rotation
 from touchdown.sim.moving import MovingBodies
@@ -79,13 +79,14 @@ def make_world(scene: Scene) -> Iterator[MakeWorld]:
     ) -> MujocoWorld:
         world = MujocoWorld(
             scene,
-            sim=sim or SimParams(threads=1),
-            wind=wind or WindParams(),
-            lidar=LidarParams(),
-            camera=SMALL_PICTURE,
-            imu=imu or ImuParams(),
-            needs=needs or SensorNeeds(),
-            seed=seed,
+            WorldParams(
+                sim=sim or SimParams(threads=1),
+                wind=wind or WindParams(),
+                camera=SMALL_PICTURE,
+                imu=imu or ImuParams(),
+            ),
+            seed,
+            needs or SensorNeeds(),
         )
         made.append(world)
         return world
@@ -165,13 +166,12 @@ def test_a_rolling_shutter_arrives_like_a_global_one(scene: Scene) -> None:
     for readout_s in (0.0, 0.02):
         world = MujocoWorld(
             scene,
-            sim=SimParams(threads=1),
-            wind=WindParams(),
-            lidar=LidarParams(),
-            camera=CameraParams(width=64, height=36, readout_s=readout_s),
-            imu=ImuParams(),
-            needs=SensorNeeds(camera_hz=10),
-            seed=3,
+            WorldParams(
+                sim=SimParams(threads=1),
+                camera=CameraParams(width=64, height=36, readout_s=readout_s),
+            ),
+            3,
+            SensorNeeds(camera_hz=10),
         )
         rest = Command(rotor_speed_radps=np.zeros(4))
         observations = [world.reset(), *(world.step(rest) for _ in range(60))]
@@ -339,9 +339,9 @@ def test_moving_body_follows_its_closed_path(
     np.testing.assert_allclose(data.mocap_pos[0], [*xy, 0.5], atol=1e-9)
     half = np.radians(yaw_deg) / 2
     np.testing.assert_allclose(data.mocap_quat[0], [np.cos(half), 0, 0, np.sin(half)], atol=1e-12)
-    positions, quats = bodies.tracks(np.array([0.0, time_s]))["cart"]
-    np.testing.assert_array_equal(positions[1], data.mocap_pos[0])
-    np.testing.assert_array_equal(quats[1], data.mocap_quat[0])
+    track = bodies.tracks(np.array([0.0, time_s]))["cart"]
+    np.testing.assert_array_equal(track.positions[1], data.mocap_pos[0])
+    np.testing.assert_array_equal(track.quats_wxyz[1], data.mocap_quat[0])
 
 
 def test_the_cart_moves_with_the_clock(make_world: MakeWorld) -> None:

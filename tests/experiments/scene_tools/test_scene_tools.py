@@ -19,6 +19,7 @@ from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.drawing.contact_sheet import SHEET_VIEWS, contact_sheet, thumbnails
 from touchdown.experiments.drawing.map_axes import tick_step
 from touchdown.experiments.scene_tools.flyability import check_place
+from touchdown.experiments.scene_tools.posed_views import HoverView, hover_view
 from touchdown.experiments.scene_tools.seed_check import check_scene
 from touchdown.experiments.scene_tools.views import CLASS_RGB, VIEWS, SceneViews
 from touchdown.scenes.api import Scene
@@ -26,7 +27,6 @@ from touchdown.scenes.compose import load_scene
 from touchdown.scenes.registry import scene_names
 from touchdown.scenes.render import scene_picture
 from touchdown.scenes.truth.survey_facts import Layout, difference, layout, survey_facts
-from touchdown.sim.hover import HoverView, hover_view
 
 PLACE = """
 <mujoco>
@@ -60,16 +60,7 @@ def views(place_file: Path, place: Scene) -> SceneViews:
 
 @pytest.fixture(scope="module")
 def hover(place: Scene) -> HoverView:
-    config = load_config()
-    return hover_view(
-        place,
-        sim=config.sim,
-        camera=config.camera,
-        lidar=config.lidar,
-        seed=0,
-        height_m=30.0,
-        seconds=0.2,
-    )
+    return hover_view(load_config(), place, height_m=30.0, seconds=0.2)
 
 
 def pixel(picture: np.ndarray, x: float, y: float, half: float = 25.0) -> np.ndarray:

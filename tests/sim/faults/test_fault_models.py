@@ -20,11 +20,10 @@ from touchdown.sim.api import (
     CameraParams,
     Command,
     FaultParams,
-    LidarParams,
     SensorNeeds,
     SimParams,
     VehicleModel,
-    WindParams,
+    WorldParams,
 )
 from touchdown.sim.faults.disturbances import Disturbances, gust_speed
 from touchdown.sim.frames import Pose, so3_log
@@ -162,13 +161,19 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return load_scene(str(path), 0)
 
 
+def params_with(faults: FaultParams) -> WorldParams:
+    return WorldParams(
+        sim=SimParams(threads=1),
+        camera=CameraParams(width=64, height=36),
+        imu=load_config().imu,
+        faults=faults,
+    )
+
+
 def seconds_in_the_air(place: Scene, *events: str) -> Iterator[bytes]:
     """All that is sensed and true of each half second in the air, as bytes."""
-    world = MujocoWorld(
-        place, sim=SimParams(threads=1), wind=WindParams(), lidar=LidarParams(), seed=3,
-        camera=CameraParams(width=64, height=36), imu=load_config().imu,
-        needs=SensorNeeds(camera_hz=15, lidar=True, gps=True), faults=FaultParams(events=events),
-    )  # fmt: skip
+    needs = SensorNeeds(camera_hz=15, lidar=True, gps=True)
+    world = MujocoWorld(place, params_with(FaultParams(events=events)), 3, needs)
     try:
         world.start_in_air(np.array([0.0, 0.0, 12.0]), 0.3)
         model = world.rig.vehicle
@@ -202,11 +207,7 @@ def test_faults_change_nothing_before_they_begin(place: Scene) -> None:
 
 def test_what_happens_in_the_world_is_counted(place: Scene) -> None:
     params = FaultParams(events=("fog@0.5", "gust@0.1+3"))
-    world = MujocoWorld(
-        place, sim=SimParams(threads=1), wind=WindParams(), lidar=LidarParams(), seed=3,
-        camera=CameraParams(width=64, height=36), imu=load_config().imu,
-        needs=SensorNeeds(lidar=True), faults=params,
-    )  # fmt: skip
+    world = MujocoWorld(place, params_with(params), 3, SensorNeeds(lidar=True))
     for _ in range(HZ // STEP):
         world.step(Command(rotor_speed_radps=np.zeros(4)))
     world.close()
