@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.sim.faults.types import FAULT_KINDS as FAULT_KINDS
 from touchdown.sim.faults.types import Fault as Fault
@@ -26,9 +25,7 @@ from touchdown.sim.navigation.types import MagnetometerSample as MagnetometerSam
 from touchdown.sim.navigation.types import NavParams as NavParams
 from touchdown.sim.navigation.types import RangefinderParams as RangefinderParams
 from touchdown.sim.navigation.types import RangefinderSample as RangefinderSample
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
+from touchdown.sim.typing import Array, Bytes, Float32
 
 GRAVITY_MPS2 = 9.81
 AIR_DENSITY_KGPM3 = 1.225
@@ -298,7 +295,7 @@ class LidarScan:
     """(N,) metres; 0 where nothing came back."""
     time_offsets: Float32
     """(N,) seconds after ``start_time_s``, ascending."""
-    intensity: NDArray[np.uint8]
+    intensity: Bytes
     """(N,) return strength 0..255, calibrated to reflectivity in percent below 150 (Livox)."""
 
     @property
@@ -314,9 +311,9 @@ class CameraImage:
 
     tick: int
     time_s: float
-    rgb: NDArray[np.uint8]
+    rgb: Bytes
     """(H, W, 3)"""
-    right_rgb: NDArray[np.uint8] | None = None
+    right_rgb: Bytes | None = None
     """(H, W, 3), only where stereo was asked for."""
 
 

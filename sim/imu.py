@@ -8,11 +8,9 @@ from zlib import crc32
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams, ImuSample
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _DRAWN = 64
 

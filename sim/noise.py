@@ -6,9 +6,8 @@ import math
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 
 def random_stream(seed: int, component: str) -> np.random.Generator:

@@ -18,11 +18,9 @@ from zlib import crc32
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.sim.api import WindParams
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 FOOT_M = 0.3048
 REFERENCE_HEIGHT_M = 20.0 * FOOT_M

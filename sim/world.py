@@ -6,7 +6,6 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.airframe.battery import Battery
@@ -39,9 +38,8 @@ from touchdown.sim.imaging_sensors import ImagingSensors
 from touchdown.sim.imu import ImuSensor
 from touchdown.sim.moving import MovingBodies
 from touchdown.sim.navigation.channels import NavSensors
+from touchdown.sim.typing import Array
 from touchdown.sim.wind import Wind
-
-Array = NDArray[np.float64]
 
 _NOTHING = SensorNeeds()
 

@@ -6,11 +6,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.sim.airframe.vehicle import vehicle_body_id
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 

@@ -6,15 +6,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.airframe.ground_probe import GroundProbe
 from touchdown.sim.airframe.vehicle import foot_positions, vehicle_body_id
 from touchdown.sim.api import AIR_DENSITY_KGPM3, GRAVITY_MPS2
 from touchdown.sim.frames import matrix_from_quat_wxyz, rotation_from_yaw, tilt_from_rotation
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 AIR_VISCOSITY_PAS = 1.8e-5
 SETTLE_S = 2.0

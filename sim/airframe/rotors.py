@@ -19,12 +19,10 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.sim.airframe.vehicle import RotorGeometry
 from touchdown.sim.api import VehicleModel
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 GROUND_EFFECT_MIN_HEIGHT_RADII = 0.5
 """Below half a radius the formula diverges; its factor is held at 4/3."""

@@ -11,12 +11,10 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.sim.api import GRAVITY_MPS2, VehicleModel
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 VEHICLE_PREFIX = "vehicle/"
 VEHICLE_BODY = "quadrotor"

@@ -25,16 +25,12 @@ import cv2
 import mujoco
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams
 from touchdown.sim.camera.gl import Snapshot
 from touchdown.sim.faults.disturbances import Happening
 from touchdown.sim.faults.weather import Weather
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
+from touchdown.sim.typing import Array, Bytes, Float32
 
 AIRLIGHT_LEVEL = 190.0
 """grey level of endless fog"""

@@ -10,14 +10,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraIntrinsics
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Int32 = NDArray[np.int32]
-Bytes = NDArray[np.uint8]
+from touchdown.sim.typing import Array, Bytes, Float32, Int32
 
 BACKENDS = ("egl", "osmesa", "glfw")
 """In the order in which they are tried; GLFW needs a display."""

@@ -12,10 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraIntrinsics, CameraParams
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
+from touchdown.sim.typing import Array, Bytes, Float32
 
 NOISE_MARGIN = 128
 """The noise tile is larger than a picture by this, and shifted at random."""

@@ -15,7 +15,6 @@ from zlib import crc32
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams
@@ -30,10 +29,7 @@ from touchdown.sim.camera.optics import (
     raster_rows,
     through_lens,
 )
-
-Bytes = NDArray[np.uint8]
-Float32 = NDArray[np.float32]
-Int32 = NDArray[np.int32]
+from touchdown.sim.typing import Bytes, Float32, Int32
 
 CAMERA_NAME = "vehicle/camera"
 VEHICLE_GROUP = 4

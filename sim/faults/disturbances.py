@@ -17,13 +17,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.sim.api import Fault, FaultParams
 from touchdown.sim.frames import Pose, so3_exp
 from touchdown.sim.noise import random_stream
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 ROTORS = 4
 

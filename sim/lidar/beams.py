@@ -12,12 +12,8 @@ from statistics import NormalDist
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Uint32 = NDArray[np.uint32]
-Indices = NDArray[np.int64]
+from touchdown.sim.typing import Array, Float32, Indices, Uint32
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_A = np.uint64(0xBF58476D1CE4E5B9)

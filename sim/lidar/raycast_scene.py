@@ -24,10 +24,7 @@ from touchdown.sim.frames import Pose
 from touchdown.sim.lidar.heightfield import GroundGrid
 from touchdown.sim.lidar.quadrics import ShapeTable, settle
 from touchdown.sim.lidar.tessellation import geom_mesh
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Int32 = NDArray[np.int32]
+from touchdown.sim.typing import Array, Bools, Float32, Indices, Int32
 
 VEHICLE_PREFIX = "vehicle/"
 FIRST_HIDDEN_GROUP = 3
@@ -112,7 +109,7 @@ class RayTarget:
         """Nearest hits of (N, 6) float32 origins and unit directions in the target's frame."""
         return self.cast_apart(rays)[0]
 
-    def cast_apart(self, rays: Float32) -> tuple[Hits, NDArray[np.int64]]:
+    def cast_apart(self, rays: Float32) -> tuple[Hits, Indices]:
         """As ``cast``, and the indices of the rays that came near anything but open ground."""
         if self._ground is None:
             return self.cast_all(rays), np.arange(len(rays))
@@ -147,7 +144,7 @@ class RayTarget:
             again, reached = again[open_ended], reached[open_ended]
         return hits
 
-    def _cast_once(self, rays: Float32) -> tuple[Hits, NDArray[np.int64], Float32]:
+    def _cast_once(self, rays: Float32) -> tuple[Hits, Indices, Float32]:
         """Hits, the rays that have to be cast on, and how far those came."""
         answer = self.embree(rays)
         hits = Hits.none(len(rays))
@@ -184,7 +181,7 @@ class OpticalTable:
     """(G,) 0..1"""
     porosity: Float32
     """(G,) share of pulses that pass"""
-    water: NDArray[np.bool_]
+    water: Bools
     """(G,)"""
     ground_geom: int
     """-1 where the scene has no raster"""

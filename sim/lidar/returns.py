@@ -20,16 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.sim.lidar.beams import hashed, normal_cell, normal_in
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Int32 = NDArray[np.int32]
-Uint8 = NDArray[np.uint8]
-Uint32 = NDArray[np.uint32]
-Indices = NDArray[np.int64]
+from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32, Uint32
 
 _LIMIT_SPREAD = 0.02
 """Relative standard deviation of the range limit from pulse to pulse."""
@@ -163,7 +156,7 @@ def receive(
     range_noise: Float32,
     bits: Uint32,
     reflectivity: Float32,
-    water: NDArray[np.bool_],
+    water: Bools,
     ground_geom: int,
     ground_frame: Array,
     ground_reflectivity: Float32,
@@ -175,7 +168,7 @@ def receive(
     max_range: float,
     strengths: Float32,
     ranges: Float32,
-    intensity: Uint8,
+    intensity: Bytes,
 ) -> None:
     """Undivided pulses: fills ``ranges`` (N,) in metres and ``intensity`` (N,), both 0 where
     nothing comes back, and ``strengths`` (N,). The ground as in
@@ -210,7 +203,7 @@ def weaken(
     quantiles: Array,
     strengths: Float32,
     ranges: Float32,
-    intensity: Uint8,
+    intensity: Bytes,
 ) -> None:
     """Undivided pulses through air of this extinction in 1/m, there and back: lowers ``strengths``
     and ``intensity`` (N,), and takes away the ``ranges`` (N,) of what is too weak by then."""
@@ -235,7 +228,7 @@ def clutter(
     min_range: float,
     strongest: bool,
     ranges: Float32,
-    intensity: Uint8,
+    intensity: Bytes,
 ) -> None:
     """Puts the nearest echo of the air in the place of ``ranges`` and ``intensity`` (N,) where it
     comes before them, or with ``strongest`` where it is the stronger one. ``expected`` (K,) echoes
@@ -375,7 +368,7 @@ def receive_split(
     range_sigma: float,
     min_range: float,
     ranges: Float32,
-    intensity: Uint8,
+    intensity: Bytes,
 ) -> None:
     """Divided pulses: overwrites ``ranges`` and ``intensity`` of ``pulses`` (K,) by the first or
     the strongest echo of their P equal parts: distances and strengths (K, P), sorted here in place;

@@ -13,7 +13,6 @@ from statistics import NormalDist
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import LidarParams, LidarScan
@@ -24,11 +23,7 @@ from touchdown.sim.lidar.patterns.livox import ScanPattern, pattern
 from touchdown.sim.lidar.raycast_scene import Hits, LidarScene, RayTarget, rays_behind
 from touchdown.sim.lidar.weather import Clutter, LidarWeather
 from touchdown.sim.moving import BodyTrack
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Uint32 = NDArray[np.uint32]
-Indices = NDArray[np.int64]
+from touchdown.sim.typing import Array, Bytes, Float32, Indices, Uint32
 
 _MOST_PASSES = 5
 """Porous surfaces that one pulse may cross (each crown counts twice: in and out)."""
@@ -298,7 +293,7 @@ class LidarSensor:
         track: _Track,
         movers: _Movers,
         clutter: Clutter | None,
-    ) -> tuple[Float32, NDArray[np.uint8]]:
+    ) -> tuple[Float32, Bytes]:
         """Ranges and intensities of all pulses."""
         hits, others = self._cast(pulses.rays, pulses.times, movers, open_ground=True)
         split = np.empty(0, dtype=np.int64)
@@ -369,7 +364,7 @@ class LidarSensor:
             [*(end_hits.at(kept) for end_hits in found), rest.at(rows)],
         )
 
-    def _receive(self, pulses: _Rays, hits: Hits) -> tuple[Float32, Float32, NDArray[np.uint8]]:
+    def _receive(self, pulses: _Rays, hits: Hits) -> tuple[Float32, Float32, Bytes]:
         """Strengths, ranges and intensities of rays as pulses of their own."""
         optics = self._scene.optics
         strengths = np.empty(len(pulses.rays), dtype=np.float32)

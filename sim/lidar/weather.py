@@ -24,17 +24,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.sim.api import LidarParams
 from touchdown.sim.faults.weather import Air, Weather, fog_extinction
 from touchdown.sim.lidar import returns
 from touchdown.sim.lidar.patterns.livox import ScanPattern
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Uint8 = NDArray[np.uint8]
-Uint32 = NDArray[np.uint32]
+from touchdown.sim.typing import Array, Bytes, Float32, Uint32
 
 LIDAR_NM = 905.0
 LIDAR_RATIO_SR = 18.8
@@ -117,7 +112,7 @@ class Clutter:
         return 1.0 / (marshall_palmer_slope(self.air.rain_mmph) * least_mm)
 
     def weaken(
-        self, distance: Float32, bits: Uint32, strengths: Float32, ranges: Float32, intensity: Uint8
+        self, distance: Float32, bits: Uint32, strengths: Float32, ranges: Float32, intensity: Bytes
     ) -> None:
         """As ``sim.lidar.returns.weaken``, in place."""
         returns.weaken(
@@ -131,7 +126,7 @@ class Clutter:
             intensity,
         )
 
-    def scatter(self, bits: Uint32, ranges: Float32, intensity: Uint8) -> None:
+    def scatter(self, bits: Uint32, ranges: Float32, intensity: Bytes) -> None:
         """As ``sim.lidar.returns.clutter``, in place."""
         returns.clutter(
             bits,

@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import Generic, Protocol, TypeVar
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import (
@@ -24,8 +22,8 @@ from touchdown.sim.navigation.barometer import BarometerSensor
 from touchdown.sim.navigation.gps import GpsSensor
 from touchdown.sim.navigation.magnetometer import MagnetometerSensor
 from touchdown.sim.navigation.rangefinder import RangefinderSensor
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 

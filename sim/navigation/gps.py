@@ -6,13 +6,11 @@ import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.sim.api import GpsFix, GpsParams
 from touchdown.sim.frames import cross
 from touchdown.sim.noise import GaussMarkov, random_stream
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _CEP_TO_SIGMA = 1.0 / 1.1774
 """Circular error probable (50 %) to the standard deviation of one horizontal axis."""

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 FORBID_EXTRA = {"extra": "forbid"}
 """Read by pydantic: an unknown configuration key is an error, not a silent default."""

@@ -10,13 +10,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-import numpy as np
-from numpy.typing import NDArray
-
 from touchdown.sim.lidar.patterns import mid360
 from touchdown.sim.lidar.patterns.risley import Prism, RisleyPattern
-
-Float32 = NDArray[np.float32]
+from touchdown.sim.typing import Float32
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

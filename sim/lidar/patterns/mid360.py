@@ -14,11 +14,9 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.sim.lidar.patterns.risley import check_pulses
-
-Float32 = NDArray[np.float32]
+from touchdown.sim.typing import Float32
 
 POINT_RATE_HZ = 200_000
 _LASERS = 4
