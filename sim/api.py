@@ -1,4 +1,4 @@
-"""What the rest of the project may know of the simulated world: messages, parameters, protocols.
+"""Public interface of the simulated world: messages, parameters, protocols.
 
 Every array is float64 unless stated. Time is an integer count of ticks of ``SimParams.tick_hz``;
 ``time_s`` is always ``tick / tick_hz``. Arrays inside messages are read-only.
@@ -66,7 +66,7 @@ class WindParams:
     mean_kmh: float = 12.0
     """Mean speed at 20 ft (6.1 m); also W20 of the Dryden model."""
     direction_deg: float | None = None
-    """Where the wind blows to, counter-clockwise from east; None: by seed."""
+    """Direction that the wind blows to, counter-clockwise from east; None: by seed."""
     roughness_length_m: float = 0.1
     turbulence: bool = True
 
@@ -84,7 +84,8 @@ class LidarParams:
     min_range_m: float = 0.5
     max_range_m: float = 260.0
     divergence: bool = True
-    """Beams have a width: at edges they split into several echoes. False: mere rays."""
+    """True: beams have a width and split into several echoes at edges. False: rays without width.
+    """
     return_mode: Literal["first", "strongest"] = "first"
     """Which echo of a split beam is reported."""
     pulse_length_m: float = 1.0
@@ -110,7 +111,7 @@ class CameraParams:
     gain: float = 1.0
     """exposure relative to the scene's own, linear in light; what it clips is lost"""
     auto_exposure: bool = False
-    """choose the gain for every picture, within 1/4 to 4, so that its mean is a middle grey"""
+    """choose the gain for every image, within 1/4 to 4, so that its mean is a middle grey"""
     readout_s: float = 0.0
     """rolling shutter: time from the exposure of the first row to that of the last, in steps of one
     tick; 0: all rows at once"""
@@ -178,10 +179,9 @@ class CameraIntrinsics:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VehicleModel:
-    """What the flight controller knows of the airframe. Rotor i at ``rotor_xy_m[i]`` (body frame)
-    gives thrust ``thrust_coefficient * w**2`` along body +z and the yaw torque
-    ``rotor_spin[i] * torque_coefficient * w**2`` about body +z.
-    """
+    """The airframe's parameters, as the flight controller uses them. Rotor i at ``rotor_xy_m[i]``
+    (body frame) gives thrust ``thrust_coefficient * w**2`` along body +z and the yaw torque
+    ``rotor_spin[i] * torque_coefficient * w**2`` about body +z."""
 
     mass_kg: float
     inertia_kgm2: Array
@@ -209,7 +209,7 @@ class VehicleModel:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SensorRig:
-    """Calibration and rates as an estimator is told them. ``world_from_body_start`` is the known
+    """Sensor calibration and rates as given to an estimator. ``world_from_body_start`` is the known
     take-off pose. Extrinsics map sensor coordinates to body coordinates."""
 
     tick_hz: int
@@ -231,7 +231,7 @@ class SensorRig:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SensorNeeds:
-    """What a component wants to be simulated; the world renders the union and nothing else.
+    """Sensors that a component needs. The world simulates the union of all needs and nothing else.
     The IMU always runs."""
 
     camera_hz: int = 0
@@ -255,7 +255,8 @@ class SensorNeeds:
         )
 
     def check_camera_rate(self, clock_hz: int) -> None:
-        """ValueError, with the allowed values, unless images fall on pulses of a camera's clock."""
+        """Raises ValueError, with the allowed values, unless images fall on pulses of a camera's
+        clock."""
         rate = self.camera_hz
         if not isinstance(rate, int | np.integer) or rate < 0 or (rate and clock_hz % rate):
             divisors = ", ".join(str(i) for i in range(1, clock_hz + 1) if clock_hz % i == 0)
@@ -292,7 +293,7 @@ class LidarScan:
     directions: Float32
     """(N, 3) nominal unit beam directions (angle noise is not in them)."""
     ranges: Float32
-    """(N,) metres; 0 where nothing came back."""
+    """(N,) metres; 0 where there was no return."""
     time_offsets: Float32
     """(N,) seconds after ``start_time_s``, ascending."""
     intensity: Bytes
@@ -300,7 +301,7 @@ class LidarScan:
 
     @property
     def points(self) -> Float32:
-        """(N, 3) float32 metres; (0, 0, 0) where nothing came back."""
+        """(N, 3) float32 metres; (0, 0, 0) where there was no return."""
         return self.directions * self.ranges[:, None]
 
 
@@ -319,7 +320,7 @@ class CameraImage:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Observation:
-    """Everything that has ARRIVED since the previous observation, oldest first."""
+    """Messages that have arrived since the previous observation, oldest first."""
 
     tick: int
     time_s: float
@@ -354,7 +355,7 @@ class Contact:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Truth:
-    """The true state. Only the recorder, the referee and the ``oracle`` estimator may look."""
+    """The true state, for the recorder, the referee and the ``oracle`` estimator only."""
 
     tick: int
     time_s: float
@@ -376,7 +377,7 @@ class Truth:
 
 
 class World(Protocol):
-    """The simulated world as the main loop sees it."""
+    """The simulated world, as the main loop uses it."""
 
     rig: SensorRig
 

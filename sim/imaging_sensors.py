@@ -72,7 +72,7 @@ class ImagingSensors:
         self._positions[0], self._quats[0] = position, quat_wxyz
 
     def clear(self) -> None:
-        """Forgets everything that is on its way."""
+        """Drops everything in transit."""
         self.scans.clear()
         self.images.clear()
         self._instants.clear()

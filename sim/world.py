@@ -45,13 +45,13 @@ _NOTHING = SensorNeeds()
 
 
 class MujocoWorld:
-    """One vehicle in one scene. Same arguments and commands: the same flight to the bit, whatever
-    ``sim.threads``.
+    """One vehicle in one scene. The same arguments and commands give the same flight to the bit,
+    with any number of ``sim.threads``.
 
     The first scan ends, and the first image is exposed, one period after tick 0. The world writes
-    the physics options of ``scene.model`` (time step, air, wind). Raises ValueError for rates that
-    do not fit together, parameters out of range, a scene without vehicle or a take-off place on
-    which the vehicle cannot stand.
+    the physics options of ``scene.model`` (time step, air, wind). Raises ValueError for
+    incompatible rates, parameters out of range, a scene without vehicle or a take-off spot on which
+    the vehicle cannot stand.
     """
 
     rig: SensorRig
@@ -125,8 +125,8 @@ class MujocoWorld:
     # ------------------------------------------------------------------------ the protocol
 
     def require(self, needs: SensorNeeds) -> None:
-        """Adds sensors to those asked for so far, before the first ``reset``: estimators know what
-        they need only once they know the rig. ValueError for a rate that does not fit."""
+        """Adds sensors before the flight begins; estimators state their needs only after they have
+        got the rig. Raises ValueError for an incompatible rate, RuntimeError after tick 0."""
         if self._tick > 0:
             raise RuntimeError(f"sensors are added before a flight, not at tick {self._tick}")
         wanted = self._needs | needs
@@ -136,7 +136,7 @@ class MujocoWorld:
         self._nav = self._make_nav()
 
     def reset(self) -> Observation:
-        """Back to tick 0: on the ground at the take-off spot, rotors stopped, battery full."""
+        """Returns to tick 0: on the ground at the take-off spot, rotors stopped, battery full."""
         self._imaging.clear()
         state = mujoco.mjtState.mjSTATE_INTEGRATION
         mujoco.mj_setState(self._model, self._data, self._start_state, state)
@@ -162,13 +162,14 @@ class MujocoWorld:
         return self._observation(())
 
     def _mark_start(self) -> None:
-        """Sensors that look back at an earlier state look back at the present one."""
+        """Sets the present state as the earlier state of sensors that compare two."""
         self._imu_rotation = self._world_from_imu()
         self._imu_velocity = self._velocity.copy()
         self._imaging.start(self._position, self._quat, self.disturbances)
 
     def step(self, command: Command) -> Observation:
-        """Advances ``control_ticks``. RuntimeError: the command or the physics is not finite."""
+        """Advances ``control_ticks``. Raises RuntimeError if the command or the physics is not
+        finite."""
         self._take_command(command)
         height = float(self._position[2]) - self._ground_z
         airspeed = math.dist(self._velocity.tolist(), self._air.tolist())
@@ -189,7 +190,8 @@ class MujocoWorld:
         return self._observation(tuple(imu))
 
     def start_in_air(self, position_world: Array, yaw: float) -> Observation:
-        """As ``reset``, but level and at rest at (3,) ``position_world``, rotors at hover speed."""
+        """Resets to a start in the air: level and at rest at (3,) ``position_world``, rotors at
+        hover speed."""
         self.reset()
         self._position[:] = position_world
         self._quat[:] = np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)
@@ -202,11 +204,11 @@ class MujocoWorld:
         return self._observation(())
 
     def height_over_ground(self) -> float:
-        """Metres from the body origin down to whatever lies below; ``inf`` over nothing."""
+        """Metres from the body origin down to the surface below; ``inf`` over nothing."""
         return self._ground.clearance(self._data, self._position)
 
     def snapshot(self) -> Snapshot:
-        """The scene as it is now, for a camera other than the vehicle's sensors."""
+        """The present state of the scene, for a camera other than the vehicle's."""
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
         return self._imaging.camera.snapshot(self._data)
@@ -264,7 +266,7 @@ class MujocoWorld:
         self._peak_acceleration = max(self._peak_acceleration, change * self._sim.tick_hz)
 
     def _sense(self, imu: list[ImuSample]) -> None:
-        """What is measured at this tick."""
+        """Takes the measurements of this tick."""
         if self._tick % self._sim.imu_ticks == 0:
             imu.append(self._sample_imu())
         if self._nav.listening:

@@ -35,7 +35,7 @@ _EDGE_PX = 12.0
 _MOST_OBLIQUE = np.cos(np.deg2rad(52.0))
 _LIDAR_HALF_VIEW = np.tan(0.5 * np.deg2rad([81.7, 25.1]))
 _LEAST_SEEN = 0.6
-"""share of the board within the LIDAR's view"""
+"""Least share of the board within the LIDAR's field of view"""
 _GOLDEN_ANGLE = np.pi * (3.0 - 5.0**0.5)
 _PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps of the plane's low-discrepancy sequence (Roberts 2018)."""

@@ -1,7 +1,7 @@
-"""Pictures of scenes from survey heights with their true boundaries.
+"""Images of scenes from survey heights with their true boundaries.
 
-A boundary separates what a person would call different things: the classes painted into the ground,
-objects by their geom, crowns and bushes as one kind, and places where depth jumps.
+A boundary separates different things in a person's eyes: the classes painted into the ground,
+objects by their geom, crowns and bushes as one kind, and jumps of depth.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ _CROWN_STEP_M = 2.0
 _STEEPEST = 8.0
 """Change of depth, in pixel widths, that is still one surface seen obliquely, walls included"""
 _SMALLEST_PX = 12
-"""segments below this many half-size pixels go to what surrounds them"""
+"""Segments of fewer half-size pixels are merged into their surroundings"""
 
 
 @dataclass(frozen=True, slots=True)
 class EdgeView:
-    """One picture at half size, which is the size at which the estimator looks for edges."""
+    """One image at half size, which is the size at which the estimator looks for edges."""
 
     rgb: NDArray[np.uint8]
     """(H, W, 3)"""
@@ -64,10 +64,10 @@ def edge_views(
     views: int,
     progress: Callable[[str], None] = lambda note: None,
 ) -> Iterator[EdgeView]:
-    """``views`` pictures of every scene and seed, all noise on; a pure function of its arguments.
+    """``views`` images of every scene and seed, with all noise; a pure function of the arguments.
 
-    Camera poses: anywhere over the place, 8 to 40 m above the ground (low heights as often as great
-    ones, by their logarithm), any heading, tilted as by wind. Raises UsageError for bad names.
+    Camera poses: anywhere over the scene, 8 to 40 m above the take-off spot (uniform in the
+    logarithm), any heading, tilted as by wind. Raises UsageError for bad names.
     """
     for name in scenes:
         for seed in seeds:
@@ -122,7 +122,7 @@ def segments_of(view: PosedView, scene: Scene, kinds: Int32, matrix: Array) -> I
 def _depth_jumps(
     depth: NDArray[np.float32], kind: Int32, focal_px: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Whether depth jumps towards the right (H, W - 1) and towards the lower (H - 1, W) pixel."""
+    """True where depth jumps to the right (H, W - 1) and to the lower (H - 1, W) neighbour."""
     finite = np.minimum(depth, np.float32(1e4))
     step = np.maximum(_STEP_M, _STEEPEST * finite / focal_px)
     crown = kind == LAND_CLASSES.index("trees")

@@ -1,4 +1,4 @@
-"""The height over whatever lies below the vehicle."""
+"""Height of the vehicle over the surface below it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _DOWN = np.array([0.0, 0.0, -1.0])
 
 
 class GroundProbe:
-    """A vertical ray that does not see the vehicle."""
+    """A vertical ray that ignores the vehicle."""
 
     def __init__(self, model: Any) -> None:
         self._model = model

@@ -22,7 +22,7 @@ MAX_START_SPEED_MPS = 0.01
 
 
 def prepare_physics(model: Any, tick_hz: int) -> None:
-    """Sets what the flight relies on, whatever the MJCF says."""
+    """Sets the options that a flight relies on; they override those of the MJCF."""
     model.opt.timestep = 1.0 / tick_hz
     model.opt.gravity[:] = (0.0, 0.0, -GRAVITY_MPS2)
     model.opt.density = AIR_DENSITY_KGPM3

@@ -54,9 +54,9 @@ class Rotors:
         self.wrench = np.zeros(6)
 
     def demand(self, rotor_speed_radps: Array, speed_share: Array | None = None) -> None:
-        """Takes a command, (4,) rad/s: 0 switches a motor off, anything else is held within the
-        motor's range. Of that, weak motors reach ``speed_share`` (4,). ValueError: a wrong shape or
-        a value that is not a finite number."""
+        """Takes a command, (4,) rad/s: 0 switches a motor off, other values are clipped to the
+        motor's range. ``speed_share`` (4,) is the share of it that weak motors reach. Raises
+        ValueError for a wrong shape or a value that is not finite."""
         # Scalars: at every control step, numpy's calls on four numbers are most of what they cost.
         wanted = np.asarray(rotor_speed_radps).tolist()
         if np.shape(rotor_speed_radps) != (4,) or not math.isfinite(sum(wanted)):
@@ -69,7 +69,7 @@ class Rotors:
             self._demand *= speed_share
 
     def cut(self) -> None:
-        """No power: every demand is 0."""
+        """Cuts the power: every demand is 0."""
         self._demand[:] = 0.0
 
     def step(

@@ -1,4 +1,4 @@
-"""The airframe as its MJCF describes it: mass, inertia, rotors, sensor mounts.
+"""The airframe's parameters, from its MJCF: mass, inertia, rotors, sensor mounts.
 
 The numbers live in ``scenes/vehicle/quadrotor.xml`` alone; another vehicle that keeps the names of
 its sites and ``<numeric>`` entries works as well.
@@ -23,7 +23,7 @@ ROTOR_COUNT = 4
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RotorGeometry:
-    """What the aerodynamics need beyond the controller's ``VehicleModel``."""
+    """Parameters of the aerodynamics that the controller's ``VehicleModel`` does not hold."""
 
     positions_body: Array
     """(4, 3) m, hubs"""
@@ -44,7 +44,7 @@ class SensorMounts(NamedTuple):
 
 
 def vehicle_body_id(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> int:
-    """Id of the vehicle's root body. ValueError: there is none."""
+    """Id of the vehicle's root body. Raises ValueError where there is none."""
     name = prefix + VEHICLE_BODY
     body_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if body_id < 0:
@@ -53,7 +53,7 @@ def vehicle_body_id(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> int:
 
 
 def vehicle_model(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> VehicleModel:
-    """Mass properties and rotor coefficients; ValueError when the MJCF lacks one of them."""
+    """Mass properties and rotor coefficients. Raises ValueError when the MJCF lacks one of them."""
     body_id = vehicle_body_id(model, prefix)
     geometry = rotor_geometry(model, prefix)
     mass = float(model.body_mass[body_id])

@@ -1,4 +1,4 @@
-"""Offscreen OpenGL: which backend works here, and MuJoCo's renderer with a pinhole's frustum."""
+"""Offscreen OpenGL: choice of a backend, and MuJoCo's renderer with a pinhole's frustum."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _GEOM_TYPE = int(mujoco.mjtObj.mjOBJ_GEOM)
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """What a picture depends on, copied out of an MjData: world positions (K, 3) and rotation
+    """The part of an MjData that images depend on, copied: world positions (K, 3) and rotation
     matrices (K, 9) of geoms and sites, position and direction of lights, pose of every camera."""
 
     geom_xpos: Array
@@ -40,7 +40,7 @@ SNAPSHOT_FIELDS = ("geom_xpos", "geom_xmat", "light_xpos", "light_xdir", "cam_xp
 
 class Stage:
     """GL context, MuJoCo scene and buffers of one rendering thread, for rasters of ``pinhole`` or
-    bands of their rows. ``samples``: of multisampling, in colour pictures only.
+    bands of their rows. ``samples``: of multisampling, in colour images only.
 
     Everything comes bottom row first.
     """

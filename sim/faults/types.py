@@ -1,4 +1,4 @@
-"""What can go wrong with a sensor on demand; part of `sim.api`: import it from there."""
+"""Kinds and parameters of scheduled faults; part of `sim.api`: import them from there."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ FAULT_KINDS: dict[str, tuple[str, ...]] = {
     "motor_loss": ("commands",),
     "gust": ("air",),
 }
-"""Kinds of faults and what each befalls: messages, commands to the rotors, the air."""
+"""Kinds of faults and what each acts on: messages, commands to the rotors, the air."""
 
 WORLD_KINDS = frozenset(
     ("miscalibration", "fog", "rain", "lens_dirt", "low_sun", "motor_loss", "gust")
 )
-"""Those that happen where things are measured, at the time of measuring; others on delivery."""
+"""Kinds that act at the time of measuring; the others act on delivery."""
 
 LASTING_KINDS = (WORLD_KINDS - {"gust"}) | {
     "gps_spoof", "lidar_skew", "camera_skew", "gps_skew"
 }  # fmt: skip
-"""Those that without a duration last to the end of the flight."""
+"""Kinds that last to the end of the flight where no duration is given."""
 
 MOST_MOTOR_LOSS = 0.5
 """of one rotor's thrust: with more, hovering level is beyond the other three"""
@@ -68,14 +68,14 @@ class Fault:
 
     @property
     def text(self) -> str:
-        """As it is written in the configuration."""
+        """The entry as it is written in the configuration."""
         until = "" if self.duration_s is None else f"+{self.duration_s:g}"
         return f"{self.kind}@{self.start_s:g}{until}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FaultParams:
-    """Faults put between the sensors and those who read them (``sim/faults/injector.py``)."""
+    """Faults injected between the sensors and their readers (``sim/faults/injector.py``)."""
 
     __pydantic_config__ = FORBID_EXTRA
 
@@ -89,46 +89,48 @@ class FaultParams:
     """velocity at which ``gps_spoof`` draws positions away, world frame; it is in the reported
     velocity as well"""
     skew_s: float = 0.02
-    """what ``lidar_skew``, ``camera_skew`` and ``gps_skew`` add to stamps, to the nearest tick"""
+    """offset that ``lidar_skew``, ``camera_skew`` and ``gps_skew`` add to stamps, to the nearest
+    tick"""
     skew_ppm: float = 0.0
-    """and by how much such a clock runs fast, millionths"""
+    """rate at which such a clock runs fast, parts per million"""
     miscalibration_deg: float = 1.0
-    """by which the LIDAR sits turned, about an axis drawn from the seed"""
+    """rotation of the LIDAR about an axis drawn from the seed"""
     miscalibration_m: float = 0.02
-    """and shifted, in a direction drawn from the seed"""
+    """translation of the LIDAR in a direction drawn from the seed"""
     motor: int = 0
     """the rotor of ``motor_loss``, 0 to 3"""
     motor_loss_share: float = 0.2
-    """of that rotor's thrust, 0 to 0.5"""
+    """lost share of that rotor's thrust, 0 to 0.5"""
     gust_kmh: float = 30.0
     """speed up to which a ``gust`` blows, mean wind included"""
     gust_rise_s: float = 1.5
     """from its beginning to its peak"""
     gust_direction_deg: float | None = None
-    """where it blows to, counter-clockwise from east; None: where the mean wind does"""
+    """direction it blows to, counter-clockwise from east; None: that of the mean wind"""
     fog_visibility_m: float = 200.0
     """meteorological optical range in ``fog``: where contrast has fallen to 2 %"""
     rain_mmph: float = 25.0
     """rate of ``rain``, millimetres an hour"""
     dirt_share: float = 0.1
-    """of the picture, below ``lens_dirt``"""
+    """share of the image that ``lens_dirt`` covers"""
     dirt_size: float = 0.02
-    """of its blobs (correlation length), as a share of the picture's width"""
+    """size of its blobs (correlation length), as a share of the image's width"""
     dirt_transmission: float = 0.4
     """share of light that passes it"""
     low_sun_deg: float = 10.0
     """elevation of ``low_sun``"""
     low_sun_azimuth_deg: float | None = None
-    """where it stands, counter-clockwise from east; None: where the scene has it"""
+    """its azimuth, counter-clockwise from east; None: that of the scene's sun"""
     glare: float = 0.03
-    """share of the sunlight on the lens that strays over the whole picture"""
+    """share of the sunlight on the lens that strays over the whole image"""
 
     def schedule(self) -> tuple[Fault, ...]:
-        """ValueError: an entry that is not understood, in one sentence."""
+        """The parsed events. Raises ValueError, in one sentence, for an invalid entry."""
         return tuple(parse_fault(text) for text in self.events)
 
     def check(self, mean_wind_kmh: float) -> None:
-        """ValueError: a key that cannot be, or a schedule that cannot happen, in one sentence."""
+        """Raises ValueError, in one sentence, where a value is out of range or the schedule
+        impossible."""
         for name, low, high in _BOUNDS:
             value = getattr(self, name)
             if not low <= value <= high:
@@ -164,12 +166,12 @@ _BOUNDS = (
     ("low_sun_deg", LEAST_SUN_DEG, 90.0),
     ("glare", 0.0, 1.0),
 )
-"""What keys may be, ends included."""
+"""Ranges of keys, ends included."""
 
 
 def parse_fault(text: str) -> Fault:
-    """``lidar_dropout@12.5+1`` -> its parts. ValueError: not of that form, unknown, or without
-    length."""
+    """Parses ``lidar_dropout@12.5+1``. Raises ValueError for another form, an unknown kind or a
+    duration of 0."""
     match = _FORM.fullmatch(text.strip())
     if match is None:
         raise ValueError(

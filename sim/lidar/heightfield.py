@@ -1,4 +1,4 @@
-"""A shortcut for the rays that fall on open terrain.
+"""Fast ray casting on open terrain.
 
 Most pulses of a LIDAR that looks down meet nothing but the height field. Marching them over its
 grid costs a third of a general ray cast. Cells that hold anything else are closed: a ray that comes
@@ -25,7 +25,7 @@ _MOST_PIECES = 64
 _PAST_SIDE = 1e-9
 _OVER, _FROM_BELOW = -1.0, -2.0
 _BEAM_M = 0.15
-"""Half a beam's width where it reaches the ground, and to spare."""
+"""Half a beam's width where it reaches the ground, with a margin."""
 
 
 @dataclass(frozen=True, slots=True)

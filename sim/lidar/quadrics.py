@@ -1,4 +1,4 @@
-"""Where a ray meets the round shapes of MuJoCo, and its planes, exactly.
+"""Exact intersections of rays with MuJoCo's round shapes and planes.
 
 An acceleration structure holds triangles that wrap these shapes; what it finds is settled here, in
 double precision. A ray that starts inside a shape meets it where it leaves, as in MuJoCo.

@@ -1,4 +1,4 @@
-"""What comes back of a pulse, in compiled single-threaded loops.
+"""Returns of LIDAR pulses, in compiled single-threaded loops.
 
 Link budget: the range limits that the manufacturer states for targets of given reflectivity are
 joined by power laws in reflectivity times cos(incidence).
@@ -27,7 +27,7 @@ from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32, U
 _LIMIT_SPREAD = 0.02
 """Relative standard deviation of the range limit from pulse to pulse."""
 _SURE_SIGMAS = 6.5
-"""Further than this from its mean a deviate of 32 bits never lies."""
+"""Bound of a normal deviate made of 32 bits, in standard deviations."""
 _SURE_STEP_M = 0.5
 
 _WATER_SLOPE_VARIANCE = 0.005
@@ -105,8 +105,8 @@ def _uniform(bits: np.uint32, salt: int) -> float:
 
 @njit(cache=True, nogil=True)
 def passing(geom: Int32, cosine: Float32, bits: Uint32, porosity: Float32) -> Indices:
-    """Indices of the rays that pass through what they hit. A ray that entered a porous body leaves
-    it freely: the answer hangs on ray and geom alone, and insides never reflect."""
+    """Indices of the rays that pass through what they hit. The result depends on ray and geom alone
+    and insides never reflect, so a ray that entered a porous body also leaves it."""
     out = np.empty(geom.shape[0], dtype=np.int64)
     count = 0
     for i in range(geom.shape[0]):
@@ -121,7 +121,7 @@ def passing(geom: Int32, cosine: Float32, bits: Uint32, porosity: Float32) -> In
 
 @njit(cache=True, forceinline=True)
 def _strength(reflectivity: float, wet: bool, cosine: float, bits: np.uint32) -> float:
-    """What a surface sends back: reflectivity times cosine, or a glint of water."""
+    """Strength that a surface returns: reflectivity times cosine, or a glint of water."""
     c = abs(cosine)
     if not wet:
         return reflectivity * c
@@ -170,7 +170,7 @@ def receive(
     ranges: Float32,
     intensity: Bytes,
 ) -> None:
-    """Undivided pulses: fills ``ranges`` (N,) in metres and ``intensity`` (N,), both 0 where
+    """Fills, for undivided pulses, ``ranges`` (N,) in metres and ``intensity`` (N,), both 0 where
     nothing comes back, and ``strengths`` (N,). The ground as in
     ``sim.lidar.raycast_scene.OpticalTable``."""
     rows, cols = ground_reflectivity.shape
@@ -205,8 +205,9 @@ def weaken(
     ranges: Float32,
     intensity: Bytes,
 ) -> None:
-    """Undivided pulses through air of this extinction in 1/m, there and back: lowers ``strengths``
-    and ``intensity`` (N,), and takes away the ``ranges`` (N,) of what is too weak by then."""
+    """Attenuates undivided pulses by air of this extinction in 1/m, over the way out and back:
+    lowers ``strengths`` and ``intensity`` (N,) and sets the ``ranges`` (N,) of echoes that become
+    too weak to 0."""
     for i in range(distance.shape[0]):
         if strengths[i] <= 0.0:
             continue
@@ -230,10 +231,10 @@ def clutter(
     ranges: Float32,
     intensity: Bytes,
 ) -> None:
-    """Puts the nearest echo of the air in the place of ``ranges`` and ``intensity`` (N,) where it
-    comes before them, or with ``strongest`` where it is the stronger one. ``expected`` (K,) echoes
-    up to k ``step_m``, each of the strength ``threshold`` (K,) at least. Beyond what just counts,
-    diameters of drops are exponentially distributed, with the relative mean ``spread``."""
+    """Replaces ``ranges`` and ``intensity`` (N,) by the nearest echo of the air where that comes
+    first, or with ``strongest`` where it is the stronger one. ``expected`` (K,) echoes up to k
+    ``step_m``, each of the strength ``threshold`` (K,) at least. Beyond what just counts, diameters
+    of drops are exponentially distributed, with the relative mean ``spread``."""
     first = min(math.ceil(min_range / step_m), expected.shape[0] - 1)
     for i in range(bits.shape[0]):
         draw = expected[first] - math.log(_uniform(bits[i], _AIR_SALT))
@@ -318,8 +319,8 @@ def near_edges(
 def _apart(
     distance: float, other: float, cosine: float, other_cosine: float, angle_squared: float
 ) -> bool:
-    """Whether two hits lie at ranges that no plane through one of them explains. The angle between
-    their rays comes squared; so does the whole comparison, which spares two roots."""
+    """True if two hits lie at ranges that no plane through one of them explains. The angle between
+    their rays is given squared, and the comparison is of squares: this saves two roots."""
     gap = abs(distance - other) - _STEP_M
     if not gap > 0.0:  # also where neither hits anything
         return False
@@ -370,9 +371,10 @@ def receive_split(
     ranges: Float32,
     intensity: Bytes,
 ) -> None:
-    """Divided pulses: overwrites ``ranges`` and ``intensity`` of ``pulses`` (K,) by the first or
-    the strongest echo of their P equal parts: distances and strengths (K, P), sorted here in place;
-    no strength where a part meets nothing. ``bits`` and ``range_noise`` (N,) of all pulses."""
+    """For divided pulses, overwrites ``ranges`` and ``intensity`` of ``pulses`` (K,) by the first
+    or the strongest echo of their P equal parts: distances and strengths (K, P), sorted here in
+    place; no strength where a part meets nothing. ``bits`` and ``range_noise`` (N,) of all pulses.
+    """
     parts = part_distance.shape[1]
     for k in range(pulses.shape[0]):
         i = pulses[k]

@@ -30,7 +30,8 @@ _MOST_PASSES = 5
 _STEP_BEHIND_M = 1e-3
 _ON_AXIS: Array = np.zeros((1, 3))
 _CONE_MARGIN_RAD = 0.02
-"""Beyond the outermost pulse of the first second: later pulses, pointing errors, beam width."""
+"""Margin around the outermost pulse of the first second, for later pulses, pointing errors, beam
+width."""
 _FWHM_PER_SIGMA = 2.3548200450309493
 _ACROSS = (4, 0, 5, 3, 1, 6, 2)
 """Quantile of a beam's part across its long axis; the index is the one along it."""
@@ -122,7 +123,7 @@ class LidarSensor:
 
     @property
     def scene(self) -> LidarScene:
-        """What the rays are cast against."""
+        """The scene that rays are cast against."""
         return self._scene
 
     def scan(
@@ -335,9 +336,9 @@ class LidarSensor:
         track: _Track,
         movers: _Movers,
     ) -> tuple[Indices, list[_Rays], list[Hits]]:
-        """The pulses that an edge divides; rays and first hits of their parts off the axis, part by
-        part. Open ground divides none, and neighbours tell where edges may be; there, two probes
-        at the ends of a beam tell whether its rest is worth casting."""
+        """The pulses that an edge divides, with rays and first hits of their parts off the axis,
+        part by part. Open ground divides no pulse. Where neighbours show a possible edge, two
+        probes at the ends of a beam decide if its other parts are cast."""
         near = np.zeros(len(nominal), dtype=np.bool_)
         near[others] = True
         others = returns.near_edges(nominal, hits.distance, hits.cosine, np.flatnonzero(near))

@@ -1,4 +1,4 @@
-"""The small sensors - GPS, barometer, magnetometer, rangefinder - at their own rates and delays."""
+"""Navigation sensors (GPS, barometer, magnetometer, rangefinder) at their own rates and delays."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class _Timing(Protocol):
 
 
 class Channel(Generic[T]):
-    """When one sensor measures, and what of it is on its way."""
+    """Schedule of one sensor, and its messages in transit."""
 
     def __init__(self, name: str, timing: _Timing, tick_hz: int, wanted: bool) -> None:
         if timing.period_ticks < 1 or tick_hz % timing.period_ticks:
@@ -59,15 +59,15 @@ class Channel(Generic[T]):
         self._queue.submit(tick + self._latency, lambda: sample)
 
     def collect(self, tick: int) -> tuple[T, ...]:
-        """What has arrived by ``tick`` and was not collected yet, oldest first."""
+        """Messages that have arrived by ``tick`` and were not collected yet, oldest first."""
         return self._queue.collect(tick)
 
 
 class NavSensors:
-    """Those that ``needs`` asks for. Each has its own random numbers, so that none changes when
-    another is added. The first measurement comes one period after tick 0.
+    """The navigation sensors that ``needs`` names. Each has its own random numbers, so that none
+    changes when another is added. The first measurement comes one period after tick 0.
 
-    ValueError: a parameter that is impossible, of whatever sensor, asked for or not.
+    Raises ValueError for impossible parameters, those of sensors that are not needed included.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class NavSensors:
             "rangefinder", params.rangefinder, hz, needs.rangefinder
         )
         self.listening = heard or needs.barometer or needs.magnetometer or needs.rangefinder
-        """whether any of them was asked for"""
+        """True if any of them is needed"""
 
     def sense(
         self,

@@ -1,4 +1,4 @@
-"""A satellite receiver: positions whose error wanders, late and slow."""
+"""A satellite receiver: positions with a correlated error, at a low rate, with a delay."""
 
 from __future__ import annotations
 
@@ -57,7 +57,8 @@ PRESETS: Mapping[str, GpsModel] = {
 
 
 def gps_model(params: GpsParams) -> GpsModel:
-    """The preset with what ``params`` overrides. ValueError: unknown preset, negative spread."""
+    """The preset with the fields that ``params`` overrides. Raises ValueError for an unknown preset
+    or a negative standard deviation."""
     if params.preset not in PRESETS:
         known = ", ".join(PRESETS)
         raise ValueError(f"unknown GPS preset '{params.preset}': gps.preset is one of {known}")
@@ -85,7 +86,7 @@ class GpsSensor:
 
     @property
     def receives(self) -> bool:
-        """False where no satellite is ever heard."""
+        """False for a receiver that never has a fix."""
         return self._model.receives
 
     def sample(

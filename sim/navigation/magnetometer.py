@@ -1,4 +1,4 @@
-"""A magnetometer: the earth's field in the body frame, with what calibration left over."""
+"""A magnetometer: the earth's field in the body frame, with a residual of its calibration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parameters and messages of the small sensors; part of `sim.api`: import them from there."""
+"""Parameters and messages of the navigation sensors; part of `sim.api`: import them from there."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class GpsParams:
     period_ticks: int = 120
     latency_ticks: int = 72
     antenna_body_m: tuple[float, float, float] = (0.0, 0.0, 0.14)
-    """where the antenna sits, body frame: on top of the battery"""
+    """position of the antenna, body frame: on top of the battery"""
     sigma_xy_m: float | None = None
     """stationary standard deviation of the wandering error, each horizontal axis"""
     sigma_z_m: float | None = None
@@ -55,7 +55,7 @@ class BarometerParams:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MagnetometerParams:
-    """Three-axis magnetometer in a field given by its place. Defaults: about the field of the
+    """Three-axis magnetometer in the field of a location. Defaults: about the field of the
     international reference model at 40 degrees north, 116 degrees east, and the noise of a
     Honeywell HMC5883L (data sheet: 2 milligauss)."""
 
@@ -70,7 +70,7 @@ class MagnetometerParams:
     """below the horizon"""
     noise_sigma_ut: float = 0.2
     hard_iron_sigma_ut: float = 0.7
-    """what calibration left over, each axis, constant in one flight"""
+    """residual of the calibration, each axis, constant in one flight"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -88,7 +88,7 @@ class RangefinderParams:
     max_range_m: float = 100.0
     """on a surface of 70 % reflectivity; darker and slanted ones are lost sooner"""
     position_body_m: tuple[float, float, float] = (-0.06, 0.0, -0.13)
-    """where the beam starts, body frame; it points along body -z"""
+    """origin of the beam, body frame; it points along body -z"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -145,4 +145,4 @@ class RangefinderSample:
     tick: int
     time_s: float
     range_m: float
-    """along body -z from ``RangefinderParams.position_body_m``; 0 where nothing came back"""
+    """along body -z from ``RangefinderParams.position_body_m``; 0 where there was no return"""

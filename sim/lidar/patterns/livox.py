@@ -1,4 +1,4 @@
-"""Scan patterns and data-sheet figures of Livox LIDARs: where pulse number k points.
+"""Scan patterns (direction of pulse number k) and data-sheet figures of Livox LIDARs.
 
 Parameters of the patterns were fitted to recordings of the real sensors; ranges, fields of view,
 rates and beam widths are those of the manufacturer's data sheets and user manuals.

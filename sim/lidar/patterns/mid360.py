@@ -29,7 +29,7 @@ _LEAD_DEG = (28.42, 2.34, 2.69)
 _FAN_STEP_DEG = 0.92
 """Half the angle between neighbours in the fan."""
 _FAN_WIDENING = 1.14
-"""Of the fan in azimuth, where the meridians converge."""
+"""Widening of the fan in azimuth, where the meridians converge."""
 
 
 def directions(start_index: int, count: int) -> Float32:

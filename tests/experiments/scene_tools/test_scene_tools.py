@@ -18,7 +18,7 @@ from touchdown.experiments.cli.scenes import VIEW_NAMES
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.drawing.contact_sheet import SHEET_VIEWS, contact_sheet, thumbnails
 from touchdown.experiments.drawing.map_axes import tick_step
-from touchdown.experiments.scene_tools.flyability import check_place
+from touchdown.experiments.scene_tools.flyability import check_scene_file
 from touchdown.experiments.scene_tools.posed_views import HoverView, hover_view
 from touchdown.experiments.scene_tools.seed_check import check_scene
 from touchdown.experiments.scene_tools.views import CLASS_RGB, VIEWS, SceneViews
@@ -274,7 +274,7 @@ SMALL_LAWN = '<geom name="lawn" type="box" size="20 20 1" pos="0 0 -1"/>'
 def test_a_file_is_judged_by_what_a_survey_needs(
     geoms: str, problem: str, remark: str, tmp_path: Path
 ) -> None:
-    row = check_place(write_place(tmp_path, geoms))
+    row = check_scene_file(write_place(tmp_path, geoms))
     for found, expected in ((row["problems"], problem), (row["remarks"], remark)):
         assert len(found) == bool(expected), found
         assert expected in "".join(found)

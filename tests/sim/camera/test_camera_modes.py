@@ -169,7 +169,7 @@ def test_rig_reports_the_lens_and_the_picture_keeps_its_size() -> None:
 @pytest.mark.parametrize(
     ("params", "message"),
     [
-        (CameraParams(distortion=(-2.0, 0.0, 0.0, 0.0, 0.0)), r"folds the picture"),
+        (CameraParams(distortion=(-2.0, 0.0, 0.0, 0.0, 0.0)), r"folds the image"),
         (CameraParams(distortion=(-0.35, 0.0, 0.0, 0.0, 0.0), fov_x_deg=110.0), r"folds|raster"),
         (CameraParams(gain=0.0), r"camera\.gain is 0"),
         (CameraParams(readout_s=-0.01), r"camera\.readout_s is -0\.01"),
