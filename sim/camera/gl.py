@@ -129,7 +129,7 @@ class Stage:
         return mujoco.MjrRect(0, 0, self._pinhole.width, last - first)
 
     def _set_frustum(self, first: int, last: int) -> None:
-        """MuJoCo derives the width of the frustum from its height (square pixels) unless told."""
+        """Sets the frustum's width, which MuJoCo would derive from its height (square pixels)."""
         k = self._pinhole
         for eye in self._scene.camera:
             per_row = eye.frustum_near / k.fy

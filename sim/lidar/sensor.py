@@ -1,8 +1,8 @@
 """A scanning LIDAR on a moving vehicle: pulses, returns, noise and intensity.
 
-Every pulse is cast from the pose of its own instant. Whether it comes back follows from a link
-budget through the manufacturer's range limits; water reflects like the rough mirror it is; a beam
-that an edge splits comes back as several echoes.
+Every pulse is cast from the pose of its own instant. A link budget through the manufacturer's range
+limits decides if it returns; water reflects like a rough mirror; a beam that an edge splits returns
+several echoes.
 """
 
 from __future__ import annotations
