@@ -16,10 +16,13 @@ class MapperParams:
     enabled: bool = True
     """false: no map, and no LIDAR unless the estimator needs it; for surveys only"""
     cell_m: Positive = 0.2
+    """side of a cell of the coarse grid"""
     extent_m: Positive = 160.0
     """side of the square coarse grid, centred on the take-off spot"""
     fine_cell_m: Positive = 0.05
+    """side of a cell of the fine grid"""
     fine_extent_m: Positive = 24.0
+    """side of the square fine grid, which follows the vehicle"""
     fine_below_m: NotNegative = 14.0
     """height above ground below which the fine grid is filled"""
     fine_recentre_m: Positive = 6.0
@@ -29,6 +32,7 @@ class MapperParams:
     extreme_memory_s: Positive = 60.0
     """time constant with which unconfirmed extremes decay"""
     missing_min_reach_m: NotNegative = 1.5
+    """nearest expected ground for which a pulse without return counts as missing"""
     missing_max_reach_m: Positive = 60.0
     """a pulse without return counts as missing only where the ground is expected within these"""
 
@@ -40,6 +44,7 @@ class LivoParams:
     __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: Count = 10
+    """image rate; a divisor of the camera's clock"""
     voxel_m: Positive = 1.0
     """side of the plane map's voxels"""
     map_voxels: Count = 131072
@@ -52,8 +57,11 @@ class LivoParams:
     """information floor: errors of a scan as a whole, beside those of its points and of the
     keyframes that the map is anchored to"""
     scan_height_sigma_m: NotNegative = 0.01
+    """the same of its height"""
     scan_lateral_sigma_m: NotNegative = 0.3
+    """the same of its horizontal position"""
     scan_yaw_sigma_deg: NotNegative = 0.5
+    """the same of its heading"""
     anchor_height_m: NotNegative = 0.004
     """height error shared by all planes and landmarks of a keyframe"""
     depth_sigma_m: NotNegative = 0.02
@@ -76,8 +84,11 @@ class LivoParams:
     mount_turn_sigma_deg: NotNegative = 0.03
     """prior of the calibration errors: LIDAR relative to camera and IMU"""
     mount_shift_sigma_m: NotNegative = 0.003
+    """the same of the translation"""
     focal_sigma: NotNegative = 5e-4
+    """the same of the focal length, relative"""
     center_sigma_px: NotNegative = 0.1
+    """the same of the principal point"""
     camera_clock_sigma_s: NotNegative = 0.005
     """prior of the offset of the camera's clock from the IMU's; 0: no offset"""
     use_degeneracy: bool = True
@@ -105,6 +116,7 @@ class PaperParams:
     __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: Count = 10
+    """image rate; a divisor of the camera's clock"""
     edge_model: str = "shipped"
     """``shipped``, the path of a structured edge model for OpenCV, or ``gradient`` for edges from
     colour gradients"""
@@ -123,23 +135,35 @@ class PaperParams:
     edge_threshold: NotNegative = 0.006
     """f_s above which a return may be an edge point, below which a planar one"""
     edge_points: Count = 400
+    """edge points kept of a scan"""
     planar_cells: tuple[Count, Count] = (56, 28)
     """columns and rows of the view's sectors; each gives one planar point"""
     edge_voxel_m: Positive = 0.3
+    """voxel side of the map of edge points"""
     planar_voxel_m: Positive = 0.6
+    """voxel side of the map of planar points"""
     map_voxels: Count = 131072
     """capacity of each feature map, a power of two; it never grows"""
     edge_sigma_m: NotNegative = 0.15
+    """standard deviation of a point-to-line distance"""
     plane_sigma_m: NotNegative = 0.04
+    """standard deviation of a point-to-plane distance"""
     keyframe_distance_m: NotNegative = 2.0
+    """distance after which an image is matched with the map"""
     keyframe_period_s: Positive = 0.5
     """images further apart than either are matched to the map"""
     sift_features: CountOrZero = 350
+    """SIFT features of a keyframe"""
     brisk_features: CountOrZero = 300
+    """BRISK features of a keyframe"""
     sift_sigma_px: NotNegative = 1.0
+    """standard deviation of a SIFT feature"""
     brisk_sigma_px: NotNegative = 0.8
+    """standard deviation of a BRISK feature"""
     max_keyframes: Count = 160
+    """keyframes kept; the map is bounded"""
     bundle_keyframes: Count = 8
+    """youngest keyframes that are adjusted together"""
     depth_sigma_m: NotNegative = 0.05
     """of a landmark's depth by Eq. 12"""
     recent_keyframes: Count = 12
@@ -149,6 +173,7 @@ class PaperParams:
     closure_speed_mps: NotNegative = 0.1
     """fastest motion of the odometry frame when closures correct the past"""
     closure_rate_deg_s: NotNegative = 0.5
+    """fastest rotation of the odometry frame when closures correct the past"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -175,6 +200,7 @@ class OpticalFlowParams:
     __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: Count = 10
+    """image rate; a divisor of the camera's clock"""
     features: Count = 60
     """corners of an image"""
     window_pixels: Count = 64
@@ -205,6 +231,7 @@ class HybridFlowParams:
     __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: Count = 10
+    """image rate; a divisor of the camera's clock"""
     side_pixels: Count = 256
     """of the levelled image, a power of two"""
     pixel_sigma: NotNegative = 0.3
@@ -234,6 +261,7 @@ class StereoParams:
     __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: Count = 10
+    """image rate; a divisor of the camera's clock"""
     features: Count = 220
     """corners of a keyframe"""
     pixel_sigma: NotNegative = 1.5

@@ -179,9 +179,13 @@ class SurveyParams:
     height_m: Positive = 30.0
     """above the take-off ground"""
     legs: Count = 3
+    """number of parallel legs"""
     leg_length_m: Positive = 50.0
+    """length of a leg"""
     leg_spacing_m: Positive = 20.0
+    """distance between neighbouring legs"""
     duration_s: Positive = 36.0
+    """time from the start of the first leg to the end of the last"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -189,8 +193,11 @@ class LandingParams:
     __pydantic_config__ = FORBID_EXTRA
 
     weight_flatness: NotNegative = 0.5
+    """weight of flatness in C_sum (Eq. 13)"""
     weight_smoothness: NotNegative = 0.3
+    """weight of smoothness in C_sum"""
     weight_distance: NotNegative = 0.2
+    """weight of distance in C_sum"""
     scorer: Literal["risk", "paper"] = "risk"
     """``risk``: sites are ranked by the probability of a safe touchdown; ``paper``: by C_sum (Eq.
     13) among sites that pass the geometric check"""
@@ -222,10 +229,15 @@ class LandingParams:
     survey_only: bool = False
     """stop after the survey (the positioning experiment)"""
     second_look: bool = True
+    """look at the site again from ``look_height_m`` before landing on it"""
     decision_latency_s: NotNegative = 0.3
+    """simulated time that a site selection takes"""
     max_slope_deg: Annotated[float, Interval(gt=0.0, lt=90.0)] = 5.0
+    """steepest ground that is landed on"""
     max_step_m: Positive = 0.10
+    """highest step or object under the footprint"""
     clear_radius_m: Positive = 1.5
+    """radius around the site that must be free of taller objects"""
     flatness_form: str = "corrected"
     """``corrected`` or ``literal`` (Eqs. 16 and 17 to the letter)"""
     flatness_sigma_deg: Positive = 5.0
@@ -233,13 +245,17 @@ class LandingParams:
     normal_half_width_m: Positive = 0.5
     """half the window that normals are fitted in"""
     edge_blur_m: NotNegative = 0.3
+    """sigma of the blur before Canny"""
     edge_low: Annotated[float, Interval(ge=0.0, le=255.0)] = 40.0
+    """lower hysteresis threshold of Canny on the 8-bit colour map"""
     edge_high: Annotated[float, Interval(ge=0.0, le=255.0)] = 100.0
     """hysteresis thresholds of Canny on the 8-bit colour map"""
     smoothness_full_m: Positive = 8.0
     """distance to an edge from which the smoothness term is 1"""
     slope_margin_deg: NotNegative = 0.5
+    """taken off ``max_slope_deg`` for the error of the map"""
     step_margin_m: NotNegative = 0.02
+    """taken off ``max_step_m`` for the error of the map"""
     map_margin_m: NotNegative = 0.35
     """margin around the footprint for the error of map and position at survey height"""
     low_margin_m: NotNegative = 0.15
@@ -251,23 +267,33 @@ class LandingParams:
     traffic_penalty: NotNegative = 0.3
     """subtracted from the value of a site near a surface on which motion was observed"""
     max_candidates: Count = 12
+    """candidates examined in one selection"""
     search_legs: CountOrZero = 1
     """additional survey legs where no site was found"""
     go_arounds: CountOrZero = 2
+    """landings that may be broken off for another site"""
     unhealthy_hold_s: NotNegative = 1.0
     """duration of an unhealthy estimate after which the vehicle holds its position"""
     unhealthy_abort_s: NotNegative = 8.0
     """duration of an unhealthy estimate after which the vehicle descends where it is"""
     climb_speed_mps: Positive = 3.0
+    """vertical speed of the climb"""
     cruise_speed_mps: Positive = 7.0
+    """horizontal speed between survey and site"""
     descent_speed_mps: Positive = 2.5
+    """vertical speed of the descent"""
     obstacle_margin_m: NotNegative = 6.0
     """vertical clearance above the map on the way to the site"""
     look_height_m: Positive = 10.0
+    """height above the site of the second look"""
     commit_height_m: Positive = 4.0
+    """height above the site at which the site becomes final"""
     sweep_m: NotNegative = 1.0
+    """half the width of the sweep at ``commit_height_m``"""
     final_speed_mps: Positive = 0.6
+    """vertical speed below ``commit_height_m``"""
     touchdown_speed_mps: Positive = 0.09
+    """vertical speed at the first contact"""
     classifier: str = "auto"
     """``auto``: the network that is shipped with the project, if there is one; ``off``: sites are
     checked by geometry alone; else the path of a network's file"""

@@ -1,4 +1,4 @@
-"""What the rest of the project may know of the simulated world: messages, parameters, protocols.
+"""Public interface of the simulated world: messages, parameters, protocols.
 
 Every array is float64 unless stated. Time is an integer count of ticks of ``SimParams.tick_hz``;
 ``time_s`` is always ``tick / tick_hz``. Arrays inside messages are read-only.
@@ -11,7 +11,6 @@ from typing import Annotated, Literal, Protocol
 
 import numpy as np
 from annotated_types import Interval
-from numpy.typing import NDArray
 
 from touchdown.sim.faults.types import FAULT_KINDS as FAULT_KINDS
 from touchdown.sim.faults.types import Fault as Fault
@@ -33,9 +32,7 @@ from touchdown.sim.ranges import Fraction as Fraction
 from touchdown.sim.ranges import Heading as Heading
 from touchdown.sim.ranges import NotNegative as NotNegative
 from touchdown.sim.ranges import Positive as Positive
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
+from touchdown.sim.typing import Array, Bytes, Float32
 
 GRAVITY_MPS2 = 9.81
 AIR_DENSITY_KGPM3 = 1.225
@@ -79,7 +76,7 @@ class WindParams:
     mean_kmh: NotNegative = 12.0
     """Mean speed at 20 ft (6.1 m); also W20 of the Dryden model."""
     direction_deg: Heading | None = None
-    """Where the wind blows to, counter-clockwise from east; None: by seed."""
+    """Direction that the wind blows to, counter-clockwise from east; None: by seed."""
     roughness_length_m: Positive = 0.1
     """roughness length of the logarithmic profile"""
     turbulence: bool = True
@@ -103,7 +100,8 @@ class LidarParams:
     max_range_m: Positive = 260.0
     """farthest range that is reported; reflectivity limits it further"""
     divergence: bool = True
-    """Beams have a width: at edges they split into several echoes. False: mere rays."""
+    """True: beams have a width and split into several echoes at edges. False: rays without width.
+    """
     return_mode: Literal["first", "strongest"] = "first"
     """Which echo of a split beam is reported."""
     pulse_length_m: NotNegative = 1.0
@@ -133,7 +131,7 @@ class CameraParams:
     gain: Positive = 1.0
     """exposure relative to the scene's own, linear in light; what it clips is lost"""
     auto_exposure: bool = False
-    """choose the gain for every picture, within 1/4 to 4, so that its mean is a middle grey"""
+    """choose the gain for every image, within 1/4 to 4, so that its mean is a middle grey"""
     readout_s: NotNegative = 0.0
     """rolling shutter: time from the exposure of the first row to that of the last, in steps of one
     tick; 0: all rows at once"""
@@ -165,7 +163,20 @@ class ImuParams:
     """m/s^2/sqrt(Hz), likewise; 0.12 on the same flights (three times that along the rotor axes)"""
 
 
-# ------------------------------------------------------------------- what a vehicle knows of itself
+@dataclass(frozen=True, kw_only=True, slots=True)
+class WorldParams:
+    """Every parameter of the simulated world but its scene and its seed."""
+
+    sim: SimParams = field(default_factory=SimParams)
+    wind: WindParams = field(default_factory=WindParams)
+    lidar: LidarParams = field(default_factory=LidarParams)
+    camera: CameraParams = field(default_factory=CameraParams)
+    imu: ImuParams = field(default_factory=ImuParams)
+    nav: NavParams = field(default_factory=NavParams)
+    faults: FaultParams = field(default_factory=FaultParams)
+
+
+# -------------------------------------------------------------- the vehicle's model and calibration
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -188,10 +199,9 @@ class CameraIntrinsics:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VehicleModel:
-    """What the flight controller knows of the airframe. Rotor i at ``rotor_xy_m[i]`` (body frame)
-    gives thrust ``thrust_coefficient * w**2`` along body +z and the yaw torque
-    ``rotor_spin[i] * torque_coefficient * w**2`` about body +z.
-    """
+    """The airframe's parameters, as the flight controller uses them. Rotor i at ``rotor_xy_m[i]``
+    (body frame) gives thrust ``thrust_coefficient * w**2`` along body +z and the yaw torque
+    ``rotor_spin[i] * torque_coefficient * w**2`` about body +z."""
 
     mass_kg: float
     inertia_kgm2: Array
@@ -219,7 +229,7 @@ class VehicleModel:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SensorRig:
-    """Calibration and rates as an estimator is told them. ``world_from_body_start`` is the known
+    """Sensor calibration and rates as given to an estimator. ``world_from_body_start`` is the known
     take-off pose. Extrinsics map sensor coordinates to body coordinates."""
 
     tick_hz: int
@@ -241,7 +251,7 @@ class SensorRig:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SensorNeeds:
-    """What a component wants to be simulated; the world renders the union and nothing else.
+    """Sensors that a component needs. The world simulates the union of all needs and nothing else.
     The IMU always runs."""
 
     camera_hz: int = 0
@@ -265,7 +275,8 @@ class SensorNeeds:
         )
 
     def check_camera_rate(self, clock_hz: int) -> None:
-        """ValueError, with the allowed values, unless images fall on pulses of a camera's clock."""
+        """Raises ValueError, with the allowed values, unless images fall on pulses of a camera's
+        clock."""
         rate = self.camera_hz
         if not isinstance(rate, int | np.integer) or rate < 0 or (rate and clock_hz % rate):
             divisors = ", ".join(str(i) for i in range(1, clock_hz + 1) if clock_hz % i == 0)
@@ -302,15 +313,15 @@ class LidarScan:
     directions: Float32
     """(N, 3) nominal unit beam directions (angle noise is not in them)."""
     ranges: Float32
-    """(N,) metres; 0 where nothing came back."""
+    """(N,) metres; 0 where there was no return."""
     time_offsets: Float32
     """(N,) seconds after ``start_time_s``, ascending."""
-    intensity: NDArray[np.uint8]
+    intensity: Bytes
     """(N,) return strength 0..255, calibrated to reflectivity in percent below 150 (Livox)."""
 
     @property
     def points(self) -> Float32:
-        """(N, 3) float32 metres; (0, 0, 0) where nothing came back."""
+        """(N, 3) float32 metres; (0, 0, 0) where there was no return."""
         return self.directions * self.ranges[:, None]
 
 
@@ -321,15 +332,15 @@ class CameraImage:
 
     tick: int
     time_s: float
-    rgb: NDArray[np.uint8]
+    rgb: Bytes
     """(H, W, 3)"""
-    right_rgb: NDArray[np.uint8] | None = None
+    right_rgb: Bytes | None = None
     """(H, W, 3), only where stereo was asked for."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Observation:
-    """Everything that has ARRIVED since the previous observation, oldest first."""
+    """Messages that have arrived since the previous observation, oldest first."""
 
     tick: int
     time_s: float
@@ -364,7 +375,7 @@ class Contact:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Truth:
-    """The true state. Only the recorder, the referee and the ``oracle`` estimator may look."""
+    """The true state, for the recorder, the referee and the ``oracle`` estimator only."""
 
     tick: int
     time_s: float
@@ -386,7 +397,7 @@ class Truth:
 
 
 class World(Protocol):
-    """The simulated world as the main loop sees it."""
+    """The simulated world, as the main loop uses it."""
 
     rig: SensorRig
 

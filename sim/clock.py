@@ -1,4 +1,4 @@
-"""Integer time: which rates fit together."""
+"""Integer time: compatibility of rates."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ MIN_TICK_HZ = 500
 
 
 def check_rates(sim: SimParams, needs: SensorNeeds) -> None:
-    """ValueError, with the allowed values, unless every rate divides ``tick_hz`` and the camera is
-    asked for at a divisor of its own clock."""
+    """Raises ValueError, with the allowed values, unless every rate divides ``tick_hz`` and the
+    needed camera rate divides the camera's own clock."""
     if sim.tick_hz < MIN_TICK_HZ:
         raise ValueError(f"sim.tick_hz must be {MIN_TICK_HZ} or more, not {sim.tick_hz}")
     for name in ("control_ticks", "imu_ticks", "camera_ticks", "lidar_scan_ticks"):
@@ -28,14 +28,14 @@ def check_rates(sim: SimParams, needs: SensorNeeds) -> None:
 
 
 def image_period_ticks(sim: SimParams, needs: SensorNeeds) -> int:
-    """Ticks between two images; 0 when none are asked for."""
+    """Ticks between two images; 0 when none are needed."""
     return sim.tick_hz // needs.camera_hz if needs.camera_hz else 0
 
 
 def readout_ticks(readout_s: float, sim: SimParams) -> int:
     """Ticks between the first and the last row of a rolling shutter; 0 for a global one.
 
-    ValueError: the rows would still be read when the next exposure may begin.
+    Raises ValueError if the readout would last into the next exposure.
     """
     ticks = round(readout_s * sim.tick_hz)
     if ticks >= sim.camera_ticks:

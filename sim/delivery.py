@@ -1,4 +1,4 @@
-"""Measurement time is not arrival time: what is measured now is handed over at a fixed later tick.
+"""Delayed delivery: a measurement arrives at a fixed tick after it was taken.
 
 The work that turns a snapshot of the world into a measurement may run in another thread meanwhile.
 The tick at which its result arrives is fixed when it is submitted, and whoever collects at that
@@ -30,8 +30,8 @@ class InlineExecutor(Executor):
 
 
 def make_executor(threads: int) -> Executor:
-    """threads 1: in the caller's thread; 2: a worker thread beside it (one, since an OpenGL
-    context belongs to one thread). ValueError: anything else."""
+    """An executor: ``threads`` 1 runs work in the caller's thread, 2 in one worker thread (one,
+    since an OpenGL context belongs to one thread). Raises ValueError for other numbers."""
     if threads == 1:
         return InlineExecutor()
     if threads == 2:
@@ -41,7 +41,7 @@ def make_executor(threads: int) -> Executor:
 
 @dataclass(frozen=True, slots=True)
 class InFlight(Generic[T]):
-    """A measurement on its way."""
+    """A measurement in transit."""
 
     due_tick: int
     result: Future[T]
@@ -72,7 +72,7 @@ class DeliveryQueue(Generic[T]):
         return tuple(arrived)
 
     def clear(self) -> None:
-        """Forgets everything on its way, after waiting for what already runs."""
+        """Drops everything in transit, after waiting for work that already runs."""
         for item in self._waiting:
             if not item.result.cancel():
                 item.result.exception()

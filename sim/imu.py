@@ -8,11 +8,9 @@ from zlib import crc32
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams, ImuSample
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _DRAWN = 64
 
@@ -55,10 +53,10 @@ class ImuSensor:
         velocity_end: Array,
         shake: float = 0.0,
     ) -> ImuSample:
-        """The sample that ends at ``tick`` from the world_from_imu rotations (3, 3) at both ends of
-        its period and the world velocities (3,) m/s of the IMU's own point. ``shake``: mean square
-        of the rotor speeds over that in hover. Turns of more than 170 degrees a sample are beyond
-        it."""
+        """The sample that ends at ``tick``, from the world_from_imu rotations (3, 3) at both ends
+        of its period and the world velocities (3,) m/s of the IMU's own point. ``shake``: mean
+        square of the rotor speeds over that in hover. Turns of more than 170 degrees a sample are
+        beyond it."""
         measured = _ideal(
             rotation_start, rotation_end, velocity_start, velocity_end, self._period_s
         )

@@ -1,21 +1,49 @@
-"""Things that move by themselves: mocap bodies on closed polylines, a pure function of time."""
+"""Poses of bodies over time; moving bodies are mocap bodies on closed polylines, a pure function
+of time."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import MovingBody, Scene
+from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BodyTrack:
+    """World poses of one body at ascending instants."""
+
+    times_s: Array
+    """(M,)"""
+    positions: Array
+    """(M, 3) m, body origin, world frame"""
+    quats_wxyz: Array
+    """(M, 4) world_from_body"""
+
+    @staticmethod
+    def at_rest(world_from_body: Pose, times_s: Array) -> BodyTrack:
+        """A body that keeps one pose at all of (M,) ``times_s``."""
+        quat_wxyz = quat_wxyz_from_matrix(world_from_body.rotation)
+        return BodyTrack(
+            times_s=times_s,
+            positions=np.tile(world_from_body.translation, (len(times_s), 1)),
+            quats_wxyz=np.tile(quat_wxyz, (len(times_s), 1)),
+        )
+
+    @property
+    def last_pose(self) -> Pose:
+        """world_from_body at the last instant."""
+        return Pose(matrix_from_quat_wxyz(self.quats_wxyz[-1]), self.positions[-1].copy())
 
 
 class MovingBodies:
-    """All moving bodies of a scene. ValueError: a body is not a mocap body, or its path has no
+    """All moving bodies of a scene. Raises ValueError where one is no mocap body or its path has no
     length."""
 
     def __init__(self, scene: Scene) -> None:
@@ -29,8 +57,8 @@ class MovingBodies:
         for path in self._paths:
             path.put(time_s, positions[path.mocap_id], quats[path.mocap_id])
 
-    def tracks(self, times_s: Array) -> dict[str, tuple[Array, Array]]:
-        """By body name: positions (M, 3) world metres and quaternions wxyz (M, 4) at (M,) times."""
+    def tracks(self, times_s: Array) -> dict[str, BodyTrack]:
+        """By body name: the poses at (M,) times."""
         return {path.name: path.at(times_s) for path in self._paths}
 
 
@@ -61,12 +89,12 @@ class _Path:
         travelled = self._start + self._speed * time_s
         _locate(self._starts, self._directions, self._arc, travelled, position, quat_wxyz)
 
-    def at(self, times_s: Array) -> tuple[Array, Array]:
+    def at(self, times_s: Array) -> BodyTrack:
         positions = np.empty((len(times_s), 3))
         quats = np.empty((len(times_s), 4))
         travelled = self._start + self._speed * times_s
         _locate_each(self._starts, self._directions, self._arc, travelled, positions, quats)
-        return positions, quats
+        return BodyTrack(times_s=times_s, positions=positions, quats_wxyz=quats)
 
 
 @njit(cache=True)

@@ -6,13 +6,12 @@ import math
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 
 def random_stream(seed: int, component: str) -> np.random.Generator:
-    """The random numbers of one component: independent of what else runs, and in what order."""
+    """The random numbers of one component, independent of other components and of their order."""
     return np.random.default_rng([seed, crc32(component.encode())])
 
 
@@ -41,7 +40,7 @@ class GaussMarkov:
         self._value = self._sigma * rng.standard_normal(self._sigma.shape)
 
     def step(self) -> Array:
-        """(K,) the value of now; the process then moves on by one period."""
+        """(K,) present value; the process then advances by one period."""
         value = self._value
         self._value = self._keep * value + self._drive * self._rng.standard_normal(value.shape)
         return value

@@ -18,18 +18,16 @@ from zlib import crc32
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.sim.api import WindParams
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 FOOT_M = 0.3048
 REFERENCE_HEIGHT_M = 20.0 * FOOT_M
 MIN_HEIGHT_FT = 10.0
 MAX_HEIGHT_FT = 1000.0
 MIN_AIRSPEED_MPS = 1.0
-"""Below this airspeed V / L no longer describes how turbulence sweeps past the vehicle."""
+"""Below this airspeed V / L no longer describes how fast turbulence passes the vehicle."""
 
 _SQRT3 = np.sqrt(3.0)
 

@@ -6,7 +6,6 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.airframe.battery import Battery
@@ -16,60 +15,43 @@ from touchdown.sim.airframe.physics import prepare_physics, settle_on_ground
 from touchdown.sim.airframe.rotors import Rotors
 from touchdown.sim.airframe.vehicle import (
     rotor_geometry,
-    sensor_poses,
     vehicle_body_id,
     vehicle_model,
 )
 from touchdown.sim.api import (
     GRAVITY_MPS2,
-    CameraImage,
-    CameraParams,
     Command,
     Contact,
-    FaultParams,
-    ImuParams,
     ImuSample,
-    LidarParams,
-    LidarScan,
-    NavParams,
     Observation,
     SensorNeeds,
     SensorRig,
-    SimParams,
     Truth,
-    WindParams,
+    WorldParams,
 )
-from touchdown.sim.camera.sensor import CAMERA_NAME, CameraSensor, Snapshot
-from touchdown.sim.clock import check_rates, image_period_ticks, readout_ticks
-from touchdown.sim.delivery import DeliveryQueue, make_executor
+from touchdown.sim.camera.sensor import Snapshot
+from touchdown.sim.clock import check_rates
 from touchdown.sim.faults.disturbances import Disturbances
 from touchdown.sim.faults.injector import FaultInjector
-from touchdown.sim.faults.weather import Weather
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
+from touchdown.sim.imaging_sensors import ImagingSensors
 from touchdown.sim.imu import ImuSensor
-from touchdown.sim.lidar.patterns.livox import pattern
-from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.moving import MovingBodies
 from touchdown.sim.navigation.channels import NavSensors
+from touchdown.sim.typing import Array
 from touchdown.sim.wind import Wind
 
-Array = NDArray[np.float64]
-
-RIGHT_CAMERA = "vehicle/camera_right"
-
 _NOTHING = SensorNeeds()
-_NAV_DEFAULTS = NavParams()
-_NO_FAULTS = FaultParams()
 
 
 class MujocoWorld:
-    """One vehicle in one scene. Same arguments and commands: the same flight to the bit, whatever
-    ``sim.threads``.
+    """One vehicle in one scene. The same arguments and commands give the same flight to the bit,
+    with any number of ``sim.threads``.
 
     The first scan ends, and the first image is exposed, one period after tick 0. The world writes
-    the physics options of ``scene.model`` (time step, air, wind). Raises ValueError for rates that
-    do not fit together, parameters out of range, a scene without vehicle or a take-off place on
-    which the vehicle cannot stand.
+    the physics options of ``scene.model`` (time step, air, wind). Raises ValueError for
+    incompatible rates, parameters out of range, a scene without vehicle or a take-off spot on which
+    the vehicle cannot stand.
     """
 
     rig: SensorRig
@@ -77,27 +59,19 @@ class MujocoWorld:
     def __init__(
         self,
         scene: Scene,
-        *,
-        sim: SimParams,
-        wind: WindParams,
-        lidar: LidarParams,
-        camera: CameraParams,
-        imu: ImuParams,
+        params: WorldParams,
         seed: int,
         needs: SensorNeeds = _NOTHING,
-        nav: NavParams = _NAV_DEFAULTS,
-        faults: FaultParams = _NO_FAULTS,
     ) -> None:
-        check_rates(sim, needs)
-        self._scene, self._sim, self._needs, self._seed = scene, sim, needs, seed
-        self._wind_params, self._imu_params, self._nav_params = wind, imu, nav
-        self._fault_params = faults
-        self._model = scene.model
-        self._step_s = sim.control_ticks / sim.tick_hz
-        self._eye, self._caster = make_executor(sim.threads), make_executor(sim.threads)
+        check_rates(params.sim, needs)
+        self._scene, self._params, self._seed, self._needs = scene, params, seed, needs
+        self._sim, self._model = params.sim, scene.model
+        self._step_s = self._sim.control_ticks / self._sim.tick_hz
         self._prepare_body()
-        self._prepare_sensors(lidar, camera)
-        self.rig = self._make_rig(lidar, imu)
+        self._imaging = ImagingSensors(scene, params, seed, self._moving)
+        self._imaging.add(needs)
+        self._nav = self._make_nav()
+        self.rig = self._make_rig()
         self._imu_mount = self.rig.body_from_imu.rotation
         self.reset()
 
@@ -125,98 +99,61 @@ class MujocoWorld:
         self._contact_sensor = ContactSensor(self._model)
         self._ground = GroundProbe(self._model)
 
-    def _prepare_sensors(self, lidar: LidarParams, camera: CameraParams) -> None:
-        ticks = self._sim.lidar_scan_ticks
-        self._track_positions = np.empty((ticks + 1, 3))
-        self._track_quats = np.empty((ticks + 1, 4))
-        pattern(lidar.preset)  # an unknown one is an error even where no LIDAR is asked for
-        self._lidar_params, self._camera_params = lidar, camera
-        self._camera = self._make_camera(CAMERA_NAME)
-        self._lidar: LidarSensor | None = None
-        self._right: CameraSensor | None = None
-        self._scans: DeliveryQueue[LidarScan] = DeliveryQueue(self._caster)
-        self._images: DeliveryQueue[CameraImage] = DeliveryQueue(self._eye)
-        self._add_sensors()
-
-    def _add_sensors(self) -> None:
-        """Builds what is needed and not there yet."""
-        self._image_period = image_period_ticks(self._sim, self._needs)
-        self._readout = readout_ticks(self._camera_params.readout_s, self._sim)
-        if self._needs.lidar and self._lidar is None:
-            air = Weather(self._fault_params, self._sim.tick_hz)
-            self._lidar = LidarSensor(self._scene, self._lidar_params, self._seed, air)
-        if self._needs.stereo and self._right is None:
-            self._right = self._make_camera(RIGHT_CAMERA)
-        self._nav = self._make_nav()
-
-    def _make_camera(self, name: str) -> CameraSensor:
-        return CameraSensor(
-            self._scene,
-            self._camera_params,
-            self._seed,
-            name,
-            self._fault_params,
-            self._sim.tick_hz,
-        )
-
     def _make_nav(self) -> NavSensors:
-        return NavSensors(self._scene, self._nav_params, self._sim, self._needs, self._seed)
+        return NavSensors(self._scene, self._params.nav, self._sim, self._needs, self._seed)
 
-    def _make_rig(self, lidar: LidarParams, imu: ImuParams) -> SensorRig:
-        body_from_imu, body_from_lidar, body_from_camera, body_from_camera_right = sensor_poses(
-            self._model
-        )
+    def _make_rig(self) -> SensorRig:
+        mounts = self._imaging.mounts
         return SensorRig(
             tick_hz=self._sim.tick_hz,
-            body_from_imu=body_from_imu,
-            body_from_lidar=body_from_lidar,
-            body_from_camera=body_from_camera,
-            body_from_camera_right=body_from_camera_right,
-            camera=self._camera.intrinsics(),
-            lidar=lidar,
-            imu=imu,
+            body_from_imu=mounts.imu,
+            body_from_lidar=mounts.lidar,
+            body_from_camera=mounts.camera,
+            body_from_camera_right=mounts.camera_right,
+            camera=self._imaging.camera.intrinsics(),
+            lidar=self._params.lidar,
+            imu=self._params.imu,
             imu_ticks=self._sim.imu_ticks,
             camera_ticks=self._sim.camera_ticks,
             lidar_scan_ticks=self._sim.lidar_scan_ticks,
             compute_latency_ticks=self._sim.compute_latency_ticks,
             world_from_body_start=self._pose(),
             vehicle=self._vehicle,
-            nav=self._nav_params,
+            nav=self._params.nav,
         )
 
     # ------------------------------------------------------------------------ the protocol
 
     def require(self, needs: SensorNeeds) -> None:
-        """Adds sensors to those asked for so far, before the first ``reset``: estimators know what
-        they need only once they know the rig. ValueError for a rate that does not fit."""
+        """Adds sensors before the flight begins; estimators state their needs only after they have
+        got the rig. Raises ValueError for an incompatible rate, RuntimeError after tick 0."""
         if self._tick > 0:
             raise RuntimeError(f"sensors are added before a flight, not at tick {self._tick}")
         wanted = self._needs | needs
         check_rates(self._sim, wanted)
         self._needs = wanted
-        self._add_sensors()
+        self._imaging.add(wanted)
+        self._nav = self._make_nav()
 
     def reset(self) -> Observation:
-        """Back to tick 0: on the ground at the take-off spot, rotors stopped, battery full."""
-        self._scans.clear()
-        self._images.clear()
+        """Returns to tick 0: on the ground at the take-off spot, rotors stopped, battery full."""
+        self._imaging.clear()
         state = mujoco.mjtState.mjSTATE_INTEGRATION
         mujoco.mj_setState(self._model, self._data, self._start_state, state)
-        self._wind = Wind(self._wind_params, self._seed)
+        self._wind = Wind(self._params.wind, self._seed)
         self._air[:] = self._wind.step(self._step_s, self._vehicle.leg_height_m, 0.0)
         mujoco.mj_forward(self._model, self._data)
         self._tick = 0
         self._truth: Truth | None = None
-        self._instants: list[Snapshot] = []
         self._rotors = Rotors(
             self._vehicle, rotor_geometry(self._model), tick_s=1.0 / self._sim.tick_hz
         )
         self._battery = Battery(self._sim.battery_capacity_j)
-        self._imu = ImuSensor(self._imu_params, self._sim.tick_hz, self._sim.imu_ticks, self._seed)
+        self._imu = ImuSensor(self._params.imu, self._sim.tick_hz, self._sim.imu_ticks, self._seed)
         self._nav = self._make_nav()
-        faults, tick_hz = self._fault_params, self._sim.tick_hz
+        faults, tick_hz = self._params.faults, self._sim.tick_hz
         self.faults = FaultInjector(faults, tick_hz)
-        self.disturbances = Disturbances(faults, tick_hz, self._wind_params.mean_kmh, self._seed)
+        self.disturbances = Disturbances(faults, tick_hz, self._params.wind.mean_kmh, self._seed)
         self._ground_z = float(self._position[2]) - self._vehicle.leg_height_m
         self._mark_start()
         self._acceleration = np.zeros(3)
@@ -225,14 +162,14 @@ class MujocoWorld:
         return self._observation(())
 
     def _mark_start(self) -> None:
-        """Sensors that look back at an earlier state look back at the present one."""
+        """Sets the present state as the earlier state of sensors that compare two."""
         self._imu_rotation = self._world_from_imu()
         self._imu_velocity = self._velocity.copy()
-        self._track_positions[0] = self._position
-        self._track_quats[0] = self._quat
+        self._imaging.start(self._position, self._quat, self.disturbances)
 
     def step(self, command: Command) -> Observation:
-        """Advances ``control_ticks``. RuntimeError: the command or the physics is not finite."""
+        """Advances ``control_ticks``. Raises RuntimeError if the command or the physics is not
+        finite."""
         self._take_command(command)
         height = float(self._position[2]) - self._ground_z
         airspeed = math.dist(self._velocity.tolist(), self._air.tolist())
@@ -253,7 +190,8 @@ class MujocoWorld:
         return self._observation(tuple(imu))
 
     def start_in_air(self, position_world: Array, yaw: float) -> Observation:
-        """As ``reset``, but level and at rest at (3,) ``position_world``, rotors at hover speed."""
+        """Resets to a start in the air: level and at rest at (3,) ``position_world``, rotors at
+        hover speed."""
         self.reset()
         self._position[:] = position_world
         self._quat[:] = np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)
@@ -266,14 +204,14 @@ class MujocoWorld:
         return self._observation(())
 
     def height_over_ground(self) -> float:
-        """Metres from the body origin down to whatever lies below; ``inf`` over nothing."""
+        """Metres from the body origin down to the surface below; ``inf`` over nothing."""
         return self._ground.clearance(self._data, self._position)
 
     def snapshot(self) -> Snapshot:
-        """The scene as it is now, for a camera other than the vehicle's sensors."""
+        """The present state of the scene, for a camera other than the vehicle's."""
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        return self._camera.snapshot(self._data)
+        return self._imaging.camera.snapshot(self._data)
 
     def truth(self) -> Truth:
         """The true state now. ``acceleration_world`` is dv/dt: 0 in hover and at rest.
@@ -299,13 +237,7 @@ class MujocoWorld:
 
     def close(self) -> None:
         """Ends the worker threads and frees the camera. The world is unusable afterwards."""
-        self._scans.clear()
-        self._images.clear()
-        for camera in (self._camera, self._right):
-            if camera is not None:
-                self._eye.submit(camera.close).result()
-        self._eye.shutdown(wait=True)
-        self._caster.shutdown(wait=True)
+        self._imaging.close()
 
     # ------------------------------------------------------------------------ one step
 
@@ -334,31 +266,13 @@ class MujocoWorld:
         self._peak_acceleration = max(self._peak_acceleration, change * self._sim.tick_hz)
 
     def _sense(self, imu: list[ImuSample]) -> None:
-        """What is measured at this tick."""
+        """Takes the measurements of this tick."""
         if self._tick % self._sim.imu_ticks == 0:
             imu.append(self._sample_imu())
         if self._nav.listening:
             motion = self._position, self._quat, self._velocity, self._angular_velocity
             self._nav.sense(self._tick, self._data, *motion)
-        if self._lidar is not None:
-            self._record_track()
-        if self._image_period:
-            self._expose()
-
-    def _expose(self) -> None:
-        """An exposure begins ``_readout`` ticks before its pulse: one instant for every tick."""
-        until_pulse = -self._tick % self._image_period
-        if until_pulse > self._readout:
-            return
-        self._moving.write(self._data, self._tick / self._sim.tick_hz)
-        # mj_step leaves positions of the tick's beginning behind.
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_camlight(self._model, self._data)
-        self._instants.append(self._camera.snapshot(self._data))
-        if until_pulse == 0:
-            due = self._tick + self._sim.compute_latency_ticks
-            self._images.submit(due, self._render, tuple(self._instants), self._tick)
-            self._instants.clear()
+        self._imaging.sense(self._tick, self._data, self._position, self._quat)
 
     def _sample_imu(self) -> ImuSample:
         rotation, velocity = self._world_from_imu(), self._velocity.copy()
@@ -376,47 +290,6 @@ class MujocoWorld:
     def _world_from_imu(self) -> Array:
         return matrix_from_quat_wxyz(self._quat) @ self._imu_mount
 
-    def _record_track(self) -> None:
-        ticks = self._sim.lidar_scan_ticks
-        row = (self._tick - 1) % ticks + 1
-        self._track_positions[row] = self._position
-        self._track_quats[row] = self._quat
-        if row == ticks:
-            self._scans.submit(
-                self._tick + self._sim.compute_latency_ticks,
-                self._scan,
-                self._tick,
-                self._track_positions.copy(),
-                self._track_quats.copy(),
-            )
-            self._track_positions[0] = self._position
-            self._track_quats[0] = self._quat
-
-    # ------------------------------------------------------------------------ worker threads
-
-    def _scan(self, end_tick: int, positions: Array, quats_wxyz: Array) -> LidarScan:
-        assert self._lidar is not None
-        start_tick = end_tick - self._sim.lidar_scan_ticks
-        times_s = np.arange(start_tick, end_tick + 1) / self._sim.tick_hz
-        return self._lidar.scan(
-            start_tick,
-            end_tick,
-            self._sim.tick_hz,
-            times_s,
-            positions,
-            quats_wxyz,
-            self.disturbances.lidar_mount(end_tick, self.rig.body_from_lidar),
-            self._moving.tracks(times_s),
-        )
-
-    def _render(self, instants: tuple[Snapshot, ...], tick: int) -> CameraImage:
-        return CameraImage(
-            tick=tick,
-            time_s=tick / self._sim.tick_hz,
-            rgb=self._camera.render(instants, tick),
-            right_rgb=self._right.render(instants, tick) if self._right else None,
-        )
-
     # ------------------------------------------------------------------------ messages
 
     def _observation(self, imu: tuple[ImuSample, ...]) -> Observation:
@@ -424,8 +297,8 @@ class MujocoWorld:
             tick=self._tick,
             time_s=self._tick / self._sim.tick_hz,
             imu=imu,
-            scans=self._scans.collect(self._tick),
-            images=self._images.collect(self._tick),
+            scans=self._imaging.scans.collect(self._tick),
+            images=self._imaging.images.collect(self._tick),
             gps=self._nav.gps.collect(self._tick),
             barometer=self._nav.barometer.collect(self._tick),
             magnetometer=self._nav.magnetometer.collect(self._tick),

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
-from touchdown.sim.airframe.vehicle import sensor_poses, vehicle_body_id, vehicle_model
-from touchdown.sim.api import CameraParams, LidarParams, LidarScan, SimParams, Truth
+from touchdown.sim.airframe.vehicle import sensor_mounts, vehicle_body_id, vehicle_model
+from touchdown.sim.api import LidarScan, Truth, WorldParams
 from touchdown.sim.camera.gl import Snapshot, Stage
 from touchdown.sim.camera.sensor import CAMERA_NAME, CameraSensor
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
 from touchdown.sim.lidar.sensor import LidarSensor
-from touchdown.sim.moving import MovingBodies
+from touchdown.sim.moving import BodyTrack, MovingBodies
 
 Array = NDArray[np.float64]
 
@@ -36,21 +36,18 @@ class BareWorld:
     def __init__(
         self,
         scene: Scene,
-        *,
-        sim: SimParams,
-        camera: CameraParams,
-        lidar: LidarParams,
+        params: WorldParams,
         seed: int,
     ) -> None:
-        self._model, self._sim = scene.model, sim
+        self._model, self._sim = scene.model, params.sim
         self._data = mujoco.MjData(scene.model)
         self._moving = MovingBodies(scene)
         self._body = vehicle_body_id(scene.model)
         self._thrust_coefficient = vehicle_model(scene.model).thrust_coefficient
-        self._body_from_lidar = sensor_poses(scene.model)[1]
-        self._lidar = LidarSensor(scene, lidar, seed)
-        self._camera = CameraSensor(scene, camera, seed)
-        self._eye = _Eye(scene.model, self._camera, camera.samples)
+        self._body_from_lidar = sensor_mounts(scene.model).lidar
+        self._lidar = LidarSensor(scene, params.lidar, seed)
+        self._camera = CameraSensor(scene, params.camera, seed)
+        self._eye = _Eye(scene.model, self._camera, params.camera.samples)
 
     def physics(self, truth: Truth, steps: int) -> float:
         """``mj_step``, ``steps`` times, from the true state with the thrust of that moment."""
@@ -83,19 +80,19 @@ class BareWorld:
 
     def lidar_sensor(self, scan: LidarScan, poses: Sequence[Pose]) -> float:
         """The whole LIDAR sensor on the same scan: aiming, casting, returns, noise."""
-        times_s = np.linspace(scan.start_time_s, scan.end_time_s, len(poses))
-        positions = np.array([pose.translation for pose in poses])
-        quats = np.array([quat_wxyz_from_matrix(pose.rotation) for pose in poses])
+        track = BodyTrack(
+            times_s=np.linspace(scan.start_time_s, scan.end_time_s, len(poses)),
+            positions=np.array([pose.translation for pose in poses]),
+            quats_wxyz=np.array([quat_wxyz_from_matrix(pose.rotation) for pose in poses]),
+        )
         started = time.thread_time()
         self._lidar.scan(
             scan.start_tick,
             scan.end_tick,
             self._sim.tick_hz,
-            times_s,
-            positions,
-            quats,
+            track,
             self._body_from_lidar,
-            self._moving.tracks(times_s),
+            self._moving.tracks(track.times_s),
         )
         return time.thread_time() - started
 

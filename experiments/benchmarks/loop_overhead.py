@@ -26,7 +26,7 @@ from touchdown.experiments.flight.loop import run_flight
 from touchdown.experiments.flight.platform import limit_threads
 from touchdown.experiments.flight.run import make_referee, timed_parts
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
-from touchdown.experiments.flight.wiring import build_flight_stack, build_scene
+from touchdown.experiments.flight.wiring import build_flight_stack, build_scene, world_params
 from touchdown.experiments.recording.run_recorder import RunRecorder
 from touchdown.sim.api import (
     Command,
@@ -122,9 +122,7 @@ def measure_overhead(config: Config, out_dir: Path) -> dict[str, Any]:
     limit_threads()
     scene = build_scene(config)
     flight = build_flight_stack(config, scene)
-    bare = BareWorld(
-        scene, sim=config.sim, camera=config.camera, lidar=config.lidar, seed=config.seed
-    )
+    bare = BareWorld(scene, world_params(config), config.seed)
     out_dir.mkdir(parents=True)
     recorder = RunRecorder(out_dir, scene, flight.world.rig, config)
     referee = make_referee(config, scene, lambda: None)

@@ -16,22 +16,22 @@ from touchdown.estimator.api import (
     PoseTrack,
 )
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.flight.wiring import build_scene, make_world
+from touchdown.experiments.flight.wiring import build_scene, make_world, world_params
 from touchdown.landing.api import Selection
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import Observation, SensorRig
 from touchdown.sim.frames import Pose
 
 if TYPE_CHECKING:
-    from touchdown.sim.tow import SensorTow
+    from touchdown.sim.posed_sensors import PosedSensors
 
 
 @dataclass(slots=True)
-class TowedSurvey:
+class PosedSurvey:
     """The configured sensors on the planned survey, at its true poses, and what serves them."""
 
     rig: SensorRig
-    tow: SensorTow
+    sensors: PosedSensors
     mapper: Mapper
     path: Any
     """``landing.mission.trajectory.PiecewiseTrajectory`` of the survey, world frame, yaw ``yaw``"""
@@ -40,13 +40,13 @@ class TowedSurvey:
     """as the lander chooses at the end of its survey"""
 
 
-def build_towed_survey(config: Config, scene: Scene) -> TowedSurvey:
-    """A survey without a flight. Raises ValueError as `build_flight_stack`."""
+def build_posed_survey(config: Config, scene: Scene) -> PosedSurvey:
+    """Builds a survey without a flight. Raises ValueError as `build_flight_stack`."""
     from touchdown.estimator.mapping.mapper import GridMapper
     from touchdown.landing.mission.trajectory import survey_trajectory
     from touchdown.landing.selection.selector import select_sites
     from touchdown.sim.frames import yaw_from_rotation
-    from touchdown.sim.tow import SensorTow
+    from touchdown.sim.posed_sensors import PosedSensors
 
     world = make_world(config, scene)
     rig = world.rig
@@ -55,11 +55,9 @@ def build_towed_survey(config: Config, scene: Scene) -> TowedSurvey:
     yaw = yaw_from_rotation(start.rotation)
     above = start.translation + np.array([0.0, 0.0, config.survey.height_m])
     above[2] -= rig.vehicle.leg_height_m
-    return TowedSurvey(
+    return PosedSurvey(
         rig=rig,
-        tow=SensorTow(
-            scene, sim=config.sim, camera=config.camera, lidar=config.lidar, seed=config.seed
-        ),
+        sensors=PosedSensors(scene, world_params(config), config.seed),
         mapper=GridMapper(rig, config.mapper),
         path=survey_trajectory(above, yaw, config.survey),
         yaw=yaw,
@@ -74,8 +72,8 @@ def build_towed_survey(config: Config, scene: Scene) -> TowedSurvey:
 SCAN_PERIOD_S = 0.1
 """of a flight"""
 LOOK_PERIOD_S = 0.3
-"""between the scans of a towed survey: each third one of a flight"""
-_PICTURE_EVERY = 2
+"""between the scans of a posed survey: each third one of a flight"""
+_IMAGE_EVERY = 2
 """looks"""
 
 
@@ -84,7 +82,7 @@ class Surveyed:
     """One place as a survey mapped it, what was chosen there, and the true ground."""
 
     scene: Scene
-    survey: TowedSurvey
+    survey: PosedSurvey
     map_view: MapView
     estimate: Estimate
     """at the end of the survey"""
@@ -92,10 +90,10 @@ class Surveyed:
 
 
 Watch = Callable[[SensorRig, Observation, Estimate], None]
-"""Called with everything that a towed survey sees."""
+"""Called with everything that a posed survey sees."""
 
 
-def tow_survey(
+def posed_survey(
     config: Config, period_s: float = LOOK_PERIOD_S, watch: Watch | None = None
 ) -> Surveyed:
     """Maps the configured scene along the survey and selects. Raises ValueError as `build_scene`.
@@ -103,7 +101,7 @@ def tow_survey(
     A scan every ``period_s``, at least the duration of one scan; with every second one a picture.
     """
     scene = build_scene(config)
-    survey = build_towed_survey(config, scene)
+    survey = build_posed_survey(config, scene)
     *_, (estimate, view) = observe(survey, survey.path, start_s=0.0, period_s=period_s, watch=watch)
     selection = survey.select(view, estimate)
     return Surveyed(
@@ -112,43 +110,45 @@ def tow_survey(
 
 
 def observe(
-    survey: TowedSurvey,
+    survey: PosedSurvey,
     path: Any,
     *,
     start_s: float,
     period_s: float,
     watch: Watch | None = None,
 ) -> Iterator[tuple[Estimate, MapView]]:
-    """Tows the sensors along ``path`` from ``start_s`` on and yields after every scan. The camera
+    """Moves the sensors along ``path`` from ``start_s`` on and yields after every scan. The camera
     is free again at the end."""
-    rig = survey.rig
+    from touchdown.sim.posed_sensors import track_along
+
+    rig, sensors = survey.rig, survey.sensors
     period = max(round(period_s * rig.tick_hz), rig.lidar_scan_ticks)
     first = round(start_s * rig.tick_hz)
     try:
         starts = range(first, first + round(path.duration_s * rig.tick_hz), period)
         for number, start in enumerate(starts):
-            picture = number % _PICTURE_EVERY == 0
-            look = survey.tow.look(start, path, start_s, survey.yaw, picture=picture)
-            end = start + rig.lidar_scan_ticks
+            body = track_along(path, sensors.scan_times(start), start_s, survey.yaw)
+            end, middle = start + rig.lidar_scan_ticks, start + rig.lidar_scan_ticks // 2
+            images = (sensors.image(body, middle),) if number % _IMAGE_EVERY == 0 else ()
             obs = Observation(
                 tick=end,
                 time_s=end / rig.tick_hz,
-                scans=(look.scan,),
-                images=() if look.image is None else (look.image,),
+                scans=(sensors.scan(body, start),),
+                images=images,
                 rotor_speed_radps=np.zeros(4),
                 battery_fraction=1.0,
             )
             track = PoseTrack(
-                times_s=look.times_s,
-                positions_odom=look.positions_world,
-                quats_wxyz=look.quats_wxyz,
+                times_s=body.times_s,
+                positions_odom=body.positions,
+                quats_wxyz=body.quats_wxyz,
             )
-            estimate = _true_estimate(obs, look.world_from_body, track)
+            estimate = _true_estimate(obs, body.last_pose, track)
             if watch is not None:
                 watch(rig, obs, estimate)
             yield estimate, survey.mapper.update(obs, estimate)
     finally:
-        survey.tow.close()
+        sensors.close()
 
 
 def _true_estimate(obs: Observation, pose: Pose, track: PoseTrack) -> Estimate:

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
-from touchdown.sim.airframe.vehicle import sensor_poses
+from touchdown.sim.airframe.vehicle import sensor_mounts
 from touchdown.sim.api import LidarParams
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, rotation_from_yaw
 from touchdown.sim.lidar.patterns.livox import pattern
 from touchdown.sim.lidar.raycast_scene import FIRST_HIDDEN_GROUP
 from touchdown.sim.lidar.sensor import LidarSensor
-from touchdown.sim.moving import MovingBodies
+from touchdown.sim.moving import BodyTrack, MovingBodies
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class ReferenceCasters:
         self._sensor = LidarSensor(scene, params, seed)
         self._moving = MovingBodies(scene)
         self._yaw = scene.takeoff_yaw
-        self._mount = sensor_poses(scene.model)[1]
+        self._mount = sensor_mounts(scene.model).lidar
         self._groups = (np.arange(mujoco.mjNGROUP) < FIRST_HIDDEN_GROUP).astype(np.uint8)
 
     def casters(self, position: Array, scan_number: int) -> Mapping[str, Callable[[], Array]]:
@@ -72,12 +72,11 @@ class ReferenceCasters:
         self, position: Array, rotation: Array, ticks: tuple[int, int]
     ) -> Callable[[], Array]:
         times = np.arange(ticks[0], ticks[1] + 1) / _TICK_HZ
-        positions = np.tile(position, (len(times), 1))
-        quats = np.tile(quat_wxyz_from_matrix(rotation), (len(times), 1))
+        track = BodyTrack.at_rest(Pose(rotation, position), times)
 
         def cast() -> Array:
             moving = self._moving.tracks(times)
-            scan = self._sensor.scan(*ticks, _TICK_HZ, times, positions, quats, self._mount, moving)
+            scan = self._sensor.scan(*ticks, _TICK_HZ, track, self._mount, moving)
             return scan.ranges  # type: ignore[return-value]
 
         return cast

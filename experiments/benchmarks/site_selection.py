@@ -15,7 +15,7 @@ from scipy.ndimage import distance_transform_edt
 
 from touchdown.experiments.benchmarks.posed_survey import (
     Surveyed,
-    tow_survey,
+    posed_survey,
 )
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
@@ -46,7 +46,8 @@ ROOM_CAP_M = 3.0
 
 
 def check_scene(config: Config, figure: Path | None = None) -> dict[str, Any]:
-    """Judges the selection in one scene by the ground-truth map. Raises ValueError as `tow_survey`.
+    """Judges the selection in one scene by the ground-truth map. Raises ValueError as
+    `posed_survey`.
 
     Draws the steps of the selection into the file ``figure``, if given. Returns:
 
@@ -55,7 +56,7 @@ def check_scene(config: Config, figure: Path | None = None) -> dict[str, Any]:
     site and ``best_room_m``: distance to the nearest unsafe ground, at most 3 m; ``sample``:
     predicted probabilities and truth of evenly spread cells, with their features.
     """
-    surveyed = tow_survey(config)
+    surveyed = posed_survey(config)
     truth = truth_maps(surveyed.scene, TRUTH_CELL_M, _region(surveyed))
     selection, costmap = surveyed.selection, surveyed.selection.costmap
     accepted = [site for site in selection.candidates if site.accepted]

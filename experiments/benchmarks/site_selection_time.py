@@ -16,7 +16,7 @@ from touchdown.estimator.api import (
     Estimate,
     GridMap,
 )
-from touchdown.experiments.benchmarks.posed_survey import SCAN_PERIOD_S, Surveyed, tow_survey
+from touchdown.experiments.benchmarks.posed_survey import SCAN_PERIOD_S, Surveyed, posed_survey
 from touchdown.experiments.benchmarks.selection_stages import Staged, staged_selection
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
@@ -66,7 +66,7 @@ def bench_landing(
         checks[0].update(obs, estimate)
 
     watch = None if classifier is None else remember
-    surveyed = tow_survey(config, period_s=SCAN_PERIOD_S, watch=watch)
+    surveyed = posed_survey(config, period_s=SCAN_PERIOD_S, watch=watch)
     view, estimate = surveyed.map_view, surveyed.estimate
     position = estimate.odom_from_body.translation
     radius_m = surveyed.survey.rig.vehicle.footprint_radius_m

@@ -1,1 +1,2 @@
-"""`touchdown calibrate`: rendered chessboard views, evaluation, figures."""
+"""`touchdown calibrate`: rendered chessboard views, calibration errors, figures. The calibration
+itself is in `estimator.calibration`."""

@@ -1,4 +1,4 @@
-"""A calibration beside the truth: errors, what it says of them itself, and whether they agree."""
+"""Evaluation of a calibration against the truth: errors, stated uncertainty, and consistency."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import CalibrationResult, Chessboard
 from touchdown.estimator.calibration.calibrate import calibrate
-from touchdown.experiments.calibration.figures import write_pictures
+from touchdown.experiments.calibration.figures import write_figures
 from touchdown.experiments.calibration.views import calibration_views
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.platform import limit_threads
@@ -22,30 +22,29 @@ from touchdown.sim.frames import Pose, so3_log
 Array = NDArray[np.float64]
 
 CONSISTENT_EXTRINSICS, CONSISTENT_CAMERA = 22.46, 27.88
-"""chi-square of 6 and of 9 degrees of freedom that is exceeded once in a thousand"""
+"""0.999 quantiles of chi-square with 6 and 9 degrees of freedom"""
 
 
 def run_calibration(
     config: Config,
     count: int,
     out: Path,
-    pictures: Path | None,
+    images: Path | None,
     note: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
-    """Takes ``count`` views, calibrates, writes the file and, into the folder ``pictures``,
-    drawings; returns the report. Raises ValueError when too few views are of use, UsageError for
-    files that cannot be written."""
+    """Renders ``count`` views, calibrates, writes the calibration file and, into the folder
+    ``images``, figures; returns the report. Raises ValueError when too few views are usable,
+    UsageError for files that cannot be written."""
     limit_threads()
     board = Chessboard()
-    views, stand = calibration_views(
+    views, truth = calibration_views(
         config, board, count, lambda done: note(f"view {done} of {count}")
     )
     note("calibrating")
     result = calibrate(views, board, config.seed)
     write_calibration(out, result)
-    if pictures is not None:
-        write_pictures(pictures, views, result, board)
-    truth = stand.body_from_camera.inverse() @ stand.body_from_lidar
+    if images is not None:
+        write_figures(images, views, result, board)
     return {
         "file": str(out),
         "seed": config.seed,
@@ -58,7 +57,7 @@ def run_calibration(
             "reprojection_rms_px": result.reprojection_rms_px,
             "plane_rms_m": result.plane_rms_m,
         },
-        **errors(result, stand.intrinsics, truth),
+        **errors(result, truth.camera, truth.camera_from_lidar),
     }
 
 

@@ -1,5 +1,5 @@
-"""What a calibration saw, as pictures: the boards with their corners, returns over the picture, and
-the coloured cloud of one view (the paper's Fig. 2)."""
+"""Figures of a calibration: boards with their corners, LIDAR returns over an image, and the
+coloured cloud of one view (the paper's Fig. 2)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import CalibrationResult, CalibrationView, Chessboard
-from touchdown.experiments.scene_tools.views import Picture, write_picture
+from touchdown.experiments.scene_tools.views import Image, write_image
 from touchdown.sim.frames import Pose, so3_exp
 
 Array = NDArray[np.float64]
@@ -19,31 +19,31 @@ Array = NDArray[np.float64]
 _COLUMNS, _GAP = 4, 6
 _SMALL = (424, 240)
 _OVERLAY_STEP = 5
-"""Of so many returns one is drawn; no divisor of the LIDAR's six lasers, which take turns."""
+"""One of this many returns is drawn; no divisor of 6, since the LIDAR's six lasers take turns."""
 _CLOUD_SIZE = (1200, 800)
 _CLOUD_FOCAL = 1150.0
 _UNSEEN = (70, 70, 74)
 _BACKGROUND = 18
 _BEHIND_M = 0.8
 _NEAR_SHARE = 0.85
-"""of the median depth: what is nearer, the board, is drawn with larger dots, so that the floor does
-not shine through"""
+"""Share of the median depth: nearer points (the board) are drawn with larger dots, so that they
+cover the floor behind"""
 
 
-def write_pictures(
+def write_figures(
     folder: Path, views: Sequence[CalibrationView], result: CalibrationResult, board: Chessboard
 ) -> None:
-    """Writes boards.png, overlay.png and cloud.png. Raises UsageError where that cannot be."""
+    """Writes boards.png, overlay.png and cloud.png. Raises UsageError where writing fails."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_picture(folder / "boards.png", boards_picture(views, result, board))
+    write_image(folder / "boards.png", boards_image(views, result, board))
     shown = max(result.used, key=lambda number: _showing(result.board_points[number]))
-    write_picture(folder / "overlay.png", overlay_picture(views[shown], result))
-    write_picture(folder / "cloud.png", cloud_picture(views[shown], result, result.corners[shown]))
+    write_image(folder / "overlay.png", overlay_image(views[shown], result))
+    write_image(folder / "cloud.png", cloud_image(views[shown], result, result.corners[shown]))
 
 
-def boards_picture(
+def boards_image(
     views: Sequence[CalibrationView], result: CalibrationResult, board: Chessboard
-) -> Picture:
+) -> Image:
     """All views with the corners that were found."""
     tiles = []
     for number, view in enumerate(views):
@@ -64,21 +64,21 @@ def boards_picture(
     return np.ascontiguousarray(sheet[:, :, ::-1])
 
 
-def overlay_picture(view: CalibrationView, result: CalibrationResult) -> Picture:
-    """The camera's picture with the returns of the LIDAR, near red and far blue: a board's edge in
-    the returns must lie on its edge in the picture."""
-    picture = view.rgb.copy()
+def overlay_image(view: CalibrationView, result: CalibrationResult) -> Image:
+    """The camera's image with the returns of the LIDAR, near red and far blue: a board's edge in
+    the returns must lie on its edge in the image."""
+    image = view.rgb.copy()
     points = view.points[::_OVERLAY_STEP]
     in_camera = result.camera_from_lidar.apply(points)
     low, high = np.percentile(in_camera[:, 2], [1.0, 99.0])
     share = np.clip((high - in_camera[:, 2]) / (high - low), 0.12, 0.95)
     tint = cv2.applyColorMap((255.0 * share).astype(np.uint8), cv2.COLORMAP_TURBO)
-    _dot(picture, _pixels(points, result), tint.reshape(-1, 3)[:, ::-1], 1)
-    return picture
+    _dot(image, _pixels(points, result), tint.reshape(-1, 3)[:, ::-1], 1)
+    return image
 
 
-def cloud_picture(view: CalibrationView, result: CalibrationResult, corners: Array) -> Picture:
-    """The returns in the colours of the picture, looked at from beside the camera: the squares
+def cloud_image(view: CalibrationView, result: CalibrationResult, corners: Array) -> Image:
+    """The returns in the colours of the image, looked at from beside the camera: the squares
     must lie flat and undistorted on the board."""
     in_camera = result.camera_from_lidar.apply(view.points)
     pixels = np.rint(_pixels(view.points, result)).astype(np.int64)
@@ -94,15 +94,15 @@ def cloud_picture(view: CalibrationView, result: CalibrationResult, corners: Arr
     spots = _CLOUD_FOCAL * placed[ahead, :2] / placed[ahead, 2:] + [0.5 * width, 0.4 * height]
     depth = placed[ahead, 2]
     order = np.argsort(-depth, kind="stable")  # what is nearer hides what is further
-    picture = np.full((height, width, 3), _BACKGROUND, np.uint8)
+    image = np.full((height, width, 3), _BACKGROUND, np.uint8)
     near = depth[order] < _NEAR_SHARE * np.median(depth)
     for rows_of, side in ((order[~near], 2), (order[near], 4)):
-        _dot(picture, spots[rows_of], colour[ahead][rows_of], side)
-    return picture
+        _dot(image, spots[rows_of], colour[ahead][rows_of], side)
+    return image
 
 
 def _showing(points: Array) -> float:
-    """How much of a board the LIDAR saw, foreshortened as it was."""
+    """Extent of a board that the LIDAR saw, foreshortened."""
     middle = points.mean(axis=0)
     normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
     return len(points) * float(abs(normal @ middle) / np.linalg.norm(middle))
@@ -119,17 +119,17 @@ def _beside(in_camera: Array, pixels: NDArray[np.int64], corners: Array) -> Pose
 
 
 def _pixels(points: Array, result: CalibrationResult) -> Array:
-    """(N, 2) of LIDAR points (N, 3) by the calibration (Eqs. 1 and 2)."""
+    """(N, 2) pixels of LIDAR points (N, 3) by the calibration (Eqs. 1 and 2)."""
     k = result.camera
     in_camera = result.camera_from_lidar.apply(points)
     projected = cv2.projectPoints(in_camera, np.zeros(3), np.zeros(3), k.matrix(), k.distortion)[0]
     return np.asarray(projected, np.float64).reshape(-1, 2)
 
 
-def _dot(picture: Picture, pixels: Array, colours: NDArray[np.uint8], side: int) -> None:
+def _dot(image: Image, pixels: Array, colours: NDArray[np.uint8], side: int) -> None:
     """Draws squares of ``side`` pixels; later ones cover earlier ones."""
     place = np.rint(pixels).astype(np.int64)
     for down, across in np.ndindex(side, side):
         col, row = place[:, 0] + across, place[:, 1] + down
-        inside = (col >= 0) & (row >= 0) & (col < picture.shape[1]) & (row < picture.shape[0])
-        picture[row[inside], col[inside]] = colours[inside]
+        inside = (col >= 0) & (row >= 0) & (col < image.shape[1]) & (row < image.shape[0])
+        image[row[inside], col[inside]] = colours[inside]

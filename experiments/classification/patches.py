@@ -18,15 +18,15 @@ from touchdown.experiments.classification.colour_randomization import material_i
 from touchdown.experiments.classification.image_types import Counts, Image, Int32
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.wiring import build_scene
-from touchdown.experiments.scene_tools.aerial_views import (
-    aerial_camera,
-    look_anywhere,
-    paint_ground,
+from touchdown.experiments.scene_tools.posed_views import (
+    posed_sensors,
+    random_view,
+    write_ground_classes,
 )
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
 
 if TYPE_CHECKING:
-    from touchdown.sim.aerial import AerialView
+    from touchdown.sim.posed_sensors import PosedView
 
 Array = NDArray[np.float64]
 
@@ -91,13 +91,13 @@ def scene_patches(
     rng = np.random.default_rng([seed, variation, crc32(b"patches"), crc32(name.encode())])
     colours = np.random.default_rng([seed, variation, crc32(b"colours"), crc32(name.encode())])
     classes = geom_classes(scene)
-    camera = aerial_camera(config, scene)
+    camera = posed_sensors(config, scene)
     matrix = camera.intrinsics.matrix()
     found: list[Patch] = []
     taken = np.zeros(len(LAND_CLASSES), np.int64)
     try:
         for number in range(_MOST_VIEWS * count):
-            view, _, _ = look_anywhere(camera, scene, rng, number, HEIGHTS_M)
+            view = random_view(camera, scene, rng, number, HEIGHTS_M)
             shown = class_image(view, scene, classes, matrix)
             if new_colours > 0.0 and colours.uniform() < new_colours:
                 materials = material_image(scene, view.geom_id[::2, ::2], shown)
@@ -130,18 +130,18 @@ def geom_classes(scene: Scene) -> Int32:
     return table
 
 
-def class_image(view: AerialView, scene: Scene, classes: Int32, matrix: Array) -> Int32:
+def class_image(view: PosedView, scene: Scene, classes: Int32, matrix: Array) -> Int32:
     """Returns the land class ids (H/2, W/2) of a view, `OTHER_CLASS_ID` for other objects, -1 for
     the background."""
     geom_id = view.geom_id[::2, ::2]
     image = np.where(geom_id >= 0, classes[geom_id], _NOTHING).astype(np.int32)
     if scene.ground is not None:
-        paint_ground(image, view, scene, matrix)
+        write_ground_classes(image, view, scene, matrix)
     return image
 
 
 def _squares(
-    view: AerialView, image: Int32, matrix: Array, taken: Counts, rng: np.random.Generator
+    view: PosedView, image: Int32, matrix: Array, taken: Counts, rng: np.random.Generator
 ) -> Iterator[_Square]:
     """Yields those of random squares that show one class of ground."""
     rows, cols = image.shape
@@ -229,7 +229,7 @@ def _apart(a: _Square, b: _Square) -> bool:
 
 
 def _cut(
-    view: AerialView, square: _Square, matrix: Array, pixels: int, rng: np.random.Generator
+    view: PosedView, square: _Square, matrix: Array, pixels: int, rng: np.random.Generator
 ) -> Patch:
     top, left, side = 2 * square.row, 2 * square.col, 2 * square.side
     crop = varied(view.rgb[top : top + side, left : left + side], rng)

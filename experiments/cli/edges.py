@@ -89,9 +89,9 @@ def edges_picture(out: Path, seed: int, model: str, quiet: bool) -> int:
 
     Example: touchdown edges picture --out edge-pictures
     """
-    from touchdown.experiments.edges.figures import draw_pictures
+    from touchdown.experiments.edges.figures import draw_figures
 
-    for path in usage_errors(lambda: draw_pictures(out, seed, model, make_notes(quiet))):
+    for path in usage_errors(lambda: draw_figures(out, seed, model, make_notes(quiet))):
         click.echo(str(path))
     return EXIT_DONE
 

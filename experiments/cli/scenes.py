@@ -129,13 +129,13 @@ def scenes_check(
 
     Example: touchdown scenes check crossroad --seeds 5
     """
-    from touchdown.experiments.scene_tools.flyability import check_place
+    from touchdown.experiments.scene_tools.flyability import check_scene_file
     from touchdown.experiments.scene_tools.seed_check import check_scenes, passed
     from touchdown.scenes.registry import scene_names
 
     known = scene_names()
     chosen = names or tuple(known)
-    places = [check_place(name, overrides) for name in chosen if name not in known]
+    places = [check_scene_file(name, overrides) for name in chosen if name not in known]
     rows = check_scenes([n for n in chosen if n in known], seeds, make_notes(quiet))
     if as_json:
         click.echo(json.dumps({"scenes": rows, "places": places}, indent=2))
@@ -159,10 +159,10 @@ def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int
     Example: touchdown scenes export crossroad --out crossroad &&
     python -m mujoco.viewer --mjcf=crossroad/scene.xml
     """
-    from touchdown.experiments.scene_tools.render import export_place
+    from touchdown.experiments.scene_tools.render import export_scene_files
 
     target = out or Path(f"{Path(scene).stem}-{seed}")
-    model_file = export_place(scene, seed, target)
+    model_file = export_scene_files(scene, seed, target)
     click.echo(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
     return EXIT_DONE
 

@@ -1,1 +1,2 @@
-"""`touchdown edges`: training data, training and scores of the edge detector."""
+"""`touchdown edges`: training data, training, scores and figures of the structured edge detector.
+The detector itself is in `estimator.paper.structured_edges`."""

@@ -1,7 +1,7 @@
-"""Pictures of scenes from survey heights with their true boundaries.
+"""Images of scenes from survey heights with their true boundaries.
 
-A boundary separates what a person would call different things: the classes painted into the ground,
-objects by their geom, crowns and bushes as one kind, and places where depth jumps.
+A boundary separates different things in a person's eyes: the classes painted into the ground,
+objects by their geom, crowns and bushes as one kind, and jumps of depth.
 """
 
 from __future__ import annotations
@@ -20,30 +20,33 @@ from touchdown.estimator.paper.structured_edges.forest import segment_edges
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.wiring import build_scene
-from touchdown.experiments.scene_tools.aerial_views import (
-    _STEEPEST,
-    _STEP_M,
-    aerial_camera,
-    look_anywhere,
-    paint_ground,
+from touchdown.experiments.scene_tools.posed_views import (
+    posed_sensors,
+    random_view,
+    write_ground_classes,
 )
 from touchdown.scenes.api import LAND_CLASSES, Scene
 from touchdown.sim.frames import Pose
 
 if TYPE_CHECKING:
-    from touchdown.sim.aerial import AerialView
+    from touchdown.sim.posed_sensors import PosedView
 
 Array = NDArray[np.float64]
 Int32 = NDArray[np.int32]
 
+_STEP_M = 0.4
+"""Jump of depth between neighbouring pixels that separates two things of one kind"""
 _CROWN_STEP_M = 2.0
+"""The same within vegetation"""
+_STEEPEST = 8.0
+"""Change of depth, in pixel widths, that is still one surface seen obliquely, walls included"""
 _SMALLEST_PX = 12
-"""segments below this many half-size pixels go to what surrounds them"""
+"""Segments of fewer half-size pixels are merged into their surroundings"""
 
 
 @dataclass(frozen=True, slots=True)
 class EdgeView:
-    """One picture at half size, which is the size at which the estimator looks for edges."""
+    """One image at half size, which is the size at which the estimator looks for edges."""
 
     rgb: NDArray[np.uint8]
     """(H, W, 3)"""
@@ -61,10 +64,10 @@ def edge_views(
     views: int,
     progress: Callable[[str], None] = lambda note: None,
 ) -> Iterator[EdgeView]:
-    """``views`` pictures of every scene and seed, all noise on; a pure function of its arguments.
+    """``views`` images of every scene and seed, with all noise; a pure function of the arguments.
 
-    Camera poses: anywhere over the place, 8 to 40 m above the ground (low heights as often as great
-    ones, by their logarithm), any heading, tilted as by wind. Raises UsageError for bad names.
+    Camera poses: anywhere over the scene, 8 to 40 m above the take-off spot (uniform in the
+    logarithm), any heading, tilted as by wind. Raises UsageError for bad names.
     """
     for name in scenes:
         for seed in seeds:
@@ -76,18 +79,22 @@ def edge_views(
 
 def _scene_views(config: Config, scene: Scene, views: int) -> Iterator[EdgeView]:
     rng = np.random.default_rng([config.seed, crc32(b"edge views"), crc32(scene.name.encode())])
-    camera = aerial_camera(config, scene)
+    sensors = posed_sensors(config, scene)
     kinds = surface_kinds(scene)
     try:
         for number in range(views):
-            view, pose, time_s = look_anywhere(camera, scene, rng, number)
-            segments = segments_of(view, scene, kinds, camera.intrinsics.matrix())
+            view = random_view(sensors, scene, rng, number)
             half = cv2.resize(view.rgb, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             yield EdgeView(
-                np.asarray(half, np.uint8), segments, scene.name, scene.seed, pose, time_s
+                rgb=np.asarray(half, np.uint8),
+                segments=segments_of(view, scene, kinds, sensors.intrinsics.matrix()),
+                scene=scene.name,
+                seed=scene.seed,
+                world_from_body=view.world_from_body,
+                time_s=view.time_s,
             )
     finally:
-        camera.close()
+        sensors.close()
 
 
 def surface_kinds(scene: Scene) -> Int32:
@@ -101,13 +108,13 @@ def surface_kinds(scene: Scene) -> Int32:
     return kinds
 
 
-def segments_of(view: AerialView, scene: Scene, kinds: Int32, matrix: Array) -> Int32:
+def segments_of(view: PosedView, scene: Scene, kinds: Int32, matrix: Array) -> Int32:
     """(H/2, W/2) int32 segments of a view: connected pixels, every other one in both directions, of
     one kind without a jump of depth."""
     geom_id, depth = view.geom_id[::2, ::2], view.depth_m[::2, ::2]
     kind = np.where(geom_id >= 0, kinds[geom_id], -1).astype(np.int32)
     if scene.ground is not None:
-        paint_ground(kind, view, scene, matrix)
+        write_ground_classes(kind, view, scene, matrix)
     segments = connected(kind, *_depth_jumps(depth, kind, 0.5 * float(matrix[0, 0])))
     return without_specks(segments, _SMALLEST_PX)
 
@@ -115,7 +122,7 @@ def segments_of(view: AerialView, scene: Scene, kinds: Int32, matrix: Array) -> 
 def _depth_jumps(
     depth: NDArray[np.float32], kind: Int32, focal_px: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Whether depth jumps towards the right (H, W - 1) and towards the lower (H - 1, W) pixel."""
+    """True where depth jumps to the right (H, W - 1) and to the lower (H - 1, W) neighbour."""
     finite = np.minimum(depth, np.float32(1e4))
     step = np.maximum(_STEP_M, _STEEPEST * finite / focal_px)
     crown = kind == LAND_CLASSES.index("trees")

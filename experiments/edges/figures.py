@@ -1,5 +1,5 @@
-"""Edges as pictures: energy beside Canny and the truth, and what the estimator makes of it (the
-paper's Fig. 4); precision over recall; the table of scores."""
+"""Figures of detected edges: energy beside Canny and the truth, and the points that the estimator
+selects by it (the paper's Fig. 4); precision over recall; the table of scores."""
 
 from __future__ import annotations
 
@@ -18,15 +18,20 @@ from touchdown.experiments.edges.dataset import EdgeView, boundaries, edge_views
 from touchdown.experiments.edges.train import CANNY_THRESHOLDS, canny_masks
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.wiring import build_scene, make_world
+from touchdown.experiments.scene_tools.posed_views import posed_sensors
 from touchdown.scenes.api import Scene
 from touchdown.sim.frames import Pose
 
+if TYPE_CHECKING:
+    from touchdown.estimator.paper.still_scan import StillFeatures
+    from touchdown.sim.posed_sensors import PosedView
+
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 _SHOWN = (("houses", 6), ("houses", 10), ("pools", 1))
-"""scene of those held out, and number of its picture; of the first, the scan is shown too"""
+"""Held-out scene and number of its image; the scan of the first is shown too"""
 _SHOWN_VIEWS = 12
 _CANNY_SIGMA, _CANNY_LEVEL = 2.0, 3
 _ENERGY_GAIN = 1.0
@@ -41,10 +46,10 @@ DETECTOR_LABELS = {
 }
 
 
-def draw_pictures(
+def draw_figures(
     folder: Path, seed: int, model: str, notes: Callable[[str], None]
 ) -> tuple[Path, Path]:
-    """Writes edges.jpg and smoothness.jpg. Raises UsageError where that cannot be."""
+    """Writes edges.jpg and smoothness.jpg. Raises UsageError where writing fails."""
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"--out: '{folder}' is a file; name a folder")
     detector = edge_detector(model)
@@ -56,16 +61,14 @@ def draw_pictures(
         for number, view in enumerate(edge_views([name], [seed], _SHOWN_VIEWS, notes))
         if (name, number) in _SHOWN
     ]
-    _write(comparison, comparison_picture(detector, views))
+    _write(comparison, comparison_image(detector, views))
     notes("scan and image of one moment")
-    _write(smoothness, smoothness_picture(views[0], model))
+    _write(smoothness, smoothness_image(views[0], model))
     return comparison, smoothness
 
 
-def comparison_picture(
-    detector: Callable[[Picture], Float32], views: Sequence[EdgeView]
-) -> Picture:
-    """A row for each view: picture, truth, energy, Canny."""
+def comparison_image(detector: Callable[[Image], Float32], views: Sequence[EdgeView]) -> Image:
+    """A row for each view: image, truth, energy, Canny."""
     rows = []
     for place, view in enumerate(views):
         canny = canny_masks(view.rgb, _CANNY_SIGMA)[_CANNY_LEVEL]
@@ -82,7 +85,7 @@ def comparison_picture(
     return _below(rows)
 
 
-def smoothness_picture(shown: EdgeView, model: str) -> Picture:
+def smoothness_image(shown: EdgeView, model: str) -> Image:
     """Image, energy, f_c of the returns of one scan, and the points chosen by it."""
     config = load_config(None, (f"paper.edge_model={model}",), scene=shown.scene, seed=shown.seed)
     scene = build_scene(config)
@@ -120,14 +123,14 @@ def smoothness_picture(shown: EdgeView, model: str) -> Picture:
     )
 
 
-def energy_colours(energy: Float32) -> Picture:
+def energy_colours(energy: Float32) -> Image:
     """(H, W, 3): black where there is no edge, then violet, orange, and pale yellow."""
     level = (255.0 * np.clip(_ENERGY_GAIN * energy, 0.0, 1.0)).astype(np.uint8)
     return np.ascontiguousarray(cv2.applyColorMap(level, cv2.COLORMAP_INFERNO)[..., ::-1])
 
 
 def plot_curves(path: Path, report: Mapping[str, Any]) -> None:
-    """Precision over recall with lines of equal F. Raises UsageError where that cannot be."""
+    """Draws precision over recall with lines of equal F. Raises UsageError where writing fails."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -148,7 +151,7 @@ def plot_curves(path: Path, report: Mapping[str, Any]) -> None:
                   label=f"{DETECTOR_LABELS.get(name, name)}: ODS {row['ods']:.3f}")  # fmt: skip
         axes.plot(row["recall"], row["precision"], "o", color=colour, ms=7, mec="white")
     axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="recall", ylabel="precision")
-    axes.set_title(f"{report['pictures']} pictures of places never trained on", fontsize=10)
+    axes.set_title(f"{report['pictures']} images of held-out scenes", fontsize=10)
     axes.legend(loc="lower left", frameon=False)
     figure.tight_layout()
     try:
@@ -157,36 +160,36 @@ def plot_curves(path: Path, report: Mapping[str, Any]) -> None:
         raise UsageError(f"--plot: '{path}' cannot be written: {error}") from error
 
 
-def _line_drawing(mask: NDArray[np.bool_]) -> Picture:
+def _line_drawing(mask: NDArray[np.bool_]) -> Image:
     return np.repeat((230 * mask).astype(np.uint8)[:, :, None], 3, axis=2)
 
 
-def _captioned(tile: Picture, text: str) -> Picture:
+def _captioned(tile: Image, text: str) -> Image:
     strip = np.full((_CAPTION_PX, tile.shape[1], 3), _PAPER, np.uint8)
     cv2.putText(strip, text, (10, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _INK, 1, cv2.LINE_AA)
     return np.vstack([strip, tile])
 
 
-def _beside(tiles: list[Picture]) -> Picture:
+def _beside(tiles: list[Image]) -> Image:
     bar = np.full((tiles[0].shape[0], _GAP, 3), _PAPER, np.uint8)
     parts = [part for tile in tiles for part in (tile, bar)]
     return np.hstack(parts[:-1])
 
 
-def _below(rows: list[Picture]) -> Picture:
+def _below(rows: list[Image]) -> Image:
     bar = np.full((_GAP, rows[0].shape[1], 3), _PAPER, np.uint8)
     parts = [part for row in rows for part in (row, bar)]
     return np.vstack(parts[:-1])
 
 
-def _dots(picture: Picture, pixels: Array, colours: NDArray[np.uint8], radius: int) -> None:
+def _dots(image: Image, pixels: Array, colours: NDArray[np.uint8], radius: int) -> None:
     for (u, v), colour in zip(pixels, colours, strict=True):
         centre = (round(float(u)), round(float(v)))
-        cv2.circle(picture, centre, radius, tuple(map(int, colour)), -1, cv2.LINE_AA)
+        cv2.circle(image, centre, radius, tuple(map(int, colour)), -1, cv2.LINE_AA)
 
 
-def _write(path: Path, picture: Picture) -> None:
-    bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+def _write(path: Path, image: Image) -> None:
+    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     for quality in (88, 80, 70, 60):
         done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
         if done and len(data) <= 300_000:
@@ -197,29 +200,24 @@ def _write(path: Path, picture: Picture) -> None:
         raise UsageError(f"--out: '{path}' cannot be written: {error}") from error
 
 
-if TYPE_CHECKING:
-    from touchdown.estimator.paper.still_scan import StillFeatures
-    from touchdown.sim.aerial import AerialView
-
-
 def still_features(
     config: Config, scene: Scene, world_from_body: Pose, time_s: float
-) -> tuple[AerialView, StillFeatures]:
-    """What camera and LIDAR see from a pose, and what `paper` makes of one scan of it."""
+) -> tuple[PosedView, StillFeatures]:
+    """The view from a pose, and the features that `paper` finds in one scan from there."""
     from touchdown.estimator.paper.still_scan import features_of_still_scan
-    from touchdown.sim.aerial import AerialCamera, still_scan
+    from touchdown.sim.moving import BodyTrack
 
     world = make_world(config, scene)
     rig = world.rig
     world.close()
-    camera = AerialCamera(scene, config.camera, config.seed)
+    sensors = posed_sensors(config, scene)
     try:
-        view = camera.look(world_from_body, time_s, 0)
+        view = sensors.view(world_from_body, time_s, 0)
     finally:
-        camera.close()
+        sensors.close()
     start = round(time_s * config.sim.tick_hz)
-    ticks = start + config.sim.lidar_scan_ticks * np.arange(2)
-    scan = still_scan(scene, config.lidar, config.seed, world_from_body, ticks, config.sim.tick_hz)
+    both_ends_s = sensors.scan_times(start)[[0, -1]]
+    scan = sensors.scan(BodyTrack.at_rest(world_from_body, both_ends_s), start)
     return view, features_of_still_scan(scan, view.rgb, rig, config.paper)
 
 

@@ -1,8 +1,8 @@
-"""How well detected edges agree with true boundaries: precision, recall, and F by the measures of
-the Berkeley benchmark (Martin, Fowlkes and Malik 2004; Arbelaez et al. 2011).
+"""Agreement of detected edges with true boundaries: precision, recall, and F by the measures of the
+Berkeley benchmark (Martin, Fowlkes and Malik 2004; Arbelaez et al. 2011).
 
 Detections and boundaries are thinned to lines of one pixel and matched one to one, each pair no
-further apart than 0.0075 of the picture's diagonal. The number of pairs is that of a maximum
+further apart than 0.0075 of the image's diagonal. The number of pairs is that of a maximum
 matching (Hopcroft and Karp); the benchmark's own, of least total distance with outliers, differs
 from it by little.
 """
@@ -23,7 +23,7 @@ Mask = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 
 TOLERANCE = 0.0075
-"""of the diagonal"""
+"""Share of the image's diagonal"""
 THRESHOLDS = (np.arange(1, 36) / 36.0) ** 2
 """denser where the energy of faint edges lies"""
 _NMS_RADIUS = 2
@@ -32,8 +32,8 @@ _RECALLS = np.linspace(0.0, 1.0, 101)
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """Of one picture at (T,) thresholds; ``true`` (one number) and ``detected`` pixels, and the
-    pairs that were ``matched``."""
+    """Counts of one image at (T,) thresholds: ``true`` (one number) and ``detected`` pixels, and
+    the pairs that were ``matched``."""
 
     true: int
     detected: NDArray[np.int64]
@@ -42,7 +42,7 @@ class Counts:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Score:
-    """Of a set of pictures. ``ods``: best F at one threshold for all, whose index is ``best``;
+    """Score of a set of images. ``ods``: best F at one threshold for all, whose index is ``best``;
     ``ois``: F with the best threshold for each; ``ap``: average precision."""
 
     ods: float
@@ -114,7 +114,7 @@ def matched_pairs(detected: Mask, true: Mask) -> int:
 
 
 def counts_of_masks(masks: Sequence[Mask], true: Mask) -> Counts:
-    """Of one mask per threshold; all are thinned here."""
+    """Counts of one mask per threshold; all are thinned here."""
     target = thinned(true)
     lines = [thinned(mask) for mask in masks]
     return Counts(
@@ -125,13 +125,13 @@ def counts_of_masks(masks: Sequence[Mask], true: Mask) -> Counts:
 
 
 def counts_of_energy(energy: Float32, true: Mask, thresholds: Array = THRESHOLDS) -> Counts:
-    """Of an energy in [0, 1], cut at every threshold after non-maximum suppression."""
+    """Counts of an energy in [0, 1], cut at every threshold after non-maximum suppression."""
     ridge = ridges(energy)
     return counts_of_masks([ridge >= threshold for threshold in thresholds], true)
 
 
 def score(counts: Sequence[Counts]) -> Score:
-    """Over all pictures; counts of all must be of the same thresholds, in ascending order."""
+    """Score over all images, whose counts are of the same thresholds in ascending order."""
     detected = np.sum([c.detected for c in counts], axis=0)
     matched = np.sum([c.matched for c in counts], axis=0)
     true = sum(c.true for c in counts)
@@ -160,7 +160,7 @@ def _ratio(part: NDArray[np.int64], whole: NDArray[np.int64], empty: float) -> A
 
 
 def _best_of(counts: Counts) -> tuple[int, int, int]:
-    """True, detected, matched at the threshold of one picture's own best F."""
+    """True, detected, matched at the threshold of one image's own best F."""
     precision = _ratio(counts.matched, counts.detected, 1.0)
     recall = _ratio(counts.matched, np.array(counts.true), 0.0)
     best = int(f_measure(precision, recall).argmax())

@@ -1,4 +1,4 @@
-"""Training of the structured edge detector, and its score beside Canny's on places it never saw."""
+"""Training of the structured edge detector, and its score beside Canny's on held-out scenes."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ TRAIN_SCENES = (
     "open_water",
 )  # fmt: skip
 TEST_SCENES = ("houses", "pools")
-"""which no picture of the training shows"""
+"""Held-out scenes, which no training image shows"""
 TRAIN_SEEDS = (100, 101)
 TRAIN_VIEWS, TEST_VIEWS = 15, 4
-"""pictures of each scene and seed"""
+"""Images of each scene and seed"""
 CANNY_SIGMAS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
 """blur, in pixels, before Canny"""
 CANNY_THRESHOLDS = np.geomspace(40.0, 400.0, 8)
 _CANNY_LOW = 0.4
-"""low threshold as a share of the high one, as in Matlab's and most users' practice"""
+"""Low threshold as a share of the high one, as in Matlab"""
 _TIMED = 40
 
 
 def train(out: Path, seed: int, notes: Notes) -> dict[str, Any]:
-    """Renders the pictures, grows the forest and writes it to ``out``."""
+    """Renders the images, grows the forest and writes it to ``out``."""
     check_edge_target(out)
     begin = time.process_time()
     seeds = tuple(s + seed for s in TRAIN_SEEDS)
@@ -69,8 +69,8 @@ def train(out: Path, seed: int, notes: Notes) -> dict[str, Any]:
 
 
 def evaluate(model: str, seeds: int, notes: Notes) -> dict[str, Any]:
-    """Scores of ``model``, of gradient edges and of Canny at its best, on the test scenes with
-    seeds 0 and up."""
+    """Scores of ``model``, of gradient edges and of the best Canny, on the test scenes with seeds
+    from 0 on."""
     detector = edge_detector(model)
     views = list(edge_views(TEST_SCENES, range(seeds), TEST_VIEWS, notes))
     notes("scoring the structured detector")
@@ -103,7 +103,7 @@ def evaluate(model: str, seeds: int, notes: Notes) -> dict[str, Any]:
 
 
 def canny_masks(rgb: NDArray[np.uint8], sigma: float) -> list[NDArray[np.bool_]]:
-    """(H, W) edges by Canny at every one of `CANNY_THRESHOLDS`, of the blurred picture. At each
+    """(H, W) edges by Canny at every one of `CANNY_THRESHOLDS`, of the blurred image. At each
     pixel the colour channel with the strongest gradient counts, which finds more than grey does."""
     blurred = cv2.GaussianBlur(rgb, (0, 0), sigma)
     return [
@@ -119,8 +119,8 @@ def _counts(
 
 
 def _best_canny(views: Sequence[EdgeView], notes: Notes) -> tuple[list[Counts], dict[str, float]]:
-    """Counts with the blur that gives the best F on these very pictures: Canny is tuned on the
-    test, the structured detector is not."""
+    """Counts with the blur that gives the best F on the test images themselves. Canny is tuned on
+    the test, the structured detector is not."""
     best: tuple[float, list[Counts], dict[str, float]] = (-1.0, [], {})
     for sigma in CANNY_SIGMAS:
         notes(f"scoring Canny, blur {sigma:.1f} px")
@@ -145,7 +145,7 @@ def _row(result: Score) -> dict[str, float]:
 def _milliseconds(
     detector: Callable[[NDArray[np.uint8]], NDArray[np.float32]], views: Sequence[EdgeView]
 ) -> float:
-    """Median time of one picture, in one thread."""
+    """Median time of one image, in one thread."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     times = []
@@ -164,7 +164,7 @@ def train_edges(
     notes: dict[str, str],
     progress: Callable[[int, int], None],
 ) -> dict[str, Any]:
-    """Grows a structured forest from (picture, segments) and writes it; its size."""
+    """Grows a structured forest from (image, segments), writes it and returns its size."""
     from touchdown.estimator.paper.structured_edges.forest import (
         ForestParams,
         TrainingImages,

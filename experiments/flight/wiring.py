@@ -24,7 +24,7 @@ from touchdown.experiments.flight.estimator_calibration import believed_rig
 from touchdown.landing.api import Lander
 from touchdown.scenes.api import LowSun, Scene
 from touchdown.scenes.registry import scene_names
-from touchdown.sim.api import SensorRig, Truth, World
+from touchdown.sim.api import SensorRig, Truth, World, WorldParams
 
 if TYPE_CHECKING:
     from touchdown.landing.classification.onboard import OnnxGroundClassifier
@@ -148,11 +148,9 @@ def _mapper(config: Config, rig: SensorRig) -> Mapper:
     return grid if config.mapper.enabled else NoMap(grid)
 
 
-def make_world(config: Config, scene: Scene) -> Any:
-    from touchdown.sim.world import MujocoWorld
-
-    return MujocoWorld(
-        scene,
+def world_params(config: Config) -> WorldParams:
+    """The configured parameters of the simulated world."""
+    return WorldParams(
         sim=config.sim,
         wind=config.wind,
         lidar=config.lidar,
@@ -160,8 +158,13 @@ def make_world(config: Config, scene: Scene) -> Any:
         imu=config.imu,
         nav=config.nav,
         faults=config.faults,
-        seed=config.seed,
     )
+
+
+def make_world(config: Config, scene: Scene) -> Any:
+    from touchdown.sim.world import MujocoWorld
+
+    return MujocoWorld(scene, world_params(config), config.seed)
 
 
 def build_estimator(config: Config, rig: SensorRig) -> Estimator:

@@ -100,23 +100,27 @@ def _calibration(job: Job) -> Done:
 
 
 def _edges(job: Job) -> Done:
-    from touchdown.experiments.edges.figures import draw_pictures
+    from touchdown.experiments.edges.figures import draw_figures
 
     with run_directory(job.folder / PICTURES) as partial_folder:
-        files = draw_pictures(partial_folder, 0, "shipped", job.notes)
+        files = draw_figures(partial_folder, 0, "shipped", job.notes)
     return Done({"pictures": [file.name for file in files]})
 
 
 def _world(job: Job) -> Done:
     """Figs. 7 and 8: the vehicle, and the paper's four scenes."""
-    from touchdown.experiments.scene_tools.render import load_place, render_view, vehicle_portrait
-    from touchdown.experiments.scene_tools.views import write_picture
+    from touchdown.experiments.scene_tools.render import (
+        load_configured_scene,
+        render_view,
+        vehicle_portrait,
+    )
+    from touchdown.experiments.scene_tools.views import write_image
 
     config = load_config(scene=PAPER_SCENES[0], seed=0)
     with run_directory(job.folder / PICTURES) as partial_folder:
         job.notes("drawing the vehicle")
-        picture, vehicle = vehicle_portrait(load_place(config))
-        write_picture(partial_folder / VEHICLE, picture)
+        picture, vehicle = vehicle_portrait(load_configured_scene(config))
+        write_image(partial_folder / VEHICLE, picture)
         for scene in PAPER_SCENES:
             job.notes(f"drawing {scene}")
             render_view(scene, 0, "oblique", partial_folder / f"{scene}.jpg")

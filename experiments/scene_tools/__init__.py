@@ -1,1 +1,2 @@
-"""Renderings and checks of scenes."""
+"""`touchdown scenes`: renderings, exports and checks of scenes, and the configured sensors at given
+poses over a scene."""

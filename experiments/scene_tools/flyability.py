@@ -1,4 +1,4 @@
-"""Can a place of a file be flown over, and if not, why?"""
+"""Check that a survey can be flown over the scene of an MJCF file."""
 
 from __future__ import annotations
 
@@ -8,30 +8,31 @@ from typing import Any
 
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.scene_tools.render import load_place
-from touchdown.experiments.scene_tools.survey_facts import place_facts, survey_facts
+from touchdown.experiments.scene_tools.render import load_configured_scene
+from touchdown.experiments.scene_tools.survey_facts import scene_facts, survey_facts
 from touchdown.landing.api import SurveyParams
 
 ENOUGH_SHARE = 0.95
-"""of the survey with ground below"""
+"""Least share of the survey with ground below"""
 STEP_M = 1.0
-"""a take-off spot that is higher or lower than this above the ground around is remarked on"""
+"""Height difference of the take-off spot to the ground around it that gives a remark"""
 CLEARANCE_M = 2.0
-"""between the legs and what stands below them"""
+"""Least clearance between the survey's legs and objects below them"""
 _ODD_TAKEOFF = ("building", "trees", "water")
 
 
-def check_place(file: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """Builds the place of an MJCF file once and looks at what the configured survey needs of it.
+def check_scene_file(file: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """Builds the scene of an MJCF file once and checks the requirements of the configured survey.
 
-    ``place``: the file; ``problems``: why it cannot be flown, one sentence each; ``remarks``: what
-    may not be meant; ``facts``: `scenes.truth.scene_facts.SceneFacts` and what
-    `scenes.truth.survey_facts.SurveyFacts` says of safe ground. Raises UsageError for a file that
-    cannot be read."""
+    ``place``: the file; ``problems``: reasons why it cannot be flown, one sentence each;
+    ``remarks``: probable mistakes; ``facts``: `scenes.truth.scene_facts.SceneFacts` and the safe
+    ground of `scenes.truth.survey_facts.SurveyFacts`. Raises UsageError for a file that cannot be
+    read.
+    """
     config = load_config(None, list(overrides), scene=file)
-    scene = load_place(config)
+    scene = load_configured_scene(config)
     facts = {
-        **dataclasses.asdict(place_facts(config, scene)),
+        **dataclasses.asdict(scene_facts(config, scene)),
         **dataclasses.asdict(survey_facts(config, scene)),
     }
     return {

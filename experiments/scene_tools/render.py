@@ -1,4 +1,4 @@
-"""Pictures of scenes, and scenes as MJCF for other programs."""
+"""Rendered images of scenes, and scenes exported as MJCF."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.drawing.contact_sheet import contact_sheet, thumbnails
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.wiring import build_scene
-from touchdown.experiments.scene_tools.views import VIEWS, Picture, SceneViews, write_picture
+from touchdown.experiments.scene_tools.views import VIEWS, Image, SceneViews, write_image
 from touchdown.scenes.api import Scene
 from touchdown.scenes.export import export_scene
 from touchdown.scenes.registry import scene_names
@@ -29,21 +29,21 @@ def render_view(name: str, seed: int, view: str, out: Path) -> None:
     if out.suffix.lower() not in PICTURE_SUFFIXES:
         raise UsageError(f"--out {out} must end in {' or '.join(PICTURE_SUFFIXES)}")
     views = _views(name, seed)
-    picture = views.draw(view)
+    image = views.draw(view)
     _make_folder(out.parent)
-    write_picture(out, views.framed(view, picture))
+    write_image(out, views.framed(view, image))
 
 
-def render_all_views(name: str, seed: int, out_dir: Path) -> dict[str, Picture]:
+def render_all_views(name: str, seed: int, out_dir: Path) -> dict[str, Image]:
     """Writes every view of a scene to ``out_dir/VIEW.png``, maps with ticks around them, and
     returns them by name, without ticks. Raises as `render_view`."""
     views = _views(name, seed)
     _make_folder(out_dir)
-    pictures: dict[str, Picture] = {}
+    images: dict[str, Image] = {}
     for view in VIEWS:
-        pictures[view] = views.draw(view)
-        write_picture(out_dir / f"{view}.png", views.framed(view, pictures[view]))
-    return pictures
+        images[view] = views.draw(view)
+        write_image(out_dir / f"{view}.png", views.framed(view, images[view]))
+    return images
 
 
 def render_every_scene(seed: int, out: Path, progress: Callable[[str], None]) -> Path:
@@ -54,23 +54,23 @@ def render_every_scene(seed: int, out: Path, progress: Callable[[str], None]) ->
         progress(name)
         sheet[name] = thumbnails(render_all_views(name, seed, out / name))
     path = out / CONTACT_SHEET
-    write_picture(path, contact_sheet(sheet))
+    write_image(path, contact_sheet(sheet))
     return path
 
 
-def export_place(name: str, seed: int, out: Path) -> Path:
+def export_scene_files(name: str, seed: int, out: Path) -> Path:
     """Writes ``scene.xml`` and its assets into a new or empty directory and returns the file.
     Raises UsageError before anything is written."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError(f"--out {out} exists; name a new directory")
-    scene = load_place(load_config(scene=name, seed=seed))
+    scene = load_configured_scene(load_config(scene=name, seed=seed))
     _make_folder(out)
     return export_scene(scene, out)
 
 
-def load_place(config: Config) -> Scene:
-    """The scene of a configuration; what is wrong with its name or file is a UsageError, and what
-    goes wrong after that is not."""
+def load_configured_scene(config: Config) -> Scene:
+    """The scene of a configuration. Raises UsageError for a bad name or file; later errors pass
+    unchanged."""
     try:
         return build_scene(config)
     except (ValueError, OSError) as error:
@@ -86,11 +86,11 @@ def _make_folder(folder: Path) -> None:
 
 def _views(name: str, seed: int) -> SceneViews:
     config = load_config(scene=name, seed=seed)
-    return SceneViews(load_place(config), config)
+    return SceneViews(load_configured_scene(config), config)
 
 
 def vehicle_portrait(scene: Scene) -> tuple[NDArray[np.uint8], VehicleModel]:
-    """(H, W, 3) RGB of the vehicle on the ground, and what its controller knows of it."""
+    """(H, W, 3) RGB of the vehicle on the ground, and its model."""
     from touchdown.scenes.render import render_vehicle
     from touchdown.sim.airframe.vehicle import vehicle_model
 

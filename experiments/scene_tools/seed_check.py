@@ -1,4 +1,4 @@
-"""Do the seeds of a scene build, differ, and offer a place to land?"""
+"""Check that the seeds of a scene build, differ, and offer a safe site."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from touchdown.scenes.truth.survey_facts import layout_difference, layout_raster
 SAME_HEIGHT_M = 0.01
 SAME_CLASS_SHARE = 0.005
 SAME_GREY = 2.0
-"""Two seeds count as the same place when they differ by less than all three of these."""
+"""Two seeds count as the same scene when they differ by less than all three of these."""
 
 
 def check_scenes(
     names: Sequence[str], seeds: int, progress: Callable[[str], None]
 ) -> list[dict[str, Any]]:
-    """One row a scene, see `check_scene`."""
+    """One row for each scene, see `check_scene`."""
     return [check_scene(name, seeds, progress) for name in names]
 
 
@@ -32,8 +32,8 @@ def check_scene(name: str, seeds: int, progress: Callable[[str], None]) -> dict[
 
     ``built``: how many; ``failed``: the message of each that did not build; ``closest``: the two
     most alike seeds and their differences in height (mean absolute, m), class (share of cells) and
-    grey (mean absolute, of 255); ``differ``: no two are the same place; ``without_safe_site``: the
-    seeds that offer none in the area that the survey sees; ``seeds``: the facts of each.
+    grey (mean absolute, of 255); ``differ``: no two are the same scene; ``without_safe_site``: the
+    seeds without a safe site in the area that the survey sees; ``seeds``: the facts of each.
     """
     started = time.perf_counter()
     facts: dict[int, dict[str, Any]] = {}
@@ -75,13 +75,13 @@ def check_scene(name: str, seeds: int, progress: Callable[[str], None]) -> dict[
 
 
 def passed(rows: Sequence[dict[str, Any]]) -> bool:
-    """Every seed builds and no two of a scene are the same place; a seed without a safe site is
-    told, not refused: some places are meant to offer none."""
+    """True if every seed builds and no two of a scene are the same. A seed without a safe site is
+    reported but does not fail: some scenes have none by design."""
     return all(row["differ"] and not row["failed"] for row in rows)
 
 
 def _likeness(pair: dict[str, Any]) -> float:
-    """Below 1: the same place."""
+    """Largest of the three differences over its threshold; below 1: the same scene."""
     return max(
         pair["height_m"] / SAME_HEIGHT_M,
         pair["class_share"] / SAME_CLASS_SHARE,

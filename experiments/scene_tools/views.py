@@ -1,11 +1,10 @@
-"""Drawings of what a scene is and of what the sensors see of it: (H, W, 3) RGB arrays."""
+"""Renderings, true maps and sensor views of a scene, as (H, W, 3) RGB arrays."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -15,15 +14,13 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.drawing.map_axes import PAPER, MapFrame, survey_marks, write_words
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.run_directory import whole_file
+from touchdown.experiments.scene_tools.posed_views import HoverView, hover_view
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene, TruthMaps
 from touchdown.scenes.render import render_scene
 from touchdown.scenes.truth.maps import truth_maps as scene_truth_maps
 
-if TYPE_CHECKING:
-    from touchdown.sim.hover import HoverView
-
 Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 HOVER_HEIGHT_M = 30.0
 LIDAR_SECONDS = 1.0
@@ -46,36 +43,37 @@ _SUN = np.array([-0.5, 0.5, 0.7]) / np.linalg.norm([-0.5, 0.5, 0.7])
 _RELIEF_GAIN = 2.0
 _STRIP_PIXELS = 46
 ABOVE_HALF_SPANS = 0.51
-"""half of what the picture from above shows of level ground at height 0, in spans of the scene"""
+"""Half the width of level ground at height 0 in the image from above, in spans of the scene"""
 _LIDAR_ASIDE_M, _LIDAR_AHEAD_M = 28.0, 10.0
-"""half the area that is drawn: a Livox Horizon on level ground 30 m below, and a little more"""
+"""Half the area that is drawn: the view of a Livox Horizon 30 m above level ground, with a margin
+"""
 _LIDAR_PIXELS_PER_M = 28.0
 _DOT_PIXELS = 4
 
 
 class SceneViews:
-    """All drawings of one scene; what several of them share is computed once, when asked for."""
+    """All views of one scene. Data that several of them share are computed once, on demand."""
 
     def __init__(self, scene: Scene, config: Config) -> None:
         self._scene, self._config = scene, config
 
-    def draw(self, view: str) -> Picture:
+    def draw(self, view: str) -> Image:
         """(H, W, 3) RGB of a view named in `VIEWS`."""
         return VIEWS[view](self)
 
-    def framed(self, view: str, picture: Picture) -> Picture:
-        """What `draw` gave of ``view``; a map gets ticks in metres around it, the take-off spot and
-        the rectangle of the survey's legs."""
+    def framed(self, view: str, image: Image) -> Image:
+        """An image of `draw`; a map with ticks in metres around it, the take-off spot and the
+        rectangle of the survey's legs."""
         if view not in MAP_VIEWS:
-            return picture
-        drawn, key = picture, None
+            return image
+        drawn, key = image, None
         if view == "above":
             low, high = self._scene.bounds_xy_m
             half = ABOVE_HALF_SPANS * float((high - low).max())
             west, south = (0.5 * (low + high) - half).tolist()
             across_m = 2.0 * half
         else:
-            drawn, key = picture[:-_STRIP_PIXELS], picture[-_STRIP_PIXELS:]
+            drawn, key = image[:-_STRIP_PIXELS], image[-_STRIP_PIXELS:]
             west, south = self.truth.origin_xy_m.tolist()
             across_m = self.truth.cell_m * self.truth.class_id.shape[1]
         frame = MapFrame(west_m=west, south_m=south, pixels_per_m=drawn.shape[1] / across_m)
@@ -89,30 +87,30 @@ class SceneViews:
 
     @cached_property
     def truth(self) -> TruthMaps:
-        """The true maps, in cells that give a readable picture."""
+        """The true maps, in cells that give a readable image."""
         span = float(np.ptp(self._scene.bounds_xy_m, axis=0).max())
         cell = float(np.clip(span / 800.0, _FINEST_CELL_M, _COARSEST_CELL_M))
         return scene_truth_maps(self._scene, cell)
 
-    def above(self) -> Picture:
+    def above(self) -> Image:
         return render_scene(self._scene, "above")
 
-    def oblique(self) -> Picture:
+    def oblique(self) -> Image:
         return render_scene(self._scene, "oblique")
 
-    def camera(self) -> Picture:
+    def camera(self) -> Image:
         return self._hover.rgb
 
-    def depth(self) -> Picture:
-        """Near is red, far is blue, between the extremes of this picture."""
+    def depth(self) -> Image:
+        """Near is red, far is blue, between the extremes of this image."""
         depth = self._hover.depth_m
         seen = depth[np.isfinite(depth)]
         low, high = _span(seen, 0.1, 99.9)
-        picture = _coloured((high - depth) / (high - low), cv2.COLORMAP_TURBO)
-        picture[~np.isfinite(depth)] = 0
-        return _with_scale(picture, cv2.COLORMAP_TURBO, f"{high:.1f} m deep", f"{low:.1f} m")
+        image = _coloured((high - depth) / (high - low), cv2.COLORMAP_TURBO)
+        image[~np.isfinite(depth)] = 0
+        return _with_scale(image, cv2.COLORMAP_TURBO, f"{high:.1f} m deep", f"{low:.1f} m")
 
-    def lidar(self) -> Picture:
+    def lidar(self) -> Image:
         """Returns of one second from above, the vehicle's heading up, on black."""
         points, intensity = self._hover.points_world, self._hover.intensity
         c, s = np.cos(self._scene.takeoff_yaw), np.sin(self._scene.takeoff_yaw)
@@ -123,35 +121,35 @@ class SceneViews:
         row = np.floor((_LIDAR_AHEAD_M - ahead) * _LIDAR_PIXELS_PER_M).astype(int)
         height = int(2.0 * _LIDAR_AHEAD_M * _LIDAR_PIXELS_PER_M)
         width = int(2.0 * _LIDAR_ASIDE_M * _LIDAR_PIXELS_PER_M)
-        picture = np.zeros((height, width, 3), np.uint8)
+        image = np.zeros((height, width, 3), np.uint8)
         colours = _coloured(intensity[order, None] / _BRIGHTEST, cv2.COLORMAP_TURBO)[:, 0]
         dot = np.arange(_DOT_PIXELS) - _DOT_PIXELS // 2
         for down, across in np.stack(np.meshgrid(dot, dot), axis=-1).reshape(-1, 2):
             y, x = row + down, col + across
             inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
-            picture[y[inside], x[inside]] = colours[inside]
-        return _with_scale(picture, cv2.COLORMAP_TURBO, "intensity 0", f"{_BRIGHTEST:.0f}")
+            image[y[inside], x[inside]] = colours[inside]
+        return _with_scale(image, cv2.COLORMAP_TURBO, "intensity 0", f"{_BRIGHTEST:.0f}")
 
-    def height(self) -> Picture:
+    def height(self) -> Image:
         """Heights in colour, shaded by a low sun in the north-west."""
         heights = self.truth.height_m
         low, high = _span(heights[np.isfinite(heights)], 0.5, 99.0)
         tint = _coloured((heights - low) / (high - low), cv2.COLORMAP_PARULA).astype(float)
-        picture = (tint * self._shade[:, :, None]).clip(0, 255).astype(np.uint8)
-        picture[~np.isfinite(heights)] = 0
+        image = (tint * self._shade[:, :, None]).clip(0, 255).astype(np.uint8)
+        image[~np.isfinite(heights)] = 0
         return _with_scale(
-            _north_up(picture), cv2.COLORMAP_PARULA, f"height {low:.1f} m", f"{high:.1f} m"
+            _north_up(image), cv2.COLORMAP_PARULA, f"height {low:.1f} m", f"{high:.1f} m"
         )
 
-    def slope(self) -> Picture:
+    def slope(self) -> Image:
         slope = self.truth.slope_deg
-        picture = _coloured(slope / _STEEPEST_DEG, cv2.COLORMAP_INFERNO)
-        picture[~np.isfinite(slope)] = 0
+        image = _coloured(slope / _STEEPEST_DEG, cv2.COLORMAP_INFERNO)
+        image[~np.isfinite(slope)] = 0
         return _with_scale(
-            _north_up(picture), cv2.COLORMAP_INFERNO, "slope 0 deg", f"{_STEEPEST_DEG:.0f} deg"
+            _north_up(image), cv2.COLORMAP_INFERNO, "slope 0 deg", f"{_STEEPEST_DEG:.0f} deg"
         )
 
-    def land_class(self) -> Picture:
+    def land_class(self) -> Image:
         table = np.zeros((256, 3), np.uint8)
         table[:] = CLASS_RGB["other"]
         for index, name in enumerate(LAND_CLASSES):
@@ -163,17 +161,17 @@ class SceneViews:
         key = [(name, CLASS_RGB[name]) for name in present]
         return _with_key(_north_up(colours.clip(0, 255).astype(np.uint8)), key)
 
-    def safe(self) -> Picture:
+    def safe(self) -> Image:
         """Green: a touchdown here is safe; yellow: level and clear, but of no safe class."""
         truth = self.truth
         grey = (150.0 * self._shade.clip(0, 1.3))[:, :, None]
         key = {"safe": (70, 200, 90), "level and clear only": (225, 190, 60)}
-        picture = np.repeat(grey, 3, axis=2)
+        image = np.repeat(grey, 3, axis=2)
         only = truth.safe_geometry & ~truth.safe
         for mask, colour in ((truth.safe, key["safe"]), (only, key["level and clear only"])):
-            picture[mask] = 0.35 * picture[mask] + 0.65 * np.array(colour)
+            image[mask] = 0.35 * image[mask] + 0.65 * np.array(colour)
         rest = ("not safe", (105, 105, 105))
-        return _with_key(_north_up(picture.clip(0, 255).astype(np.uint8)), [*key.items(), rest])
+        return _with_key(_north_up(image.clip(0, 255).astype(np.uint8)), [*key.items(), rest])
 
     @cached_property
     def _hover(self) -> HoverView:
@@ -190,7 +188,7 @@ class SceneViews:
         return shade
 
 
-VIEWS: Mapping[str, Callable[[SceneViews], Picture]] = {
+VIEWS: Mapping[str, Callable[[SceneViews], Image]] = {
     "above": SceneViews.above,
     "oblique": SceneViews.oblique,
     "camera": SceneViews.camera,
@@ -201,15 +199,15 @@ VIEWS: Mapping[str, Callable[[SceneViews], Picture]] = {
     "class": SceneViews.land_class,
     "safe": SceneViews.safe,
 }
-"""In the order in which people look at them."""
+"""In the order of the contact sheet."""
 
 MAP_VIEWS = ("above", "height", "slope", "class", "safe")
 MAP_WORDS = "x east, y north (m); circle: take-off and heading; dashed: the survey's legs"
 
 
-def write_picture(path: Path, picture: Picture) -> None:
-    """Writes RGB to a .png or .jpg file. Raises UsageError where that cannot be."""
-    done, data = cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+def write_image(path: Path, image: Image) -> None:
+    """Writes RGB to a .png or .jpg file. Raises UsageError where writing fails."""
+    done, data = cv2.imencode(path.suffix, cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
     if not done:
         raise UsageError(f"--out: '{path}' cannot be written as {path.suffix}")
     try:
@@ -228,59 +226,40 @@ def _span(values: NDArray[np.floating], low: float, high: float) -> tuple[float,
     return float(ends.mean()) - half, float(ends.mean()) + half
 
 
-def _coloured(share: NDArray[np.floating], colormap: int) -> Picture:
+def _coloured(share: NDArray[np.floating], colormap: int) -> Image:
     """(..., 3) RGB of (H, W) values in [0, 1]; NaN as 0."""
     scaled = np.nan_to_num(255.0 * np.clip(share, 0.0, 1.0)).astype(np.uint8)
     return np.ascontiguousarray(cv2.applyColorMap(scaled, colormap)[..., ::-1])
 
 
-def _north_up(picture: Picture) -> Picture:
+def _north_up(image: Image) -> Image:
     """Rows of a raster run northwards; enlarged without blending to a common size."""
-    upright = np.ascontiguousarray(picture[::-1])
+    upright = np.ascontiguousarray(image[::-1])
     zoom = _MAP_PIXELS / max(upright.shape[:2])
     size = (round(upright.shape[1] * zoom), round(upright.shape[0] * zoom))
     return np.asarray(cv2.resize(upright, size, interpolation=cv2.INTER_NEAREST), np.uint8)
 
 
-def _with_scale(picture: Picture, colormap: int, low: str, high: str) -> Picture:
+def _with_scale(image: Image, colormap: int, low: str, high: str) -> Image:
     """A strip below with the colour scale from ``low`` to ``high``."""
-    strip = np.full((_STRIP_PIXELS, picture.shape[1], 3), PAPER, np.uint8)
+    strip = np.full((_STRIP_PIXELS, image.shape[1], 3), PAPER, np.uint8)
     left = 20 + _text(strip, low, 12)
-    right = min(left + 360, picture.shape[1] - 130)
+    right = min(left + 360, image.shape[1] - 130)
     strip[12:34, left:right] = _coloured(np.linspace(0.0, 1.0, right - left)[None], colormap)
     _text(strip, high, right + 12)
-    return np.vstack([picture, strip])
+    return np.vstack([image, strip])
 
 
-def _with_key(picture: Picture, key: list[tuple[str, tuple[int, int, int]]]) -> Picture:
+def _with_key(image: Image, key: list[tuple[str, tuple[int, int, int]]]) -> Image:
     """A strip below with a coloured square and a name for each entry."""
-    strip = np.full((_STRIP_PIXELS, picture.shape[1], 3), PAPER, np.uint8)
+    strip = np.full((_STRIP_PIXELS, image.shape[1], 3), PAPER, np.uint8)
     at = 12
     for name, colour in key:
         strip[12:34, at : at + 22] = colour
         at = _text(strip, name, at + 30) + 18
-    return np.vstack([picture, strip])
+    return np.vstack([image, strip])
 
 
-def _text(strip: Picture, text: str, left: int) -> int:
+def _text(strip: Image, text: str, left: int) -> int:
     """Writes into a strip in place and returns the column where the text ends."""
     return write_words(strip, text, left, 29, 0.55)
-
-
-if TYPE_CHECKING:
-    from touchdown.sim.hover import HoverView
-
-
-def hover_view(config: Config, scene: Scene, height_m: float, seconds: float) -> HoverView:
-    """What the configured camera and LIDAR see from a hover above the take-off spot."""
-    from touchdown.sim.hover import hover_view as look
-
-    return look(
-        scene,
-        sim=config.sim,
-        camera=config.camera,
-        lidar=config.lidar,
-        seed=config.seed,
-        height_m=height_m,
-        seconds=seconds,
-    )

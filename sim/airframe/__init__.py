@@ -1,1 +1,1 @@
-"""The vehicle: rotors, battery, contacts, start on the ground."""
+"""The vehicle's physics: MJCF parameters, rotors, battery, contacts, start on the ground."""

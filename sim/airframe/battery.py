@@ -28,5 +28,6 @@ class Battery:
         return self.energy_used_j >= self._capacity_j
 
     def draw(self, shaft_power_w: float, duration_s: float) -> None:
-        """``shaft_power_w``: mechanical power of all rotors."""
+        """Draws the energy of ``duration_s`` at ``shaft_power_w``, the mechanical power of all
+        rotors."""
         self.energy_used_j += (shaft_power_w / DRIVE_EFFICIENCY + HOTEL_LOAD_W) * duration_s

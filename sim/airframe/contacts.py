@@ -1,4 +1,4 @@
-"""What touches the vehicle, and with which part."""
+"""Contacts of the vehicle, by part."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The height over whatever lies below the vehicle."""
+"""Height of the vehicle over the surface below it."""
 
 from __future__ import annotations
 
@@ -6,17 +6,15 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.sim.airframe.vehicle import vehicle_body_id
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 
 
 class GroundProbe:
-    """A vertical ray that does not see the vehicle."""
+    """A vertical ray that ignores the vehicle."""
 
     def __init__(self, model: Any) -> None:
         self._model = model

@@ -6,15 +6,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.airframe.ground_probe import GroundProbe
 from touchdown.sim.airframe.vehicle import foot_positions, vehicle_body_id
 from touchdown.sim.api import AIR_DENSITY_KGPM3, GRAVITY_MPS2
 from touchdown.sim.frames import matrix_from_quat_wxyz, rotation_from_yaw, tilt_from_rotation
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 AIR_VISCOSITY_PAS = 1.8e-5
 SETTLE_S = 2.0
@@ -24,7 +22,7 @@ MAX_START_SPEED_MPS = 0.01
 
 
 def prepare_physics(model: Any, tick_hz: int) -> None:
-    """Sets what the flight relies on, whatever the MJCF says."""
+    """Sets the options that a flight relies on; they override those of the MJCF."""
     model.opt.timestep = 1.0 / tick_hz
     model.opt.gravity[:] = (0.0, 0.0, -GRAVITY_MPS2)
     model.opt.density = AIR_DENSITY_KGPM3

@@ -19,12 +19,10 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.sim.airframe.vehicle import RotorGeometry
 from touchdown.sim.api import VehicleModel
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 GROUND_EFFECT_MIN_HEIGHT_RADII = 0.5
 """Below half a radius the formula diverges; its factor is held at 4/3."""
@@ -56,9 +54,9 @@ class Rotors:
         self.wrench = np.zeros(6)
 
     def demand(self, rotor_speed_radps: Array, speed_share: Array | None = None) -> None:
-        """Takes a command, (4,) rad/s: 0 switches a motor off, anything else is held within the
-        motor's range. Of that, weak motors reach ``speed_share`` (4,). ValueError: a wrong shape or
-        a value that is not a finite number."""
+        """Takes a command, (4,) rad/s: 0 switches a motor off, other values are clipped to the
+        motor's range. ``speed_share`` (4,) is the share of it that weak motors reach. Raises
+        ValueError for a wrong shape or a value that is not finite."""
         # Scalars: at every control step, numpy's calls on four numbers are most of what they cost.
         wanted = np.asarray(rotor_speed_radps).tolist()
         if np.shape(rotor_speed_radps) != (4,) or not math.isfinite(sum(wanted)):
@@ -71,7 +69,7 @@ class Rotors:
             self._demand *= speed_share
 
     def cut(self) -> None:
-        """No power: every demand is 0."""
+        """Cuts the power: every demand is 0."""
         self._demand[:] = 0.0
 
     def step(

@@ -1,4 +1,4 @@
-"""The airframe as its MJCF describes it: mass, inertia, rotors, sensor mounts.
+"""The airframe's parameters, from its MJCF: mass, inertia, rotors, sensor mounts.
 
 The numbers live in ``scenes/vehicle/quadrotor.xml`` alone; another vehicle that keeps the names of
 its sites and ``<numeric>`` entries works as well.
@@ -7,15 +7,14 @@ its sites and ``<numeric>`` entries works as well.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.sim.api import GRAVITY_MPS2, VehicleModel
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 VEHICLE_PREFIX = "vehicle/"
 VEHICLE_BODY = "quadrotor"
@@ -24,7 +23,7 @@ ROTOR_COUNT = 4
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RotorGeometry:
-    """What the aerodynamics need beyond the controller's ``VehicleModel``."""
+    """Parameters of the aerodynamics that the controller's ``VehicleModel`` does not hold."""
 
     positions_body: Array
     """(4, 3) m, hubs"""
@@ -35,8 +34,17 @@ class RotorGeometry:
     """Thrust lost by axial inflow, N / ((rad/s)(m/s))"""
 
 
+class SensorMounts(NamedTuple):
+    """Poses of the sensors on the body: body_from_imu, body_from_lidar and so on."""
+
+    imu: Pose
+    lidar: Pose
+    camera: Pose
+    camera_right: Pose
+
+
 def vehicle_body_id(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> int:
-    """Id of the vehicle's root body. ValueError: there is none."""
+    """Id of the vehicle's root body. Raises ValueError where there is none."""
     name = prefix + VEHICLE_BODY
     body_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if body_id < 0:
@@ -45,7 +53,7 @@ def vehicle_body_id(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> int:
 
 
 def vehicle_model(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> VehicleModel:
-    """Mass properties and rotor coefficients; ValueError when the MJCF lacks one of them."""
+    """Mass properties and rotor coefficients. Raises ValueError when the MJCF lacks one of them."""
     body_id = vehicle_body_id(model, prefix)
     geometry = rotor_geometry(model, prefix)
     mass = float(model.body_mass[body_id])
@@ -82,16 +90,13 @@ def rotor_geometry(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> Rotor
     )
 
 
-def sensor_poses(
-    model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX
-) -> tuple[Pose, Pose, Pose, Pose]:
-    """``body_from_imu, body_from_lidar, body_from_camera, body_from_camera_right`` from the sites
-    of these names."""
-    return (
-        _site_pose(model, prefix, "imu"),
-        _site_pose(model, prefix, "lidar"),
-        _site_pose(model, prefix, "camera"),
-        _site_pose(model, prefix, "camera_right"),
+def sensor_mounts(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> SensorMounts:
+    """Poses of the sites ``imu``, ``lidar``, ``camera`` and ``camera_right``."""
+    return SensorMounts(
+        imu=_site_pose(model, prefix, "imu"),
+        lidar=_site_pose(model, prefix, "lidar"),
+        camera=_site_pose(model, prefix, "camera"),
+        camera_right=_site_pose(model, prefix, "camera_right"),
     )
 
 

@@ -1,1 +1,1 @@
-"""The offscreen camera: rendering, lens, exposure, noise, degradations."""
+"""The offscreen camera: sensor, OpenGL rendering, lens, exposure, noise, degradations."""

@@ -1,13 +1,13 @@
-"""What stands between a camera and a clear picture: fog, rain, dirt on the lens, a low sun.
+"""Degradations of camera images: fog, rain, dirt on the lens, a low sun.
 
 - air: the light of a pixel at the distance d is L exp(-e d) + A (1 - exp(-e d)), with the
   extinction e of ``sim.faults.weather`` and the airlight A of an evenly lit, bright sky
   (Koschmieder, 1924; Narasimhan and Nayar, "Vision and the atmosphere", IJCV 48, 2002);
-- dirt: blobs that stay where they are in the picture. What is seen through one is dimmer and, since
+- dirt: blobs that stay where they are in the image. What is seen through one is dimmer and, since
   it lies far out of focus, blurred (Gu, Ramamoorthi, Belhumeur and Nayar, "Removing image artifacts
   due to dirty camera lenses and thin occluders", ACM TOG 28, 2009). Blobs are where smooth noise
   exceeds its own quantile, so that they cover the share asked for;
-- glare: where the sun shines on the front lens, a share of its light strays over the whole picture
+- glare: where the sun shines on the front lens, a share of its light strays over the whole image
   (veiling glare, ISO 9358), in proportion to the cosine of its angle to the optical axis. A camera
   that looks down is hit when the vehicle tilts by more than the sun's elevation.
 
@@ -25,16 +25,12 @@ import cv2
 import mujoco
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams
 from touchdown.sim.camera.gl import Snapshot
 from touchdown.sim.faults.disturbances import Happening
 from touchdown.sim.faults.weather import Weather
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
+from touchdown.sim.typing import Array, Bytes, Float32
 
 AIRLIGHT_LEVEL = 190.0
 """grey level of endless fog"""
@@ -43,7 +39,7 @@ _GAMMA = 2.2
 _LEVELS = 4096
 """steps of the table from light to grey level"""
 _SHRINK = 8
-"""blur is made in pictures this much smaller"""
+"""blur is made in images this much smaller"""
 _LIGHT: Float32 = ((np.arange(256) / 255.0) ** _GAMMA).astype(np.float32)
 _DISPLAY: Bytes = np.rint(255.0 * (np.arange(_LEVELS) / (_LEVELS - 1)) ** (1.0 / _GAMMA)).astype(
     np.uint8
@@ -51,8 +47,8 @@ _DISPLAY: Bytes = np.rint(255.0 * (np.arange(_LEVELS) / (_LEVELS - 1)) ** (1.0 /
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
-    """What is wrong with the picture of one tick."""
+class ImageDefects:
+    """Degradations of the image of one tick."""
 
     extinction: float
     """1/m"""
@@ -61,8 +57,8 @@ class Sight:
 
 
 class CameraDegradations:
-    """Of the camera that draws rasters of ``raster`` in ``model``; the dirt hangs on (seed,
-    camera)."""
+    """Degradations of a camera that draws rasters of ``raster`` in ``model``. The dirt is a
+    function of (seed, camera)."""
 
     def __init__(
         self,
@@ -88,35 +84,35 @@ class CameraDegradations:
 
     @property
     def ever(self) -> bool:
-        """Whether pictures are not always clear."""
+        """True if an image of the schedule is not clear."""
         return self._weather.ever or bool(self._dirty.faults) or self._low_sun
 
-    def at(self, tick: int) -> Sight | None:
-        """None: a clear picture."""
+    def at(self, tick: int) -> ImageDefects | None:
+        """Degradations at ``tick``; None: a clear image."""
         air = self._weather.at(tick)
         dirty = self._dirty.since(tick) is not None
         if air is None and not dirty and not self._low_sun:
             return None
-        return Sight(0.0 if air is None else air.extinction(), dirty, self._low_sun)
+        return ImageDefects(0.0 if air is None else air.extinction(), dirty, self._low_sun)
 
-    def through_air(self, sight: Sight, drawn: Bytes, depth: Float32, first: int) -> Bytes:
-        """(h, W, 3) raster rows from ``first`` on, bottom row first, as ``depth`` (h, W), which is
-        in metres along the optical axis."""
+    def through_air(self, defects: ImageDefects, drawn: Bytes, depth: Float32, first: int) -> Bytes:
+        """(h, W, 3) raster rows from ``first`` on through fog and rain, bottom row first, like
+        ``depth`` (h, W), in metres along the optical axis."""
         stretch = self._stretch[first : first + len(drawn)][::-1]
         airlight = (AIRLIGHT_LEVEL / 255.0) ** _GAMMA
         hazy = np.empty_like(drawn)
-        _veil(drawn, depth, stretch, sight.extinction, airlight, _LIGHT, _DISPLAY, hazy)
+        _veil(drawn, depth, stretch, defects.extinction, airlight, _LIGHT, _DISPLAY, hazy)
         return hazy
 
-    def through_lens(self, sight: Sight, picture: Bytes, instant: Snapshot) -> Bytes:
-        """(H, W, 3) through dirt and stray light; ``picture`` itself is left alone."""
-        if sight.dirty:
-            picture = self._through_dirt(picture)
-        if sight.glaring and (stray := self.stray_light(instant)) is not None:
-            picture = np.stack(
-                [cv2.LUT(picture[..., c], glare_table(stray[c])) for c in range(3)], axis=-1
+    def through_lens(self, defects: ImageDefects, image: Bytes, instant: Snapshot) -> Bytes:
+        """(H, W, 3) image with dirt and stray light; ``image`` itself is not changed."""
+        if defects.dirty:
+            image = self._through_dirt(image)
+        if defects.glaring and (stray := self.stray_light(instant)) is not None:
+            image = np.stack(
+                [cv2.LUT(image[..., c], glare_table(stray[c])) for c in range(3)], axis=-1
             )
-        return picture
+        return image
 
     def stray_light(self, instant: Snapshot) -> Array | None:
         """(3,) linear light that glare adds, 1 for that of a white level surface; None: the sun is
@@ -131,17 +127,17 @@ class CameraDegradations:
         beam = 0.5 / math.sin(math.radians(self._faults.low_sun_deg))
         return self._faults.glare * beam * cosine * colour / colour.max()
 
-    def _through_dirt(self, picture: Bytes) -> Bytes:
-        height, width = picture.shape[:2]
+    def _through_dirt(self, image: Bytes) -> Bytes:
+        height, width = image.shape[:2]
         size = (max(1, width // _SHRINK), max(1, height // _SHRINK))
-        small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
         sigma = max(1.0, self._faults.dirt_size * size[0])
         blurred = cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma), (width, height))
         dimmed = self._faults.dirt_transmission ** (1.0 / _GAMMA)
         where = self._blobs > 1.0 / 512.0
         share = self._blobs[where][:, None]
-        out = picture.copy()
-        mixed = (1.0 - share) * picture[where] + share * np.float32(dimmed) * blurred[where]
+        out = image.copy()
+        mixed = (1.0 - share) * image[where] + share * np.float32(dimmed) * blurred[where]
         out[where] = np.rint(mixed).astype(np.uint8)
         return out
 
@@ -165,7 +161,7 @@ def ray_stretch(raster: CameraIntrinsics) -> Float32:
 
 def dirt_map(params: CameraParams, share: float, size: float, key: list[int]) -> Float32:
     """(H, W) share of each pixel's light that comes through dirt; its mean is ``share``, its edges
-    are soft. ``size``: correlation length of the blobs over the picture's width."""
+    are soft. ``size``: correlation length of the blobs over the image's width."""
     sigma = size * params.width
     shape = (params.height, params.width)
     noise = np.random.default_rng(key).standard_normal(shape, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Offscreen OpenGL: which backend works here, and MuJoCo's renderer with a pinhole's frustum."""
+"""Offscreen OpenGL: choice of a backend, and MuJoCo's renderer with a pinhole's frustum."""
 
 from __future__ import annotations
 
@@ -10,14 +10,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraIntrinsics
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Int32 = NDArray[np.int32]
-Bytes = NDArray[np.uint8]
+from touchdown.sim.typing import Array, Bytes, Float32, Int32
 
 BACKENDS = ("egl", "osmesa", "glfw")
 """In the order in which they are tried; GLFW needs a display."""
@@ -29,7 +24,7 @@ _GEOM_TYPE = int(mujoco.mjtObj.mjOBJ_GEOM)
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """What a picture depends on, copied out of an MjData: world positions (K, 3) and rotation
+    """The part of an MjData that images depend on, copied: world positions (K, 3) and rotation
     matrices (K, 9) of geoms and sites, position and direction of lights, pose of every camera."""
 
     geom_xpos: Array
@@ -45,7 +40,7 @@ SNAPSHOT_FIELDS = ("geom_xpos", "geom_xmat", "light_xpos", "light_xdir", "cam_xp
 
 class Stage:
     """GL context, MuJoCo scene and buffers of one rendering thread, for rasters of ``pinhole`` or
-    bands of their rows. ``samples``: of multisampling, in colour pictures only.
+    bands of their rows. ``samples``: of multisampling, in colour images only.
 
     Everything comes bottom row first.
     """
@@ -134,7 +129,7 @@ class Stage:
         return mujoco.MjrRect(0, 0, self._pinhole.width, last - first)
 
     def _set_frustum(self, first: int, last: int) -> None:
-        """MuJoCo derives the width of the frustum from its height (square pixels) unless told."""
+        """Sets the frustum's width, which MuJoCo would derive from its height (square pixels)."""
         k = self._pinhole
         for eye in self._scene.camera:
             per_row = eye.frustum_near / k.fy

@@ -1,4 +1,4 @@
-"""From a drawn raster to what the sensor of a camera delivers: lens, exposure, noise."""
+"""Lens, exposure and noise: from a drawn raster to the image of a camera."""
 
 from __future__ import annotations
 
@@ -12,13 +12,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraIntrinsics, CameraParams
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
+from touchdown.sim.typing import Array, Bytes, Float32
 
 NOISE_MARGIN = 128
-"""The noise tile is larger than a picture by this, and shifted at random."""
+"""The noise tile is larger than an image by this, and shifted at random."""
 
 _ROUNDING_VARIANCE = 1.0 / 12.0
 _DISPLAY_GAMMA = 2.2
@@ -32,23 +29,23 @@ _BORDER_PX = 2
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """``raster`` is the pinhole that is drawn; pixel (u, v) of the picture shows the raster at
-    (map_x, map_y)[v, u], both (H, W) float32. Without distortion the raster is the picture and the
+    """``raster`` is the pinhole that is drawn; pixel (u, v) of the image shows the raster at
+    (map_x, map_y)[v, u], both (H, W) float32. Without distortion the raster is the image and the
     maps are None."""
 
-    picture: CameraIntrinsics
+    image: CameraIntrinsics
     raster: CameraIntrinsics
     map_x: Float32 | None
     map_y: Float32 | None
 
 
 def check_camera(params: CameraParams) -> None:
-    """ValueError, naming the parameter, for a camera that cannot be."""
+    """Raises ValueError, naming the parameter, for impossible parameters."""
     for name in ("fov_x_deg", "fov_y_deg"):
         if not 0.0 < getattr(params, name) < 180.0:
             raise ValueError(f"camera.{name} is {getattr(params, name):g}: give 0 to 180 degrees")
     if params.width < 1 or params.height < 1:
-        raise ValueError(f"camera pictures of {params.width} x {params.height} pixels do not exist")
+        raise ValueError(f"camera images of {params.width} x {params.height} pixels do not exist")
     if not params.gain > 0.0:
         raise ValueError(f"camera.gain is {params.gain:g}: give a positive number")
     if params.readout_s < 0.0:
@@ -74,24 +71,24 @@ def intrinsics_of(params: CameraParams) -> CameraIntrinsics:
 def make_lens(params: CameraParams) -> Lens:
     """The drawn pinhole keeps the focal lengths and is as much wider as the lens bends outwards.
 
-    ValueError: the distortion folds the picture over itself, or needs a raster of more than three
-    times the picture's width or height.
+    ValueError: the distortion folds the image over itself, or needs a raster of more than three
+    times the image's width or height.
     """
     check_camera(params)
-    picture = intrinsics_of(params)
-    if not picture.distortion.any():
-        return Lens(picture=picture, raster=picture, map_x=None, map_y=None)
+    image = intrinsics_of(params)
+    if not image.distortion.any():
+        return Lens(image=image, raster=image, map_x=None, map_y=None)
     cols, rows = np.meshgrid(np.arange(params.width), np.arange(params.height))
-    distorted = np.stack([(cols - picture.cx) / picture.fx, (rows - picture.cy) / picture.fy], -1)
-    ideal = undistort(distorted, picture.distortion)
-    residual = distort(ideal, picture.distortion) - distorted
-    worst = np.abs(residual * [picture.fx, picture.fy]).max()
+    distorted = np.stack([(cols - image.cx) / image.fx, (rows - image.cy) / image.fy], -1)
+    ideal = undistort(distorted, image.distortion)
+    residual = distort(ideal, image.distortion) - distorted
+    worst = np.abs(residual * [image.fx, image.fy]).max()
     if not worst < _MAX_RESIDUAL_PX:
         raise ValueError(
-            f"camera.distortion {params.distortion} folds the picture over itself: use smaller "
+            f"camera.distortion {params.distortion} folds the image over itself: use smaller "
             "coefficients or a smaller field of view"
         )
-    u, v = ideal[..., 0] * picture.fx, ideal[..., 1] * picture.fy
+    u, v = ideal[..., 0] * image.fx, ideal[..., 1] * image.fy
     width, height = (2 * (math.ceil(np.abs(axis).max()) + _BORDER_PX) + 1 for axis in (u, v))
     if width > _MAX_WIDENING * params.width or height > _MAX_WIDENING * params.height:
         raise ValueError(
@@ -101,13 +98,13 @@ def make_lens(params: CameraParams) -> Lens:
     raster = CameraIntrinsics(
         width=width,
         height=height,
-        fx=picture.fx,
-        fy=picture.fy,
+        fx=image.fx,
+        fy=image.fy,
         cx=0.5 * (width - 1),
         cy=0.5 * (height - 1),
     )
     return Lens(
-        picture=picture,
+        image=image,
         raster=raster,
         map_x=(u + raster.cx).astype(np.float32),
         map_y=(v + raster.cy).astype(np.float32),
@@ -115,12 +112,12 @@ def make_lens(params: CameraParams) -> Lens:
 
 
 def distort(ideal: Array, coefficients: Array) -> Array:
-    """(..., 2) normalised coordinates as the lens bends them: OpenCV's model, k1 k2 p1 p2 k3."""
+    """(..., 2) distorted normalised coordinates: OpenCV's model, k1 k2 p1 p2 k3."""
     return _distort_with_jacobian(ideal, coefficients)[0]
 
 
 def undistort(distorted: Array, coefficients: Array) -> Array:
-    """(..., 2) the inverse of `distort` by Newton's method; check it where the lens may fold."""
+    """(..., 2) inverse of `distort` by Newton's method; to be verified where the lens may fold."""
     ideal = distorted.copy()
     with np.errstate(all="ignore"):  # a folding lens may run away, which the check finds
         for _ in range(_UNDISTORT_STEPS):
@@ -157,7 +154,7 @@ def _distort_with_jacobian(ideal: Array, k: Array) -> tuple[Array, Array, Array,
 def through_lens(
     lens: Lens, drawn: NDArray[Any], first_row: int, rows: slice, smooth: bool
 ) -> NDArray[Any]:
-    """Rows ``rows`` of the picture out of ``drawn``, which begins at raster row ``first_row``.
+    """Rows ``rows`` of the image out of ``drawn``, which begins at raster row ``first_row``.
     ``smooth`` interpolates (colours); else the nearest pixel is taken (depths, ids)."""
     if lens.map_x is None or lens.map_y is None:
         return drawn
@@ -167,7 +164,7 @@ def through_lens(
 
 
 def raster_rows(lens: Lens, rows: slice) -> tuple[int, int]:
-    """First and past-the-last raster row that rows ``rows`` of the picture show."""
+    """First and past-the-last raster row that rows ``rows`` of the image show."""
     if lens.map_y is None:
         return rows.start, rows.stop
     shown = lens.map_y[rows]
@@ -175,16 +172,16 @@ def raster_rows(lens: Lens, rows: slice) -> tuple[int, int]:
     return first, min(math.ceil(shown.max()) + 2, lens.raster.height)
 
 
-def exposure_table(params: CameraParams, picture: Bytes) -> Bytes | None:
+def exposure_table(params: CameraParams, image: Bytes) -> Bytes | None:
     """(256,) new grey level of every old one, or None where nothing changes.
 
     The gain multiplies light; levels are display levels, which a power law of 2.2 turns into light.
-    Automatic exposure is ideal: it knows the picture that it exposes.
+    Automatic exposure is ideal: it knows the image that it exposes.
     """
     factor = params.gain ** (1.0 / _DISPLAY_GAMMA)
     if params.auto_exposure:
         limit = _MAX_AUTO_GAIN ** (1.0 / _DISPLAY_GAMMA)
-        level = max(float(picture.mean()), 1e-3)
+        level = max(float(image.mean()), 1e-3)
         factor *= min(max(_MIDDLE_GREY / (level * factor), 1.0 / limit), limit)
     if factor == 1.0:
         return None
@@ -193,7 +190,7 @@ def exposure_table(params: CameraParams, picture: Bytes) -> Bytes | None:
 
 
 def noise_tile(params: CameraParams, key: list[int]) -> NDArray[np.int8]:
-    """Rounded Gaussian grey noise, a margin larger than the picture, (rows, 3 * columns): every
+    """Rounded Gaussian grey noise, a margin larger than the image, (rows, 3 * columns): every
     value thrice, once a channel. Rounding adds its own variance, which is taken off beforehand."""
     sigma = math.sqrt(max(params.noise_sigma**2 - _ROUNDING_VARIANCE, 0.0))
     shape = (params.height + NOISE_MARGIN, params.width + NOISE_MARGIN)
@@ -202,12 +199,12 @@ def noise_tile(params: CameraParams, key: list[int]) -> NDArray[np.int8]:
 
 
 def develop(
-    raw: Bytes, noise: NDArray[np.int8], row: int, col: int, sign: int, flip: bool, picture: Bytes
+    raw: Bytes, noise: NDArray[np.int8], row: int, col: int, sign: int, flip: bool, image: Bytes
 ) -> None:
-    """Turns the picture (H, W, 3) the right way up where ``flip`` says so, and adds the noise tile
-    from (row, col) on. Both pictures are contiguous."""
+    """Turns the image (H, W, 3) the right way up where ``flip`` says so, and adds the noise tile
+    from (row, col) on. Both images are contiguous."""
     lines = (raw.shape[0], raw.shape[1] * raw.shape[2])
-    _add_noise(raw.reshape(lines), noise, row, 3 * col, sign, flip, picture.reshape(lines))
+    _add_noise(raw.reshape(lines), noise, row, 3 * col, sign, flip, image.reshape(lines))
 
 
 @njit(cache=True, nogil=True)

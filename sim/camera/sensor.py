@@ -1,7 +1,7 @@
 """An offscreen camera: MuJoCo's renderer with the lens, noise and threading of a sensor.
 
 The physics thread takes a ``Snapshot`` (a few array copies); one thread, the physics' own or a
-worker, turns snapshots into pictures with an MjData, a GL context and a scene of its own. The GIL
+worker, turns snapshots into images with an MjData, a GL context and a scene of its own. The GIL
 is free while pixels are drawn and read.
 """
 
@@ -15,11 +15,10 @@ from zlib import crc32
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams
-from touchdown.sim.camera.degradations import CameraDegradations, Sight
+from touchdown.sim.camera.degradations import CameraDegradations, ImageDefects
 from touchdown.sim.camera.gl import SNAPSHOT_FIELDS, Snapshot, Stage
 from touchdown.sim.camera.optics import (
     NOISE_MARGIN,
@@ -30,10 +29,7 @@ from touchdown.sim.camera.optics import (
     raster_rows,
     through_lens,
 )
-
-Bytes = NDArray[np.uint8]
-Float32 = NDArray[np.float32]
-Int32 = NDArray[np.int32]
+from touchdown.sim.typing import Bytes, Float32, Int32
 
 CAMERA_NAME = "vehicle/camera"
 VEHICLE_GROUP = 4
@@ -45,9 +41,9 @@ class CameraSensor:
     ``params`` (the model's own are not looked at).
 
     ``render``, ``render_depth`` and ``render_segmentation`` show one instant through the same lens;
-    they may run in any one thread: the GL context is made at the first picture and belongs to the
+    they may run in any one thread: the GL context is made at the first image and belongs to the
     thread that asked for it. Grey noise depends on (seed, camera, tick) alone. ``faults`` of the
-    clock ``tick_hz`` trouble the pictures of ``render``.
+    clock ``tick_hz`` degrade the images of ``render``.
 
     Raises ValueError when the model has no such camera or the parameters are impossible; rendering
     raises RuntimeError when there is no way to render on this machine, or when called from a second
@@ -75,51 +71,52 @@ class CameraSensor:
             )
         self._noise_key = [seed, crc32(camera_name.encode())]
         self._noise = noise_tile(params, self._noise_key)
-        self._trouble: CameraDegradations | None = None
+        self._degradations: CameraDegradations | None = None
         if faults is not None and faults.events:
-            trouble = CameraDegradations(
+            degradations = CameraDegradations(
                 faults, tick_hz, params, self._lens.raster, self._model, seed, camera_name
             )
-            self._trouble = trouble if trouble.ever else None
+            self._degradations = degradations if degradations.ever else None
         self._stage: Stage | None = None
         self._thread: int | None = None
 
     def intrinsics(self) -> CameraIntrinsics:
         """Focal lengths that follow from the two fields of view, and the lens distortion."""
-        return self._lens.picture
+        return self._lens.image
 
     def snapshot(self, data: mujoco.MjData) -> Snapshot:
-        """Copies what a picture needs; call it in the physics thread, after the kinematics."""
+        """Copies the state that an image depends on. Call it in the physics thread, after the
+        kinematics."""
         return Snapshot(*(getattr(data, name).copy() for name in SNAPSHOT_FIELDS))
 
     def render(self, snapshot: Snapshot | Sequence[Snapshot], tick: int) -> Bytes:
-        """(H, W, 3) uint8 RGB picture, read-only, with the grey noise of ``tick``.
+        """(H, W, 3) uint8 RGB image, read-only, with the grey noise of ``tick``.
 
-        Several snapshots are the instants of a rolling shutter, oldest first: the picture's rows
+        Several snapshots are the instants of a rolling shutter, oldest first: the image's rows
         are split evenly among them from the top, each band drawn from its own instant.
         """
         instants = [snapshot] if isinstance(snapshot, Snapshot) else list(snapshot)
-        sight = self._trouble.at(tick) if self._trouble is not None else None
-        whole = len(instants) == 1 and self._lens.map_x is None and sight is None
+        defects = self._degradations.at(tick) if self._degradations is not None else None
+        whole = len(instants) == 1 and self._lens.map_x is None and defects is None
         if whole:  # the common case: `develop` flips, so that nothing is copied twice
             stage, height = self._own_stage(), self._params.height
             raw = stage.colour(instants[0], self._camera_id, 0, height)
         else:
-            raw = self._bands(instants, sight)
-        if self._trouble is not None and sight is not None:
-            raw = self._trouble.through_lens(sight, raw, instants[-1])
+            raw = self._bands(instants, defects)
+        if self._degradations is not None and defects is not None:
+            raw = self._degradations.through_lens(defects, raw, instants[-1])
         table = exposure_table(self._params, raw)
         if table is not None:
             raw = cv2.LUT(raw, table).astype(np.uint8, copy=False)
-        picture = np.empty_like(raw)
+        image = np.empty_like(raw)
         row, col, sign = self._noise_place(tick)
-        develop(raw, self._noise, row, col, sign, whole, picture)
-        picture.setflags(write=False)
-        return picture
+        develop(raw, self._noise, row, col, sign, whole, image)
+        image.setflags(write=False)
+        return image
 
     def render_depth(self, snapshot: Snapshot) -> Float32:
-        """(H, W) float32, read-only: true depth along the optical axis in metres, ``inf`` where
-        there is nothing. No noise: it is the geometry, not a depth sensor's opinion."""
+        """(H, W) float32, read-only: true depth along the optical axis in metres, without noise;
+        ``inf`` where there is nothing."""
         return _frozen(self._bent(self._own_stage().depth(snapshot, self._camera_id)))
 
     def render_segmentation(self, snapshot: Snapshot) -> Int32:
@@ -134,12 +131,12 @@ class CameraSensor:
             self._stage.close()
         self._stage, self._thread = None, None
 
-    def _bands(self, instants: Sequence[Snapshot], sight: Sight | None) -> Bytes:
-        """(H, W, 3) picture, top row first, of one band of rows for every instant, through the
+    def _bands(self, instants: Sequence[Snapshot], defects: ImageDefects | None) -> Bytes:
+        """(H, W, 3) image, top row first, of one band of rows for every instant, through the
         air."""
         stage = self._own_stage()
         height, width = self._params.height, self._params.width
-        picture = np.empty((height, width, 3), dtype=np.uint8)
+        image = np.empty((height, width, 3), dtype=np.uint8)
         edges = np.linspace(0, height, len(instants) + 1).round().astype(int)
         for instant, start, stop in zip(instants, edges[:-1], edges[1:], strict=True):
             rows = slice(int(start), int(stop))
@@ -147,12 +144,12 @@ class CameraSensor:
                 continue
             first, last = raster_rows(self._lens, rows)
             drawn = stage.colour(instant, self._camera_id, first, last)
-            if self._trouble is not None and sight is not None and sight.extinction > 0.0:
+            if self._degradations is not None and defects is not None and defects.extinction > 0.0:
                 depth = stage.depth_of_last(last - first)
-                drawn = self._trouble.through_air(sight, drawn, depth, first)
+                drawn = self._degradations.through_air(defects, drawn, depth, first)
             drawn = np.ascontiguousarray(drawn[::-1])
-            picture[rows] = through_lens(self._lens, drawn, first, rows, smooth=True)
-        return picture
+            image[rows] = through_lens(self._lens, drawn, first, rows, smooth=True)
+        return image
 
     def _bent(self, drawn: Float32) -> Float32:
         """A drawn raster, bottom row first, through the lens without blending neighbours."""

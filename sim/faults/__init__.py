@@ -1,1 +1,1 @@
-"""The schedule of faults, and what they do to messages, rotors, mounts and air."""
+"""Scheduled faults: their schedule, and their effects on messages, rotors, mounts and air."""

@@ -1,4 +1,4 @@
-"""Scheduled trouble with the vehicle itself and the air around it, as functions of the tick alone.
+"""Scheduled disturbances of the vehicle and the air around it, as functions of the tick alone.
 
 - motor: a motor that has lost the share g of its efficiency turns its rotor at sqrt(1 - g) of the
   demanded speed, so that thrust and drag torque both fall to 1 - g: the loss of effectiveness
@@ -17,27 +17,25 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.sim.api import Fault, FaultParams
 from touchdown.sim.frames import Pose, so3_exp
 from touchdown.sim.noise import random_stream
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 ROTORS = 4
 
 
 class Happening:
-    """The times of all faults of one kind."""
+    """Times of all faults of one kind."""
 
     def __init__(self, params: FaultParams, kind: str, tick_hz: int) -> None:
         self.faults = [fault for fault in params.schedule() if fault.kind == kind]
         self._spans = [_span(fault, tick_hz) for fault in self.faults]
 
     def since(self, tick: int) -> int | None:
-        """Ticks since the beginning of the first fault that goes on at ``tick``; None: none does.
-        Ends are not included."""
+        """Ticks since the beginning of the first fault that is active at ``tick``, or None. A fault
+        is no longer active at its end."""
         for start, end in self._spans:
             if tick >= start and (end is None or tick < end):
                 return tick - start
@@ -52,7 +50,7 @@ def _span(fault: Fault, tick_hz: int) -> tuple[int, int | None]:
 
 
 class Disturbances:
-    """What befalls rotors, air and mounts at a tick; nothing without a schedule.
+    """Disturbances of rotors, air and mounts at a tick; none without a schedule.
 
     ``mean_wind_kmh`` is part of the speed that gusts blow up to.
     """
@@ -96,17 +94,17 @@ class Disturbances:
             wind[0] += speed * math.cos(math.radians(degrees))
             wind[1] += speed * math.sin(math.radians(degrees))
 
-    def lidar_mount(self, tick: int, told: Pose) -> Pose:
-        """The true ``body_from_lidar`` of a scan that ends at ``tick``; may be asked from any
-        thread."""
+    def lidar_mount(self, tick: int, nominal: Pose) -> Pose:
+        """The true ``body_from_lidar`` of a scan that ends at ``tick``, where the undisturbed one
+        is ``nominal``. Safe in any thread."""
         if self._knock is None or self._mount.since(tick) is None:
-            return told
+            return nominal
         return Pose(
-            told.rotation @ self._knock.rotation, told.translation + self._knock.translation
+            nominal.rotation @ self._knock.rotation, nominal.translation + self._knock.translation
         )
 
     def summary(self) -> list[dict[str, Any]]:
-        """As ``sim.faults.injector.FaultInjector.summary``, in control steps."""
+        """Effects in control steps, in the form of `sim.faults.injector.FaultInjector.summary`."""
         found = []
         for kind, faults, name in (
             ("motor_loss", self._motor.faults, "commands"),
@@ -119,7 +117,7 @@ class Disturbances:
 
 
 def gust_speed(phase: float, peak_mps: float) -> float:
-    """Of the discrete gust, ``phase`` in times of rise: 0 at 0, ``peak_mps`` at 1, 0 at 2."""
+    """Speed of the discrete gust, ``phase`` in times of rise: 0 at 0, ``peak_mps`` at 1, 0 at 2."""
     return 0.5 * peak_mps * (1.0 - math.cos(math.pi * phase))
 
 

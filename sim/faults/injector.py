@@ -1,7 +1,7 @@
-"""Puts scheduled faults between the sensors and those who read them.
+"""Injects scheduled faults between the sensors and their readers.
 
-Faults befall messages at the moment of their delivery, so that estimator, mapper, lander and
-recorder see the same. A fault without duration befalls one message of each of its streams.
+Faults act on messages at the moment of their delivery, so that estimator, mapper, lander and
+recorder see the same. A fault without duration acts on one message of each of its streams.
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ _STAMPS: dict[type, tuple[str, ...]] = {
 
 
 class FaultInjector:
-    """``apply`` is called with every observation, in order. Without a schedule it hands them
-    through untouched. Raises ValueError for a schedule that is not understood."""
+    """Applies a schedule of faults to observations. Call ``apply`` with every observation, in
+    order; without a schedule it returns them unchanged. Raises ValueError for an invalid schedule.
+    """
 
     def __init__(self, params: FaultParams, tick_hz: int) -> None:
         self._streams = {
@@ -54,7 +55,7 @@ class FaultInjector:
         self._idle = not params.events
 
     def apply(self, obs: Observation) -> Observation:
-        """The observation as the faults leave it; the messages given are not written to."""
+        """The observation with faults; the given messages are not written to."""
         if self._idle:
             return obs
         changed: dict[str, Any] = {
@@ -64,7 +65,8 @@ class FaultInjector:
         return dataclasses.replace(obs, **changed)
 
     def summary(self) -> list[dict[str, Any]]:
-        """What every fault did: its text, and how many messages of each stream it befell."""
+        """Effects of every fault: its text, and the number of messages of each stream that it
+        changed."""
         counts: dict[str, dict[str, int]] = {}
         for name, stream in self._streams.items():
             for pending in stream.faults:
@@ -161,13 +163,13 @@ class _FaultyStream:
             self._enqueue(due, _stamped(message, first))
 
     def _enqueue(self, due: int, message: Any) -> None:
-        """Nothing overtakes what is already under way."""
+        """Queues a message; it overtakes none that is already queued."""
         if self._queue:
             due = max(due, self._queue[-1][0])
         self._queue.append((due, message))
 
     def _skewed(self, message: Any, start_tick: int) -> Any:
-        """With the stamps of a clock that is off, and more so the longer it runs fast."""
+        """The message with the time stamps of a clock that has an offset and a drift."""
         hz, params = self._tick_hz, self._params
         since_s = max(0, _measured(message) - start_tick) / hz
         shift = round((params.skew_s + 1e-6 * params.skew_ppm * since_s) * hz)
@@ -176,14 +178,14 @@ class _FaultyStream:
         return dataclasses.replace(message, **ticks, **times)
 
     def _spoofed(self, fix: GpsFix, start_tick: int) -> GpsFix:
-        """Drawn away at a constant velocity from where it was when the spoofing began."""
+        """The fix, displaced at a constant velocity since the spoofing began."""
         velocity = np.array(self._params.gps_spoof_mps)
         since_s = max(0, fix.tick - start_tick) / self._tick_hz
         moved = _moved(fix, velocity * since_s)
         return dataclasses.replace(moved, velocity_world=fix.velocity_world + velocity)
 
     def _frozen(self, message: Any) -> Any:
-        """What was delivered last, as if it had been measured now."""
+        """The message that was delivered last, with the time stamps of this one."""
         return message if self._last is None else _stamped(self._last, message)
 
 

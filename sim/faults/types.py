@@ -79,7 +79,7 @@ class Fault:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FaultParams:
-    """Faults put between the sensors and those who read them (``sim/faults/injector.py``)."""
+    """Faults injected between the sensors and their readers (``sim/faults/injector.py``)."""
 
     __pydantic_config__ = FORBID_EXTRA
 
@@ -93,39 +93,40 @@ class FaultParams:
     """velocity at which ``gps_spoof`` draws positions away, world frame; it is in the reported
     velocity as well"""
     skew_s: Annotated[float, Interval(ge=-1.0, le=1.0)] = 0.02
-    """what ``lidar_skew``, ``camera_skew`` and ``gps_skew`` add to stamps, to the nearest tick"""
+    """offset that ``lidar_skew``, ``camera_skew`` and ``gps_skew`` add to stamps, to the nearest
+    tick"""
     skew_ppm: Annotated[float, Interval(ge=-1e4, le=1e4)] = 0.0
-    """and by how much such a clock runs fast, millionths"""
+    """rate at which such a clock runs fast, parts per million"""
     miscalibration_deg: Annotated[float, Interval(ge=0.0, le=20.0)] = 1.0
-    """by which the LIDAR sits turned, about an axis drawn from the seed"""
+    """rotation of the LIDAR about an axis drawn from the seed"""
     miscalibration_m: Annotated[float, Interval(ge=0.0, le=0.5)] = 0.02
-    """and shifted, in a direction drawn from the seed"""
+    """translation of the LIDAR in a direction drawn from the seed"""
     motor: Annotated[int, Interval(ge=0, le=3)] = 0
     """the rotor of ``motor_loss``, 0 to 3"""
     motor_loss_share: Annotated[float, Interval(ge=0.0, le=MOST_MOTOR_LOSS)] = 0.2
-    """of that rotor's thrust, 0 to 0.5"""
+    """lost share of that rotor's thrust, 0 to 0.5"""
     gust_kmh: Annotated[float, Interval(ge=0.0, le=200.0)] = 30.0
     """speed up to which a ``gust`` blows, mean wind included"""
     gust_rise_s: Annotated[float, Interval(ge=0.05, le=60.0)] = 1.5
     """from its beginning to its peak"""
     gust_direction_deg: Heading | None = None
-    """where it blows to, counter-clockwise from east; None: where the mean wind does"""
+    """direction it blows to, counter-clockwise from east; None: that of the mean wind"""
     fog_visibility_m: Annotated[float, Interval(ge=LEAST_VISIBILITY_M, le=1e5)] = 200.0
     """meteorological optical range in ``fog``: where contrast has fallen to 2 %"""
     rain_mmph: Annotated[float, Interval(ge=0.0, le=200.0)] = 25.0
     """rate of ``rain``, millimetres an hour"""
     dirt_share: Annotated[float, Interval(ge=0.0, le=0.9)] = 0.1
-    """of the picture, below ``lens_dirt``"""
+    """share of the image that ``lens_dirt`` covers"""
     dirt_size: Annotated[float, Interval(ge=0.002, le=0.2)] = 0.02
-    """of its blobs (correlation length), as a share of the picture's width"""
+    """size of its blobs (correlation length), as a share of the image's width"""
     dirt_transmission: Fraction = 0.4
     """share of light that passes it"""
     low_sun_deg: Annotated[float, Interval(ge=LEAST_SUN_DEG, le=90.0)] = 10.0
     """elevation of ``low_sun``"""
     low_sun_azimuth_deg: Heading | None = None
-    """where it stands, counter-clockwise from east; None: where the scene has it"""
+    """its azimuth, counter-clockwise from east; None: that of the scene's sun"""
     glare: Fraction = 0.03
-    """share of the sunlight on the lens that strays over the whole picture"""
+    """share of the sunlight on the lens that strays over the whole image"""
 
     def schedule(self) -> tuple[Fault, ...]:
         """ValueError: an entry that is not understood, in one sentence."""

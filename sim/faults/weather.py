@@ -43,7 +43,7 @@ def rain_extinction(rate_mmph: float) -> float:
 
 @dataclass(frozen=True)
 class Air:
-    """What is in the air at an instant; ``visibility_m`` None: no fog."""
+    """Fog and rain at an instant; ``visibility_m`` None: no fog."""
 
     visibility_m: float | None = None
     rain_mmph: float = 0.0
@@ -66,7 +66,7 @@ class Weather:
 
     @property
     def ever(self) -> bool:
-        """Whether the air is not always clear."""
+        """True if the schedule contains fog or rain."""
         return bool(self._fog.faults or self._rain.faults)
 
     def at(self, tick: int) -> Air | None:

@@ -1,1 +1,2 @@
-"""The ray-cast LIDAR: scan patterns, ray casting, link budget, noise."""
+"""The ray-cast LIDAR: sensor, ray casting, link budget, noise, echoes of fog and rain; scan
+patterns in `patterns`."""

@@ -1,4 +1,4 @@
-"""Where the pulses of a LIDAR go: tracks, pointing and noise, in compiled single-threaded loops.
+"""Directions of a LIDAR's pulses: tracks, pointing and noise, in compiled single-threaded loops.
 
 Noise is a pure function of a key and the pulse's number, so it does not matter how a flight is cut
 into scans. Random bits come from the SplitMix64 generator (Steele, Lea, Flood, "Fast splittable
@@ -12,12 +12,8 @@ from statistics import NormalDist
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Uint32 = NDArray[np.uint32]
-Indices = NDArray[np.int64]
+from touchdown.sim.typing import Array, Float32, Indices, Uint32
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_A = np.uint64(0xBF58476D1CE4E5B9)
@@ -30,7 +26,7 @@ _QUANTILES: Array = np.array(
     + [NormalDist().inv_cdf(k / 2**_QUANTILE_BITS) for k in range(1, 2**_QUANTILE_BITS)]
     + [0.0]
 )
-"""Of the normal distribution at k / 4096; the two ends are never read."""
+"""Quantiles of the normal distribution at k / 4096; the two ends are never read."""
 
 
 @njit(cache=True, forceinline=True)
@@ -61,7 +57,7 @@ def _tail(bits: int) -> float:
 
 @njit(cache=True, forceinline=True)
 def normal_cell(bits: int) -> tuple[int, float]:
-    """Cell of `quantile_table` that 32 random bits fall in, and the place in it."""
+    """Cell of `quantile_table` that 32 random bits fall in, and the fraction of it."""
     rest = 32 - _QUANTILE_BITS
     return bits >> rest, (bits & ((1 << rest) - 1)) * (1.0 / (1 << rest))
 
@@ -76,7 +72,7 @@ def normal_in(bits: int, low: float, high: float) -> float:
 
 
 def quantile_table() -> Array:
-    """What `normal_in` interpolates in."""
+    """Quantiles that `normal_in` interpolates."""
     return _QUANTILES
 
 
@@ -116,7 +112,7 @@ def _dot(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> fl
 
 @njit(cache=True, forceinline=True)
 def _fraction(start: float, end: float, time: float) -> float:
-    """Where ``time`` lies between two samples of a track; beyond the last one: there."""
+    """Fraction of the interval between two samples of a track at ``time``, clamped to [0, 1]."""
     return min(max((time - start) / (end - start), 0.0), 1.0) if end > start else 0.0
 
 

@@ -1,4 +1,4 @@
-"""A shortcut for the rays that fall on open terrain.
+"""Fast ray casting on open terrain.
 
 Most pulses of a LIDAR that looks down meet nothing but the height field. Marching them over its
 grid costs a third of a general ray cast. Cells that hold anything else are closed: a ray that comes
@@ -12,11 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Int32 = NDArray[np.int32]
+from touchdown.sim.typing import Array, Float32, Indices, Int32
 
 _STEEPEST = -0.05
 """Rays flatter than this would cross too many cells: the general ray caster is faster."""
@@ -28,7 +25,7 @@ _MOST_PIECES = 64
 _PAST_SIDE = 1e-9
 _OVER, _FROM_BELOW = -1.0, -2.0
 _BEAM_M = 0.15
-"""Half a beam's width where it reaches the ground, and to spare."""
+"""Half a beam's width where it reaches the ground, with a margin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +66,7 @@ class GroundGrid:
             _block_lids(lids),
         )
 
-    def march(
-        self, rays: Float32, distance: Float32, geom: Int32, cosine: Float32
-    ) -> NDArray[np.int64]:
+    def march(self, rays: Float32, distance: Float32, geom: Int32, cosine: Float32) -> Indices:
         """Fills in the hits of the rays (N, 6) that fall on open ground; returns the others."""
         return _march(
             rays, self.geom, self.origin, self.cell, self.heights, self.lids, self.closed,
@@ -151,7 +146,7 @@ def _march(
     distance: Float32,
     geom: Int32,
     cosine: Float32,
-) -> NDArray[np.int64]:
+) -> Indices:
     """Grid traversal after Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing",
     Eurographics 1987. One function, since handing arrays on costs more than a step of the march."""
     rows, cols = lids.shape

@@ -1,4 +1,4 @@
-"""Where a ray meets the round shapes of MuJoCo, and its planes, exactly.
+"""Exact intersections of rays with MuJoCo's round shapes and planes.
 
 An acceleration structure holds triangles that wrap these shapes; what it finds is settled here, in
 double precision. A ray that starts inside a shape meets it where it leaves, as in MuJoCo.
@@ -15,10 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Int32 = NDArray[np.int32]
+from touchdown.sim.typing import Array, Float32, Indices, Int32, Uint32
 
 _OTHER, _PLANE, _ELLIPSOID, _CYLINDER, _CAPSULE = range(5)
 _KINDS = {
@@ -69,7 +66,7 @@ class ShapeTable:
 def settle(
     rays: Float32,
     wrapped_distance: Float32,
-    triangle: NDArray[np.uint32],
+    triangle: Uint32,
     normal: Float32,
     geom_of_triangle: Int32,
     kinds: NDArray[np.int8],
@@ -79,7 +76,7 @@ def settle(
     distance: Float32,
     geom: Int32,
     cosine: Float32,
-) -> NDArray[np.int64]:
+) -> Indices:
     """True hits of rays (N, 6) from those on triangles: fills ``distance``, ``geom`` and ``cosine``
     (N,) (see ``sim.lidar.raycast_scene.Hits``; inf, -1 and 0 for none so far). Returns the rays
     that have to be cast on from ``wrapped_distance``: those that pass between a shape and its

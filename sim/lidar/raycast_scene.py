@@ -1,4 +1,4 @@
-"""A MuJoCo scene as Embree sees it: triangles, and the optical properties of every geom.
+"""A MuJoCo scene for Embree: triangles, and the optical properties of every geom.
 
 Geoms that cannot move share one ray-casting scene in world coordinates. Every moving body (a mocap
 body, or one with joints, with all that hangs on it) has its own scene in its own frame, and rays
@@ -24,15 +24,12 @@ from touchdown.sim.frames import Pose
 from touchdown.sim.lidar.heightfield import GroundGrid
 from touchdown.sim.lidar.quadrics import ShapeTable, settle
 from touchdown.sim.lidar.tessellation import geom_mesh
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Int32 = NDArray[np.int32]
+from touchdown.sim.typing import Array, Bools, Float32, Indices, Int32
 
 VEHICLE_PREFIX = "vehicle/"
 FIRST_HIDDEN_GROUP = 3
 DEFAULT_SURFACE = Surface(land_class="other", reflectivity=0.3)
-"""Of geoms that the scene says nothing about."""
+"""Surface of geoms that the scene does not describe."""
 
 _PLANE_MARGIN_M = 300.0
 _MOST_LAYERS = 8
@@ -112,8 +109,8 @@ class RayTarget:
         """Nearest hits of (N, 6) float32 origins and unit directions in the target's frame."""
         return self.cast_apart(rays)[0]
 
-    def cast_apart(self, rays: Float32) -> tuple[Hits, NDArray[np.int64]]:
-        """As ``cast``, and the indices of the rays that came near anything but open ground."""
+    def cast_apart(self, rays: Float32) -> tuple[Hits, Indices]:
+        """Nearest hits, and the indices of the rays that passed near anything but open ground."""
         if self._ground is None:
             return self.cast_all(rays), np.arange(len(rays))
         hits = Hits.none(len(rays))
@@ -130,7 +127,8 @@ class RayTarget:
         return answer
 
     def cast_all(self, rays: Float32) -> Hits:
-        """As ``cast``, without a look for open ground: for rays that start or end near things."""
+        """Nearest hits without the shortcut for open ground: for rays that start or end near
+        objects."""
         hits, again, reached = self._cast_once(rays)
         for _ in range(_MOST_LAYERS):
             if not again.size:
@@ -147,7 +145,7 @@ class RayTarget:
             again, reached = again[open_ended], reached[open_ended]
         return hits
 
-    def _cast_once(self, rays: Float32) -> tuple[Hits, NDArray[np.int64], Float32]:
+    def _cast_once(self, rays: Float32) -> tuple[Hits, Indices, Float32]:
         """Hits, the rays that have to be cast on, and how far those came."""
         answer = self.embree(rays)
         hits = Hits.none(len(rays))
@@ -184,7 +182,7 @@ class OpticalTable:
     """(G,) 0..1"""
     porosity: Float32
     """(G,) share of pulses that pass"""
-    water: NDArray[np.bool_]
+    water: Bools
     """(G,)"""
     ground_geom: int
     """-1 where the scene has no raster"""
@@ -195,7 +193,8 @@ class OpticalTable:
 
 
 class LidarScene:
-    """Everything a LIDAR can hit in ``scene``. Never touches an MjData: safe in any thread."""
+    """All surfaces of ``scene`` that a LIDAR can hit. It uses no MjData, so any thread may cast
+    rays."""
 
     def __init__(self, scene: Scene) -> None:
         model = scene.model

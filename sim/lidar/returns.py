@@ -1,4 +1,4 @@
-"""What comes back of a pulse, in compiled single-threaded loops.
+"""Returns of LIDAR pulses, in compiled single-threaded loops.
 
 Link budget: the range limits that the manufacturer states for targets of given reflectivity are
 joined by power laws in reflectivity times cos(incidence).
@@ -20,21 +20,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.sim.lidar.beams import hashed, normal_cell, normal_in
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Int32 = NDArray[np.int32]
-Uint8 = NDArray[np.uint8]
-Uint32 = NDArray[np.uint32]
-Indices = NDArray[np.int64]
+from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32, Uint32
 
 _LIMIT_SPREAD = 0.02
 """Relative standard deviation of the range limit from pulse to pulse."""
 _SURE_SIGMAS = 6.5
-"""Further than this from its mean a deviate of 32 bits never lies."""
+"""Bound of a normal deviate made of 32 bits, in standard deviations."""
 _SURE_STEP_M = 0.5
 
 _WATER_SLOPE_VARIANCE = 0.005
@@ -112,8 +105,8 @@ def _uniform(bits: np.uint32, salt: int) -> float:
 
 @njit(cache=True, nogil=True)
 def passing(geom: Int32, cosine: Float32, bits: Uint32, porosity: Float32) -> Indices:
-    """Indices of the rays that pass through what they hit. A ray that entered a porous body leaves
-    it freely: the answer hangs on ray and geom alone, and insides never reflect."""
+    """Indices of the rays that pass through what they hit. The result depends on ray and geom alone
+    and insides never reflect, so a ray that entered a porous body also leaves it."""
     out = np.empty(geom.shape[0], dtype=np.int64)
     count = 0
     for i in range(geom.shape[0]):
@@ -128,7 +121,7 @@ def passing(geom: Int32, cosine: Float32, bits: Uint32, porosity: Float32) -> In
 
 @njit(cache=True, forceinline=True)
 def _strength(reflectivity: float, wet: bool, cosine: float, bits: np.uint32) -> float:
-    """What a surface sends back: reflectivity times cosine, or a glint of water."""
+    """Strength that a surface returns: reflectivity times cosine, or a glint of water."""
     c = abs(cosine)
     if not wet:
         return reflectivity * c
@@ -163,7 +156,7 @@ def receive(
     range_noise: Float32,
     bits: Uint32,
     reflectivity: Float32,
-    water: NDArray[np.bool_],
+    water: Bools,
     ground_geom: int,
     ground_frame: Array,
     ground_reflectivity: Float32,
@@ -175,9 +168,9 @@ def receive(
     max_range: float,
     strengths: Float32,
     ranges: Float32,
-    intensity: Uint8,
+    intensity: Bytes,
 ) -> None:
-    """Undivided pulses: fills ``ranges`` (N,) in metres and ``intensity`` (N,), both 0 where
+    """Fills, for undivided pulses, ``ranges`` (N,) in metres and ``intensity`` (N,), both 0 where
     nothing comes back, and ``strengths`` (N,). The ground as in
     ``sim.lidar.raycast_scene.OpticalTable``."""
     rows, cols = ground_reflectivity.shape
@@ -210,10 +203,11 @@ def weaken(
     quantiles: Array,
     strengths: Float32,
     ranges: Float32,
-    intensity: Uint8,
+    intensity: Bytes,
 ) -> None:
-    """Undivided pulses through air of this extinction in 1/m, there and back: lowers ``strengths``
-    and ``intensity`` (N,), and takes away the ``ranges`` (N,) of what is too weak by then."""
+    """Attenuates undivided pulses by air of this extinction in 1/m, over the way out and back:
+    lowers ``strengths`` and ``intensity`` (N,) and sets the ``ranges`` (N,) of echoes that become
+    too weak to 0."""
     for i in range(distance.shape[0]):
         if strengths[i] <= 0.0:
             continue
@@ -235,12 +229,12 @@ def clutter(
     min_range: float,
     strongest: bool,
     ranges: Float32,
-    intensity: Uint8,
+    intensity: Bytes,
 ) -> None:
-    """Puts the nearest echo of the air in the place of ``ranges`` and ``intensity`` (N,) where it
-    comes before them, or with ``strongest`` where it is the stronger one. ``expected`` (K,) echoes
-    up to k ``step_m``, each of the strength ``threshold`` (K,) at least. Beyond what just counts,
-    diameters of drops are exponentially distributed, with the relative mean ``spread``."""
+    """Replaces ``ranges`` and ``intensity`` (N,) by the nearest echo of the air where that comes
+    first, or with ``strongest`` where it is the stronger one. ``expected`` (K,) echoes up to k
+    ``step_m``, each of the strength ``threshold`` (K,) at least. Beyond what just counts, diameters
+    of drops are exponentially distributed, with the relative mean ``spread``."""
     first = min(math.ceil(min_range / step_m), expected.shape[0] - 1)
     for i in range(bits.shape[0]):
         draw = expected[first] - math.log(_uniform(bits[i], _AIR_SALT))
@@ -325,8 +319,8 @@ def near_edges(
 def _apart(
     distance: float, other: float, cosine: float, other_cosine: float, angle_squared: float
 ) -> bool:
-    """Whether two hits lie at ranges that no plane through one of them explains. The angle between
-    their rays comes squared; so does the whole comparison, which spares two roots."""
+    """True if two hits lie at ranges that no plane through one of them explains. The angle between
+    their rays is given squared, and the comparison is of squares: this saves two roots."""
     gap = abs(distance - other) - _STEP_M
     if not gap > 0.0:  # also where neither hits anything
         return False
@@ -375,11 +369,12 @@ def receive_split(
     range_sigma: float,
     min_range: float,
     ranges: Float32,
-    intensity: Uint8,
+    intensity: Bytes,
 ) -> None:
-    """Divided pulses: overwrites ``ranges`` and ``intensity`` of ``pulses`` (K,) by the first or
-    the strongest echo of their P equal parts: distances and strengths (K, P), sorted here in place;
-    no strength where a part meets nothing. ``bits`` and ``range_noise`` (N,) of all pulses."""
+    """For divided pulses, overwrites ``ranges`` and ``intensity`` of ``pulses`` (K,) by the first
+    or the strongest echo of their P equal parts: distances and strengths (K, P), sorted here in
+    place; no strength where a part meets nothing. ``bits`` and ``range_noise`` (N,) of all pulses.
+    """
     parts = part_distance.shape[1]
     for k in range(pulses.shape[0]):
         i = pulses[k]

@@ -1,8 +1,8 @@
 """A scanning LIDAR on a moving vehicle: pulses, returns, noise and intensity.
 
-Every pulse is cast from the pose of its own instant. Whether it comes back follows from a link
-budget through the manufacturer's range limits; water reflects like the rough mirror it is; a beam
-that an edge splits comes back as several echoes.
+Every pulse is cast from the pose of its own instant. A link budget through the manufacturer's range
+limits decides if it returns; water reflects like a rough mirror; a beam that an edge splits returns
+several echoes.
 """
 
 from __future__ import annotations
@@ -13,32 +13,25 @@ from statistics import NormalDist
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import LidarParams, LidarScan
 from touchdown.sim.faults.weather import Weather
-from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
+from touchdown.sim.frames import Pose
 from touchdown.sim.lidar import beams, returns
 from touchdown.sim.lidar.patterns.livox import ScanPattern, pattern
 from touchdown.sim.lidar.raycast_scene import Hits, LidarScene, RayTarget, rays_behind
 from touchdown.sim.lidar.weather import Clutter, LidarWeather
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Uint32 = NDArray[np.uint32]
-Indices = NDArray[np.int64]
-
-MovingTrack = Pose | tuple[Array, Array]
-"""A moving body during a scan: one pose, or (positions (M, 3), quats_wxyz (M, 4)) at the same
-instants as the vehicle's own track."""
+from touchdown.sim.moving import BodyTrack
+from touchdown.sim.typing import Array, Bytes, Float32, Indices, Uint32
 
 _MOST_PASSES = 5
 """Porous surfaces that one pulse may cross (each crown counts twice: in and out)."""
 _STEP_BEHIND_M = 1e-3
 _ON_AXIS: Array = np.zeros((1, 3))
 _CONE_MARGIN_RAD = 0.02
-"""Beyond the outermost pulse of the first second: later pulses, pointing errors, beam width."""
+"""Margin around the outermost pulse of the first second, for later pulses, pointing errors, beam
+width."""
 _FWHM_PER_SIGMA = 2.3548200450309493
 _ACROSS = (4, 0, 5, 3, 1, 6, 2)
 """Quantile of a beam's part across its long axis; the index is the one along it."""
@@ -53,11 +46,11 @@ class _Track:
     rotations: Array
 
     @staticmethod
-    def of(times_s: Array, positions: Array, quats_wxyz: Array) -> _Track:
+    def of(body: BodyTrack) -> _Track:
         return _Track(
-            np.ascontiguousarray(times_s, dtype=np.float64),
-            np.ascontiguousarray(positions, dtype=np.float64),
-            beams.rotations_of(np.ascontiguousarray(quats_wxyz, dtype=np.float64)),
+            np.ascontiguousarray(body.times_s, dtype=np.float64),
+            np.ascontiguousarray(body.positions, dtype=np.float64),
+            beams.rotations_of(np.ascontiguousarray(body.quats_wxyz, dtype=np.float64)),
         )
 
     def mounted(self, mount: Pose) -> _Track:
@@ -130,7 +123,7 @@ class LidarSensor:
 
     @property
     def scene(self) -> LidarScene:
-        """What the rays are cast against."""
+        """The scene that rays are cast against."""
         return self._scene
 
     def scan(
@@ -138,17 +131,15 @@ class LidarSensor:
         start_tick: int,
         end_tick: int,
         tick_hz: int,
-        body_times_s: Array,
-        body_positions: Array,
-        body_quats_wxyz: Array,
+        body: BodyTrack,
         body_from_lidar: Pose,
-        moving_poses: Mapping[str, MovingTrack],
+        moving: Mapping[str, BodyTrack],
     ) -> LidarScan:
         """All pulses fired in (start_tick, end_tick].
 
-        The vehicle's track: body_times_s (M,) seconds, ascending, covering the scan (a pose per
-        tick, both ends included); body_positions (M, 3) world metres; body_quats_wxyz (M, 4)
-        world_from_body. ``moving_poses`` by body name; a body left out stays at its rest pose.
+        ``body``: the vehicle's track, which covers the scan (a pose per tick, both ends included).
+        ``moving``: tracks by body name, of one instant or over the scan; a body left out stays at
+        its rest pose.
 
         Raises ValueError when the track does not cover the scan or a name is not a moving body's.
         """
@@ -156,12 +147,11 @@ class LidarSensor:
         first = start_tick * rate // tick_hz + 1
         count = end_tick * rate // tick_hz + 1 - first
         start_s = start_tick / tick_hz
-        self._check_track(body_times_s, start_s, end_tick / tick_hz)
+        self._check_track(body.times_s, start_s, end_tick / tick_hz)
         nominal = self._pattern.directions(first, count)
-        body = _Track.of(body_times_s, body_positions, body_quats_wxyz)
-        track = body.mounted(body_from_lidar)
+        track = _Track.of(body).mounted(body_from_lidar)
         pulses = self._aim(first, nominal, np.arange(count), _ON_AXIS, track)
-        movers = self._in_view(track, self._movers(body_times_s, moving_poses))
+        movers = self._in_view(track, self._movers(body.times_s, moving))
         clutter = self._weather.at(end_tick) if self._weather is not None else None
         ranges, intensity = self._measure(first, nominal, pulses, track, movers, clutter)
         return LidarScan(
@@ -209,8 +199,8 @@ class LidarSensor:
         )
         return rays
 
-    def _movers(self, times_s: Array, poses: Mapping[str, MovingTrack]) -> _Movers:
-        unknown = sorted(set(poses) - set(self._scene.moving))
+    def _movers(self, times_s: Array, moving: Mapping[str, BodyTrack]) -> _Movers:
+        unknown = sorted(set(moving) - set(self._scene.moving))
         if unknown:
             raise ValueError(
                 f"'{unknown[0]}' is not a moving body of the scene: name one of "
@@ -218,13 +208,10 @@ class LidarSensor:
             )
         movers = []
         for name, target in self._scene.moving.items():
-            motion = poses.get(name, self._scene.rest_poses[name])
-            if isinstance(motion, Pose):
-                positions = motion.translation[None]
-                quats = quat_wxyz_from_matrix(motion.rotation)[None]
-                movers.append((target, _Track.of(times_s[:1], positions, quats)))
-            else:
-                movers.append((target, _Track.of(times_s, *motion)))
+            motion = moving.get(name)
+            if motion is None:
+                motion = BodyTrack.at_rest(self._scene.rest_poses[name], times_s[:1])
+            movers.append((target, _Track.of(motion)))
         return movers
 
     def _in_view(self, track: _Track, movers: _Movers) -> _Movers:
@@ -307,7 +294,7 @@ class LidarSensor:
         track: _Track,
         movers: _Movers,
         clutter: Clutter | None,
-    ) -> tuple[Float32, NDArray[np.uint8]]:
+    ) -> tuple[Float32, Bytes]:
         """Ranges and intensities of all pulses."""
         hits, others = self._cast(pulses.rays, pulses.times, movers, open_ground=True)
         split = np.empty(0, dtype=np.int64)
@@ -349,9 +336,9 @@ class LidarSensor:
         track: _Track,
         movers: _Movers,
     ) -> tuple[Indices, list[_Rays], list[Hits]]:
-        """The pulses that an edge divides; rays and first hits of their parts off the axis, part by
-        part. Open ground divides none, and neighbours tell where edges may be; there, two probes
-        at the ends of a beam tell whether its rest is worth casting."""
+        """The pulses that an edge divides, with rays and first hits of their parts off the axis,
+        part by part. Open ground divides no pulse. Where neighbours show a possible edge, two
+        probes at the ends of a beam decide if its other parts are cast."""
         near = np.zeros(len(nominal), dtype=np.bool_)
         near[others] = True
         others = returns.near_edges(nominal, hits.distance, hits.cosine, np.flatnonzero(near))
@@ -378,7 +365,7 @@ class LidarSensor:
             [*(end_hits.at(kept) for end_hits in found), rest.at(rows)],
         )
 
-    def _receive(self, pulses: _Rays, hits: Hits) -> tuple[Float32, Float32, NDArray[np.uint8]]:
+    def _receive(self, pulses: _Rays, hits: Hits) -> tuple[Float32, Float32, Bytes]:
         """Strengths, ranges and intensities of rays as pulses of their own."""
         optics = self._scene.optics
         strengths = np.empty(len(pulses.rays), dtype=np.float32)

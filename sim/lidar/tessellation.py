@@ -11,10 +11,10 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Triangles = NDArray[np.int32]
+from touchdown.sim.typing import Array, Indices, Int32
+
+Triangles = Int32
 Mesh = tuple[Array, Triangles]
 """Vertices (V, 3) in metres, geom frame; triangles (T, 3), counter-clockwise seen from outside."""
 
@@ -184,7 +184,7 @@ def _grid_triangles(rows: int, cols: int) -> Triangles:
     return _quads(np.stack(corners, axis=-1).reshape(-1, 4))
 
 
-def _quads(corners: NDArray[np.int64]) -> Triangles:
+def _quads(corners: Indices) -> Triangles:
     """(Q, 4) counter-clockwise corners -> (2 Q, 3), cut from corner 0 to corner 2."""
     halves = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]], axis=0)
     return halves.astype(np.int32)

@@ -1,4 +1,4 @@
-"""Fog and rain before a LIDAR: weaker echoes of targets, and echoes of the air itself.
+"""Effects of fog and rain on a LIDAR: weaker echoes of targets, and echoes of the air itself.
 
 An echo of the strength s (reflectivity times cosine) at the range d arrives with s exp(-2 e d), e
 the extinction of ``sim.faults.weather``, and is found or not by the same link budget as in clear
@@ -24,22 +24,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.sim.api import LidarParams
 from touchdown.sim.faults.weather import Air, Weather, fog_extinction
 from touchdown.sim.lidar import returns
 from touchdown.sim.lidar.patterns.livox import ScanPattern
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Uint8 = NDArray[np.uint8]
-Uint32 = NDArray[np.uint32]
+from touchdown.sim.typing import Array, Bytes, Float32, Uint32
 
 LIDAR_NM = 905.0
 LIDAR_RATIO_SR = 18.8
 LEAST_STRENGTH = 0.01
-"""of an echo of the air that counts, near by"""
+"""Least strength of an echo of the air that is reported at short range"""
 
 _SPECKLES = 25.0
 _DROPS_PER_M3_MM = 8000.0
@@ -76,17 +71,17 @@ class Clutter:
 
     @cached_property
     def expected(self) -> Array:
-        """(K,) echoes to be expected between the LIDAR and each of the grid's ranges."""
+        """(K,) expected number of echoes between the LIDAR and each of the grid's ranges."""
         per_metre = self.fog_per_metre() + self.rain_per_metre()
         return np.concatenate([[0.0], np.cumsum(per_metre[1:] * _STEP_M)])
 
     @cached_property
     def threshold(self) -> Array:
-        """(K,) strength from which an echo of the air counts."""
+        """(K,) least strength of an echo of the air that is reported."""
         return np.maximum(self.beam.budget.strength_needed(grid_m()), LEAST_STRENGTH)
 
     def fog_per_metre(self) -> Array:
-        """(K,) chance per metre that fog alone is taken for a target."""
+        """(K,) rate per metre of fog echoes that are reported as a target."""
         from scipy.special import gammaincc  # takes a while to load
 
         if self.air.visibility_m is None:
@@ -98,7 +93,7 @@ class Clutter:
         return share / length
 
     def rain_per_metre(self) -> Array:
-        """(K,) drops per metre of beam that are large enough to be taken for a target."""
+        """(K,) drops per metre of beam that are large enough to be reported as a target."""
         rate = self.air.rain_mmph
         if rate <= 0.0:
             return np.zeros(len(grid_m()))
@@ -117,9 +112,9 @@ class Clutter:
         return 1.0 / (marshall_palmer_slope(self.air.rain_mmph) * least_mm)
 
     def weaken(
-        self, distance: Float32, bits: Uint32, strengths: Float32, ranges: Float32, intensity: Uint8
+        self, distance: Float32, bits: Uint32, strengths: Float32, ranges: Float32, intensity: Bytes
     ) -> None:
-        """As ``sim.lidar.returns.weaken``, in place."""
+        """Attenuates echoes in place, see `sim.lidar.returns.weaken`."""
         returns.weaken(
             distance,
             bits,
@@ -131,8 +126,8 @@ class Clutter:
             intensity,
         )
 
-    def scatter(self, bits: Uint32, ranges: Float32, intensity: Uint8) -> None:
-        """As ``sim.lidar.returns.clutter``, in place."""
+    def scatter(self, bits: Uint32, ranges: Float32, intensity: Bytes) -> None:
+        """Adds echoes of the air in place, see `sim.lidar.returns.clutter`."""
         returns.clutter(
             bits,
             self.expected,
@@ -173,7 +168,7 @@ class LidarWeather:
         self._known: dict[Air, Clutter] = {}
 
     def at(self, tick: int) -> Clutter | None:
-        """None where the air is clear."""
+        """Clutter at ``tick``; None where the air is clear."""
         air = self._weather.at(tick)
         if air is None:
             return None

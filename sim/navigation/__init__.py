@@ -1,1 +1,1 @@
-"""The small sensors: GPS receiver, barometer, magnetometer, rangefinder, their rates and delays."""
+"""Navigation sensors: GPS receiver, barometer, magnetometer, rangefinder; rates and delays."""

@@ -1,12 +1,10 @@
-"""The small sensors - GPS, barometer, magnetometer, rangefinder - at their own rates and delays."""
+"""Navigation sensors (GPS, barometer, magnetometer, rangefinder) at their own rates and delays."""
 
 from __future__ import annotations
 
 from typing import Generic, Protocol, TypeVar
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import (
@@ -24,8 +22,8 @@ from touchdown.sim.navigation.barometer import BarometerSensor
 from touchdown.sim.navigation.gps import GpsSensor
 from touchdown.sim.navigation.magnetometer import MagnetometerSensor
 from touchdown.sim.navigation.rangefinder import RangefinderSensor
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 
@@ -38,7 +36,7 @@ class _Timing(Protocol):
 
 
 class Channel(Generic[T]):
-    """When one sensor measures, and what of it is on its way."""
+    """Schedule of one sensor, and its messages in transit."""
 
     def __init__(self, name: str, timing: _Timing, tick_hz: int, wanted: bool) -> None:
         if timing.period_ticks < 1 or tick_hz % timing.period_ticks:
@@ -61,15 +59,15 @@ class Channel(Generic[T]):
         self._queue.submit(tick + self._latency, lambda: sample)
 
     def collect(self, tick: int) -> tuple[T, ...]:
-        """What has arrived by ``tick`` and was not collected yet, oldest first."""
+        """Messages that have arrived by ``tick`` and were not collected yet, oldest first."""
         return self._queue.collect(tick)
 
 
 class NavSensors:
-    """Those that ``needs`` asks for. Each has its own random numbers, so that none changes when
-    another is added. The first measurement comes one period after tick 0.
+    """The navigation sensors that ``needs`` names. Each has its own random numbers, so that none
+    changes when another is added. The first measurement comes one period after tick 0.
 
-    ValueError: a parameter that is impossible, of whatever sensor, asked for or not.
+    Raises ValueError for impossible parameters, those of sensors that are not needed included.
     """
 
     def __init__(
@@ -92,7 +90,7 @@ class NavSensors:
             "rangefinder", params.rangefinder, hz, needs.rangefinder
         )
         self.listening = heard or needs.barometer or needs.magnetometer or needs.rangefinder
-        """whether any of them was asked for"""
+        """True if any of them is needed"""
 
     def sense(
         self,

@@ -1,4 +1,4 @@
-"""A satellite receiver: positions whose error wanders, late and slow."""
+"""A satellite receiver: positions with a correlated error, at a low rate, with a delay."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.sim.api import GpsFix, GpsParams
 from touchdown.sim.frames import cross
 from touchdown.sim.noise import GaussMarkov, random_stream
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _CEP_TO_SIGMA = 1.0 / 1.1774
 """Circular error probable (50 %) to the standard deviation of one horizontal axis."""
@@ -59,7 +57,8 @@ PRESETS: Mapping[str, GpsModel] = {
 
 
 def gps_model(params: GpsParams) -> GpsModel:
-    """The preset with what ``params`` overrides. ValueError: unknown preset, negative spread."""
+    """The preset with the fields that ``params`` overrides. Raises ValueError for an unknown preset
+    or a negative standard deviation."""
     if params.preset not in PRESETS:
         known = ", ".join(PRESETS)
         raise ValueError(f"unknown GPS preset '{params.preset}': gps.preset is one of {known}")
@@ -87,7 +86,7 @@ class GpsSensor:
 
     @property
     def receives(self) -> bool:
-        """False where no satellite is ever heard."""
+        """False for a receiver that never has a fix."""
         return self._model.receives
 
     def sample(

@@ -1,16 +1,14 @@
-"""A magnetometer: the earth's field in the body frame, with what calibration left over."""
+"""A magnetometer: the earth's field in the body frame, with a residual of its calibration."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.sim.api import MagnetometerParams, MagnetometerSample
 from touchdown.sim.noise import random_stream
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 
 def earth_field_world(params: MagnetometerParams) -> Array:

@@ -6,14 +6,12 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import LAND_CLASSES, Scene, Surface
 from touchdown.sim.airframe.vehicle import vehicle_body_id
 from touchdown.sim.api import RangefinderParams, RangefinderSample
 from touchdown.sim.noise import random_stream
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _RATED_REFLECTIVITY = 0.7
 _WATER_HALF_ANGLE = math.radians(10.0)

@@ -34,7 +34,7 @@ class GpsParams:
     latency_ticks: CountOrZero = 72
     """ticks from measurement to arrival (120 ms)"""
     antenna_body_m: tuple[float, float, float] = (0.0, 0.0, 0.14)
-    """where the antenna sits, body frame: on top of the battery"""
+    """position of the antenna, body frame: on top of the battery"""
     sigma_xy_m: NotNegative | None = None
     """stationary standard deviation of the wandering error, each horizontal axis"""
     sigma_z_m: NotNegative | None = None
@@ -72,7 +72,7 @@ class BarometerParams:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MagnetometerParams:
-    """Three-axis magnetometer in a field given by its place. Defaults: about the field of the
+    """Three-axis magnetometer in the field of a location. Defaults: about the field of the
     international reference model at 40 degrees north, 116 degrees east, and the noise of a
     Honeywell HMC5883L (data sheet: 2 milligauss)."""
 
@@ -91,7 +91,7 @@ class MagnetometerParams:
     noise_sigma_ut: NotNegative = 0.2
     """standard deviation of the white noise, each axis"""
     hard_iron_sigma_ut: NotNegative = 0.7
-    """what calibration left over, each axis, constant in one flight"""
+    """residual of the calibration, each axis, constant in one flight"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -114,7 +114,7 @@ class RangefinderParams:
     max_range_m: Positive = 100.0
     """on a surface of 70 % reflectivity; darker and slanted ones are lost sooner"""
     position_body_m: tuple[float, float, float] = (-0.06, 0.0, -0.13)
-    """where the beam starts, body frame; it points along body -z"""
+    """origin of the beam, body frame; it points along body -z"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -171,4 +171,4 @@ class RangefinderSample:
     tick: int
     time_s: float
     range_m: float
-    """along body -z from ``RangefinderParams.position_body_m``; 0 where nothing came back"""
+    """along body -z from ``RangefinderParams.position_body_m``; 0 where there was no return"""

@@ -111,8 +111,7 @@ def grounded(compile_files: bool = True) -> Iterator[None]:
     stops = (
         "touchdown.experiments.flight.run.fly_and_judge",
         "touchdown.experiments.external.conformance.check_estimator",
-        "touchdown.sim.stand.SensorStand.__init__",
-        "touchdown.sim.hover.hover_view",
+        "touchdown.sim.posed_sensors.PosedSensors.__init__",
         "concurrent.futures.ProcessPoolExecutor.__init__",
         "subprocess.run",
         "subprocess.Popen.__init__",

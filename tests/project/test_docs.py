@@ -19,7 +19,7 @@ import yaml
 from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import load_config
-from touchdown.experiments.scene_tools.flyability import check_place
+from touchdown.experiments.scene_tools.flyability import check_scene_file
 
 from support.docs_support import (
     FOLDERS,
@@ -271,7 +271,7 @@ def test_the_smallest_place_is_a_place(tmp_path: Path) -> None:
     surfaces = read_mjcf(file).surfaces
     classes = {surface.land_class for surface in surfaces.values()}
     assert classes == {"lawn", "building", "trees"}
-    row = check_place(str(file))
+    row = check_scene_file(str(file))
     assert row["problems"] == row["remarks"] == []
 
 

@@ -17,15 +17,13 @@ from touchdown.sim.api import (
     CameraParams,
     Command,
     GpsParams,
-    ImuParams,
-    LidarParams,
     MagnetometerParams,
     NavParams,
     Observation,
     RangefinderParams,
     SensorNeeds,
     SimParams,
-    WindParams,
+    WorldParams,
 )
 from touchdown.sim.frames import rotation_from_yaw, so3_exp
 from touchdown.sim.navigation.barometer import SEA_LEVEL_PA, BarometerSensor, height_at, pressure_at
@@ -244,14 +242,13 @@ def make_world(field: Scene) -> Iterator[MakeWorld]:
     def make(needs: SensorNeeds = ALL_NAV, nav: NavParams | None = None) -> MujocoWorld:
         world = MujocoWorld(
             field,
-            sim=SimParams(threads=1),
-            wind=WindParams(),
-            lidar=LidarParams(),
-            camera=CameraParams(width=32, height=24),
-            imu=ImuParams(),
-            nav=nav or NavParams(),
-            needs=needs,
-            seed=3,
+            WorldParams(
+                sim=SimParams(threads=1),
+                camera=CameraParams(width=32, height=24),
+                nav=nav or NavParams(),
+            ),
+            3,
+            needs,
         )
         made.append(world)
         return world

@@ -17,7 +17,7 @@ from touchdown.sim.airframe.rotors import Rotors, ground_effect
 from touchdown.sim.airframe.vehicle import (
     foot_positions,
     rotor_geometry,
-    sensor_poses,
+    sensor_mounts,
     vehicle_model,
 )
 from touchdown.sim.api import AIR_DENSITY_KGPM3, GRAVITY_MPS2, VehicleModel
@@ -103,7 +103,7 @@ def test_geoms_are_hidden_from_sensors_and_named_by_part(alone: mujoco.MjModel) 
 
 
 def test_sensors_look_down_across_the_flight_direction(alone: mujoco.MjModel) -> None:
-    imu, lidar, camera, right = sensor_poses(alone, prefix="")
+    imu, lidar, camera, right = sensor_mounts(alone, prefix="")
     np.testing.assert_allclose(imu.matrix(), np.eye(4), atol=1e-12)
     for pose in (lidar, camera, right):
         np.testing.assert_allclose(pose.rotation, BODY_FROM_DOWNWARD_OPTICAL, atol=1e-12)
@@ -112,9 +112,8 @@ def test_sensors_look_down_across_the_flight_direction(alone: mujoco.MjModel) ->
 
 
 def test_mjcf_cameras_match_their_sites(alone: mujoco.MjModel) -> None:
-    for name, pose in zip(
-        ("camera", "camera_right"), sensor_poses(alone, prefix="")[2:], strict=True
-    ):
+    mounts = sensor_mounts(alone, prefix="")
+    for name, pose in (("camera", mounts.camera), ("camera_right", mounts.camera_right)):
         camera = alone.camera(name)
         rotation = matrix_from_quat_wxyz(camera.quat)
         np.testing.assert_allclose(rotation, pose.rotation @ np.diag([1.0, -1.0, -1.0]), atol=1e-12)
@@ -125,15 +124,16 @@ def test_mjcf_cameras_match_their_sites(alone: mujoco.MjModel) -> None:
 
 
 @pytest.mark.parametrize(
-    ("sensor", "field_deg"), [(1, (81.7, 25.1)), (2, (69.0, 42.0)), (3, (69.0, 42.0))]
+    ("sensor", "field_deg"),
+    [("lidar", (81.7, 25.1)), ("camera", (69.0, 42.0)), ("camera_right", (69.0, 42.0))],
 )
 def test_nothing_of_the_vehicle_is_in_view(
-    alone: mujoco.MjModel, sensor: int, field_deg: tuple[float, float]
+    alone: mujoco.MjModel, sensor: str, field_deg: tuple[float, float]
 ) -> None:
     """Rays over the whole field of view, from the sensor's front, meet no part of the vehicle."""
     data = mujoco.MjData(alone)
     mujoco.mj_forward(alone, data)
-    pose = sensor_poses(alone, prefix="")[sensor]
+    pose = getattr(sensor_mounts(alone, prefix=""), sensor)
     hit = np.zeros(1, dtype=np.int32)
     x, y = (np.tan(np.radians(np.linspace(-f / 2, f / 2, 41))) for f in field_deg)
     for direction in np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2):

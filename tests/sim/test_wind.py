@@ -45,7 +45,7 @@ def test_mean_profile_is_logarithmic() -> None:
 
 
 @pytest.mark.parametrize("direction_deg", [0.0, 90.0, 215.0])
-def test_steady_wind_blows_where_it_is_told(direction_deg: float) -> None:
+def test_steady_wind_blows_in_the_given_direction(direction_deg: float) -> None:
     wind = Wind(WindParams(mean_kmh=18.0, direction_deg=direction_deg, turbulence=False), 3)
     angle = np.radians(direction_deg)
     expected = 5.0 * np.array([np.cos(angle), np.sin(angle), 0.0])

@@ -19,13 +19,13 @@ from touchdown.sim.api import (
     CameraParams,
     Command,
     ImuParams,
-    LidarParams,
     Observation,
     SensorNeeds,
     SimParams,
     Truth,
     VehicleModel,
     WindParams,
+    WorldParams,
 )
 from touchdown.sim.frames import so3_exp, yaw_from_rotation
 from touchdown.sim.moving import MovingBodies
@@ -51,7 +51,7 @@ NO_NOISE = ImuParams(
     accel_bias_sigma=0.0,
 )
 SQUARE = np.array([[0.0, -9.0, 0.5], [4.0, -9.0, 0.5], [4.0, -5.0, 0.5], [0.0, -5.0, 0.5]])
-SMALL_PICTURE = CameraParams(width=64, height=36)
+SMALL_IMAGE = CameraParams(width=64, height=36)
 
 MakeWorld = Callable[..., MujocoWorld]
 
@@ -79,13 +79,14 @@ def make_world(scene: Scene) -> Iterator[MakeWorld]:
     ) -> MujocoWorld:
         world = MujocoWorld(
             scene,
-            sim=sim or SimParams(threads=1),
-            wind=wind or WindParams(),
-            lidar=LidarParams(),
-            camera=SMALL_PICTURE,
-            imu=imu or ImuParams(),
-            needs=needs or SensorNeeds(),
-            seed=seed,
+            WorldParams(
+                sim=sim or SimParams(threads=1),
+                wind=wind or WindParams(),
+                camera=SMALL_IMAGE,
+                imu=imu or ImuParams(),
+            ),
+            seed,
+            needs or SensorNeeds(),
         )
         made.append(world)
         return world
@@ -96,7 +97,7 @@ def make_world(scene: Scene) -> Iterator[MakeWorld]:
 
 
 def _climb(vehicle: VehicleModel, truth: Truth, *, rate_mps: float = 1.0) -> Command:
-    """Upright and climbing, by the true state: enough of a pilot to get around."""
+    """Upright and climbing, by the true state: a controller that suffices here."""
     rotation, rates = truth.world_from_body.rotation, truth.angular_velocity_body
     wanted = np.array([0.0, 0.0, GRAVITY_MPS2 + 2.0 * rate_mps]) - 2.0 * truth.velocity_world
     wanted[:2] = np.clip(wanted[:2], -2.0, 2.0)
@@ -147,7 +148,7 @@ def test_nothing_unasked_for_is_sensed(make_world: MakeWorld) -> None:
         assert obs.images == ()
 
 
-def test_stereo_sees_two_pictures_and_sensors_can_be_added_before_a_flight(
+def test_stereo_sees_two_images_and_sensors_can_be_added_before_a_flight(
     make_world: MakeWorld,
 ) -> None:
     world = make_world()
@@ -160,24 +161,23 @@ def test_stereo_sees_two_pictures_and_sensors_can_be_added_before_a_flight(
 
 
 def test_a_rolling_shutter_arrives_like_a_global_one(scene: Scene) -> None:
-    """Same ticks; and the pictures of a vehicle at rest are the same but for the bands' seams."""
-    pictures = {}
+    """Same ticks; and the images of a vehicle at rest are the same but for the bands' seams."""
+    images = {}
     for readout_s in (0.0, 0.02):
         world = MujocoWorld(
             scene,
-            sim=SimParams(threads=1),
-            wind=WindParams(),
-            lidar=LidarParams(),
-            camera=CameraParams(width=64, height=36, readout_s=readout_s),
-            imu=ImuParams(),
-            needs=SensorNeeds(camera_hz=10),
-            seed=3,
+            WorldParams(
+                sim=SimParams(threads=1),
+                camera=CameraParams(width=64, height=36, readout_s=readout_s),
+            ),
+            3,
+            SensorNeeds(camera_hz=10),
         )
         rest = Command(rotor_speed_radps=np.zeros(4))
         observations = [world.reset(), *(world.step(rest) for _ in range(60))]
-        pictures[readout_s] = [(o.tick, i.tick, i.rgb) for o in observations for i in o.images]
+        images[readout_s] = [(o.tick, i.tick, i.rgb) for o in observations for i in o.images]
         world.close()
-    (due, tick, still), (due_rolling, tick_rolling, rolled) = (p[0] for p in pictures.values())
+    (due, tick, still), (due_rolling, tick_rolling, rolled) = (p[0] for p in images.values())
     assert (due, tick) == (due_rolling, tick_rolling) == (96, 60)
     assert np.abs(still.astype(int) - rolled).mean() < 1.0
 
@@ -339,9 +339,9 @@ def test_moving_body_follows_its_closed_path(
     np.testing.assert_allclose(data.mocap_pos[0], [*xy, 0.5], atol=1e-9)
     half = np.radians(yaw_deg) / 2
     np.testing.assert_allclose(data.mocap_quat[0], [np.cos(half), 0, 0, np.sin(half)], atol=1e-12)
-    positions, quats = bodies.tracks(np.array([0.0, time_s]))["cart"]
-    np.testing.assert_array_equal(positions[1], data.mocap_pos[0])
-    np.testing.assert_array_equal(quats[1], data.mocap_quat[0])
+    track = bodies.tracks(np.array([0.0, time_s]))["cart"]
+    np.testing.assert_array_equal(track.positions[1], data.mocap_pos[0])
+    np.testing.assert_array_equal(track.quats_wxyz[1], data.mocap_quat[0])
 
 
 def test_the_cart_moves_with_the_clock(make_world: MakeWorld) -> None:

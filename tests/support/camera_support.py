@@ -59,7 +59,7 @@ def posed(scene: Scene) -> mujoco.MjData:
     return data
 
 
-def take_picture(
+def take_image(
     scene: Scene, params: CameraParams = CLEAN, name: str = "vehicle/camera", tick: int = 0
 ) -> Bytes:
     sensor = CameraSensor(scene, params, 3, name)

@@ -16,6 +16,5 @@ def look_down(
     world: str, height: float, *events: str, params: LidarParams = PERFECT, **faults: Any
 ) -> LidarScan:
     weather = Weather(FaultParams(events=events, **faults), HZ) if events else None
-    times, positions, quats = track((0, 60), height)
     sensor = LidarSensor(make_scene(world, {"plane": BRIGHT}), params, 1, weather)
-    return sensor.scan(0, 60, HZ, times, positions, quats, DOWN, {})
+    return sensor.scan(0, 60, HZ, track((0, 60), height), DOWN, {})

@@ -18,6 +18,7 @@ from touchdown.sim.frames import (
 )
 from touchdown.sim.lidar.patterns import livox
 from touchdown.sim.lidar.returns import LinkBudget
+from touchdown.sim.moving import BodyTrack
 
 Array = NDArray[np.float64]
 
@@ -59,13 +60,13 @@ def make_scene(
     )
 
 
-def track(
-    ticks: tuple[int, int], height: float, turn_rate: Array | None = None
-) -> tuple[Array, Array, Array]:
+def track(ticks: tuple[int, int], height: float, turn_rate: Array | None = None) -> BodyTrack:
+    """The body above the origin, level or turning at ``turn_rate`` (3,) rad/s."""
     times = np.arange(ticks[0], ticks[1] + 1) / TICK_HZ
     rate = np.zeros(3) if turn_rate is None else turn_rate
     quats = np.array([quat_wxyz_from_matrix(so3_exp(rate * (t - times[0]))) for t in times])
-    return times, np.tile([0.0, 0.0, height], (len(times), 1)), quats
+    positions = np.tile([0.0, 0.0, height], (len(times), 1))
+    return BodyTrack(times_s=times, positions=positions, quats_wxyz=quats)
 
 
 PLANE = '<geom name="plane" type="plane" size="0 0 1"/>'

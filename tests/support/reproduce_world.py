@@ -106,7 +106,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
             "consistency": {"consistent": found.consistent},
         }
 
-    @replaced("edges.figures.draw_pictures", "edges")
+    @replaced("edges.figures.draw_figures", "edges")
     def _(folder: Path, seed: int, model: str, notes: Any) -> tuple[Path, Path]:
         files = folder / "edges.jpg", folder / "smoothness.jpg"
         draw(*files)
@@ -117,7 +117,9 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
         facts = SimpleNamespace(mass_kg=4.2, footprint_radius_m=0.53)
         return np.zeros((40, 60, 3), np.uint8), facts
 
-    monkeypatch.setattr("touchdown.experiments.scene_tools.render.load_place", lambda config: None)
+    monkeypatch.setattr(
+        "touchdown.experiments.scene_tools.render.load_configured_scene", lambda _: None
+    )
 
     @replaced("scene_tools.render.render_view", "scene")
     def _(name: str, seed: int, view: str, out: Path) -> None:

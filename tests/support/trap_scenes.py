@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, MapView
-from touchdown.experiments.benchmarks.posed_survey import Surveyed, observe, tow_survey
+from touchdown.experiments.benchmarks.posed_survey import Surveyed, observe, posed_survey
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.landing.mission.trajectory import PiecewiseTrajectory, State, through
@@ -64,7 +64,7 @@ def config_for(path: Path, *more: str) -> Config:
 
 
 def survey(path: Path, *more: str) -> Surveyed:
-    return tow_survey(config_for(path, *more), period_s=0.2)
+    return posed_survey(config_for(path, *more), period_s=0.2)
 
 
 def hover_over(surveyed: Surveyed, xy: Array, height_m: float, seconds: float) -> MapView:

@@ -1,1 +1,1 @@
-"""Scan patterns and data-sheet figures of LIDAR presets."""
+"""Scan patterns and data-sheet figures of LIDAR presets, one module for each kind of optics."""

@@ -1,4 +1,4 @@
-"""Scan patterns and data-sheet figures of Livox LIDARs: where pulse number k points.
+"""Scan patterns (direction of pulse number k) and data-sheet figures of Livox LIDARs.
 
 Parameters of the patterns were fitted to recordings of the real sensors; ranges, fields of view,
 rates and beam widths are those of the manufacturer's data sheets and user manuals.
@@ -10,13 +10,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-import numpy as np
-from numpy.typing import NDArray
-
 from touchdown.sim.lidar.patterns import mid360
 from touchdown.sim.lidar.patterns.risley import Prism, RisleyPattern
-
-Float32 = NDArray[np.float32]
+from touchdown.sim.typing import Float32
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

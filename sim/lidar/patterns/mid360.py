@@ -14,11 +14,9 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.sim.lidar.patterns.risley import check_pulses
-
-Float32 = NDArray[np.float32]
+from touchdown.sim.typing import Float32
 
 POINT_RATE_HZ = 200_000
 _LASERS = 4
@@ -31,7 +29,7 @@ _LEAD_DEG = (28.42, 2.34, 2.69)
 _FAN_STEP_DEG = 0.92
 """Half the angle between neighbours in the fan."""
 _FAN_WIDENING = 1.14
-"""Of the fan in azimuth, where the meridians converge."""
+"""Widening of the fan in azimuth, where the meridians converge."""
 
 
 def directions(start_index: int, count: int) -> Float32:

@@ -13,10 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Float32 = NDArray[np.float32]
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array, Float32
 
 _BLOCK = 384
 """Pulses traced together: fills the lanes of the processor; a multiple of every laser count."""

@@ -33,7 +33,7 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.scenes.api import Scene
-from touchdown.sim.api import CameraParams, LidarParams, LidarScan, SimParams, Truth
+from touchdown.sim.api import CameraParams, LidarScan, Truth, WorldParams
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
 LAWN = """<mujoco><worldbody>
@@ -65,9 +65,7 @@ def lawn(lawn_file: Path) -> Scene:
 
 @pytest.fixture(scope="module")
 def bare(lawn: Scene) -> Iterator[BareWorld]:
-    world = BareWorld(
-        lawn, sim=SimParams(), camera=CameraParams(noise_sigma=0.0), lidar=LidarParams(), seed=0
-    )
+    world = BareWorld(lawn, WorldParams(camera=CameraParams(noise_sigma=0.0)), 0)
     yield world
     world.close()
 
@@ -236,7 +234,7 @@ def test_bench_flights_keep_the_estimator_apart() -> None:
 
 def test_bare_physics_is_mujoco_s_own_step(lawn: Scene) -> None:
     """The measured call is ``mj_step`` alone: the same state as stepping by hand."""
-    world = BareWorld(lawn, sim=SimParams(), camera=CameraParams(), lidar=LidarParams(), seed=0)
+    world = BareWorld(lawn, WorldParams(), 0)
     truth = truth_at(20.0, rotor_speed=400.0)
     world.physics(truth, 12)
     data = mujoco.MjData(lawn.model)

@@ -1,4 +1,4 @@
-"""Pictures of scenes show what is there; seeds are told apart."""
+"""Images of scenes show what is there; seeds are distinguished."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from touchdown.experiments.cli.scenes import VIEW_NAMES
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.drawing.contact_sheet import SHEET_VIEWS, contact_sheet, thumbnails
 from touchdown.experiments.drawing.map_axes import tick_step
-from touchdown.experiments.scene_tools.flyability import check_place
+from touchdown.experiments.scene_tools.flyability import check_scene_file
+from touchdown.experiments.scene_tools.posed_views import HoverView, hover_view
 from touchdown.experiments.scene_tools.seed_check import check_scene
 from touchdown.experiments.scene_tools.views import CLASS_RGB, VIEWS, SceneViews
 from touchdown.scenes.api import Scene
@@ -31,7 +32,6 @@ from touchdown.scenes.truth.survey_facts import (
     layout_rasters,
     survey_facts,
 )
-from touchdown.sim.hover import HoverView, hover_view
 
 PLACE = """
 <mujoco>
@@ -65,23 +65,14 @@ def views(place_file: Path, place: Scene) -> SceneViews:
 
 @pytest.fixture(scope="module")
 def hover(place: Scene) -> HoverView:
-    config = load_config()
-    return hover_view(
-        place,
-        sim=config.sim,
-        camera=config.camera,
-        lidar=config.lidar,
-        seed=0,
-        height_m=30.0,
-        seconds=0.2,
-    )
+    return hover_view(load_config(), place, height_m=30.0, seconds=0.2)
 
 
-def pixel(picture: np.ndarray, x: float, y: float, half: float = 25.0) -> np.ndarray:
+def pixel(image: np.ndarray, x: float, y: float, half: float = 25.0) -> np.ndarray:
     """The colour of world point (x, y) in a map with north up that covers +-half."""
-    rows, cols = picture.shape[0], picture.shape[1]
+    rows, cols = image.shape[0], image.shape[1]
     row = int((half - y) / (2.0 * half) * rows)
-    return picture[row, int((x + half) / (2.0 * half) * cols)].astype(int)
+    return image[row, int((x + half) / (2.0 * half) * cols)].astype(int)
 
 
 def test_the_command_line_offers_every_view() -> None:
@@ -91,12 +82,12 @@ def test_the_command_line_offers_every_view() -> None:
 
 def test_from_above_north_is_up_and_east_is_right(place: Scene) -> None:
     before = place.model.vis.map.zfar, place.model.vis.global_.offwidth
-    picture = render_scene(place, "above", 400)
-    assert picture.shape == (400, 400, 3)
+    image = render_scene(place, "above", 400)
+    assert image.shape == (400, 400, 3)
     assert before == (place.model.vis.map.zfar, place.model.vis.global_.offwidth)
-    assert pixel(picture, 0.0, 10.0).argmax() == 0
-    assert pixel(picture, 0.0, -10.0).argmax() == 1
-    assert pixel(picture, 10.0, -10.0).argmax() == 2
+    assert pixel(image, 0.0, 10.0).argmax() == 0
+    assert pixel(image, 0.0, -10.0).argmax() == 1
+    assert pixel(image, 10.0, -10.0).argmax() == 2
     with pytest.raises(ValueError, match="above, oblique"):
         render_scene(place, "below")
 
@@ -138,11 +129,11 @@ def test_maps_show_class_height_and_safe_ground(views: SceneViews) -> None:
 
 def test_written_maps_have_ticks_and_the_survey(views: SceneViews) -> None:
     assert [tick_step(span) for span in (160.0, 66.0, 34.0, 1.0)] == [10.0, 5.0, 2.0, 0.1]
-    picture = views.draw("class")
-    framed = views.framed("class", picture)
-    height, width = picture.shape[0] - LEGEND_ROWS, picture.shape[1]
+    image = views.draw("class")
+    framed = views.framed("class", image)
+    height, width = image.shape[0] - LEGEND_ROWS, image.shape[1]
     top, left = 14, 54
-    changed = (framed[top : top + height, left : left + width] != picture[:height]).any(axis=-1)
+    changed = (framed[top : top + height, left : left + width] != image[:height]).any(axis=-1)
     # Legs from the middle of the map to the east and north: nothing west of the circle changes.
     assert changed[height // 2 - 10 : height // 2, width // 2 - 10 : width // 2 + 10].any()
     assert not changed[:, : width // 2 - 12].any() and not changed[height // 2 + 12 :].any()
@@ -154,22 +145,22 @@ def test_written_maps_have_ticks_and_the_survey(views: SceneViews) -> None:
     assert views.framed("depth", depth) is depth
 
 
-def test_lidar_picture_is_black_where_nothing_came_back(views: SceneViews) -> None:
-    picture = views.draw("lidar")[:-LEGEND_ROWS]
-    middle = tuple(size // 2 for size in picture.shape[:2])
-    assert picture[middle].any()
-    assert not picture[0, 0].any()
+def test_lidar_image_is_black_where_nothing_came_back(views: SceneViews) -> None:
+    image = views.draw("lidar")[:-LEGEND_ROWS]
+    middle = tuple(size // 2 for size in image.shape[:2])
+    assert image[middle].any()
+    assert not image[0, 0].any()
     depth = views.draw("depth")
     assert depth.shape[0] == 480 + LEGEND_ROWS
 
 
 def test_contact_sheet_has_a_row_for_each_scene() -> None:
     rng = np.random.default_rng(0)
-    pictures = {
+    images = {
         view: rng.integers(0, 255, (300 + 40 * i, 400, 3), dtype=np.uint8)
         for i, view in enumerate(VIEWS)
     }
-    small = thumbnails(pictures)
+    small = thumbnails(images)
     one, two = contact_sheet({"a": small}), contact_sheet({"a": small, "b": small})
     assert one.shape[1] == two.shape[1]
     row = two.shape[0] - one.shape[0]
@@ -177,7 +168,7 @@ def test_contact_sheet_has_a_row_for_each_scene() -> None:
     assert (two[-row + 40 :] == one[-row + 40 :]).all()
 
 
-def test_all_views_of_a_file_are_written_and_told(
+def test_all_views_of_a_file_are_written_and_listed(
     place_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "views"
@@ -288,7 +279,7 @@ SMALL_LAWN = '<geom name="lawn" type="box" size="20 20 1" pos="0 0 -1"/>'
 def test_a_file_is_judged_by_what_a_survey_needs(
     geoms: str, problem: str, remark: str, tmp_path: Path
 ) -> None:
-    row = check_place(write_place(tmp_path, geoms))
+    row = check_scene_file(write_place(tmp_path, geoms))
     for found, expected in ((row["problems"], problem), (row["remarks"], remark)):
         assert len(found) == bool(expected), found
         assert expected in "".join(found)
@@ -305,7 +296,7 @@ def test_the_check_of_a_file_is_a_table_and_an_exit_code(
     assert row["facts"]["legs_share"] == pytest.approx(0.2, abs=0.01)
     short = ["--set", "survey.legs=1", "--set", "survey.leg_length_m=12"]
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # the heap was told of already
+        warnings.simplefilter("error")  # the heap was reported already
         assert cli.main(["scenes", "check", place, *short]) == 0
     shown = capsys.readouterr().out
     assert "lawn (lawn)" in shown and "heap" in shown

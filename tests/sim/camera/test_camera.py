@@ -1,4 +1,4 @@
-"""The camera's conventions, intrinsics, noise and threading on rendered pictures."""
+"""The camera's conventions, intrinsics, noise and threading on rendered images."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from support.camera_support import (
     make_scene,
     posed,
     project,
-    take_picture,
+    take_image,
 )
 
 Array = NDArray[np.float64]
@@ -37,8 +37,8 @@ def test_intrinsics_of_the_d435() -> None:
 
 def test_forward_is_up_and_left_is_left() -> None:
     scene = make_scene(box("ahead", 5.0, 0.0, "1 0 0 1") + box("left", 0.0, 8.0, "0 1 0 1"))
-    picture = take_picture(scene)
-    ahead, left = centroid(picture[..., 0] > 128), centroid(picture[..., 1] > 128)
+    image = take_image(scene)
+    ahead, left = centroid(image[..., 0] > 128), centroid(image[..., 1] > 128)
     assert ahead[1] < 100
     assert left[0] < 200
     assert ahead[0] == pytest.approx(423.5, abs=1.0)
@@ -63,9 +63,9 @@ def test_pixels_are_where_the_pinhole_puts_them(turn: Array) -> None:
         ),
         quat,
     )
-    picture = take_picture(scene)
+    image = take_image(scene)
     for channel, spot in enumerate(spots):
-        seen = centroid(picture[..., channel] > 128)
+        seen = centroid(image[..., channel] > 128)
         expected = project(scene, np.array([spot[0], spot[1], 0.002]))
         assert np.abs(seen - expected).max() < 0.6
 
@@ -75,14 +75,14 @@ def test_right_camera_sees_a_disparity() -> None:
     scene = make_scene(
         '<geom name="red" type="box" size="0.1 0.1 0.001" pos="0 0 18" rgba="1 0 0 1"/>'
     )
-    left = centroid(take_picture(scene)[..., 0] > 128)
-    right = centroid(take_picture(scene, name="vehicle/camera_right")[..., 0] > 128)
+    left = centroid(take_image(scene)[..., 0] > 128)
+    right = centroid(take_image(scene, name="vehicle/camera_right")[..., 0] > 128)
     assert left[0] - right[0] == pytest.approx(616.93 * 0.05 / 1.999, abs=0.6)
     assert left[1] == pytest.approx(right[1], abs=0.2)
 
 
-def test_the_vehicle_is_not_in_its_own_picture() -> None:
-    assert take_picture(make_scene(floor="0 0 1 1"))[..., 2].min() > 200
+def test_the_vehicle_is_not_in_its_own_image() -> None:
+    assert take_image(make_scene(floor="0 0 1 1"))[..., 2].min() > 200
 
 
 def test_snapshot_keeps_its_instant() -> None:
@@ -103,7 +103,7 @@ def test_snapshot_keeps_its_instant() -> None:
 def test_noise_has_its_sigma_and_its_seed() -> None:
     scene = make_scene(floor="0.5 0.5 0.5 1")
     data = posed(scene)
-    clean = take_picture(scene).astype(np.float64)
+    clean = take_image(scene).astype(np.float64)
     params = CameraParams(noise_sigma=1.5)
     sensor = CameraSensor(scene, params, 3)
     first, again, later = (sensor.render(sensor.snapshot(data), tick) for tick in (20, 20, 40))
@@ -122,12 +122,12 @@ def test_noise_has_its_sigma_and_its_seed() -> None:
     assert not first.flags.writeable
 
 
-def test_a_worker_thread_draws_the_same_picture() -> None:
+def test_a_worker_thread_draws_the_same_image() -> None:
     scene = make_scene(box("ahead", 3.0, 1.0, "1 0 0 1"))
     params = CameraParams(noise_sigma=1.5)
-    here = take_picture(scene, params, tick=60)
+    here = take_image(scene, params, tick=60)
     there: list[Bytes] = []
-    worker = threading.Thread(target=lambda: there.append(take_picture(scene, params, tick=60)))
+    worker = threading.Thread(target=lambda: there.append(take_image(scene, params, tick=60)))
     worker.start()
     worker.join()
     np.testing.assert_array_equal(here, there[0])
@@ -169,6 +169,6 @@ def test_unusable_backend_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> No
 def test_model_keeps_its_own_rendering_settings() -> None:
     scene = make_scene()
     before = (scene.model.vis.global_.offwidth, scene.model.vis.quality.shadowsize)
-    take_picture(scene)
+    take_image(scene)
     after = (scene.model.vis.global_.offwidth, scene.model.vis.quality.shadowsize)
     assert before == after

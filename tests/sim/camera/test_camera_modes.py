@@ -20,7 +20,7 @@ from touchdown.sim.camera.sensor import CameraSensor
 from touchdown.sim.clock import readout_ticks
 from touchdown.sim.frames import so3_exp
 
-from support.camera_support import CLEAN, HEIGHT_M, box, centroid, make_scene, posed, take_picture
+from support.camera_support import CLEAN, HEIGHT_M, box, centroid, make_scene, posed, take_image
 
 Array = NDArray[np.float64]
 
@@ -109,12 +109,12 @@ def test_segmentation_counts_pixels_of_every_geom(samples: int) -> None:
     assert sees_left[0] < 423.5 and sees_left[1] < 239.5
 
 
-def test_depth_and_segmentation_belong_to_the_colour_picture() -> None:
+def test_depth_and_segmentation_belong_to_the_colour_image() -> None:
     scene = make_scene(
         '<geom name="crate" type="box" size="1 1 1" pos="3 -4 1" rgba="1 0 0 1"/>', floor="0 0 1 1"
     )
     for params in (CLEAN, CameraParams(noise_sigma=0.0, distortion=BARREL)):
-        red = take_picture(scene, params)[..., 0] > 128
+        red = take_image(scene, params)[..., 0] > 128
         crate = ids_of(scene, params) == scene.model.geom("crate").id
         deep = depth_of(scene, params) < 19.98
         assert (red ^ crate).sum() < 0.03 * crate.sum()
@@ -131,7 +131,7 @@ def test_distortion_is_that_of_opencv() -> None:
     scene_spots = [(0.0, 0.0), (6.5, 11.5), (-6.5, 11.5), (6.5, -11.5), (0.0, 12.5), (-7.0, 0.0)]
     for x, y in scene_spots:
         scene = make_scene(box("spot", x, y, "1 0 0 1"))
-        seen = centroid(take_picture(scene, params)[..., 0] > 128)
+        seen = centroid(take_image(scene, params)[..., 0] > 128)
         optical = np.array([[-y, -x, HEIGHT_M - 0.002]])
         expected, _ = cv2.projectPoints(
             optical, np.zeros(3), np.zeros(3), k.matrix(), np.array(BARREL)
@@ -156,10 +156,10 @@ def test_undistort_inverts_distort() -> None:
     np.testing.assert_allclose(distort(ideal, k).reshape(-1, 2), by_opencv[:, 0], atol=1e-12)
 
 
-def test_rig_reports_the_lens_and_the_picture_keeps_its_size() -> None:
+def test_rig_reports_the_lens_and_the_image_keeps_its_size() -> None:
     params = CameraParams(noise_sigma=0.0, distortion=BARREL)
     scene = make_scene()
-    assert take_picture(scene, params).shape == (480, 848, 3)
+    assert take_image(scene, params).shape == (480, 848, 3)
     np.testing.assert_array_equal(CameraSensor(scene, params, 0).intrinsics().distortion, BARREL)
     raster = make_lens(params).raster
     assert 848 < raster.width < 1000
@@ -169,7 +169,7 @@ def test_rig_reports_the_lens_and_the_picture_keeps_its_size() -> None:
 @pytest.mark.parametrize(
     ("params", "message"),
     [
-        (CameraParams(distortion=(-2.0, 0.0, 0.0, 0.0, 0.0)), r"folds the picture"),
+        (CameraParams(distortion=(-2.0, 0.0, 0.0, 0.0, 0.0)), r"folds the image"),
         (CameraParams(distortion=(-0.35, 0.0, 0.0, 0.0, 0.0), fov_x_deg=110.0), r"folds|raster"),
         (CameraParams(gain=0.0), r"camera\.gain is 0"),
         (CameraParams(readout_s=-0.01), r"camera\.readout_s is -0\.01"),
@@ -188,7 +188,7 @@ def test_impossible_cameras_are_refused(params: CameraParams, message: str) -> N
 def test_gain_multiplies_light() -> None:
     """Two stops (gain 4) raise a display level by 4^(1/2.2) = 1.878, and clip at white."""
     scene = make_scene(box("white", 4.0, 0.0, "0.8 0.8 0.8 1"), floor="0.25 0.25 0.25 1")
-    plain, bright = (take_picture(scene, CameraParams(noise_sigma=0.0, gain=g)) for g in (1.0, 4.0))
+    plain, bright = (take_image(scene, CameraParams(noise_sigma=0.0, gain=g)) for g in (1.0, 4.0))
     dark = plain[..., 0] < 100
     np.testing.assert_allclose(bright[dark], np.rint(plain[dark] * 4.0 ** (1 / 2.2)), atol=1)
     assert (bright[~dark] == 255).all()
@@ -197,9 +197,9 @@ def test_gain_multiplies_light() -> None:
 def test_auto_exposure_brings_the_mean_to_middle_grey_within_its_range() -> None:
     auto = CameraParams(noise_sigma=0.0, auto_exposure=True)
     for shade in ("0.3 0.3 0.3 1", "0.7 0.7 0.7 1"):
-        assert take_picture(make_scene(floor=shade), auto).mean() == pytest.approx(110.0, abs=1.0)
-    night = take_picture(make_scene(floor="0.04 0.04 0.04 1"), auto)
-    plain = take_picture(make_scene(floor="0.04 0.04 0.04 1"))
+        assert take_image(make_scene(floor=shade), auto).mean() == pytest.approx(110.0, abs=1.0)
+    night = take_image(make_scene(floor="0.04 0.04 0.04 1"), auto)
+    plain = take_image(make_scene(floor="0.04 0.04 0.04 1"))
     assert night.mean() == pytest.approx(plain.mean() * 4.0 ** (1 / 2.2), abs=1.0)
 
 
@@ -207,7 +207,7 @@ def test_auto_exposure_brings_the_mean_to_middle_grey_within_its_range() -> None
 
 
 def rolling(params: CameraParams, shifts_m: Array) -> NDArray[np.uint8]:
-    """A picture of a long stripe across the rows, the camera moved sideways between instants."""
+    """An image of a long stripe across the rows, the camera moved sideways between instants."""
     scene = make_scene(
         '<geom name="stripe" type="box" size="30 0.2 0.001" pos="0 0 0.001" rgba="1 0 0 1"/>'
     )
@@ -231,8 +231,8 @@ def test_rolling_shutter_shears_what_moves_sideways(distortion: tuple[float, ...
     params = CameraParams(noise_sigma=0.0, distortion=distortion)  # type: ignore[arg-type]
     still, moved = rolling(params, np.zeros(10)), rolling(params, np.linspace(0.0, 0.2, 10))
 
-    def column(picture: NDArray[np.uint8], row: int) -> float:
-        return float(np.nonzero(picture[row, :, 0] > 128)[0].mean())
+    def column(image: NDArray[np.uint8], row: int) -> float:
+        return float(np.nonzero(image[row, :, 0] > 128)[0].mean())
 
     shift = [column(moved, row) - column(still, row) for row in range(10, 480, 48)]
     expected = intrinsics_of(params).fx / (HEIGHT_M - 0.002) * np.linspace(0.0, 0.2, 10)
@@ -258,11 +258,11 @@ def test_readout_must_fit_the_clock() -> None:
 # ------------------------------------------------------------------------------- backends
 
 
-def picture_elsewhere(**environment: str) -> subprocess.CompletedProcess[str]:
-    """A picture taken in a process of its own, without a display: GL libraries are loaded once."""
+def image_elsewhere(**environment: str) -> subprocess.CompletedProcess[str]:
+    """An image taken in a process of its own, without a display: GL libraries are loaded once."""
     script = (
         "from support.camera_support import *; import os; "
-        "p = take_picture(make_scene(floor='0 0 1 1')); "
+        "p = take_image(make_scene(floor='0 0 1 1')); "
         "print(os.environ['MUJOCO_GL'], int(p[..., 2].min() > 200))"
     )
     hidden = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM")
@@ -278,15 +278,15 @@ def picture_elsewhere(**environment: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_backend_that_was_asked_for_and_fails_is_not_replaced() -> None:
-    done = picture_elsewhere(MUJOCO_GL="glfw")
+    done = image_elsewhere(MUJOCO_GL="glfw")
     assert done.returncode != 0
     assert "no offscreen rendering on this machine (glfw: " in done.stderr
     assert "osmesa: " not in done.stderr
 
 
 def test_osmesa_takes_over_where_egl_fails() -> None:
-    """EGL is told to use a device that does not exist."""
-    done = picture_elsewhere(MUJOCO_EGL_DEVICE_ID="999")
+    """EGL is set to use a device that does not exist."""
+    done = image_elsewhere(MUJOCO_EGL_DEVICE_ID="999")
     if "no offscreen rendering on this machine" in done.stderr:
         assert all(f"{name}: " in done.stderr for name in ("egl", "osmesa", "glfw"))
         pytest.skip("OSMesa is not installed")

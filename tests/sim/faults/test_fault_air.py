@@ -159,14 +159,14 @@ def photograph(scene: Scene, *events: str, **faults: Any) -> NDArray[np.uint8]:
 def test_contrast_falls_by_koschmieders_law(grey: float) -> None:
     """20 m below the camera, and 25.1 m on the way to a corner."""
     scene = camera_scene(floor=f"{grey} {grey} {grey} 1")
-    picture = photograph(scene, "fog@0", fog_visibility_m=60.0)
+    image = photograph(scene, "fog@0", fog_visibility_m=60.0)
     k = CameraSensor(scene, CLEAN, 0).intrinsics()
     corner = math.sqrt(1.0 + (k.cx / k.fx) ** 2 + (k.cy / k.fy) ** 2)
     airlight = (AIRLIGHT_LEVEL / 255.0) ** 2.2
     for row, col, stretch in ((240, 424, 1.0), (0, 0, corner), (479, 847, corner)):
         clear = math.exp(-3.912 / 60.0 * HEIGHT_M * stretch)
         expected = level_of(grey * clear + airlight * (1.0 - clear))
-        assert abs(float(picture[row, col, 1]) - expected) < 1.5
+        assert abs(float(image[row, col, 1]) - expected) < 1.5
 
 
 def test_dirt_covers_the_share_that_was_asked_for() -> None:
@@ -202,10 +202,10 @@ def test_glare_follows_the_cosine_of_the_sun_on_the_lens() -> None:
         scene = camera_scene(sun, quat_wxyz=f"{math.cos(half)} 0 {-math.sin(half)} 0")
         camera = CameraSensor(scene, CLEAN, 0)
         faults = FaultParams(events=("low_sun@0",), low_sun_deg=11.31, glare=0.05)
-        trouble = CameraDegradations(
+        degradations = CameraDegradations(
             faults, HZ, CLEAN, camera.intrinsics(), scene.model, 0, "vehicle/camera"
         )
-        stray = trouble.stray_light(camera.snapshot(posed(scene)))
+        stray = degradations.stray_light(camera.snapshot(posed(scene)))
         cosine = math.sin(math.radians(pitch_deg) - math.atan(0.2))
         if cosine <= 0.0:
             assert stray is None
@@ -218,7 +218,7 @@ def test_glare_follows_the_cosine_of_the_sun_on_the_lens() -> None:
 # -------------------------------------------------------------------------------------------- sun
 
 
-def test_a_low_sun_is_red_and_stands_where_it_is_told_to() -> None:
+def test_a_low_sun_is_red_and_stands_at_the_given_azimuth() -> None:
     assert air_mass(90.0) == pytest.approx(1.0, abs=1e-3)
     assert air_mass(10.0) == pytest.approx(5.59, abs=0.02)  # table of Kasten and Young
     red, green, blue = sun_colour(10.0)

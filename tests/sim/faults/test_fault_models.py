@@ -20,11 +20,10 @@ from touchdown.sim.api import (
     CameraParams,
     Command,
     FaultParams,
-    LidarParams,
     SensorNeeds,
     SimParams,
     VehicleModel,
-    WindParams,
+    WorldParams,
 )
 from touchdown.sim.faults.disturbances import Disturbances, gust_speed
 from touchdown.sim.frames import Pose, so3_log
@@ -134,14 +133,14 @@ def test_a_weak_motor_loses_the_stated_share_of_its_thrust() -> None:
 
 
 def test_a_miscalibrated_mount_is_off_by_the_stated_amounts() -> None:
-    told = Pose(DOWN.rotation, np.array([0.1, 0.0, -0.05]))
+    nominal = Pose(DOWN.rotation, np.array([0.1, 0.0, -0.05]))
 
     def off(seed: int, tick: int) -> tuple[float, float]:
         true = Disturbances(FaultParams(events=("miscalibration@1",)), HZ, 0.0, seed).lidar_mount(
-            tick, told
+            tick, nominal
         )
-        turn = so3_log(told.rotation.T @ true.rotation)
-        shift = true.translation - told.translation
+        turn = so3_log(nominal.rotation.T @ true.rotation)
+        shift = true.translation - nominal.translation
         return math.degrees(float(np.linalg.norm(turn))), float(np.linalg.norm(shift))
 
     assert off(0, 599) == (0.0, 0.0)
@@ -162,13 +161,19 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return load_scene(str(path), 0)
 
 
+def params_with(faults: FaultParams) -> WorldParams:
+    return WorldParams(
+        sim=SimParams(threads=1),
+        camera=CameraParams(width=64, height=36),
+        imu=load_config().imu,
+        faults=faults,
+    )
+
+
 def seconds_in_the_air(place: Scene, *events: str) -> Iterator[bytes]:
     """All that is sensed and true of each half second in the air, as bytes."""
-    world = MujocoWorld(
-        place, sim=SimParams(threads=1), wind=WindParams(), lidar=LidarParams(), seed=3,
-        camera=CameraParams(width=64, height=36), imu=load_config().imu,
-        needs=SensorNeeds(camera_hz=15, lidar=True, gps=True), faults=FaultParams(events=events),
-    )  # fmt: skip
+    needs = SensorNeeds(camera_hz=15, lidar=True, gps=True)
+    world = MujocoWorld(place, params_with(FaultParams(events=events)), 3, needs)
     try:
         world.start_in_air(np.array([0.0, 0.0, 12.0]), 0.3)
         model = world.rig.vehicle
@@ -193,20 +198,16 @@ ALL_LATER = tuple(
 
 
 def test_faults_change_nothing_before_they_begin(place: Scene) -> None:
-    clean, troubled = list(seconds_in_the_air(place)), list(seconds_in_the_air(place, *ALL_LATER))
-    assert troubled[0] == clean[0]
-    assert troubled[2] != clean[2]
-    assert list(seconds_in_the_air(place, *ALL_LATER)) == troubled
+    clean, faulty = list(seconds_in_the_air(place)), list(seconds_in_the_air(place, *ALL_LATER))
+    assert faulty[0] == clean[0]
+    assert faulty[2] != clean[2]
+    assert list(seconds_in_the_air(place, *ALL_LATER)) == faulty
     assert list(seconds_in_the_air(place, "fog@99", "gust@99", "lens_dirt@99")) == clean
 
 
 def test_what_happens_in_the_world_is_counted(place: Scene) -> None:
     params = FaultParams(events=("fog@0.5", "gust@0.1+3"))
-    world = MujocoWorld(
-        place, sim=SimParams(threads=1), wind=WindParams(), lidar=LidarParams(), seed=3,
-        camera=CameraParams(width=64, height=36), imu=load_config().imu,
-        needs=SensorNeeds(lidar=True), faults=params,
-    )  # fmt: skip
+    world = MujocoWorld(place, params_with(params), 3, SensorNeeds(lidar=True))
     for _ in range(HZ // STEP):
         world.step(Command(rotor_speed_radps=np.zeros(4)))
     world.close()
@@ -232,7 +233,7 @@ def test_what_happens_in_the_world_is_counted(place: Scene) -> None:
         (["wind.mean_kmh=40.0"], ("gust@5",), "gust_kmh = 30 is below wind.mean_kmh = 40"),
     ],
 )
-def test_mistakes_are_told_in_one_line(
+def test_mistakes_are_reported_in_one_line(
     overrides: list[str], events: tuple[str, ...], words: str
 ) -> None:
     with pytest.raises(UsageError, match=words) as caught:

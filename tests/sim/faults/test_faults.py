@@ -174,7 +174,7 @@ def test_every_kind_is_read_back(kind: str) -> None:
         ("", "KIND@START"),
     ],
 )
-def test_mistakes_are_told_in_one_line(text: str, words: str) -> None:
+def test_mistakes_are_reported_in_one_line(text: str, words: str) -> None:
     with pytest.raises(UsageError, match=words) as caught:
         load_config(fault=(text,))
     assert "\n" not in str(caught.value) and "--fault" in str(caught.value)
@@ -223,7 +223,7 @@ def test_a_survey_with_all_of_them(estimator: str) -> None:
     assert all(sum(entry["messages"].values()) > 0 for entry in result["faults"])
 
 
-def test_a_fault_of_a_sensor_that_nobody_reads_is_told() -> None:
+def test_a_fault_of_a_sensor_that_nobody_reads_is_reported() -> None:
     schedule = ["gps_dropout@20+5", "lidar_nan@3", "fog@0", "gust@9"]
     config = load_config(estimator="livo", fault=schedule)
     all_but_gps = SensorNeeds(camera_hz=10, lidar=True)

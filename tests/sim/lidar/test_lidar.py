@@ -17,6 +17,7 @@ from touchdown.sim.frames import (
 )
 from touchdown.sim.lidar.patterns import livox
 from touchdown.sim.lidar.sensor import LidarSensor
+from touchdown.sim.moving import BodyTrack
 
 from support.lidar_support import (
     BRIGHT,
@@ -42,12 +43,12 @@ def take_scan(
     seed: int = 1,
     ticks: tuple[int, int] = (0, 60),
     turn_rate: Array | None = None,
-    **bodies: object,
+    **bodies: Pose,
 ) -> LidarScan:
     """A scan from (0, 0, height), the body level or turning at ``turn_rate`` (3,) rad/s."""
-    times, positions, quats = track(ticks, height, turn_rate)
-    sensor = LidarSensor(scene, params, seed)
-    return sensor.scan(*ticks, TICK_HZ, times, positions, quats, mount, dict(bodies))  # type: ignore[arg-type]
+    body = track(ticks, height, turn_rate)
+    moving = {name: BodyTrack.at_rest(pose, body.times_s[:1]) for name, pose in bodies.items()}
+    return LidarSensor(scene, params, seed).scan(*ticks, TICK_HZ, body, mount, moving)
 
 
 def returned(scan: LidarScan) -> NDArray[np.bool_]:
@@ -235,10 +236,10 @@ def test_turning_vehicle_bends_the_wall_until_deskewed() -> None:
 def test_lever_arm_and_translation() -> None:
     """A LIDAR 0.4 m below a body that climbs at 10 m/s sees the ground recede."""
     scene = make_scene(PLANE, {"plane": BRIGHT})
-    times, positions, quats = track((0, 60), 20.0)
-    positions[:, 2] += 10.0 * times
+    body = track((0, 60), 20.0)
+    body.positions[:, 2] += 10.0 * body.times_s
     mount = Pose(DOWN.rotation, np.array([0.0, 0.0, -0.4]))
-    scan = LidarSensor(scene, PERFECT, 0).scan(0, 60, TICK_HZ, times, positions, quats, mount, {})
+    scan = LidarSensor(scene, PERFECT, 0).scan(0, 60, TICK_HZ, body, mount, {})
     heights = scan.ranges * scan.directions[:, 2]
     np.testing.assert_allclose(heights, 19.6 + 10.0 * scan.time_offsets, atol=1e-3)
 
@@ -267,10 +268,11 @@ def test_moving_body_is_hit_where_it_is() -> None:
 
 def test_moving_body_moves_within_the_scan() -> None:
     scene = make_scene(PLANE + CAR, {"plane": BRIGHT, "car": BRIGHT})
-    times, positions, quats = track((0, 60), 20.0)
+    body = track((0, 60), 20.0)
+    times = body.times_s
     path = np.stack([0.0 * times, -3.0 + 60.0 * times, 0.75 + 0.0 * times], axis=-1)
     sensor = LidarSensor(scene, PERFECT, 0)
-    scan = sensor.scan(0, 60, TICK_HZ, times, positions, quats, DOWN, {"car": (path, quats)})
+    scan = sensor.scan(0, 60, TICK_HZ, body, DOWN, {"car": replace(body, positions=path)})
     points = scan.points.astype(np.float64) @ DOWN.rotation.T + [0.0, 0.0, 20.0]
     on_roof = np.abs(points[:, 2] - 1.5) < 0.01
     drawn_from = -3.0 + 60.0 * scan.time_offsets.astype(np.float64)
@@ -284,23 +286,24 @@ def test_unknown_moving_body_is_named() -> None:
 
 
 def test_track_must_cover_the_scan() -> None:
-    times, positions, quats = track((0, 59), 20.0)
     with pytest.raises(ValueError, match="cover the scan"):
         LidarSensor(make_scene(PLANE), PERFECT, 0).scan(
-            0, 60, TICK_HZ, times, positions, quats, DOWN, {}
+            0, 60, TICK_HZ, track((0, 59), 20.0), DOWN, {}
         )
 
 
 def test_quaternion_signs_do_not_matter() -> None:
     scene = make_scene(wall(20.0, 60.0), {"wall": BRIGHT})
-    times, positions, quats = track((0, 60), 30.0, np.array([0.1, 0.2, 0.9]))
+    body = track((0, 60), 30.0, np.array([0.1, 0.2, 0.9]))
+    quats = body.quats_wxyz
     flipped = quats * np.where(np.arange(61) % 3 == 0, -1.0, 1.0)[:, None]
     np.testing.assert_allclose(
         matrices_from_quats_wxyz(flipped), matrices_from_quats_wxyz(quats), atol=1e-12
     )
     sensor = LidarSensor(scene, PERFECT, 0)
     scans = [
-        sensor.scan(0, 60, TICK_HZ, times, positions, q, FORWARD, {}) for q in (quats, flipped)
+        sensor.scan(0, 60, TICK_HZ, replace(body, quats_wxyz=q), FORWARD, {})
+        for q in (quats, flipped)
     ]
     np.testing.assert_allclose(scans[0].ranges, scans[1].ranges, atol=1e-4)
 

@@ -14,6 +14,7 @@ from touchdown.sim.api import LidarParams, LidarScan
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
 from touchdown.sim.lidar.patterns.livox import HORIZON, PATTERNS
 from touchdown.sim.lidar.sensor import LidarSensor, beam_parts
+from touchdown.sim.moving import BodyTrack
 
 Array = NDArray[np.float64]
 
@@ -40,11 +41,10 @@ def make_scene(world: str, **surfaces: Surface) -> Scene:
 
 
 def scan_from(height: float, scene: Scene, params: LidarParams) -> LidarScan:
-    times = np.arange(61) / 600.0
-    positions = np.tile([0.0, 0.0, height], (61, 1))
-    quats = np.tile([1.0, 0.0, 0.0, 0.0], (61, 1))
+    above = Pose(np.eye(3), np.array([0.0, 0.0, height]))
+    body = BodyTrack.at_rest(above, np.arange(61) / 600.0)
     sensor = LidarSensor(scene, params, 3)
-    return sensor.scan(0, 60, 600, times, positions, quats, DOWN, {})
+    return sensor.scan(0, 60, 600, body, DOWN, {})
 
 
 def points(scan: LidarScan, height: float) -> Array:

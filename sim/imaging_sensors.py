@@ -1,0 +1,145 @@
+"""Camera and LIDAR of a flying vehicle: exposures, scans, worker threads and delayed delivery.
+
+The physics thread records poses and snapshots at their ticks; images are rendered in one worker
+thread and scans cast in another, and both arrive ``compute_latency_ticks`` later.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from touchdown.scenes.api import Scene
+from touchdown.sim.airframe.vehicle import sensor_mounts
+from touchdown.sim.api import CameraImage, LidarScan, SensorNeeds, WorldParams
+from touchdown.sim.camera.gl import Snapshot
+from touchdown.sim.camera.sensor import CAMERA_NAME, CameraSensor
+from touchdown.sim.clock import image_period_ticks, readout_ticks
+from touchdown.sim.delivery import DeliveryQueue, make_executor
+from touchdown.sim.faults.disturbances import Disturbances
+from touchdown.sim.faults.weather import Weather
+from touchdown.sim.lidar.patterns.livox import pattern
+from touchdown.sim.lidar.sensor import LidarSensor
+from touchdown.sim.moving import BodyTrack, MovingBodies
+from touchdown.sim.typing import Array
+
+RIGHT_CAMERA = "vehicle/camera_right"
+
+
+class ImagingSensors:
+    """Cameras and LIDAR, built when they are needed. Call ``start`` before the first tick.
+
+    Raises ValueError for impossible parameters, those of a LIDAR that nothing needs included.
+    """
+
+    def __init__(self, scene: Scene, params: WorldParams, seed: int, moving: MovingBodies) -> None:
+        self._scene, self._params, self._seed, self._moving = scene, params, seed, moving
+        self._sim, self._model = params.sim, scene.model
+        self._renderer = make_executor(self._sim.threads)
+        self._caster = make_executor(self._sim.threads)
+        self.mounts = sensor_mounts(self._model)
+        """True extrinsics of all sensors"""
+        ticks = self._sim.lidar_scan_ticks
+        self._positions, self._quats = np.empty((ticks + 1, 3)), np.empty((ticks + 1, 4))
+        pattern(params.lidar.preset)  # an unknown one is an error even where no LIDAR is needed
+        self.camera = self._make_camera(CAMERA_NAME)
+        self._right: CameraSensor | None = None
+        self._lidar: LidarSensor | None = None
+        self._image_period = 0
+        self._readout = readout_ticks(params.camera.readout_s, self._sim)
+        self._instants: list[Snapshot] = []
+        self.scans: DeliveryQueue[LidarScan] = DeliveryQueue(self._caster)
+        self.images: DeliveryQueue[CameraImage] = DeliveryQueue(self._renderer)
+
+    def _make_camera(self, name: str) -> CameraSensor:
+        params = self._params
+        return CameraSensor(
+            self._scene, params.camera, self._seed, name, params.faults, self._sim.tick_hz
+        )
+
+    def add(self, needs: SensorNeeds) -> None:
+        """Builds the sensors that ``needs`` names and that are not there yet."""
+        self._image_period = image_period_ticks(self._sim, needs)
+        if needs.lidar and self._lidar is None:
+            air = Weather(self._params.faults, self._sim.tick_hz)
+            self._lidar = LidarSensor(self._scene, self._params.lidar, self._seed, air)
+        if needs.stereo and self._right is None:
+            self._right = self._make_camera(RIGHT_CAMERA)
+
+    def start(self, position: Array, quat_wxyz: Array, disturbances: Disturbances) -> None:
+        """Starts the body's track at a pose: (3,) m and (4,) world_from_body."""
+        self._disturbances = disturbances
+        self._positions[0], self._quats[0] = position, quat_wxyz
+
+    def clear(self) -> None:
+        """Drops everything in transit."""
+        self.scans.clear()
+        self.images.clear()
+        self._instants.clear()
+
+    def close(self) -> None:
+        """Ends the worker threads and frees the cameras."""
+        self.clear()
+        for camera in (self.camera, self._right):
+            if camera is not None:
+                self._renderer.submit(camera.close).result()
+        self._renderer.shutdown(wait=True)
+        self._caster.shutdown(wait=True)
+
+    def sense(self, tick: int, data: mujoco.MjData, position: Array, quat_wxyz: Array) -> None:
+        """Records the pose of ``tick`` for the scan, and the instant of an exposure that it is part
+        of; submits what is complete."""
+        if self._lidar is not None:
+            self._record_pose(tick, position, quat_wxyz)
+        if self._image_period:
+            self._expose(tick, data)
+
+    def _record_pose(self, tick: int, position: Array, quat_wxyz: Array) -> None:
+        ticks = self._sim.lidar_scan_ticks
+        row = (tick - 1) % ticks + 1
+        self._positions[row], self._quats[row] = position, quat_wxyz
+        if row == ticks:
+            track = BodyTrack(
+                times_s=np.arange(tick - ticks, tick + 1) / self._sim.tick_hz,
+                positions=self._positions.copy(),
+                quats_wxyz=self._quats.copy(),
+            )
+            self.scans.submit(tick + self._sim.compute_latency_ticks, self._scan, tick, track)
+            self._positions[0], self._quats[0] = position, quat_wxyz
+
+    def _expose(self, tick: int, data: mujoco.MjData) -> None:
+        """Takes a snapshot at every tick of a rolling shutter's readout, which ends at the camera's
+        pulse."""
+        until_pulse = -tick % self._image_period
+        if until_pulse > self._readout:
+            return
+        self._moving.write(data, tick / self._sim.tick_hz)
+        # mj_step leaves positions of the tick's beginning behind.
+        mujoco.mj_kinematics(self._model, data)
+        mujoco.mj_camlight(self._model, data)
+        self._instants.append(self.camera.snapshot(data))
+        if until_pulse == 0:
+            due = tick + self._sim.compute_latency_ticks
+            self.images.submit(due, self._render, tuple(self._instants), tick)
+            self._instants.clear()
+
+    # ------------------------------------------------------------------------ worker threads
+
+    def _scan(self, end_tick: int, track: BodyTrack) -> LidarScan:
+        assert self._lidar is not None
+        return self._lidar.scan(
+            end_tick - self._sim.lidar_scan_ticks,
+            end_tick,
+            self._sim.tick_hz,
+            track,
+            self._disturbances.lidar_mount(end_tick, self.mounts.lidar),
+            self._moving.tracks(track.times_s),
+        )
+
+    def _render(self, instants: tuple[Snapshot, ...], tick: int) -> CameraImage:
+        return CameraImage(
+            tick=tick,
+            time_s=tick / self._sim.tick_hz,
+            rgb=self.camera.render(instants, tick),
+            right_rgb=self._right.render(instants, tick) if self._right else None,
+        )
