@@ -126,7 +126,7 @@ def _clock(seconds: float) -> str:
 
 
 def print_summary(figures: Mapping[str, Any]) -> None:
-    """How far a campaign is and what it took."""
+    """Prints the progress, the outcomes and the cost of a campaign."""
     console = make_console()
     console.print(
         f"{figures['name']}: {figures['finished']} of {figures['runs']} runs finished, "
