@@ -125,8 +125,8 @@ class Comparison:
         return [cell.name for cell in self.cells if cell.detectable is None]
 
     def failed(self, require_power: bool = False) -> bool:
-        """True if something got worse or nothing was compared; with ``require_power`` also if a cell
-        has too few flights to find any change."""
+        """True if something got worse or nothing was compared; with ``require_power`` also
+        if a cell has too few flights to find any change."""
         return self.regressed or not self.cells or (require_power and bool(self.blind))
 
     def as_json(self) -> dict[str, Any]:
