@@ -1,4 +1,4 @@
-"""What every command writes to a terminal: progress, notes, one line for an error."""
+"""Terminal output of every command: progress, notes, one-line errors."""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ def read_plan_file(directory: Path) -> dict[str, Any]:
 
 
 def _is_plan(document: Any) -> bool:
-    """Whether it holds what every plan does."""
+    """True if the document has the parts of every plan."""
     kinds = {"name": str, "mode": str, "created_utc": str, "sessions": list, "runs": list}
     if not isinstance(document, dict) or "git_revision" not in document:
         return False

@@ -1,4 +1,4 @@
-"""What flies the runs of a campaign: worker processes, each watched by a supervisor.
+"""Executors of the runs of a campaign: worker processes, each watched by a supervisor.
 
 An engine decides where workers run; a supervisor watches one of them, wherever it is: its time, its
 memory, its death. `experiments.campaign.executor_ray` puts the same supervisors on a Ray cluster.
@@ -80,7 +80,7 @@ class EngineStoppedError(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why an attempt came to nothing. ``kind``: error (raised), input (raised for bad input), disk,
+    """The reason of a failed attempt. ``kind``: error (raised), input (raised for bad input), disk,
     died (crashed by itself), killed (by somebody else), time, memory."""
 
     kind: str

@@ -1,4 +1,4 @@
-"""What a campaign flies: a TOML file turned into a list of runs, each with its configuration."""
+"""The plan of a campaign: a TOML file expanded to runs, each with its configuration."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ AXES: Mapping[str, str] = {
 """Short names of axes and the keys that they set; any other key is an axis by its own name."""
 
 _LABELS = {"wind_kmh": "w", "faults.events": ""}
-"""What values of an axis are headed with in the names of runs, where that is not its last name."""
+"""Prefixes of the values of an axis in run names, where it is not the last part of its key."""
 
 _OWN_KEYS = {
     "scene": "an axis: [axes] scene",
@@ -55,7 +55,7 @@ _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class Limits(BaseModel):
-    """What one run may take before it is ended and recorded as crashed."""
+    """Limits of one run; beyond them it is ended and recorded as crashed."""
 
     model_config = _STRICT
 
@@ -85,7 +85,7 @@ class Skip(BaseModel):
 
 
 class Expect(BaseModel):
-    """What the runs in ``when`` are to come to; all of them without it."""
+    """The expected results of the runs in ``when``; of all runs without it."""
 
     model_config = _STRICT
 
@@ -186,7 +186,7 @@ def config_sha(config: Config, but: Sequence[str] = ("record", "sim.threads")) -
 
 
 def in_shard(run_id: str, shard: tuple[int, int]) -> bool:
-    """Whether a run belongs to shard (i, n), i from 1: decided by a hash of its name, so that it
+    """True if a run belongs to shard (i, n), i from 1: decided by a hash of its name, so that it
     stays in its shard when the campaign grows."""
     index, count = shard
     digest = hashlib.sha256(run_id.encode()).digest()

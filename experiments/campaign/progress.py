@@ -60,7 +60,7 @@ class Display(Watcher):
     def __init__(self) -> None:
         self._console = Console(stderr=True, highlight=False)
         self._live = self._console.is_terminal
-        self._counts = {"finished": 0, "failed": 0, "bad": 0}
+        self._counts = {"finished": 0, "failed": 0, "unsuccessful": 0}
         self._progress: Progress | None = None
 
     def start(self, todo: Sequence[Task], done: int, jobs: int) -> None:
@@ -126,7 +126,7 @@ def _clock(seconds: float) -> str:
 
 
 def print_summary(figures: Mapping[str, Any]) -> None:
-    """How far a campaign is and what it took."""
+    """Prints the progress, the outcomes and the cost of a campaign."""
     console = make_console()
     console.print(
         f"{figures['name']}: {figures['finished']} of {figures['runs']} runs finished, "

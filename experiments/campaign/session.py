@@ -48,7 +48,7 @@ class Watcher:
         """Before the first run; ``done`` runs were finished earlier."""
 
     def see(self, event: Event) -> None:
-        """What `experiments.campaign.executor` reports."""
+        """Takes an event of `touchdown.experiments.campaign.executor`."""
 
     def end(self) -> None:
         """After the last run, or when the campaign is stopped."""
@@ -151,7 +151,7 @@ def _missing(plan: Plan, directory: Path) -> int:
 
 
 def summary(directory: Path) -> dict[str, Any]:
-    """How far a campaign is, and what it took.
+    """Returns the progress and the cost of a campaign.
 
     ``estimators`` gives processor and wall seconds of the finished runs of each, and the share of
     their wall time by stage: ``set_up`` is loading, building and writing, ``rest`` the loop itself.

@@ -116,7 +116,7 @@ def print_stages(result: RunResult) -> None:
 
 
 def print_overhead(ratio: float, overhead: Mapping[str, Any]) -> None:
-    """What the loop costs on one core beyond physics, rays and pixels, largest first."""
+    """Prints the cost of the loop on one core beyond physics, rays and pixels, largest first."""
     from rich.table import Table
 
     bare, loop = overhead["bare_ms"], overhead["loop_ms"]
@@ -192,7 +192,7 @@ def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def print_place(row: Mapping[str, Any]) -> None:
-    """What a file's place offers a survey, why it cannot be flown, and what may not be meant."""
+    """Prints the facts of an imported scene, its problems and remarks."""
     from rich.console import Console
     from rich.table import Table
 

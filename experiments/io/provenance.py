@@ -25,6 +25,7 @@ def plain_json(value: Any) -> Any:
 
 
 def versions() -> dict[str, str]:
+    """Installed versions of the packages that decide a flight."""
     names = ("touchdown", "mujoco", "numpy", "numba", "open3d-cpu", "open3d", "rerun-sdk")
     found: dict[str, str] = {}
     for name in (*names, "opencv-contrib-python-headless"):
@@ -35,11 +36,26 @@ def versions() -> dict[str, str]:
     return found
 
 
+UNRECORDED_REMEDY = (
+    "Touchdown was installed from a source without git history; fly from a git checkout, or "
+    "install a wheel that was built in one"
+)
+"""Reason and remedy of a result without revision."""
+REVISION_FILE = "git_revision.txt"
+"""Beside this module in a wheel, written by ``setup.py``."""
+
+
+def _built_revision() -> str | None:
+    file = Path(__file__).with_name(REVISION_FILE)
+    return file.read_text(encoding="utf-8").strip() or None if file.is_file() else None
+
+
 def git_revision() -> str | None:
-    """The revision of the source tree, None for an installed package."""
+    """The git revision of the source tree, or that from which the installed package was built; None
+    where neither is recorded."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
-        return None
+        return _built_revision()
     try:
         call = subprocess.run(
             ["git", "rev-parse", "HEAD"], cwd=root, capture_output=True, text=True, check=False

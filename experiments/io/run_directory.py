@@ -1,4 +1,4 @@
-"""A run directory, or a file, appears at once, complete, or not at all."""
+"""Atomic creation of run directories and files."""
 
 from __future__ import annotations
 
@@ -72,11 +72,12 @@ def whole_file(out: Path) -> Iterator[Path]:
 
 
 def utc_now() -> str:
+    """The current time in UTC, ISO 8601, to the second."""
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
 def write_text(path: Path, text: str) -> None:
-    """Whole or not at all."""
+    """Writes a text file atomically."""
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         partial.write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""A report put together: words, tables and figures; as Markdown, HTML and JSON."""
+"""The report of a campaign: text, tables and figures, as Markdown, HTML and JSON."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import Any
 
 from touchdown.experiments.campaign.expectations import Verdict
 from touchdown.experiments.campaign.results_table import is_successful
+from touchdown.experiments.io.provenance import UNRECORDED_REMEDY
 from touchdown.experiments.io.run_directory import run_directory, write_text
 from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.drift import add_errors_by_distance, distance_tables
@@ -20,6 +21,7 @@ from touchdown.experiments.reporting.figures import Picture, all_pictures
 from touchdown.experiments.reporting.flights import (
     Row,
     add_path_deviations,
+    flies_paper_methods,
     methods_of,
     outcome_counts,
     scenes_of,
@@ -65,8 +67,8 @@ def make_report(
     configuration: str = "",
     verdicts: Sequence[Verdict] = (),
 ) -> Report:
-    """Everything that the flights of ``rows`` (see `flights.load_flights`) give; ``verdicts`` on
-    what was expected of them."""
+    """Returns the report of the flights ``rows`` (see `flights.load_flights`); ``verdicts``: on the
+    expectations of the campaign."""
     add_path_deviations(rows)
     add_errors_by_distance(rows)
     drawn = [*all_pictures(rows), *landing_pictures(rows)]
@@ -77,13 +79,13 @@ def make_report(
 
     consistency, time = nees_table(rows), time_table(rows)
     sections = [
-        Section("summary", "In words", summary_words(rows) + leading_words(rows), [], []),
+        Section("summary", "Summary", summary_words(rows) + leading_words(rows), [], []),
         Section("published", "Beside the paper", published_words(rows), [], []),
         Section("accuracy", "Accuracy", [], trajectory_tables(rows) + distance_tables(rows), []),
         Section(
             "axes",
             "Errors by axis",
-            ["The paper shows its Fig. 10 as a picture without numbers: there are none to print."],
+            _AXIS_WORDS if flies_paper_methods(rows) else [],
             axis_tables(rows),
             named("fig10a", "fig10b", "fig10_estimate"),
         ),
@@ -96,12 +98,18 @@ def make_report(
         Section("time", "Time", [], [time] if time else [], []),
         Section("conditions", "Conditions", condition_words(rows), [], []),
     ]
-    kept = [s for s in sections if s.tables or s.pictures or s.key in _ALWAYS]
+    kept = [section for section in sections if _is_shown(section)]
     return Report(title, tiles(rows), kept, configuration)
 
 
+def _is_shown(section: Section) -> bool:
+    if section.tables or section.pictures or section.key in _ALWAYS:
+        return True
+    return section.key in _TEXTS and bool(section.words)
+
+
 def expectation_parts(verdicts: Sequence[Verdict]) -> tuple[list[str], list[Table]]:
-    """Words on the runs that are not as expected, and a table with a row for each expectation."""
+    """Sentences on the unexpected runs, and a table with a row per expectation."""
     words = [
         f"`{run_id}`: {reason}." for v in verdicts for run_id, reason in v.failures.items()
     ]  # fmt: skip
@@ -117,11 +125,13 @@ def expectation_parts(verdicts: Sequence[Verdict]) -> tuple[list[str], list[Tabl
         ]
         for verdict in verdicts
     ]
-    header = ["runs", "expected", "came to", "largest error, m", "verdict"]
-    return words, [Table("expected", "What was expected, and what came", header, rows)]
+    header = ["runs", "expected", "outcomes", "largest error, m", "verdict"]
+    return words, [Table("expected", "Expectations and outcomes", header, rows)]
 
 
-_ALWAYS = ("summary", "published", "conditions")
+_ALWAYS = ("summary", "conditions")
+_TEXTS = ("published", "expected")
+_AXIS_WORDS = ["The paper shows its Fig. 10 without numbers, so none are compared."]
 
 
 def _path_words(rows: Sequence[Row]) -> list[str]:
@@ -131,16 +141,17 @@ def _path_words(rows: Sequence[Row]) -> list[str]:
 
 
 def condition_words(rows: Sequence[Row]) -> list[str]:
-    """What was flown, by which revision, and how the intervals were made."""
+    """Scenes, methods, seeds, revision and the definition of the intervals."""
     seeds = sorted({row["seed"] for row in rows})
     winds = sorted({row["wind_kmh"] for row in rows if row.get("wind_kmh") is not None})
-    revisions = sorted({str(row.get("git_revision") or "unknown") for row in rows})
+    revisions = sorted({str(row["git_revision"]) for row in rows if row.get("git_revision")})
+    unrecorded = sum(not row.get("git_revision") for row in rows)
     versions = {k: row[k] for row in rows for k in row if k.startswith("versions.") and row[k]}
     lines = [
         f"Scenes: {', '.join(scenes_of(rows))}. "
         f"Methods: {', '.join(f'`{m}`' for m in methods_of(rows))}. Seeds: {_ranges(seeds)}. "
-        f"Mean wind: {', '.join(f'{wind:g}' for wind in winds) or 'unknown'} km/h.",
-        f"Git revision{'s' * (len(revisions) > 1)}: {', '.join(f'`{r}`' for r in revisions)}.",
+        f"Mean wind: {', '.join(f'{wind:g}' for wind in winds) or 'not recorded'} km/h.",
+        _revision_words(revisions, unrecorded),
         f"Intervals: {INTERVAL}, 10 000 seeded resamples; shares: Wilson's score interval. "
         "A single flight has no interval.",
         f"Published figures: {published.SOURCE}.",
@@ -151,6 +162,17 @@ def condition_words(rows: Sequence[Row]) -> list[str]:
         named = (f"{key.partition('.')[2]} {value}" for key, value in versions.items())
         lines.insert(2, f"Versions: {', '.join(named)}.")
     return lines
+
+
+def _revision_words(revisions: Sequence[str], unrecorded: int) -> str:
+    """The revisions, and the remedy for results without one."""
+    parts = []
+    if revisions:
+        names = ", ".join(f"`{revision}`" for revision in revisions)
+        parts.append(f"Git revision{'s' * (len(revisions) > 1)}: {names}.")
+    if unrecorded:
+        parts.append(f"Git revision of {unrecorded} flights not recorded: {UNRECORDED_REMEDY}.")
+    return " ".join(parts)
 
 
 def _ranges(seeds: Sequence[int]) -> str:
@@ -166,10 +188,10 @@ def _ranges(seeds: Sequence[int]) -> str:
 
 def tiles(rows: Sequence[Row]) -> list[tuple[str, str]]:
     """The figures at the head of the page."""
-    good = sum(is_successful(row) for row in rows)
+    successful = sum(is_successful(row) for row in rows)
     return [
         ("flights", str(len(rows))),
-        ("ended as they should", f"{good} of {len(rows)}"),
+        ("successful", f"{successful} of {len(rows)}"),
         ("scenes", str(len(scenes_of(rows)))),
         ("methods", str(len(methods_of(rows)))),
         ("seeds", str(len({row["seed"] for row in rows}))),

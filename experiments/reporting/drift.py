@@ -1,4 +1,4 @@
-"""How the error of the estimate grows with the distance flown: drift shows, an offset does not."""
+"""Error of the estimate over the distance flown: shows drift, not a constant offset."""
 
 from __future__ import annotations
 

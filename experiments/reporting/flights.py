@@ -11,9 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.experiments.campaign.results_table import RUNS, is_campaign, load_rows
+from touchdown.experiments.campaign.results_table import CRASHED, RUNS, is_campaign, load_rows
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.provenance import UNRECORDED_REMEDY
 from touchdown.experiments.io.results import JUDGED_BY_CLASS
 from touchdown.experiments.io.tum import read_tum
+from touchdown.experiments.reporting import published
 from touchdown.sim.frames import matrices_from_quats_wxyz
 
 Array = NDArray[np.float64]
@@ -43,6 +46,16 @@ def load_flights(directory: Path) -> list[dict[str, Any]]:
         run_dir = folder / row["run_id"]
         row["run_dir"] = str(run_dir if run_dir.is_dir() else folder)
     return rows
+
+
+def check_revisions(rows: Iterable[Row], directory: Path) -> None:
+    """Raises UsageError where a flight that ended with a result has no git revision."""
+    missing = [r for r in rows if r["outcome"] != CRASHED and not r.get("git_revision")]
+    if missing:
+        raise UsageError(
+            f"'{directory}': {len(missing)} results have no git revision, the first is "
+            f"'{missing[0]['run_id']}'; {UNRECORDED_REMEDY}"
+        )
 
 
 def campaign_text(directory: Path) -> str:
@@ -94,6 +107,11 @@ def cell(rows: Iterable[Row], scene: str | None = None, method: str | None = Non
 def judged_by_class(row: Row) -> bool:
     """True if the class of the ground counts, and not its geometry alone."""
     return row.get("landing.judged_on") == JUDGED_BY_CLASS
+
+
+def flies_paper_methods(rows: Iterable[Row]) -> bool:
+    """True if a method of the paper's tables is among the flights."""
+    return any(row["estimator"] in published.METHOD_NAMES for row in rows)
 
 
 def outcome_counts(rows: Iterable[Row]) -> dict[str, int]:

@@ -1,4 +1,4 @@
-"""How flights came down: the paper's Tables 5 and 6, what touchdowns were like, and in words."""
+"""Landings: the paper's Tables 5 and 6, the table of touchdowns, and sentences."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.flights import (
     Row,
     cell,
+    flies_paper_methods,
     judged_by_class,
     methods_of,
     number,
@@ -61,18 +62,18 @@ def landed_of(rows: Sequence[Row]) -> list[Row]:
 
 
 def unsafe_of(rows: Sequence[Row]) -> list[Row]:
-    """Flights that touched unsafe ground, whatever their outcome: unsafe by geometry or, where
-    places were recognised, by class."""
+    """Flights that touched unsafe ground, whatever their outcome: unsafe by geometry or, with the
+    ground classifier, by class."""
     return [row for row in rows if touched_safe_ground(row) is False]
 
 
 def _unsafe_word(rows: Sequence[Row]) -> str:
-    """By what flights are judged."""
+    """The wording of unsafe ground by what the flights are judged on."""
     return "unsafe" if any(map(judged_by_class, rows)) else "unsafe by geometry"
 
 
 def landing_tables(rows: Sequence[Row]) -> list[Table]:
-    """Everything of landings; nothing where no flight was to land."""
+    """All tables of landings; none where no flight was to land."""
     landings = landings_of(rows)
     if not landings:
         return []
@@ -95,10 +96,12 @@ def _table_5(landings: Sequence[Row]) -> Table:
     header = ["method", "scene", "landings", "landed", "safe", *titles]
     table = Table("landing", "Table 5: landings", header, [])
     flown = methods_of(landings)
-    others = [method for method in published.LANDING_OFFSET_M if method not in flown]
+    compared = flies_paper_methods(landings)
+    printed_methods = published.LANDING_OFFSET_M if compared else ()
+    others = [method for method in printed_methods if method not in flown]
     for method in (*flown, *others):
         printed = [published_cell(measure[3], method) for measure in _MEASURES]
-        if any(c.text != MISSING for c in printed):
+        if compared and any(c.text != MISSING for c in printed):
             blanks = [Cell(MISSING, kind="published")] * 3
             where = Cell("paper prints", kind="published")
             table.rows.append([name_cell(method), where, *blanks, *printed])
@@ -118,11 +121,11 @@ def _table_5(landings: Sequence[Row]) -> Table:
     table.notes = [
         "Shares are of all flights that were to land, with Wilson's 95 % interval; safe means that "
         "the true ground around the touchdown is safe by geometry, and of a safe class in flights "
-        "that recognise places. The other figures are over the flights that landed. The paper's "
-        "are of five flights per method on a real vehicle.",
+        "with the ground classifier. The other figures are over the flights that landed."
+        + (" The paper's are of five flights per method on a real vehicle." if compared else ""),
         "d_L: from the first contact to the site as committed at 4 m, or as commanded. v_z, a_z: "
         "mean absolute values over the last 0.5 s. α_L: slope of the true ground. Tilt: of the "
-        "vehicle, the largest from the first contact on; the paper prints no figure for it.",
+        "vehicle, the largest from the first contact on.",
     ]
     return table
 
@@ -179,7 +182,7 @@ def _table_6(own: Sequence[Row], method: str) -> Table:
 
 
 def _verdict(name: str) -> str:
-    """A class with what the paper thinks of it."""
+    """A class with its safety in the paper."""
     kind = "safe" if name in SAFE_CLASSES else "risky" if name in RISKY_CLASSES else "unsafe"
     return f"{name} ({kind})"
 
@@ -226,15 +229,16 @@ def _largest(rows: Sequence[Row], key: str, scale: float) -> float | None:
 
 
 def landing_words(rows: Sequence[Row]) -> list[str]:
-    """Per method: how many landed and how, beside what the paper prints; then who was closest."""
+    """Per method: landings, beside those of the paper where it flew; then the order by d_L."""
     landings = landings_of(rows)
     lines = []
     for method in methods_of(landings):
-        lines += _method_words(method, cell(landings, None, method))
+        own = cell(landings, None, method)
+        lines += _method_words(method, own, compare=flies_paper_methods(landings))
     return lines + _closest_words(landings)
 
 
-def _method_words(method: str, own: Sequence[Row]) -> list[str]:
+def _method_words(method: str, own: Sequence[Row], *, compare: bool) -> list[str]:
     landed, unsafe = landed_of(own), unsafe_of(own)
     share = share_interval(len(landed), len(own))
     low, high = 100.0 * (share.low or 0.0), 100.0 * (share.high or 0.0)
@@ -257,13 +261,13 @@ def _method_words(method: str, own: Sequence[Row]) -> list[str]:
     ]
     if extremes:
         lines.append(f"`{method}`, the worst of its landings: {', '.join(extremes)}.")
-    compared = [
+    beside = [
         _beside_the_paper(name, unit, measured, printed, method)
         for name, unit, key, printed in _MEASURES
-        if printed and (measured := mean_interval(values(landed, key))) is not None
+        if compare and printed and (measured := mean_interval(values(landed, key))) is not None
     ]
-    if compared:
-        lines.append(f"`{method}`: {'; '.join(compared)}.")
+    if beside:
+        lines.append(f"`{method}`: {'; '.join(beside)}.")
     return lines
 
 
@@ -287,11 +291,13 @@ def _closest_words(landings: Sequence[Row]) -> list[str]:
     if len(ranked) < 2:
         return []
     order = ", then ".join(f"`{method}` ({digits(value)} m)" for value, method in ranked)
-    theirs = sorted(published.LANDING_OFFSET_M, key=_printed_offset)
-    return [
-        f"Closest to the site, by mean d_L: {order}. In the paper's Table 5 the order is "
-        f"{', '.join(f'`{method}`' for method in theirs)}."
-    ]
+    line = f"Closest to the site, by mean d_L: {order}."
+    if flies_paper_methods(landings):
+        theirs = ", ".join(
+            f"`{m}`" for m in sorted(published.LANDING_OFFSET_M, key=_printed_offset)
+        )
+        line += f" In the paper's Table 5 the order is {theirs}."
+    return [line]
 
 
 def _printed_offset(method: str) -> float:

@@ -1,4 +1,4 @@
-"""What the numbers say, in sentences made from them."""
+"""Sentences of a report, made from its figures."""
 
 from __future__ import annotations
 
@@ -11,17 +11,25 @@ from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.flights import (
     Row,
     cell,
+    flies_paper_methods,
     methods_of,
     number,
     scenes_of,
     values,
 )
-from touchdown.experiments.reporting.statistics import Estimate, holm, mean_interval, sign_flip_p
+from touchdown.experiments.reporting.statistics import (
+    Array,
+    Estimate,
+    holm,
+    mean_interval,
+    seeds_needed,
+    sign_flip_p,
+)
 from touchdown.experiments.reporting.tables import digits, interval_text, trajectory_variance
 
 CHANCE = 0.05
 ERROR_FLOOR_M = 1e-4
-"""Errors below a tenth of a millimetre count as that: logarithms of nothing say nothing."""
+"""Smaller errors count as a tenth of a millimetre, so that logarithms stay finite."""
 
 
 def with_interval(estimate: Estimate, unit: str) -> str:
@@ -29,27 +37,27 @@ def with_interval(estimate: Estimate, unit: str) -> str:
 
 
 def summary_words(rows: Sequence[Row]) -> list[str]:
-    """How much was flown and how it ended."""
+    """Number of flights and of unsuccessful ones."""
     scenes, methods = scenes_of(rows), methods_of(rows)
-    bad = [row for row in rows if not is_successful(row)]
+    failed = [row for row in rows if not is_successful(row)]
     lines = [
         f"{_count(len(rows), 'flight')}: {_count(len(methods), 'method')} over "
         f"{_count(len(scenes), 'scene')}, {_count(len({row['seed'] for row in rows}), 'seed')}."
     ]
-    if not bad:
-        lines.append("All ended as they should.")
+    if not failed:
+        lines.append("All were successful.")
         return lines
     by_method = [
         f"`{method}` {len(own)}"
         for method in methods
-        if (own := [row for row in bad if row["estimator"] == method])
+        if (own := [row for row in failed if row["estimator"] == method])
     ]
-    measured = [row for row in bad if number(row, "position_error_m.mean") is not None]
-    line = f"{len(bad)} did not end as they should ({', '.join(by_method)})"
+    measured = [row for row in failed if number(row, "position_error_m.mean") is not None]
+    line = f"{len(failed)} were not successful ({', '.join(by_method)})"
     if measured:
         line += "; their errors up to the loss are in all figures"
-    if len(measured) < len(bad):
-        line += f"; {len(bad) - len(measured)} of them have no figures"
+    if len(measured) < len(failed):
+        line += f"; {len(failed) - len(measured)} of them have no figures"
     lines.append(f"{line}.")
     return lines
 
@@ -62,13 +70,13 @@ def _count(number: int, noun: str) -> str:
 
 
 def leading_words(rows: Sequence[Row]) -> list[str]:
-    """Per scene: the order by E_tra, whether the lead is chance, where the paper's order fails."""
+    """Per scene: the order by E_tra, the test of the lead, and the paper's order."""
     rivals = [row for row in rows if row["estimator"] != "oracle"]
     ranked = {scene: _ranking(rivals, scene) for scene in scenes_of(rivals)}
     contests = {s: order for s, order in ranked.items() if len(order) > 1}
-    raw = {s: _lead_p(rivals, s, order[0][1], order[1][1]) for s, order in contests.items()}
-    tested = [scene for scene, p in raw.items() if p is not None]
-    adjusted = dict(zip(tested, holm([raw[s] or 0.0 for s in tested]), strict=True))
+    pairs = {s: _differences(rivals, s, order[0][1], order[1][1]) for s, order in contests.items()}
+    tested = [scene for scene, difference in pairs.items() if len(difference) > 1]
+    adjusted = dict(zip(tested, holm([_two_sided_p(pairs[s]) for s in tested]), strict=True))
     lines = []
     for scene, order in contests.items():
         (_, first, lead), (_, second, next_) = order[:2]
@@ -77,7 +85,9 @@ def leading_words(rows: Sequence[Row]) -> list[str]:
             f"`{second}` with {with_interval(next_, 'm')}"
         )
         line += "".join(f", `{m}` {digits(e.value)} m" for _, m, e in order[2:])
-        lines.append(f"{line}. {_lead_words(first, second, adjusted.get(scene))}")
+        lead_m, alpha = next_.value - lead.value, CHANCE / max(1, len(tested))
+        verdict = _lead_words(lead_m, pairs[scene], adjusted.get(scene), alpha)
+        lines.append(f"{line}. {verdict}")
     lines += _absence_words(rivals, ranked)
     return lines + _order_words({s: [m for _, m, _ in order] for s, order in contests.items()})
 
@@ -85,7 +95,7 @@ def leading_words(rows: Sequence[Row]) -> list[str]:
 def _absence_words(
     rows: Sequence[Row], ranked: dict[str, list[tuple[float, str, Estimate]]]
 ) -> list[str]:
-    """Methods that were to fly where others flew, and came to no figure."""
+    """Methods without a figure in scenes where others have one."""
     lines = []
     for scene, order in ranked.items():
         flown = {method for _, method, _ in order}
@@ -105,14 +115,17 @@ def _ranking(rows: Sequence[Row], scene: str) -> list[tuple[float, str, Estimate
     return sorted(found, key=lambda item: item[:2])
 
 
-def _lead_p(rows: Sequence[Row], scene: str, first: str, second: str) -> float | None:
-    """Two-sided sign-flip p on the logarithms of E_tra at equal seeds and winds."""
+def _differences(rows: Sequence[Row], scene: str, first: str, second: str) -> Array:
+    """Differences (pairs,) of the logarithms of E_tra, second less first, at equal seeds and
+    winds."""
     a, b = (_by_trial(cell(rows, scene, method)) for method in (first, second))
     common = sorted(a.keys() & b.keys(), key=str)
-    if len(common) < 2:
-        return None
-    difference = np.array([b[trial] - a[trial] for trial in common])
-    p = min(float(sign_flip_p(difference)), float(sign_flip_p(-difference)))
+    return np.array([b[trial] - a[trial] for trial in common])
+
+
+def _two_sided_p(differences: Array) -> float:
+    """p of the two-sided sign-flip test."""
+    p = min(float(sign_flip_p(differences)), float(sign_flip_p(-differences)))
     return min(1.0, 2.0 * p)
 
 
@@ -124,15 +137,26 @@ def _by_trial(rows: Sequence[Row]) -> dict[tuple[object, object], float]:
     }
 
 
-def _lead_words(first: str, second: str, p: float | None) -> str:
+def _lead_words(lead_m: float, differences: Array, p: float | None, alpha: float) -> str:
+    """The verdict of the test, and the number of seeds that would show an undecided lead."""
+    seeds = len(differences)
     if p is None:
-        return f"`{first}` and `{second}` share too few seeds to tell whether the lead is chance."
-    verdict = "is beyond chance" if p <= CHANCE else "may be chance"
-    return f"The lead {verdict} (adjusted p = {p:.2g}, equal seeds)."
+        shared = f"{seeds} equal seed{'s' * (seeds != 1)}" if seeds else "no equal seeds"
+        return f"The two share {shared}; a test needs at least two."
+    if p <= CHANCE:
+        return f"The lead is beyond chance (adjusted p = {p:.2g}, {seeds} equal seeds)."
+    text = (
+        f"With {seeds} equal seeds a difference of {digits(lead_m)} m cannot be told from chance "
+        f"(adjusted p = {p:.2g})"
+    )
+    needed = seeds_needed(differences, alpha)
+    if needed is None:
+        return f"{text}."
+    return f"{text}; {max(needed, seeds + 1)} seeds per method would show it with 80 % power."
 
 
 def _order_words(orders: dict[str, list[str]]) -> list[str]:
-    """Where the paper's methods come in another order than in its Table 2."""
+    """The order of the paper's methods compared with that of its Table 2."""
     same, lines = [], []
     for scene, order in orders.items():
         ours = [method for method in order if method in published.ORDER]
@@ -159,7 +183,10 @@ def _chain(methods: Sequence[str]) -> str:
 
 
 def published_words(rows: Sequence[Row]) -> list[str]:
-    """Each measured figure that the paper prints too, and by how much they differ."""
+    """Each measured figure that the paper prints too, with the ratio of both; none where no method
+    of the paper flew."""
+    if not flies_paper_methods(rows):
+        return []
     scene = published.ANALYSED_SCENE
     lines = []
     for method in published.ORDER:
@@ -174,10 +201,8 @@ def published_words(rows: Sequence[Row]) -> list[str]:
     if lines:
         lines.append(
             f"The paper's figures are of a crossroad scene in Gazebo, 10 flights per method; "
-            f"`{scene}` here is another place, flown by another simulation."
+            f"`{scene}` here is another scene in another simulator."
         )
-    else:
-        lines.append(f"No flight over `{scene}` with a method of the paper: nothing to set beside.")
     return lines + _levelness_words(rows)
 
 

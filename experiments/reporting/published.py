@@ -1,4 +1,4 @@
-"""What Zou, Sun and Kong (2024), doi:10.3390/app14146079, print, and where they print it."""
+"""Published figures of Zou, Sun and Kong (2024), doi:10.3390/app14146079, with their tables."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""What the paper (`experiments.reporting.published`) prints of its networks and of the time that a
-choice of site takes: Tables 3, 4 and 7."""
+"""Published figures of the paper's networks and of the time of site selection: Tables 3, 4, 7."""
 
 from __future__ import annotations
 

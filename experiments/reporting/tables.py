@@ -11,6 +11,7 @@ from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.flights import (
     Row,
     cell,
+    flies_paper_methods,
     methods_of,
     number,
     outcome_counts,
@@ -104,8 +105,9 @@ def method_scene_table(
     best: bool = True,
     all_scenes: bool = True,
 ) -> Table:
-    """Methods down, scenes across; what the paper prints stands beside the scene it analysed."""
+    """Methods down, scenes across; the paper's figures beside its scene where its methods flew."""
     scenes, methods = scenes_of(rows), methods_of(rows)
+    printed = printed if flies_paper_methods(rows) else None
     found = {(m, s): measure(cell(rows, s, m)) for m in methods for s in scenes}
     leaders = {s: _leader(found, methods, s) for s in scenes} if best and len(methods) > 1 else {}
     header = ["method"]
@@ -178,16 +180,7 @@ def map_tables(rows: Sequence[Row]) -> list[Table]:
             )
             if estimate is not None
         }
-    printed = ", ".join(f"±{value:g}" for value in published.LEVELNESS_DEG)
-    table.notes = [
-        f"The paper's Table 1 prints T_total and ρ_map run together as "
-        f'"{published.SCAN_TIME_AND_DENSITY}"; where one number ends and the other begins cannot '
-        "be told, so neither is compared. The figures here are measured.",
-        f"For its scenes 1 to 4, which it does not name, the paper prints Δα = {printed}°, and the "
-        f"bound {published.LEVELNESS_BOUND_DEG:g}° over all of them. Whether ± is a mean or an "
-        "extreme it does not say; here: mean angle between map and true normal at 10 places per "
-        "flight, drawn from the seed where the ground is planar; the largest is in the next table.",
-    ]
+    table.notes = _paper_map_notes() if flies_paper_methods(rows) else [_LEVELNESS_NOTE]
     worst = method_scene_table(
         rows,
         "levelness_max",
@@ -204,6 +197,25 @@ def map_tables(rows: Sequence[Row]) -> list[Table]:
         all_scenes=False,
     )
     return [table, worst, density]
+
+
+_LEVELNESS_NOTE = (
+    "Δα: mean angle between map and true normal at 10 points per flight, drawn from the seed where "
+    "the ground is planar; the largest is in the next table."
+)
+
+
+def _paper_map_notes() -> list[str]:
+    """Notes on the figures of the paper's Table 1."""
+    printed = ", ".join(f"±{value:g}" for value in published.LEVELNESS_DEG)
+    return [
+        f"The paper's Table 1 prints T_total and ρ_map run together as "
+        f'"{published.SCAN_TIME_AND_DENSITY}"; where one number ends and the other begins cannot '
+        "be told, so neither is compared. The figures here are measured.",
+        f"For its scenes 1 to 4, which it does not name, the paper prints Δα = {printed}°, and the "
+        f"bound {published.LEVELNESS_BOUND_DEG:g}° over all of them. It does not define ±.",
+        _LEVELNESS_NOTE,
+    ]
 
 
 def trajectory_tables(rows: Sequence[Row]) -> list[Table]:
@@ -232,7 +244,8 @@ def trajectory_tables(rows: Sequence[Row]) -> list[Table]:
         "Position error of the estimate (m): mean 3-D distance from the truth, not aligned",
         mean_of("position_error_m.mean"),
     )
-    position.notes = ["The paper prints no such figure: its Table 2 is of the flown path."]
+    if flies_paper_methods(rows):
+        position.notes = ["The paper prints no such figure: its Table 2 is of the flown path."]
     return [error, variance, position]
 
 
@@ -266,7 +279,7 @@ def axis_tables(rows: Sequence[Row]) -> list[Table]:
 
 
 def outcome_table(rows: Sequence[Row]) -> Table:
-    """How flights ended, per method and scene."""
+    """Table of outcomes per method and scene."""
     outcomes = list(outcome_counts(rows))
     table = Table("outcomes", "Outcomes", ["method", "scene", "flights", *outcomes], [])
     for method in methods_of(rows):
@@ -283,8 +296,8 @@ def outcome_table(rows: Sequence[Row]) -> Table:
     lost = [row for row in rows if not is_successful(row)]
     unmeasured = [row for row in lost if number(row, "position_error_m.mean") is None]
     table.notes = [
-        f"{len(lost)} of {len(rows)} flights did not end as they should. The errors of a lost "
-        "flight up to its loss are in every figure; none is left out"
+        f"{len(lost)} of {len(rows)} flights were not successful. Their errors up to the loss "
+        "are in every figure; none is left out"
         + (f", but {len(unmeasured)} that have no figure at all." if unmeasured else ".")
     ]
     table.notes += [
@@ -303,7 +316,7 @@ def outcome_table(rows: Sequence[Row]) -> Table:
 
 
 def nees_table(rows: Sequence[Row]) -> Table | None:
-    """Whether the covariances of the estimates mean something."""
+    """Table of the median NEES; None without such figures."""
     if not values(rows, "nees.median"):
         return None
     table = method_scene_table(
@@ -315,13 +328,13 @@ def nees_table(rows: Sequence[Row]) -> Table | None:
     )
     table.notes = [
         "Normalised estimation error squared, three degrees of freedom: above 2.4 an estimator "
-        "believes itself more precise than it is, below it less."
+        "is overconfident, below it conservative."
     ]
     return table
 
 
 def time_table(rows: Sequence[Row]) -> Table | None:
-    """What flights took, and the share of each stage."""
+    """Table of wall times and of the share of each stage; None without times."""
     timed = [row for row in rows if number(row, "timing.wall_s")]
     if not timed:
         return None

@@ -18,7 +18,7 @@ from touchdown.experiments.reporting.document import (
     write_report,
 )
 from touchdown.experiments.reporting.figures import Picture
-from touchdown.experiments.reporting.flights import load_flights
+from touchdown.experiments.reporting.flights import check_revisions, load_flights
 from touchdown.experiments.reporting.published_networks import NETWORK_NAMES
 from touchdown.experiments.reporting.tables import MISSING, Cell, Table
 from touchdown.experiments.reproduce.networks import PICTURES
@@ -174,6 +174,7 @@ def _add_campaign(section: Section, flights: Path, rows: list[dict[str, Any]]) -
     except UsageError as error:
         section.words.append(f"There is nothing to show: {error}.")
         return
+    check_revisions(own, flights)
     rows += own
     keys, pictures = _SECTIONS[section.key]
     made = make_report(own, title=section.title)

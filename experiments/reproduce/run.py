@@ -54,12 +54,15 @@ def reproduce(
     Parts that are done are not repeated. An error of a part stands in its state and in the report,
     and the other parts follow; an error of the machine (a full disk) ends all. Raises UsageError.
     """
+    from touchdown.experiments.io.provenance import UNRECORDED_REMEDY, git_revision
     from touchdown.experiments.reproduce.report import write_reproduction
 
     skipped = tuple(part_named(name).name for name in skip)
     wanted = [part for part in PARTS if part.name not in skipped]
     if not wanted:
         raise UsageError("--skip leaves nothing to do")
+    if git_revision() is None:
+        raise UsageError(f"reproduce needs a git revision to state: {UNRECORDED_REMEDY}")
     started = time.perf_counter()
     extent = Extent(quick=quick, photographs=tuple(photographs))
     _check_libraries([part for part in wanted if not _is_done(part, out, extent)])

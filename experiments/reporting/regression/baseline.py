@@ -1,4 +1,4 @@
-"""Flights to compare with: what `touchdown regress` keeps of a campaign."""
+"""The baseline of `touchdown regress`: errors and outcomes of a campaign's flights."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ METRIC = "position_error_m.mean"
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One flight. ``error_m`` is None where it never came to a figure."""
+    """One flight. ``error_m`` is None without a position error; ``bad``: not successful."""
 
     seed: int
     error_m: float | None
@@ -65,7 +65,7 @@ def cells_of(rows: Iterable[Row]) -> dict[Key, dict[int, Trial]]:
 
 
 def _variant(row: Row) -> str:
-    """What else tells runs of a campaign apart: landings, and the axes that end a run's name."""
+    """The variant of a run: its mode where it is landing, and the axes that end its name."""
     name = str(row["run_id"]).rpartition("/")[2]
     start = f"{Path(row['scene']).stem}-{row['estimator']}-s{row['seed']}-"
     parts = ["land"] if row["mode"] == "land" else []

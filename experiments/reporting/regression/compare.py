@@ -1,4 +1,4 @@
-"""Whether positioning got worse: the flights of a directory against a baseline.
+"""Regression test of the position error: the flights of a directory against a baseline.
 
 The measure is the mean position error of a flight. Logarithms are compared, so that a change is a
 ratio and easy and hard scenes weigh the same. A *cell* is a scene with a method.
@@ -45,10 +45,10 @@ from touchdown.experiments.reporting.statistics import (
 Array = NDArray[np.float64]
 
 ERROR_ALPHA, OUTCOME_ALPHA = 0.04, 0.01
-"""How the 5 % of false alarms of a whole comparison are spent: most on errors, where exact tests of
+"""Shares of the 5 % of false alarms of a whole comparison: most for errors, where exact tests of
 ten pairs can reach it in up to 40 cells, the rest on outcomes."""
 ERROR_FLOOR_M = 1e-4
-"""Smaller errors count as a tenth of a millimetre: logarithms of nothing say nothing."""
+"""Smaller errors count as a tenth of a millimetre, so that logarithms stay finite."""
 FEWEST = 2
 ALL_SCENES = "all scenes"
 
@@ -81,7 +81,7 @@ class CellResult:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OutcomeResult:
-    """Flights that did not end as they should, now and in the baseline."""
+    """Unsuccessful flights, now (``bad``) and in the baseline."""
 
     name: str
     bad: int
@@ -125,8 +125,8 @@ class Comparison:
         return [cell.name for cell in self.cells if cell.detectable is None]
 
     def failed(self, require_power: bool = False) -> bool:
-        """Something got worse, or nothing was compared; with ``require_power`` also where a cell
-        had too few flights to find any change."""
+        """True if something got worse or nothing was compared; with ``require_power`` also
+        if a cell has too few flights to find any change."""
         return self.regressed or not self.cells or (require_power and bool(self.blind))
 
     def as_json(self) -> dict[str, Any]:
@@ -139,7 +139,7 @@ class Comparison:
 
 
 def compare(rows: Sequence[Row], baseline: Baseline, margin: float = 0.0) -> Comparison:
-    """What got worse against the baseline, beyond chance and by more than ``margin``.
+    """Compares flights with the baseline: worse beyond chance and by more than ``margin``.
 
     ``margin`` is a share: 0.1 asks whether errors grew by more than 10 %. Raises UsageError when
     the two have no cell in common.

@@ -1,4 +1,4 @@
-"""What of a baseline's flights is there no longer: cells, seeds, good outcomes, errors."""
+"""Losses against a baseline: missing cells and seeds, lost successes, lost errors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Pairs = Mapping[Key, tuple[Mapping[int, Trial], Mapping[int, Trial]]]
 
 
 def newly_bad(pairs: Pairs) -> list[str]:
-    """Equal seeds that ended as they should in the baseline and do so no more."""
+    """Equal seeds that were successful in the baseline and are no longer."""
     return [
         f"{cell_name(key)}, seed {seed}: {old[seed].outcome} before, {new[seed].outcome} now"
         for key, (new, old) in pairs.items()

@@ -12,7 +12,7 @@ from touchdown.experiments.reporting.statistics import fewest_pairs
 
 
 def verdict_words(found: Comparison) -> list[str]:
-    """What got worse, by how much, how sure; at the end what could not have been seen."""
+    """Sentences on what got worse, with size and p; at the end on what could not be found."""
     lines = [f"WORSE  {line}" for line in found.vanished]
     for cell in (cell for cell in found.cells if cell.worse):
         interval = _interval(cell)
@@ -62,7 +62,7 @@ def _power_words(found: Comparison) -> list[str]:
 
 
 def _blind_words(found: Comparison) -> list[str]:
-    """Where no change could have been found, and how many flights it takes; the last line."""
+    """The last line: cells with too few flights to find any change, and the number needed."""
     needed = fewest_pairs(ERROR_ALPHA / max(1, len(found.cells)))
     if not found.cells:
         return [
@@ -90,7 +90,7 @@ def _least(cell: CellResult) -> float:
 
 
 def _detectable(cell: CellResult) -> str:
-    """Where the pairs are equal, the spread between seeds stands for theirs, from above."""
+    """The detectable ratio; an upper bound where the pairs are equal."""
     if cell.detectable is None:
         return "–"
     return ("at most " if cell.spread == "seeds, at most" else "") + f"{cell.detectable:.3g}"

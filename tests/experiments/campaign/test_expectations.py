@@ -116,7 +116,7 @@ def test_a_campaign_is_judged_row_by_row(
     assert cli.main(["report", str(out)]) == 1
     assert "2 not as expected" in capsys.readouterr().out
     report = (out / "report" / "report.md").read_text()
-    assert "What was expected, and what came" in report and "at most 1.03 m expected" in report
+    assert "Expectations and outcomes" in report and "at most 1.03 m expected" in report
     assert not lines([]) and summary(out)["as_expected"] is False
 
 

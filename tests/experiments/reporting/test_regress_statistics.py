@@ -14,6 +14,7 @@ from touchdown.experiments.reporting.statistics import (
     fisher_p,
     holm,
     mean_interval,
+    seeds_needed,
     share_interval,
     sign_flip_p,
     unpaired_p,
@@ -42,6 +43,13 @@ def test_holm_by_hand() -> None:
     assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     assert holm([0.5, 0.9]) == [1.0, 1.0]
     assert holm([]) == []
+
+
+def test_holm_agrees_with_statsmodels() -> None:
+    from statsmodels.stats.multitest import multipletests
+
+    p = np.random.default_rng(2).random(30) ** 3
+    assert holm(p.tolist()) == pytest.approx(multipletests(p, method="holm")[1].tolist())
 
 
 def test_fisher_by_hand() -> None:
@@ -101,6 +109,35 @@ def test_detectable_effect_of_many_flights_nears_the_normal_limit() -> None:
     assert detectable_unpaired(400, 400, 0.05) == pytest.approx(
         2.486 * math.sqrt(2 / 400), rel=0.01
     )
+
+
+def test_seeds_needed_by_tables_of_the_paired_t_test() -> None:
+    """Effects of 0.5 and 1 at 5 % two-sided: 34 and 10 pairs (Cohen 1988, G*Power). Equal
+    differences need as many as the sign flips have patterns: 2 / 2^6 <= 0.05."""
+    for effect, pairs in ((0.5, 34), (1.0, 10), (0.01, 78489)):
+        pair = effect + np.array([-1.0, 1.0]) / math.sqrt(2.0)
+        assert pair.std(ddof=1) == pytest.approx(1.0)
+        assert seeds_needed(pair, 0.05) == pairs
+    assert seeds_needed(np.full(3, 0.7), 0.05) == 6
+    assert seeds_needed(np.array([-1.0, 1.0]), 0.05) is None
+
+
+def test_own_resampling_agrees_with_scipy() -> None:
+    """Exact sign flips to the last digit, percentiles of the bootstrap to a few per cent."""
+    from scipy import stats
+
+    sample = np.random.default_rng(4).normal(0.4, 1.0, size=9)
+    exact = stats.permutation_test(
+        (sample,), np.mean, permutation_type="samples", alternative="greater", n_resamples=np.inf
+    )
+    assert float(sign_flip_p(sample)) == pytest.approx(exact.pvalue, abs=1e-12)
+    tail = stats.norm.cdf(-math.sqrt(9 / 8) * stats.t.ppf(0.975, 8))
+    found = stats.bootstrap(
+        (sample,), np.mean, confidence_level=1.0 - 2.0 * tail, method="percentile", rng=1
+    ).confidence_interval
+    ours = mean_interval(sample)
+    assert ours is not None
+    assert (ours.low, ours.high) == pytest.approx((found.low, found.high), abs=0.05)
 
 
 def test_unpaired_test_sees_a_shift_and_no_more() -> None:

@@ -13,8 +13,14 @@ import pytest
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.results import load_runs, lookup
-from touchdown.experiments.reporting.document import Report, make_report, markdown, page
-from touchdown.experiments.reporting.flights import load_flights, path_deviation
+from touchdown.experiments.reporting.document import (
+    Report,
+    condition_words,
+    make_report,
+    markdown,
+    page,
+)
+from touchdown.experiments.reporting.flights import check_revisions, load_flights, path_deviation
 from touchdown.experiments.reporting.narrative import leading_words
 from touchdown.experiments.reporting.run_table import (
     LANDING_COLUMNS,
@@ -145,9 +151,13 @@ def test_table_1_says_what_cannot_be_told(report: Report) -> None:
 def test_words_follow_the_data(report: Report) -> None:
     words = "\n".join(line for section in report.sections for line in section.words)
     assert "21 flights: 3 methods over 2 scenes, 6 seeds." in words
-    assert "2 did not end as they should (`livo` 1, `gps` 1)" in words
+    assert "2 were not successful (`livo` 1, `gps` 1)" in words
     assert "crossroad: `livo` is ahead by E_tra with 0.055 m [0.050, 0.060], then `paper`" in words
-    assert "The lead may be chance (adjusted p = 0.5, equal seeds)." in words
+    # All differences are ln 2; the level is 0.05 over two scenes: 2 / 2^n <= 0.025 from n = 7 on.
+    assert (
+        "With 3 equal seeds a difference of 0.055 m cannot be told from chance (adjusted p = 0.5); "
+        "7 seeds per method would show it with 80 % power." in words
+    )
     assert "The paper's methods come in the order of its Table 2 in crossroad, lake." in words
     assert '0.3671 m printed (Table 2, "Ours"): 3.34 times smaller here.' in words
     assert "1.10 m [1.00, 1.20] measured, 1.0112 m printed" in words
@@ -187,7 +197,7 @@ def test_a_path_that_never_left_the_ground_has_no_deviation(tmp_path: Path) -> N
 def test_lost_flights_are_counted_and_named(report: Report) -> None:
     found = table(report, "outcomes")
     assert found.numbers["gps"]["lake"] == {"COMPLETED": 2, "DIVERGED": 1}
-    assert found.notes[0].startswith("2 of 21 flights did not end as they should.")
+    assert found.notes[0].startswith("2 of 21 flights were not successful.")
     assert "lake, `gps`, seed 2: DIVERGED (the estimate is 20.1 m off)" in found.notes
     gps = next(line for line in table(report, "table2_error").rows if line[0].text == "`gps`")
     assert gps[3].text == "2.20", "the lost flight is in the mean"
@@ -204,6 +214,24 @@ def test_shares_of_stages_by_hand(report: Report) -> None:
     """30 ms of each 0.1 s over 20 s are 6 s of the 10 s; 15 ms are 3 s."""
     shares = table(report, "time").numbers["paper"]["shares"]
     assert shares == pytest.approx({"world": 0.6, "estimator": 0.3, "other": 0.1})
+
+
+def test_the_papers_columns_need_its_methods(rows: list[dict[str, Any]]) -> None:
+    own = [row for row in rows if row["estimator"] == "livo"]
+    text = markdown(make_report(own, title="own"))
+    assert "paper prints" not in text and "Beside the paper" not in text and "printed" not in text
+
+
+def test_a_missing_revision_is_said_with_its_remedy(
+    rows: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    without = [row | {"git_revision": None} for row in rows[:2]] + rows[2:]
+    words = "\n".join(condition_words(without))
+    assert "Git revision: `0123abc`. Git revision of 2 flights not recorded: Touchdown was" in words
+    assert "unknown" not in words
+    check_revisions(rows, tmp_path)
+    with pytest.raises(UsageError, match=r"2 results have no git revision, .* a git checkout"):
+        check_revisions(without, tmp_path)
 
 
 def test_figures_that_there_are(report: Report) -> None:
