@@ -1,4 +1,4 @@
-"""What the rest of the project may know of landing."""
+"""The public interface of landing: selection, classification, lander and their parameters."""
 
 from __future__ import annotations
 

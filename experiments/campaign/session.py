@@ -42,7 +42,7 @@ _SECONDS_PER_SCAN = 0.1
 
 
 class Watcher:
-    """Is told of a campaign as it goes; the base class keeps quiet."""
+    """Receives the progress of a campaign; the base class ignores it."""
 
     def start(self, todo: Sequence[Task], done: int, jobs: int) -> None:
         """Before the first run; ``done`` runs were finished earlier."""

@@ -23,10 +23,9 @@ from touchdown.experiments.classification.splits import HELD_OUT_SCENES
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.statistics import share_interval
 from touchdown.landing.api import LabelledImages
-from touchdown.landing.classification import footprint
+from touchdown.landing.classification import footprint, onboard
 from touchdown.landing.classification.decision import decision_summary
 from touchdown.landing.classification.engine import Classifier
-from touchdown.landing.classification.onboard import SHIPPED
 from touchdown.landing.classification.scores import summary
 from touchdown.landing.classification.weights import NetworkFacts
 
@@ -44,11 +43,11 @@ def load_classifier(network: Path, engine: str, threads: int) -> Classifier:
 
 def shipped_network() -> Path:
     """Returns the network that is shipped with the project. Raises UsageError without one."""
-    if not SHIPPED.is_file():
+    if not onboard.SHIPPED.is_file():
         raise UsageError(
             "no network is shipped with touchdown: give --network, a file of `touchdown train`"
         )
-    return SHIPPED
+    return onboard.SHIPPED
 
 
 def evaluate_network(

@@ -61,7 +61,7 @@ def calibration_table(report: Figures) -> Table:
 
 
 def rig_table(facts: Figures) -> Table:
-    """What the vehicle is and carries."""
+    """Table 2: the vehicle and its sensors."""
     width, height = facts["camera_px"]
     across, down = facts["camera_deg"]
     rows = [

@@ -1,4 +1,4 @@
-"""What can go wrong with a sensor on demand; part of `sim.api`: import it from there."""
+"""Parameters of sensor faults on demand; part of `sim.api`: import them from there."""
 
 from __future__ import annotations
 

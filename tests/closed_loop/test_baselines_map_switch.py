@@ -14,7 +14,7 @@ def test_positions_do_not_depend_on_whether_a_map_is_made() -> None:
         for enabled in ("false", "true")
     ]
     bare, mapped = results
-    assert bare["position_error_m"] == mapped["position_error_m"]
-    assert bare["trajectory_error_m"] == mapped["trajectory_error_m"]
-    assert bare["map"]["density_per_m2"] == 0.0
-    assert mapped["map"]["density_per_m2"] > 0.0
+    assert bare.position_error_m == mapped.position_error_m
+    assert bare.trajectory_error_m == mapped.trajectory_error_m
+    assert bare.map is not None and bare.map.density_per_m2 == 0.0
+    assert mapped.map is not None and (mapped.map.density_per_m2 or 0.0) > 0.0

@@ -1,4 +1,4 @@
-"""The calibration from end to end, its file, and flights that are told what it found."""
+"""The calibration from end to end, its file, and flights that are believed what it found."""
 
 from __future__ import annotations
 
@@ -60,15 +60,15 @@ def rig() -> SensorRig:
 
 def test_a_flight_is_told_the_file(calibrated: tuple[Path, dict[str, Any]], rig: SensorRig) -> None:
     file, report = calibrated
-    told = believed_rig(rig, load_config(None, [], calibration=str(file)))
-    true, found = (r.body_from_camera.inverse() @ r.body_from_lidar for r in (rig, told))
+    believed = believed_rig(rig, load_config(None, [], calibration=str(file)))
+    true, found = (r.body_from_camera.inverse() @ r.body_from_lidar for r in (rig, believed))
     turn = np.rad2deg(np.linalg.norm(so3_log(found.rotation @ true.rotation.T)))
     shift = np.linalg.norm(found.translation - true.translation)
     assert turn == pytest.approx(report["error"]["rotation_deg"], abs=1e-9)
     assert shift == pytest.approx(report["error"]["translation_m"], abs=1e-9)
-    assert told.camera.distortion[0] == pytest.approx(-0.05, abs=0.005)
+    assert believed.camera.distortion[0] == pytest.approx(-0.05, abs=0.005)
     np.testing.assert_array_equal(
-        told.body_from_camera.translation, rig.body_from_camera.translation
+        believed.body_from_camera.translation, rig.body_from_camera.translation
     )
     assert rig.camera.distortion[0] == 0.0  # the simulation keeps its own
 
@@ -90,16 +90,16 @@ def test_stated_errors_are_drawn_from_the_seed(rig: SensorRig) -> None:
     true = rig.body_from_camera.inverse() @ rig.body_from_lidar
     turns, shifts, stretches = [], [], []
     for seed in range(300):
-        told = erring_rig(rig, params, seed)
-        found = told.body_from_camera.inverse() @ told.body_from_lidar
+        believed = erring_rig(rig, params, seed)
+        found = believed.body_from_camera.inverse() @ believed.body_from_lidar
         turns.append(np.rad2deg(so3_log(found.rotation @ true.rotation.T)))
         shifts.append(found.translation - true.translation)
-        stretches.append(told.camera.fx / rig.camera.fx - 1.0)
+        stretches.append(believed.camera.fx / rig.camera.fx - 1.0)
     assert np.std(turns) == pytest.approx(0.03, rel=0.1)
     assert np.std(shifts) == pytest.approx(0.003, rel=0.1)
     assert np.std(stretches) == pytest.approx(5e-4, rel=0.15)
     again = erring_rig(rig, params, 299)
-    np.testing.assert_array_equal(again.body_from_lidar.rotation, told.body_from_lidar.rotation)
+    np.testing.assert_array_equal(again.body_from_lidar.rotation, believed.body_from_lidar.rotation)
 
 
 def _broken(file: Path, folder: Path, change: Any) -> Path:

@@ -149,8 +149,8 @@ def test_commanded_site_is_classified_too() -> None:
     wanted = dataclasses.replace(PARAMS, site_xy_m=(10.0, 3.0))
     _, view = fly(Puppet(Photographer(plain("water"), ByColour(), wanted), flat_map()))
     assert view.aborted and "looks like water" in view.candidates[0].reason
-    told = dataclasses.replace(wanted, check_site=False)
-    _, view = fly(Puppet(Photographer(plain("water"), ByColour(), told), flat_map()))
+    commanded = dataclasses.replace(wanted, check_site=False)
+    _, view = fly(Puppet(Photographer(plain("water"), ByColour(), commanded), flat_map()))
     assert not view.aborted and view.committed_site_world is not None
 
 

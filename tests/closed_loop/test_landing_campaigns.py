@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ from touchdown.experiments.campaign.plan import Plan, config_for, load_plan
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.flight.result import _landing
 from touchdown.experiments.flight.wiring import build_scene
 
 ROOT = Path(__file__).parents[2]
@@ -79,14 +76,3 @@ def test_scene_seed_is_separate_from_the_seed(
     assert asked == [("turf", 7), ("turf", 3)]
     with pytest.raises(UsageError, match="scene_seed = -1"):
         load_config(None, ["scene_seed=-1"])
-
-
-def test_commanded_site_is_in_the_result() -> None:
-    touched: Any = SimpleNamespace(landing={"target_offset_m": 0.1})
-    never: Any = SimpleNamespace(landing=None)
-    assert _landing(touched, (14.0, -33.5)) == {
-        "commanded_xy_m": (14.0, -33.5),
-        "target_offset_m": 0.1,
-    }
-    assert _landing(touched, None) == {"commanded_xy_m": None, "target_offset_m": 0.1}
-    assert _landing(never, (14.0, -33.5)) is None

@@ -32,6 +32,7 @@ from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
 from touchdown.experiments.flight.wiring import build_scene
+from touchdown.experiments.io.results import RunResult
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraParams, LidarScan, Truth, WorldParams
 from touchdown.sim.frames import Pose, rotation_from_yaw
@@ -193,12 +194,13 @@ def test_overhead_of_a_short_flight(lawn_file: Path, tmp_path: Path) -> None:
 def test_bench_loop_reports_the_agreed_keys(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fly(config: Config, out: Path, _progress: Any) -> dict[str, Any]:
+    def fly(config: Config, out: Path, _progress: Any) -> RunResult:
         out.mkdir(parents=True)
         (out / "flight.rrd").write_bytes(b"0" * 1000)
         timing = {"sim_s": 4.0, "wall_s": 2.0, "real_time_factor": 2.0, "stage_ms": {"world": 30.0}}
-        names = {"scene": config.scene, "estimator": config.estimator}
-        return {**names, "outcome": "LANDED", "landing": {"safe_geometry": True}, "timing": timing}
+        names = {"scene": config.scene, "estimator": config.estimator, "seed": config.seed}
+        landed = {"outcome": "LANDED", "landing": {"safe_geometry": True}}
+        return RunResult.model_validate({**names, **landed, "timing": timing})
 
     seen: list[Config] = []
 

@@ -220,10 +220,10 @@ def test_the_best_setting_of_each_reference_counts(
     for module in (baselines, bench_estimator):
         monkeypatch.setattr(module, "GRIDS", grids)
     monkeypatch.setattr(bench_estimator, "ESTIMATORS", ("livo",))
-    told: list[str] = []
-    found = bench_scene(open_run(run), 0.6, told.append)
+    output: list[str] = []
+    found = bench_scene(open_run(run), 0.6, output.append)
     rows = found["settings"]["small_gicp"]
-    assert len(rows) == 2 and len(told) == 4
+    assert len(rows) == 2 and len(output) == 4
     assert found["error_m"]["small_gicp"] == min(row["error_m"] for row in rows)
     assert found["own_difference_m"]["livo"] < 1e-9
     figures = summary({"somewhere": found})

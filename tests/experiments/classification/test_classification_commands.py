@@ -175,13 +175,13 @@ def test_broken_networks_are_told_in_one_line(
     broken.write_bytes(change(trained.read_bytes()))
     weights.checksum_file(broken).write_bytes(weights.checksum_file(trained).read_bytes())
     assert cli.main(["evaluate", str(broken), "--data", str(folder), "--quiet"]) == 2
-    told = capsys.readouterr().err
-    assert "is truncated or changed" in told and told.count("\n") == 1
+    output = capsys.readouterr().err
+    assert "is truncated or changed" in output and output.count("\n") == 1
     for engine in ("onnx", "torch"):
         weights.write_network(broken, b"no network at all")
         assert cli.main(["evaluate", str(broken), "--data", str(folder), "--engine", engine]) == 2
-        told = capsys.readouterr().err
-        assert "cannot be loaded as a network" in told and told.count("\n") == 1
+        output = capsys.readouterr().err
+        assert "cannot be loaded as a network" in output and output.count("\n") == 1
 
 
 def test_commands_say_what_is_missing(
@@ -198,8 +198,8 @@ def test_commands_say_what_is_missing(
     monkeypatch.setitem(sys.modules, "torch", None)
     arguments = ["train", "--data", str(folder), "--out", str(tmp_path / "out")]
     assert cli.main(arguments) == 2
-    told = capsys.readouterr().err
-    assert "this needs torch: install it with pip install 'touchdown[train]'" in told
+    output = capsys.readouterr().err
+    assert "this needs torch: install it with pip install 'touchdown[train]'" in output
     assert not (tmp_path / "out").exists()
 
 
@@ -227,5 +227,5 @@ def test_training_refuses(
     out = tmp_path / "out"
     command = ["train", "--out", str(out), "--data", str(folder), "--quiet", *arguments]
     assert cli.main(command) == 2
-    told = capsys.readouterr().err
-    assert message in told and told.count("\n") == 1 and not out.exists()
+    output = capsys.readouterr().err
+    assert message in output and output.count("\n") == 1 and not out.exists()

@@ -160,8 +160,8 @@ def test_a_file_is_whole_or_as_it_was(tmp_path: Path) -> None:
 def test_only_errors_of_the_machine_are_told_as_such() -> None:
     assert system_message(FileNotFoundError(errno.ENOENT, "gone")) is None
     assert system_message(OSError("no number")) is None
-    told = system_message(OSError(errno.ENOSPC, "x", "/a"))
-    assert told == "'/a': No space left on device; make room there and give the command again"
+    output = system_message(OSError(errno.ENOSPC, "x", "/a"))
+    assert output == "'/a': No space left on device; make room there and give the command again"
 
 
 def test_an_error_line_does_not_steer_the_terminal_and_has_an_end() -> None:

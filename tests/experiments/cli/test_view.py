@@ -81,6 +81,12 @@ def test_a_port_in_use_is_replaced_by_a_free_one() -> None:
     assert view._free_port(port) == port
 
 
+def _default_signals() -> None:
+    """A shell's background jobs ignore SIGINT, those of nohup SIGHUP; a terminal's do not."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_the_viewer_ends_with_the_command(run: Path, tmp_path: Path, number: int) -> None:
     package = tmp_path / "fake" / "rerun"
@@ -92,6 +98,7 @@ def test_the_viewer_ends_with_the_command(run: Path, tmp_path: Path, number: int
     command = subprocess.Popen(
         [sys.executable, "-m", "touchdown", "view", str(run), "--web"],
         env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=_default_signals,
     )  # fmt: skip
     deadline = time.monotonic() + 30.0
     while not (package / "seen").exists():

@@ -129,8 +129,8 @@ def test_a_name_that_leads_nowhere_is_one_line_before_any_flight(
     Path("plan.toml").write_text(axes(scene=["flat"], estimator=["gps", name], seeds="0-1"))
     for command in (["fly", "flat", "--estimator", name], ["campaign", "plan.toml", "--out", "o"]):
         assert cli.main(command) == 2
-        told = capsys.readouterr().err
-        assert told.count("\n") == 1 and all(word in told for word in words), told
+        output = capsys.readouterr().err
+        assert output.count("\n") == 1 and all(word in output for word in words), output
     assert not Path("o").exists() and not Path("runs").exists()
 
 
@@ -184,9 +184,9 @@ def test_a_wrong_update_is_one_line(lab: Callable[..., str], body: str, words: s
     estimator = ExternalEstimator(name, {}, synthetic_rig())
     with pytest.raises(ExternalEstimatorError) as failure:
         estimator.update(OBSERVATION)
-    told = str(failure.value)
-    assert words in told and told.endswith(f"`touchdown check-estimator {name}` tells more")
-    assert ("vio.py:" in told) == ("raised" in told)
+    output = str(failure.value)
+    assert words in output and output.endswith(f"`touchdown check-estimator {name}` tells more")
+    assert ("vio.py:" in output) == ("raised" in output)
 
 
 def test_a_right_update_passes_through_as_it_is(lab: Callable[..., str]) -> None:
@@ -201,8 +201,8 @@ def test_a_flight_that_it_ends_leaves_nothing(
     name = f"{lab(_spoilt('return None if obs.time_s > 0.05 else estimate'))}:build"
     short = ["--no-record", "--quiet", "--out", "flown/one"]
     assert cli.main(["fly", "flat", "--estimator", name, *short]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and "at 0.055 s update returned NoneType" in told
+    output = capsys.readouterr().err
+    assert output.count("\n") == 1 and "at 0.055 s update returned NoneType" in output
     assert list(Path("flown").iterdir()) == []
 
 

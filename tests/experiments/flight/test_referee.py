@@ -1,4 +1,4 @@
-"""Every outcome from a story told in a few ticks."""
+"""Every outcome, from sequences of a few ticks."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -87,6 +87,16 @@ def test_what_follows_the_first_contact_is_in_the_result() -> None:
     assert landing.tilt_deg == pytest.approx(3.0)
     assert landing.touchdown_xy_m == (5.0, 6.0)
     assert landing.touchdown_time_s == pytest.approx(61.0)
+
+
+@pytest.mark.parametrize("commanded", [None, (14.0, -33.5)])
+def test_the_commanded_site_is_in_the_result(commanded: tuple[float, float] | None) -> None:
+    referee = make_referee(commanded_xy_m=commanded)
+    fly_to_descent(referee)
+    assert referee.result(Outcome.ABORTED).landing is None
+    judge(referee, 61.0, [5, 6, 0.3], Phase.TOUCHDOWN, contacts=LEG_ON_LAWN)
+    landing = referee.result(Outcome.LANDED).landing
+    assert landing is not None and landing.commanded_xy_m == commanded
 
 
 @pytest.mark.parametrize(

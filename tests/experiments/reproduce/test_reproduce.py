@@ -104,12 +104,12 @@ def test_one_command_gives_every_table_and_figure(
 ) -> None:
     out = tmp_path / "deep" / "out"
     code = cli.main(["reproduce", "--out", str(out), "--quick", "--jobs", "1", "--json"])
-    told = capsys.readouterr()
+    output = capsys.readouterr()
     assert code == 0
-    tree = json.loads(told.out)
+    tree = json.loads(output.out)
     assert [part["part"] for part in tree["parts"]] == [part.name for part in PARTS]
     assert tree["good"] and all(part["good"] for part in tree["parts"])
-    assert f"[1/{len(PARTS)}] calibration" in told.err
+    assert f"[1/{len(PARTS)}] calibration" in output.err
     text = Path(tree["files"]["md"]).read_text(encoding="utf-8")
     for number in range(1, 8):
         assert re.search(rf"^\*\*Table {number}:", text, re.MULTILINE), f"Table {number}"
@@ -179,9 +179,9 @@ def test_a_part_that_fails_its_purpose_is_reported(
     skips = [word for name in (*CAMPAIGNS, "recognition") for word in ("--skip", name)]
     arguments = ["reproduce", "--out", str(tmp_path), "--quick", "--quiet", *skips]
     assert cli.main(arguments) == 1
-    told = capsys.readouterr()
-    assert told.err == ""
-    assert re.search(r"calibration +quick .* FAILED: its errors exceed", told.out)
+    output = capsys.readouterr()
+    assert output.err == ""
+    assert re.search(r"calibration +quick .* FAILED: its errors exceed", output.out)
     text = (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
     assert "`calibration` (Fig. 2) failed its purpose" in text
     assert "`landing` (Fig. 9 b) is left out, by `--skip`" in text
@@ -246,8 +246,8 @@ def test_trained_networks_are_kept(world: World, tmp_path: Path) -> None:
     [
         (["--quick"], "missing option '--out'"),
         (["--out", "OUT", "--skip", "calibraton"], "did you mean 'calibration'"),
-        (["--out", "FOREIGN"], "holds something that is no reproduction"),
-        (["--out", "FOREIGN/file"], "is a file"),
+        (["--out", "UNRELATED"], "holds something that is no reproduction"),
+        (["--out", "UNRELATED/file"], "is a file"),
         (
             ["--out", "OUT", *(w for part in PARTS for w in ("--skip", part.name))],
             "leaves nothing to do",
@@ -261,14 +261,15 @@ def test_mistakes_are_one_line(
     arguments: list[str],
     message: str,
 ) -> None:
-    (tmp_path / "FOREIGN").mkdir()
-    (tmp_path / "FOREIGN" / "file").write_text("mine")
+    (tmp_path / "UNRELATED").mkdir()
+    (tmp_path / "UNRELATED" / "file").write_text("mine")
     words = [
-        str(tmp_path / word) if word.startswith(("OUT", "FOREIGN")) else word for word in arguments
+        str(tmp_path / word) if word.startswith(("OUT", "UNRELATED")) else word
+        for word in arguments
     ]
     assert cli.main(["reproduce", *words]) == 2
-    told = capsys.readouterr()
-    assert told.err.count("\n") == 1 and message in told.err
+    output = capsys.readouterr()
+    assert output.err.count("\n") == 1 and message in output.err
     assert not (tmp_path / "OUT").exists() and not world.calls
 
 

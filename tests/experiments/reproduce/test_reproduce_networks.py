@@ -37,11 +37,11 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
-def made(out: Path, photographs: Path, jobs: int, told: list[str]) -> dict[str, bytes]:
+def made(out: Path, photographs: Path, jobs: int, output: list[str]) -> dict[str, bytes]:
     home = out / f"with {jobs}"
     home.mkdir()
     (home / PICTURES).symlink_to(photographs)
-    rows = train_and_score(home, SIZE, [], {"jobs": "any"}, jobs, told.append)
+    rows = train_and_score(home, SIZE, [], {"jobs": "any"}, jobs, output.append)
     assert [row["network"] for row in rows] == list(SIZE.networks)
     assert all(row["test"]["pictures"] > 0 and row["test"]["image_ms"] > 0.0 for row in rows)
     return {
@@ -53,12 +53,12 @@ def made(out: Path, photographs: Path, jobs: int, told: list[str]) -> dict[str, 
 def test_networks_do_not_depend_on_how_many_are_trained_at_a_time(
     photographs: Path, tmp_path: Path
 ) -> None:
-    told: list[str] = []
-    assert made(tmp_path, photographs, 2, told) == made(tmp_path, photographs, 1, [])
-    assert any("2 of 2 trained" in note for note in told)
-    told.clear()
-    train_and_score(tmp_path / "with 2", SIZE, [], {"jobs": "any"}, 2, told.append)
-    assert not told, "what is there is kept"
+    output: list[str] = []
+    assert made(tmp_path, photographs, 2, output) == made(tmp_path, photographs, 1, [])
+    assert any("2 of 2 trained" in note for note in output)
+    output.clear()
+    train_and_score(tmp_path / "with 2", SIZE, [], {"jobs": "any"}, 2, output.append)
+    assert not output, "what is there is kept"
 
 
 def test_a_training_that_fails_says_why(tmp_path: Path) -> None:

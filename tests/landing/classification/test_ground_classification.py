@@ -312,8 +312,8 @@ def test_unusable_network_is_refused_in_one_line(
         out = tmp_path / "run"
         arguments = ["land", "flat", "--out", str(out), "--quiet"]
         assert cli.main([*arguments, "--set", f"landing.classifier={name}"]) == 2
-        told = capsys.readouterr().err
-        assert words in told and told.count("\n") == 1 and not out.exists()
+        output = capsys.readouterr().err
+        assert words in output and output.count("\n") == 1 and not out.exists()
 
 
 def test_classifier_off_and_auto(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -336,8 +336,8 @@ def test_classifier_off_and_auto(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_landings_judged_by_class() -> None:
-    from touchdown.experiments.api import is_good
     from touchdown.experiments.flight.run import class_counts
+    from touchdown.experiments.io.results import Landing, is_success
 
     assert class_counts(LandingParams())
     assert class_counts(LandingParams(site_xy_m=(1.0, 2.0)))
@@ -348,5 +348,6 @@ def test_landings_judged_by_class() -> None:
     ):
         assert not class_counts(LandingParams(**changes))  # type: ignore[arg-type]
     wet = {"safe_geometry": True, "safe": False}
-    for judged_on, good in (("geometry", True), ("geometry and class", False)):
-        assert is_good({"outcome": "LANDED", "landing": wet | {"judged_on": judged_on}}) is good
+    for judged_on, success in (("geometry", True), ("geometry and class", False)):
+        landing = Landing(judged_on=judged_on, **wet)
+        assert is_success("LANDED", landing.ground_safe) is success

@@ -228,7 +228,7 @@ def test_a_fault_of_a_sensor_that_nobody_reads_is_reported() -> None:
     config = load_config(estimator="livo", fault=schedule)
     all_but_gps = SensorNeeds(camera_hz=10, lidar=True)
     (sentence,) = inactive_faults(config, all_but_gps)
-    assert "'gps_dropout@20+5' does nothing" in sentence and "'livo'" in sentence
+    assert "'gps_dropout@20+5' has no effect" in sentence and "'livo'" in sentence
     assert inactive_faults(config, SensorNeeds(camera_hz=5, lidar=True, gps=True)) == []
     dark = inactive_faults(config, SensorNeeds(gps=True))
     assert [sentence.split("'")[1] for sentence in dark] == ["lidar_nan@3", "fog@0"]
