@@ -81,7 +81,7 @@ def rig_table(facts: Figures) -> Table:
 
 
 def site_table(figures: Figures) -> Table:
-    """The places of Fig. 11: was the chosen site safe by the true map?"""
+    """The places of Fig. 11: safety of the chosen sites by the true map."""
     words = {True: "safe", False: "unsafe", None: "none chosen"}
     rows = [
         [
