@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,6 +14,24 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 # Tests share the machine with each other's processes; libraries stay on one thread.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+
+
+def pytest_configure() -> None:
+    """Compiles each kernel once. Processes that start together on an empty cache would all compile
+    the same kernels; with a lock around it, the later one finds what the first has stored."""
+    from numba.core.dispatcher import Dispatcher
+
+    compile_or_load = Dispatcher.compile
+    folder = Path(tempfile.gettempdir()) / f"touchdown-kernels-{os.getuid()}"
+    folder.mkdir(exist_ok=True)
+
+    def compile_in_turn(self: Any, signature: Any) -> Any:
+        name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
+        with (folder / name).open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            return compile_or_load(self, signature)
+
+    Dispatcher.compile = compile_in_turn
 
 
 @pytest.fixture

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
+
 from touchdown.experiments.flight.run import fly
 
 from support.baselines_support import tiny
 
 
+@pytest.mark.slow
 def test_positions_do_not_depend_on_whether_a_map_is_made() -> None:
     """LIDAR and mapper beside it leave every random stream and every message alone."""
     results = [

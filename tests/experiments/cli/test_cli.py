@@ -261,6 +261,7 @@ def test_interruption_is_130(
     assert err.strip() == "touchdown: interrupted"
 
 
+@pytest.mark.slow
 def test_exported_scene_opens_in_mujoco_unchanged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -90,6 +90,7 @@ def test_an_estimator_that_raises_is_a_row(tmp_path: Path, monkeypatch: pytest.M
         assert_position_error(rows, below=1.0)
 
 
+@pytest.mark.slow
 def test_the_example_of_the_page_passes_in_a_pytest_of_its_own(pytester: pytest.Pytester) -> None:
     """The first Python block of the page, as it stands, in two processes."""
     page = (ROOT / "docs" / "ci-regression.md").read_text(encoding="utf-8")

@@ -50,6 +50,7 @@ def made(out: Path, photographs: Path, jobs: int, output: list[str]) -> dict[str
     }
 
 
+@pytest.mark.slow
 def test_networks_do_not_depend_on_how_many_are_trained_at_a_time(
     photographs: Path, tmp_path: Path
 ) -> None:

@@ -1,0 +1,38 @@
+"""Scenes that are built once a process, for tests in which the building is not the subject."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import functools
+from collections.abc import Iterator
+
+import pytest
+
+from touchdown.scenes import compose
+from touchdown.scenes.api import LowSun, Scene
+
+
+@functools.lru_cache(maxsize=3)
+def _built(name: str, seed: int, sun: LowSun | None) -> Scene:
+    return _LOAD_SCENE(name, seed, sun)
+
+
+_LOAD_SCENE = compose.load_scene
+
+
+def load_scene_once(name: str, seed: int, sun: LowSun | None = None) -> Scene:
+    """As `scenes.compose.load_scene`; a shipped scene has a compiled model of its own each time, as
+    a world sets physics options there, and shares all else."""
+    if "/" in name or name.endswith(".xml"):
+        return _LOAD_SCENE(name, seed, sun)
+    scene = _built(name, seed, sun)
+    return dataclasses.replace(scene, model=copy.copy(scene.model))
+
+
+@pytest.fixture(autouse=True, scope="session")
+def scenes_built_once() -> Iterator[None]:
+    """Flights of a folder share the scenes; import it in the folder's ``conftest.py``."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compose, "load_scene", load_scene_once)
+        yield
