@@ -174,7 +174,7 @@ def test_raster_agrees_with_the_relief(crossroad: Scene) -> None:
     assert abs(drop - ROAD_DEPTH_M) < 0.02
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2))])
 def test_crossroad_has_safe_ground(seed: int) -> None:
     scene = cached_scene(seed)
     xy = scene.takeoff_xy_m

@@ -150,7 +150,7 @@ def test_seeds_bridge_streams_and_roads() -> None:
     assert 2 <= sum(kinds) <= 10
 
 
-@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("seed", [0, pytest.param(3, marks=pytest.mark.slow)])
 def test_bridge_is_wide_enough_to_land_on(seed: int) -> None:
     """Over a road it is an asphalt road, over water a timber path."""
     scene, plan = cached_scene("footbridge", seed), bridge_plan(seed)
@@ -169,7 +169,7 @@ def test_bridge_is_wide_enough_to_land_on(seed: int) -> None:
     assert not judge_touchdown(scene, beside).safe_geometry
 
 
-@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("seed", [0, pytest.param(3, marks=pytest.mark.slow)])
 def test_below_the_bridge_is_a_road_or_water(seed: int) -> None:
     scene, plan = cached_scene("footbridge", seed), bridge_plan(seed)
     stations = np.array([15.0, 40.0, 90.0, 115.0])

@@ -65,7 +65,11 @@ def shaped(seed: int) -> HeightField:
     return shape_ground(rng, draw_plan(rng))
 
 
-CASES = [("forest", 1), ("turf", 0), ("turf", 1), ("turf", 2)]
+CASES = [
+    ("forest", 1),
+    ("turf", 0),
+    *(pytest.param("turf", seed, marks=pytest.mark.slow) for seed in (1, 2)),
+]
 
 
 @pytest.mark.parametrize(("name", "seed"), CASES)
