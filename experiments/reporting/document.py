@@ -23,12 +23,12 @@ from touchdown.experiments.reporting.flights import (
     add_path_deviations,
     flies_paper_methods,
     methods_of,
-    outcome_counts,
     scenes_of,
 )
 from touchdown.experiments.reporting.landing_figure import landing_pictures
 from touchdown.experiments.reporting.landings import landing_tables, landing_words
 from touchdown.experiments.reporting.narrative import leading_words, published_words, summary_words
+from touchdown.experiments.reporting.queries import outcome_counts
 from touchdown.experiments.reporting.statistics import INTERVAL
 from touchdown.experiments.reporting.tables import (
     Cell,

@@ -26,8 +26,10 @@ from touchdown.experiments.reporting.flights import (
     scenes_of,
     values,
 )
+from touchdown.experiments.reporting.measures import estimates, mean_of
 from touchdown.experiments.reporting.published import ANALYSED_SCENE
-from touchdown.experiments.reporting.statistics import Estimate, mean_interval
+from touchdown.experiments.reporting.queries import CellKey
+from touchdown.experiments.reporting.statistics import Estimate
 from touchdown.experiments.reporting.tables import AXES
 
 INK, FAINT, GRID, PAPER = "#1b1f27", "#6a7280", "#d9dde3", "#fefefe"
@@ -282,8 +284,9 @@ def _paint_bars(
 ) -> None:
     width = 0.84 / len(methods)
     heights: list[float] = []
+    by_cell = estimates(rows, mean_of(key))
     for index, method in enumerate(methods):
-        found = [mean_interval(values(cell(rows, scene, method), key)) for scene in scenes]
+        found = [by_cell.get(CellKey(method, scene)) for scene in scenes]
         places = [i for i, estimate in enumerate(found) if estimate is not None]
         shown = [estimate for estimate in found if estimate is not None]
         at = np.array(places) + (index - 0.5 * (len(methods) - 1)) * width

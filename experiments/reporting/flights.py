@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,12 +111,6 @@ def judged_by_class(row: Row) -> bool:
 def flies_paper_methods(rows: Iterable[Row]) -> bool:
     """True if a method of the paper's tables is among the flights."""
     return any(row["estimator"] in published.METHOD_NAMES for row in rows)
-
-
-def outcome_counts(rows: Iterable[Row]) -> dict[str, int]:
-    """Flights by outcome, the most frequent first."""
-    counts = Counter(row["outcome"] for row in rows)
-    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
 
 # ----------------------------------------------------------------------------------- trajectories
