@@ -1,4 +1,4 @@
-"""Error of the estimate over the distance flown: shows drift, not a constant offset."""
+"""Error of the estimate over the distance flown, which separates drift from a constant offset."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def error_by_distance(run_dir: Path) -> dict[str, float]:
 
 
 def add_errors_by_distance(rows: list[dict[str, Any]]) -> None:
-    """Gives survey flights the keys ``error_by_distance.0-50`` and so on, from their files."""
+    """Adds the keys ``error_by_distance.0-50`` and so on to survey flights, from their files."""
     for row in rows:
         if row["mode"] == "fly":
             for name, value in error_by_distance(Path(row["run_dir"])).items():

@@ -104,7 +104,7 @@ def cell(rows: Iterable[Row], scene: str | None = None, method: str | None = Non
 
 
 def judged_by_class(row: Row) -> bool:
-    """True if the class of the ground counts, and not its geometry alone."""
+    """True if a flight is judged on the class of the ground, not on its geometry alone."""
     return row.get("landing.judged_on") == JUDGED_BY_CLASS
 
 
@@ -137,8 +137,8 @@ def airborne(truth: Trajectory) -> int:
 def path_deviation(run_dir: Path) -> dict[str, float] | None:
     """Mean absolute deviation of the flown path from the reference, from lift-off to the end.
 
-    Metres along world x, y and z, degrees for ``yaw_deg``, ``mean`` the distance in 3-D: what the
-    paper's Fig. 10b-e shows. For flights that end with the survey; None without trajectories.
+    Metres along world x, y and z, degrees for ``yaw_deg``, ``mean`` the distance in 3-D, as in the
+    paper's Fig. 10b-e. For flights that end with the survey; None without trajectories.
     """
     truth = read_trajectory(run_dir / "truth.tum")
     reference = read_trajectory(run_dir / "reference.tum")
@@ -162,7 +162,7 @@ def path_deviation(run_dir: Path) -> dict[str, float] | None:
 
 
 def add_path_deviations(rows: list[dict[str, Any]]) -> None:
-    """Gives survey flights the keys ``path_deviation.x`` and so on, from their files."""
+    """Adds the keys ``path_deviation.x`` and so on to survey flights, from their files."""
     for row in rows:
         if row["mode"] != "fly":
             continue

@@ -57,11 +57,11 @@ _EXTREMES: tuple[tuple[str, str, float], ...] = (
     ("tilt (°)", "landing.tilt_deg", 1.0),
 )
 _NAMED = 10
-"""unsafe touchdowns that are named one by one"""
+"""largest number of unsafe touchdowns that are listed by name"""
 
 
 def landings_of(rows: Sequence[Row]) -> list[Row]:
-    """The flights that were to land."""
+    """Returns the flights in landing mode."""
     return [row for row in rows if row["mode"] == "land"]
 
 
@@ -81,7 +81,7 @@ def _unsafe_word(rows: Sequence[Row]) -> str:
 
 
 def landing_tables(rows: Sequence[Row]) -> list[Table]:
-    """All tables of landings; none where no flight was to land."""
+    """Returns all tables of landings; none without a flight in landing mode."""
     landings = landings_of(rows)
     if not landings:
         return []
@@ -219,7 +219,7 @@ def _verdict(name: str) -> str:
     return f"{name} ({kind})"
 
 
-# ----------------------------------------------------------------------------------- how they went
+# --------------------------------------------------------------------------- outcomes and extremes
 
 
 def _safety_table(landings: Sequence[Row]) -> Table:
@@ -276,7 +276,8 @@ def _extremes(landings: Sequence[Row], *, pooled: bool = False) -> dict[CellKey,
 
 
 def landing_words(rows: Sequence[Row]) -> list[str]:
-    """Per method: landings, beside those of the paper where it flew; then the order by d_L."""
+    """Returns the landings of each method, compared with the paper where one of its methods flew,
+    and the order by d_L."""
     landings = landings_of(rows)
     landed = landed_of(landings)
     counts, extremes = landings_by_cell(landings, pooled=True), _extremes(landings, pooled=True)
@@ -322,7 +323,7 @@ def _extreme_words(method: str, worst: _Extremes) -> list[str]:
 
 
 def _comparison_words(method: str, means: Mapping[str, Estimate | None]) -> list[str]:
-    """The means of a method beside those that the paper prints."""
+    """The means of a method compared with those that the paper prints."""
     beside = [
         _beside_the_paper(name, unit, measured, printed, method)
         for name, unit, column, printed in _MEASURES
@@ -363,7 +364,7 @@ def _printed_offset(method: str) -> float:
 
 def offset_xy(row: Row) -> tuple[float, float] | None:
     """East and north of the first contact from the commanded spot, or from the committed site where
-    none was commanded, metres; None where the row does not say."""
+    none was commanded, metres; None where a position is missing."""
     spot = row.get("landing.commanded_xy_m") or row.get("landing.site_xy_m")
     contact = row.get("landing.touchdown_xy_m")
     if not spot or not contact or number(row, "landing.target_offset_m") is None:

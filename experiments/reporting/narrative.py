@@ -1,4 +1,4 @@
-"""Sentences of a report, made from its figures."""
+"""Sentences of a report, generated from its figures."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
-# --------------------------------------------------------------------------------------- who leads
+# ----------------------------------------------------------------------------------------- ranking
 
 
 class Rank(NamedTuple):
@@ -79,7 +79,7 @@ class Rank(NamedTuple):
 
 
 def leading_words(rows: Sequence[Row]) -> list[str]:
-    """Per scene: the order by E_tra, the test of the lead, and the paper's order."""
+    """Returns, per scene, the order by E_tra, the test of the lead, and the paper's order."""
     rivals = [row for row in rows if row["estimator"] != "oracle"]
     measured = estimates(rivals, mean_of("trajectory_error_m"))
     ranked = {scene: _ranking(measured, scene) for scene in scenes_of(rivals)}
@@ -187,7 +187,7 @@ def _chain(methods: Sequence[str]) -> str:
     return " < ".join(f"`{method}`" for method in methods)
 
 
-# ------------------------------------------------------------------------------- beside the paper
+# ----------------------------------------------------------------------- comparison with the paper
 
 
 def published_words(rows: Sequence[Row]) -> list[str]:

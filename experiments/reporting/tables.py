@@ -1,4 +1,4 @@
-"""The tables of a report, measured beside published, for Markdown and HTML alike."""
+"""Tables of a report with measured and published figures, for Markdown and HTML."""
 
 from __future__ import annotations
 
@@ -111,7 +111,8 @@ def method_scene_table(
     best: bool = True,
     all_scenes: bool = True,
 ) -> Table:
-    """Methods down, scenes across; the paper's figures beside its scene where its methods flew."""
+    """Returns a table with a line per method and a column per scene, and the paper's figures beside
+    its scene where its methods flew."""
     scenes, methods = scenes_of(rows), methods_of(rows)
     printed = printed if flies_paper_methods(rows) else None
     found = estimates(rows, measure)

@@ -1,4 +1,4 @@
-"""The verdict of `touchdown regress` in words, and the table behind it."""
+"""Text of the verdict of `touchdown regress`, and the table of its comparisons."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from touchdown.experiments.reporting.statistics import fewest_pairs
 
 
 def verdict_words(found: Comparison) -> list[str]:
-    """Sentences on what got worse, with size and p; at the end on what could not be found."""
+    """Returns one line per regression with its size and p; the last line states the cells without
+    power."""
     lines = [f"WORSE  {line}" for line in found.vanished]
     for cell in (cell for cell in found.cells if cell.worse):
         interval = _interval(cell)
@@ -49,7 +50,7 @@ def _comparisons(count: int) -> str:
 
 
 def _power_words(found: Comparison) -> list[str]:
-    """The smallest change that cells could have shown."""
+    """The smallest and the largest detectable change of the cells."""
     seen = [cell for cell in found.cells if cell.detectable is not None]
     if not seen:
         return []
@@ -97,7 +98,7 @@ def _detectable(cell: CellResult) -> str:
 
 
 def table_lines(found: Comparison) -> list[str]:
-    """A Markdown table, one line a cell, worst first."""
+    """Returns a Markdown table with one line per cell, the smallest p first."""
     lines = [
         "| scene, method | error (m) | was (m) | ratio | adjusted p | detectable ratio | test |",
         "|---|---|---|---|---|---|---|",
