@@ -156,7 +156,8 @@ def summary(directory: Path) -> dict[str, Any]:
     ``estimators`` gives processor and wall seconds of the finished runs of each, and the share of
     their wall time by stage: ``set_up`` is loading, building and writing, ``rest`` the loop itself.
     ``expectations`` are `experiments.campaign.expectations.Verdict`; ``as_expected``
-    is true if every finished run is as expected. Raises UsageError when ``directory`` is no campaign.
+    is true if every finished run is as expected. Raises UsageError where ``directory`` is no
+    campaign.
     """
     document = read_plan_file(directory)
     verdicts = expectations.judge_campaign(directory)

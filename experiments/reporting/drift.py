@@ -20,7 +20,7 @@ _NAMES = tuple(f"{first:.0f}-{last:.0f}" for first, last in pairwise(BINS_M))
 
 def error_by_distance(run_dir: Path) -> dict[str, float]:
     """Mean 3-D error of the estimate (m) while the distance flown since lift-off, by the truth, was
-    within each pair of neighbours of `BINS_M`; what a flight did not reach is left out."""
+    within each pair of neighbours of `BINS_M`; bins that a flight did not reach are left out."""
     truth = read_trajectory(run_dir / "truth.tum")
     estimate = read_trajectory(run_dir / "estimate.tum")
     if truth is None or estimate is None:

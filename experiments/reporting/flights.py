@@ -38,7 +38,7 @@ class Trajectory:
 def load_flights(directory: Path) -> list[dict[str, Any]]:
     """Returns every flight of a campaign, or below a plain directory, as rows of
     `touchdown.experiments.campaign.results_table.load_rows`, with the key ``run_dir``. Raises
-    UsageError where there is none or one cannot be read."""
+    UsageError without a flight or for an unreadable one."""
     rows = load_rows(directory)
     folder = directory / RUNS if is_campaign(directory) else directory
     for row in rows:
@@ -58,7 +58,7 @@ def check_revisions(rows: Iterable[Row], directory: Path) -> None:
 
 
 def campaign_text(directory: Path) -> str:
-    """The campaign's file as it was given, empty where there is none."""
+    """Returns the text of the campaign's file; empty without one."""
     file = directory / "campaign.toml"
     if not file.is_file():
         return ""
@@ -66,7 +66,7 @@ def campaign_text(directory: Path) -> str:
 
 
 def number(row: Row, key: str) -> float | None:
-    """A finite number of a row, None where there is none."""
+    """Returns a finite number of a row; None for any other value."""
     value = row.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None

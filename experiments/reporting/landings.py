@@ -275,7 +275,7 @@ def _extremes(landings: Sequence[Row], *, pooled: bool = False) -> dict[CellKey,
     }
 
 
-def landing_words(rows: Sequence[Row]) -> list[str]:
+def landing_sentences(rows: Sequence[Row]) -> list[str]:
     """Returns the landings of each method, compared with the paper where one of its methods flew,
     and the order by d_L."""
     landings = landings_of(rows)
@@ -286,15 +286,15 @@ def landing_words(rows: Sequence[Row]) -> list[str]:
     lines = []
     for method in methods_of(landings):
         key = CellKey(method)
-        lines.append(_share_words(counts[key], cell(landings, None, method)))
-        lines += _extreme_words(method, extremes.get(key, _NO_EXTREMES))
+        lines.append(_share_text(counts[key], cell(landings, None, method)))
+        lines += _extreme_sentences(method, extremes.get(key, _NO_EXTREMES))
         if compare:
             means = {column: by_method.get(key) for column, by_method in found.items()}
-            lines += _comparison_words(method, means)
-    return lines + _closest_words(landings, found["landing.target_offset_m"])
+            lines += _comparison_sentences(method, means)
+    return lines + _closest_sentences(landings, found["landing.target_offset_m"])
 
 
-def _share_words(counts: LandingCounts, own: Sequence[Row]) -> str:
+def _share_text(counts: LandingCounts, own: Sequence[Row]) -> str:
     """The share that landed, and the unsafe touchdowns, of the flights ``own`` of a method."""
     share = share_interval(counts.landed, counts.flights)
     low, high = 100.0 * (share.low or 0.0), 100.0 * (share.high or 0.0)
@@ -312,7 +312,7 @@ def _share_words(counts: LandingCounts, own: Sequence[Row]) -> str:
     return f"{line} None touched ground that is {_unsafe_word(own)}."
 
 
-def _extreme_words(method: str, worst: _Extremes) -> list[str]:
+def _extreme_sentences(method: str, worst: _Extremes) -> list[str]:
     """The largest bounce, deceleration and tilt of a method, where they are known."""
     extremes = [
         f"{title.partition(' (')[0]} {digits(value)} {title.partition('(')[2].rstrip(')')}"
@@ -322,7 +322,7 @@ def _extreme_words(method: str, worst: _Extremes) -> list[str]:
     return [f"`{method}`, the worst of its landings: {', '.join(extremes)}."] if extremes else []
 
 
-def _comparison_words(method: str, means: Mapping[str, Estimate | None]) -> list[str]:
+def _comparison_sentences(method: str, means: Mapping[str, Estimate | None]) -> list[str]:
     """The means of a method compared with those that the paper prints."""
     beside = [
         _beside_the_paper(name, unit, measured, printed, method)
@@ -341,7 +341,7 @@ def _beside_the_paper(
     return f'{text}, {theirs.value:g} printed for "{whose}"'
 
 
-def _closest_words(landings: Sequence[Row], offsets: Mapping[CellKey, Estimate]) -> list[str]:
+def _closest_sentences(landings: Sequence[Row], offsets: Mapping[CellKey, Estimate]) -> list[str]:
     """The order of the methods by d_L, where there is more than one."""
     ranked = sorted(
         (offset.value, key.method) for key, offset in offsets.items() if key.method != "oracle"

@@ -41,7 +41,7 @@ def with_interval(estimate: Estimate, unit: str) -> str:
     return f"{digits(estimate.value)} {unit} {interval_text(estimate)}".rstrip()
 
 
-def summary_words(rows: Sequence[Row]) -> list[str]:
+def summary_sentences(rows: Sequence[Row]) -> list[str]:
     """Number of flights and of unsuccessful ones."""
     scenes, methods = scenes_of(rows), methods_of(rows)
     failed = [row for row in rows if not is_successful(row)]
@@ -78,7 +78,7 @@ class Rank(NamedTuple):
     error: Estimate
 
 
-def leading_words(rows: Sequence[Row]) -> list[str]:
+def leading_sentences(rows: Sequence[Row]) -> list[str]:
     """Returns, per scene, the order by E_tra, the test of the lead, and the paper's order."""
     rivals = [row for row in rows if row["estimator"] != "oracle"]
     measured = estimates(rivals, mean_of("trajectory_error_m"))
@@ -99,13 +99,13 @@ def leading_words(rows: Sequence[Row]) -> list[str]:
         )
         line += "".join(f", `{rank.method}` {digits(rank.error.value)} m" for rank in others)
         lead_m, alpha = second.error.value - first.error.value, CHANCE / max(1, len(tested))
-        verdict = _lead_words(lead_m, pairs[scene], adjusted.get(scene), alpha)
+        verdict = _lead_text(lead_m, pairs[scene], adjusted.get(scene), alpha)
         lines.append(f"{line}. {verdict}")
-    lines += _absence_words(rivals, ranked)
-    return lines + _order_words({s: [r.method for r in order] for s, order in contests.items()})
+    lines += _absence_sentences(rivals, ranked)
+    return lines + _order_sentences({s: [r.method for r in order] for s, order in contests.items()})
 
 
-def _absence_words(rows: Sequence[Row], ranked: Mapping[str, Sequence[Rank]]) -> list[str]:
+def _absence_sentences(rows: Sequence[Row], ranked: Mapping[str, Sequence[Rank]]) -> list[str]:
     """Methods without a figure in scenes where others have one."""
     lines, flown = [], flown_cells(rows)
     for scene, order in ranked.items():
@@ -145,7 +145,7 @@ def _by_trial(rows: Sequence[Row]) -> dict[tuple[object, object], float]:
     }
 
 
-def _lead_words(lead_m: float, differences: Array, p: float | None, alpha: float) -> str:
+def _lead_text(lead_m: float, differences: Array, p: float | None, alpha: float) -> str:
     """The verdict of the test, and the number of seeds that would show an undecided lead."""
     seeds = len(differences)
     if p is None:
@@ -163,7 +163,7 @@ def _lead_words(lead_m: float, differences: Array, p: float | None, alpha: float
     return f"{text}; {max(needed, seeds + 1)} seeds per method would show it with 80 % power."
 
 
-def _order_words(orders: dict[str, list[str]]) -> list[str]:
+def _order_sentences(orders: dict[str, list[str]]) -> list[str]:
     """The order of the paper's methods compared with that of its Table 2."""
     same, lines = [], []
     for scene, order in orders.items():
@@ -190,7 +190,7 @@ def _chain(methods: Sequence[str]) -> str:
 # ----------------------------------------------------------------------- comparison with the paper
 
 
-def published_words(rows: Sequence[Row]) -> list[str]:
+def published_sentences(rows: Sequence[Row]) -> list[str]:
     """Each measured figure that the paper prints too, with the ratio of both; none where no method
     of the paper flew."""
     if not flies_paper_methods(rows):
@@ -213,7 +213,7 @@ def published_words(rows: Sequence[Row]) -> list[str]:
             f"The paper's figures are of a crossroad scene in Gazebo, 10 flights per method; "
             f"`{scene}` here is another scene in another simulator."
         )
-    return lines + _levelness_words(rows)
+    return lines + _levelness_sentences(rows)
 
 
 def _comparison(
@@ -236,7 +236,7 @@ def _comparison(
     return f"{text}: {digits(1 / ratio)} times larger here."
 
 
-def _levelness_words(rows: Sequence[Row]) -> list[str]:
+def _levelness_sentences(rows: Sequence[Row]) -> list[str]:
     parts = []
     bound = published.LEVELNESS_BOUND_DEG
     levelness, scenes = estimates(rows, mean_of("map.levelness_error_deg.mean")), scenes_of(rows)

@@ -51,8 +51,8 @@ def vanished(pairs: Pairs) -> dict[Key, str]:
             )
         elif 2 * kept * len(before) < successes * len(now):
             found[key] = (
-                f"{kept} of {len(now)} flights end as they should, {successes} of {len(before)} did "
-                "in the baseline"
+                f"{kept} of {len(now)} flights end as they should, "
+                f"{successes} of {len(before)} did in the baseline"
             )
     return found
 
