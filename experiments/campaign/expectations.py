@@ -53,7 +53,7 @@ def judge(
 ) -> Verdict:
     """Returns the verdict on one expectation; ``runs`` as in ``campaign.json``, ``rows`` by run."""
     when = expectation["when"]
-    verdict = Verdict(expectation["name"] or _label(when), expected=expected_words(expectation))
+    verdict = Verdict(expectation["name"] or _label(when), expected=expected_text(expectation))
     for run in runs:
         if not all(run["values"].get(key) in wanted for key, wanted in when.items()):
             continue
@@ -96,7 +96,7 @@ def touched_unsafely(row: Mapping[str, Any]) -> bool:
     return row["outcome"] in _FELL or touched_safe_ground(row) is not True
 
 
-def expected_words(expectation: Mapping[str, Any]) -> str:
+def expected_text(expectation: Mapping[str, Any]) -> str:
     """``LANDED or ABORTED, error at most 0.3 m, no unsafe touchdown``."""
     parts = [" or ".join(expectation["outcome"]) or "any outcome"]
     if expectation["position_error_m_max"] is not None:

@@ -1,4 +1,5 @@
-"""A campaign as it goes, on stderr: a bar with the time left on a terminal, else a line a run."""
+"""Progress of a campaign on stderr: a bar with the remaining time on a terminal, otherwise one line
+per run."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ from touchdown.experiments.terminal import make_console
 
 
 class TimeLeft:
-    """Predicts from the runs so far. Methods differ in cost: each has its own mean."""
+    """Prediction of the remaining time from the mean duration of the finished runs by method."""
 
     def __init__(self, todo: Sequence[Task], jobs: int) -> None:
         self._kind = {task.run_id: str(task.values.get("estimator")) for task in todo}
@@ -35,14 +36,14 @@ class TimeLeft:
         self._started[run_id] = now_s
 
     def end(self, run_id: str, now_s: float) -> float:
-        """Seconds that the run took."""
+        """Records the end of a run and returns its duration in seconds."""
         took = now_s - self._started.get(run_id, now_s)
         self._open.discard(run_id)
         self._took[self._kind[run_id]].append(took)
         return took
 
     def left_s(self, now_s: float) -> float | None:
-        """Seconds until all is done, None before the first run has ended."""
+        """Returns the remaining time in seconds; None before the end of the first run."""
         means = {kind: fmean(seconds) for kind, seconds in self._took.items()}
         if not means:
             return None
@@ -55,7 +56,7 @@ class TimeLeft:
 
 
 class Display(Watcher):
-    """The bar, or the lines."""
+    """Watcher that shows the bar or prints the lines."""
 
     def __init__(self) -> None:
         self._console = Console(stderr=True, highlight=False)
@@ -148,7 +149,7 @@ def print_summary(figures: Mapping[str, Any]) -> None:
 
 
 def _cost_table(estimators: Mapping[str, Any]) -> Table:
-    """The stages that matter; the others together. `--json` has them all."""
+    """Table of the mean cost of a run, with four stages and the rest; `--json` has all stages."""
     shown = ("set_up", "world", "estimator", "mapper")
     title = "a run on average, and where its time went"
     table = Table(title=title, title_justify="left", box=None)

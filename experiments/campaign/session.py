@@ -1,4 +1,4 @@
-"""Flying a campaign: what is left to do, who does it, and what it came to."""
+"""A session of a campaign: flies the remaining runs with an engine and sums up their results."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import shutil
 import socket
 import threading
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -45,13 +45,13 @@ class Watcher:
     """Receives the progress of a campaign; the base class ignores it."""
 
     def start(self, todo: Sequence[Task], done: int, jobs: int) -> None:
-        """Before the first run; ``done`` runs were finished earlier."""
+        """Called before the first run; ``done`` runs were finished earlier."""
 
     def see(self, event: Event) -> None:
         """Takes an event of `touchdown.experiments.campaign.executor`."""
 
     def end(self) -> None:
-        """After the last run, or when the campaign is stopped."""
+        """Called after the last run, or when the campaign is stopped."""
 
 
 def fly_campaign(
@@ -63,13 +63,13 @@ def fly_campaign(
     watcher: Watcher | None = None,
     runner: str = REAL_RUNNER,
 ) -> dict[str, Any]:
-    """Flies what ``directory`` lacks of a plan, and returns `summary`.
+    """Flies the runs of a plan that ``directory`` lacks, and returns `summary`.
 
     Finished runs are never repeated; runs that crashed are tried again. Stopping it at any moment,
     by whatever means, and calling it again gives the rows of an undisturbed campaign. ``shard`` (i,
     n) flies the i-th of n parts, i from 1. Raises UsageError for a directory that is in use, that
-    belongs to another campaign, or whose disk is full; for an external estimator that is not to be
-    had, or whose code is not that of the finished runs."""
+    belongs to another campaign, or whose disk is full; for an external estimator that is not
+    available, or whose code differs from that of the finished runs."""
     from touchdown.experiments.flight.wiring import check_estimator_available
     from touchdown.experiments.io.provenance import git_revision
 
@@ -110,7 +110,7 @@ def fly_campaign(
 
 
 def _left(plan: Plan, directory: Path, shard: Shard | None, runner: str) -> tuple[list[Task], int]:
-    """Tasks that remain of this shard, and the number of those that do not."""
+    """The remaining tasks of this shard, and the number of its completed ones."""
     finished = finished_ids(directory)
     mine = [run for run in plan.runs if shard is None or in_shard(run.run_id, shard)]
     todo = []
@@ -155,17 +155,15 @@ def summary(directory: Path) -> dict[str, Any]:
 
     ``estimators`` gives processor and wall seconds of the finished runs of each, and the share of
     their wall time by stage: ``set_up`` is loading, building and writing, ``rest`` the loop itself.
-    ``expectations`` are `experiments.campaign.expectations.Verdict`, ``as_expected`` sums them up.
-    Raises UsageError when ``directory`` is no campaign.
+    ``expectations`` are `experiments.campaign.expectations.Verdict`; ``as_expected``
+    is true if every finished run is as expected. Raises UsageError where ``directory`` is no
+    campaign.
     """
     document = read_plan_file(directory)
     verdicts = expectations.judge_campaign(directory)
     planned = {run["run_id"] for run in document["runs"]}
     rows = [row for row in refresh(directory) if row["run_id"] in planned]
     crashed = [row for row in rows if row["outcome"] == CRASHED]
-    outcomes: defaultdict[str, int] = defaultdict(int)
-    for row in rows:
-        outcomes[row["outcome"]] += 1
     return {
         "name": document["name"],
         "mode": document["mode"],
@@ -176,7 +174,7 @@ def summary(directory: Path) -> dict[str, Any]:
         "crashed": len(crashed),
         "remaining": len(planned) - len(rows),
         "flying": flying_now(directory),
-        "outcomes": dict(sorted(outcomes.items())),
+        "outcomes": dict(sorted(Counter(row["outcome"] for row in rows).items())),
         "errors": {row["run_id"]: row["reason"] for row in crashed},
         "wall_s": sum(session["wall_s"] for session in document["sessions"]),
         "estimators": _costs([row for row in rows if row["outcome"] != CRASHED]),
@@ -187,7 +185,7 @@ def summary(directory: Path) -> dict[str, Any]:
 
 
 def _costs(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """By estimator, in the order of their names."""
+    """Cost of the runs by estimator, in the order of their names."""
     found: dict[str, Any] = {}
     for name in sorted({row["estimator"] for row in rows}):
         mine = [row for row in rows if row["estimator"] == name and row["wall_s"] is not None]
@@ -228,7 +226,7 @@ def make_engine(
     slots: threading.Semaphore | None = None,
 ) -> Engine:
     """The engine of that name: ``local``, whose runs wait for one of the ``slots``, or ``ray``,
-    whose cluster is at ``address``. Raises UsageError when it cannot be had."""
+    whose cluster is at ``address``. Raises UsageError when it is not available."""
     if name == "ray":
         from touchdown.experiments.campaign.executor_ray import RayEngine
 

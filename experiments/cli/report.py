@@ -132,7 +132,7 @@ def regress(
     from touchdown.experiments.reporting.flights import load_flights
     from touchdown.experiments.reporting.regression.baseline import read_baseline, write_baseline
     from touchdown.experiments.reporting.regression.compare import compare
-    from touchdown.experiments.reporting.regression.verdict import table_lines, verdict_words
+    from touchdown.experiments.reporting.regression.verdict import table_lines, verdict_sentences
 
     rows = load_flights(directory)
     if update:
@@ -144,8 +144,8 @@ def regress(
         return EXIT_DONE
     found = compare(rows, read_baseline(baseline), margin)
     if as_json:
-        click.echo(json.dumps({**found.as_json(), "words": verdict_words(found)}, indent=2))
+        click.echo(json.dumps({**found.as_json(), "words": verdict_sentences(found)}, indent=2))
     else:
         table = [*table_lines(found), ""] if found.cells else []
-        click.echo("\n".join([*table, *verdict_words(found)]))
+        click.echo("\n".join([*table, *verdict_sentences(found)]))
     return EXIT_FAILED if found.failed(require_power) else EXIT_DONE

@@ -1,1 +1,1 @@
-"""Reports over many flights: statistics, tables, figures, words, HTML."""
+"""Reports over many flights: statistics, tables, figures, sentences, HTML."""

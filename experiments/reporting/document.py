@@ -23,12 +23,16 @@ from touchdown.experiments.reporting.flights import (
     add_path_deviations,
     flies_paper_methods,
     methods_of,
-    outcome_counts,
     scenes_of,
 )
 from touchdown.experiments.reporting.landing_figure import landing_pictures
-from touchdown.experiments.reporting.landings import landing_tables, landing_words
-from touchdown.experiments.reporting.narrative import leading_words, published_words, summary_words
+from touchdown.experiments.reporting.landings import landing_sentences, landing_tables
+from touchdown.experiments.reporting.narrative import (
+    leading_sentences,
+    published_sentences,
+    summary_sentences,
+)
+from touchdown.experiments.reporting.queries import outcome_counts
 from touchdown.experiments.reporting.statistics import INTERVAL
 from touchdown.experiments.reporting.tables import (
     Cell,
@@ -57,7 +61,7 @@ class Report:
     tiles: list[tuple[str, str]]
     sections: list[Section]
     configuration: str
-    """text of the campaign's file, empty where there is none"""
+    """text of the campaign's file, empty without one"""
 
 
 def make_report(
@@ -79,8 +83,8 @@ def make_report(
 
     consistency, time = nees_table(rows), time_table(rows)
     sections = [
-        Section("summary", "Summary", summary_words(rows) + leading_words(rows), [], []),
-        Section("published", "Beside the paper", published_words(rows), [], []),
+        Section("summary", "Summary", summary_sentences(rows) + leading_sentences(rows), [], []),
+        Section("published", "Beside the paper", published_sentences(rows), [], []),
         Section("accuracy", "Accuracy", [], trajectory_tables(rows) + distance_tables(rows), []),
         Section(
             "axes",
@@ -90,13 +94,15 @@ def make_report(
             named("fig10a", "fig10b", "fig10_estimate"),
         ),
         Section("map", "Maps", [], map_tables(rows), []),
-        Section("paths", "Trajectories", _path_words(rows), [], named("fig9a", "fig9b")),
-        Section("landings", "Landings", landing_words(rows), landing_tables(rows), named("fig12")),
+        Section("paths", "Trajectories", _path_sentences(rows), [], named("fig9a", "fig9b")),
+        Section(
+            "landings", "Landings", landing_sentences(rows), landing_tables(rows), named("fig12")
+        ),
         Section("outcomes", "Outcomes", [], [outcome_table(rows)], []),
         Section("expected", "As expected", *expectation_parts(verdicts), []),
         Section("consistency", "Consistency", [], [consistency] if consistency else [], []),
         Section("time", "Time", [], [time] if time else [], []),
-        Section("conditions", "Conditions", condition_words(rows), [], []),
+        Section("conditions", "Conditions", condition_sentences(rows), [], []),
     ]
     kept = [section for section in sections if _is_shown(section)]
     return Report(title, tiles(rows), kept, configuration)
@@ -134,13 +140,13 @@ _TEXTS = ("published", "expected")
 _AXIS_WORDS = ["The paper shows its Fig. 10 without numbers, so none are compared."]
 
 
-def _path_words(rows: Sequence[Row]) -> list[str]:
+def _path_sentences(rows: Sequence[Row]) -> list[str]:
     if any(row["mode"] == "land" for row in rows):
         return []
     return ["No flight was to land: Fig. 9 b, the landing trajectories, is left out."]
 
 
-def condition_words(rows: Sequence[Row]) -> list[str]:
+def condition_sentences(rows: Sequence[Row]) -> list[str]:
     """Scenes, methods, seeds, revision and the definition of the intervals."""
     seeds = sorted({row["seed"] for row in rows})
     winds = sorted({row["wind_kmh"] for row in rows if row.get("wind_kmh") is not None})
@@ -151,7 +157,7 @@ def condition_words(rows: Sequence[Row]) -> list[str]:
         f"Scenes: {', '.join(scenes_of(rows))}. "
         f"Methods: {', '.join(f'`{m}`' for m in methods_of(rows))}. Seeds: {_ranges(seeds)}. "
         f"Mean wind: {', '.join(f'{wind:g}' for wind in winds) or 'not recorded'} km/h.",
-        _revision_words(revisions, unrecorded),
+        _revision_text(revisions, unrecorded),
         f"Intervals: {INTERVAL}, 10 000 seeded resamples; shares: Wilson's score interval. "
         "A single flight has no interval.",
         f"Published figures: {published.SOURCE}.",
@@ -164,7 +170,7 @@ def condition_words(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-def _revision_words(revisions: Sequence[str], unrecorded: int) -> str:
+def _revision_text(revisions: Sequence[str], unrecorded: int) -> str:
     """The revisions, and the remedy for results without one."""
     parts = []
     if revisions:
@@ -176,7 +182,7 @@ def _revision_words(revisions: Sequence[str], unrecorded: int) -> str:
 
 
 def _ranges(seeds: Sequence[int]) -> str:
-    """0, 1, 2, 5 becomes "0–2, 5"."""
+    """Returns consecutive seeds as ranges: "0–2, 5" for 0, 1, 2, 5."""
     parts: list[list[int]] = []
     for seed in seeds:
         if parts and seed == parts[-1][-1] + 1:
@@ -202,7 +208,7 @@ def tiles(rows: Sequence[Row]) -> list[tuple[str, str]]:
 
 
 def markdown(report: Report, pictures_at: str = "figures") -> str:
-    """The report as text; pictures are linked as ``pictures_at/NAME.svg``."""
+    """Returns the report as Markdown; figures are linked as ``pictures_at/NAME.svg``."""
     lines = [f"# {report.title}", ""]
     for section in report.sections:
         lines += [f"## {section.title}", "", *(f"- {line}" for line in section.words)]
@@ -253,7 +259,7 @@ def _code(text: str) -> Any:
 
 
 def as_json(report: Report, rows: Sequence[Row]) -> dict[str, Any]:
-    """The words and the figures behind the tables."""
+    """Returns the sentences, and the numbers of the tables."""
     return {
         "title": report.title,
         "flights": len(rows),

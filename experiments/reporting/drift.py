@@ -1,4 +1,4 @@
-"""Error of the estimate over the distance flown: shows drift, not a constant offset."""
+"""Error of the estimate over the distance flown, which separates drift from a constant offset."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from touchdown.experiments.reporting.flights import Row, airborne, cell, methods_of, read_trajectory
-from touchdown.experiments.reporting.tables import Table, figure, mean_of, name_cell
+from touchdown.experiments.reporting.flights import Row, airborne, methods_of, read_trajectory
+from touchdown.experiments.reporting.measures import estimates, mean_of
+from touchdown.experiments.reporting.queries import CellKey
+from touchdown.experiments.reporting.tables import Table, figure, name_cell
 
 BINS_M = (0.0, 50.0, 100.0, 150.0, 200.0)
 _NAMES = tuple(f"{first:.0f}-{last:.0f}" for first, last in pairwise(BINS_M))
@@ -18,7 +20,7 @@ _NAMES = tuple(f"{first:.0f}-{last:.0f}" for first, last in pairwise(BINS_M))
 
 def error_by_distance(run_dir: Path) -> dict[str, float]:
     """Mean 3-D error of the estimate (m) while the distance flown since lift-off, by the truth, was
-    within each pair of neighbours of `BINS_M`; what a flight did not reach is left out."""
+    within each pair of neighbours of `BINS_M`; bins that a flight did not reach are left out."""
     truth = read_trajectory(run_dir / "truth.tum")
     estimate = read_trajectory(run_dir / "estimate.tum")
     if truth is None or estimate is None:
@@ -40,7 +42,7 @@ def error_by_distance(run_dir: Path) -> dict[str, float]:
 
 
 def add_errors_by_distance(rows: list[dict[str, Any]]) -> None:
-    """Gives survey flights the keys ``error_by_distance.0-50`` and so on, from their files."""
+    """Adds the keys ``error_by_distance.0-50`` and so on to survey flights, from their files."""
     for row in rows:
         if row["mode"] == "fly":
             for name, value in error_by_distance(Path(row["run_dir"])).items():
@@ -54,8 +56,9 @@ def distance_tables(rows: Sequence[Row]) -> list[Table]:
         return []
     header = ["method", *(f"{name} m" for name in names)]
     table = Table("distance", "Position error (m) over the distance flown", header, [])
+    by_bin = {n: estimates(rows, mean_of(f"error_by_distance.{n}"), pooled=True) for n in names}
     for method in methods_of(rows):
-        found = {n: mean_of(f"error_by_distance.{n}")(cell(rows, None, method)) for n in names}
+        found = {n: by_method.get(CellKey(method)) for n, by_method in by_bin.items()}
         table.rows.append([name_cell(method), *(figure(found[n]) for n in names)])
         table.numbers[method] = {n: e.value if e else None for n, e in found.items()}
     table.notes = ["All scenes together; the climb to the survey's height counts as distance too."]

@@ -26,12 +26,14 @@ from touchdown.experiments.reporting.flights import (
     scenes_of,
     values,
 )
+from touchdown.experiments.reporting.measures import estimates, mean_of
 from touchdown.experiments.reporting.published import ANALYSED_SCENE
-from touchdown.experiments.reporting.statistics import Estimate, mean_interval
+from touchdown.experiments.reporting.queries import CellKey
+from touchdown.experiments.reporting.statistics import Estimate
 from touchdown.experiments.reporting.tables import AXES
 
 INK, FAINT, GRID, PAPER = "#1b1f27", "#6a7280", "#d9dde3", "#fefefe"
-"""Drawn with these; on a page they become its own colours by `on_page`."""
+"""Colours of the drawings; `Picture.on_page` replaces them by those of the page."""
 PAGE_COLOURS = {INK: "var(--ink)", FAINT: "var(--faint)", GRID: "var(--line)", PAPER: "none"}
 METHOD_COLOURS = {
     "livo": "#2f7fd6",
@@ -98,8 +100,8 @@ class Picture:
 def colour_of(method: str, methods: Sequence[str]) -> str:
     if method in METHOD_COLOURS:
         return METHOD_COLOURS[method]
-    strangers = [name for name in methods if name not in METHOD_COLOURS]
-    return SPARE_COLOURS[strangers.index(method) % len(SPARE_COLOURS)]
+    others = [name for name in methods if name not in METHOD_COLOURS]
+    return SPARE_COLOURS[others.index(method) % len(SPARE_COLOURS)]
 
 
 def draw(
@@ -150,7 +152,7 @@ def first_flight(rows: Sequence[Row], scene: str, method: str, mode: str) -> _Pa
 
 
 def survey_and_landing(rows: Sequence[Row]) -> list[Picture]:
-    """Fig. 9: where the vehicle flew while it surveyed, and how it came down."""
+    """Fig. 9: trajectories of surveys and of landings."""
     pictures = []
     for mode, name, title in (
         ("fly", "fig9a", "Fig. 9 a: survey trajectories"),
@@ -181,7 +183,7 @@ def survey_and_landing(rows: Sequence[Row]) -> list[Picture]:
 
 
 def _shown_method(rows: Sequence[Row]) -> str:
-    """The paper's method, which its Fig. 9 shows, or the first there is."""
+    """The paper's method, which its Fig. 9 shows, otherwise the first one."""
     methods = methods_of(rows)
     return "paper" if "paper" in methods else (methods or [""])[0]
 
@@ -207,7 +209,7 @@ def _paint_path(axes: Any, paths: _Paths) -> None:
 
 
 def paths_per_method(rows: Sequence[Row]) -> Picture | None:
-    """Fig. 10 a: the flown path beside the reference, one panel a method."""
+    """Fig. 10 a: the flown path and the reference, one panel per method."""
     scenes = scenes_of(rows)
     scene = ANALYSED_SCENE if ANALYSED_SCENE in scenes else scenes[0]
     methods = methods_of(rows)
@@ -246,9 +248,13 @@ def _paint_plan(axes: Axes, paths: _Paths, colour: str) -> None:
     flown = _shown(paths.truth, start)
     axes.plot(*flown[:, :2].T, color=colour, linewidth=1.4, label="flown")
     if paths.estimate is not None:
-        believed = _shown(paths.estimate, start)
+        estimated = _shown(paths.estimate, start)
         axes.plot(
-            *believed[:, :2].T, color=INK, linewidth=0.8, linestyle=(0, (1, 1.6)), label="estimated"
+            *estimated[:, :2].T,
+            color=INK,
+            linewidth=0.8,
+            linestyle=(0, (1, 1.6)),
+            label="estimated",
         )
     axes.set_aspect("equal", adjustable="box")
 
@@ -282,8 +288,9 @@ def _paint_bars(
 ) -> None:
     width = 0.84 / len(methods)
     heights: list[float] = []
+    by_cell = estimates(rows, mean_of(key))
     for index, method in enumerate(methods):
-        found = [mean_interval(values(cell(rows, scene, method), key)) for scene in scenes]
+        found = [by_cell.get(CellKey(method, scene)) for scene in scenes]
         places = [i for i, estimate in enumerate(found) if estimate is not None]
         shown = [estimate for estimate in found if estimate is not None]
         at = np.array(places) + (index - 0.5 * (len(methods) - 1)) * width
@@ -317,7 +324,7 @@ def _whiskers(estimate: Estimate) -> tuple[float, float]:
 
 
 def all_pictures(rows: Sequence[Row]) -> list[Picture]:
-    """Every figure that the flights have data for."""
+    """Returns the figures for which the flights have data."""
     deviation = error_bars(
         rows,
         "path_deviation",

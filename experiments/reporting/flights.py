@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,7 +38,7 @@ class Trajectory:
 def load_flights(directory: Path) -> list[dict[str, Any]]:
     """Returns every flight of a campaign, or below a plain directory, as rows of
     `touchdown.experiments.campaign.results_table.load_rows`, with the key ``run_dir``. Raises
-    UsageError where there is none or one cannot be read."""
+    UsageError without a flight or for an unreadable one."""
     rows = load_rows(directory)
     folder = directory / RUNS if is_campaign(directory) else directory
     for row in rows:
@@ -59,7 +58,7 @@ def check_revisions(rows: Iterable[Row], directory: Path) -> None:
 
 
 def campaign_text(directory: Path) -> str:
-    """The campaign's file as it was given, empty where there is none."""
+    """Returns the text of the campaign's file; empty without one."""
     file = directory / "campaign.toml"
     if not file.is_file():
         return ""
@@ -67,7 +66,7 @@ def campaign_text(directory: Path) -> str:
 
 
 def number(row: Row, key: str) -> float | None:
-    """A finite number of a row, None where there is none."""
+    """Returns a finite number of a row; None for any other value."""
     value = row.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
@@ -105,19 +104,13 @@ def cell(rows: Iterable[Row], scene: str | None = None, method: str | None = Non
 
 
 def judged_by_class(row: Row) -> bool:
-    """True if the class of the ground counts, and not its geometry alone."""
+    """True if a flight is judged on the class of the ground, not on its geometry alone."""
     return row.get("landing.judged_on") == JUDGED_BY_CLASS
 
 
 def flies_paper_methods(rows: Iterable[Row]) -> bool:
     """True if a method of the paper's tables is among the flights."""
     return any(row["estimator"] in published.METHOD_NAMES for row in rows)
-
-
-def outcome_counts(rows: Iterable[Row]) -> dict[str, int]:
-    """Flights by outcome, the most frequent first."""
-    counts = Counter(row["outcome"] for row in rows)
-    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
 
 # ----------------------------------------------------------------------------------- trajectories
@@ -144,8 +137,8 @@ def airborne(truth: Trajectory) -> int:
 def path_deviation(run_dir: Path) -> dict[str, float] | None:
     """Mean absolute deviation of the flown path from the reference, from lift-off to the end.
 
-    Metres along world x, y and z, degrees for ``yaw_deg``, ``mean`` the distance in 3-D: what the
-    paper's Fig. 10b-e shows. For flights that end with the survey; None without trajectories.
+    Metres along world x, y and z, degrees for ``yaw_deg``, ``mean`` the distance in 3-D, as in the
+    paper's Fig. 10b-e. For flights that end with the survey; None without trajectories.
     """
     truth = read_trajectory(run_dir / "truth.tum")
     reference = read_trajectory(run_dir / "reference.tum")
@@ -169,7 +162,7 @@ def path_deviation(run_dir: Path) -> dict[str, float] | None:
 
 
 def add_path_deviations(rows: list[dict[str, Any]]) -> None:
-    """Gives survey flights the keys ``path_deviation.x`` and so on, from their files."""
+    """Adds the keys ``path_deviation.x`` and so on to survey flights, from their files."""
     for row in rows:
         if row["mode"] != "fly":
             continue

@@ -1,4 +1,4 @@
-"""Fig. 12: where each method touched down, around the spot that it was to touch."""
+"""Fig. 12: touchdowns of each method around the designated spot."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ many times as far"""
 
 
 def landing_pictures(rows: Sequence[Row]) -> list[Picture]:
-    """Fig. 12, where anything landed."""
+    """Returns Fig. 12; nothing without a landing."""
     landings = landings_of(rows)
     offsets: dict[str, Array] = {}
     for method in methods_of(landings):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from touchdown.experiments.campaign.results_table import touched_safe_ground
@@ -15,25 +15,33 @@ from touchdown.experiments.reporting.flights import (
     judged_by_class,
     methods_of,
     number,
-    outcome_counts,
     scenes_of,
-    values,
 )
-from touchdown.experiments.reporting.statistics import Estimate, mean_interval, share_interval
+from touchdown.experiments.reporting.measures import estimates, mean_of
+from touchdown.experiments.reporting.queries import (
+    LANDED,
+    CellKey,
+    LandingCounts,
+    landings_by_cell,
+    largest_by_cell,
+    outcomes_by_cell,
+    texts_by_cell,
+)
+from touchdown.experiments.reporting.statistics import Estimate, share_interval
 from touchdown.experiments.reporting.tables import (
+    ALL_SCENES,
     MISSING,
     Cell,
     Table,
+    cell_names,
     digits,
     figure,
     interval_text,
-    mean_of,
     name_cell,
     published_cell,
 )
 from touchdown.scenes.api import RISKY_CLASSES, SAFE_CLASSES
 
-LANDED = "LANDED"
 _MEASURES: tuple[tuple[str, str, str, Any], ...] = (
     ("d_L", "m", "landing.target_offset_m", published.LANDING_OFFSET_M),
     ("v_z", "m/s", "landing.vertical_speed_mps", published.LANDING_SPEED_MPS),
@@ -49,11 +57,11 @@ _EXTREMES: tuple[tuple[str, str, float], ...] = (
     ("tilt (°)", "landing.tilt_deg", 1.0),
 )
 _NAMED = 10
-"""unsafe touchdowns that are named one by one"""
+"""largest number of unsafe touchdowns that are listed by name"""
 
 
 def landings_of(rows: Sequence[Row]) -> list[Row]:
-    """The flights that were to land."""
+    """Returns the flights in landing mode."""
     return [row for row in rows if row["mode"] == "land"]
 
 
@@ -73,19 +81,28 @@ def _unsafe_word(rows: Sequence[Row]) -> str:
 
 
 def landing_tables(rows: Sequence[Row]) -> list[Table]:
-    """All tables of landings; none where no flight was to land."""
+    """Returns all tables of landings; none without a flight in landing mode."""
     landings = landings_of(rows)
     if not landings:
         return []
     return [_table_5(landings), *_tables_6(landings), _safety_table(landings)]
 
 
-def _groups(landings: Sequence[Row], method: str) -> list[tuple[str, list[Row]]]:
-    """A method's flights by scene, and together where there are several scenes."""
-    found = [(s, own) for s in scenes_of(landings) if (own := cell(landings, s, method))]
-    if len(found) > 1:
-        found.append(("all scenes", cell(landings, None, method)))
-    return found
+def _keys(flown: Collection[CellKey], scenes: Sequence[str], method: str) -> list[CellKey]:
+    """The cells of a method by scene, and the pooled one where there are several scenes."""
+    keys = [key for scene in scenes if (key := CellKey(method, scene)) in flown]
+    return [*keys, CellKey(method)] if len(keys) > 1 else keys
+
+
+def _landing_counts(landings: Sequence[Row]) -> dict[CellKey, LandingCounts]:
+    """Counts of every cell, and of every method over all its scenes."""
+    return landings_by_cell(landings) | landings_by_cell(landings, pooled=True)
+
+
+def _landing_estimates(landings: Sequence[Row], column: str) -> dict[CellKey, Estimate]:
+    """Means over the flights that landed, of every cell and of every method."""
+    landed, measure = landed_of(landings), mean_of(column)
+    return estimates(landed, measure) | estimates(landed, measure, pooled=True)
 
 
 # --------------------------------------------------------------------------------- Tables 5 and 6
@@ -95,7 +112,8 @@ def _table_5(landings: Sequence[Row]) -> Table:
     titles = [f"{name} ({unit})" for name, unit, _, _ in _MEASURES]
     header = ["method", "scene", "landings", "landed", "safe", *titles]
     table = Table("landing", "Table 5: landings", header, [])
-    flown = methods_of(landings)
+    flown, scenes, counts = methods_of(landings), scenes_of(landings), _landing_counts(landings)
+    found = [_landing_estimates(landings, column) for _, _, column, _ in _MEASURES]
     compared = flies_paper_methods(landings)
     printed_methods = published.LANDING_OFFSET_M if compared else ()
     others = [method for method in printed_methods if method not in flown]
@@ -105,17 +123,16 @@ def _table_5(landings: Sequence[Row]) -> Table:
             blanks = [Cell(MISSING, kind="published")] * 3
             where = Cell("paper prints", kind="published")
             table.rows.append([name_cell(method), where, *blanks, *printed])
-        for scene, own in _groups(landings, method):
-            landed = landed_of(own)
-            safe = sum(touched_safe_ground(row) is True for row in landed)
-            measured = [mean_of(measure[2])(landed) for measure in _MEASURES]
-            line = [name_cell(method), Cell(scene, kind="name"), Cell(str(len(own)))]
-            line += [_share(len(landed), len(own)), _share(safe, len(own))]
+        for key in _keys(counts, scenes, method):
+            own = counts[key]
+            measured = [by_cell.get(key) for by_cell in found]
+            line = [*cell_names(key), Cell(str(own.flights))]
+            line += [_share(own.landed, own.flights), _share(own.landed_safely, own.flights)]
             table.rows.append([*line, *map(figure, measured)])
-            table.numbers.setdefault(method, {})[scene] = {
-                "landings": len(own),
-                "landed": share_interval(len(landed), len(own)).as_json(),
-                "safe": share_interval(safe, len(own)).as_json(),
+            table.numbers.setdefault(method, {})[key.scene or ALL_SCENES] = {
+                "landings": own.flights,
+                "landed": share_interval(own.landed, own.flights).as_json(),
+                "safe": share_interval(own.landed_safely, own.flights).as_json(),
                 **{m[2]: e.as_json() for m, e in zip(_MEASURES, measured, strict=True) if e},
             }
     table.notes = [
@@ -138,36 +155,51 @@ def _share(hits: int, flights: int) -> Cell:
 
 def _tables_6(landings: Sequence[Row]) -> list[Table]:
     """A table for each method that landed on one of the paper's five kinds of sites."""
-    tables = []
-    for method in methods_of(landings):
-        own = [row for row in cell(landings, None, method) if row["scene"] in published.SITES]
-        if own:
-            tables.append(_table_6(own, method))
-    return tables
+    own = [row for row in landings if row["scene"] in published.SITES]
+    landed, counts = landed_of(own), landings_by_cell(own)
+    found = _SiteFigures(
+        counts,
+        {column: estimates(landed, mean_of(column)) for column in _SITE_COLUMNS},
+        texts_by_cell(landed, "landing.class_true"),
+    )
+    return [_table_6(found, method) for method in methods_of(own)]
 
 
-def _table_6(own: Sequence[Row], method: str) -> Table:
+_SITE_COLUMNS = (
+    "landing.obstacle_distance_m",
+    "landing.slope_deg",
+    "landing.vertical_speed_mps",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _SiteFigures:
+    """Counts, means by column, and landings by true class of the ground, of every cell."""
+
+    counts: Mapping[CellKey, LandingCounts]
+    means: Mapping[str, Mapping[CellKey, Estimate]]
+    classes: Mapping[CellKey, dict[str, int]]
+
+
+def _table_6(found: _SiteFigures, method: str) -> Table:
     printed = "paper prints"
     header = ["scene", "landed", "obstacle distance (m)", printed, "level (°)", printed]
     header += ["v_z (m/s)", printed, "type of site", printed]
     table = Table(f"table6_{method}", f"Table 6: five kinds of sites, `{method}`", header, [])
     for scene, site in published.SITES.items():
-        flights = cell(own, scene)
-        if not flights:
+        key = CellKey(method, scene)
+        if key not in found.counts:
             continue
-        landed = landed_of(flights)
-        line = [name_cell(scene), Cell(f"{len(landed)} of {len(flights)}")]
-        numbers: dict[str, Any] = {"flights": len(flights), "landed": len(landed)}
-        for key, value in (
-            ("landing.obstacle_distance_m", site.obstacle_distance_m),
-            ("landing.slope_deg", site.level_deg),
-            ("landing.vertical_speed_mps", site.speed_mps),
-        ):
-            measured = mean_of(key)(landed)
+        flights, landed, *_ = found.counts[key]
+        line = [name_cell(scene), Cell(f"{landed} of {flights}")]
+        numbers: dict[str, Any] = {"flights": flights, "landed": landed}
+        theirs = (site.obstacle_distance_m, site.level_deg, site.speed_mps)
+        for column, value in zip(_SITE_COLUMNS, theirs, strict=True):
+            measured = found.means[column].get(key)
             line += [figure(measured), Cell(f"{value:.2f}", kind="published")]
             if measured is not None:
-                numbers[key] = measured.as_json()
-        numbers["classes"] = dict(Counter(str(row.get("landing.class_true")) for row in landed))
+                numbers[column] = measured.as_json()
+        numbers["classes"] = found.classes.get(key, {})
         types = ", ".join(f"{_verdict(name)} {count}" for name, count in numbers["classes"].items())
         line += [Cell(types or MISSING), Cell(site.site_type, kind="published")]
         table.rows.append(line)
@@ -187,31 +219,33 @@ def _verdict(name: str) -> str:
     return f"{name} ({kind})"
 
 
-# ----------------------------------------------------------------------------------- how they went
+# --------------------------------------------------------------------------- outcomes and extremes
 
 
 def _safety_table(landings: Sequence[Row]) -> Table:
     header = ["method", "scene", "flights", "landed", "otherwise", "unsafe touchdowns"]
     header += [f"largest {title}" for title, _, _ in _EXTREMES]
     table = Table("touchdowns", "How landings went, and the extremes", header, [])
+    counts, scenes = _landing_counts(landings), scenes_of(landings)
+    outcomes = outcomes_by_cell(landings) | outcomes_by_cell(landings, pooled=True)
+    extremes = _extremes(landings) | _extremes(landings, pooled=True)
     for method in methods_of(landings):
-        for scene, own in _groups(landings, method):
-            landed, unsafe = landed_of(own), unsafe_of(own)
-            worst = [_largest(landed, key, scale) for _, key, scale in _EXTREMES]
-            otherwise = {k: n for k, n in outcome_counts(own).items() if k != LANDED}
+        for key in _keys(counts, scenes, method):
+            own, worst = counts[key], extremes.get(key, _NO_EXTREMES)
+            otherwise = {k: n for k, n in outcomes[key].items() if k != LANDED}
             words = ", ".join(f"{name} {count}" for name, count in otherwise.items())
-            line = [name_cell(method), Cell(scene, kind="name"), Cell(str(len(own)))]
-            line += [Cell(str(len(landed))), Cell(words or MISSING), Cell(str(len(unsafe)))]
+            line = [*cell_names(key), Cell(str(own.flights)), Cell(str(own.landed))]
+            line += [Cell(words or MISSING), Cell(str(own.unsafe))]
             line += [Cell(MISSING if value is None else digits(value)) for value in worst]
             table.rows.append(line)
-            table.numbers.setdefault(method, {})[scene] = {
-                "flights": len(own),
-                "landed": len(landed),
+            table.numbers.setdefault(method, {})[key.scene or ALL_SCENES] = {
+                "flights": own.flights,
+                "landed": own.landed,
                 "otherwise": otherwise,
-                "unsafe": len(unsafe),
+                "unsafe": own.unsafe,
                 **{
-                    f"largest {key}": value / scale
-                    for (_, key, scale), value in zip(_EXTREMES, worst, strict=True)
+                    f"largest {column}": value / scale
+                    for (_, column, scale), value in zip(_EXTREMES, worst, strict=True)
                     if value is not None
                 },
             }
@@ -223,52 +257,79 @@ def _safety_table(landings: Sequence[Row]) -> Table:
     return table
 
 
-def _largest(rows: Sequence[Row], key: str, scale: float) -> float | None:
-    found = values(rows, key)
-    return scale * max(found) if found else None
+_Extremes = tuple[float | None, ...]
+"""one value for each of `_EXTREMES`, in its unit; None without a number"""
+_NO_EXTREMES: _Extremes = (None,) * len(_EXTREMES)
 
 
-def landing_words(rows: Sequence[Row]) -> list[str]:
-    """Per method: landings, beside those of the paper where it flew; then the order by d_L."""
+def _extremes(landings: Sequence[Row], *, pooled: bool = False) -> dict[CellKey, _Extremes]:
+    """The largest values over the flights that landed."""
+    columns = [column for _, column, _ in _EXTREMES]
+    largest = largest_by_cell(landed_of(landings), columns, pooled=pooled)
+    return {
+        key: tuple(
+            None if value is None else scale * value
+            for value, (_, _, scale) in zip(found, _EXTREMES, strict=True)
+        )
+        for key, found in largest.items()
+    }
+
+
+def landing_sentences(rows: Sequence[Row]) -> list[str]:
+    """Returns the landings of each method, compared with the paper where one of its methods flew,
+    and the order by d_L."""
     landings = landings_of(rows)
+    landed = landed_of(landings)
+    counts, extremes = landings_by_cell(landings, pooled=True), _extremes(landings, pooled=True)
+    found = {m[2]: estimates(landed, mean_of(m[2]), pooled=True) for m in _MEASURES}
+    compare = flies_paper_methods(landings)
     lines = []
     for method in methods_of(landings):
-        own = cell(landings, None, method)
-        lines += _method_words(method, own, compare=flies_paper_methods(landings))
-    return lines + _closest_words(landings)
+        key = CellKey(method)
+        lines.append(_share_text(counts[key], cell(landings, None, method)))
+        lines += _extreme_sentences(method, extremes.get(key, _NO_EXTREMES))
+        if compare:
+            means = {column: by_method.get(key) for column, by_method in found.items()}
+            lines += _comparison_sentences(method, means)
+    return lines + _closest_sentences(landings, found["landing.target_offset_m"])
 
 
-def _method_words(method: str, own: Sequence[Row], *, compare: bool) -> list[str]:
-    landed, unsafe = landed_of(own), unsafe_of(own)
-    share = share_interval(len(landed), len(own))
+def _share_text(counts: LandingCounts, own: Sequence[Row]) -> str:
+    """The share that landed, and the unsafe touchdowns, of the flights ``own`` of a method."""
+    share = share_interval(counts.landed, counts.flights)
     low, high = 100.0 * (share.low or 0.0), 100.0 * (share.high or 0.0)
-    lines = [
-        f"`{method}`: {len(landed)} of {len(own)} flights landed "
+    line = (
+        f"`{own[0]['estimator']}`: {counts.landed} of {counts.flights} flights landed "
         f"({100.0 * share.value:.0f} % [{low:.0f}, {high:.0f}])."
-    ]
-    if unsafe:
+    )
+    if unsafe := unsafe_of(own):
         named = (f"{row['scene']} seed {row['seed']}" for row in unsafe[:_NAMED])
         more = f" and {len(unsafe) - _NAMED} more" if len(unsafe) > _NAMED else ""
-        lines[0] += (
-            f" {len(unsafe)} touched ground that is {_unsafe_word(own)}: {', '.join(named)}{more}."
+        return (
+            f"{line} {len(unsafe)} touched ground that is {_unsafe_word(own)}: "
+            f"{', '.join(named)}{more}."
         )
-    else:
-        lines[0] += f" None touched ground that is {_unsafe_word(own)}."
+    return f"{line} None touched ground that is {_unsafe_word(own)}."
+
+
+def _extreme_sentences(method: str, worst: _Extremes) -> list[str]:
+    """The largest bounce, deceleration and tilt of a method, where they are known."""
     extremes = [
-        f"{title.partition(' (')[0]} {digits(worst)} {title.partition('(')[2].rstrip(')')}"
-        for title, key, scale in _EXTREMES[2:]
-        if (worst := _largest(landed, key, scale)) is not None
+        f"{title.partition(' (')[0]} {digits(value)} {title.partition('(')[2].rstrip(')')}"
+        for (title, _, _), value in list(zip(_EXTREMES, worst, strict=True))[2:]
+        if value is not None
     ]
-    if extremes:
-        lines.append(f"`{method}`, the worst of its landings: {', '.join(extremes)}.")
+    return [f"`{method}`, the worst of its landings: {', '.join(extremes)}."] if extremes else []
+
+
+def _comparison_sentences(method: str, means: Mapping[str, Estimate | None]) -> list[str]:
+    """The means of a method compared with those that the paper prints."""
     beside = [
         _beside_the_paper(name, unit, measured, printed, method)
-        for name, unit, key, printed in _MEASURES
-        if compare and printed and (measured := mean_interval(values(landed, key))) is not None
+        for name, unit, column, printed in _MEASURES
+        if printed and (measured := means[column]) is not None
     ]
-    if beside:
-        lines.append(f"`{method}`: {'; '.join(beside)}.")
-    return lines
+    return [f"`{method}`: {'; '.join(beside)}."] if beside else []
 
 
 def _beside_the_paper(
@@ -280,13 +341,10 @@ def _beside_the_paper(
     return f'{text}, {theirs.value:g} printed for "{whose}"'
 
 
-def _closest_words(landings: Sequence[Row]) -> list[str]:
+def _closest_sentences(landings: Sequence[Row], offsets: Mapping[CellKey, Estimate]) -> list[str]:
     """The order of the methods by d_L, where there is more than one."""
     ranked = sorted(
-        (found.value, method)
-        for method in methods_of(landings)
-        if method != "oracle"
-        and (found := mean_of("landing.target_offset_m")(landed_of(cell(landings, None, method))))
+        (offset.value, key.method) for key, offset in offsets.items() if key.method != "oracle"
     )
     if len(ranked) < 2:
         return []
@@ -306,7 +364,7 @@ def _printed_offset(method: str) -> float:
 
 def offset_xy(row: Row) -> tuple[float, float] | None:
     """East and north of the first contact from the commanded spot, or from the committed site where
-    none was commanded, metres; None where the row does not say."""
+    none was commanded, metres; None where a position is missing."""
     spot = row.get("landing.commanded_xy_m") or row.get("landing.site_xy_m")
     contact = row.get("landing.touchdown_xy_m")
     if not spot or not contact or number(row, "landing.target_offset_m") is None:

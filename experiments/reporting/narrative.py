@@ -1,8 +1,9 @@
-"""Sentences of a report, made from its figures."""
+"""Sentences of a report, generated from its figures."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,17 +16,21 @@ from touchdown.experiments.reporting.flights import (
     methods_of,
     number,
     scenes_of,
-    values,
 )
+from touchdown.experiments.reporting.measures import (
+    TRAJECTORY_VARIANCE,
+    estimates,
+    mean_of,
+)
+from touchdown.experiments.reporting.queries import CellKey, count_by_method, flown_cells
 from touchdown.experiments.reporting.statistics import (
     Array,
     Estimate,
     holm,
-    mean_interval,
     seeds_needed,
     sign_flip_p,
 )
-from touchdown.experiments.reporting.tables import digits, interval_text, trajectory_variance
+from touchdown.experiments.reporting.tables import digits, interval_text
 
 CHANCE = 0.05
 ERROR_FLOOR_M = 1e-4
@@ -36,7 +41,7 @@ def with_interval(estimate: Estimate, unit: str) -> str:
     return f"{digits(estimate.value)} {unit} {interval_text(estimate)}".rstrip()
 
 
-def summary_words(rows: Sequence[Row]) -> list[str]:
+def summary_sentences(rows: Sequence[Row]) -> list[str]:
     """Number of flights and of unsuccessful ones."""
     scenes, methods = scenes_of(rows), methods_of(rows)
     failed = [row for row in rows if not is_successful(row)]
@@ -47,11 +52,8 @@ def summary_words(rows: Sequence[Row]) -> list[str]:
     if not failed:
         lines.append("All were successful.")
         return lines
-    by_method = [
-        f"`{method}` {len(own)}"
-        for method in methods
-        if (own := [row for row in failed if row["estimator"] == method])
-    ]
+    failures = count_by_method(failed)
+    by_method = [f"`{method}` {failures[method]}" for method in methods if method in failures]
     measured = [row for row in failed if number(row, "position_error_m.mean") is not None]
     line = f"{len(failed)} were not successful ({', '.join(by_method)})"
     if measured:
@@ -66,53 +68,59 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
-# --------------------------------------------------------------------------------------- who leads
+# ----------------------------------------------------------------------------------------- ranking
 
 
-def leading_words(rows: Sequence[Row]) -> list[str]:
-    """Per scene: the order by E_tra, the test of the lead, and the paper's order."""
+class Rank(NamedTuple):
+    """A method and its E_tra in a scene."""
+
+    method: str
+    error: Estimate
+
+
+def leading_sentences(rows: Sequence[Row]) -> list[str]:
+    """Returns, per scene, the order by E_tra, the test of the lead, and the paper's order."""
     rivals = [row for row in rows if row["estimator"] != "oracle"]
-    ranked = {scene: _ranking(rivals, scene) for scene in scenes_of(rivals)}
+    measured = estimates(rivals, mean_of("trajectory_error_m"))
+    ranked = {scene: _ranking(measured, scene) for scene in scenes_of(rivals)}
     contests = {s: order for s, order in ranked.items() if len(order) > 1}
-    pairs = {s: _differences(rivals, s, order[0][1], order[1][1]) for s, order in contests.items()}
+    pairs = {
+        s: _differences(rivals, s, first.method, second.method)
+        for s, (first, second, *_) in contests.items()
+    }
     tested = [scene for scene, difference in pairs.items() if len(difference) > 1]
     adjusted = dict(zip(tested, holm([_two_sided_p(pairs[s]) for s in tested]), strict=True))
     lines = []
     for scene, order in contests.items():
-        (_, first, lead), (_, second, next_) = order[:2]
+        first, second, *others = order
         line = (
-            f"{scene}: `{first}` is ahead by E_tra with {with_interval(lead, 'm')}, then "
-            f"`{second}` with {with_interval(next_, 'm')}"
+            f"{scene}: `{first.method}` is ahead by E_tra with {with_interval(first.error, 'm')}, "
+            f"then `{second.method}` with {with_interval(second.error, 'm')}"
         )
-        line += "".join(f", `{m}` {digits(e.value)} m" for _, m, e in order[2:])
-        lead_m, alpha = next_.value - lead.value, CHANCE / max(1, len(tested))
-        verdict = _lead_words(lead_m, pairs[scene], adjusted.get(scene), alpha)
+        line += "".join(f", `{rank.method}` {digits(rank.error.value)} m" for rank in others)
+        lead_m, alpha = second.error.value - first.error.value, CHANCE / max(1, len(tested))
+        verdict = _lead_text(lead_m, pairs[scene], adjusted.get(scene), alpha)
         lines.append(f"{line}. {verdict}")
-    lines += _absence_words(rivals, ranked)
-    return lines + _order_words({s: [m for _, m, _ in order] for s, order in contests.items()})
+    lines += _absence_sentences(rivals, ranked)
+    return lines + _order_sentences({s: [r.method for r in order] for s, order in contests.items()})
 
 
-def _absence_words(
-    rows: Sequence[Row], ranked: dict[str, list[tuple[float, str, Estimate]]]
-) -> list[str]:
+def _absence_sentences(rows: Sequence[Row], ranked: Mapping[str, Sequence[Rank]]) -> list[str]:
     """Methods without a figure in scenes where others have one."""
-    lines = []
+    lines, flown = [], flown_cells(rows)
     for scene, order in ranked.items():
-        flown = {method for _, method, _ in order}
-        absent = [m for m in methods_of(cell(rows, scene)) if m not in flown]
+        missing = flown - {CellKey(rank.method, scene) for rank in order}
+        absent = [m for m in methods_of(rows) if CellKey(m, scene) in missing]
         if order and absent:
             names = ", ".join(f"`{method}`" for method in absent)
             lines.append(f"{scene}: no flight with a figure to compare of {names}.")
     return lines
 
 
-def _ranking(rows: Sequence[Row], scene: str) -> list[tuple[float, str, Estimate]]:
-    found = []
-    for method in methods_of(rows):
-        measured = mean_interval(values(cell(rows, scene, method), "trajectory_error_m"))
-        if measured is not None:
-            found.append((measured.value, method, measured))
-    return sorted(found, key=lambda item: item[:2])
+def _ranking(measured: Mapping[CellKey, Estimate], scene: str) -> list[Rank]:
+    """The methods of a scene, smallest figure first."""
+    found = [Rank(key.method, error) for key, error in measured.items() if key.scene == scene]
+    return sorted(found, key=lambda rank: (rank.error.value, rank.method))
 
 
 def _differences(rows: Sequence[Row], scene: str, first: str, second: str) -> Array:
@@ -137,7 +145,7 @@ def _by_trial(rows: Sequence[Row]) -> dict[tuple[object, object], float]:
     }
 
 
-def _lead_words(lead_m: float, differences: Array, p: float | None, alpha: float) -> str:
+def _lead_text(lead_m: float, differences: Array, p: float | None, alpha: float) -> str:
     """The verdict of the test, and the number of seeds that would show an undecided lead."""
     seeds = len(differences)
     if p is None:
@@ -155,7 +163,7 @@ def _lead_words(lead_m: float, differences: Array, p: float | None, alpha: float
     return f"{text}; {max(needed, seeds + 1)} seeds per method would show it with 80 % power."
 
 
-def _order_words(orders: dict[str, list[str]]) -> list[str]:
+def _order_sentences(orders: dict[str, list[str]]) -> list[str]:
     """The order of the paper's methods compared with that of its Table 2."""
     same, lines = [], []
     for scene, order in orders.items():
@@ -179,35 +187,33 @@ def _chain(methods: Sequence[str]) -> str:
     return " < ".join(f"`{method}`" for method in methods)
 
 
-# ------------------------------------------------------------------------------- beside the paper
+# ----------------------------------------------------------------------- comparison with the paper
 
 
-def published_words(rows: Sequence[Row]) -> list[str]:
+def published_sentences(rows: Sequence[Row]) -> list[str]:
     """Each measured figure that the paper prints too, with the ratio of both; none where no method
     of the paper flew."""
     if not flies_paper_methods(rows):
         return []
     scene = published.ANALYSED_SCENE
+    own = cell(rows, scene)
+    error = estimates(own, mean_of("trajectory_error_m"))
+    variance = estimates(own, TRAJECTORY_VARIANCE)
+    comparisons = (
+        ("E_tra", "m", published.TRAJECTORY_ERROR_M, error),
+        ("σ²_tra", "m²", published.TRAJECTORY_VARIANCE_M2, variance),
+    )
     lines = []
     for method in published.ORDER:
-        own = cell(rows, scene, method)
-        comparisons = (
-            ("E_tra", "m", published.TRAJECTORY_ERROR_M, _mean(own, "trajectory_error_m")),
-            ("σ²_tra", "m²", published.TRAJECTORY_VARIANCE_M2, trajectory_variance(own)),
-        )
-        for name, unit, printed, measured in comparisons:
-            if measured is not None:
+        for name, unit, printed, found in comparisons:
+            if (measured := found.get(CellKey(method, scene))) is not None:
                 lines.append(_comparison(name, unit, method, measured, printed[method]))
     if lines:
         lines.append(
             f"The paper's figures are of a crossroad scene in Gazebo, 10 flights per method; "
             f"`{scene}` here is another scene in another simulator."
         )
-    return lines + _levelness_words(rows)
-
-
-def _mean(rows: Sequence[Row], key: str) -> Estimate | None:
-    return mean_interval(values(rows, key))
+    return lines + _levelness_sentences(rows)
 
 
 def _comparison(
@@ -230,14 +236,15 @@ def _comparison(
     return f"{text}: {digits(1 / ratio)} times larger here."
 
 
-def _levelness_words(rows: Sequence[Row]) -> list[str]:
+def _levelness_sentences(rows: Sequence[Row]) -> list[str]:
     parts = []
     bound = published.LEVELNESS_BOUND_DEG
+    levelness, scenes = estimates(rows, mean_of("map.levelness_error_deg.mean")), scenes_of(rows)
     for method in methods_of(rows):
         found = {
             scene: measured.value
-            for scene in scenes_of(rows)
-            if (measured := _mean(cell(rows, scene, method), "map.levelness_error_deg.mean"))
+            for scene in scenes
+            if (measured := levelness.get(CellKey(method, scene))) is not None
         }
         if found:
             worst = max(found, key=lambda scene: found[scene])

@@ -46,7 +46,7 @@ TRAJECTORY_VARIANCE_M2 = _table(
 
 SCAN_TIME_AND_DENSITY = "36.11111"
 """Table 1, T_total (s) and rho_map (points per square metre): the text runs the two numbers
-together, and where one ends and the other begins cannot be told."""
+together, and the position of the boundary is unknown."""
 
 LEVELNESS_DEG: tuple[float, ...] = (1.19, 0.89, 0.96, 1.19)
 """Table 1, "±" in its scenes 1 to 4, which the text does not name."""
@@ -67,7 +67,7 @@ class PublishedSite:
     name: str
     obstacle_distance_m: float
     level_deg: float
-    """what the paper calls the average level of site selection"""
+    """the average level of site selection of the paper"""
     speed_mps: float
     site_type: str
 

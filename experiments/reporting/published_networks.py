@@ -75,7 +75,7 @@ two numbers run together, RAM is taken to have three digits before its point in 
 
 @dataclass(frozen=True, slots=True)
 class StepTime:
-    """Milliseconds: ``mean`` and what the paper prints after its "±"."""
+    """Milliseconds: ``mean`` and the number that the paper prints after its "±"."""
 
     name: str
     mean: float

@@ -1,8 +1,8 @@
-"""The tables of a report, measured beside published, for Markdown and HTML alike."""
+"""Tables of a report with measured and published figures, for Markdown and HTML."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,17 +10,30 @@ from touchdown.experiments.campaign.results_table import is_successful
 from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.flights import (
     Row,
-    cell,
     flies_paper_methods,
     methods_of,
     number,
-    outcome_counts,
     scenes_of,
     values,
 )
-from touchdown.experiments.reporting.statistics import Estimate, mean_interval, variance_interval
+from touchdown.experiments.reporting.measures import (
+    TRAJECTORY_VARIANCE,
+    Measure,
+    estimates,
+    mean_of,
+)
+from touchdown.experiments.reporting.queries import (
+    CellKey,
+    count_by_method,
+    flown_cells,
+    numbers_by_cell,
+    outcome_counts,
+    outcomes_by_cell,
+)
+from touchdown.experiments.reporting.statistics import Estimate
 
 MISSING = "–"
+ALL_SCENES = "all scenes"
 STAGES = ("world", "estimator", "mapper", "lander", "controller", "recorder", "referee")
 
 
@@ -76,23 +89,16 @@ def name_cell(name: str) -> Cell:
     return Cell(f"`{name}`", kind="name")
 
 
-Measure = Callable[[Sequence[Row]], Estimate | None]
+def cell_names(key: CellKey) -> list[Cell]:
+    """Returns the table cells of a method and its scene."""
+    return [name_cell(key.method), Cell(key.scene or ALL_SCENES, kind="name")]
 
 
-def mean_of(key: str) -> Measure:
-    """Mean over flights of a key of the rows."""
-    return lambda rows: mean_interval(values(rows, key))
-
-
-def trajectory_variance(rows: Sequence[Row]) -> Estimate | None:
-    """sigma^2_tra over the flights, see `variance_interval`."""
-    pairs = [
-        (mean, variance)
-        for row in rows
-        if (mean := number(row, "trajectory_error_m")) is not None
-        and (variance := number(row, "trajectory_variance_m2")) is not None
-    ]
-    return variance_interval(*zip(*pairs, strict=True)) if pairs else None
+def ordered_cells(rows: Sequence[Row]) -> list[CellKey]:
+    """Returns the cells with a flight, by method and scene in the order of a report."""
+    flown, scenes = flown_cells(rows), scenes_of(rows)
+    keys = (CellKey(method, scene) for method in methods_of(rows) for scene in scenes)
+    return [key for key in keys if key in flown]
 
 
 def method_scene_table(
@@ -105,10 +111,11 @@ def method_scene_table(
     best: bool = True,
     all_scenes: bool = True,
 ) -> Table:
-    """Methods down, scenes across; the paper's figures beside its scene where its methods flew."""
+    """Returns a table with a line per method and a column per scene, and the paper's figures beside
+    its scene where its methods flew."""
     scenes, methods = scenes_of(rows), methods_of(rows)
     printed = printed if flies_paper_methods(rows) else None
-    found = {(m, s): measure(cell(rows, s, m)) for m in methods for s in scenes}
+    found = estimates(rows, measure)
     leaders = {s: _leader(found, methods, s) for s in scenes} if best and len(methods) > 1 else {}
     header = ["method"]
     for scene in scenes:
@@ -116,22 +123,24 @@ def method_scene_table(
         if printed and scene == published.ANALYSED_SCENE:
             header.append("paper prints")
     together = all_scenes and len(scenes) > 1
+    pooled = estimates(rows, measure, pooled=True) if together else {}
     if together:
-        header.append("all scenes")
+        header.append(ALL_SCENES)
     table = Table(key, title, header, [])
     for method in methods:
         line = [name_cell(method)]
         for scene in scenes:
-            line.append(figure(found[method, scene], "best" * (leaders.get(scene) == method)))
+            leads = leaders.get(scene) == method
+            line.append(figure(found.get(CellKey(method, scene)), "best" * leads))
             if printed and scene == published.ANALYSED_SCENE:
                 line.append(published_cell(printed, method))
         if together:
-            line.append(figure(measure(cell(rows, None, method))))
+            line.append(figure(pooled.get(CellKey(method))))
         table.rows.append(line)
         table.numbers[method] = {
             scene: estimate.as_json()
             for scene in scenes
-            if (estimate := found[method, scene]) is not None
+            if (estimate := found.get(CellKey(method, scene))) is not None
         }
     return table
 
@@ -141,14 +150,12 @@ def published_cell(printed: dict[str, published.Published] | Any, method: str) -
     return Cell(MISSING if value is None else f"{value.value:g}", kind="published")
 
 
-def _leader(
-    found: dict[tuple[str, str], Estimate | None], methods: Sequence[str], scene: str
-) -> str | None:
+def _leader(found: Mapping[CellKey, Estimate], methods: Sequence[str], scene: str) -> str | None:
     """The method with the smallest figure; the oracle does not compete."""
     ranked = [
         (estimate.value, method)
         for method in methods
-        if method != "oracle" and (estimate := found[method, scene]) is not None
+        if method != "oracle" and (estimate := found.get(CellKey(method, scene))) is not None
     ]
     return min(ranked)[1] if ranked else None
 
@@ -168,17 +175,17 @@ def map_tables(rows: Sequence[Row]) -> list[Table]:
         ["method", "T_total (s)", "ρ_map (1/m²)", *(f"Δα {scene} (°)" for scene in scenes)],
         [],
     )
+    pooled = {
+        key: estimates(rows, mean_of(f"map.{key}"), pooled=True)
+        for key in ("duration_s", "density_per_m2")
+    }
+    levelness = estimates(rows, mean_of("map.levelness_error_deg.mean"))
     for method in methods:
-        own = cell(rows, None, method)
-        measured = [mean_of("map.duration_s")(own), mean_of("map.density_per_m2")(own)]
-        level = [mean_of("map.levelness_error_deg.mean")(cell(own, scene)) for scene in scenes]
-        table.rows.append([name_cell(method), *map(figure, [*measured, *level])])
+        measured = {key: found.get(CellKey(method)) for key, found in pooled.items()}
+        measured |= {scene: levelness.get(CellKey(method, scene)) for scene in scenes}
+        table.rows.append([name_cell(method), *map(figure, measured.values())])
         table.numbers[method] = {
-            name: estimate.as_json()
-            for name, estimate in zip(
-                ("duration_s", "density_per_m2", *scenes), [*measured, *level], strict=True
-            )
-            if estimate is not None
+            name: estimate.as_json() for name, estimate in measured.items() if estimate is not None
         }
     table.notes = _paper_map_notes() if flies_paper_methods(rows) else [_LEVELNESS_NOTE]
     worst = method_scene_table(
@@ -231,7 +238,7 @@ def trajectory_tables(rows: Sequence[Row]) -> list[Table]:
         rows,
         "table2_variance",
         "Table 2: σ²_tra (m²), variance of that deviation, pooled over flights",
-        trajectory_variance,
+        TRAJECTORY_VARIANCE,
         dict(published.TRAJECTORY_VARIANCE_M2),
     )
     variance.notes = [
@@ -262,15 +269,10 @@ def axis_tables(rows: Sequence[Row]) -> list[Table]:
         if not values(rows, f"{key}.x"):
             continue
         table = Table(f"axes_{key}", title, ["method", "scene", *(t for _, t in AXES)], [])
-        for method in methods_of(rows):
-            for scene in scenes_of(rows):
-                own = cell(rows, scene, method)
-                if not own:
-                    continue
-                measured = [mean_of(f"{key}.{axis}")(own) for axis, _ in AXES]
-                table.rows.append(
-                    [name_cell(method), Cell(scene, kind="name"), *map(figure, measured)]
-                )
+        found = [estimates(rows, mean_of(f"{key}.{axis}")) for axis, _ in AXES]
+        for flown in ordered_cells(rows):
+            measured = [by_cell.get(flown) for by_cell in found]
+            table.rows.append([*cell_names(flown), *map(figure, measured)])
         tables.append(table)
     return tables
 
@@ -282,17 +284,12 @@ def outcome_table(rows: Sequence[Row]) -> Table:
     """Table of outcomes per method and scene."""
     outcomes = list(outcome_counts(rows))
     table = Table("outcomes", "Outcomes", ["method", "scene", "flights", *outcomes], [])
-    for method in methods_of(rows):
-        for scene in scenes_of(rows):
-            own = cell(rows, scene, method)
-            if not own:
-                continue
-            counts = outcome_counts(own)
-            shown = [Cell(str(counts.get(outcome, 0) or MISSING)) for outcome in outcomes]
-            table.rows.append(
-                [name_cell(method), Cell(scene, kind="name"), Cell(str(len(own))), *shown]
-            )
-            table.numbers.setdefault(method, {})[scene] = counts
+    by_cell = outcomes_by_cell(rows)
+    for flown in ordered_cells(rows):
+        counts = by_cell[flown]
+        shown = [Cell(str(counts.get(outcome, 0) or MISSING)) for outcome in outcomes]
+        table.rows.append([*cell_names(flown), Cell(str(sum(counts.values()))), *shown])
+        table.numbers.setdefault(flown.method, {})[flown.scene] = counts
     lost = [row for row in rows if not is_successful(row)]
     unmeasured = [row for row in lost if number(row, "position_error_m.mean") is None]
     table.notes = [
@@ -341,12 +338,19 @@ def time_table(rows: Sequence[Row]) -> Table | None:
     stages = [s for s in STAGES if values(timed, f"timing.stage_ms.{s}")]
     header = ["method", "flights", "wall (s)", "real-time factor", *(f"{s} (%)" for s in stages)]
     table = Table("time", "Wall time and the share of each stage", [*header, "other (%)"], [])
+    flights = count_by_method(timed)
+    factors = estimates(timed, mean_of("timing.real_time_factor"), pooled=True)
+    spent_keys = [f"spent_s.{stage}" for stage in stages]
+    spent_rows = [
+        {**row, **{f"spent_s.{stage}": _stage_s(row, stage) for stage in stages}} for row in timed
+    ]
+    seconds = numbers_by_cell(spent_rows, ("timing.wall_s", *spent_keys), pooled=True)
     for method in methods_of(timed):
-        own = cell(timed, None, method)
-        wall = sum(values(own, "timing.wall_s"))
-        shares = [100.0 * sum(_stage_s(row, stage) for row in own) / wall for stage in stages]
-        line = [name_cell(method), Cell(str(len(own))), Cell(digits(wall / len(own)))]
-        line.append(figure(mean_of("timing.real_time_factor")(own)))
+        # Python's sum, in the order of the rows: that of pyarrow rounds otherwise.
+        wall, *spent = (sum(numbers) for numbers in seconds[CellKey(method)])
+        shares = [100.0 * stage_s / wall for stage_s in spent]
+        line = [name_cell(method), Cell(str(flights[method])), Cell(digits(wall / flights[method]))]
+        line.append(figure(factors.get(CellKey(method))))
         shares.append(max(0.0, 100.0 - sum(shares)))
         table.rows.append([*line, *(Cell(f"{share:.0f}") for share in shares)])
         table.numbers[method] = {

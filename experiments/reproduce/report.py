@@ -12,7 +12,7 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.document import (
     Report,
     Section,
-    condition_words,
+    condition_sentences,
     make_report,
     tiles,
     write_report,
@@ -91,7 +91,7 @@ def make_reproduction(done: Reproduction) -> tuple[Report, list[dict[str, Any]]]
             sections.append(_section(part, state, done.out / part.name, rows))
     summary = Section("summary", "In words", _summary_words(done), [], [])
     items = Section("items", "What the paper shows, and where it is here", [], [_items(done)], [])
-    ends = [Section("conditions", "Conditions", condition_words(rows), [], [])] if rows else []
+    ends = [Section("conditions", "Conditions", condition_sentences(rows), [], [])] if rows else []
     good = sum(state.successful for state in done.states.values())
     heads = [("parts done", f"{good} of {len(PARTS)}"), *(tiles(rows) if rows else [])]
     name = "quick edition" if done.quick else "whole edition"

@@ -65,7 +65,7 @@ def cells_of(rows: Iterable[Row]) -> dict[Key, dict[int, Trial]]:
 
 
 def _variant(row: Row) -> str:
-    """The variant of a run: its mode where it is landing, and the axes that end its name."""
+    """The variant of a run: "land" for landings, then the further axes at the end of its name."""
     name = str(row["run_id"]).rpartition("/")[2]
     start = f"{Path(row['scene']).stem}-{row['estimator']}-s{row['seed']}-"
     parts = ["land"] if row["mode"] == "land" else []
@@ -81,8 +81,8 @@ def configuration_sha(rows: Iterable[Row]) -> str:
 
 
 def write_baseline(rows: Sequence[Row], path: Path) -> None:
-    """Writes the flights of ``rows`` as a baseline, at once. Raises UsageError, and leaves a file
-    alone that is none."""
+    """Writes the flights of ``rows`` as a baseline, atomically. Raises UsageError, without writing,
+    where ``path`` is another kind of file."""
     if path.exists():
         read_baseline(path)
     cells = cells_of(rows)
@@ -110,7 +110,7 @@ def write_baseline(rows: Sequence[Row], path: Path) -> None:
 
 
 def read_baseline(path: Path) -> Baseline:
-    """Raises UsageError when there is none or it is none."""
+    """Returns the baseline of a file. Raises UsageError where it is missing or damaged."""
     if not path.is_file():
         raise UsageError(f"baseline '{path}' does not exist; write it with --update")
     try:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +56,7 @@ ALL_SCENES = "all scenes"
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CellResult:
     """``ratio`` is new over old; ``detectable`` the smallest ratio that would have been found with
-    80 % power, None where no change could have been; ``spread`` says where its spread is from."""
+    80 % power, None where no change could have been; ``spread`` names the source of the spread."""
 
     scene: str
     method: str
@@ -98,13 +98,13 @@ class Comparison:
     cells: list[CellResult]
     outcomes: list[OutcomeResult]
     vanished: list[str]
-    """cells that are worse without a test, see
+    """cells that count as worse without a test, see
     `experiments.reporting.regression.missing_runs.vanished`"""
     newly_bad: list[str]
     missing: list[str]
-    """what the baseline has and the directory has not"""
+    """cells and seeds of the baseline that the directory lacks"""
     added: list[str]
-    """the reverse"""
+    """cells and seeds of the directory that the baseline lacks"""
     warnings: list[str]
     margin: float
     baseline_revision: str | None
@@ -212,8 +212,8 @@ def _sample(key: Key, new: Mapping[int, Trial], old: Mapping[int, Trial]) -> _Sa
 
 
 def _over_scenes(samples: Sequence[_Sample]) -> list[_Sample]:
-    """Every method with several paired cells once more, all its pairs together: a change that all
-    scenes share shows there first."""
+    """One sample of all pairs for every method with several paired cells: it is the most sensitive
+    to a change that all scenes share."""
     found = []
     for method in sorted({sample.key[1] for sample in samples}):
         own = [sample for sample in samples if sample.key[1] == method]
@@ -236,7 +236,7 @@ def _test(samples: Sequence[_Sample], margin: float) -> list[CellResult]:
 
 
 def _p_values(samples: Sequence[_Sample], shift: float) -> list[float]:
-    """One p a sample; samples of equal shape are tested by one product of matrices."""
+    """One p per sample; samples of equal shape are tested by one matrix product."""
     groups: dict[tuple[bool, int, int], list[int]] = {}
     for index, sample in enumerate(samples):
         shape = (sample.paired, len(sample.new), len(sample.old))
@@ -273,13 +273,13 @@ def _result(sample: _Sample, p: float, adjusted: float, alpha: float, margin: fl
 
 
 def _power(sample: _Sample, alpha: float) -> tuple[float | None, float, str]:
-    """Detectable effect in deviations, that deviation, and what it is taken from."""
+    """Detectable effect in standard deviations, the standard deviation, and its source."""
     x, y = sample.new, sample.old
     if not sample.paired:
         return detectable_unpaired(len(x), len(y), alpha), _pooled_deviation(x, y), "seeds"
     deviation, spread = float(np.std(x - y, ddof=1)), "pairs"
     if deviation < 1e-9:
-        # Equal flights say nothing of the spread; flights of different seeds bound it from above.
+        # Equal flights have no spread; that between seeds is an upper bound.
         deviation, spread = math.sqrt(2.0) * _pooled_deviation(x, y), "seeds, at most"
     return detectable_paired(len(x), alpha), deviation, spread
 
@@ -301,31 +301,53 @@ def _as_ratio(change: Estimate) -> dict[str, Any]:
 # ------------------------------------------------------------------------------------- outcomes
 
 
+class _OutcomeCounts(NamedTuple):
+    """Unsuccessful and all flights, now and in the baseline, in the order of `fisher_p`."""
+
+    bad: int
+    flights: int
+    bad_before: int
+    flights_before: int
+
+
 def _compare_outcomes(pairs: Pairs) -> list[OutcomeResult]:
     """Fisher's test per cell, and per method over all its cells where it has several."""
-    counts: dict[str, tuple[int, int, int, int]] = {}
-    methods: dict[str, list[tuple[int, int, int, int]]] = {}
-    for key, (new, old) in pairs.items():
-        bad, bad_before = (sum(t.bad for t in trials.values()) for trials in (new, old))
-        counts[cell_name(key)] = (bad, len(new), bad_before, len(old))
-        methods.setdefault(key[1], []).append(counts[cell_name(key)])
-    for method, parts in methods.items():
-        if len(parts) > 1:
-            bad, flights, bad_before, before = (sum(column) for column in zip(*parts, strict=True))
-            counts[cell_name((ALL_SCENES, method, ""))] = (bad, flights, bad_before, before)
-    raw = [fisher_p(*count) for count in counts.values()]
+    by_cell = {key: _outcome_counts(new, old) for key, (new, old) in pairs.items()}
+    counts = {cell_name(key): found for key, found in by_cell.items()}
+    counts |= _counts_over_scenes(by_cell)
+    raw = [fisher_p(*found) for found in counts.values()]
     return [
         OutcomeResult(
             name=name,
-            bad=bad,
-            flights=flights,
-            bad_before=bad_before,
-            flights_before=before,
+            **found._asdict(),
             p=p,
             p_adjusted=adjusted,
             worse=adjusted <= OUTCOME_ALPHA,
         )
-        for (name, (bad, flights, bad_before, before)), p, adjusted in zip(
-            counts.items(), raw, holm(raw), strict=True
-        )
+        for (name, found), p, adjusted in zip(counts.items(), raw, holm(raw), strict=True)
     ]
+
+
+def _outcome_counts(new: Mapping[int, Trial], old: Mapping[int, Trial]) -> _OutcomeCounts:
+    bad, bad_before = (sum(trial.bad for trial in trials.values()) for trials in (new, old))
+    return _OutcomeCounts(bad, len(new), bad_before, len(old))
+
+
+def _counts_over_scenes(by_cell: Mapping[Key, _OutcomeCounts]) -> dict[str, _OutcomeCounts]:
+    """Sums by method, of the methods with several cells."""
+    import pyarrow as pa
+
+    rows = [
+        {"row": row, "method": method, **found._asdict()}
+        for row, ((_, method, _), found) in enumerate(by_cell.items())
+    ]
+    sums = [(name, "sum") for name in _OutcomeCounts._fields]
+    groups = pa.Table.from_pylist(rows).group_by("method", use_threads=False)
+    totals = groups.aggregate([("row", "count"), ("row", "min"), *sums]).sort_by("row_min")
+    return {
+        cell_name((ALL_SCENES, total["method"], "")): _OutcomeCounts(
+            **{name: total[f"{name}_sum"] for name in _OutcomeCounts._fields}
+        )
+        for total in totals.to_pylist()
+        if total["row_count"] > 1
+    }

@@ -1,4 +1,4 @@
-"""Losses against a baseline: missing cells and seeds, lost successes, lost errors."""
+"""Losses against a baseline: missing cells and seeds, lost successes, missing errors."""
 
 from __future__ import annotations
 
@@ -34,27 +34,29 @@ def absent(these: Cells, those: Cells) -> list[str]:
 
 
 def vanished(pairs: Pairs) -> dict[Key, str]:
-    """Cells that need no test to be worse, each with the reason: their flights come to no error any
-    more, or more than half of those that ended as they should, with an error, do so no more. Of
-    equal seeds where there are any; else shares are compared."""
+    """Returns the cells that are worse without a test, each with the reason.
+
+    Either no flight has a position error and some had one in the baseline, or more than half of the
+    successful flights with an error are lost. Equal seeds are compared; without any, the shares."""
     found = {}
     for key, (new, old) in pairs.items():
         seeds = new.keys() & old.keys()
         now = [new[seed] for seed in seeds] or list(new.values())
         before = [old[seed] for seed in seeds] or list(old.values())
         had, has = (sum(t.error_m is not None for t in trials) for trials in (before, now))
-        good, kept = (sum(_sound(t) for t in trials) for trials in (before, now))
+        successes, kept = (sum(_succeeded(t) for t in trials) for trials in (before, now))
         if had and not has:
             found[key] = (
                 f"no flight comes to a position error, {had} of {len(before)} did in the baseline"
             )
-        elif 2 * kept * len(before) < good * len(now):
+        elif 2 * kept * len(before) < successes * len(now):
             found[key] = (
-                f"{kept} of {len(now)} flights end as they should, {good} of {len(before)} did in "
-                "the baseline"
+                f"{kept} of {len(now)} flights end as they should, "
+                f"{successes} of {len(before)} did in the baseline"
             )
     return found
 
 
-def _sound(trial: Trial) -> bool:
+def _succeeded(trial: Trial) -> bool:
+    """True if the flight was successful and has a position error."""
     return trial.error_m is not None and not trial.bad

@@ -1,4 +1,4 @@
-"""The verdict of `touchdown regress` in words, and the table behind it."""
+"""Text of the verdict of `touchdown regress`, and the table of its comparisons."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from touchdown.experiments.reporting.regression.compare import (
 from touchdown.experiments.reporting.statistics import fewest_pairs
 
 
-def verdict_words(found: Comparison) -> list[str]:
-    """Sentences on what got worse, with size and p; at the end on what could not be found."""
+def verdict_sentences(found: Comparison) -> list[str]:
+    """Returns one line per regression with its size and p; the last line states the cells without
+    power."""
     lines = [f"WORSE  {line}" for line in found.vanished]
     for cell in (cell for cell in found.cells if cell.worse):
         interval = _interval(cell)
@@ -30,12 +31,12 @@ def verdict_words(found: Comparison) -> list[str]:
     if not lines and found.cells:
         limit = f" by more than {100 * found.margin:g} %" if found.margin else ""
         lines.append(f"Nothing got worse{limit} beyond chance in {_comparisons(len(found.cells))}.")
-    lines += _power_words(found)
+    lines += _power_sentences(found)
     lines += [f"newly lost: {line}" for line in found.newly_bad]
     lines += [f"missing: {line}" for line in found.missing]
     lines += [f"not in the baseline: {line}" for line in found.added]
     lines += [f"note: {line}" for line in found.warnings]
-    return lines + _blind_words(found)
+    return lines + _blind_sentences(found)
 
 
 def _interval(cell: CellResult) -> str:
@@ -48,8 +49,8 @@ def _comparisons(count: int) -> str:
     return f"{count} comparison{'s' * (count != 1)}"
 
 
-def _power_words(found: Comparison) -> list[str]:
-    """The smallest change that cells could have shown."""
+def _power_sentences(found: Comparison) -> list[str]:
+    """The smallest and the largest detectable change of the cells."""
     seen = [cell for cell in found.cells if cell.detectable is not None]
     if not seen:
         return []
@@ -61,7 +62,7 @@ def _power_words(found: Comparison) -> list[str]:
     ]
 
 
-def _blind_words(found: Comparison) -> list[str]:
+def _blind_sentences(found: Comparison) -> list[str]:
     """The last line: cells with too few flights to find any change, and the number needed."""
     needed = fewest_pairs(ERROR_ALPHA / max(1, len(found.cells)))
     if not found.cells:
@@ -97,7 +98,7 @@ def _detectable(cell: CellResult) -> str:
 
 
 def table_lines(found: Comparison) -> list[str]:
-    """A Markdown table, one line a cell, worst first."""
+    """Returns a Markdown table with one line per cell, the smallest p first."""
     lines = [
         "| scene, method | error (m) | was (m) | ratio | adjusted p | detectable ratio | test |",
         "|---|---|---|---|---|---|---|",

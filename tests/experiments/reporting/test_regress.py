@@ -23,7 +23,7 @@ from touchdown.experiments.reporting.regression.baseline import (
     write_baseline,
 )
 from touchdown.experiments.reporting.regression.compare import Comparison, compare
-from touchdown.experiments.reporting.regression.verdict import table_lines, verdict_words
+from touchdown.experiments.reporting.regression.verdict import table_lines, verdict_sentences
 
 SCENES = ("crossroad", "lake", "houses", "forest")
 METHODS = ("gps", "optical_flow", "hybrid_flow", "stereo", "paper", "livo")
@@ -76,7 +76,7 @@ def test_the_same_flights_are_no_regression() -> None:
     assert {cell.p_adjusted for cell in found.cells} == {1.0}
     assert found.missing == found.added == found.newly_bad == found.warnings == []
     assert {cell.spread for cell in found.cells} == {"seeds, at most"}
-    assert verdict_words(found)[0] == "Nothing got worse beyond chance in 30 comparisons."
+    assert verdict_sentences(found)[0] == "Nothing got worse beyond chance in 30 comparisons."
 
 
 def test_thirty_percent_on_equal_seeds_are_found_and_named() -> None:
@@ -90,8 +90,8 @@ def test_thirty_percent_on_equal_seeds_are_found_and_named() -> None:
     assert named[0].ratio == pytest.approx(1.3)
     assert named[0].p == 1 / 1024
     assert 24 / 1024 <= named[0].p_adjusted <= 30 / 1024
-    assert verdict_words(found)[0].startswith("WORSE  lake, livo: position error ")
-    assert "1.3 times" in verdict_words(found)[0]
+    assert verdict_sentences(found)[0].startswith("WORSE  lake, livo: position error ")
+    assert "1.3 times" in verdict_sentences(found)[0]
     assert {line.split(" | ")[0] for line in table_lines(found)[2:4]} == {
         "| lake, livo",
         "| all scenes, livo",
@@ -183,7 +183,7 @@ def test_flights_that_never_took_off_are_worse_whatever_their_number(seeds: rang
     grounded = [row | {"outcome": "GROUNDED", "position_error_m.mean": None} for row in rows]
     found = against(grounded, rows)
     assert found.regressed and found.failed()
-    words = verdict_words(found)
+    words = verdict_sentences(found)
     assert words[0].startswith("WORSE  lake, livo: no flight comes to a position error")
     assert words[-1].startswith("Nothing was compared: ")
     assert not any(line.startswith("Nothing got worse") for line in words)
@@ -228,7 +228,7 @@ def test_one_estimator_in_one_scene_needs_five_equal_seeds() -> None:
     assert (four.blind, five.blind) == (["lake, livo"], [])
     assert (four.failed(), four.failed(require_power=True)) == (False, True)
     assert not five.failed(require_power=True)
-    assert verdict_words(four)[-1] == (
+    assert verdict_sentences(four)[-1] == (
         "No change could have been found at all: 1 comparison needs 5 equal seeds, and there are 4."
     )
     assert against(scaled(rows, lambda r: 3.0), rows).regressed
@@ -246,14 +246,14 @@ def test_what_is_missing_is_named() -> None:
     assert not found.regressed
     assert "lake, livo" in found.missing and "crossroad, gps: seed 2, 7" in found.missing
     assert against(rows, some).added == found.missing
-    assert "missing: lake, livo" in verdict_words(found)
+    assert "missing: lake, livo" in verdict_sentences(found)
     assert any("configurations or the set of runs differ" in note for note in found.warnings)
 
 
-def test_too_few_seeds_to_see_anything_is_said() -> None:
+def test_too_few_seeds_to_find_any_change_are_reported() -> None:
     rows = campaign(np.random.default_rng(0), range(5))
     found = against(scaled(rows, lambda r: 3.0), rows)
-    words = verdict_words(found)[-1]
+    words = verdict_sentences(found)[-1]
     assert "No change could have been found in 24 comparisons with too few flights" in words
     assert "among 30 comparisons one needs 10 equal seeds" in words
     assert {c.scene for c in found.cells if c.worse} == {"all scenes"}
@@ -370,7 +370,7 @@ def test_a_baseline_reads_back(tmp_path: Path) -> None:
     assert found.git_revision == "abc" and found.config_sha == configuration_sha(rows)
 
 
-def test_nothing_in_common_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_in_common_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_runs(tmp_path / "old")
     write_baseline([flight("flat", "gps", 0, 1.0)], tmp_path / "base.json")
     command = ["regress", str(tmp_path / "old"), "--baseline", str(tmp_path / "base.json")]

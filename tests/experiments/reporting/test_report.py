@@ -15,13 +15,13 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.results import load_runs, lookup
 from touchdown.experiments.reporting.document import (
     Report,
-    condition_words,
+    condition_sentences,
     make_report,
     markdown,
     page,
 )
 from touchdown.experiments.reporting.flights import check_revisions, load_flights, path_deviation
-from touchdown.experiments.reporting.narrative import leading_words
+from touchdown.experiments.reporting.narrative import leading_sentences
 from touchdown.experiments.reporting.run_table import (
     LANDING_COLUMNS,
     markdown_table,
@@ -141,7 +141,7 @@ def test_table_2_has_the_published_figures_beside_crossroad(report: Report) -> N
     assert table(report, "table2_variance").rows[1][2].text == "0.1568"
 
 
-def test_table_1_says_what_cannot_be_told(report: Report) -> None:
+def test_table_1_states_the_ambiguous_figures(report: Report) -> None:
     found = table(report, "table1")
     assert found.rows[1][1].text == "18.0"
     assert any('"36.11111"' in note and "cannot be told" in note for note in found.notes)
@@ -164,20 +164,20 @@ def test_words_follow_the_data(report: Report) -> None:
     assert 'printed (Table 2, "GPS"): no difference beyond the interval.' in words
 
 
-def test_another_order_than_the_papers_is_said(rows: list[dict[str, Any]]) -> None:
+def test_another_order_than_the_papers_is_stated(rows: list[dict[str, Any]]) -> None:
     swapped = [
         row | {"trajectory_error_m": 3.0} if row["estimator"] == "paper" else row for row in rows
     ]
     assert (
         "lake: the paper's methods come in the order `gps` < `paper`; in its Table 2 it is "
-        "`paper` < `gps`." in leading_words(swapped)
+        "`paper` < `gps`." in leading_sentences(swapped)
     )
 
 
 def test_a_method_that_never_took_off_does_not_compete(rows: list[dict[str, Any]]) -> None:
     nothing = {"trajectory_error_m": None, "position_error_m.mean": None, "outcome": "GROUNDED"}
     grounded = [row | nothing if row["estimator"] == "livo" else row for row in rows]
-    words = leading_words(grounded)
+    words = leading_sentences(grounded)
     assert words[0].startswith("crossroad: `paper` is ahead by E_tra")
     assert "crossroad: no flight with a figure to compare of `livo`." in words
     best = table(make_report(grounded, title="x"), "table2_error").rows
@@ -222,11 +222,11 @@ def test_the_papers_columns_need_its_methods(rows: list[dict[str, Any]]) -> None
     assert "paper prints" not in text and "Beside the paper" not in text and "printed" not in text
 
 
-def test_a_missing_revision_is_said_with_its_remedy(
+def test_a_missing_revision_is_stated_with_its_remedy(
     rows: list[dict[str, Any]], tmp_path: Path
 ) -> None:
     without = [row | {"git_revision": None} for row in rows[:2]] + rows[2:]
-    words = "\n".join(condition_words(without))
+    words = "\n".join(condition_sentences(without))
     assert "Git revision: `0123abc`. Git revision of 2 flights not recorded: Touchdown was" in words
     assert "unknown" not in words
     check_revisions(rows, tmp_path)

@@ -12,7 +12,7 @@ from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.document import make_report, markdown, page
 from touchdown.experiments.reporting.flights import load_flights
 from touchdown.experiments.reporting.landing_figure import landing_pictures
-from touchdown.experiments.reporting.landings import landing_tables, landing_words, offset_xy
+from touchdown.experiments.reporting.landings import landing_sentences, landing_tables, offset_xy
 from touchdown.experiments.reporting.tables import Table
 
 from support.report_support import LANDING, write_run
@@ -126,7 +126,7 @@ def test_no_site_of_the_paper_no_table_6(rows: list[dict[str, Any]]) -> None:
 
 
 def test_words_say_what_happened(rows: list[dict[str, Any]]) -> None:
-    words = "\n".join(landing_words(rows))
+    words = "\n".join(landing_sentences(rows))
     assert "`livo`: 3 of 4 flights landed (75 % [30, 95])." in words
     assert "1 touched ground that is unsafe by geometry: crossroad seed 3." in words
     assert "`gps`: 3 of 3 flights landed (100 % [44, 100]). None touched ground that is" in words
