@@ -29,7 +29,7 @@ def bench() -> int:
 @click.option("--estimator", default="livo", show_default=True)
 @click.option("--seed", type=int, default=0, show_default=True)
 @click.option("--full", is_flag=True, help="The whole survey instead of a short one.")
-@click.option("--ratio/--no-ratio", default=True, help="Measure ratio.bare too.  [ratio]")
+@click.option("--ratio/--no-ratio", default=True, help="Measure ratio.bare as well.  [ratio]")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
 def bench_loop(
@@ -78,7 +78,7 @@ def bench_scaling_command(
 ) -> int:
     """Fly the same campaign of short landings with one single-threaded worker and with several.
 
-    ratio.one is the throughput of the workers over that of one, their start included.
+    ratio.one is the throughput of all workers divided by that of one, start-up included.
 
     Example: touchdown bench scaling --json
     """
@@ -128,11 +128,11 @@ def bench_lidar(scene: str, preset: str, seed: int, rounds: int, as_json: bool) 
 @click.option("--scene", default="crossroad", show_default=True)
 @click.option("--seed", type=int, default=0, show_default=True)
 @click.option("--rounds", type=click.IntRange(1, 100), default=9, show_default=True)
-@click.option("--reference/--no-reference", default=True, help="Time the other version too.")
+@click.option("--reference/--no-reference", default=True, help="Time the reference code too.")
 @click.option("--network", type=click.Path(path_type=Path), default=None,
-              help="Recognises places.  [the one that comes with touchdown]")  # fmt: skip
+              help="Ground classifier (ONNX).  [the one that comes with touchdown]")  # fmt: skip
 @click.option("--threads", type=click.IntRange(1, 1024), default=2, show_default=True,
-              help="Of the processor, for the network.")  # fmt: skip
+              help="Processor threads of the network.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def bench_landing(
     scene: str,
@@ -143,11 +143,11 @@ def bench_landing(
     threads: int,
     as_json: bool,
 ) -> int:
-    """Choosing a landing site on the map of a whole survey: milliseconds of each step (Table 7 of
-    the paper) beside the same steps by Open3D, SciPy and scikit-image, one thread each.
+    """Time each step of site selection on the map of a whole survey, in milliseconds (Table 7 of
+    the paper), beside the same steps by Open3D, SciPy and scikit-image, one thread each.
 
-    ``selection`` is all that the lander does for one decision, the check of the ground included.
-    With a network: ten patches of 128 x 128 to their classes, and a whole decision with it.
+    ``selection`` is a whole decision of the lander, the check of the ground included. With a
+    network: the time to classify ten patches of 128 x 128, and a whole decision with it.
 
     Example: touchdown bench landing --json
     """
@@ -171,9 +171,9 @@ def bench_landing(
         other = f"{beside[name]:9.1f}" if name in beside else ""
         click.echo(f"{name:14}{milliseconds:8.2f} ms{other}")
     if "classifier_ms" in figures:
-        asked, ms = figures["classified_sites"], figures["classifier_ms"]
+        sites, ms = figures["classified_sites"], figures["classifier_ms"]
         click.echo(f"{'ten patches':14}{ms['ten_patches']:8.2f} ms on {threads} threads")
-        click.echo(f"{'with places':14}{ms['selection']:8.2f} ms ({asked} sites asked about)")
+        click.echo(f"{'with classes':14}{ms['selection']:8.2f} ms ({sites} sites classified)")
     if reference:
         click.echo(f"ratio.reference {figures['ratio']['reference']:.1f}")
     return EXIT_DONE
@@ -184,7 +184,7 @@ def bench_landing(
 @click.option("--seeds", default="0-24", show_default=True, help="Such as 0-24 or 100,101.")
 @click.option("--scorer", type=click.Choice(["risk", "paper"]), default=None, help="  [risk]")
 @click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True)
-@click.option("--fit", "fit_model", is_flag=True, help="Fit landing.risk_weights to these places.")
+@click.option("--fit", "fit_model", is_flag=True, help="Fit landing.risk_weights to these maps.")
 @click.option("--pictures", type=click.Path(path_type=Path), default=None, metavar="DIR",
               help="Draw the steps to each site (Fig. 11 of the paper) into DIR.")  # fmt: skip
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE")
@@ -200,8 +200,8 @@ def bench_selector(
     as_json: bool,
 ) -> int:
     """Choose sites without flying and compare them with the true maps: precision, recall, regret
-    and calibration. The sensors are towed along the survey at its planned poses. SCENES: all that
-    have something to choose, unless given.
+    and calibration. The sensors take the planned poses of the survey without a flight. SCENES: by
+    default all scenes but flat and open_water.
 
     Example: touchdown bench selector crossroad lake --seeds 0-4
     """
@@ -215,7 +215,7 @@ def bench_selector(
             jobs=jobs,
             fit_model=fit_model,
             overrides=overrides,
-            report=lambda place: click.echo(selector_check.row(place), err=as_json),
+            report=lambda result: click.echo(selector_check.row(result), err=as_json),
             pictures=pictures,
         )
     )
@@ -246,7 +246,7 @@ def bench_endurance(
     as_json: bool,
 ) -> int:
     """Fly long surveys: position error, time per scan (of the estimator and of the whole process)
-    and memory in each minute. SCENES: crossroad, lake, houses and forest, unless given.
+    and memory in each minute. SCENES: by default crossroad, lake, houses and forest.
 
     Example: touchdown bench endurance forest --seeds 0 --minutes 10
     """

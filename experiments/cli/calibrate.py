@@ -23,7 +23,7 @@ from touchdown.experiments.terminal import make_notes
     show_default=True,
     help="The file that flights load with --calibration.",
 )
-@click.option("--pictures", type=click.Path(path_type=Path), help="Folder for pictures.")
+@click.option("--pictures", type=click.Path(path_type=Path), help="Folder for figures.")
 @click.option("--config", "config_file", type=click.Path(path_type=Path), help="A TOML file.")
 @click.option(
     "--set",
@@ -47,7 +47,7 @@ def calibrate(
     """Calibrate camera and LIDAR from a chessboard held in front of them in several poses.
 
     Renders and scans the board with all noise on, estimates the camera matrix, the distortion and
-    where the LIDAR is, and reports the error to the truth beside the stated covariance.
+    the pose of the LIDAR, and reports the errors beside the stated covariance.
 
     Example: touchdown calibrate --poses 12 --out calibration.json --pictures pictures
     """

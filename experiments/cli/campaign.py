@@ -31,7 +31,7 @@ class ShardType(click.ParamType):
 
 
 class CampaignGroup(CommandGroup):
-    """``campaign FILE.toml`` flies, ``campaign status DIR`` looks."""
+    """Runs ``campaign FILE.toml`` where the first argument is no subcommand."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if not args:
@@ -69,7 +69,7 @@ def campaign() -> int:
 @click.command("campaign")
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR",
-              help="The campaign's directory; one that exists is gone on with.")  # fmt: skip
+              help="The campaign's directory; an existing one is resumed.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(1, 1024), help="Flights at a time.  [cores]")
 @click.option("--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True)
 @click.option("--ray-address", metavar="ADDRESS", help="Of a Ray cluster.  [a local one]")
@@ -88,9 +88,9 @@ def fly_file(
 ) -> int:
     """Fly all runs of FILE.toml: scenes x estimators x seeds x winds, in parallel.
 
-    Every run becomes a directory below DIR/runs, and a row of DIR/results.parquet. Stop it at any
-    time: the same command goes on where it was. Exit code 0 means every run came to an outcome, and
-    to what the file expects, 1 that some did not, 2 bad input.
+    Every run becomes a directory below DIR/runs, and a row of DIR/results.parquet. It may be
+    interrupted at any time; the same command resumes it. Exit code 0 means that every run has an
+    outcome, as the file expects it, 1 that some have not, 2 invalid input.
 
     Example: touchdown campaign configs/positioning.toml --out runs/positioning --jobs 2
     """
@@ -105,8 +105,8 @@ def fly_file(
         figures = fly_campaign(plan, out, flown_by, shard=shard, watcher=watcher)
     except KeyboardInterrupt:
         print(
-            "touchdown: stopped; finished runs are kept, and the same command goes on with the "
-            f"rest (see 'touchdown campaign status {out}')",
+            "touchdown: stopped; finished runs are kept, and the same command resumes the "
+            f"campaign (see 'touchdown campaign status {out}')",
             file=sys.stderr,
         )
         return EXIT_INTERRUPTED
@@ -121,8 +121,8 @@ def fly_file(
 @click.argument("directory", type=click.Path(path_type=Path), metavar="DIR")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def status(directory: Path, as_json: bool) -> int:
-    """Print how far the campaign in DIR is, and where its time went. It may be flying meanwhile.
-    Exit code 1 means that runs came to something else than its file expects.
+    """Print the progress of the campaign in DIR and its time by stage, also while it runs. Exit
+    code 1 means that some results are not as its file expects.
 
     Example: touchdown campaign status runs/positioning
     """

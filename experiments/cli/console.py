@@ -67,7 +67,7 @@ def print_result(result: RunResult, out_dir: Path | None) -> None:
         if (out_dir / "flight.rrd").exists():
             console.print(f"recording:     {out_dir / 'flight.rrd'}", soft_wrap=True)
             program = "touchdown" if shutil.which("touchdown") else sys.argv[0]
-            console.print(f"look at it:    {program} view {out_dir}", soft_wrap=True)
+            console.print(f"view it:       {program} view {out_dir}", soft_wrap=True)
 
 
 def _remark(result: RunResult) -> str:
@@ -154,7 +154,7 @@ def print_margins(rows: list[dict[str, Any]]) -> None:
 
 
 def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
-    """One row a scene: seeds that build, how much the two most alike differ, safe ground."""
+    """Prints a row per scene: seeds that build, difference of the two most alike, safe ground."""
     from rich.table import Table
 
     table = Table(title="seeds of each scene", title_justify="left")
@@ -177,13 +177,13 @@ def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
         )
         if row["without_safe_site"]:
             seeds = ", ".join(str(seed) for seed in row["without_safe_site"])
-            notes.append(f"{row['scene']}: no safe site where the survey looks in seeds {seeds}")
+            notes.append(f"{row['scene']}: no safe site in the surveyed area in seeds {seeds}")
         notes += [f"{row['scene']} seed {seed}: {why}" for seed, why in row["failed"].items()]
     console = make_console()
     console.print(table)
     console.print(
         "closest: the two most alike seeds, their mean absolute difference in height, share of "
-        "cells of another class, mean absolute difference of the pictures from above (of 255); "
+        "cells of another class, mean absolute difference of the images from above (of 255); "
         "safe ground: least and median share of the area seen",
         style="dim",
     )
@@ -196,22 +196,22 @@ def print_place(row: Mapping[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    facts, good = row["facts"], not row["problems"]
+    facts, usable = row["facts"], not row["problems"]
     x, y = facts["takeoff_xy_m"]
     table = Table(title=row["place"], show_header=False, title_justify="left", min_width=52)
     table.add_column(style="dim")
     table.add_column(justify="right")
-    verdict = "[bold green]yes[/]" if good else "[bold red]no[/]"
+    verdict = "[bold green]yes[/]" if usable else "[bold red]no[/]"
     for label, text in (
         ("can be flown", verdict),
         ("take-off", f"{x:.1f}, {y:.1f} m, heading {facts['takeoff_yaw_deg']:.0f} deg"),
-        ("ground there", f"{facts['takeoff_geom']} ({facts['takeoff_class']})"),
-        ("above what is around", f"{facts['takeoff_above_m'] + 0.0:.1f} m"),
-        ("may be landed on again", "yes" if facts["takeoff_safe"] else "no"),
+        ("ground at take-off", f"{facts['takeoff_geom']} ({facts['takeoff_class']})"),
+        ("height above surroundings", f"{facts['takeoff_above_m'] + 0.0:.1f} m"),
+        ("take-off point is safe to land on", "yes" if facts["takeoff_safe"] else "no"),
         ("ground under the legs", f"{facts['legs_share']:.0%}"),
-        ("under what is seen", f"{facts['seen_share']:.0%}"),
+        ("ground in the surveyed view", f"{facts['seen_share']:.0%}"),
         ("highest below the legs", f"{facts['highest_m'] + 0.0:.1f} m"),
-        ("safe ground", f"{facts['safe_share']:.0%} of what is seen"),
+        ("safe ground", f"{facts['safe_share']:.0%} of the surveyed view"),
         ("safe but for its class", f"{facts['safe_geometry_share'] - facts['safe_share']:.0%}"),
         ("geoms without a class", ", ".join(facts["without_class"]) or "none"),
     ):
@@ -224,7 +224,7 @@ def print_place(row: Mapping[str, Any]) -> None:
 
 
 def print_calibration(report: Mapping[str, Any]) -> None:
-    """Errors of a calibration beside what it says of them itself."""
+    """Prints the errors of a calibration beside its stated standard deviations."""
     from rich.table import Table
 
     error, sigma = report["error"], report["stated_sigma"]
@@ -241,7 +241,7 @@ def print_calibration(report: Mapping[str, Any]) -> None:
         f"{math.hypot(*sigma['rotation_deg']):.4f} deg",
     )
     table.add_row(
-        "its place",
+        "position of the LIDAR",
         f"{1e3 * error['translation_m']:.2f} mm",
         f"{1e3 * math.hypot(*sigma['translation_m']):.2f} mm",
     )

@@ -21,8 +21,8 @@ from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, EXIT_INTERR
 @click.option("--skip", multiple=True, metavar="PART",
               help="Leave a part out, such as recognition. May be repeated.")  # fmt: skip
 @click.option("--photographs", multiple=True, metavar="[KIND=]DIR",
-              help="Labelled photographs to learn from and test on beside rendered "
-              "pictures, as --data of touchdown train. May be repeated.")  # fmt: skip
+              help="Labelled photographs for training and test beside rendered "
+              "images, as --data of touchdown train. May be repeated.")  # fmt: skip
 @click.option("--list", "only_list", is_flag=True,
               help="Print the parts, their tables and figures, and approximate times.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
@@ -40,9 +40,9 @@ def reproduce(
     """Reproduce all tables and figures of the paper and compare them with the published ones.
 
     Calibrates, flies the campaigns of positioning and landing, trains networks, and writes
-    DIR/report: report.html (one file, no network needed), report.md and report.json. Stop it at any
-    time: the same command goes on where it was, and a quick one becomes whole without --quick. Exit
-    code 1 means that a part failed its purpose, 2 bad input.
+    DIR/report: report.html (one file, no network needed), report.md and report.json. It may be
+    interrupted at any time; the same command resumes it, and without --quick extends a quick
+    edition to a whole one. Exit code 1 means that a part failed its purpose, 2 invalid input.
 
     Example: touchdown reproduce --out runs/reproduction --quick
     """
@@ -72,7 +72,7 @@ def reproduce(
         )
     except KeyboardInterrupt:
         print(
-            "touchdown: stopped; what is done is kept, and the same command goes on with the rest",
+            "touchdown: stopped; finished parts are kept, and the same command resumes the rest",
             file=sys.stderr,
         )
         return EXIT_INTERRUPTED
@@ -96,8 +96,8 @@ def _print_list(parts: Sequence[Mapping[str, Any]], as_json: bool) -> None:
 
 def _print_parts(figures: Mapping[str, Any]) -> None:
     for part in figures["parts"]:
-        word = "done" if part["good"] else f"FAILED: {part['why']}"
-        click.echo(f"{part['part']:15} {part['edition']:6} {part['wall_s']:8.0f} s  {word}")
+        verdict = "done" if part["good"] else f"FAILED: {part['why']}"
+        click.echo(f"{part['part']:15} {part['edition']:6} {part['wall_s']:8.0f} s  {verdict}")
     for name in figures["skipped"]:
         click.echo(f"{name:15} left out")
     for path in figures["files"].values():

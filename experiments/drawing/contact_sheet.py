@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 SHEET_VIEWS = ("above", "oblique", "camera", "depth", "lidar", "height", "class", "safe")
 _ROW_PIXELS = 230
@@ -17,13 +17,13 @@ _TITLE_PIXELS = 34
 _PAPER, _INK = 255, (30, 30, 30)
 
 
-def thumbnails(pictures: Mapping[str, Picture]) -> dict[str, Picture]:
+def thumbnails(images: Mapping[str, Image]) -> dict[str, Image]:
     """Small views of one scene for the sheet, so that many scenes fit into memory."""
-    return {view: _fit(pictures[view]) for view in SHEET_VIEWS}
+    return {view: _fit(images[view]) for view in SHEET_VIEWS}
 
 
-def contact_sheet(scenes: Mapping[str, Mapping[str, Picture]]) -> Picture:
-    """(H, W, 3) RGB: by scene name its `thumbnails`; columns line up, the top row names them."""
+def contact_sheet(scenes: Mapping[str, Mapping[str, Image]]) -> Image:
+    """(H, W, 3) RGB of the `thumbnails` by scene name; columns line up, the top row names them."""
     widths = [max(views[view].shape[1] for views in scenes.values()) for view in SHEET_VIEWS]
     width = sum(widths) + _GAP_PIXELS * (len(widths) + 1)
     header = np.full((_TITLE_PIXELS, width, 3), _PAPER, np.uint8)
@@ -45,13 +45,13 @@ def contact_sheet(scenes: Mapping[str, Mapping[str, Picture]]) -> Picture:
     return np.vstack(bands)
 
 
-def _fit(picture: Picture) -> Picture:
-    """At most a row high and twice as wide."""
-    rows, cols = picture.shape[:2]
+def _fit(image: Image) -> Image:
+    """Image scaled to at most the height of a row and twice that width."""
+    rows, cols = image.shape[:2]
     scale = min(_ROW_PIXELS / rows, 2.0 * _ROW_PIXELS / cols)
     size = (round(cols * scale), round(rows * scale))
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _write(band: Picture, text: str, left: int, scale: float) -> None:
+def _write(band: Image, text: str, left: int, scale: float) -> None:
     cv2.putText(band, text, (left, 25), cv2.FONT_HERSHEY_SIMPLEX, scale, _INK, 1, cv2.LINE_AA)

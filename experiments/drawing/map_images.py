@@ -27,7 +27,7 @@ _VERTEX = np.dtype(
     [(name, "<f4") for name in "xyz"] + [(n, "u1") for n in ("red", "green", "blue")]
 )
 _LABEL_PIXELS = 66
-_WORDS = "x east, y north (m, world); white circle: take-off; dashed: the survey's legs"
+_CAPTION = "x east, y north (m, world); white circle: take-off; dashed: the survey's legs"
 
 
 def map_points(
@@ -58,7 +58,7 @@ def write_ply(path: Path, points: Points, colours: Colours) -> None:
     PlyData([PlyElement.describe(rows, "vertex")], byte_order="<").write(path)
 
 
-def costmap_picture(
+def costmap_image(
     view: CostmapView, candidates: tuple[Candidate, ...], site_odom: Array | None
 ) -> Colours:
     """The coloured map beside the total cost, north up, with every candidate: (H, W, 3) RGB."""
@@ -84,7 +84,7 @@ def _panels(
 
 
 def _zoom(rows: slice, cols: slice) -> int:
-    """Pixels of a cell."""
+    """Pixels per cell."""
     return max(1, round(_PANEL_PIXELS / max(rows.stop - rows.start, cols.stop - cols.start)))
 
 
@@ -96,13 +96,14 @@ def write_costmap(
     world_from_odom: Pose,
     marks: Marks,
 ) -> None:
-    """Writes the image of `costmap_picture` with ticks in metres of the world frame, take-off
+    """Writes the image of `costmap_image` with ticks in metres of the world frame, take-off
     point, the survey's rectangle and a key of its colours."""
     rows, cols = seen_box(view)
     panels = _panels(view, candidates, site_odom)
     corner = view.origin_xy_m + view.cell_m * np.array([cols.start, rows.start])
     size_m = view.cell_m * np.array([cols.stop - cols.start, rows.stop - rows.start])
-    # The two frames are turned by a fraction of a degree: right in the middle, well elsewhere.
+    # The frames differ by a rotation of a fraction of a degree: exact in the middle of the map,
+    # approximate elsewhere.
     middle = np.array([*(corner + 0.5 * size_m), 0.0])
     west, south = (corner + (world_from_odom.apply(middle) - middle)[:2]).tolist()
     scale = panels[0].shape[1] / 800.0
@@ -111,9 +112,9 @@ def write_costmap(
     )
     for panel in panels:
         frame.draw_marks(panel, marks)
-    picture = frame.around(panels, _WORDS)
-    picture = frame.below(picture, _key(frame, picture.shape[1]))
-    if not cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
+    image = frame.around(panels, _CAPTION)
+    image = frame.below(image, _key(frame, image.shape[1]))
+    if not cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR)):
         raise OSError(f"{path} cannot be written")
 
 
@@ -162,9 +163,9 @@ def seen_box(view: CostmapView) -> tuple[slice, slice]:
 def _coloured(total: NDArray[np.float32]) -> Colours:
     """(H, W) in [0, 1], higher is better, to (H, W, 3) BGR; unknown cells dark."""
     scaled = np.nan_to_num(np.clip(total, 0.0, 1.0) * 255.0).astype(np.uint8)
-    picture = cv2.applyColorMap(scaled, cv2.COLORMAP_VIRIDIS)
-    picture[~np.isfinite(total)] = _UNKNOWN_BGR
-    return picture
+    image = cv2.applyColorMap(scaled, cv2.COLORMAP_VIRIDIS)
+    image[~np.isfinite(total)] = _UNKNOWN_BGR
+    return image
 
 
 def _draw_candidates(
@@ -216,7 +217,7 @@ def _text(
         (0, rim, (0, 0, 0)),
         (0, 0, colour),
     ):
-        place = (corner[0] + dx, corner[1] + dy)
+        anchor = (corner[0] + dx, corner[1] + dy)
         cv2.putText(
-            panel, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, shade, 1, cv2.LINE_AA
+            panel, text, anchor, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, shade, 1, cv2.LINE_AA
         )

@@ -69,7 +69,7 @@ _LATCHED = Qos(
 )
 """of static transforms: a player offers the last message to nodes that start late"""
 WRITTEN_BY = "written_by"
-"""key of the bag's metadata under which its writer stands"""
+"""key of the bag's metadata that names its writer"""
 _BEAM_DOWN = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """body_from_rangefinder: x, along the beam, points down"""
 

@@ -1,4 +1,4 @@
-"""Small fixed-size buffers that are sent to Rerun as columns: one call instead of hundreds."""
+"""Fixed-size buffers, each sent to Rerun as columns in one call."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
 Array = NDArray[np.float64]
 
 _PATH_WIDTHS = {"true": 2.2, "estimated": 1.6, "reference": 1.0}
-"""Widths in screen points; where paths coincide, the broader one shows as a rim."""
+"""Widths in screen points; where paths coincide, the wider one is visible as a rim."""
 _MOTION_STYLE = {
     "height_m": (120, 200, 255),
     "speed_mps": (255, 200, 80),

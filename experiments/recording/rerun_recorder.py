@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.drawing.map_images import costmap_picture, map_points
+from touchdown.experiments.drawing.map_images import costmap_image, map_points
 from touchdown.experiments.recording.map_tiles import MapTiles
 from touchdown.experiments.recording.rerun_batches import (
     PathBatch,
@@ -49,7 +49,7 @@ _RGB_ACCEPTED, _RGB_REFUSED, _RGB_CHOSEN = (120, 230, 255), (255, 90, 90), (90, 
 
 
 class Every:
-    """``due`` is true at most ``hz`` times a second of simulated time."""
+    """Rate limit: ``due`` is true at most ``hz`` times a second of simulated time."""
 
     def __init__(self, hz: float) -> None:
         self._period_s = 1.0 / hz
@@ -63,12 +63,12 @@ class Every:
 
 
 _FOOTER, _FOOTER_BYTES = b"RRF2FOOT", 64
-"""at the end of a recording that is whole"""
+"""Marker at the end of a complete recording, and the length of the searched tail."""
 
 
 class RerunLog:
     """A ``Recorder`` that writes one ``.rrd`` file with a blueprint in it. ``close`` raises OSError
-    where it could not be written to its end."""
+    if the file is incomplete."""
 
     def __init__(self, path: Path, scene: Scene, rig: SensorRig, config: Config) -> None:
         self._scene = scene
@@ -128,7 +128,7 @@ class RerunLog:
         self._flush()
         self._stream.flush()
         self._stream.disconnect()
-        # Its writer has a thread of its own and tells nobody of a full disk.
+        # The writer thread of Rerun does not report a full disk.
         with self._path.open("rb") as file:
             file.seek(max(0, os.fstat(file.fileno()).st_size - _FOOTER_BYTES))
             if _FOOTER not in file.read():
@@ -264,7 +264,7 @@ class RerunLog:
             self._stream.log("world/map/candidates", _candidate_points(view.candidates))
 
     def _log_events(self, time_s: float, estimate: Estimate) -> None:
-        """The estimator's own words, and the faults that were put in its way."""
+        """Logs the messages of the estimator and the injected faults."""
         for text in estimate.events:
             self._stream.set_time(TIMELINE, duration=time_s)
             self._stream.log("log/estimator", rr.TextLog(text, level="WARN"))
@@ -278,8 +278,8 @@ class RerunLog:
             return
         site = view.site_world
         site_odom = None if site is None else estimate.world_from_odom.inverse().apply(site)
-        picture = costmap_picture(view.costmap, view.candidates, site_odom)
-        done, data = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+        image = costmap_image(view.costmap, view.candidates, site_odom)
+        done, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
         if done:
             self._stream.set_time(TIMELINE, duration=time_s)
             self._stream.log(
@@ -293,7 +293,7 @@ class RerunLog:
 
 
 def _fault_times(config: Config) -> list[tuple[float, str]]:
-    """When each fault of the schedule begins and ends."""
+    """Returns (time, text) of the begin and end of each fault of the schedule."""
     found = []
     for fault in config.faults.schedule():
         found.append((fault.start_s, f"fault {fault.text} begins"))
@@ -303,7 +303,7 @@ def _fault_times(config: Config) -> list[tuple[float, str]]:
 
 
 def _survey_middle(scene: Scene, config: Config) -> Array:
-    """(2,) from the take-off spot to the middle of the surveyed area, world axes."""
+    """(2,) from the take-off point to the middle of the surveyed area, world axes."""
     half = 0.5 * np.array(
         [
             config.survey.leg_length_m,
@@ -319,7 +319,7 @@ def _transform(pose: Pose) -> rr.Transform3D:
 
 
 def _site_lines(site_world: Array) -> rr.LineStrips3D:
-    """A ring of the radius that must be clear, and a pole to find it by."""
+    """Ring of the required clear radius, and a pole as a marker."""
     angle = np.linspace(0.0, 2.0 * np.pi, 37)
     ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
     pole = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, _POLE_M]])

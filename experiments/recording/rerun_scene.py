@@ -1,4 +1,4 @@
-"""The scene and the vehicle in a recording: meshes once, moving bodies by their pose."""
+"""Scene and vehicle in a recording: meshes once, moving bodies by their poses."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ Array = NDArray[np.float64]
 _VEHICLE_PREFIX = "vehicle/"
 _TERRAIN_SIDE = 257
 _GROUND_TINT = (140, 143, 155)
-"""Darkens the ground, so that the map stands out on it."""
+"""Darkens the ground, so that the map is visible on it."""
 
 
 def log_scene(stream: rr.RecordingStream, scene: Scene, texture_pixels: int) -> None:
-    """Terrain and static objects, in world coordinates, and each moving body in its own."""
+    """Logs terrain and static objects in world coordinates, and each moving body in its own."""
     model = scene.model
     poses = geom_poses_world(model)
     moving = {moving_body_id(scene, body): body for body in scene.moving}
@@ -66,7 +66,7 @@ def log_scene(stream: rr.RecordingStream, scene: Scene, texture_pixels: int) -> 
 
 
 def log_vehicle(stream: rr.RecordingStream, scene: Scene) -> None:
-    """The airframe in body coordinates, under ``world/vehicle``."""
+    """Logs the airframe in body coordinates, under ``world/vehicle``."""
     model = scene.model
     roots = [
         body
@@ -89,7 +89,7 @@ def log_vehicle(stream: rr.RecordingStream, scene: Scene) -> None:
 
 
 def log_moving(stream: rr.RecordingStream, scene: Scene, time_s: float) -> None:
-    """Poses of the moving bodies at a time."""
+    """Logs the poses of the moving bodies at a time."""
     stream.set_time(TIMELINE, duration=time_s)
     for body in scene.moving:
         position, yaw = pose_on_path(body, time_s)

@@ -1,4 +1,4 @@
-"""What a flight leaves behind: trajectories, the Rerun recording, the map, the costmap."""
+"""Recorder of the files of a flight: trajectories, the Rerun recording, the map, the costmap."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Recorder(Protocol):
-    """Sees everything, changes nothing."""
+    """Observer of every control step, without effect on the flight."""
 
     def tick(self, step: StepRecord) -> None: ...
 
@@ -30,7 +30,7 @@ class Recorder(Protocol):
 
 
 class NullRecorder:
-    """Leaves nothing behind."""
+    """Recorder that writes nothing."""
 
     def tick(self, step: StepRecord) -> None:
         pass
@@ -41,8 +41,8 @@ class NullRecorder:
 
 class RunRecorder:
     """Fills a run directory: ``truth.tum``, ``estimate.tum``, ``reference.tum``, ``map.ply``,
-    ``costmap.png`` and, with ``config.record``, ``flight.rrd``; what sensors said goes to
-    ``sensors`` where one is given, and then ``odometry.tum`` is there, too.
+    ``costmap.png`` and, with ``config.record``, ``flight.rrd``; with ``sensors``,
+    also the sensor log and ``odometry.tum``.
 
     ``out_dir`` must exist. Files are complete after ``close``; memory does not grow with the
     flight.

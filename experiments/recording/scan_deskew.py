@@ -22,7 +22,7 @@ _TURBO_RGB: NDArray[np.uint8] = _TURBO_BGR.reshape(256, 3)[:, ::-1].astype(np.ui
 
 
 class OdomTrack:
-    """Latest odometry poses, for estimators without a track of their own."""
+    """Latest odometry poses, for estimators that provide no scan track."""
 
     def __init__(self) -> None:
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=_TRACK_POSES)
@@ -32,7 +32,7 @@ class OdomTrack:
             self._poses.append((estimate.time_s, estimate.odom_from_body))
 
     def around(self, scan: LidarScan) -> PoseTrack:
-        """The poses over the span of a scan and one on either side."""
+        """Returns the poses over the span of a scan and one on either side."""
         times = np.array([time_s for time_s, _ in self._poses])
         first = max(int(np.searchsorted(times, scan.start_time_s)) - 1, 0)
         last = int(np.searchsorted(times, scan.end_time_s)) + 1

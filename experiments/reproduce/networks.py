@@ -1,4 +1,4 @@
-"""The networks of a reproduction: pictures, trainings side by side, one score after the other."""
+"""Networks of a reproduction: images rendered, trainings in parallel, scores one after another."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Notes = Callable[[str], None]
 
 _KEPT = ("network", "labels", "split", "pictures", "loss", "macro_f1", "recall", "top1",
          "top1_interval", "rom_mb", "peak_ram_mb", "image_ms")  # fmt: skip
-_LOOK_S = 5.0
-"""between two looks at how far the trainings are"""
+_CHECK_INTERVAL_S = 5.0
+"""Interval between two checks of the progress of the trainings."""
 
 
 @dataclass(frozen=True, slots=True)
 class Training:
-    """Picklable: one goes to each worker."""
+    """One training of a network, picklable for the worker processes."""
 
     network: str
     labels: str
@@ -60,11 +60,11 @@ def train_and_score(
     jobs: int,
     notes: Notes,
 ) -> list[dict[str, Any]]:
-    """A row for every network and label scheme; whatever is in ``home`` already is kept.
+    """Returns the scores of every network under every label scheme; results in ``home`` are reused.
 
-    Every training has one thread, however many of them there are at a time, so that what comes out
-    does not depend on ``jobs``. Scores are taken when all are trained: time and memory are measured
-    with nothing beside them. Pictures and trainings of other ``settings`` are begun anew.
+    Every training uses one thread, so that results do not depend on ``jobs``. Networks are scored
+    after all trainings, so that time and memory are measured with nothing else running. Images and
+    trainings made with other ``settings`` are discarded and made again.
     """
     _start_over_if_changed(home, settings)
     if not (home / PICTURES).is_dir():
@@ -81,7 +81,7 @@ def train_and_score(
 
 
 def _start_over_if_changed(home: Path, settings: dict[str, Any]) -> None:
-    """A training goes on only with the pictures and options that it began with."""
+    """Empties ``home`` if its images and trainings were made with other settings."""
     file, text = home / SETTINGS, json.dumps(settings, indent=1) + "\n"
     if file.is_file() and file.read_text(encoding="utf-8") != text:
         shutil.rmtree(home)
@@ -95,10 +95,10 @@ def _render(folder: Path, size: Recognition, jobs: int, notes: Notes) -> None:
     render_dataset(
         folder,
         DatasetParams(
-            images=size.images, scenes=size.scenes, pixels=size.pixels, per_seed=size.per_place
+            images=size.images, scenes=size.scenes, pixels=size.pixels, per_seed=size.per_seed
         ),
         jobs=jobs,
-        progress=lambda done, total, note: notes(f"picture {done} of {total}: {note}"),
+        progress=lambda done, total, note: notes(f"image {done} of {total}: {note}"),
     )
 
 
@@ -106,7 +106,7 @@ def _render(folder: Path, size: Recognition, jobs: int, notes: Notes) -> None:
 
 
 def _train(todo: Sequence[Training], jobs: int, notes: Notes) -> None:
-    """Trains what is not trained yet; goes on with what was stopped."""
+    """Trains the given networks; resumes interrupted trainings."""
     if jobs == 1 or len(todo) <= 1 or _on_gpu():
         for training in todo:
             notes(f"training {training.name}")
@@ -118,7 +118,7 @@ def _train(todo: Sequence[Training], jobs: int, notes: Notes) -> None:
     )
     try:
         _watch(
-            {pool.submit(_trained, training, _say_nothing): training for training in todo}, notes
+            {pool.submit(_trained, training, _ignore_note): training for training in todo}, notes
         )
     except BaseException:
         for process in multiprocessing.active_children():
@@ -129,10 +129,10 @@ def _train(todo: Sequence[Training], jobs: int, notes: Notes) -> None:
 
 
 def _watch(trainings: dict[Future[None], Training], notes: Notes) -> None:
-    """Returns when all have ended; raises what the first that failed did."""
+    """Waits for all trainings and reports their progress; raises the error of the first failure."""
     waiting = set(trainings)
     while waiting:
-        done, waiting = wait(waiting, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
+        done, waiting = wait(waiting, timeout=_CHECK_INTERVAL_S, return_when=FIRST_COMPLETED)
         for future in done:
             future.result()
         under_way = [trainings[future] for future in waiting if trainings[future].folder.is_dir()]
@@ -149,8 +149,8 @@ def _epochs(training: Training) -> str:
 
 
 def _begin_worker(parent: int) -> None:
-    """Two processes must not write to one training: without its parent a worker is gone. Ctrl-C is
-    for the parent."""
+    """Prepares a worker process: it ends with its parent, since two processes must not write to one
+    training, and it leaves Ctrl-C to the parent."""
     die_with_parent(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -159,7 +159,7 @@ def _trained(training: Training, notes: Notes) -> None:
     from touchdown.experiments.classification.train import train_network
 
     _use_one_thread()
-    train_network(training.data, training.folder, training.options, "auto", _count_nothing, notes)
+    train_network(training.data, training.folder, training.options, "auto", _ignore_progress, notes)
 
 
 def _use_one_thread() -> None:
@@ -174,11 +174,11 @@ def _on_gpu() -> bool:
     return torch.cuda.is_available()
 
 
-def _say_nothing(_note: str) -> None:
+def _ignore_note(_note: str) -> None:
     pass
 
 
-def _count_nothing(_done: int, _total: int, _note: str) -> None:
+def _ignore_progress(_done: int, _total: int, _note: str) -> None:
     pass
 
 
@@ -186,7 +186,7 @@ def _count_nothing(_done: int, _total: int, _note: str) -> None:
 
 
 def _score(training: Training, notes: Notes) -> dict[str, Any]:
-    """Of the network that was trained, on pictures that it was not trained on."""
+    """Returns the validation and test scores of a trained network."""
     from touchdown.experiments.classification.evaluate import evaluate_network
 
     file = training.folder / SCORES
@@ -203,7 +203,7 @@ def _score(training: Training, notes: Notes) -> dict[str, Any]:
             measure=split == "test",
             engine="onnx",
             threads=1,
-            progress=_count_nothing,
+            progress=_ignore_progress,
         )
         scores[split] = {key: found[key] for key in _KEPT if key in found}
     write_text(file, json.dumps(scores, indent=1) + "\n")

@@ -36,13 +36,13 @@ CORE_SECONDS: Mapping[tuple[str, str], float] = {
 
 @dataclass(frozen=True, slots=True)
 class Recognition:
-    """Rendered data set, and the networks trained on it."""
+    """Size of the rendered data set, and the networks trained on it."""
 
     images: int
     pixels: int
-    per_place: int
+    per_seed: int
     scenes: tuple[str, ...]
-    """none: all"""
+    """empty: all scenes"""
     networks: tuple[str, ...]
     labels: tuple[str, ...]
     image_size: int
@@ -68,9 +68,9 @@ class Edition:
 
     name: str
     poses: int
-    """of the chessboard"""
+    """poses of the chessboard"""
     rounds: int
-    """of timing a choice of site"""
+    """repetitions of the timed site selection"""
     recognition: Recognition
 
 
@@ -81,7 +81,7 @@ WHOLE = Edition(
     recognition=Recognition(
         images=4000,
         pixels=128,
-        per_place=40,
+        per_seed=40,
         scenes=(),
         networks=tuple(NETWORK_NAMES),
         labels=("d_scene", "d_land"),
@@ -103,7 +103,7 @@ QUICK = Edition(
     recognition=Recognition(
         images=200,
         pixels=64,
-        per_place=8,
+        per_seed=8,
         scenes=("crossroad", "lake", "houses", "forest", "cottage"),
         networks=("resnet18",),
         labels=("d_land",),

@@ -1,4 +1,4 @@
-"""Report of a reproduction: the paper's tables and figures in its order, with ours beside them."""
+"""Report of a reproduction: the paper's tables and figures in order, beside the measured ones."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ Figures = Mapping[str, Any]
 
 ITEMS: tuple[tuple[str, str], ...] = (
     ("Fig. 2", "a coloured cloud of camera and LIDAR"),
-    ("Fig. 4", "edge energy of a picture, and how smooth returns are by it"),
-    ("Fig. 5", "pictures of the kinds of ground"),
+    ("Fig. 4", "edge energy of an image, and smoothness of the returns by it"),
+    ("Fig. 5", "images of the kinds of ground"),
     ("Fig. 7", "the vehicle"),
     ("Fig. 8", "the simulated vehicle and four scenes"),
     ("Table 1", "scan time, density and levelness of the maps"),
@@ -48,12 +48,12 @@ ITEMS: tuple[tuple[str, str], ...] = (
     ("Fig. 10", "paths by method, and errors by axis"),
     ("Fig. 9 b", "trajectories of landings"),
     ("Table 3", "scores of networks under two label schemes"),
-    ("Table 4", "cost of networks, and scores on the test pictures"),
+    ("Table 4", "cost of networks, and scores on the test images"),
     ("Table 5", "landings on a designated spot, by method"),
-    ("Fig. 12", "where they touched down"),
+    ("Fig. 12", "touchdown points"),
     ("Fig. 11", "the steps to a site on five kinds of sites"),
     ("Table 6", "landings on five kinds of sites"),
-    ("Table 7", "time of each step of choosing a site"),
+    ("Table 7", "time of each step of site selection"),
 )
 """Tables and figures of the paper by part; its Figs. 1, 3 and 6 are concept drawings."""
 
@@ -72,8 +72,8 @@ _NOT_SAID = "No flight was to land"
 
 
 def write_reproduction(done: Reproduction, out: Path) -> dict[str, Path]:
-    """Writes report.html, report.md, report.json and figures/. Raises UsageError where that cannot
-    be."""
+    """Writes report.html, report.md, report.json and figures/. Raises UsageError if ``out``
+    cannot be written."""
     report, rows = make_reproduction(done)
     try:
         return write_report(report, rows, out)
@@ -89,56 +89,56 @@ def make_reproduction(done: Reproduction) -> tuple[Report, list[dict[str, Any]]]
         state = done.states.get(part.name)
         if state is not None:
             sections.append(_section(part, state, done.out / part.name, rows))
-    summary = Section("summary", "In words", _summary_words(done), [], [])
-    items = Section("items", "What the paper shows, and where it is here", [], [_items(done)], [])
+    summary = Section("summary", "Summary", _summary_text(done), [], [])
+    items = Section("items", "Items of the paper and their sections here", [], [_items(done)], [])
     ends = [Section("conditions", "Conditions", condition_sentences(rows), [], [])] if rows else []
-    good = sum(state.successful for state in done.states.values())
-    heads = [("parts done", f"{good} of {len(PARTS)}"), *(tiles(rows) if rows else [])]
+    successful = sum(state.successful for state in done.states.values())
+    heads = [("parts done", f"{successful} of {len(PARTS)}"), *(tiles(rows) if rows else [])]
     name = "quick edition" if done.quick else "whole edition"
     title = f"Touchdown: the paper reproduced, {name}"
     return Report(title, heads, [summary, items, *sections, *ends], ""), rows
 
 
-# ------------------------------------------------------------------------------------------- words
+# ----------------------------------------------------------------------------------------- summary
 
 
-def _summary_words(done: Reproduction) -> list[str]:
+def _summary_text(done: Reproduction) -> list[str]:
     lines = []
     if done.quick:
         lines.append(
             "Quick edition: the first seed of each campaign and not all of its scenes, so most "
             "figures have no interval; a single flight proves little. `touchdown reproduce` "
-            "without `--quick`, into the same directory, flies the rest."
+            "without `--quick` in the same directory flies the rest."
         )
     for part in PARTS:
         state = done.states.get(part.name)
-        what = f"`{part.name}` ({', '.join(part.shows)})"
+        content = f"`{part.name}` ({', '.join(part.shows)})"
         if state is None:
             why = "by `--skip`" if part.name in done.skipped else "not done yet"
-            lines.append(f"{what} is left out, {why}.")
+            lines.append(f"{content} is left out, {why}.")
         elif state.error:
-            lines.append(f"{what} could not be ended: {state.error}.")
+            lines.append(f"{content} ended with an error: {state.error}.")
         elif state.why:
-            lines.append(f"{what} failed its purpose: {state.why}.")
+            lines.append(f"{content} failed its purpose: {state.why}.")
     if (
         done.states
         and all(s.successful for s in done.states.values())
         and len(done.states) == len(PARTS)
     ):
-        lines.append("All parts are done, and did what they are for.")
+        lines.append("All parts are done and fulfilled their purpose.")
     return lines
 
 
 def _items(done: Reproduction) -> Table:
     rows = []
-    for item, what in ITEMS:
+    for item, name in ITEMS:
         part = next(part for part in PARTS if item in part.shows)
         state = done.states.get(part.name)
-        word = "left out" if state is None else _verdict(state)
+        verdict = "left out" if state is None else _verdict(state)
         where = part.title if state is not None else MISSING
-        rows.append([Cell(item, kind="name"), Cell(what, kind="name"), Cell(where), Cell(word)])
-    header = ["of the paper", "what it shows", "section here", "state"]
-    notes = ["Its Figs. 1, 3 and 6 are drawings of ideas: there is nothing to measure in them."]
+        rows.append([Cell(item, kind="name"), Cell(name, kind="name"), Cell(where), Cell(verdict)])
+    header = ["item of the paper", "content", "section here", "state"]
+    notes = ["Figs. 1, 3 and 6 of the paper are concept drawings; they hold nothing to measure."]
     return Table("items", "Item by item", header, rows, notes)
 
 
@@ -154,11 +154,11 @@ def _verdict(state: PartState) -> str:
 def _section(
     part: Part, state: PartState, folder: Path, rows: list[dict[str, Any]]
 ) -> Section:  # fmt: skip
-    """A part's; the flights of a campaign are added to ``rows``."""
-    words = [f"For {', '.join(part.shows)}, by the part `{part.name}`, {state.edition} edition."]
+    """Section of a part; the flights of its campaign are added to ``rows``."""
+    text = [f"For {', '.join(part.shows)}, by the part `{part.name}`, {state.edition} edition."]
     if state.why or state.error:
-        words.append(f"Not as it should be: {state.error or state.why}.")
-    section = Section(part.name, part.title, words, [], [])
+        text.append(f"Not successful: {state.error or state.why}.")
+    section = Section(part.name, part.title, text, [], [])
     if state.error and not state.figures:
         return section
     if part.name in _SECTIONS:
@@ -172,7 +172,7 @@ def _add_campaign(section: Section, flights: Path, rows: list[dict[str, Any]]) -
     try:
         own = load_flights(flights)
     except UsageError as error:
-        section.words.append(f"There is nothing to show: {error}.")
+        section.words.append(f"No flights to show: {error}.")
         return
     check_revisions(own, flights)
     rows += own
@@ -191,16 +191,16 @@ def _add_campaign(section: Section, flights: Path, rows: list[dict[str, Any]]) -
 def _fill_calibration(section: Section, figures: Figures, folder: Path) -> None:
     section.tables.append(calibration_table(figures))
     section.words.append(
-        "The truth is what the simulation gave camera and LIDAR; the paper prints no errors of its "
+        "Errors are against the simulated camera and LIDAR; the paper prints no errors of its "
         "calibration."
     )
     home = folder / PICTURES
     section.pictures.extend([
-        raster("fig2", "Fig. 2: the cloud in the colours of the picture",
-               "One view of the chessboard from beside the camera: its squares lie flat and "
-               "undistorted on the board where the calibration is right.", home / "cloud.png"),
-        raster("fig2_boards", "The views that it was calibrated with",
-               "Corners as they were found.", home / "boards.png"),
+        raster("fig2", "Fig. 2: the cloud in the colours of the image",
+               "One view of the chessboard from beside the camera: with a correct calibration "
+               "its squares lie flat and undistorted on the board.", home / "cloud.png"),
+        raster("fig2_boards", "The views of the calibration",
+               "Detected corners.", home / "boards.png"),
     ])  # fmt: skip
 
 
@@ -208,8 +208,8 @@ def _fill_edges(section: Section, _figures: Figures, folder: Path) -> None:
     home = folder / PICTURES
     section.pictures.extend([
         raster("fig4", "Fig. 4: edge energy and local smoothness",
-               "A picture, the energy of its structured edges, f_c of the returns of one scan, and "
-               "the points that are chosen by it.", home / "smoothness.jpg"),
+               "An image, the energy of its structured edges, f_c of the returns of one scan, and "
+               "the edge and planar points selected by it.", home / "smoothness.jpg"),
         raster("fig4_edges", "The detector beside Canny and the truth",
                "On scenes that it was not trained on.", home / "edges.jpg"),
     ])  # fmt: skip
@@ -233,14 +233,14 @@ def _fill_world(section: Section, figures: Figures, folder: Path) -> None:
 def _fill_sites(section: Section, figures: Figures, folder: Path) -> None:
     section.tables.append(site_table(figures))
     section.words.append(
-        f"Sensors are towed along the survey at its planned poses; the scorer is "
+        f"Posed survey: the sensors take the planned poses without a flight; the scorer is "
         f"`{figures['scorer']}`."
     )
     section.pictures.extend(
-        raster(f"fig11_{place['scene']}", f"Fig. 11: {place['scene']}",
+        raster(f"fig11_{check['scene']}", f"Fig. 11: {check['scene']}",
                "The map in colour, every cost, their sum, the clusters, and the candidates (blue) "
-               "with the site (red).", folder / PICTURES / f"site_{place['scene']}.jpg")
-        for place in figures["places"]
+               "with the site (red).", folder / PICTURES / f"site_{check['scene']}.jpg")
+        for check in figures["places"]
     )  # fmt: skip
 
 
@@ -254,20 +254,20 @@ def _fill_recognition(section: Section, figures: Figures, folder: Path) -> None:
     names = [Path(argument.rpartition("=")[2]).name for argument in size["photographs"]]
     also = f" and the photographs of {' and '.join(names)}" if names else ""
     section.words.append(
-        f"{size['images']} rendered pictures of {size['pixels']} pixels{also}; networks see "
-        f"{size['image_size']} and learn for at most {size['epochs']} epochs. The paper's pictures "
-        "are photographs of UC Merced, AID and Places365, 81 970 for validation and 5000 for the "
-        "test: scores on other pictures stand beside them, but are of another task."
+        f"{size['images']} rendered images of {size['pixels']} pixels{also}; networks "
+        f"take {size['image_size']} pixels and train for at most {size['epochs']} epochs. "
+        "The paper's images are photographs of UC Merced, AID and Places365, 81 970 for validation "
+        "and 5000 for the test. Scores here are on other images and not comparable with these."
     )
     if networks < len(NETWORK_NAMES):
         section.words.append(
-            f"The paper trains {len(NETWORK_NAMES)} networks under two label schemes; here it is "
-            f"{networks} under {schemes}, briefly and small: that the chain works is shown, not "
-            "how good networks get."
+            f"The paper trains {len(NETWORK_NAMES)} networks under two label schemes; here "
+            f"{networks} under {schemes}, small and for few epochs. This checks that training and "
+            "evaluation work; it does not measure attainable scores."
         )
     section.tables.extend(network_tables(figures["networks"]))
     section.pictures.append(
-        raster("fig5", "Fig. 5: kinds of ground", "Ten rendered pictures of each class of D_Land.",
+        raster("fig5", "Fig. 5: kinds of ground", "Ten rendered images of each class of D_Land.",
                folder / figures["folder"] / PICTURES / "contact_sheet.png")
     )  # fmt: skip
 
@@ -283,13 +283,13 @@ _FILLERS: Mapping[str, Callable[[Section, Figures, Path], None]] = {
 
 
 def raster(name: str, title: str, caption: str, file: Path) -> Picture:
-    """A photograph-like picture as an SVG that holds it, so that a page needs no other file."""
+    """Embeds an image file in an SVG, so that a page needs no other file."""
     from touchdown.experiments.benchmarks.site_selection_figures import jpeg
     from touchdown.experiments.io.images import read_picture
 
-    picture = read_picture(file)
-    height, width = picture.shape[:2]
-    data = base64.b64encode(jpeg(picture)).decode("ascii")
+    image = read_picture(file)
+    height, width = image.shape[:2]
+    data = base64.b64encode(jpeg(image)).decode("ascii")
     svg = (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{0.75 * width:g}pt" '
         f'height="{0.75 * height:g}pt" viewBox="0 0 {width} {height}">'

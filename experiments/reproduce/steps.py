@@ -175,7 +175,7 @@ def _campaign(name: str, job: Job) -> Done:
     why = ""
     if figures["crashed"] or figures["remaining"]:
         lost = figures["crashed"] + figures["remaining"]
-        why = f"{lost} of {figures['runs']} flights came to no outcome"
+        why = f"{lost} of {figures['runs']} flights have no outcome"
     elif not figures["as_expected"]:
         why = "not all flights are as the campaign's file expects"
     return Done({key: figures[key] for key in kept}, why)

@@ -1,4 +1,4 @@
-"""Tables of a reproduction that no campaign of flights gives: ours beside the paper's."""
+"""Tables of a reproduction from other sources than campaigns: our values beside the paper's."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from touchdown.experiments.reporting.tables import MISSING, Cell, Table, digits,
 Figures = Mapping[str, Any]
 
 _PRINTED = "paper prints"
+_STEP_TITLES = {"places": "ground classification"}
 _SCORES = (("loss", "loss"), ("macro_f1", "F1"), ("recall", "recall"), ("top1", "top-1"))
 
 
@@ -39,7 +40,7 @@ def calibration_table(report: Figures) -> Table:
             _number(math.hypot(*sigma["rotation_deg"])),
         ],
         [
-            Cell("its place (mm)", kind="name"),
+            Cell("position of the LIDAR (mm)", kind="name"),
             _number(1e3 * error["translation_m"]),
             _number(1e3 * math.hypot(*sigma["translation_m"])),
         ],
@@ -81,58 +82,59 @@ def rig_table(facts: Figures) -> Table:
 
 
 def site_table(figures: Figures) -> Table:
-    """The places of Fig. 11: safety of the chosen sites by the true map."""
-    words = {True: "safe", False: "unsafe", None: "none chosen"}
+    """Fig. 11: safety of the chosen site on the true map, by scene."""
+    verdicts = {True: "safe", False: "unsafe", None: "none chosen"}
     rows = [
         [
-            name_cell(place["scene"]),
-            Cell(words[place["chosen_safe"]]),
-            Cell(f"{place['accepted_safe']} of {place['accepted']}"),
+            name_cell(check["scene"]),
+            Cell(verdicts[check["chosen_safe"]]),
+            Cell(f"{check['accepted_safe']} of {check['accepted']}"),
         ]
-        for place in figures["places"]
+        for check in figures["places"]
     ]
-    header = ["scene", "the site", "safe among the accepted"]
+    header = ["scene", "chosen site", "safe among the accepted"]
     return Table("sites", "The sites, by the true map", header, rows)
 
 
 def speed_table(figures: Figures) -> Table:
     """Table 7: milliseconds of each step."""
     ours = dict(figures["stage_ms"])
-    places = figures.get("classifier_ms", {})
-    ours["places"] = places.get("ten_patches")
-    ours["total"] = places.get("selection", ours["selection"])
-    theirs = figures.get("reference_ms", {})
+    classifier = figures.get("classifier_ms", {})
+    ours["places"] = classifier.get("ten_patches")
+    ours["total"] = classifier.get("selection", ours["selection"])
+    reference = figures.get("reference_ms", {})
     rows = []
     steps = ("down_sampling", "flatness", "smoothness", "distance", "clustering", "places", "total")
     for step in steps:
         printed = STEP_TIMES.get(step)
         text = MISSING if printed is None else f"{printed.mean:g} ± {printed.spread:g}"
-        name = step.replace("_", " ") + ("" if printed is None else f' ("{printed.name}")')
+        name = _STEP_TITLES.get(step, step.replace("_", " "))
+        name += "" if printed is None else f' ("{printed.name}")'
         rows.append(
-            [Cell(name, kind="name"), _number(ours.get(step)), _number(theirs.get(step))]
+            [Cell(name, kind="name"), _number(ours.get(step)), _number(reference.get(step))]
             + [_printed(text)]
         )
-    other = "the other version is made of Open3D, SciPy and scikit-image"
-    if not theirs:
-        other = "the other version was left out: it needs scikit-image (extra `bench`)"
+    other = "the reference implementation uses Open3D, SciPy and scikit-image"
+    if not reference:
+        other = "the reference implementation was left out: it needs scikit-image (extra `bench`)"
     notes = [
         f"Milliseconds, medians on the map of a whole survey of {figures['scene']}, "
         f"{figures['cells'][0]} x {figures['cells'][1]} cells, one thread; {other}. The paper's "
-        "are of an NVIDIA NX.",
+        "times are of an NVIDIA NX.",
     ]
-    if places:
+    if classifier:
         notes.append(
-            f"Places: ten patches on {figures['classifier_threads']} threads; total: a whole "
-            f"decision, {figures['classified_sites']} sites asked about."
+            f"Ground classification: ten patches on {figures['classifier_threads']} threads; "
+            f"total: a whole decision with {figures['classified_sites']} sites classified."
         )
     else:
         notes.append(
-            "No network comes with this copy, so places are not timed, and the total is a decision "
-            "by geometry alone."
+            "No network comes with this copy, so ground classification is not timed, and the total "
+            "is a decision by geometry alone."
         )
     numbers = {step: value for step in steps if (value := ours.get(step)) is not None}
-    header = ["step", "here (ms)", "of libraries (ms)", _PRINTED]
-    return Table("table7", "Table 7: time of choosing a site", header, rows, notes, numbers)
+    header = ["step", "here (ms)", "reference (ms)", _PRINTED]
+    return Table("table7", "Table 7: time of site selection", header, rows, notes, numbers)
 
 
 def network_tables(networks: Sequence[Figures]) -> list[Table]:
@@ -162,8 +164,8 @@ def _table_3(networks: Sequence[Figures]) -> Table:
         numbers["-".join(key)] = one["val"]
     return Table(
         "table3",
-        "Table 3: networks on the validation pictures",
-        ["network", "labels", "pictures", *_score_header()],
+        "Table 3: networks on the validation images",
+        ["network", "labels", "images", *_score_header()],
         rows,
         ["F1 and recall are means over the classes that occur; top-1 with Wilson's 95 % interval."],
         numbers,
@@ -172,8 +174,8 @@ def _table_3(networks: Sequence[Figures]) -> Table:
 
 def _table_4(networks: Sequence[Figures]) -> Table:
     rows, numbers = [], {}
-    header = ["network", "pictures"]
-    for title in ("ROM (MB)", "peak RAM (MB)", "time a picture (s)"):
+    header = ["network", "images"]
+    for title in ("ROM (MB)", "peak RAM (MB)", "time per image (s)"):
         header += [title, _PRINTED]
     for one in networks:
         if one["labels"] != "d_land":
@@ -181,21 +183,21 @@ def _table_4(networks: Sequence[Figures]) -> Table:
         found, (cost, scores) = one["test"], TEST[one["network"]]
         line = [name_cell(one["network"]), Cell(str(found["pictures"]))]
         image_s = None if "image_ms" not in found else 1e-3 * found["image_ms"]
-        for ours, theirs in (
+        for ours, printed in (
             (found["rom_mb"], cost.rom_mb),
             (found.get("peak_ram_mb"), cost.ram_mb),
             (image_s, cost.run_s),
         ):
-            line += [_number(ours), _printed(f"{theirs:g}")]
+            line += [_number(ours), _printed(f"{printed:g}")]
         rows.append([*line, *_score_cells(found, scores)])
         numbers[one["network"]] = found
     missing = [name for name in NETWORK_NAMES if name not in numbers]
     notes = [
         "Time and memory here: one thread of a processor, ONNX Runtime, float16 weights; the "
-        "paper's are of an NVIDIA NX. Its page runs ROM and RAM together: RAM is taken to have "
-        "three digits before its point.",
+        "paper's are of an NVIDIA NX. The paper prints ROM and RAM without a gap; RAM is read with "
+        "three digits before the point.",
     ]
     if missing:
         notes.append(f"Not trained here: {', '.join(missing)}.")
-    return Table("table4", "Table 4: networks on the test pictures, D_Land",
+    return Table("table4", "Table 4: networks on the test images, D_Land",
                  [*header, *_score_header()], rows, notes, numbers)  # fmt: skip

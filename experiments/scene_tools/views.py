@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.drawing.map_axes import PAPER, MapFrame, survey_marks, write_words
+from touchdown.experiments.drawing.map_axes import PAPER, MapFrame, survey_marks, write_text
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.run_directory import whole_file
 from touchdown.experiments.scene_tools.posed_views import HoverView, hover_view
@@ -262,4 +262,4 @@ def _with_key(image: Image, key: list[tuple[str, tuple[int, int, int]]]) -> Imag
 
 def _text(strip: Image, text: str, left: int) -> int:
     """Writes into a strip in place and returns the column where the text ends."""
-    return write_words(strip, text, left, 29, 0.55)
+    return write_text(strip, text, left, 29, 0.55)

@@ -1,4 +1,4 @@
-"""The baselines in the air: closed loop over a small place."""
+"""Flights of the baselines: closed loop over a small scene."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_short_survey_in_the_loop(estimator: str, most_m: float) -> None:
     result = fly(tiny(estimator), None).plain()
     assert result["outcome"] == "COMPLETED"
     assert result["position_error_m"]["mean"] < most_m
-    # it flies what it believes: the flown path is off by what the estimate was off, and no more
+    # the controller follows the estimate: path error and estimation error are equal
     off = abs(result["trajectory_error_m"] - result["position_error_m"]["mean"])
     assert off < 0.25
     assert result["position_error_m"]["yaw_deg"] < 5.0
@@ -38,7 +38,7 @@ def test_image_rates_divide_the_cameras_clock(group: str) -> None:
 
 
 @pytest.mark.slow
-def test_gps_over_twenty_seeds_is_what_its_receiver_predicts() -> None:
+def test_gps_error_over_twenty_seeds_equals_the_prediction_of_its_receiver() -> None:
     """The preset ``paper`` predicts a mean 3-D error of 1.01 m, and 0.37 m between flights."""
     means = []
     for seed in range(20):

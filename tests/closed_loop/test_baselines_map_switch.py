@@ -1,4 +1,4 @@
-"""A survey without a map is the same survey."""
+"""Surveys with and without mapping have equal positions."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from support.baselines_support import tiny
 
 
 @pytest.mark.slow
-def test_positions_do_not_depend_on_whether_a_map_is_made() -> None:
-    """LIDAR and mapper beside it leave every random stream and every message alone."""
+def test_positions_do_not_depend_on_mapping() -> None:
+    """LIDAR and mapper change no random stream and no message."""
     results = [
         fly(tiny("optical_flow", f"mapper.enabled={enabled}"), None)
         for enabled in ("false", "true")

@@ -1,4 +1,4 @@
-"""The calibration from end to end, its file, and flights that are believed what it found."""
+"""Calibration from end to end, its file, and flights with the estimated rig."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from touchdown.sim.frames import so3_log
 
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """One calibration of a lens that bends."""
+    """One calibration of a lens with distortion."""
     folder = tmp_path_factory.mktemp("calibration")
     config = load_config(None, ["camera.distortion=[-0.05,0.02,0.0003,-0.0002,0.0]"], seed=7)
     report = run_calibration(config, 12, folder / "rig.json", folder / "pictures")
@@ -44,7 +44,7 @@ def test_twelve_poses_give_the_rig(calibrated: tuple[Path, dict[str, Any]]) -> N
     assert max(report["stated_sigma"]["translation_m"]) < 0.005
 
 
-def test_pictures_are_written(calibrated: tuple[Path, dict[str, Any]]) -> None:
+def test_figures_are_written(calibrated: tuple[Path, dict[str, Any]]) -> None:
     for name in ("boards", "overlay", "cloud"):
         picture = cv2.imread(str(calibrated[0].parent / "pictures" / f"{name}.png"))
         assert picture is not None and picture.std() > 10.0
@@ -58,7 +58,9 @@ def rig() -> SensorRig:
     return flight.world.rig
 
 
-def test_a_flight_is_told_the_file(calibrated: tuple[Path, dict[str, Any]], rig: SensorRig) -> None:
+def test_a_flight_uses_the_given_calibration(
+    calibrated: tuple[Path, dict[str, Any]], rig: SensorRig
+) -> None:
     file, report = calibrated
     believed = believed_rig(rig, load_config(None, [], calibration=str(file)))
     true, found = (r.body_from_camera.inverse() @ r.body_from_lidar for r in (rig, believed))
@@ -111,7 +113,7 @@ def _broken(file: Path, folder: Path, change: Any) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "fragments"),
     [
         (lambda t: t["camera"].pop("fx"), ["'camera.fx' is missing"]),
         (lambda t: t["camera"].update(fxx=3.0), ["'camera.fxx'", "did you mean 'camera.fx'"]),
@@ -125,20 +127,20 @@ def _broken(file: Path, folder: Path, change: Any) -> Path:
         ),
     ],
 )
-def test_mistakes_in_the_file_are_told_in_one_line(
-    calibrated: tuple[Path, dict[str, Any]], tmp_path: Path, change: Any, words: list[str]
+def test_invalid_calibration_files_are_one_line(
+    calibrated: tuple[Path, dict[str, Any]], tmp_path: Path, change: Any, fragments: list[str]
 ) -> None:
     broken = _broken(calibrated[0], tmp_path, change)
     with pytest.raises(UsageError) as caught:
         read_calibration(broken)
     message = str(caught.value)
     assert "\n" not in message and "broken.json" in message
-    for word in words:
-        assert word in message
+    for fragment in fragments:
+        assert fragment in message
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "fragments"),
     [
         (("calibrate", "--poses", "2"), ["--poses", "x>=3"]),
         (("land", "crossroad", "--calibration", "gone.json"), ["gone.json", "does not exist"]),
@@ -149,7 +151,7 @@ def test_mistakes_in_the_file_are_told_in_one_line(
 )
 def test_bad_input_is_one_line(
     arguments: tuple[str, ...],
-    words: list[str],
+    fragments: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -160,5 +162,5 @@ def test_bad_input_is_one_line(
     captured = capsys.readouterr()
     assert code == 2
     assert captured.err.startswith("touchdown: error: ") and captured.err.count("\n") == 1
-    for word in words:
-        assert word in captured.err
+    for fragment in fragments:
+        assert fragment in captured.err

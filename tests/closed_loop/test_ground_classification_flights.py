@@ -34,7 +34,7 @@ _PICTURE_TICKS = 120
 
 
 class Photographer(SiteLander):
-    """A lander that is shown painted ground five times a second."""
+    """A lander with images of painted ground at 5 Hz."""
 
     def __init__(
         self, paint: Paint, classifier: GroundClassifier | None, params: LandingParams = PARAMS
@@ -65,7 +65,7 @@ def test_the_class_of_the_site_is_in_the_view() -> None:
 
 
 def test_a_lake_is_not_landed_on() -> None:
-    """Flat and solid to the LIDAR, water to the camera: home again; switched off, it is taken."""
+    """Flat water that reflects the LIDAR is refused by class; without classification, chosen."""
     lander = Photographer(plain("water"), ByColour())
     phases, view = fly(Puppet(lander, flat_map()))
     assert view.no_site and Phase.RETURN in phases and view.site_class is None
@@ -84,7 +84,7 @@ def test_the_shore_is_found() -> None:
     assert view.site_class == "lawn" and not view.no_site
 
 
-def test_more_rounds_find_a_site_far_from_the_best() -> None:
+def test_further_rounds_find_a_site_of_lower_score() -> None:
     """Water but for a corner, on a plane that falls away from it: the best dozen are all wet."""
 
     def corner(x: Array, y: Array) -> Array:
@@ -104,7 +104,7 @@ def test_more_rounds_find_a_site_far_from_the_best() -> None:
 
 
 class _ChangesItsMind(ByColour):
-    """Lawn from survey height, water from closer."""
+    """Lawn from survey height, water from a lower height."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -188,7 +188,7 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("weight_type", ["float16", "bfloat16", "int8"])
-def test_smaller_weights_say_the_same(
+def test_smaller_weights_give_the_same_classes(
     weight_type: str, images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("torch")
@@ -203,7 +203,7 @@ def test_smaller_weights_say_the_same(
     report = json.loads(capsys.readouterr().out)
     assert report["top1"] == report["top1_before"] == 1.0
     classifier = load_onboard_classifier(out)
-    assert classifier.min_probability == 0.5  # fitted anew: no mistake was made
+    assert classifier.min_probability == 0.5  # fitted again, without an error
     shown = np.array([np.full((16, 16, 3), colour) for colour in COLOURS.values()], np.uint8)
     before = load_onboard_classifier(source).classify(shown).probabilities
     np.testing.assert_allclose(classifier.classify(shown).probabilities, before, atol=0.03)
@@ -221,13 +221,13 @@ def test_a_variant_does_not_replace_the_network(
     from touchdown.experiments.cli import main as cli
 
     source = write_colour_network(tmp_path / "network.onnx")
-    for out, words in ((source, "is the network itself"), (tmp_path, "ends in .onnx")):
+    for out, fragment in ((source, "is the network itself"), (tmp_path, "ends in .onnx")):
         arguments = ["quantize", str(source), "--data", str(images), "--out", str(out)]
         assert cli.main([*arguments, "--quiet"]) == 2
-        assert words in capsys.readouterr().err
+        assert fragment in capsys.readouterr().err
 
 
-def test_classify_asks_for_a_network_where_none_comes_along(
+def test_classify_requires_a_network_if_none_is_shipped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("onnx")

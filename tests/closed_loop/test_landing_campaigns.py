@@ -50,7 +50,7 @@ def test_one_scene_and_one_site_for_all_methods() -> None:
 
 
 def test_commanded_site_is_safe_with_room_around_it() -> None:
-    """By the true map, as the campaign's file says."""
+    """By the true map, as stated in the campaign's file."""
     from touchdown.scenes.api import LAND_CLASSES
     from touchdown.scenes.truth.maps import truth_maps
 
@@ -67,12 +67,12 @@ def test_commanded_site_is_safe_with_room_around_it() -> None:
 def test_scene_seed_is_separate_from_the_seed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    asked: list[tuple[str, int]] = []
+    loaded: list[tuple[str, int]] = []
     monkeypatch.setattr(
-        "touchdown.scenes.compose.load_scene", lambda *place: asked.append(place[:2])
+        "touchdown.scenes.compose.load_scene", lambda *location: loaded.append(location[:2])
     )
     build_scene(load_config(None, ["scene_seed=7"], scene="turf", seed=3))
     build_scene(load_config(None, [], scene="turf", seed=3))
-    assert asked == [("turf", 7), ("turf", 3)]
+    assert loaded == [("turf", 7), ("turf", 3)]
     with pytest.raises(UsageError, match="scene_seed = -1"):
         load_config(None, ["scene_seed=-1"])

@@ -1,4 +1,4 @@
-"""Out of sight of any shore: what five seconds cost, what the covariance says, and the way back.
+"""Flight out of sight of any shore: error growth in five seconds, covariance, and recovery.
 
 `pytest -m slow -s tests/closed_loop/test_open_water.py` prints the figures of docs/faults.md.
 """
@@ -21,7 +21,7 @@ from touchdown.experiments.flight.wiring import build_flight_stack, build_scene
 CONFIG = Path(__file__).parents[2] / "configs" / "open_water.toml"
 SPAN_S = 5.0
 OUT_OF_SIGHT_M = 40.0
-"""from the take-off spot: the LIDAR's half width of 26 m and the largest islet"""
+"""from the take-off point: the LIDAR's half width of 26 m and the largest islet"""
 
 
 @dataclass(slots=True)
@@ -50,7 +50,7 @@ class Figures:
     outcome: str
     out_of_sight_s: float
     growth_m: float
-    """by how much the error grew in the worst five seconds out of sight"""
+    """largest growth of the error in five seconds out of sight"""
     change_m: float
     """length of the largest change of the error vector in five seconds"""
     sigma_before_m: float
@@ -112,7 +112,7 @@ def figures(outcome: str, rows: Any) -> Figures:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_five_seconds_without_shore_cost_little(seed: int) -> None:
-    """The ripples of the scene stand still, so that the camera can follow them."""
+    """The ripples of the scene are static, so that the camera can track them."""
     found, _ = fly(seed, "livo")
     print(f"\nopen_water {seed}: {found}")
     assert found.outcome == "COMPLETED" and found.out_of_sight_s >= SPAN_S
@@ -122,8 +122,8 @@ def test_five_seconds_without_shore_cost_little(seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_blind_as_well() -> None:
-    """Nothing but IMU and the height over the water: the covariance must say so."""
+def test_five_seconds_without_shore_and_camera() -> None:
+    """With IMU and height over water alone, the covariance grows accordingly."""
     found, watch = fly(0, "livo", ("camera_black@24+5",))
     print(f"\nopen_water 0, camera_black@24+5: {found}")
     assert found.outcome == "COMPLETED"

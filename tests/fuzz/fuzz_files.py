@@ -13,7 +13,7 @@ import numpy as np
 from fuzz.fuzz_inputs import FLOOR, NUMBERS, ROOT, Rng, damaged, misspelt, mutate_tree, pick, put
 from fuzz.fuzzing import Case
 
-PLACE = """<mujoco model="place">
+SCENE_XML = """<mujoco model="place">
   <option timestep="0.002" gravity="0 0 -9.81"/>
   <compiler angle="degree" autolimits="true"/>
   <default><geom friction="1 0.1 0.1"/>
@@ -134,9 +134,9 @@ def _other_words(rng: Rng, old: str) -> str:
 def mjcf_case(rng: Rng, folder: Path) -> Case:
     """``land FILE.xml``: the scene is compiled with the vehicle in it, and nothing more."""
     try:
-        text = _mutate_mjcf(rng, PLACE if rng.random() < 0.85 else FLOOR)
+        text = _mutate_mjcf(rng, SCENE_XML if rng.random() < 0.85 else FLOOR)
     except (RecursionError, ValueError, TypeError):
-        text = PLACE
+        text = SCENE_XML
     name = pick(rng, ("place.xml", "place.xml", "mein haus.xml", "größe.xml", "dir/place.xml"))
     file = put(rng, folder / name, text, 0.15)
     command = pick(
@@ -147,11 +147,11 @@ def mjcf_case(rng: Rng, folder: Path) -> Case:
     return Case(kind="mjcf", arguments=(*command, target, *rest), folder=folder)
 
 
-# ------------------------------------------------------------------------- pictures, relief, others
+# --------------------------------------------------------------------------- images, relief, others
 
 
 def file_case_of(home: Path) -> Callable[[Rng, Path], Case]:
-    """Cases over calibrations, elevation models, pictures, edge models; ``home`` keeps a good
+    """Cases over calibrations, elevation models, images, edge models; ``home`` keeps a valid
     one."""
     makers = (_calibration, _calibration, _relief, _relief, _edge_model, _scene_picture)
 
@@ -284,7 +284,7 @@ def _scene_picture(rng: Rng, folder: Path, _home: Path) -> tuple[str, ...]:
 
 
 def learn_case(rng: Rng, folder: Path) -> Case:
-    """``train``, ``evaluate``, ``classify``: folders of pictures, and what is no network."""
+    """``train``, ``evaluate``, ``classify``: folders of images, and files that are no network."""
     for name in ("lawn", "water", pick(rng, ("road", "agricultural", "größe"))):
         for number in range(int(rng.integers(0, 3))):
             file = folder / "data" / name / f"{name}{number:02d}.png"

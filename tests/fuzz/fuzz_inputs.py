@@ -43,7 +43,7 @@ def pick(rng: Rng, items: Any) -> Any:
 
 
 def value(rng: Rng, depth: int = 0) -> Any:
-    """Anything that TOML or JSON can say."""
+    """Returns any value of TOML or JSON."""
     kind = int(rng.integers(8 if depth < 3 else 5))
     if kind < 3:
         return pick(rng, NUMBERS)
@@ -57,7 +57,7 @@ def value(rng: Rng, depth: int = 0) -> Any:
 
 
 def neighbour(rng: Rng, old: Any) -> Any:
-    """A value like ``old``, mostly: of its kind, but of another size, sign or length."""
+    """Returns mostly a value of the type of ``old`` with another size, sign or length."""
     if rng.random() < 0.2:
         return value(rng)
     if isinstance(old, bool):
@@ -96,7 +96,7 @@ def misspelt(rng: Rng, word: str) -> str:
 
 
 def toml_text(tree: Mapping[str, Any]) -> str:
-    """TOML with dotted keys; values that TOML cannot say are left out."""
+    """TOML with dotted keys; values that TOML cannot hold are left out."""
     lines = [
         f"{_toml_key(key)} = {_toml_value(item)}" for key, item in tree.items() if item is not None
     ]
@@ -154,7 +154,7 @@ def damaged(rng: Rng, data: bytes) -> bytes:
 
 
 def put(rng: Rng, path: Path, text: str, share: float = 0.25) -> Path:
-    """Writes ``text``, damaged in so many cases."""
+    """Writes ``text``, damaged with the given probability."""
     data = text.encode("utf-8", "surrogatepass")
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(damaged(rng, data) if rng.random() < share else data)
@@ -171,7 +171,7 @@ def defaults() -> dict[str, Any]:
 
 
 def setting(rng: Rng) -> tuple[str, Any]:
-    """A key, mostly one that exists, and a value, mostly one that nearly fits."""
+    """Returns a key, mostly an existing one, and a value, mostly a nearly valid one."""
     key = pick(rng, known_keys())
     changed = neighbour(rng, defaults()[key])
     kind = rng.random()
@@ -328,8 +328,8 @@ LEARNING = ("train", "evaluate", "classify")
 """commands that need torch or a network's file"""
 
 
-def _word(rng: Rng, parameter: click.Parameter) -> str:
-    """A value for a parameter, mostly one that nearly fits."""
+def _argument(rng: Rng, parameter: click.Parameter) -> str:
+    """Returns a value for a parameter, mostly a nearly valid one."""
     if rng.random() < 0.25:
         return str(pick(rng, TEXTS)).replace("\0", "")
     kind = parameter.type
@@ -398,19 +398,21 @@ def argv_case(rng: Rng, folder: Path) -> Case:
     (folder / "noise.bin").write_bytes(bytes(rng.integers(0, 256, 400, dtype=np.uint8)))
     (folder / "a folder").mkdir()
     path, command = pick(rng, [leaf for leaf in leaves() if leaf[0][0] not in LEARNING])
-    words = list(path)
+    arguments = list(path)
     for parameter in command.params:
         if isinstance(parameter, click.Argument):
             if rng.random() < 0.92:
-                words += [_word(rng, parameter) for _ in range(1 if parameter.nargs == 1 else 2)]
+                arguments += [
+                    _argument(rng, parameter) for _ in range(1 if parameter.nargs == 1 else 2)
+                ]
         elif isinstance(parameter, click.Option) and (parameter.required or rng.random() < 0.25):
-            words.append(pick(rng, (*parameter.opts, *parameter.secondary_opts)))
+            arguments.append(pick(rng, (*parameter.opts, *parameter.secondary_opts)))
             if not parameter.is_flag:
-                words += [_word(rng, parameter) for _ in range(parameter.nargs)]
-    if rng.random() < 0.2 and words:
-        at = int(rng.integers(len(words)))
-        words[at : at + 1] = pick(
-            rng, ([], [words[at]] * 2, [misspelt(rng, words[at])], [pick(rng, TEXTS)])
+                arguments += [_argument(rng, parameter) for _ in range(parameter.nargs)]
+    if rng.random() < 0.2 and arguments:
+        at = int(rng.integers(len(arguments)))
+        arguments[at : at + 1] = pick(
+            rng, ([], [arguments[at]] * 2, [misspelt(rng, arguments[at])], [pick(rng, TEXTS)])
         )
-    words = [word for word in words if word not in ("/proc/self/mem",)]
-    return Case(kind="argv", arguments=tuple(words), folder=folder)
+    arguments = [one for one in arguments if one not in ("/proc/self/mem",)]
+    return Case(kind="argv", arguments=tuple(arguments), folder=folder)

@@ -17,7 +17,7 @@ from fuzz.fuzzing import Case
 
 
 @cache
-def _good_run() -> tuple[dict[str, Any], str]:
+def _valid_run() -> tuple[dict[str, Any], str]:
     from support.campaign_fakes import fake_result
 
     result = fake_result(Config(scene="flat", estimator="gps"), "COMPLETED")
@@ -74,7 +74,7 @@ def run_case_of(home: Path) -> Callable[[Rng, Path], Case]:
 
 
 def _write_run(rng: Rng, run: Path, home: Path) -> None:
-    result, tum = _good_run()
+    result, tum = _valid_run()
     result = json.loads(json.dumps(result))
     for _ in range(int(pick(rng, (0, 0, 1, 2, 4)))):
         mutate_tree(rng, result)
@@ -88,9 +88,9 @@ def _write_run(rng: Rng, run: Path, home: Path) -> None:
         if rng.random() < 0.9:
             put(rng, run / f"{name}.tum", tum, 0.15)
     if rng.random() < 0.3:
-        good = _run_with_sensors(home)
-        shutil.copy(good / "truth.tum", run / "truth.tum")
-        data = (good / "sensors.mcap").read_bytes()
+        source = _run_with_sensors(home)
+        shutil.copy(source / "truth.tum", run / "truth.tum")
+        data = (source / "sensors.mcap").read_bytes()
         (run / "sensors.mcap").write_bytes(damaged(rng, data) if rng.random() < 0.6 else data)
     if rng.random() < 0.1:
         put(rng, run / "flight.rrd", "RRF2 nothing", 0.5)
@@ -131,7 +131,7 @@ def _make_campaign(rng: Rng, runs: Path) -> None:
         mutate_tree(rng, plan)
     put(rng, runs / "campaign.json", json.dumps(plan), 0.1)
     for run in inner.iterdir():
-        row = make_row(RunResult.model_validate(_good_run()[0]), run.name, "fly", "0" * 12)
+        row = make_row(RunResult.model_validate(_valid_run()[0]), run.name, "fly", "0" * 12)
         if rng.random() < 0.2:
             key = pick(rng, row)
             row[key] = pick(rng, ("x", None, 1.0, [1.0], True))

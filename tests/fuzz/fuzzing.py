@@ -27,7 +27,7 @@ from touchdown.scenes import compose
 
 LIMIT_S = 60.0
 MAX_LINE = 2000
-"""characters of an error: more is no sentence"""
+"""Greatest number of characters of an error message."""
 _ERROR, _WARNING = "touchdown: error: ", "touchdown: warning: "
 _MAX_WARNINGS = 3
 _MAY_STAY = ("results.parquet", "reproduction.json")
@@ -65,7 +65,7 @@ _HEAVY = (
 
 
 class Reached(BaseException):
-    """The input is good: a flight, a rendering or a training would begin now."""
+    """The input is valid: a flight, a rendering or a training would begin now."""
 
 
 class Hang(BaseException):
@@ -83,7 +83,7 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Verdict:
-    """``code`` is the exit code, or ``reached``; ``faults`` says what is wrong with the end."""
+    """``code`` is the exit code, or ``reached``; ``faults`` lists the violated rules."""
 
     code: int | str
     error: str
@@ -95,8 +95,8 @@ class Verdict:
 
 @contextlib.contextmanager
 def grounded(compile_files: bool = True) -> Iterator[None]:
-    """Nothing flies, renders, trains or starts a process in here: what would raises `Reached`.
-    ``compile_files``: MJCF files are read and compiled first; else one is good if it is there."""
+    """Replaces flights, renderings, trainings and new processes by raising `Reached`.
+    ``compile_files``: MJCF files are compiled first; otherwise they need only exist."""
 
     real_spec, generator = compose.compose_spec, compose.scene_generator
 
@@ -166,15 +166,15 @@ def run_case(case: Case, limit_s: float = LIMIT_S) -> Verdict:
         os.chdir(home)
         for number, handler in handlers.items():
             signal.signal(number, handler)
-    said = _text(err)
+    errors = _text(err)
     if not faults:
-        faults += judge(code, said)
+        faults += judge(code, errors)
         faults += written(code, before, fingerprint(case.folder))
-    return Verdict(code=code, error=said, faults=tuple(faults))
+    return Verdict(code=code, error=errors, faults=tuple(faults))
 
 
 def _stream() -> io.TextIOWrapper:
-    """As strict as a terminal."""
+    """Text stream with the strict encoding of a terminal."""
     return io.TextIOWrapper(io.BytesIO(), encoding="utf-8", errors="strict", write_through=True)
 
 
@@ -201,31 +201,31 @@ def _alarm(limit_s: float) -> Iterator[None]:
 # ---------------------------------------------------------------------------------------- judging
 
 
-def judge(code: int | str, said: str) -> list[str]:
-    """What is wrong with an exit code and what stderr got."""
+def judge(code: int | str, errors: str) -> list[str]:
+    """Returns the faults of an exit code and of the text on stderr."""
     faults = []
     if code not in (0, 1, 2, "reached"):
         faults.append(f"exit code {code}")
-    if "Traceback" in said:
-        faults.append(f"a traceback: {said[-3000:]}")
-    lines = [line for line in said.split("\n") if line and not line.startswith("\r")]
+    if "Traceback" in errors:
+        faults.append(f"a traceback: {errors[-3000:]}")
+    lines = [line for line in errors.split("\n") if line and not line.startswith("\r")]
     warned = [line for line in lines if line.startswith(_WARNING)]
     if len(warned) > _MAX_WARNINGS:
-        faults.append(f"{len(warned)} warnings: {said[:500]}")
+        faults.append(f"{len(warned)} warnings: {errors[:500]}")
     if code == 2:
         rest = [line for line in lines if line not in warned]
         if len(rest) != 1 or not rest[0].startswith(_ERROR):
-            faults.append(f"stderr is not one line of error: {said[:2000]!r}")
+            faults.append(f"stderr is not one line of error: {errors[:2000]!r}")
         else:
-            faults += bad_sentence(rest[0].removeprefix(_ERROR))
+            faults += message_faults(rest[0].removeprefix(_ERROR))
     return faults
 
 
-def bad_sentence(text: str) -> list[str]:
-    """What is wrong with the text of an error."""
+def message_faults(text: str) -> list[str]:
+    """Returns the faults of an error message."""
     faults = []
     if len(text) < 12:
-        faults.append(f"says nothing: {text!r}")
+        faults.append(f"empty message: {text!r}")
     if len(text) > MAX_LINE:
         faults.append(f"{len(text)} characters of error: {text[:300]!r}")
     if not all(character.isprintable() for character in text):
@@ -249,7 +249,7 @@ def fingerprint(folder: Path) -> dict[str, str]:
 
 
 def written(code: int | str, before: dict[str, str], after: dict[str, str]) -> list[str]:
-    """What is wrong with the files that a case left."""
+    """Returns the faults of the remaining files of a case."""
     new = sorted(path for path, digest in after.items() if before.get(path) != digest)
     lost = sorted(before.keys() - after.keys())
     halves = [path for path in new if ".partial" in path or ".flying" in path]
@@ -265,13 +265,13 @@ def written(code: int | str, before: dict[str, str], after: dict[str, str]) -> l
 
 
 def import_heavy(*names: str) -> None:
-    """Imports modules before the alarm is set, which would leave them half imported."""
+    """Imports modules before the alarm is set, which could interrupt an import."""
     for name in (*_HEAVY, *names):
         importlib.import_module(name)
 
 
 def as_text(arguments: Sequence[str]) -> str:
-    """A command line that can be pasted."""
+    """Command line in shell quoting."""
     import shlex
 
     return shlex.join(arguments)

@@ -36,14 +36,13 @@ LONG = {
     "learn": 100,
 }
 WHOLE = 300
-"""as commands of their own"""
+"""Number of inputs run as separate commands."""
 PYTHON = (sys.executable, "-m", "touchdown")
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _limited() -> Iterator[None]:
-    """Modules are there before the first clock runs, and an input that asks for the whole memory
-    does not get it."""
+    """Imports modules before the first time limit starts, and limits the memory of an input."""
     fuzzing.import_heavy()
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, hard))
@@ -86,12 +85,12 @@ def _run(kind: str, numbers: range, home: Path) -> None:
                 found.append(f"{kind} {number}: touchdown {line}\n" + "\n".join(verdict.faults))
     print(kind, dict(codes))
     assert not found, f"{len(found)} of {len(numbers)}:\n\n" + "\n\n".join(found[:5])
-    # Neither all good nor all bad, but for commands that need a network's file.
+    # Both accepted and refused inputs occur, except for commands that need a network file.
     assert codes[2] and (kind == "learn" or sum(codes.values()) > codes[2]), codes
 
 
 @pytest.mark.parametrize("kind", [kind for kind in SHORT if kind not in ("mjcf", "files")])
-def test_inputs_are_taken_or_refused_in_one_line(kind: str, tmp_path: Path) -> None:
+def test_inputs_are_accepted_or_refused_in_one_line(kind: str, tmp_path: Path) -> None:
     _run(kind, range(SHORT[kind]), tmp_path)
 
 
@@ -103,7 +102,7 @@ def test_ten_thousand_inputs(kind: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_whole_commands(tmp_path: Path) -> None:
-    """In processes of their own, where libraries in C may say and do what they like."""
+    """In separate processes, with the output and the signals of C libraries."""
     kinds = ("argv", "mjcf", "config", "campaign", "runs", "files")
     found = []
     for number in range(WHOLE):
@@ -115,7 +114,7 @@ def test_whole_commands(tmp_path: Path) -> None:
 
 
 def whole_command(case: Case) -> str:
-    """What is wrong with how a command ends in a process of its own; it is grounded there, too."""
+    """Returns the faults in the end of a command in a separate process, without flights."""
     before = fuzzing.fingerprint(case.folder)
     script = (
         "import sys; from fuzz import fuzzing; from touchdown.experiments import cli\n"
@@ -133,7 +132,7 @@ def whole_command(case: Case) -> str:
         check=False,
     )
     code: int | str = "reached" if done.returncode == 77 else done.returncode
-    said = done.stderr.decode("utf-8", "backslashreplace")
-    faults = fuzzing.judge(code, said)
+    stderr = done.stderr.decode("utf-8", "backslashreplace")
+    faults = fuzzing.judge(code, stderr)
     faults += fuzzing.written(code, before, fuzzing.fingerprint(case.folder))
     return "\n".join(faults)

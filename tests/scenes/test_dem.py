@@ -54,8 +54,8 @@ def write_tiff(
     for tag, value in {**short, 279: len(pixels)}.items():
         entries.append((tag, struct.pack("<HHII", tag, 4, 1, value)))
     for tag, (kind, data, count) in extra.items():
-        place = struct.pack("<I", start + len(blobs))
-        entries.append((tag, struct.pack("<HHI", tag, kind, count) + place))
+        offset = struct.pack("<I", start + len(blobs))
+        entries.append((tag, struct.pack("<HHI", tag, kind, count) + offset))
         blobs += data
     directory = struct.pack("<H", len(entries)) + b"".join(e for _, e in sorted(entries))
     head = b"II*\0" + struct.pack("<I", 8 + len(pixels))
@@ -207,7 +207,7 @@ def test_aerial_image_is_aligned_with_the_heights(tmp_path: Path) -> None:
         assert texture[row * size // 4, col * size // 4].tolist() == [0, 0, 0]
 
 
-def _bad(tmp_path: Path, kind: str) -> Path:
+def _invalid(tmp_path: Path, kind: str) -> Path:
     path = tmp_path / f"{kind}.tif"
     if kind == "text":
         path.write_text("not an elevation model in spite of its name")
@@ -247,14 +247,14 @@ def _bad(tmp_path: Path, kind: str) -> Path:
         ("colour", "has 3 bands"),
     ],
 )
-def test_bad_models_are_one_clear_line(tmp_path: Path, kind: str, message: str) -> None:
+def test_invalid_models_are_one_clear_line(tmp_path: Path, kind: str, message: str) -> None:
     with pytest.raises(ValueError, match=message) as caught:
-        import_dem(_bad(tmp_path, kind), tmp_path / "out")
+        import_dem(_invalid(tmp_path, kind), tmp_path / "out")
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists()
 
 
-def test_bad_images_and_windows_are_one_clear_line(tmp_path: Path) -> None:
+def test_invalid_images_and_windows_are_one_clear_line(tmp_path: Path) -> None:
     tif = write_tiff(tmp_path / "hill.tif", ramp())
     note = tmp_path / "photo.png"
     note.write_text("no image")

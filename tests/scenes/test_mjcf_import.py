@@ -116,7 +116,7 @@ def test_includes_meshes_and_textures_are_found_beside_the_file(
     assert scene.model.nmesh >= 1
 
 
-def test_a_file_without_light_gets_a_sun_one_with_keeps_its_own(tmp_path: Path) -> None:
+def test_a_sun_is_added_only_to_a_file_without_light(tmp_path: Path) -> None:
     assert load(tmp_path, FLOOR).model.nlight == 1
     lamps = '<light pos="0 0 9"/><light pos="1 0 9"/>'
     assert load(tmp_path, FLOOR + lamps).model.nlight == 2
@@ -145,7 +145,7 @@ def test_no_ground_is_one_clear_line(tmp_path: Path) -> None:
          "height field 'h' needs the file 'dem.png'", FileNotFoundError),
     ],
 )  # fmt: skip
-def test_bad_assets_are_named(
+def test_invalid_assets_are_named(
     tmp_path: Path, asset: str, geom: str, message: str, kind: type[Exception]
 ) -> None:
     for name in ("oak.dae", "turf.jpg", "dem.tif"):

@@ -245,7 +245,7 @@ def test_boxes_water_and_wire_are_judged_by_the_rule(tmp_path: Path) -> None:
     assert maps.class_id[100, 40] == OTHER_CLASS_ID
 
 
-# -------------------------------------------------------------------- files by others, errors
+# -------------------------------------------------------------------- imported files, errors-
 
 
 def test_unknown_name_lists_the_nearest_and_all() -> None:

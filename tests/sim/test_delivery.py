@@ -1,4 +1,4 @@
-"""Arrival schedules are exact, whatever the threads do."""
+"""Arrival schedules are exact for any timing of the threads."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def test_the_antenna_is_measured_not_the_body() -> None:
     np.testing.assert_allclose(message.velocity_world, [-2.0, 0.0, 3.0], atol=1e-12)
 
 
-def test_presets_hold_what_their_data_sheets_say() -> None:
+def test_presets_match_their_data_sheets() -> None:
     """Half of the horizontal errors lie within the circular error probable."""
     rng = random_stream(0, "presets")
     for name, cep in (("ublox-m8", 2.5), ("rtk", 0.01)):

@@ -1,4 +1,4 @@
-"""Barometer, magnetometer, rangefinder, and when the small sensors deliver."""
+"""Barometer, magnetometer, rangefinder, and their delivery schedules."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_a_field_not_of_this_earth_is_refused() -> None:
 
 # ----------------------------------------------------------------------------- rangefinder
 
-PLACE = """<mujoco><worldbody>
+SCENE_XML = """<mujoco><worldbody>
   <geom name="floor" type="plane" size="200 200 0.1"/>
   <geom name="roof" type="box" size="1 1 0.5" pos="20 0 2.5"/>
   <geom name="crown" type="sphere" size="2" pos="0 20 4"/>
@@ -123,8 +123,8 @@ PLACE = """<mujoco><worldbody>
 CLEAN = RangefinderParams(sigma_m=0.0, position_body_m=(0.0, 0.0, 0.0), resolution_m=1e-9)
 
 
-def make_place(ground: GroundRaster | None = None) -> tuple[Scene, mujoco.MjData]:
-    model = mujoco.MjModel.from_xml_string(PLACE)
+def make_scene(ground: GroundRaster | None = None) -> tuple[Scene, mujoco.MjData]:
+    model = mujoco.MjModel.from_xml_string(SCENE_XML)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     surfaces = {
@@ -159,7 +159,7 @@ def ranges(
     ground: GroundRaster | None = None,
 ) -> Array:
     """(count,) readings of a vehicle at (x, y, z), pitched by ``tilt`` radians."""
-    scene, data = make_place(ground)
+    scene, data = make_scene(ground)
     sensor = RangefinderSensor(scene, params, 600, 1)
     rotation = so3_exp(np.array([0.0, tilt, 0.0]))
     pose = rotation, np.array([x, y, z])
@@ -209,7 +209,7 @@ def test_crowns_let_some_pulses_through() -> None:
     assert top.mean() == pytest.approx(0.4, abs=0.03)
 
 
-def test_the_ground_raster_goes_before_the_geom() -> None:
+def test_the_ground_raster_overrides_the_geom() -> None:
     raster = GroundRaster(
         geom_name="floor",
         origin_xy_m=np.array([-1.0, -1.0]),
@@ -277,14 +277,14 @@ def test_each_sensor_has_its_own_schedule(make_world: MakeWorld) -> None:
         assert arrivals[name] == [(t + latency, t) for t in measured]
 
 
-def test_only_what_is_asked_for_runs(make_world: MakeWorld) -> None:
+def test_only_requested_sensors_run(make_world: MakeWorld) -> None:
     for obs in rest(make_world(SensorNeeds(barometer=True)), 80):
         assert (obs.gps, obs.magnetometer, obs.rangefinder) == ((), (), ())
     for obs in rest(make_world(nav=NavParams(gps=GpsParams(preset="denied"))), 80):
         assert obs.gps == ()
 
 
-def test_readings_at_rest_are_those_of_the_place(make_world: MakeWorld) -> None:
+def test_readings_at_rest_match_the_scene(make_world: MakeWorld) -> None:
     world = make_world()
     observations = list(rest(world, 400))
     height = float(world.truth().world_from_body.translation[2])

@@ -14,7 +14,7 @@ from touchdown.sim.frames import Pose, rotation_from_yaw
 from touchdown.sim.moving import BodyTrack
 from touchdown.sim.posed_sensors import PosedSensors, track_along
 
-PLACE = """
+SCENE_XML = """
 <mujoco>
   <worldbody>
     <geom name="lawn" type="plane" size="60 60 1"/>
@@ -35,7 +35,7 @@ ABOVE = Pose(rotation_from_yaw(0.7), np.array([3.0, -2.0, 20.0]))
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     path = tmp_path_factory.mktemp("place") / "place.xml"
-    path.write_text(PLACE)
+    path.write_text(SCENE_XML)
     return load_scene(str(path), 0)
 
 

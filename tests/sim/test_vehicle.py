@@ -305,10 +305,12 @@ def test_stands_on_its_four_feet(tmp_path: Path, vehicle: VehicleModel) -> None:
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.2, 0.3])
-@pytest.mark.parametrize("place", ["flat", "rough"])
-def test_touchdown_neither_bounces_nor_penetrates(tmp_path: Path, speed: float, place: str) -> None:
+@pytest.mark.parametrize("ground", ["flat", "rough"])
+def test_touchdown_neither_bounces_nor_penetrates(
+    tmp_path: Path, speed: float, ground: str
+) -> None:
     heights = np.random.default_rng(0).uniform(0.0, 0.1, 41 * 41)
-    xml = FLAT if place == "flat" else ROUGH.format(" ".join(f"{h:.4f}" for h in heights))
+    xml = FLAT if ground == "flat" else ROUGH.format(" ".join(f"{h:.4f}" for h in heights))
     scene = _scene(tmp_path, xml)
     data = mujoco.MjData(scene.model)
     settle_on_ground(scene, data)

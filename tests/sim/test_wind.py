@@ -137,7 +137,7 @@ def test_psd_integrates_to_the_variance() -> None:
         assert np.trapezoid(psd, omega) == pytest.approx(0.49, rel=1e-3)
 
 
-def test_bad_parameters_name_the_remedy() -> None:
+def test_invalid_parameters_name_the_remedy() -> None:
     with pytest.raises(ValueError, match=r"wind.mean_kmh must be 0 or more, not -3"):
         Wind(WindParams(mean_kmh=-3.0), 0)
     with pytest.raises(ValueError, match=r"wind.roughness_length_m"):

@@ -1,4 +1,4 @@
-"""The world as the main loop sees it: exact arrivals, repeatable flights, truth, clear errors."""
+"""Interface of the world to the main loop: exact arrivals, repeatable flights, truth, errors."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from touchdown.sim.world import MujocoWorld
 
 Array = NDArray[np.float64]
 
-PLACE = """<mujoco><worldbody>
+SCENE_XML = """<mujoco><worldbody>
   <geom name="lawn_floor" type="plane" size="60 60 0.1" rgba="0.3 0.5 0.2 1"/>
   <geom name="building_wall" type="box" size="1 4 2" pos="6 0 2"/>
   <light pos="0 0 20" dir="0 0 -1"/>
@@ -59,7 +59,7 @@ MakeWorld = Callable[..., MujocoWorld]
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     path = tmp_path_factory.mktemp("place") / "place.xml"
-    path.write_text(PLACE)
+    path.write_text(SCENE_XML)
     plain = load_scene(str(path), 0)
     cart = MovingBody(body_name="cart", path_world=SQUARE, speed_mps=2.0, start_m=1.0)
     fields = {name: getattr(plain, name) for name in plain.__dataclass_fields__}
@@ -142,7 +142,7 @@ def test_pulses_between_control_steps_come_at_the_next_one(make_world: MakeWorld
     assert images == [(57, 20), (78, 40), (96, 60), (117, 80)]
 
 
-def test_nothing_unasked_for_is_sensed(make_world: MakeWorld) -> None:
+def test_only_requested_sensors_deliver(make_world: MakeWorld) -> None:
     for obs, _ in _fly(make_world(), 60):
         assert obs.scans == ()
         assert obs.images == ()
@@ -373,7 +373,7 @@ def test_a_moving_body_must_be_mocap(scene: Scene) -> None:
         (SimParams(battery_capacity_j=-1.0), SensorNeeds(), "battery_capacity_j"),
     ],
 )
-def test_bad_parameters_are_named(
+def test_invalid_parameters_are_named(
     make_world: MakeWorld, sim: SimParams, needs: SensorNeeds, message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):

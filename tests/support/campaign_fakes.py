@@ -1,4 +1,4 @@
-"""Flights that take no time, for what campaigns do with them. Its estimators are behaviours."""
+"""Fake flights for tests of campaigns. Each estimator names a behaviour."""
 
 from __future__ import annotations
 

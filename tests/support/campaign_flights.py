@@ -1,4 +1,4 @@
-"""Campaigns of flights that take no time, in this process or in one that can be killed."""
+"""Campaigns of fake flights, in this process or in one that can be killed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def fly(plan: Plan, out: Path, jobs: int = 1, **options: Any) -> dict[str, Any]:
 
 
 def figures(directory: Path) -> list[dict[str, Any]]:
-    """Rows without what differs between two flights of one configuration."""
+    """Rows without the values that differ between two flights of one configuration."""
     return [
         {key: value for key, value in row.items() if not key.startswith(TIMING_COLUMNS)}
         for row in load_rows(directory)
@@ -53,7 +53,7 @@ MANY = axes(scene=["flat", "lake"], estimator=["fake:slow", "fake:is_lost"], see
 
 def start_campaign(file: Path, out: Path) -> subprocess.Popen[bytes]:
     script = (
-        "import signal, sys; "  # what runs in a shell's background is born deaf to Ctrl-C
+        "import signal, sys; "  # background jobs of a shell ignore Ctrl-C
         "signal.signal(signal.SIGINT, signal.default_int_handler); "
         "from pathlib import Path; from touchdown.experiments.campaign.plan import load_plan; "
         "from touchdown.experiments.campaign.session import fly_campaign; "
@@ -72,7 +72,7 @@ def wait_for(condition: Any, what: str) -> None:
 
 
 def flying(out: Path) -> list[int]:
-    """Process numbers of the workers that are in the air."""
+    """Process ids of the workers that fly."""
     return [int(path.name.rpartition(".")[2]) for path in out.glob(".partial/*")]
 
 

@@ -1,4 +1,4 @@
-"""The pages, and what is read from them: prose, blocks of code, tables."""
+"""The documentation pages and their parts: prose, blocks of code, tables."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ COUNT = 8
 
 
 def scan(end: int) -> LidarScan:
-    """Ranges tell which scan it is."""
+    """The ranges identify the scan."""
     directions = np.tile(np.array([0.0, 0.0, 1.0], np.float32), (COUNT, 1))
     return LidarScan(
         start_tick=end - PERIOD, end_tick=end, start_time_s=(end - PERIOD) / HZ,
@@ -47,7 +47,7 @@ def fix(tick: int) -> GpsFix:
 
 
 def world(last: int = 1500) -> list[Observation]:
-    """What a world without faults delivers: every 60 ticks one of each, 36 ticks later."""
+    """Deliveries without faults: one message of each kind every 60 ticks, 36 ticks late."""
     found = []
     for tick in range(0, last + 1, STEP):
         measured = tick - LATENCY

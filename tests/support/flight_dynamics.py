@@ -1,4 +1,4 @@
-"""A rigid quadrotor in gusts, written apart from the simulator, to test the controller against."""
+"""A rigid quadrotor in gusts, independent of the simulator, for tests of the controller."""
 
 from __future__ import annotations
 

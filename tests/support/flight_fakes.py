@@ -1,4 +1,4 @@
-"""Truths, estimates and views made by hand."""
+"""Synthetic truths, estimates and views."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Painted ground seen by a camera, classifiers that go by colour, and a small network's file."""
+"""Images of painted ground, classifiers by colour, and the file of a small network."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def plain(name: str) -> Paint:
 def photograph(
     rig: SensorRig, world_from_body: Pose, paint: Paint, time_s: float, noise: float = 1.0
 ) -> CameraImage:
-    """What the camera, without distortion, sees of level ground at z = 0, with noise (levels),
-    since a repeated image is a defect."""
+    """Image of level ground at z = 0 by a camera without distortion, with noise (levels), since a
+    repeated image is a defect."""
     camera = world_from_body @ rig.body_from_camera
     col, row = np.meshgrid(np.arange(rig.camera.width), np.arange(rig.camera.height))
     beams = np.stack([(col - rig.camera.cx) / rig.camera.fx,

@@ -45,7 +45,7 @@ def flat_map(height: float = 0.0, seed: int = 1) -> GridMap:
 
 
 def fine_map(centre: Array, height: float = 0.0) -> GridMap:
-    """6 m of fine cells around a place, as a flight above it would leave them."""
+    """6 m of fine cells around a point, as after a flight above it."""
     corner = tuple(np.round((centre[:2] - 3.0) / 0.05) * 0.05)
     return make_grid(np.full((120, 120), height), 0.05, origin=corner, returns=12, seed=2)
 

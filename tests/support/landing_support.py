@@ -101,7 +101,7 @@ def cast_scan(
     hole: tuple[Array, Array] | None = None,
 ) -> LidarScan:
     """Ranges of pulses fired over 60 ticks, pulse i from ``poses[i]`` (world_from_body), against
-    the plane z = 0 and an axis-aligned box; those into ``hole`` (xy corners) stay silent."""
+    the plane z = 0 and an axis-aligned box; those into ``hole`` (xy corners) have no return."""
     n = directions.shape[0]
     ranges = np.zeros(n)
     for i, pose in enumerate(poses):
@@ -115,8 +115,8 @@ def cast_scan(
             if near.max() <= far.min() and near.max() > 0.0:
                 distance = min(distance, near.max())
         end = origin[:2] + distance * beam[:2]
-        silent = hole is not None and (end >= hole[0]).all() and (end <= hole[1]).all()
-        ranges[i] = 0.0 if silent else distance
+        lost = hole is not None and (end >= hole[0]).all() and (end <= hole[1]).all()
+        ranges[i] = 0.0 if lost else distance
     start = start_tick / 600.0
     return LidarScan(
         start_tick=start_tick,
@@ -147,7 +147,7 @@ def make_grid(
     sigma: float = 0.02,
     seed: int = 0,
 ) -> GridMap:
-    """The map that ``returns`` noisy returns a cell leave of a height raster (NaN: unseen)."""
+    """Map of a height raster (NaN: unseen) from ``returns`` noisy returns per cell."""
     rng = np.random.default_rng(seed)
     samples = height[None] + sigma * rng.standard_normal((returns, *height.shape))
     known = np.isfinite(height)

@@ -1,4 +1,4 @@
-"""A run directory made by hand: made-up sensors, their true path, no simulator."""
+"""Synthetic run directory: synthetic sensors and their true path, without a simulator."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def make_run(
     estimate: Callable[[Pose], Pose] = lambda pose: pose,
     **result: Any,
 ) -> Path:
-    """``estimate`` makes the rows of estimate.tum of the true ones."""
+    """``estimate`` maps the true rows to the rows of estimate.tum."""
     rig = synthetic_rig()
     run.mkdir(parents=True)
     stream = SyntheticStream(rig, needs, seconds)

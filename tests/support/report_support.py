@@ -1,4 +1,4 @@
-"""Made-up runs with trajectories, for the tests of reports."""
+"""Synthetic runs with trajectories, for the tests of reports."""
 
 from __future__ import annotations
 

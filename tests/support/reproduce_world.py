@@ -1,4 +1,4 @@
-"""A world in which the parts of a reproduction take no time."""
+"""Fakes of all slow parts of a reproduction."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def fly(config: Config, out: Path) -> RunResult:
 
 @dataclasses.dataclass
 class World:
-    """Stands for everything that takes long, and remembers what it was asked for."""
+    """Replaces all slow functions and records their calls."""
 
     calls: list[str] = dataclasses.field(default_factory=list)
     consistent: bool = True
@@ -60,8 +60,8 @@ class World:
         return self.calls.count(what)
 
 
-def _tell_of(tell: Callable[[Any], None], run_id: str, event: dict[str, Any]) -> None:
-    tell({**event, "run_id": run_id})
+def _report_of(report: Callable[[Any], None], run_id: str, event: dict[str, Any]) -> None:
+    report({**event, "run_id": run_id})
 
 
 def draw(*files: Path) -> None:
@@ -128,8 +128,8 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
     @replaced("benchmarks.site_selection.run", "sites")
     def _(scenes: tuple[str, ...], pictures: Path, **options: Any) -> dict[str, Any]:
         draw(*(pictures / f"site_{scene}.jpg" for scene in scenes))
-        place = {"seed": 0, "chosen_safe": True, "accepted": 9, "accepted_safe": 8}
-        return {"scorer": "risk", "places": [{"scene": scene, **place} for scene in scenes]}
+        check = {"seed": 0, "chosen_safe": True, "accepted": 9, "accepted_safe": 8}
+        return {"scorer": "risk", "places": [{"scene": scene, **check} for scene in scenes]}
 
     @replaced("benchmarks.site_selection_time.bench_landing", "speed")
     def _(rounds: int, threads: int, reference: bool) -> dict[str, Any]:
@@ -153,11 +153,11 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
         assert network.is_file()
         return {"split": split, "pictures": 90, "rom_mb": 22.4, "image_ms": 3.0, **SCORES}
 
-    def run(todo: list[Task], limits: Any, tell: Callable[[Any], None]) -> None:
+    def run(todo: list[Task], limits: Any, report: Callable[[Any], None]) -> None:
         for task in todo:
             found.ask(f"{task.run_id}")
             mine = dataclasses.replace(task, runner="support.reproduce_world:fly")
-            execute(mine, functools.partial(_tell_of, tell, task.run_id))
+            execute(mine, functools.partial(_report_of, report, task.run_id))
 
     engine = SimpleNamespace(name="here", jobs=1, run=run)
     monkeypatch.setattr(

@@ -1,4 +1,4 @@
-"""MJCF scenes with ground that deceives a site selector, surveyed by posed sensors."""
+"""MJCF scenes with misleading ground for a site selector, surveyed by posed sensors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The bare computation is the flight's own work, and the overhead adds up."""
+"""The bare computation equals that of the flight, and the parts of the overhead add up."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def truth_at(height_m: float, *, rotor_speed: float = 0.0) -> Truth:
     )
 
 
-def test_bare_physics_takes_the_steps_that_were_asked_for(lawn: Scene, bare: BareWorld) -> None:
+def test_bare_physics_takes_the_requested_steps(lawn: Scene, bare: BareWorld) -> None:
     data: Any = bare._data
     before = data.time
     assert bare.physics(truth_at(20.0), 60) >= 0.0
@@ -130,9 +130,9 @@ def test_bare_pixels_are_the_camera_s(bare: BareWorld) -> None:
     truth = truth_at(12.0)
     assert bare.pixels(truth) >= 0.0
     drawn = bare._eye._pixels[::-1]
-    picture = bare._camera.render(bare._snapshot(truth), 0)
-    assert np.ptp(picture.reshape(-1, 3).astype(int), axis=0).max() > 50  # the box is in view
-    np.testing.assert_array_equal(drawn, picture)
+    image = bare._camera.render(bare._snapshot(truth), 0)
+    assert np.ptp(image.reshape(-1, 3).astype(int), axis=0).max() > 50  # the box is in view
+    np.testing.assert_array_equal(drawn, image)
 
 
 def test_stage_clock_takes_any_clock() -> None:
@@ -269,7 +269,7 @@ def test_workers_are_compared_by_their_wall_time(
     assert flown == [(1, 1), *[(4, 1), (4, 2)] * 3]  # the first flight does not count
 
 
-def test_what_was_measured_while_kernels_were_compiled_is_measured_again() -> None:
+def test_a_measurement_during_compilation_is_repeated() -> None:
     @numba.njit
     def kernel(x: float) -> float:
         return 2.0 * x
@@ -285,7 +285,7 @@ def test_what_was_measured_while_kernels_were_compiled_is_measured_again() -> No
 
     assert compiled_before(measure, again=lambda: cleared.append(True)) == 2
     assert cleared == [True]
-    assert compiled_before(measure) == 3  # nothing left to compile
+    assert compiled_before(measure) == 3  # all compiled
 
 
 def test_runs_must_be_a_multiple_of_workers(capsys: pytest.CaptureFixture[str]) -> None:

@@ -59,7 +59,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @needs_evo
-def test_evo_says_what_we_say() -> None:
+def test_evo_and_the_own_error_figure_agree() -> None:
     rng = np.random.default_rng(5)
     true = rng.normal(size=(400, 3)).cumsum(axis=0)
     believed = true + rng.normal(scale=0.2, size=(400, 3))
@@ -74,7 +74,7 @@ def test_evo_says_what_we_say() -> None:
 
 @needs_evo
 def test_evo_on_the_files_of_a_run(run: Path) -> None:
-    """5 cm off everywhere, in files with nine decimals."""
+    """A constant error of 5 cm, in files with nine decimals."""
     assert evo_of_run(run) == pytest.approx(0.05, abs=1e-8)
 
 
@@ -108,7 +108,7 @@ def _flight(time_s: float) -> Pose:
 
 
 def _scans(count: int) -> list[ScanPoints]:
-    """Bent by the motion: each of 40 slices of a scan is seen from its own pose."""
+    """Scans distorted by motion: each of 40 slices has its own pose."""
     rng = np.random.default_rng(0)
     scans = []
     for number in range(count):
@@ -131,7 +131,7 @@ def _scans(count: int) -> list[ScanPoints]:
     ],
 )
 def test_references_follow_structured_ground(method: str, setting: dict[str, Any]) -> None:
-    """Poses are the body's, start at the truth, and are of the scan's end."""
+    """Poses are those of the body at the end of the scan, and start at the truth."""
     whole = setting | {"deskew": True, "start": "lift-off"}
     track = run_reference(method, whole, _scans(15), _flight, LIDAR, survey_s=0.0)
     true = np.array([_flight(time_s).translation for time_s in track.times_s])
@@ -142,7 +142,7 @@ def test_references_follow_structured_ground(method: str, setting: dict[str, Any
 
 
 @needs_evo
-def test_where_a_reference_begins_and_when_it_is_lost() -> None:
+def test_start_of_a_reference_and_its_loss() -> None:
     setting = {"downsampling_m": 0.5, "voxel_m": 1.0, "deskew": False, "start": "survey"}
     track = run_reference("small_gicp", setting, _scans(6), _flight, LIDAR, survey_s=0.2)
     assert track.times_s == pytest.approx([0.25, 0.35, 0.45, 0.55])  # the middles
@@ -155,7 +155,7 @@ def test_where_a_reference_begins_and_when_it_is_lost() -> None:
     assert len(lost.times_s) == 2
 
 
-def test_deskew_by_steping_is_a_share_of_the_step_backwards() -> None:
+def test_constant_velocity_deskewing_undoes_a_share_of_the_step() -> None:
     """A step of 1 m in x and a quarter of a degree about z, seen at start, middle and end."""
     points = np.tile([10.0, 0.0, 0.0], (3, 1))
     step = np.eye(4)
@@ -168,7 +168,7 @@ def test_deskew_by_steping_is_a_share_of_the_step_backwards() -> None:
     assert deskew_by_step(points, shares, turned)[:, 1] == pytest.approx(expected, abs=1e-9)
 
 
-def test_grids_are_tried_whole() -> None:
+def test_every_setting_of_a_grid_is_run() -> None:
     for method, grid in baselines.GRIDS.items():
         tried = list(settings(method))
         assert len(tried) == np.prod([len(values) for values in grid.values()])
@@ -247,7 +247,7 @@ def test_ratios_are_of_the_best_reference_that_is_not_lost() -> None:
     assert figures["ms_per_0.1s"]["paper"] == 10.0
 
 
-def test_who_lasts_longer_is_better_among_the_lost() -> None:
+def test_a_lost_reference_that_lasts_longer_ranks_higher() -> None:
     rows = [
         {"lost_s": 5.0, "error_m": 0.1},
         {"lost_s": 9.0, "error_m": 3.0},

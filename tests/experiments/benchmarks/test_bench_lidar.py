@@ -15,8 +15,8 @@ from touchdown.sim.api import LidarParams
 
 
 def test_casters_agree_on_the_ranges() -> None:
-    """MuJoCo's casters among themselves to the last digits, Embree within its single precision,
-    moving cars apart, which its merged scene leaves out; the noiseless sensor where it returns."""
+    """MuJoCo's casters agree to the last digits, Embree within its single precision, except on
+    moving cars, which its merged scene omits; the noiseless sensor where it returns."""
     scene = load_scene("crossroad", 0)
     params = LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.0, divergence=False)
     references = ReferenceCasters(scene, params, 0)

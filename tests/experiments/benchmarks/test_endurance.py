@@ -1,4 +1,4 @@
-"""Long flights: what is sampled in each minute, and the configuration that flies them."""
+"""Long flights: samples of each minute, and their configuration."""
 
 from __future__ import annotations
 

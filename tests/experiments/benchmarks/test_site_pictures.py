@@ -1,4 +1,4 @@
-"""The steps of a selection in one picture, on a made-up map."""
+"""Figure of the steps of a selection, on a synthetic map."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.benchmarks import site_selection as selector_check
-from touchdown.experiments.benchmarks import site_selection_figures as site_pictures
+from touchdown.experiments.benchmarks import site_selection_figures as site_figures
 from touchdown.experiments.benchmarks.site_selection_figures import (
     cluster_colours,
     figure_files,
@@ -35,7 +35,7 @@ RED, BLUE = (255, 45, 45), (47, 141, 255)
 
 
 def selection_of(scorer: str = "risk") -> Selection:
-    """Level in the east, rubble in the west, unseen in the far north."""
+    """Selection on a map level in the east, rough in the west, unseen in the far north."""
     height = np.zeros((120, 90))
     height[:, :40] = np.random.default_rng(2).uniform(0.0, 0.6, (120, 40))
     height[100:] = np.nan
@@ -48,9 +48,9 @@ def selection() -> Selection:
     return selection_of()
 
 
-def drawn(picture: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
+def drawn(image: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
     """(N, 2) row, col of the pixels that have exactly a colour."""
-    return np.argwhere((picture == np.array(colour, np.uint8)).all(axis=2))
+    return np.argwhere((image == np.array(colour, np.uint8)).all(axis=2))
 
 
 def test_clusters_cover_the_known_map_and_hold_their_modes(selection: Selection) -> None:
@@ -62,14 +62,14 @@ def test_clusters_cover_the_known_map_and_hold_their_modes(selection: Selection)
 
 
 def test_candidates_are_blue_and_the_site_is_red_in_the_last_panel(selection: Selection) -> None:
-    picture = steps_figure(selection, "a garden", "risk")
-    height, width, _ = picture.shape
+    image = steps_figure(selection, "a garden", "risk")
+    height, width, _ = image.shape
     assert width > height
     for colour in (RED, BLUE):
-        places = drawn(picture, colour)
-        assert len(places) > 20
-        assert places[:, 0].min() > 0.45 * height
-        assert places[:, 1].min() > 0.60 * width
+        pixels = drawn(image, colour)
+        assert len(pixels) > 20
+        assert pixels[:, 0].min() > 0.45 * height
+        assert pixels[:, 1].min() > 0.60 * width
 
 
 def test_no_red_where_nothing_was_accepted(selection: Selection) -> None:
@@ -77,9 +77,9 @@ def test_no_red_where_nothing_was_accepted(selection: Selection) -> None:
         selection,
         candidates=tuple(dataclasses.replace(c, accepted=False) for c in selection.candidates),
     )
-    picture = steps_figure(refused, "no site", "risk")
-    assert len(drawn(picture, RED)) == 0
-    assert len(drawn(picture, BLUE)) > 20
+    image = steps_figure(refused, "no site", "risk")
+    assert len(drawn(image, RED)) == 0
+    assert len(drawn(image, BLUE)) > 20
 
 
 def test_both_scorers_are_drawn_and_differ(selection: Selection) -> None:
@@ -95,12 +95,12 @@ def test_colours_of_clusters_differ_and_outside_is_dark() -> None:
     assert colours[1, 2].max() < 60
 
 
-def test_jpeg_gives_way_in_quality_to_fit() -> None:
+def test_jpeg_quality_is_reduced_to_fit_the_limit() -> None:
     noise = np.random.default_rng(0).integers(0, 256, (200, 300, 3), np.uint8)
     best = jpeg(noise)
     limit = int(0.7 * len(best))
     assert len(jpeg(noise, limit)) <= limit
-    assert len(jpeg(noise, 1)) < limit  # the least that there is
+    assert len(jpeg(noise, 1)) < limit  # the lowest quality
     back = cv2.imdecode(np.frombuffer(best, np.uint8), cv2.IMREAD_COLOR)
     assert back is not None and back.shape == noise.shape
 
@@ -110,7 +110,7 @@ def test_file_is_written_below_its_limit(selection: Selection, tmp_path: Path) -
     (file,) = figure_files([config], tmp_path / "deep" / "folder")
     assert file.name == "site_turf.jpg"
     write_steps(file, config, selection)
-    assert 10_000 < file.stat().st_size <= site_pictures.MOST_BYTES
+    assert 10_000 < file.stat().st_size <= site_figures.MOST_BYTES
 
 
 def test_names_have_the_seed_where_there_are_several(tmp_path: Path) -> None:
@@ -122,19 +122,19 @@ def test_names_have_the_seed_where_there_are_several(tmp_path: Path) -> None:
         figure_files(configs, tmp_path / "file")
 
 
-def test_the_command_draws_each_place(
+def test_the_command_draws_each_scene(
     selection: Selection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    place = {
+    result = {
         "chosen_safe": True, "accepted": 1, "accepted_safe": 1, "room_m": 2.0, "best_room_m": 3.0,
         "cells": {"safe": 10, "allowed": 5, "both": 5},
         "sample": {"predicted": np.array([0.9], np.float32), "safe": np.array([True])},
     }  # fmt: skip
 
-    def check(config: Config, picture: Path | None = None) -> dict[str, Any]:
-        if picture is not None:
-            write_steps(picture, config, selection)
-        return place | {"scene": config.scene, "seed": config.seed}
+    def check(config: Config, image: Path | None = None) -> dict[str, Any]:
+        if image is not None:
+            write_steps(image, config, selection)
+        return result | {"scene": config.scene, "seed": config.seed}
 
     monkeypatch.setattr(selector_check, "check_scene", check)
     command = ["bench", "selector", "turf", "lake", "--seeds", "0", "--json"]
@@ -144,6 +144,6 @@ def test_the_command_draws_each_place(
     assert cli.main(command) == 0
 
 
-def test_nothing_mapped_is_nothing_to_draw() -> None:
+def test_an_empty_map_gives_no_figure() -> None:
     with pytest.raises(ValueError, match="nothing was mapped"):
         steps_figure(NOTHING_MAPPED, "", "risk")

@@ -1,4 +1,4 @@
-"""A campaign gives the same rows however it is flown: killed, in shards, on Ray, side by side."""
+"""A campaign gives the same rows if killed, in shards, on Ray or in parallel."""
 
 from __future__ import annotations
 
@@ -39,7 +39,9 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
-def test_killed_and_called_again_it_gives_the_same_rows(tmp_path: Path, undisturbed: Path) -> None:
+def test_a_killed_and_resumed_campaign_gives_the_same_rows(
+    tmp_path: Path, undisturbed: Path
+) -> None:
     plan, out = make_plan(tmp_path, MANY), tmp_path / "out"
     parent = start_campaign(tmp_path / "campaign.toml", out)
     wait_for(lambda: len(finished_ids(out)) >= 4 and flying(out), "four runs")
@@ -52,7 +54,7 @@ def test_killed_and_called_again_it_gives_the_same_rows(tmp_path: Path, undistur
     assert 4 <= len(finished) < 12
     totals = fly(plan, out)
     again = attempts(out) - before
-    # What was finished is not flown again, but for the recordings of bad outcomes.
+    # Finished flights are not repeated, except to record unsuccessful ones.
     assert all("is_lost" in run_id for run_id in again.keys() & finished)
     assert totals["remaining"] == 0 and not list(out.glob(".partial/*"))
     assert figures(out) == figures(undisturbed)
@@ -88,7 +90,7 @@ def test_any_number_of_jobs_and_shards_gives_the_same_rows(
         assert (path / "result.json").read_bytes() == (other / "result.json").read_bytes()
 
 
-def test_interrupt_stops_and_keeps_what_is_finished(tmp_path: Path) -> None:
+def test_an_interrupt_keeps_finished_flights(tmp_path: Path) -> None:
     make_plan(tmp_path, MANY)
     out = tmp_path / "out"
     parent = start_campaign(tmp_path / "campaign.toml", out)
@@ -102,7 +104,7 @@ def test_interrupt_stops_and_keeps_what_is_finished(tmp_path: Path) -> None:
     assert [session["jobs"] for session in document["sessions"]] == [2]
 
 
-def test_ray_is_asked_for_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_ray_is_reported_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(UsageError, match=r"pip install 'touchdown\[ray\]'"):
         make_engine("ray", None)
@@ -129,7 +131,7 @@ def test_ray_gives_the_same_rows_and_outlives_its_workers(
 
 @pytest.mark.slow
 def test_real_flights_are_the_same_in_any_number_of_workers(tmp_path: Path) -> None:
-    """One worker flies both methods one after the other, two fly them side by side."""
+    """One worker flies both methods in sequence, two fly them in parallel."""
     text = axes(scene=["crossroad"], estimator=["livo", "gps"], seeds="11")
     text += "[base.survey]\nheight_m = 12.0\nlegs = 1\nleg_length_m = 8.0\nduration_s = 5.0\n"
     plan = make_plan(tmp_path, text)
@@ -148,7 +150,7 @@ def test_real_flights_are_the_same_in_any_number_of_workers(tmp_path: Path) -> N
 
 
 def test_a_flight_by_itself_adds_up_as_one_of_a_campaign() -> None:
-    """One thread for the algebra, unless somebody asks for more."""
+    """Linear algebra uses one thread unless more are configured."""
     script = "import touchdown, os; print(os.environ['OPENBLAS_NUM_THREADS'])"
     other = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
     for environment, threads in ((other, "1"), (other | {"OPENBLAS_NUM_THREADS": "3"}, "3")):

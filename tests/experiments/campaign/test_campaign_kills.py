@@ -50,7 +50,7 @@ def parent_of(pid: int) -> int:
 
 
 def results(directory: Path) -> dict[str, tuple[int, bytes]]:
-    """Of every finished run: its file's number on the disk, and what is in it."""
+    """Returns the inode and the content of the file of every finished run."""
     return {
         file.parent.name: (file.stat().st_ino, file.read_bytes())
         for file in directory.glob("runs/*/result.json")
@@ -66,7 +66,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def strike(victim: str, command: subprocess.Popen[bytes], flier: int) -> bool:
-    """Whether there was somebody to kill."""
+    """True if a process was killed."""
     try:
         pid = {"command": command.pid, "worker": flier, "actor": parent_of(flier)}[victim]
         os.kill(pid, signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""A campaign's plan: which runs its file stands for, and mistakes in it."""
+"""Plan of a campaign: the runs of its file, and errors in the file."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_shipped_campaign_compares_six_methods_on_equal_terms() -> None:
     for run in plan.runs:
         values = dict(run.values)
         name = values.pop("estimator")
-        # Methods without a LIDAR go without a map; nothing else tells them apart.
+        # Methods without a LIDAR fly without a map; that is the only other difference.
         assert values.pop("mapper.enabled", True) == (name in ("paper", "livo"))
         methods.setdefault(name, {})[f"{values.pop('scene')} {values.pop('seed')}"] = values
     assert list(methods) == ["gps", "optical_flow", "hybrid_flow", "stereo", "paper", "livo"]
@@ -71,7 +71,7 @@ def test_shipped_campaign_compares_six_methods_on_equal_terms() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "fragments"),
     [
         ("axes = 3\n", ["lacks 'name'"]),
         ('name = "x"\n', ["lacks 'axes'"]),
@@ -108,8 +108,8 @@ def test_shipped_campaign_compares_six_methods_on_equal_terms() -> None:
         (axes(scene=["flat"]) + "[axes", ["not valid TOML", "line"]),
     ],
 )
-def test_mistakes_are_one_line_and_nothing_is_written(
-    text: str, words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_usage_errors_are_one_line_and_write_nothing(
+    text: str, fragments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "bad.toml"
     file.write_text(text, encoding="utf-8")
@@ -117,20 +117,18 @@ def test_mistakes_are_one_line_and_nothing_is_written(
     captured = capsys.readouterr()
     assert code == 2, captured.err
     assert captured.out == "" and captured.err.count("\n") == 1
-    for word in words:
-        assert word in captured.err
+    for fragment in fragments:
+        assert fragment in captured.err
     assert not (tmp_path / "out").exists()
 
 
-def test_a_survey_that_cannot_be_flown_is_told_before_the_first_flight(tmp_path: Path) -> None:
+def test_an_impossible_survey_is_refused_before_the_first_flight(tmp_path: Path) -> None:
     text = axes(scene=["flat"], estimator=["gps"]) + "[axes.survey]\nduration_s = [36.0, 3.0]\n"
     with pytest.raises(UsageError, match=r"a survey of 3 legs of 50 m does not fit into 3 s"):
         make_plan(tmp_path, text)
 
 
-def test_options_may_stand_before_the_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_may_precede_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "out")
     for arguments in (["--out", out, "gone.toml"], ["gone.toml", "--out", out, "--jobs", "2"]):
         assert cli.main(["campaign", *arguments]) == 2

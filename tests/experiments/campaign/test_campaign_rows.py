@@ -1,4 +1,4 @@
-"""A campaign's directory: whose it is, and the rows that are read from it."""
+"""Directory of a campaign: its owner, and the rows read from it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_two_campaigns_do_not_share_a_directory(tmp_path: Path) -> None:
     assert fly(plan, out)["finished"] == 2
 
 
-def test_a_directory_of_something_else_is_left_alone(tmp_path: Path) -> None:
+def test_a_directory_of_another_kind_is_unchanged(tmp_path: Path) -> None:
     plan = make_plan(tmp_path / "plan", TWO)
     (tmp_path / "thesis.tex").write_text("precious")
     with pytest.raises(UsageError, match="no campaign"):
@@ -51,7 +51,7 @@ def test_axes_may_grow_and_nothing_else_may_change(tmp_path: Path) -> None:
         fly(make_plan(tmp_path, TWO + "[base]\nsurvey.height_m = 20\n"), out)
     with pytest.raises(UsageError, match=r"its run flat-fake.good-s1 is not in this one"):
         fly(make_plan(tmp_path, TWO.replace("0-1", "0")), out)
-    # A second wind lengthens names, not those of the runs that are there.
+    # A second wind lengthens the names of new runs only.
     grown = make_plan(tmp_path, TWO.replace("0-1", "0-2") + "wind_kmh = [12, 20]\n")
     assert fly(grown, out)["finished"] == 6
     assert attempts(out).most_common(1)[0][1] == 1
@@ -61,7 +61,7 @@ def test_axes_may_grow_and_nothing_else_may_change(tmp_path: Path) -> None:
         "flat-fake.good-s2-w12",
         *(f"flat-fake.good-s{seed}-w20" for seed in range(3)),
     }
-    # Neither limits nor recording change what a run is.
+    # Limits and recording are not part of the identity of a run.
     fly(make_plan(tmp_path, "record = 'none'\n" + grown.text + "[limits]\nretries = 0\n"), out)
 
 
@@ -72,7 +72,7 @@ def test_a_full_disk_ends_the_campaign_in_one_line(tmp_path: Path) -> None:
     assert summary(tmp_path / "out")["remaining"] == 1
 
 
-def test_a_run_that_the_machine_lost_is_flown_again(tmp_path: Path) -> None:
+def test_a_run_with_a_damaged_row_is_repeated(tmp_path: Path) -> None:
     plan, out = make_plan(tmp_path, TWO), tmp_path / "out"
     fly(plan, out)
     (out / "runs" / "flat-fake.good-s0" / "row.parquet").write_bytes(b"")
@@ -90,7 +90,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
-def test_rows_have_the_same_columns_and_types_whatever_is_missing(undisturbed: Path) -> None:
+def test_rows_with_missing_values_have_the_same_columns_and_types(undisturbed: Path) -> None:
     columns = dict(connect(undisturbed).execute("select column_name, column_type from "
                                                 "(describe runs)").fetchall())  # fmt: skip
     assert columns["position_error_m.mean"] == "DOUBLE"

@@ -1,4 +1,4 @@
-"""Twelve landings come to the same result whoever flies them, and on however many threads."""
+"""Twelve landings have equal results on every engine and with any number of threads."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ pytestmark = pytest.mark.slow
 
 
 def results(folder: Path, engine: str, jobs: int, threads: int) -> dict[str, dict[str, Any]]:
-    """``result.json`` of every run, without what it took."""
+    """``result.json`` of every run, without times."""
     name = f"{engine}-{jobs}-{threads}"
     file, out = folder / f"{name}.toml", folder / name
     settings = (*SHORT_SURVEY, f"sim.threads={threads}", f"landing.classifier_threads={threads}")
     file.write_text(PLAN + "\n".join(settings), encoding="utf-8")
     command = [sys.executable, "-m", "touchdown", "campaign", str(file), "--out", str(out),
                "--jobs", str(jobs), "--engine", engine, "--quiet"]  # fmt: skip
-    # 1 is the answer to flights that did not go as they should, which is no matter here
+    # 1 means unsuccessful flights, which are irrelevant here
     assert subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL).returncode in (0, 1)
     found = {}
     for path in out.glob("runs/*/result.json"):

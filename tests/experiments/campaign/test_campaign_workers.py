@@ -1,4 +1,4 @@
-"""Workers of a campaign: every run has its row whatever befalls them, and the time they need."""
+"""Workers of a campaign: a row for every run after any failure, and their times."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def row_of(directory: Path, behaviour: str) -> dict[str, Any]:
         ("grows", "CRASHED", 1, "0.3 GB"),
     ],
 )
-def test_every_run_has_its_row_whatever_befell_it(
+def test_every_run_has_a_row_after_any_failure(
     faulty: tuple[Path, dict[str, Any]], behaviour: str, outcome: str, flown: int, reason: str
 ) -> None:
     row = row_of(faulty[0], behaviour)
@@ -78,12 +78,12 @@ def test_a_crash_keeps_its_traceback(faulty: tuple[Path, dict[str, Any]]) -> Non
     assert "campaign_fakes.py" in died["traceback"]
 
 
-def test_only_bad_outcomes_are_recorded(faulty: tuple[Path, dict[str, Any]]) -> None:
+def test_only_unsuccessful_flights_are_recorded(faulty: tuple[Path, dict[str, Any]]) -> None:
     recorded = {path.parent.name for path in (faulty[0] / "runs").glob("*/flight.rrd")}
     assert recorded == {"flat-fake.is_lost-s0"}
 
 
-def test_nothing_is_left_over(faulty: tuple[Path, dict[str, Any]]) -> None:
+def test_no_partial_files_remain(faulty: tuple[Path, dict[str, Any]]) -> None:
     assert not (faulty[0] / ".partial").exists()
     totals = faulty[1]
     assert (totals["finished"], totals["crashed"], totals["remaining"]) == (5, 3, 0)
@@ -95,7 +95,7 @@ def test_nothing_is_left_over(faulty: tuple[Path, dict[str, Any]]) -> None:
     assert shares["rest"] == pytest.approx(shares["estimator"])
 
 
-def test_a_second_call_tries_the_crashed_alone(
+def test_a_second_call_repeats_only_crashed_runs(
     faulty: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     out = tmp_path / "copy"
@@ -111,7 +111,7 @@ def test_a_second_call_tries_the_crashed_alone(
     assert totals["crashed"] == 1
 
 
-def test_time_left_knows_that_methods_differ() -> None:
+def test_remaining_time_is_estimated_by_method() -> None:
     todo = [
         Task(run_id=f"{name}{seed}", values={"estimator": name}, directory="")
         for seed in range(3)
@@ -122,7 +122,7 @@ def test_time_left_knows_that_methods_differ() -> None:
     left.start("quick0", 0.0)
     left.start("slow0", 0.0)
     assert left.end("quick0", 10.0) == 10.0
-    # quick: 2 of 10 s to go; slow: 2 of as much as is known, 10 s, and slow0 is over that.
+    # quick: 2 of 10 s remain; slow: 2 of the known 10 s, which slow0 has exceeded.
     assert left.left_s(10.0) == pytest.approx((20.0 + 20.0 + 0.0) / 2)
     left.end("slow0", 40.0)
     assert left.left_s(40.0) == pytest.approx((20.0 + 80.0) / 2)

@@ -1,4 +1,4 @@
-"""What a campaign's file expects of its runs, and how that is judged."""
+"""Expected results in a campaign's file, and their evaluation."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def landed(outcome: str = "LANDED", safe: bool | None = True, error: float = 0.1
 
 
 @pytest.mark.parametrize(
-    ("row", "given", "words"),
+    ("row", "given", "fragment"),
     [
         (landed(), {}, ""),
         (landed(), {"outcome": ["ABORTED", "LANDED"], "position_error_m_max": 0.1}, ""),
@@ -75,9 +75,9 @@ def landed(outcome: str = "LANDED", safe: bool | None = True, error: float = 0.1
         (landed("CRASHED"), {"unsafe": True}, "crashed: why"),
     ],
 )
-def test_what_is_as_expected(row: dict[str, Any], given: dict[str, Any], words: str) -> None:
+def test_expectations_of_one_row(row: dict[str, Any], given: dict[str, Any], fragment: str) -> None:
     found = unexpected(expectation(**given), row)
-    assert words in found if words else found == ""
+    assert fragment in found if fragment else found == ""
 
 
 def test_runs_are_found_by_their_values_and_counted() -> None:
@@ -121,7 +121,7 @@ def test_a_campaign_is_judged_row_by_row(
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "fragment"),
     [
         ("outcome = [", 'outcome = ["LANDET", ', "unknown outcome 'LANDET'.*did you mean 'LANDED'"),
         ('name = "lost ones"', "limit = 3", "unknown key 'expect.1.limit'"),
@@ -130,8 +130,10 @@ def test_a_campaign_is_judged_row_by_row(
         ('[["fog@0"]] }\noutcome', '[["fog@1"]] }\noutcome', "no value of the axis"),
     ],
 )
-def test_mistakes_are_told_in_one_line(tmp_path: Path, old: str, new: str, words: str) -> None:
-    with pytest.raises(UsageError, match=words) as caught:
+def test_invalid_expectations_are_one_line(
+    tmp_path: Path, old: str, new: str, fragment: str
+) -> None:
+    with pytest.raises(UsageError, match=fragment) as caught:
         make_plan(tmp_path, (FILE % "2.0").replace(old, new))
     assert "\n" not in str(caught.value)
 

@@ -1,4 +1,4 @@
-"""Circumstances that are nobody's mistake: a full disk, Ctrl-C, a pipe that closes, odd names."""
+"""External conditions: a full disk, Ctrl-C, a closed pipe, unusual names."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _one_line(error: str) -> bool:
 
 
 def _flight(ends: Callable[[Path], None]) -> Callable[..., RunResult]:
-    """A flight that fills its directory half and then meets its fate."""
+    """A flight that writes half of its files and then fails."""
 
     def fly(config: Config, out: Path, progress: Any) -> RunResult:
         with run_directory(out) as partial:
@@ -60,7 +60,7 @@ def _raise(error: BaseException) -> Callable[[Path], None]:
 
 
 @pytest.mark.parametrize(
-    ("number", "words"),
+    ("number", "fragment"),
     [
         (errno.ENOSPC, "No space left on device; make room"),
         (errno.EDQUOT, "make room"),
@@ -70,9 +70,9 @@ def _raise(error: BaseException) -> Callable[[Path], None]:
         (errno.EIO, "may be full"),
     ],
 )
-def test_a_disk_that_fails_in_the_air_is_one_line_and_leaves_nothing(
+def test_a_disk_error_in_flight_is_one_line_and_leaves_no_files(
     number: int,
-    words: str,
+    fragment: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -82,7 +82,7 @@ def test_a_disk_that_fails_in_the_air_is_one_line_and_leaves_nothing(
     out = tmp_path / "mit ümlaut" / "run"
     code, _, err = _run(capsys, "fly", "flat", "--out", str(out), "--quiet")
     assert (code, _one_line(err)) == (2, True)
-    assert words in err and str(out) in err and "partial" not in err
+    assert fragment in err and str(out) in err and "partial" not in err
     assert list(out.parent.iterdir()) == []
 
 
@@ -99,7 +99,7 @@ def test_an_earlier_run_survives_a_full_disk(
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
-def test_an_error_that_is_ours_keeps_its_traceback(
+def test_an_internal_error_keeps_its_traceback(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     failure = _raise(FileNotFoundError(errno.ENOENT, "gone", "x"))
@@ -110,14 +110,14 @@ def test_an_error_that_is_ours_keeps_its_traceback(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_in_the_air_is_130_one_line_and_leaves_nothing(
+def test_a_signal_in_flight_is_130_one_line_and_leaves_no_files(
     number: int,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     before = {kind: signal.getsignal(kind) for kind in (signal.SIGINT, signal.SIGTERM)}
-    # What runs in a shell's background is born deaf to Ctrl-C.
+    # Background jobs of a shell ignore Ctrl-C.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     monkeypatch.setattr(
         "touchdown.experiments.flight.run.fly",
@@ -130,7 +130,7 @@ def test_a_signal_in_the_air_is_130_one_line_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_place_that_may_not_be_written_to_is_one_line(
+def test_a_directory_without_write_permission_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("")
@@ -143,7 +143,7 @@ def test_a_place_that_may_not_be_written_to_is_one_line(
     assert "give a shorter name" in err
 
 
-def test_a_file_is_whole_or_as_it_was(tmp_path: Path) -> None:
+def test_a_file_is_complete_or_unchanged(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     path.write_text("old")
 
@@ -157,27 +157,27 @@ def test_a_file_is_whole_or_as_it_was(tmp_path: Path) -> None:
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
 
 
-def test_only_errors_of_the_machine_are_told_as_such() -> None:
+def test_only_system_errors_get_a_system_message() -> None:
     assert system_message(FileNotFoundError(errno.ENOENT, "gone")) is None
     assert system_message(OSError("no number")) is None
     output = system_message(OSError(errno.ENOSPC, "x", "/a"))
     assert output == "'/a': No space left on device; make room there and give the command again"
 
 
-def test_an_error_line_does_not_steer_the_terminal_and_has_an_end() -> None:
+def test_an_error_line_has_no_control_characters_and_a_limited_length() -> None:
     assert error_line("a\x1b[31m\nb\u202ec") == "touchdown: error: a\\x1b[31m b\\u202ec"
     assert error_line("größe 💥") == "touchdown: error: größe 💥"
     line = error_line(f"'{'x' * 9000}' is wrong; give another")
     assert len(line) < 750 and line.endswith("is wrong; give another")
 
 
-def test_words_that_are_no_text_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_arguments_that_are_not_utf_8_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     code, _, err = _run(capsys, "scenes", "export", "flat", "--out", "a\udcff")
     assert (code, _one_line(err)) == (2, True)
     assert "'a\\udcff' is not UTF-8 text" in err
 
 
-def test_the_configuration_of_another_version_is_told_by_its_key(
+def test_the_configuration_of_another_version_is_refused_by_its_key(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     old = json.loads(dump_config(Config()))
@@ -202,7 +202,7 @@ def _command(*arguments: str, **changes: Any) -> subprocess.CompletedProcess[byt
     )
 
 
-def test_a_reader_that_leaves_is_no_error() -> None:
+def test_a_closed_pipe_is_no_error() -> None:
     reader, writer = os.pipe()
     os.close(reader)
     done = _command("scenes", "list", stdout=writer)
@@ -211,7 +211,7 @@ def test_a_reader_that_leaves_is_no_error() -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux has it")
-def test_output_that_cannot_be_written_is_told() -> None:
+def test_unwritable_output_is_reported() -> None:
     with open("/dev/full", "wb") as full:
         done = _command("scenes", "list", stdout=full)
     assert done.returncode == 2

@@ -49,7 +49,7 @@ def test_importing_the_command_line_imports_nothing_heavy() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "fragments"),
     [
         (("lnd",), ["unknown command 'lnd'", "did you mean 'land'"]),
         (("scenes",), ["needs a command", "render"]),
@@ -76,9 +76,9 @@ def test_importing_the_command_line_imports_nothing_heavy() -> None:
         (("scenes", "check", "--seeds", "0"), ["--seeds"]),
     ],
 )
-def test_bad_input_is_one_line_and_nothing_is_written(
+def test_invalid_input_is_one_line_and_nothing_is_written(
     arguments: tuple[str, ...],
-    words: list[str],
+    fragments: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -89,12 +89,12 @@ def test_bad_input_is_one_line_and_nothing_is_written(
     assert out == ""
     assert err.startswith("touchdown: error: ")
     assert err.count("\n") == 1
-    for word in words:
-        assert word in err
+    for fragment in fragments:
+        assert fragment in err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_out_that_holds_something_else_is_left_alone(
+def test_an_out_directory_with_other_files_is_unchanged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "thesis.tex").write_text("precious")
@@ -239,7 +239,9 @@ def test_a_lost_estimate_lists_its_events(
     assert "messages of" not in _run(capsys, "fly", "crossroad", "--quiet")[1]
 
 
-def test_a_fault_in_the_air_is_not_told_as_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_in_flight_is_not_reported_as_invalid_input(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def fly(_config: Any, _out: Path, progress: Any) -> RunResult:
         progress(0.0, "TAKEOFF", "")
         raise ValueError("shapes (3,) and (4,) do not match")

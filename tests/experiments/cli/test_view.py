@@ -82,7 +82,7 @@ def test_a_port_in_use_is_replaced_by_a_free_one() -> None:
 
 
 def _default_signals() -> None:
-    """A shell's background jobs ignore SIGINT, those of nohup SIGHUP; a terminal's do not."""
+    """Background jobs of a shell ignore SIGINT, those of nohup SIGHUP; others do not."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 

@@ -1,4 +1,4 @@
-"""Bags hold what the run holds, and other people's readers get it out again."""
+"""Bags hold the data of the run, and external readers decode them."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_counts_and_times_are_the_runs(
 
 
 def test_messages_are_logged_as_they_arrived(bag: Path, stream: list[Observation]) -> None:
-    """In the order of the file, which is that of a player."""
+    """The order of the file is the order of playback."""
     with Reader(bag) as reader:
         records = [(connection.topic, time_ns) for connection, time_ns, _ in reader.messages()]
     times = [time_ns for _, time_ns in records]
@@ -124,7 +124,7 @@ def test_a_bag_is_a_rosbag2_folder(bag: Path, messages: dict[str, list[Any]]) ->
 
 
 def test_definitions_are_those_of_current_ros(bag: Path) -> None:
-    """Fields are equal, and constants are theirs: readers need those of point fields."""
+    """Fields and constants equal those of ROS; readers need the constants of point fields."""
     for version in (Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY, Stores.LATEST):
         store = get_typestore(version)
         with Reader(bag) as reader:
@@ -277,7 +277,7 @@ def test_speeds_are_in_the_vehicles_axes(messages: dict[str, list[Any]]) -> None
 
 
 def test_a_drifting_odometry_stays_apart_from_the_map(run: Path, tmp_path: Path) -> None:
-    """Where a run records odometry apart from the map, map to odom lies between them."""
+    """If a run records separate odometry, map to odom is the difference."""
     drifted = tmp_path / "run"
     drifted.mkdir()
     for name in ("sensors.mcap", "truth.tum", "estimate.tum", "result.json"):

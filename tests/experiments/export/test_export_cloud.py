@@ -1,4 +1,4 @@
-"""Exported clouds: the map, and the scans placed and coloured."""
+"""Exported clouds: the map, and the registered and coloured scans."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _xyz(rows: Any) -> np.ndarray:
 
 
 def _placed(messages: dict[str, list[Any]], body: str) -> np.ndarray:
-    """Every point of every cloud in the map's frame, as a user of the transforms would do it."""
+    """Returns every point of every cloud in the map's frame, by the transforms of the bag."""
     times = np.array([time_ns for time_ns, _ in messages["/tf"]]) * 1e-9
     poses = []
     for _, message in messages["/tf"]:
@@ -65,7 +65,7 @@ def _placed(messages: dict[str, list[Any]], body: str) -> np.ndarray:
         xyz = mount.apply(np.column_stack([points["x"], points["y"], points["z"]]).astype(float))
         for row in np.unique(rows):
             share = (at[rows == row] - times[row - 1]) / (times[row] - times[row - 1])
-            # level flight: what turns is nothing, so one rotation does for the span
+            # level flight without rotation: one rotation holds for the span
             rotation = interpolate_pose(poses[row - 1], poses[row], 0.5).rotation
             way = poses[row].translation - poses[row - 1].translation
             origin = poses[row - 1].translation + share[:, None] * way
@@ -78,7 +78,7 @@ def test_cloud_and_transforms_reproduce_the_map(run: Path, messages: Any) -> Non
     rows = _read_ply(run / "map.ply")
     heights = _mean_heights(cloud, np.array([4.0, -2.0]) - 20.0)
     mapped = _mean_heights(_xyz(rows), np.array([4.0, -2.0]) - 20.0)
-    # the map leaves out the vehicle's own returns and the like, and has nothing of its own
+    # the map omits returns such as those of the vehicle and adds none
     assert len(mapped) > 30 and set(mapped) <= set(heights)
     well_seen = [cell for cell in mapped if len(heights[cell]) >= 20]
     assert len(well_seen) > 30
@@ -107,9 +107,9 @@ def test_returns_have_the_colour_of_the_ground_under_them(run: Path, tmp_path: P
     grey = (rows["red"] == 120) & (rows["green"] == 120) & (rows["blue"] == 120)
     assert 0.02 < grey.mean() < 0.9  # the LIDAR sees more than the camera does
     tiles = SyntheticStream(synthetic_rig(), ALL, SECONDS)._tiles
-    places = _xyz(rows)[~grey][:, :2] / 0.05
-    middle = np.abs(places - np.rint(places)).max(axis=1) < 0.1
-    col, row = np.rint(places[middle]).astype(int).T & 255
+    positions = _xyz(rows)[~grey][:, :2] / 0.05
+    middle = np.abs(positions - np.rint(positions)).max(axis=1) < 0.1
+    col, row = np.rint(positions[middle]).astype(int).T & 255
     seen = np.column_stack([rows[name][~grey][middle] for name in ("red", "green", "blue")])
     assert len(seen) > 30
     assert np.median(np.abs(seen - tiles[row, col])) < 12.0

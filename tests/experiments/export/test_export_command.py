@@ -1,4 +1,4 @@
-"""`touchdown export`: what it prints, where it writes, mistakes in one line."""
+"""`touchdown export`: output, paths, usage errors in one line."""
 
 from __future__ import annotations
 
@@ -54,7 +54,9 @@ def test_the_command_prints_what_it_wrote(
     assert code == 0 and printed.splitlines()[-1].startswith(f"written: {tmp_path / 'e.tum'}")
 
 
-def test_by_default_beside_the_run_and_again(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_default_output_is_beside_the_run_and_is_replaced(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for _ in range(2):  # an earlier export is replaced
         for kind, name in (
             ("tum", "flown-estimate.tum"),
@@ -69,7 +71,7 @@ def test_by_default_beside_the_run_and_again(run: Path, capsys: pytest.CaptureFi
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "message"),
     [
         (["nowhere", "--format", "csv"], "no run directory"),
         (["{run}", "--format", "bag"], "bag"),
@@ -102,12 +104,12 @@ def test_by_default_beside_the_run_and_again(run: Path, capsys: pytest.CaptureFi
         (["{broken}", "--format", "ply"], "no map"),
     ],
 )  # fmt: skip
-def test_bad_input_is_one_line_and_leaves_nothing(
+def test_invalid_input_is_one_line_and_leaves_no_files(
     run: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     arguments: list[str],
-    says: str,
+    message: str,
 ) -> None:
     (tmp_path / "note.txt").write_text("mine")
     (tmp_path / "note.tum").write_text("a line of exactly eight words is no trajectory")
@@ -125,6 +127,6 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     names = {"run": run, "blind": blind, "broken": broken, "cut": cut, "tmp": tmp_path}
     code, printed, errors = _cli(capsys, "export", *[a.format(**names) for a in arguments])
     assert code == 2 and printed == ""
-    assert errors.count("\n") == 1 and says in errors
+    assert errors.count("\n") == 1 and message in errors
     assert sorted(path for path in tmp_path.rglob("*")) == before
     assert (tmp_path / "note.txt").read_text() == "mine"

@@ -1,4 +1,4 @@
-"""Messages of bags one by one: fields by hand, positions on Earth, whole-or-nothing writing."""
+"""Single messages of bags: fields by hand, geodetic positions, atomic writing."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_messages_are_written_as_they_come(tmp_path: Path) -> None:
     assert written > 0.5 * (tmp_path / "log.mcap").stat().st_size
 
 
-def test_a_bag_broken_off_leaves_nothing(tmp_path: Path) -> None:
+def test_an_interrupted_bag_leaves_no_files(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="full"):
         _break_off(tmp_path / "b")
     assert list(tmp_path.iterdir()) == []
@@ -89,5 +89,5 @@ def _break_off(out: Path) -> None:
 
 
 def again(message: Any) -> Any:
-    """The message that a reader gets."""
+    """Returns the message as a reader decodes it."""
     return ros.deserialized(bytes(ros.serialized(message)), message.__msgtype__)

@@ -23,7 +23,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_flown(tmp_path_factory.mktemp("runs") / "flown")
 
 
-def test_nothing_is_judged_of_a_flight_that_never_took_off() -> None:
+def test_a_flight_that_never_took_off_has_no_judged_rows() -> None:
     grounded = FlownRun(Path("r"), {"span_s": [None, 21.2]})
     with pytest.raises(UsageError, match=r"'r' never took off.*leave out --judged"):
         grounded.wanted_s(True)
@@ -31,7 +31,7 @@ def test_nothing_is_judged_of_a_flight_that_never_took_off() -> None:
     assert grounded.span_s()[0] == np.inf, "no row of a table is judged"
 
 
-def test_trajectories_are_copied_whole_or_judged(run: Path, tmp_path: Path) -> None:
+def test_trajectories_are_exported_whole_or_for_the_judged_span(run: Path, tmp_path: Path) -> None:
     whole = export(run, "tum", tmp_path / "t.tum", ExportOptions(poses="truth")).out
     assert whole.read_bytes() == (run / "truth.tum").read_bytes()
     judged = export(run, "tum", tmp_path / "e.tum", ExportOptions(judged=True)).out
@@ -42,7 +42,7 @@ def test_trajectories_are_copied_whole_or_judged(run: Path, tmp_path: Path) -> N
     assert np.array_equal(positions, all_positions[keep])
 
 
-def test_evo_measures_what_the_table_says(run: Path, tmp_path: Path) -> None:
+def test_evo_and_the_table_agree(run: Path, tmp_path: Path) -> None:
     pytest.importorskip("evo")
     pandas = pytest.importorskip("pandas")
     from evo.core import metrics, sync
@@ -90,7 +90,7 @@ def test_phases_are_noted_as_they_change() -> None:
 
 
 def test_rows_meet_by_time_and_gaps_stay_empty(run: Path, tmp_path: Path) -> None:
-    """As of a replay that was broken off, and of a run of an earlier version."""
+    """As in an interrupted replay and in a run of an earlier version."""
     pandas = pytest.importorskip("pandas")
     short = tmp_path / "short"
     short.mkdir()

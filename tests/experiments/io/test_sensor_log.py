@@ -27,7 +27,7 @@ SECONDS = 0.5
 
 
 def same(first: Any, second: Any) -> bool:
-    """Equal to the bit, NaN and all, with the same types."""
+    """Asserts equality to the bit, NaN included, with the same types."""
     if dataclasses.is_dataclass(first):
         names = [field.name for field in dataclasses.fields(first)]
         return type(first) is type(second) and all(
@@ -59,7 +59,7 @@ def log(stream: list[Observation], tmp_path_factory: pytest.TempPathFactory) -> 
     return write_log(tmp_path_factory.mktemp("log") / FILE_NAME, stream)
 
 
-def test_observations_come_back_bit_equal_and_every_time(
+def test_observations_are_read_back_bit_equal_repeatedly(
     log: Path, stream: list[Observation]
 ) -> None:
     reader = SensorLogReader(log)
@@ -77,22 +77,22 @@ def test_images_may_be_left_out(log: Path, stream: list[Observation]) -> None:
     assert all(same(one, other) for one, other in zip(back, without, strict=True))
 
 
-def test_rig_and_needs_come_back(log: Path) -> None:
+def test_rig_and_needs_are_read_back(log: Path) -> None:
     reader = SensorLogReader(log)
     assert same(reader.rig, synthetic_rig())
     assert reader.sensed == ALL
     assert reader.shared == SensorNeeds(lidar=True)
 
 
-def test_arrays_that_come_back_are_read_only(log: Path) -> None:
+def test_arrays_of_a_log_are_read_only(log: Path) -> None:
     obs = next(obs for obs in SensorLogReader(log) if obs.scans and obs.images)
     for array in (obs.scans[0].directions, obs.images[0].rgb, obs.rotor_speed_radps):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
 
 
-def test_broken_messages_come_back_broken(tmp_path: Path) -> None:
-    """What faults do to messages is in the log too."""
+def test_faulty_messages_are_read_back_unchanged(tmp_path: Path) -> None:
+    """The log holds messages as faults changed them."""
     nothing = np.zeros(0, np.float32)
     empty = LidarScan(
         start_tick=60, end_tick=120, start_time_s=0.1, end_time_s=0.2,
@@ -190,7 +190,7 @@ def test_ros_tools_read_the_same_numbers(log: Path, stream: list[Observation]) -
 # ------------------------------------------------------------------------------------ bad input
 
 
-def test_bad_files_are_one_clear_line(tmp_path: Path, log: Path) -> None:
+def test_invalid_files_are_one_clear_line(tmp_path: Path, log: Path) -> None:
     with pytest.raises(UsageError, match="--log-sensors"):
         SensorLogReader(tmp_path / "none.mcap")
     other = tmp_path / "other.mcap"

@@ -278,7 +278,7 @@ def _fly(recorder: Any, steps: int = 400) -> None:
         distance=total,
         rgb=np.full((160, 160, 3), 90, np.uint8),
     )
-    picture = np.full((48, 64, 3), 127, np.uint8)
+    image = np.full((48, 64, 3), 127, np.uint8)
     command = Command(rotor_speed_radps=np.full(4, 500.0))
     for step in range(steps):
         time_s = 0.005 * step
@@ -288,7 +288,7 @@ def _fly(recorder: Any, steps: int = 400) -> None:
             tick=3 * step,
             time_s=time_s,
             scans=(_scan(time_s - 0.1, [[0, 0, 1]] * 50, [5.0] * 50),) if pulse else (),
-            images=(CameraImage(tick=3 * step, time_s=time_s, rgb=picture),) if pulse else (),
+            images=(CameraImage(tick=3 * step, time_s=time_s, rgb=image),) if pulse else (),
             rotor_speed_radps=np.full(4, 500.0),
             battery_fraction=1.0,
         )
@@ -332,8 +332,8 @@ def test_run_directory_holds_all_files(tmp_path: Path, scene: Scene, rig: Sensor
     header, _, body = (tmp_path / "map.ply").read_bytes().partition(b"end_header\n")
     assert b"element vertex 6400" in header
     assert len(body) == 6400 * 15
-    picture = cv2.imread(str(tmp_path / "costmap.png"))
-    assert picture.shape[1] > picture.shape[0]
+    image = cv2.imread(str(tmp_path / "costmap.png"))
+    assert image.shape[1] > image.shape[0]
 
 
 def test_without_recording_only_the_rrd_is_missing(

@@ -48,7 +48,7 @@ def run_quick(out: Path, **options: Any) -> reproduce.Reproduction:
 
 
 @pytest.mark.parametrize("name", CAMPAIGNS)
-def test_plans_are_the_campaigns_that_people_read(name: str) -> None:
+def test_plans_equal_the_campaign_files_in_configs(name: str) -> None:
     assert (PLANS / f"{name}.toml").read_bytes() == (ROOT / "configs" / f"{name}.toml").read_bytes()
     assert plan_of(name, quick=False) == load_plan(ROOT / "configs" / f"{name}.toml")
 
@@ -67,7 +67,7 @@ def test_quick_flights_are_some_of_all_flights(name: str, flights: int) -> None:
 
 
 def test_quick_fits_into_twenty_minutes_of_two_cores() -> None:
-    """By the measured cost of each kind of flight; a fifth is left for what waits for others."""
+    """By the measured cost of each kind of flight, with a fifth in reserve for waiting."""
     minutes = sum(part["core_minutes"] for part in reproduce.overview(quick=True, jobs=2))
     alone = {"landing", "speed", "recognition"}
     waiting = sum(
@@ -96,7 +96,7 @@ def test_printed_numbers_are_whole() -> None:
     }
 
 
-# ---------------------------------------------------------------------------------- going through
+# ---------------------------------------------------------------------------------- complete runs
 
 
 def test_one_command_gives_every_table_and_figure(
@@ -118,7 +118,7 @@ def test_one_command_gives_every_table_and_figure(
     for target in re.findall(r"!\[[^]]*\]\(([^)]+)\)", text):
         assert (out / "report" / target).is_file()
     assert "1.01" in text and "4141.12 ± 73.24" in text and "0.769" in text
-    assert "Quick edition" in text and "that the chain works is shown" in text
+    assert "Quick edition" in text and "does not measure attainable scores" in text
     page = Path(tree["files"]["html"]).read_text(encoding="utf-8")
     assert not re.search(r"""(src|href)\s*=\s*["'](?!#|data:)""", page)
     numbers = json.loads(Path(tree["files"]["json"]).read_text(encoding="utf-8"))
@@ -127,7 +127,7 @@ def test_one_command_gives_every_table_and_figure(
 
 
 @pytest.mark.usefixtures("no_report")
-def test_what_is_done_is_not_done_again(world: World, tmp_path: Path) -> None:
+def test_finished_parts_are_not_repeated(world: World, tmp_path: Path) -> None:
     run_quick(tmp_path)
     before = list(world.calls)
     again = run_quick(tmp_path)
@@ -135,7 +135,7 @@ def test_what_is_done_is_not_done_again(world: World, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("no_report")
-def test_stopped_anywhere_it_goes_on_there(world: World, tmp_path: Path) -> None:
+def test_an_interrupted_reproduction_resumes(world: World, tmp_path: Path) -> None:
     world.interrupted = "crossroad-hybrid_flow-s0"
     with pytest.raises(KeyboardInterrupt):
         run_quick(tmp_path)
@@ -166,17 +166,17 @@ def test_quick_becomes_whole_and_keeps_its_flights(world: World, tmp_path: Path)
 
 
 _SAME = ("calibration", "edges", "world", "sites")
-"""parts that are the same quick and whole"""
+"""Parts that are equal in the quick and the whole edition."""
 
 
-# --------------------------------------------------------------------------------- going wrong
+# --------------------------------------------------------------------------------- failures
 
 
 def test_a_part_that_fails_its_purpose_is_reported(
     world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     world.consistent = False
-    skips = [word for name in (*CAMPAIGNS, "recognition") for word in ("--skip", name)]
+    skips = [argument for name in (*CAMPAIGNS, "recognition") for argument in ("--skip", name)]
     arguments = ["reproduce", "--out", str(tmp_path), "--quick", "--quiet", *skips]
     assert cli.main(arguments) == 1
     output = capsys.readouterr()
@@ -195,7 +195,7 @@ def test_a_part_that_breaks_leaves_the_others(world: World, tmp_path: Path) -> N
     assert done.states["speed"].error == "RuntimeError: a wing came off"
     assert "Traceback" in (tmp_path / "speed" / "error.txt").read_text()
     assert done.states["sites"].successful
-    assert "could not be ended" in (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
+    assert "ended with an error" in (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
     world.broken = ""
     assert run_quick(tmp_path, skip=["recognition", *CAMPAIGNS]).successful
 
@@ -212,17 +212,17 @@ def test_a_campaign_without_some_outcomes_fails(
     )
     skip = [other.name for other in PARTS if other is not part]
     done = run_quick(tmp_path, skip=skip)
-    assert done.states["real_sites"].why == "2 of 5 flights came to no outcome"
+    assert done.states["real_sites"].why == "2 of 5 flights have no outcome"
     assert not reproduce._is_done(part, tmp_path, Extent(quick=True)), "it is gone on with"
 
 
 @pytest.mark.usefixtures("no_report")
-def test_photographs_are_learned_from_too(world: World, tmp_path: Path) -> None:
+def test_photographs_are_training_data_as_well(world: World, tmp_path: Path) -> None:
     skip = [part.name for part in PARTS if part.name != "recognition"]
     assert run_quick(tmp_path, skip=skip).successful
     assert run_quick(tmp_path, skip=skip).successful and world.count("pictures") == 1
     done = run_quick(tmp_path, skip=skip, photographs=["ucmerced=photographs"])
-    assert world.count("pictures") == 2, "other pictures start over"
+    assert world.count("pictures") == 2, "other images start over"
     assert done.states["recognition"].figures["size"]["photographs"] == ["ucmerced=photographs"]
     assert WHOLE.name != WHOLE_ON_GPU.name, "never in one folder or one table"
 
@@ -254,7 +254,7 @@ def test_trained_networks_are_kept(world: World, tmp_path: Path) -> None:
         ),
     ],
 )
-def test_mistakes_are_one_line(
+def test_usage_errors_are_one_line(
     world: World,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -263,11 +263,11 @@ def test_mistakes_are_one_line(
 ) -> None:
     (tmp_path / "UNRELATED").mkdir()
     (tmp_path / "UNRELATED" / "file").write_text("mine")
-    words = [
-        str(tmp_path / word) if word.startswith(("OUT", "UNRELATED")) else word
-        for word in arguments
+    command = [
+        str(tmp_path / argument) if argument.startswith(("OUT", "UNRELATED")) else argument
+        for argument in arguments
     ]
-    assert cli.main(["reproduce", *words]) == 2
+    assert cli.main(["reproduce", *command]) == 2
     output = capsys.readouterr()
     assert output.err.count("\n") == 1 and message in output.err
     assert not (tmp_path / "OUT").exists() and not world.calls
@@ -282,7 +282,7 @@ def test_recognition_needs_torch_or_to_be_skipped(
     assert not (tmp_path / "out" / "calibration").exists()
 
 
-def test_two_at_once_are_refused(world: World, tmp_path: Path) -> None:
+def test_two_reproductions_in_one_directory_are_refused(world: World, tmp_path: Path) -> None:
     with reproduce._locked(tmp_path), pytest.raises(UsageError, match="another reproduction"):
         run_quick(tmp_path)
 
@@ -296,7 +296,7 @@ def test_a_damaged_state_is_named(world: World, tmp_path: Path) -> None:
         run_quick(tmp_path, skip=skip)
 
 
-def test_the_list_costs_nothing(world: World, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_runs_no_part(world: World, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["reproduce", "--list", "--quick", "--json"]) == 0
     parts = json.loads(capsys.readouterr().out)["parts"]
     assert [part["part"] for part in parts] == [part.name for part in PARTS]

@@ -1,4 +1,4 @@
-"""What is drawn while flights are flown: slots, notes, and errors from one process to another."""
+"""Work in a second process beside flights: slots, notes, and errors across processes."""
 
 from __future__ import annotations
 
@@ -60,17 +60,21 @@ def test_work_beside_has_its_own_process_and_one_slot(tmp_path: Path) -> None:
     assert int((tmp_path / "pid").read_text()) != os.getpid()
 
 
-@pytest.mark.parametrize(("work", "words"), [(run_out_of_paper, "no paper"), (die, "was killed")])
-def test_its_errors_are_ours(work: Callable[[], None], words: str) -> None:
+@pytest.mark.parametrize(
+    ("work", "fragment"), [(run_out_of_paper, "no paper"), (die, "was killed")]
+)
+def test_errors_of_the_process_are_raised_in_the_caller(
+    work: Callable[[], None], fragment: str
+) -> None:
     slots = threading.Semaphore(1)
     with BackgroundWorker(slots, print) as beside:
         beside.start(work)
-        with pytest.raises(UsageError, match=words):
+        with pytest.raises(UsageError, match=fragment):
             beside.wait()
     assert slots.acquire(timeout=5.0)
 
 
-def test_it_ends_with_us_and_leaves_nothing_half_written(tmp_path: Path) -> None:
+def test_the_process_ends_with_its_parent_and_leaves_no_partial_files(tmp_path: Path) -> None:
     drawing = threading.Event()
 
     def be_interrupted() -> None:
@@ -85,7 +89,7 @@ def test_it_ends_with_us_and_leaves_nothing_half_written(tmp_path: Path) -> None
 
 
 class _Air(Watcher):
-    """How many are in the air at a time."""
+    """Counts concurrent flights."""
 
     def __init__(self) -> None:
         self.now = self.most = 0
@@ -95,7 +99,7 @@ class _Air(Watcher):
         self.most = max(self.most, self.now)
 
 
-def test_flights_wait_for_slots_and_come_out_the_same(tmp_path: Path) -> None:
+def test_flights_wait_for_slots_and_have_equal_results(tmp_path: Path) -> None:
     plan = make_plan(tmp_path, axes(scene=["flat"], estimator=["fake:slow"], seeds="0-3"))
     air = _Air()
     engine = LocalEngine(3, threading.Semaphore(1))
@@ -107,7 +111,7 @@ def test_flights_wait_for_slots_and_come_out_the_same(tmp_path: Path) -> None:
 
 @pytest.fixture
 def beside_in_a_thread(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Runs parts in this process, because another lacks the fake world; returns its messages."""
+    """Runs parts in this process, since others lack the fake world; returns the messages."""
     notes: list[str] = []
 
     def pool(jobs: int, _fresh: Any, **_beginning: Any) -> ThreadPoolExecutor:

@@ -1,4 +1,4 @@
-"""Trainings of a reproduction, side by side."""
+"""Parallel trainings of a reproduction."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rng = np.random.default_rng(0)
     for number, name in enumerate(("lawn", "road", "water")):
         (home / name).mkdir()
-        for picture in range(30):
+        for image in range(30):
             pixels = rng.integers(60 * number, 60 * number + 60, (32, 32, 3), dtype=np.uint8)
-            cv2.imwrite(str(home / name / f"{picture}.png"), pixels)
+            cv2.imwrite(str(home / name / f"{image}.png"), pixels)
     return home
 
 
@@ -62,7 +62,7 @@ def test_networks_do_not_depend_on_how_many_are_trained_at_a_time(
     assert not output, "what is there is kept"
 
 
-def test_a_training_that_fails_says_why(tmp_path: Path) -> None:
+def test_a_failed_training_gives_its_reason(tmp_path: Path) -> None:
     (tmp_path / PICTURES).mkdir()
     (tmp_path / PICTURES / "lawn").mkdir()
     with pytest.raises(UsageError, match="is empty: it holds no image"):

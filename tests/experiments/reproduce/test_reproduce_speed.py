@@ -1,4 +1,4 @@
-"""Table 7 with the libraries' version beside ours, and without what that version needs."""
+"""Table 7 with the reference implementation, and without its libraries."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ def test_the_comparison_is_left_out_where_its_library_is_missing(
     assert asked == [there]
 
 
-def test_table_7_says_why_a_column_is_empty() -> None:
+def test_table_7_gives_the_reason_of_an_empty_column() -> None:
     alone = speed_table(OURS)
     assert "needs scikit-image (extra `bench`)" in alone.notes[0]
     both = speed_table({**OURS, "reference_ms": dict.fromkeys(STEPS, 30.0)})
-    assert "made of Open3D, SciPy and scikit-image" in both.notes[0]
+    assert "uses Open3D, SciPy and scikit-image" in both.notes[0]
     column = [row[2].text for row in both.rows]
     assert column[1] == "30.0" and alone.rows[1][2].text != "30.0"

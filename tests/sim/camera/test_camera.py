@@ -158,7 +158,7 @@ def test_unknown_camera_is_named() -> None:
         CameraSensor(make_scene(), CLEAN, 0, "nose")
 
 
-def test_unusable_backend_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unusable_backend_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "nothing")
     scene = make_scene()
     sensor = CameraSensor(scene, CLEAN, 0)

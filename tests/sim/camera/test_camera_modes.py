@@ -25,7 +25,7 @@ from support.camera_support import CLEAN, HEIGHT_M, box, centroid, make_scene, p
 Array = NDArray[np.float64]
 
 BARREL = (-0.11, 0.02, 0.0012, -0.0008, -0.003)
-"""Bends more than the lens of a D435, tangentially too."""
+"""Stronger distortion than that of a D435, with tangential terms."""
 
 
 def depth_of(scene: Scene, params: CameraParams = CLEAN) -> NDArray[np.float32]:
@@ -277,7 +277,7 @@ def image_elsewhere(**environment: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_a_backend_that_was_asked_for_and_fails_is_not_replaced() -> None:
+def test_a_requested_backend_that_fails_is_not_replaced() -> None:
     done = image_elsewhere(MUJOCO_GL="glfw")
     assert done.returncode != 0
     assert "no offscreen rendering on this machine (glfw: " in done.stderr

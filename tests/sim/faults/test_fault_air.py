@@ -114,7 +114,7 @@ def test_false_returns_are_a_poisson_process(event: str, faults: Any, air: Air) 
     assert np.median(scan.ranges[scan.ranges > 0]) < 4.0  # near the sensor
 
 
-def test_how_much_of_the_air_is_taken_for_a_target() -> None:
+def test_rate_of_false_returns_of_fog_and_rain() -> None:
     # fog: reflectivity pi e / S over a metre reaches 1 % at e = 0.05984, V = 65.4 m
     edge = 3.912 / (0.01 * LIDAR_RATIO_SR / math.pi)
     assert edge == pytest.approx(65.4, abs=0.1)
@@ -169,7 +169,7 @@ def test_contrast_falls_by_koschmieders_law(grey: float) -> None:
         assert abs(float(image[row, col, 1]) - expected) < 1.5
 
 
-def test_dirt_covers_the_share_that_was_asked_for() -> None:
+def test_dirt_covers_the_configured_share() -> None:
     params = CameraParams()
     blobs = dirt_map(params, 0.1, 0.02, [0, 1])
     assert blobs.shape == (480, 848) and blobs.min() >= 0.0 and blobs.max() <= 1.0 + 1e-6
@@ -235,7 +235,7 @@ def test_a_low_sun_is_red_and_stands_at_the_given_azimuth() -> None:
     np.testing.assert_allclose(-kept, [-math.sqrt(0.75), 0.0, 0.5], atol=1e-12)  # as it stood
 
 
-def test_files_get_the_low_sun_and_nothing_else_does(tmp_path: Any) -> None:
+def test_the_low_sun_is_limited_to_scenes_with_the_fault(tmp_path: Any) -> None:
     file = tmp_path / "place.xml"
     file.write_text('<mujoco><worldbody><geom type="plane" size="50 50 1"/></worldbody></mujoco>')
     plain, low = (load_scene(str(file), 0, s) for s in (None, LowSun(elevation_deg=5.0)))

@@ -152,7 +152,7 @@ def test_a_miscalibrated_mount_is_off_by_the_stated_amounts() -> None:
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     path = tmp_path_factory.mktemp("place") / "place.xml"
     path.write_text(
         '<mujoco><worldbody><geom name="lawn" type="plane" size="60 60 0.1" rgba="0.3 0.5 0.2 1"/>'
@@ -170,10 +170,10 @@ def params_with(faults: FaultParams) -> WorldParams:
     )
 
 
-def seconds_in_the_air(place: Scene, *events: str) -> Iterator[bytes]:
+def half_seconds_in_flight(scene: Scene, *events: str) -> Iterator[bytes]:
     """All that is sensed and true of each half second in the air, as bytes."""
     needs = SensorNeeds(camera_hz=15, lidar=True, gps=True)
-    world = MujocoWorld(place, params_with(FaultParams(events=events)), 3, needs)
+    world = MujocoWorld(scene, params_with(FaultParams(events=events)), 3, needs)
     try:
         world.start_in_air(np.array([0.0, 0.0, 12.0]), 0.3)
         model = world.rig.vehicle
@@ -197,17 +197,20 @@ ALL_LATER = tuple(
 )
 
 
-def test_faults_change_nothing_before_they_begin(place: Scene) -> None:
-    clean, faulty = list(seconds_in_the_air(place)), list(seconds_in_the_air(place, *ALL_LATER))
+def test_faults_change_nothing_before_they_begin(scene: Scene) -> None:
+    clean, faulty = (
+        list(half_seconds_in_flight(scene)),
+        list(half_seconds_in_flight(scene, *ALL_LATER)),
+    )
     assert faulty[0] == clean[0]
     assert faulty[2] != clean[2]
-    assert list(seconds_in_the_air(place, *ALL_LATER)) == faulty
-    assert list(seconds_in_the_air(place, "fog@99", "gust@99", "lens_dirt@99")) == clean
+    assert list(half_seconds_in_flight(scene, *ALL_LATER)) == faulty
+    assert list(half_seconds_in_flight(scene, "fog@99", "gust@99", "lens_dirt@99")) == clean
 
 
-def test_what_happens_in_the_world_is_counted(place: Scene) -> None:
+def test_effects_of_faults_in_the_world_are_counted(scene: Scene) -> None:
     params = FaultParams(events=("fog@0.5", "gust@0.1+3"))
-    world = MujocoWorld(place, params_with(params), 3, SensorNeeds(lidar=True))
+    world = MujocoWorld(scene, params_with(params), 3, SensorNeeds(lidar=True))
     for _ in range(HZ // STEP):
         world.step(Command(rotor_speed_radps=np.zeros(4)))
     world.close()
@@ -222,7 +225,7 @@ def test_what_happens_in_the_world_is_counted(place: Scene) -> None:
 
 
 @pytest.mark.parametrize(
-    ("overrides", "events", "words"),
+    ("overrides", "events", "fragment"),
     [
         (["faults.motor_loss_share=0.6"], (), "motor_loss_share = 0.6 .* within 0 to 0.5"),
         (["faults.motor=4"], (), "must be within 0 to 3"),
@@ -233,9 +236,9 @@ def test_what_happens_in_the_world_is_counted(place: Scene) -> None:
         (["wind.mean_kmh=40.0"], ("gust@5",), "gust_kmh = 30 is below wind.mean_kmh = 40"),
     ],
 )
-def test_mistakes_are_reported_in_one_line(
-    overrides: list[str], events: tuple[str, ...], words: str
+def test_invalid_schedules_are_reported_in_one_line(
+    overrides: list[str], events: tuple[str, ...], fragment: str
 ) -> None:
-    with pytest.raises(UsageError, match=words) as caught:
+    with pytest.raises(UsageError, match=fragment) as caught:
         load_config(None, overrides, fault=events)
     assert "\n" not in str(caught.value)

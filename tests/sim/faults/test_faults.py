@@ -1,4 +1,4 @@
-"""Scheduled faults: exactly which messages they befall, and how."""
+"""Scheduled faults: the affected messages and the effects."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_without_a_schedule_observations_pass_untouched() -> None:
     assert arrivals() == CLEAN
 
 
-def test_a_fault_without_duration_befalls_the_first_message_from_its_start() -> None:
+def test_a_fault_without_duration_affects_the_first_message_from_its_start() -> None:
     # 1.05 s is tick 630; the scan delivered at 636 ended at 600
     assert arrivals("lidar_dropout@1.05") == [t for t in CLEAN if t != 636]
     assert arrivals("lidar_dropout@1.06") == [t for t in CLEAN if t != 636]
@@ -63,7 +63,7 @@ def test_a_fault_with_duration_ends_before_its_last_tick() -> None:
 
 
 @pytest.mark.parametrize("kind", ["lidar_nan", "lidar_empty", "lidar_blind"])
-def test_spoilt_scans_keep_their_stamps(kind: str) -> None:
+def test_faulty_scans_keep_their_stamps(kind: str) -> None:
     hit = dict(delivered(f"{kind}@1.05"))[636]
     assert (hit.start_tick, hit.end_tick) == (540, 600)
     if kind == "lidar_nan":
@@ -100,7 +100,7 @@ def test_a_late_sensor_delivers_everything_in_order() -> None:
     assert [message.end_tick for _, message in late] == [t - LATENCY for t in CLEAN][: len(late)]
     due = {message.end_tick: tick for tick, message in late}
     assert due[600] == 636 + 180 and due[660] == 696 + 180
-    # what is on time again does not overtake them
+    # later messages do not overtake them
     assert due[720] == 696 + 180 and due[780] == 696 + 180 and due[840] == 876 and due[900] == 936
 
 
@@ -135,7 +135,7 @@ def test_faults_add_up_and_are_counted() -> None:
     for obs in world():
         injector.apply(obs)
     summary = {entry["fault"]: entry["messages"] for entry in injector.summary()}
-    # a scan that is lost is not spoilt as well
+    # a lost scan has no further fault
     assert summary == {
         "lidar_dropout@1.06+0.2": {"scans": 2},
         "lidar_nan@1.06+0.3": {"scans": 1},
@@ -163,7 +163,7 @@ def test_every_kind_is_read_back(kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "fragment"),
     [
         ("lidar_nam@20", "unknown fault 'lidar_nam'"),
         ("lidar_nan", "KIND@START"),
@@ -174,8 +174,8 @@ def test_every_kind_is_read_back(kind: str) -> None:
         ("", "KIND@START"),
     ],
 )
-def test_mistakes_are_reported_in_one_line(text: str, words: str) -> None:
-    with pytest.raises(UsageError, match=words) as caught:
+def test_invalid_schedules_are_reported_in_one_line(text: str, fragment: str) -> None:
+    with pytest.raises(UsageError, match=fragment) as caught:
         load_config(fault=(text,))
     assert "\n" not in str(caught.value) and "--fault" in str(caught.value)
 
@@ -215,15 +215,15 @@ def test_a_survey_with_all_of_them(estimator: str) -> None:
         print(f"{event['time_s']:8.2f} {event['text']}")
     assert result["outcome"] == "COMPLETED"
     assert result["position_error_m"]["max"] < 0.25
-    said = " / ".join(event["text"] for event in result["events"])
-    for words in ("not a number", "no pulses", "no returns", "no contrast", "repeats its time",
+    text = " / ".join(event["text"] for event in result["events"])
+    for fragment in ("not a number", "no pulses", "no returns", "no contrast", "repeats its time",
                   "out of order", "no scan for", "no image for", "the same as"):  # fmt: skip
-        assert words in said
+        assert fragment in text
     assert len(result["faults"]) == len(ALL_AT_DIFFERENT_TIMES)
     assert all(sum(entry["messages"].values()) > 0 for entry in result["faults"])
 
 
-def test_a_fault_of_a_sensor_that_nobody_reads_is_reported() -> None:
+def test_a_fault_of_an_unused_sensor_is_reported() -> None:
     schedule = ["gps_dropout@20+5", "lidar_nan@3", "fog@0", "gust@9"]
     config = load_config(estimator="livo", fault=schedule)
     all_but_gps = SensorNeeds(camera_hz=10, lidar=True)

@@ -153,7 +153,7 @@ def test_presets_scan_at_their_rate(preset: str, pulses: int) -> None:
         ("mid360", 0.8, 70.0),
     ],
 )
-def test_presets_end_where_the_data_sheet_says(
+def test_maximum_ranges_of_presets_match_the_data_sheet(
     preset: str, reflectivity: float, limit: float
 ) -> None:
     """Around the limit, within 5 %, the share of returns falls from all to none. A ball around the

@@ -97,7 +97,7 @@ def test_every_geom_type_as_in_mujoco(kind: str) -> None:
 
 
 def test_grazing_rays_and_touching_shapes() -> None:
-    """Silhouettes, and shapes that pierce one another closer than their wrappings are thick."""
+    """Silhouettes, and shapes that intersect within the margins of their bounding volumes."""
     world = (
         '<geom type="sphere" size="1"/><geom type="sphere" size="1.0005" pos="0.001 0 0"/>'
         '<geom type="cylinder" size="0.3 2"/><geom type="ellipsoid" size="2 0.5 0.5"/>'
