@@ -72,7 +72,7 @@ def end_progress(quiet: bool) -> None:
 
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[int, int, str], None]]:
-    """A bar on stderr that is told (done, total, what is being worked on)."""
+    """A bar on stderr that shows (done, total, what is being worked on)."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,

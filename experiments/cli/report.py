@@ -24,7 +24,7 @@ def report(directory: Path, out: Path | None, as_json: bool) -> int:
     Of a campaign, or with --out: the paper's tables and figures, measured beside published, as
     report.html (one file, no network needed), report.md and report.json. Of any other directory: a
     Markdown table of its runs, and a line on how they ended. Exit code 1 means that runs of a
-    campaign came to something else than its file expects.
+    campaign has other outcomes than its file expects.
 
     Example: touchdown report campaigns/positioning
     """
@@ -124,7 +124,7 @@ def regress(
 
     Compares each scene and method: a paired test on equal seeds, a bootstrap where seeds differ,
     corrected over all of them, so that chance alone fails at most 5 comparisons of 100. Flights
-    that came to an error in the baseline and come to none now are worse without a test, and so is
+    with an error in the baseline and none now are worse without a test, and so is
     a directory with nothing to compare.
 
     Example: touchdown regress campaigns/positioning --baseline baseline.json

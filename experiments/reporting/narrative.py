@@ -154,7 +154,7 @@ def _lead_text(lead_m: float, differences: Array, p: float | None, alpha: float)
     if p <= CHANCE:
         return f"The lead is beyond chance (adjusted p = {p:.2g}, {seeds} equal seeds)."
     text = (
-        f"With {seeds} equal seeds a difference of {digits(lead_m)} m cannot be told from chance "
+        f"With {seeds} equal seeds a difference of {digits(lead_m)} m may be due to chance "
         f"(adjusted p = {p:.2g})"
     )
     needed = seeds_needed(differences, alpha)

@@ -218,7 +218,7 @@ def _paper_map_notes() -> list[str]:
     return [
         f"The paper's Table 1 prints T_total and ρ_map run together as "
         f'"{published.SCAN_TIME_AND_DENSITY}"; where one number ends and the other begins cannot '
-        "be told, so neither is compared. The figures here are measured.",
+        "be known, so neither is compared. The figures here are measured.",
         f"For its scenes 1 to 4, which it does not name, the paper prints Δα = {printed}°, and the "
         f"bound {published.LEVELNESS_BOUND_DEG:g}° over all of them. It does not define ±.",
         _LEVELNESS_NOTE,

@@ -144,7 +144,7 @@ def test_table_2_has_the_published_figures_beside_crossroad(report: Report) -> N
 def test_table_1_states_the_ambiguous_figures(report: Report) -> None:
     found = table(report, "table1")
     assert found.rows[1][1].text == "18.0"
-    assert any('"36.11111"' in note and "cannot be told" in note for note in found.notes)
+    assert any('"36.11111"' in note and "cannot be known" in note for note in found.notes)
     assert any("±1.19, ±0.89, ±0.96, ±1.19°" in note for note in found.notes)
 
 
@@ -155,7 +155,7 @@ def test_words_follow_the_data(report: Report) -> None:
     assert "crossroad: `livo` is ahead by E_tra with 0.055 m [0.050, 0.060], then `paper`" in words
     # All differences are ln 2; the level is 0.05 over two scenes: 2 / 2^n <= 0.025 from n = 7 on.
     assert (
-        "With 3 equal seeds a difference of 0.055 m cannot be told from chance (adjusted p = 0.5); "
+        "With 3 equal seeds a difference of 0.055 m may be due to chance (adjusted p = 0.5); "
         "7 seeds per method would show it with 80 % power." in words
     )
     assert "The paper's methods come in the order of its Table 2 in crossroad, lake." in words
