@@ -19,17 +19,27 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 def pytest_configure() -> None:
     """Compiles each kernel once. Processes that start together on an empty cache would all compile
     the same kernels; with a lock around it, the later one finds what the first has stored."""
+    from numba.core.compiler_lock import global_compiler_lock
     from numba.core.dispatcher import Dispatcher
 
     compile_or_load = Dispatcher.compile
     folder = Path(tempfile.gettempdir()) / f"touchdown-kernels-{os.getuid()}"
     folder.mkdir(exist_ok=True)
+    held: set[str] = set()
 
     def compile_in_turn(self: Any, signature: Any) -> Any:
         name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
-        with (folder / name).open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            return compile_or_load(self, signature)
+        # First the lock of Numba: a thread that holds it may compile what this one waits for.
+        with global_compiler_lock:
+            if name in held:  # a recursive kernel
+                return compile_or_load(self, signature)
+            with (folder / name).open("w") as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX)
+                held.add(name)
+                try:
+                    return compile_or_load(self, signature)
+                finally:
+                    held.discard(name)
 
     Dispatcher.compile = compile_in_turn
 
