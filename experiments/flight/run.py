@@ -111,12 +111,11 @@ def fly_and_judge(
     """Flies ``stack`` to the end, closes it and returns the result."""
     clock = StageClock()
     observer = StepObserver(recorder, progress)
-    by_class = stack.network is not None and class_counts(config.landing)
-    referee = make_referee(config, stack.scene, observer.end_survey, by_class=by_class)
-    parts = timed_parts(stack, clock)
     try:
+        by_class = stack.network is not None and class_counts(config.landing)
+        referee = make_referee(config, stack.scene, observer.end_survey, by_class=by_class)
         judgement = run_flight(
-            **parts,
+            **timed_parts(stack, clock),
             recorder=Timed(observer, "tick", "recorder", clock),  # type: ignore[arg-type]
             referee=Timed(referee, "judge", "referee", clock),  # type: ignore[arg-type]
         )

@@ -30,7 +30,7 @@ def load_scene_once(name: str, seed: int, sun: LowSun | None = None) -> Scene:
     return dataclasses.replace(scene, model=copy.copy(scene.model))
 
 
-@pytest.fixture(autouse=True, scope="session")
+@pytest.fixture(autouse=True, scope="package")
 def scenes_built_once() -> Iterator[None]:
     """Flights of a folder share the scenes; import it in the folder's ``conftest.py``."""
     with pytest.MonkeyPatch.context() as patch:
