@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -10,6 +9,8 @@ from touchdown.scenes.api import LAND_CLASSES, Scene
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
 from touchdown.scenes.truth.raycast import cast_points
+
+from support.truth_rays import SingleRays
 
 ROOF = LAND_CLASSES.index("building")
 FORMS = {
@@ -34,17 +35,6 @@ def scene_of(folder: Path, things: str, assets: str = "") -> Scene:
         encoding="utf-8",
     )
     return load_scene(str(path), 0)
-
-
-def single_ray(scene: Scene, xy_m: np.ndarray) -> tuple[float, int]:
-    """Height and geom below 100 m by ``mj_ray`` alone, without the vehicle; NaN and -1 for none."""
-    data = mujoco.MjData(scene.model)
-    data.qpos[:3] = [0.0, 0.0, 1e4]
-    mujoco.mj_kinematics(scene.model, data)
-    geom = np.full(1, -1, np.int32)
-    start, down = np.array([*xy_m, 100.0]), np.array([0.0, 0.0, -1.0])
-    distance = mujoco.mj_ray(scene.model, data, start, down, None, 1, -1, geom)
-    return (100.0 - distance, int(geom[0])) if geom[0] >= 0 else (np.nan, -1)
 
 
 def boxes(rng: np.random.Generator) -> tuple[str, np.ndarray]:
@@ -96,25 +86,14 @@ def forms(rng: np.random.Generator) -> str:
 
 
 def check_against_single_rays(scene: Scene, points: np.ndarray) -> None:
-    """All heights within 1 cm and all geoms equal but at edges, where a ray 2 mm aside meets
-    something else; fewer than 1 in 100."""
+    """All heights within 1 cm of ``mj_ray`` and all geoms equal but at edges: fewer than 1 in 100."""
+    rays = SingleRays(scene)
     heights, geoms = cast_points(scene, points)
-    edges = 0
-    for point, height, geom in zip(points, heights, geoms, strict=True):
-        true_height, true_geom = single_ray(scene, point)
-        if geom == true_geom and (abs(height - true_height) <= 0.01 or geom == -1):
-            continue
-        around = [
-            single_ray(scene, point + [dx, dy]) for dx in (-2e-3, 2e-3) for dy in (-2e-3, 2e-3)
-        ]
-        levels = [level for level, _ in around]
-        assert np.ptp(levels) > 0.005 or len({g for _, g in around}) > 1, (
-            point,
-            height,
-            true_height,
-        )
-        edges += 1
+    wrong, edges = rays.disagreements(points, heights)
+    assert wrong.size == 0, points[wrong]
     assert edges <= 0.01 * len(points)
+    others = [i for i, point in enumerate(points) if rays.cast(point)[1] != geoms[i]]
+    assert all(rays.is_edge(points[i]) for i in others)
 
 
 @pytest.mark.parametrize(
@@ -163,7 +142,7 @@ def test_signed_distance_shapes_are_seen(tmp_path: Path) -> None:
     points = np.random.default_rng(2).uniform(4.4, 5.6, (400, 2))
     heights, geoms = cast_points(scene, points)
     assert {scene.model.geom(int(g)).name for g in geoms} == {"building_s"}
-    true = np.array([single_ray(scene, point)[0] for point in points])
+    true = SingleRays(scene).heights(points)
     passed = np.abs(heights - true) > 0.01
     assert passed.mean() < 0.02 and (heights[passed] > true[passed]).all()
 
