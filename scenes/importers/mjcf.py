@@ -258,7 +258,7 @@ def _bounds(model: Any, data: Any, takeoff_xy_m: np.ndarray, path: Path) -> np.n
     planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
     if bool((planes & (model.geom_size[:, :2] == 0.0).any(axis=1)).any()) or model.ngeom == 0:
         return window
-    centres = model.geom_aabb[:, :3]
+    centres = np.where(planes[:, None], 0.0, model.geom_aabb[:, :3])
     half = np.where(planes[:, None], model.geom_size * [1.0, 1.0, 0.0], model.geom_aabb[:, 3:])
     rotations = data.geom_xmat.reshape(-1, 3, 3)
     world = np.einsum("nij,nj->ni", rotations, centres) + data.geom_xpos
