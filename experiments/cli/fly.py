@@ -147,6 +147,7 @@ def fly(context: click.Context, replayed: Path | None, **options: Any) -> int:
 
 def _run_flight(options: dict[str, Any], **more: Any) -> int:
     from touchdown.experiments.config.loading import load_config
+    from touchdown.experiments.external.processes import none_left
     from touchdown.experiments.flight.run import fly_with_usage_errors
     from touchdown.experiments.io.run_directory import check_log_kept
 
@@ -162,7 +163,8 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
         stem = Path(config.scene).stem
         out = Path("runs") / f"{stem}-{config.estimator.replace(':', '.')}-{config.seed}"
     check_log_kept(out, logs=config.log.sensors, force=options["force"])
-    result = fly_with_usage_errors(config, out, make_progress(quiet))
+    with none_left():
+        result = fly_with_usage_errors(config, out, make_progress(quiet))
     end_progress(quiet)
     if options["as_json"]:
         click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))

@@ -28,6 +28,7 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
     """Replays the sensors of ``run``; ``options`` are those of ``fly``. Returns the exit code."""
     from touchdown.experiments.cli.console import print_result
     from touchdown.experiments.errors import UsageError
+    from touchdown.experiments.external.processes import none_left
     from touchdown.experiments.flight.replay import replay, replay_config
     from touchdown.experiments.io.run_directory import check_log_kept
     from touchdown.experiments.terminal import end_progress, make_progress
@@ -46,7 +47,8 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
         out = Path("runs") / f"{stem}-{name}-{config.seed}-replay"
     if out.resolve() != run.resolve():  # `replay` reports that with its own message
         check_log_kept(out, logs=False, force=options["force"])
-    result = replay(run, config, out, make_progress(quiet))
+    with none_left():
+        result = replay(run, config, out, make_progress(quiet))
     end_progress(quiet)
     if options["as_json"]:
         click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))
@@ -80,10 +82,12 @@ def check_estimator_command(
     """
     from touchdown.experiments.errors import UsageError
     from touchdown.experiments.external.conformance import RULES
+    from touchdown.experiments.external.processes import none_left
 
     if not seconds > 0.0:
         raise UsageError(f"--seconds {seconds:g} must be positive")
-    violations = _checked(name, run, seconds, overrides)
+    with none_left():
+        violations = _checked(name, run, seconds, overrides)
     if as_json:
         rows = [{"rule": v.rule, "reason": v.reason, "trace": v.trace} for v in violations]
         click.echo(json.dumps({"estimator": name, "violations": rows}, indent=2))

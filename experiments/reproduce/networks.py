@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.campaign.worker import die_with_parent
+from touchdown.experiments.external.processes import die_with_parent
 from touchdown.experiments.io.run_directory import write_text
 from touchdown.experiments.reproduce.plans import Recognition
 

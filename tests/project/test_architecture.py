@@ -43,8 +43,8 @@ ROOM_MAY_IMPORT = {
     "edges": "config errors flight scene_tools",
     "reporting": "api campaign errors io",
     "classification": "config errors flight io reporting scene_tools",
-    "reproduce": "benchmarks calibration campaign classification config edges errors io reporting "
-    "scene_tools",
+    "reproduce": "benchmarks calibration campaign classification config edges errors external io "
+    "reporting scene_tools",
     "cli": "api benchmarks calibration campaign classification config edges errors export external "
     "flight io reporting reproduce scene_tools terminal",
     "python_api": "config errors external flight io terminal",
