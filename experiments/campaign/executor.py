@@ -72,6 +72,8 @@ class Engine(Protocol):
 
     name: str
     jobs: int
+    patience_s: float
+    """until files that its workers have written are seen here"""
 
     def run(self, tasks: Sequence[Task], limits: Limits, tell: Callable[[Event], None]) -> None:
         """Returns when every task has ended. ``tell`` is called in the calling thread. Raises
@@ -272,6 +274,7 @@ class LocalEngine:
     """Worker processes on this machine, each with a thread that watches it."""
 
     name = "local"
+    patience_s = 0.0
 
     def __init__(self, jobs: int, slots: threading.Semaphore | None = None) -> None:
         """A run is begun when one of the ``slots`` is free, which others may take too."""

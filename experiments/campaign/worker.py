@@ -40,6 +40,7 @@ from touchdown.experiments.external.processes import (
     die_with_parent,
 )
 from touchdown.experiments.flight.run import fly_with_usage_errors
+from touchdown.experiments.io.foreign import inside
 from touchdown.experiments.io.results import RunResult, load_result
 
 PARTIAL = ".partial"
@@ -78,7 +79,7 @@ def execute(task: Task, tell: Tell) -> None:
     The run directory appears under ``runs/`` whole, with its row, or not at all. Raises whatever
     the flight raises.
     """
-    run_dir = Path(task.directory) / RUNS / task.run_id
+    run_dir = inside(Path(task.directory) / RUNS, task.run_id)
     config = config_for(task.values, f"run {task.run_id}")
     if is_whole(run_dir):
         result = load_result(run_dir / "result.json")
@@ -148,7 +149,7 @@ def _add_recording(task: Task, config: Config, run_dir: Path) -> None:
 
 
 def _staging(task: Task) -> Path:
-    path = Path(task.directory) / PARTIAL / f"{task.run_id}.{os.getpid()}"
+    path = inside(Path(task.directory) / PARTIAL, f"{task.run_id}.{os.getpid()}")
     shutil.rmtree(path, ignore_errors=True)
     path.mkdir(parents=True)
     return path

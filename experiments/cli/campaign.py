@@ -114,7 +114,14 @@ def fly_file(
         click.echo(json.dumps(figures, indent=2))
     else:
         print_summary(figures)
-    return EXIT_FAILED if figures["crashed"] or not figures["as_expected"] else EXIT_DONE
+    if missing := figures["missing"]:
+        print(
+            f"touchdown: {len(missing)} runs have no row, such as {missing[0]}; give the same "
+            "command again to fly them",
+            file=sys.stderr,
+        )
+    failed = figures["crashed"] or missing or not figures["as_expected"]
+    return EXIT_FAILED if failed else EXIT_DONE
 
 
 @campaign.command("status")
