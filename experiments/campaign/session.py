@@ -106,6 +106,7 @@ def fly_campaign(
             session["runs"] = len(finished_ids(directory) & {task.run_id for task in todo})
             if todo:
                 add_session(directory, session, not _missing(plan, directory))
+        refresh(directory, must_write=True)
         return summary(directory)
 
 

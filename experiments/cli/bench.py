@@ -12,7 +12,7 @@ import click
 from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, CommandGroup
 from touchdown.experiments.cli.console import print_overhead, print_stages
 from touchdown.experiments.errors import usage_errors
-from touchdown.experiments.terminal import end_progress, make_progress
+from touchdown.experiments.terminal import end_progress, make_progress, say
 
 
 @click.group(cls=CommandGroup)
@@ -91,7 +91,7 @@ def bench_scaling_command(
             workers=workers,
             runs=runs,
             rounds=rounds,
-            report=lambda line: click.echo(line, err=as_json),
+            report=lambda line: say(line, err=as_json),
         )
     )
     if as_json:
@@ -215,14 +215,14 @@ def bench_selector(
             jobs=jobs,
             fit_model=fit_model,
             overrides=overrides,
-            report=lambda result: click.echo(selector_check.row(result), err=as_json),
+            report=lambda result: say(selector_check.row(result), err=as_json),
             pictures=pictures,
         )
     )
     if as_json:
         click.echo(json.dumps(figures, indent=2))
     else:
-        click.echo(selector_check.text(figures))
+        say(selector_check.text(figures))
     return EXIT_DONE
 
 
@@ -262,7 +262,7 @@ def bench_endurance(
             for seed in parse_seeds(seeds, "--seeds")
         ]
         flights = endurance.measure(
-            configs, jobs, lambda flight: click.echo(endurance.row(flight), err=as_json)
+            configs, jobs, lambda flight: say(endurance.row(flight), err=as_json)
         )
         if plot is not None:
             endurance.plot(flights, plot)

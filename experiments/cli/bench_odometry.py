@@ -12,6 +12,7 @@ import click
 
 from touchdown.experiments.cli.common import EXIT_DONE
 from touchdown.experiments.errors import usage_errors
+from touchdown.experiments.terminal import say
 
 
 @click.command("estimator")
@@ -58,10 +59,10 @@ def bench_estimator(
         if ablate:
             table = usage_errors(lambda: run_ablation(chosen, report=report, **where))
             text = json.dumps({"seed": seed, "seconds": seconds, "ablation": table}, indent=2)
-            click.echo(text if as_json else ablation_table(table))
+            say(text if as_json else ablation_table(table))
             return EXIT_DONE
         figures = usage_errors(lambda: bench.bench_estimator(chosen, report=report, **where))
-    click.echo(json.dumps(figures, indent=2) if as_json else _table(figures))
+    say(json.dumps(figures, indent=2) if as_json else _table(figures))
     return EXIT_DONE
 
 

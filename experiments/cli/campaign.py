@@ -1,8 +1,7 @@
-"""Commands for many flights: ``touchdown campaign ...`` and ``touchdown query``."""
+"""Commands for many flights: ``touchdown campaign ...``."""
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 import sys
@@ -135,49 +134,3 @@ def status(directory: Path, as_json: bool) -> int:
     else:
         print_summary(figures)
     return EXIT_DONE if figures["as_expected"] else EXIT_FAILED
-
-
-@click.command()
-@click.argument("directory", type=click.Path(path_type=Path), metavar="DIR")
-@click.argument("sql")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--csv", "as_csv", is_flag=True, help="Print comma-separated values.")
-def query(directory: Path, sql: str, as_json: bool, as_csv: bool) -> int:
-    """Run SQL over the runs in DIR, a campaign or any directory of runs. The table is `runs`.
-
-    Names with a dot are quoted: "position_error_m.mean". `describe runs` lists them all.
-
-    Example: touchdown query runs/positioning 'select estimator, avg("position_error_m.mean") from
-    runs group by all'
-    """
-    from touchdown.experiments.campaign.results_table import run_sql
-    from touchdown.experiments.errors import UsageError
-
-    if as_json and as_csv:
-        raise UsageError("--json and --csv exclude each other; give one of them")
-    columns, rows = run_sql(directory, sql)
-    if as_json:
-        objects = [dict(zip(columns, row, strict=True)) for row in rows]
-        click.echo(json.dumps({"columns": columns, "rows": objects}, indent=2, default=str))
-    elif as_csv:
-        writer = csv.writer(sys.stdout, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(rows)
-    else:
-        _print_rows(columns, rows)
-    return EXIT_DONE
-
-
-def _print_rows(columns: list[str], rows: list[tuple[Any, ...]]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    from touchdown.experiments.terminal import make_console
-
-    table = Table()
-    for title in columns:
-        table.add_column(escape(title))
-    for row in rows:
-        cells = (f"{v:.6g}" if isinstance(v, float) else "" if v is None else str(v) for v in row)
-        table.add_row(*map(escape, cells))
-    make_console().print(table)

@@ -11,7 +11,7 @@ import click
 
 from touchdown.experiments.cli.common import EXIT_DONE, CommandGroup
 from touchdown.experiments.errors import usage_errors
-from touchdown.experiments.terminal import make_notes
+from touchdown.experiments.terminal import make_notes, say
 
 
 @click.group(cls=CommandGroup)
@@ -43,7 +43,7 @@ def edges_train(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
     if as_json:
         click.echo(json.dumps(report, indent=2))
     else:
-        click.echo(
+        say(
             f"{report['pictures']} pictures in {report['render_s']:.0f} s; {report['trees']} trees "
             f"with {report['leaves']} leaves in {report['train_s']:.0f} s\n"
             f"written: {report['file']} ({report['bytes'] / 1e6:.2f} MB)"
@@ -92,7 +92,7 @@ def edges_picture(out: Path, seed: int, model: str, quiet: bool) -> int:
     from touchdown.experiments.edges.figures import draw_figures
 
     for path in usage_errors(lambda: draw_figures(out, seed, model, make_notes(quiet))):
-        click.echo(str(path))
+        say(str(path))
     return EXIT_DONE
 
 

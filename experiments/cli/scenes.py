@@ -12,7 +12,7 @@ import click
 from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, CommandGroup
 from touchdown.experiments.cli.console import print_place, print_scene_check
 from touchdown.experiments.errors import usage_errors
-from touchdown.experiments.terminal import make_notes
+from touchdown.experiments.terminal import make_notes, say
 
 VIEW_NAMES = (
     "above",
@@ -47,7 +47,7 @@ def scenes_list(as_json: bool) -> int:
     from touchdown.scenes.registry import scene_names
 
     names = scene_names()
-    click.echo(json.dumps({"scenes": names}) if as_json else "\n".join(names))
+    say(json.dumps({"scenes": names}) if as_json else "\n".join(names))
     return EXIT_DONE
 
 
@@ -104,7 +104,7 @@ def scenes_render(
         target = out or Path(f"{Path(scene or '').stem}-{view}.png")
         scene_tools.render_view(scene or "", seed, view, target)
         done = {"picture": str(target)}
-    click.echo(json.dumps(done) if as_json else "\n".join(done.values()))
+    say(json.dumps(done) if as_json else "\n".join(done.values()))
     return EXIT_DONE
 
 
@@ -163,7 +163,7 @@ def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int
 
     target = out or Path(f"{Path(scene).stem}-{seed}")
     model_file = export_scene_files(scene, seed, target)
-    click.echo(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
+    say(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
     return EXIT_DONE
 
 
@@ -206,8 +206,8 @@ def scenes_import_dem(
         )
     )  # fmt: skip
     for note in notes:
-        click.echo(f"touchdown: {note}", err=True)
-    click.echo(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
+        say(f"touchdown: {note}", err=True)
+    say(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
     return EXIT_DONE
 
 
