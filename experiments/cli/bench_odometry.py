@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE
+from touchdown.experiments.cli.common import EXIT_DONE, SEED
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import say
 
@@ -20,7 +20,7 @@ from touchdown.experiments.terminal import say
 @click.option(
     "--ablate", is_flag=True, help="Leave out one part of the estimators after the other instead."
 )
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--seconds", type=float, help="Duration of each log after lift-off.  [all]")
 @click.option(
     "--runs",

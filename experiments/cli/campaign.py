@@ -73,17 +73,18 @@ def campaign() -> int:
 @click.option("--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True)
 @click.option("--ray-address", metavar="ADDRESS", help="Of a Ray cluster.  [a local one]")
 @click.option("--shard", type=ShardType(), help="Fly the I-th of N parts, on one of N machines.")
+@click.option("--allow-code", is_flag=True,
+              help="Import external estimators that a campaign.toml of results names.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
 def fly_file(
     file: Path,
     out: Path,
-    jobs: int | None,
-    engine: str,
-    ray_address: str | None,
     shard: tuple[int, int] | None,
+    allow_code: bool,
     as_json: bool,
     quiet: bool,
+    **engine: Any,
 ) -> int:
     """Fly all runs of FILE.toml: scenes x estimators x seeds x winds, in parallel.
 
@@ -97,8 +98,8 @@ def fly_file(
     from touchdown.experiments.campaign.progress import Display, print_summary
     from touchdown.experiments.campaign.session import Watcher, fly_campaign, make_engine
 
-    plan = load_plan(file)
-    flown_by = make_engine(engine, jobs, ray_address)
+    plan = load_plan(file, allow_code=allow_code)
+    flown_by = make_engine(engine["engine"], engine["jobs"], engine["ray_address"])
     watcher = Watcher() if quiet else Display()
     try:
         figures = fly_campaign(plan, out, flown_by, shard=shard, watcher=watcher)

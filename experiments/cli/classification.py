@@ -10,7 +10,7 @@ from typing import Any
 import click
 import numpy as np
 
-from touchdown.experiments.cli.common import EXIT_DONE, CommandGroup
+from touchdown.experiments.cli.common import EXIT_DONE, SEED, CommandGroup
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import say
 
@@ -80,7 +80,7 @@ def dataset() -> int:
 @dataset.command("render")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="A new folder.")
 @click.option("--images", type=click.IntRange(1, 10_000_000), default=4000, show_default=True)
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True,
+@click.option("--seed", type=SEED, default=0, show_default=True,
               help="Of layouts, poses and light; scene seeds start at 1000.")  # fmt: skip
 @click.option("--scene", "scenes", multiple=True, metavar="NAME",
               help="Only this scene. May be repeated.  [all]")  # fmt: skip
@@ -151,7 +151,7 @@ def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: 
 @_miss_cost("[1 each]")
 @click.option("--patience", type=click.IntRange(1), default=8, show_default=True,
               help="Epochs without a better validation score before training ends.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
 @click.option("--threads", type=click.IntRange(1), help="Of the processor.  [all]")
 @click.option("--compile", "compiled", is_flag=True,

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, CommandGroup
+from touchdown.experiments.cli.common import EXIT_DONE, SEED, CommandGroup
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import make_notes, say
 
@@ -26,7 +26,7 @@ def edges() -> None:
 @click.option("--out", type=click.Path(path_type=Path), default=Path("edges.yml.gz"),
               show_default=True, help="The model, *.yml.gz; flights take it by "
               "--set paper.edge_model=FILE.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True,
+@click.option("--seed", type=SEED, default=0, show_default=True,
               help="Varies the scenes, the poses and the forest.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
@@ -81,7 +81,7 @@ def edges_evaluate(model: str, seeds: int, plot: Path | None, as_json: bool, qui
 @edges.command("picture")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("edge-pictures"),
               show_default=True, help="Folder for edges.jpg and smoothness.jpg.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--model", default="shipped", show_default=True)
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
 def edges_picture(out: Path, seed: int, model: str, quiet: bool) -> int:

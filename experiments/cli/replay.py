@@ -36,7 +36,9 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
     for name, option in _FLOWN.items():
         if options.get(name) not in (None, (), False):
             raise UsageError(f"{option} does not go with --replay: the flight is over")
-    config = replay_config(run, options["estimator"], options["overrides"])
+    config = replay_config(
+        run, options["estimator"], options["overrides"], allow_code=options["allow_code"]
+    )
     scene, quiet = options["scene"], options["quiet"]
     if scene is not None and scene != config.scene:
         raise UsageError(f"'{run}' was flown over {config.scene}, not {scene}")

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, CommandGroup
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, SEED, CommandGroup
 from touchdown.experiments.cli.console import print_place, print_scene_check
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import make_notes, say
@@ -60,7 +60,7 @@ def scenes_list(as_json: bool) -> int:
     type=click.Path(path_type=Path),
     help="PNG file, or directory for several.  [SCENE-VIEW.png, SCENE-SEED, scenes-SEED]",
 )
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option(
     "--view",
     type=click.Choice(VIEW_NAMES),
@@ -151,7 +151,7 @@ def scenes_check(
 @scenes.command("export")
 @click.argument("scene")
 @click.option("--out", type=click.Path(path_type=Path), help="Directory.  [SCENE-SEED]")
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int:
     """Write a scene's MJCF with its assets, to open in MuJoCo's own viewer.
