@@ -16,12 +16,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.campaign.run_names import AXES, run_name
+from touchdown.experiments.config.files import check_named_code, read_tree
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.loading import (
     config_of,
     is_key,
     known_keys,
-    read_tree,
 )
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds
@@ -131,8 +131,9 @@ class Plan:
     """what runs are to come to: the keys of ``Expect``, ``when`` by dotted keys of runs' values"""
 
 
-def load_plan(file: Path) -> Plan:
-    """Reads, checks and unrolls a campaign's TOML file.
+def load_plan(file: Path, *, allow_code: bool = False) -> Plan:
+    """Reads, checks and unrolls a campaign's TOML file. A file that lies in the directory of a
+    campaign or a run names an external estimator only with ``allow_code``.
 
     Every configuration is validated here, so that a mistake shows before the first flight.
     Raises UsageError, one line.
@@ -142,6 +143,8 @@ def load_plan(file: Path) -> Plan:
         raise UsageError(f"'{file}' is no TOML file; a campaign is described in FILE.toml")
     spec = _parse(tree, str(file))
     axes = _axes(spec.axes, str(file))
+    if not allow_code:
+        check_named_code(file, axes["estimator"])
     base = dict(flatten(spec.base))
     _check_settable(base, axes, f"[base] of {file}")
     overrides = [_override(entry, axes, f"[[override]] {number} of {file}")

@@ -1,4 +1,4 @@
-"""The table of a campaign, one row per run: written to Parquet, read as rows or with DuckDB."""
+"""The table of a campaign, one row per run: written to Parquet, read as rows."""
 
 from __future__ import annotations
 
@@ -200,33 +200,12 @@ def load_rows(directory: Path) -> list[dict[str, Any]]:
     return sorted(table_of(rows).to_pylist(), key=_order)
 
 
-def connect(directory: Path) -> Any:
-    """Returns an in-memory DuckDB connection with the view ``runs``. Raises UsageError as
-    load_rows."""
-    import duckdb
+def refresh(directory: Path, *, must_write: bool = False) -> list[dict[str, Any]]:
+    """Returns all rows of a campaign; rewrites ``results.parquet`` where it is out of date.
 
-    connection = duckdb.connect(":memory:")
-    connection.register("run_rows", table_of(load_rows(directory)))
-    connection.execute("create view runs as select * from run_rows")
-    return connection
-
-
-def run_sql(directory: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """Returns column titles and rows of ``sql`` over the view ``runs``. Raises UsageError for bad
-    SQL."""
-    import duckdb
-
-    connection = connect(directory)
-    try:
-        found = connection.execute(sql)
-        return [column[0] for column in found.description or []], found.fetchall()
-    except duckdb.Error as error:
-        text = " ".join(str(error).split("LINE 1")[0].split())
-        raise UsageError(f"query of '{directory}': {text}") from error
-
-
-def refresh(directory: Path) -> list[dict[str, Any]]:
-    """Returns all rows of a campaign; rewrites ``results.parquet`` where it is out of date."""
+    Reading does without the file where it cannot be written. Raises UsageError for that with
+    ``must_write``.
+    """
     results = directory / RESULTS_FILE
     stamp = _stamp(directory)
     rows = _rows_at(results, stamp)
@@ -235,7 +214,8 @@ def refresh(directory: Path) -> list[dict[str, Any]]:
         try:
             write_table(rows, results, stamp)
         except OSError as error:
-            raise UsageError(f"'{results}' cannot be written: {error.strerror}") from error
+            if must_write:
+                raise UsageError(f"'{results}' cannot be written: {error.strerror}") from error
     return rows
 
 
@@ -358,7 +338,7 @@ def _mode_and_sha(file: Path, result: RunResult) -> tuple[str, str | None]:
     """Mode and configuration hash of a single run, from its configuration file; where that is
     missing or of another version, the mode follows from the outcome."""
     try:
-        config = load_config(file)
+        config = load_config(file, allow_code=True)  # nothing is imported
     except UsageError:
         return ("fly" if result.outcome == "COMPLETED" else "land"), None
     return ("fly" if config.landing.survey_only else "land"), config_sha(config)

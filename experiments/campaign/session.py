@@ -110,6 +110,7 @@ def fly_campaign(
             session["runs"] = len(finished_ids(directory) & {task.run_id for task in todo})
             if todo:
                 add_session(directory, session, not _without_row(plan.runs, directory))
+        refresh(directory, must_write=True)
         return summary(directory) | {"missing": _without_row(mine, directory)}
 
 

@@ -59,6 +59,11 @@ _FLIGHT_OPTIONS = (
         help="A TOML file, or the config.json of an earlier run.",
     ),
     click.option(
+        "--allow-code",
+        is_flag=True,
+        help="Import the external estimator that a run's config.json names.",
+    ),
+    click.option(
         "--set",
         "overrides",
         multiple=True,
@@ -155,6 +160,7 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
     config = load_config(
         options["config_file"],
         options["overrides"],
+        allow_code=options["allow_code"],
         **{key: options[key] for key in _CONFIG_OPTIONS},
         fault=options["fault"] or None,
         **more,

@@ -11,6 +11,7 @@ import click
 
 from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED
 from touchdown.experiments.errors import usage_errors
+from touchdown.experiments.terminal import say
 
 _FLOWN = {
     "seed": "--seed",
@@ -36,7 +37,9 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
     for name, option in _FLOWN.items():
         if options.get(name) not in (None, (), False):
             raise UsageError(f"{option} does not go with --replay: the flight is over")
-    config = replay_config(run, options["estimator"], options["overrides"])
+    config = replay_config(
+        run, options["estimator"], options["overrides"], allow_code=options["allow_code"]
+    )
     scene, quiet = options["scene"], options["quiet"]
     if scene is not None and scene != config.scene:
         raise UsageError(f"'{run}' was flown over {config.scene}, not {scene}")
@@ -54,7 +57,7 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
         click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))
     else:
         print_result(result, out)
-        click.echo(f"replayed open loop, judged at {result.judged_hz:g} Hz")
+        say(f"replayed open loop, judged at {result.judged_hz:g} Hz")
     return EXIT_DONE if result.is_success else EXIT_FAILED
 
 
@@ -93,13 +96,11 @@ def check_estimator_command(
         click.echo(json.dumps({"estimator": name, "violations": rows}, indent=2))
     else:
         for violation in violations:
-            click.echo(str(violation))
+            say(str(violation))
             if violation.trace:
-                click.echo(textwrap.indent(violation.trace.rstrip(), "    "))
+                say(textwrap.indent(violation.trace.rstrip(), "    "))
         broken = len(violations)
-        click.echo(
-            f"{name}: {broken} of {len(RULES)} rules broken" if broken else f"{name}: conforms"
-        )
+        say(f"{name}: {broken} of {len(RULES)} rules broken" if broken else f"{name}: conforms")
     return EXIT_FAILED if violations else EXIT_DONE
 
 

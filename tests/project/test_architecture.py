@@ -26,7 +26,7 @@ API_MAY_USE = {
 
 ROOM_MAY_IMPORT = {
     "errors": "",
-    "terminal": "",
+    "terminal": "errors",
     "api": "",
     "drawing": "",
     "config": "api errors",
