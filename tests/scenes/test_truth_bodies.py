@@ -86,7 +86,7 @@ def forms(rng: np.random.Generator) -> str:
 
 
 def check_against_single_rays(scene: Scene, points: np.ndarray) -> None:
-    """All heights within 1 cm of ``mj_ray`` and all geoms equal but at edges: fewer than 1 in 100."""
+    """All heights within 1 cm of ``mj_ray`` and all geoms equal but at edges, which are few."""
     rays = SingleRays(scene)
     heights, geoms = cast_points(scene, points)
     wrong, edges = rays.disagreements(points, heights)
