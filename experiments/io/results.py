@@ -31,6 +31,9 @@ Figure = Annotated[float | None, BeforeValidator(_finite)]
 PointXY = Annotated[tuple[float, float] | None, Field(strict=False)]
 """World x and y in metres; None where the run has no such point."""
 
+PointXYZ = Annotated[tuple[float, float, float] | None, Field(strict=False)]
+"""x, y and z in metres; None where the run has no such point."""
+
 
 class _Part(BaseModel):
     """Part of a result. Keys of other versions and of other tools are kept as they are."""
@@ -159,6 +162,8 @@ class RunResult(_Part):
     estimator_sha: str | None = None
     """hash of the code of an external estimator"""
     wind_kmh: Figure = None
+    origin_m: PointXYZ = None
+    """of the world's origin in the coordinates of the scene's file, where it was moved"""
     replay_of: str | None = None
     flown_by: str | None = None
     """estimator of the flight that a replay reads"""
