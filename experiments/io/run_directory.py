@@ -14,13 +14,19 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from touchdown.experiments.errors import UsageError, system_message
-from touchdown.experiments.io.foreign import read_object
+from touchdown.experiments.io.foreign import as_plain_name, read_object
 
 _PARTIAL = re.compile(r"\..+\.(?:partial-)?(\d+)")
 """names of unfinished files and folders; the number is that of the process that writes it"""
 _GRACE_S = 60.0
 """between the making of a folder and its being held"""
 _KEYS_OF_RESULT = ("outcome", "scene", "seed", "estimator")
+
+
+def default_out_dir(scene: str, estimator: str, seed: int, ending: str = "") -> Path:
+    """``runs/SCENE-ESTIMATOR-SEED`` and ``ending``, whatever a configuration file calls the two."""
+    name = f"{Path(scene).stem}-{estimator.replace(':', '.')}-{seed}{ending}"
+    return Path("runs") / as_plain_name(name)
 
 
 def check_out_dir(out_dir: Path) -> None:

@@ -63,6 +63,8 @@ def reproduce(
         raise UsageError("--skip leaves nothing to do")
     if git_revision() is None:
         raise UsageError(f"reproduce needs a git revision to state: {UNRECORDED_REMEDY}")
+    if out.is_dir():
+        check_plain(out)
     started = time.perf_counter()
     extent = Extent(quick=quick, photographs=tuple(photographs))
     _check_libraries([part for part in wanted if not _is_done(part, out, extent)])
@@ -180,8 +182,6 @@ def _locked(out: Path) -> Iterator[None]:
     """Makes and locks the directory. Raises UsageError if it holds something else."""
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: is a file; name a new directory")
-    if out.is_dir():
-        check_plain(out)
     ours = (out / MARK).is_file()
     if out.is_dir() and not ours and any(not p.name.startswith(".") for p in out.iterdir()):
         raise UsageError(

@@ -34,7 +34,8 @@ def kill_again_and_again(folder: Path, number: int, kills: int, seed: int) -> No
         time.sleep(draw.uniform(0.0, 0.4))
         assert command.poll() is None, f"kill {kill} comes too late"
         strike(command, number, mark)
-        assert kept.items() <= (now := stamps(out.glob("runs/*/result.json"))).items()
+        now = stamps(out.glob("runs/*/result.json"))
+        assert kept.items() <= now.items(), "lost or written anew"
         flown = attempts(out)
         assert all(flown[name] == count for name, count in done.items()), "flown twice"
         kept, done = now, Counter({name: flown[name] for name in finished_ids(out)})
