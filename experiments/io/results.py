@@ -13,6 +13,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.provenance import plain_json
 
 SUCCESS_WITHOUT_LANDING = "COMPLETED"
@@ -279,11 +280,11 @@ def lookup(row: Mapping[str, Any], path: str) -> Any:
 def load_result(path: Path) -> RunResult:
     """Reads one ``result.json``. Raises UsageError, one line, where it is none."""
     try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise UsageError(f"'{path}' cannot be read: {error}") from error
-    if not isinstance(tree, dict):
-        raise UsageError(f"'{path}' is no run's result: it holds no object of keys and values")
+        tree = read_object(path)
+    except OSError as error:
+        raise UsageError(f"'{path}' cannot be read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise UsageError(f"'{path}' is no run's result: {error}") from error
     try:
         return RunResult.model_validate(tree)
     except ValidationError as error:
