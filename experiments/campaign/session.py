@@ -96,9 +96,7 @@ def fly_campaign(
             if todo:
                 engine.run(todo, plan.limits, watcher.see)
         except EngineStoppedError as error:
-            raise UsageError(
-                f"--out {directory}: {error}; make room, then give the same command again"
-            ) from error
+            raise UsageError(f"--out {directory}: {error}") from error
         finally:
             watcher.end()
             _sweep(directory, todo, whole=shard is None)

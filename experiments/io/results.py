@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import UsageError, broken_text, input_message, plain_fault
 from touchdown.experiments.io.provenance import plain_json
 
 SUCCESS_WITHOUT_LANDING = "COMPLETED"
@@ -271,8 +271,15 @@ def load_result(path: Path) -> RunResult:
     """Reads one ``result.json``. Raises UsageError, one line, where it is none."""
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+    except OSError as error:
+        raise UsageError(input_message(error)) from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"'{path}' cannot be read: {error}") from error
+    except (ValueError, RecursionError) as error:
+        reason = "holds a number of thousands of digits or is nested too deeply"
+        raise UsageError(f"'{path}' is no run's result: it {reason}") from error
+    if (text := broken_text(tree)) is not None:
+        raise UsageError(f"'{path}' is no run's result: {text} has half a character or a zero byte")
     if not isinstance(tree, dict):
         raise UsageError(f"'{path}' is no run's result: it holds no object of keys and values")
     try:
@@ -298,7 +305,7 @@ def _one_line(error: ValidationError) -> str:
     shown = shown if len(shown) <= 80 else f"{shown[:77]}..."
     if kind is not None:
         return f"{key} = {shown} must be {kind}"
-    return f"{key} = {shown}: {' '.join(fault['msg'].split())}"
+    return f"{key} = {shown}: {plain_fault(fault['msg'])}"
 
 
 def load_runs(directory: Path) -> dict[str, RunResult]:
