@@ -14,6 +14,7 @@ from touchdown.experiments.export.flown_run import (
 )
 from touchdown.experiments.export.tables import _COLUMNS, write_csv, write_tum
 from touchdown.experiments.io.run_directory import whole_file, whole_folder
+from touchdown.experiments.io.sensor_log_checks import damage_reported
 
 FORMATS = ("mcap", "ply", "tum", "csv")
 _OWN_FILES = (
@@ -37,7 +38,8 @@ def export(run: Path, kind: str, out: Path | None, options: ExportOptions) -> Ex
     check_out_file(out, kind, run)
     _check_inputs(flown, kind, options)
     try:
-        with whole_folder(out) if kind == "mcap" else whole_file(out) as partial:
+        making = whole_folder(out) if kind == "mcap" else whole_file(out)
+        with making as partial, damage_reported(_source(flown, kind, options)):
             done = _write(flown, kind, partial, options)
     except OSError as error:
         raise UsageError(f"--out {out}: cannot be written: {error.strerror or error}") from error
@@ -48,6 +50,12 @@ def export(run: Path, kind: str, out: Path | None, options: ExportOptions) -> Ex
 
 def _files(path: Path) -> list[Path]:
     return [path] if path.is_file() else sorted(path.iterdir())
+
+
+def _source(flown: FlownRun, kind: str, options: ExportOptions) -> Path:
+    """What an export reads, to be named where it is damaged."""
+    logged = kind == "mcap" or (kind == "ply" and options.points == "scans")
+    return flown.sensors() if logged else flown.path
 
 
 def _check_inputs(flown: FlownRun, kind: str, options: ExportOptions) -> None:
