@@ -53,7 +53,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _source(flown: FlownRun, kind: str, options: ExportOptions) -> Path:
-    """What an export reads, to be named where it is damaged."""
+    """The source of an export, to be named where it is damaged."""
     logged = kind == "mcap" or (kind == "ply" and options.points == "scans")
     return flown.sensors() if logged else flown.path
 

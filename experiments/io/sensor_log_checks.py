@@ -24,7 +24,7 @@ _AGAIN = "fly again with --log-sensors"
 
 
 class DamagedError(ValueError):
-    """What a log says cannot be."""
+    """Content that no log of a flight has."""
 
 
 @contextlib.contextmanager
