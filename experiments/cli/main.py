@@ -35,7 +35,7 @@ from touchdown.experiments.cli.reproduce import reproduce
 from touchdown.experiments.cli.scenes import scenes
 from touchdown.experiments.cli.view import view
 from touchdown.experiments.errors import system_message
-from touchdown.experiments.flight.platform import rendering_backend
+from touchdown.experiments.flight.platform import BLAS_THREADS, rendering_backend
 from touchdown.experiments.terminal import end_progress, error_line, warning_line
 
 
@@ -78,6 +78,8 @@ for _command in (dataset, train, evaluate, quantize, classify):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command and returns its exit code; bad input is one line on stderr."""
     os.environ.setdefault("MUJOCO_GL", rendering_backend())
+    # What a command computes does not depend on the environment, nor on what is wrong in it.
+    os.environ.update(dict.fromkeys((BLAS_THREADS, "NUMBA_NUM_THREADS"), "1"))
     # `experiments.recording.rerun_recorder` reports in one line what could not be written.
     os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=off")
     warnings.formatwarning = _one_line_warning

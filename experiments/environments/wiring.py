@@ -43,9 +43,11 @@ def build_env_backend(
     height) of rendered views."""
     from touchdown.controller.cascade import CascadeController
     from touchdown.estimator.oracle import Oracle
+    from touchdown.experiments.flight.platform import limit_threads
     from touchdown.sim.api import CameraParams
     from touchdown.sim.camera.sensor import CameraSensor
 
+    limit_threads()
     world = make_world(config, scene)
     world.require(needs)
     width, height = view_pixels

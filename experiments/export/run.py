@@ -14,6 +14,7 @@ from touchdown.experiments.export.flown_run import (
 )
 from touchdown.experiments.export.tables import _COLUMNS, write_csv, write_tum
 from touchdown.experiments.io.run_directory import whole_file, whole_folder
+from touchdown.experiments.io.sensor_log_checks import damage_reported
 
 BAG_METADATA = "metadata.yaml"
 FORMATS = ("mcap", "ply", "tum", "csv")
@@ -38,7 +39,8 @@ def export(run: Path, kind: str, out: Path | None, options: ExportOptions) -> Ex
     check_out_file(out, kind, run)
     _check_inputs(flown, kind, options)
     try:
-        with whole_folder(out) if kind == "mcap" else whole_file(out) as partial:
+        making = whole_folder(out) if kind == "mcap" else whole_file(out)
+        with making as partial, damage_reported(_source(flown, kind, options)):
             done = _write(flown, kind, partial, options)
     except OSError as error:
         raise UsageError(f"--out {out}: cannot be written: {error.strerror or error}") from error
@@ -49,6 +51,12 @@ def export(run: Path, kind: str, out: Path | None, options: ExportOptions) -> Ex
 
 def _files(path: Path) -> list[Path]:
     return [path] if path.is_file() else sorted(path.iterdir())
+
+
+def _source(flown: FlownRun, kind: str, options: ExportOptions) -> Path:
+    """The source of an export, to be named where it is damaged."""
+    logged = kind == "mcap" or (kind == "ply" and options.points == "scans")
+    return flown.sensors() if logged else flown.path
 
 
 def _check_inputs(flown: FlownRun, kind: str, options: ExportOptions) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 import os
 
+BLAS_THREADS = "OPENBLAS_NUM_THREADS"
+
 
 def has_display() -> bool:
     """True if the environment names an X11 or Wayland display."""
@@ -24,10 +26,15 @@ def rendering_backend() -> str:
 
 
 def limit_threads() -> None:
-    """Keeps OpenCV and numba on the calling thread: the sensors' worker needs the other core, and
-    a flight must not depend on the number of threads that a library finds."""
+    """Keeps OpenCV, Numba and linear algebra on the calling thread, whatever the environment says:
+    the sensors' worker needs the other core, and a flight must not depend on the number of threads
+    that a library finds. Holds for the rest of the process; OpenMP and torch are left alone."""
     import cv2
     import numba
+    import scipy.linalg  # noqa: F401  brings a copy of OpenBLAS, as OpenCV and NumPy do
+    from threadpoolctl import threadpool_limits
 
     cv2.setNumThreads(1)
     numba.set_num_threads(1)
+    threadpool_limits(1, user_api="blas")
+    os.environ[BLAS_THREADS] = "1"  # for copies that are loaded later, here or in a child

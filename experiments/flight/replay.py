@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,6 +29,7 @@ from touchdown.experiments.flight.metrics import PositioningError
 from touchdown.experiments.flight.observers import Progress
 from touchdown.experiments.io.provenance import git_revision, versions
 from touchdown.experiments.io.results import RunResult, StageTimes, Timing, load_result
+from touchdown.experiments.io.sensor_log_checks import check_images, damage_reported
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import TumWriter, read_tum
 from touchdown.sim.api import Observation, SensorNeeds
@@ -76,8 +78,10 @@ def open_run(run: Path) -> LoggedRun:
     result = load_result(run / "result.json")
     try:
         times, positions, quats = read_tum(run / "truth.tum")
-    except (ValueError, OSError) as error:
+    except OSError as error:
         raise UsageError(f"'{run}' cannot be read: {error}") from error
+    if not len(times):
+        raise UsageError(f"'{run}' cannot be replayed: its truth.tum is empty")
     ticks = np.rint(times * sensors.rig.tick_hz).astype(int).tolist()
     truth = {
         tick: Pose(matrix_from_quat_wxyz(quat), position)
@@ -163,6 +167,8 @@ def seen_by(needs: SensorNeeds, reader: SensorLogReader) -> Iterator[Observation
     }
     for obs in reader:
         images = obs.images if wanted.camera_hz else ()
+        with damage_reported(reader.path):
+            check_images(images, reader.rig)
         images = tuple(image for image in images if image.tick % period == 0)
         if not wanted.stereo:
             images = tuple(dataclasses.replace(image, right_rgb=None) for image in images)
@@ -249,7 +255,7 @@ def _replay(
     error, clock, started = PositioningError(), CpuClock(), time.perf_counter()
     outcome, reason, last_s = Outcome.COMPLETED, "", 0.0
     observations = seen_by(estimator.needs, logged.sensors)
-    for obs, estimate in run_estimator(estimator, observations, clock):
+    for obs, estimate in _estimates(estimator, observations, clock, logged):
         true = logged.truth.get(obs.tick)
         if true is None:
             continue
@@ -277,6 +283,33 @@ def _replay(
             stage_ms=StageTimes(estimator=1e3 * clock.seconds() / scans),
         ),
     )  # fmt: skip
+
+
+def _estimates(
+    estimator: Estimator,
+    observations: Iterable[Observation],
+    clock: CpuClock,
+    logged: LoggedRun,
+) -> Iterator[tuple[Observation, Estimate]]:
+    """As `run_estimator`. Raises UsageError where an estimator cannot take what was logged: a log
+    comes from elsewhere, and each of its values may be possible but not all together."""
+    with np.errstate(all="ignore"):
+        last_s = 0.0
+        estimates = run_estimator(estimator, observations, clock)
+        while True:
+            try:
+                pair = next(estimates, None)
+            except UsageError:
+                raise
+            except (ValueError, TypeError, LookupError, ArithmeticError, cv2.error) as error:
+                raise UsageError(
+                    f"'{logged.sensors.path}' holds messages after {last_s:.3f} s that the "
+                    "estimator cannot use; fly again with --log-sensors"
+                ) from error
+            if pair is None:
+                return
+            last_s = pair[0].time_s
+            yield pair
 
 
 def _result(

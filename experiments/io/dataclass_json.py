@@ -38,7 +38,7 @@ def to_plain(value: Any) -> Any:
 def from_plain(kind: Any, plain: Any) -> Any:
     """Value of type ``kind`` from the output of ``to_plain``. A field that ``plain`` lacks gets
     its default. Raises TypeError or KeyError if ``plain`` does not fit ``kind``."""
-    if plain is None:
+    if plain is None and kind is not Any and types.NoneType in typing.get_args(kind):
         return None
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         hints = _hints(kind)
@@ -55,7 +55,18 @@ def from_plain(kind: Any, plain: Any) -> Any:
         if len(parts) == 2 and parts[1] is Ellipsis:
             return tuple(from_plain(parts[0], item) for item in plain)
         return tuple(from_plain(part, item) for part, item in zip(parts, plain, strict=True))
+    wanted = _SCALARS.get(kind)
+    if wanted is not None and type(plain) not in wanted:
+        raise TypeError(f"{plain!r} is no {kind.__name__}")
     return plain
+
+
+_SCALARS: dict[Any, tuple[type, ...]] = {
+    int: (int,),
+    float: (float, int),
+    bool: (bool,),
+    str: (str,),
+}
 
 
 def _array(plain: Any) -> np.ndarray:

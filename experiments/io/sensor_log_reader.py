@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
+import struct
 from collections import defaultdict, deque
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,6 +13,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from mcap.exceptions import EndOfFile
 from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
@@ -26,6 +27,13 @@ from touchdown.experiments.io.sensor_log import (
     METADATA,
     OBSERVATION_TOPIC,
     SCAN_TOPIC,
+)
+from touchdown.experiments.io.sensor_log_checks import (
+    DamagedError,
+    check_order,
+    check_png,
+    check_rig,
+    damage_reported,
 )
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 
@@ -65,10 +73,11 @@ class SensorLogReader:
                 f"'{path}' is a sensor log of format {facts.get('format')}, not {FORMAT}; "
                 "fly again with --log-sensors"
             )
-        with _damage_reported(path):
+        with damage_reported(path):
             self.rig = from_plain(SensorRig, json.loads(facts["rig"]))
             self.sensed = from_plain(SensorNeeds, json.loads(facts["sensed"]))
             self.shared = from_plain(SensorNeeds, json.loads(facts["shared"]))
+            check_rig(self.rig)
 
     def __iter__(self) -> Iterator[Observation]:
         return self.observations()
@@ -77,29 +86,41 @@ class SensorLogReader:
         """Observations from the beginning; images separately, as the logged PNG files."""
         arrived: defaultdict[str, deque[bytes]] = defaultdict(deque)
         left, right = (arrived[topic] for topic in IMAGE_TOPICS)
+        before = -1
         for topic, data in self._messages():
             if topic != OBSERVATION_TOPIC:
                 arrived[topic].append(data)
                 continue
-            plain = json.loads(_text(data))
-            images = tuple(
-                PackedImage(
-                    tick=tick,
-                    png=_png(left.popleft()),
-                    right_png=_png(right.popleft()) if stereo else None,
+            with damage_reported(self.path):
+                plain = json.loads(_text(data))
+                images = tuple(
+                    PackedImage(
+                        tick=tick,
+                        png=_png(left.popleft()),
+                        right_png=_png(right.popleft()) if stereo else None,
+                    )
+                    for tick, _time_s, stereo in plain.pop("images", [])
                 )
-                for tick, _time_s, stereo in plain.pop("images", [])
-            )
-            yield _observation(plain, arrived), images
+                for eye in images:
+                    check_png(eye.png)
+                    if eye.right_png is not None:
+                        check_png(eye.right_png)
+                obs = _observation(plain, arrived)
+                check_order(obs, self.rig, before)
+                before = obs.tick
+            yield obs, images
 
     def observations(self, images: bool = True) -> Iterator[Observation]:
         """Observations from the beginning; half the time without images."""
         arrived: defaultdict[str, deque[bytes]] = defaultdict(deque)
+        before = -1
         for topic, data in self._messages():
             if topic == OBSERVATION_TOPIC:
-                with _damage_reported(self.path):
+                with damage_reported(self.path):
                     plain = json.loads(_text(data))
                     obs = _observation(plain if images else plain | {"images": []}, arrived)
+                    check_order(obs, self.rig, before)
+                    before = obs.tick
                 yield obs
             elif images or topic not in IMAGE_TOPICS:
                 arrived[topic].append(data)
@@ -123,25 +144,24 @@ class SensorLogReader:
 
     def _records(self) -> Iterator[Any]:
         with self.path.open("rb") as file:
-            try:
-                yield from StreamReader(file).records
-            except Exception as error:  # decompressors have errors of their own
-                detail = str(error) or type(error).__name__
-                raise UsageError(f"'{self.path}' is no complete MCAP file: {detail}") from error
+            records = iter(StreamReader(file, validate_crcs=True).records)
+            while True:
+                try:
+                    record = next(records)
+                except StopIteration:
+                    return
+                except Exception as error:  # decompressors have errors of their own
+                    why = _reason(error)
+                    raise UsageError(f"'{self.path}' is no complete MCAP file: {why}") from error
+                yield record
 
 
-@contextlib.contextmanager
-def _damage_reported(path: Path) -> Iterator[None]:
-    """Turns errors of inconsistent content into a UsageError."""
-    from rosbags.serde import SerdeError
-
-    try:
-        yield
-    except UsageError:
-        raise
-    except (ValueError, LookupError, TypeError, SerdeError) as error:
-        detail = f"{type(error).__name__}: {error}"
-        raise UsageError(f"'{path}' is damaged ({detail}); fly again with --log-sensors") from error
+def _reason(error: Exception) -> str:
+    if isinstance(error, EndOfFile | struct.error):
+        return "it ends too early"
+    if isinstance(error, MemoryError | OverflowError):
+        return "a part claims an absurd size"
+    return " ".join(str(error).split())[:200] or "a part is not what it claims"
 
 
 def _observation(plain: dict[str, Any], arrived: defaultdict[str, deque[bytes]]) -> Observation:
@@ -192,10 +212,11 @@ def _png(message: bytes) -> NDArray[np.uint8]:
 
 
 def unpack_image(png: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(H, W, 3) RGB of a PNG file. Raises UsageError where it is none."""
+    """(H, W, 3) RGB of a PNG file. Raises DamagedError where it is none."""
+    check_png(png)
     bgr = cv2.imdecode(png, cv2.IMREAD_COLOR)
     if bgr is None:
-        raise UsageError("an image in the sensor log is damaged; fly again with --log-sensors")
+        raise DamagedError("an image cannot be decoded")
     return _frozen(np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
@@ -10,11 +9,14 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.experiments.errors import UsageError
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
 Array = NDArray[np.float64]
 
 _BUFFERED_ROWS = 256
+_MAX_M = 1e12
+"""largest time and position of a pose"""
 
 
 class TumWriter:
@@ -43,23 +45,39 @@ class TumWriter:
 
 
 def read_tum(path: Path) -> tuple[Array, Array, Array]:
-    """Times (N,) s, positions (N, 3) m, quaternions (N, 4) in the order w, x, y, z."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # an empty file: there is nothing to take
-        table = np.loadtxt(path, dtype=np.float64, ndmin=2)
+    """Times (N,) s, positions (N, 3) m, quaternions (N, 4) in the order w, x, y, z. Raises
+    UsageError as `tum_rows`."""
+    table = np.array(list(_lines(path))).reshape(-1, 8)
     return table[:, 0], table[:, 1:4], table[:, [7, 4, 5, 6]]
 
 
 def tum_rows(path: Path) -> Iterator[tuple[float, Pose]]:
-    """Yields time (s) and pose of each row, with one row in memory. Raises ValueError for a line
-    that is no row."""
-    with path.open(encoding="ascii") as file:
-        for line in file:
+    """Yields time (s) and pose of each row, with one row in memory. Raises UsageError for a line
+    that is no pose, or that is earlier than the one before."""
+    for time_s, x, y, z, qx, qy, qz, qw in _lines(path):
+        rotation = matrix_from_quat_wxyz(np.array([qw, qx, qy, qz]))
+        yield time_s, Pose(rotation, np.array([x, y, z]))
+
+
+def _lines(path: Path) -> Iterator[list[float]]:
+    before = -np.inf
+    with path.open(encoding="ascii", errors="replace") as file:
+        for number, line in enumerate(file, 1):
             if line.isspace() or line.startswith("#"):
                 continue
-            numbers = [float(word) for word in line.split()]
-            if len(numbers) != 8:
-                raise ValueError(f"'{path}' is no trajectory: it has the line {line.strip()!r}")
-            time_s, x, y, z, qx, qy, qz, qw = numbers
-            rotation = matrix_from_quat_wxyz(np.array([qw, qx, qy, qz]))
-            yield time_s, Pose(rotation, np.array([x, y, z]))
+            try:
+                numbers = [float(word) for word in line.split()]
+            except ValueError:
+                numbers = []
+            possible = len(numbers) == 8 and np.abs(numbers).max() < _MAX_M
+            if not possible or not 0.5 < np.hypot.reduce(numbers[4:]) < 2.0:
+                raise UsageError(
+                    f"'{path}' is no trajectory: its line {number} is not eight numbers of a pose "
+                    f"(t x y z qx qy qz qw), but {line[:60].strip()!r}"
+                )
+            if numbers[0] < before:
+                raise UsageError(
+                    f"'{path}' is no trajectory: its line {number} is earlier than the one before"
+                )
+            before = numbers[0]
+            yield numbers

@@ -124,6 +124,8 @@ def read_trajectory(file: Path) -> Trajectory | None:
         time_s, position, quaternion = read_tum(file)
     except (ValueError, IndexError):
         return None
+    if not len(time_s):
+        return None
     rotation = matrices_from_quats_wxyz(quaternion)
     return Trajectory(time_s, position, np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]))
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
-# Sums over two threads differ in their last bits from sums over one. NumPy reads this when it is
-# loaded, so it is set before.
+# Sums over two threads differ in their last bits from sums over one. Flights keep to one themselves
+# (`experiments.flight.platform`); this is for all else, where nobody asked for more. NumPy reads it
+# when it is loaded, so it is set before.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 if TYPE_CHECKING:

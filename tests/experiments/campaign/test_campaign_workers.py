@@ -101,7 +101,7 @@ def test_a_second_call_repeats_only_crashed_runs(
     out = tmp_path / "copy"
     shutil.copytree(faulty[0], out)
     (out / "attempts.log").write_text("")
-    plan = load_plan(out / "campaign.toml")
+    plan = load_plan(out / "campaign.toml", allow_code=True)
     keep = [run for run in plan.runs if "raises" in run.run_id or "good" in run.run_id]
     document = json.loads((out / "campaign.json").read_text())
     document["runs"] = [r for r in document["runs"] if r["run_id"] in {k.run_id for k in keep}]

@@ -129,7 +129,7 @@ def test_tables_of_commands(name: str, tmp_path: Path, capsys: pytest.CaptureFix
             "takeoff_xy_m": (0.0, 0.0), "takeoff_yaw_deg": 0.0, "takeoff_geom": name,
             "takeoff_class": name, "takeoff_above_m": 0.0, "takeoff_safe": True, "legs_share": 1.0,
             "seen_share": 1.0, "highest_m": 0.0, "safe_share": 1.0, "safe_geometry_share": 1.0,
-            "without_class": [name],
+            "without_class": [name], "origin_m": (0.0, 0.0, 0.0),
         },
     }  # fmt: skip
     print_place(place)

@@ -1,0 +1,76 @@
+"""Flights under every number of threads that the environment may name."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+NAMES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "LP_NUM_THREADS",
+)
+PROBE = """
+import json
+from threadpoolctl import threadpool_info
+from touchdown.experiments.flight.platform import limit_threads
+limit_threads()
+import cv2, numba, scipy.linalg
+blas = [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+print(json.dumps([blas, cv2.getNumThreads(), numba.get_num_threads()]))
+"""
+FLIGHT = ["fly", "{scene}", "--estimator", "{estimator}", "--no-record", "--quiet", "--set",
+          "survey.legs=1", "--set", "survey.leg_length_m=6", "--set", "survey.duration_s=5",
+          "--set", "survey.height_m=8"]  # fmt: skip
+
+
+def environment(**threads: str) -> dict[str, str]:
+    """The environment with these numbers of threads alone."""
+    other = {name: value for name, value in os.environ.items() if name not in NAMES}
+    return other | {"MUJOCO_GL": "egl"} | threads
+
+
+def run(*arguments: str, **threads: str) -> str:
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=ROOT, env=environment(**threads), capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def flown(out: Path, scene: str, estimator: str, **threads: str) -> list[bytes]:
+    words = [word.format(scene=scene, estimator=estimator) for word in FLIGHT]
+    run("-m", "touchdown", *words, "--out", str(out), **threads)
+    return [(out / name).read_bytes() for name in ("truth.tum", "estimate.tum")]
+
+
+@pytest.mark.parametrize("first", ["", "import numpy, scipy.linalg, cv2", "import touchdown"])
+def test_libraries_stay_on_one_thread_whatever_the_environment_says(first: str) -> None:
+    four = dict.fromkeys(NAMES, "4")
+    blas, opencv, numba = json.loads(run("-c", first + PROBE, **four))
+    assert len(blas) >= 2 and set(blas) == {1}
+    assert (opencv, numba) == (1, 1)
+
+
+def test_a_short_flight_is_the_same_with_other_threads(tmp_path: Path) -> None:
+    plain = flown(tmp_path / "plain", "flat", "gps")
+    odd = dict.fromkeys(NAMES, "2") | {"NUMBA_NUM_THREADS": "many"}
+    assert flown(tmp_path / "odd", "flat", "gps", **odd) == plain
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("estimator", ["livo", "paper"])
+def test_a_flight_is_the_same_with_any_threads(tmp_path: Path, estimator: str) -> None:
+    plain = flown(tmp_path / "plain", "crossroad", estimator)
+    settings = [dict.fromkeys(NAMES, count) for count in "124"] + [{name: "2"} for name in NAMES]
+    for number, threads in enumerate(settings):
+        assert flown(tmp_path / str(number), "crossroad", estimator, **threads) == plain, threads
