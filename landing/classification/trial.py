@@ -18,7 +18,7 @@ from typing import Any
 INPUT = "pictures"
 NOWHERE = "/nonexistent"
 """Folder in which ONNX Runtime looks for weights outside of a network's file"""
-TRIAL_S, TRIAL_MEMORY_BYTES = 20, 6 << 30
+TRIAL_S, TRIAL_MEMORY_BYTES = 20, 4 << 30
 _WAIT_S = 30.0
 _REFUSED = 3
 _LARGEST = 4096

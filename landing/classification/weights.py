@@ -82,8 +82,8 @@ def facts_of(properties: Mapping[str, str], path: Path) -> NetworkFacts:
         )
     except KeyError as error:
         raise ValueError(
-            f"'{path}' has no usable metadata, it lacks {error}: give a file that `touchdown train` "
-            "wrote"
+            f"'{path}' has no usable metadata, it lacks {error}: give a file that "
+            "`touchdown train` wrote"
         ) from error
     except ValueError as error:
         raise ValueError(f"'{path}' has no usable metadata: {error}") from error

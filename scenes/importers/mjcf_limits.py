@@ -51,7 +51,7 @@ _PLUGIN_PARENTS = ("extension", "actuator", "sensor", "default")
 
 @dataclass(slots=True)
 class Census:
-    """What a file holds once MuJoCo has expanded it."""
+    """Counts of a file once MuJoCo has expanded it."""
 
     elements: Counter[str] = field(default_factory=Counter)
     mesh_bytes: int = 0

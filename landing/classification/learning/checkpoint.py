@@ -56,13 +56,14 @@ def restore(trainer: Resumable, folder: Path, identity: dict[str, Any]) -> None:
 def _history_fault(state: dict[str, Any]) -> bool:
     """True where the epochs of a checkpoint are not what a training writes."""
     history, best = state.get("history"), state.get("best_epoch")
-    rows = history if isinstance(history, list) else [None]
+    if not isinstance(history, list):
+        return True
     number = (int, float)
     return not (
-        all(isinstance(row, dict) and "val_macro_f1" in row for row in rows)
-        and all(isinstance(k, str) and isinstance(v, number) for r in rows for k, v in r.items())
+        all(isinstance(row, dict) and "val_macro_f1" in row for row in history)
+        and all(isinstance(k, str) and isinstance(v, number) for r in history for k, v in r.items())
         and isinstance(best, int)
-        and -1 <= best < max(1, len(rows))
+        and -1 <= best < max(1, len(history))
     )
 
 
@@ -126,7 +127,8 @@ def _read(path: Path) -> dict[str, Any]:
     """The content of a file that `torch.save` wrote: tensors, numbers and text, never code."""
     if not path.is_file():
         raise ValueError(
-            f"'{path}' cannot be read as a checkpoint: it does not exist; name the folder of a training"
+            f"'{path}' cannot be read as a checkpoint: it does not exist; name the folder of a "
+            "training"
         )
     if not zipfile.is_zipfile(path):
         raise ValueError(f"'{path}' cannot be read as a checkpoint: it is none, or was cut short")
