@@ -57,7 +57,7 @@ def refused(folder: Path, text: str, message: str) -> None:
         (place("", TEXTURE.format('builtin="flat" width="16000" height="16000"')),
          "more than 134217728 with all others"),
         (place('<replicate count="1000000000" offset="1 0 0"><geom size=".1"/></replicate>'),
-         "elements, more than 200000"),
+         "1000000001 geoms, more than 10000"),
         (place('<replicate count="110" offset="1 0 0"><replicate count="100" offset="0 1 0">'
                '<geom size=".1"/></replicate></replicate>'), "11001 geoms, more than 10000"),
         (place(''.join(f'<geom size=".2" pos="{i % 140} {i // 140} 1"/>' for i in range(19_600))),
