@@ -4,9 +4,11 @@ named as the classes."""
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -78,8 +80,20 @@ def _is_rendered(folder: Path) -> bool:
     manifest = folder / MANIFEST
     if not manifest.is_file():
         return False
-    with manifest.open(encoding="utf-8", newline="") as file:
+    with _open_manifest(manifest) as file:
         return next(csv.reader(file), []) == list(COLUMNS)
+
+
+@contextmanager
+def _open_manifest(manifest: Path) -> Iterator[TextIO]:
+    """Raises UsageError where the text is no CSV in UTF-8."""
+    try:
+        with manifest.open(encoding="utf-8", newline="") as file:
+            yield file
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise UsageError(
+            f"--data: '{manifest}' is not a table in CSV and UTF-8: {error}"
+        ) from error
 
 
 def _rendered(folder: Path, scheme: str) -> Catalogue:
@@ -89,7 +103,7 @@ def _rendered(folder: Path, scheme: str) -> Catalogue:
         )
     classes = labels.SCHEMES[scheme]
     entries, left_out = [], 0
-    with (folder / MANIFEST).open(encoding="utf-8", newline="") as file:
+    with _open_manifest(folder / MANIFEST) as file:
         for number, row in enumerate(csv.DictReader(file), start=2):
             if row[scheme] == "":
                 left_out += 1

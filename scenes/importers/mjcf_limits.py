@@ -51,7 +51,7 @@ _PLUGIN_PARENTS = ("extension", "actuator", "sensor", "default")
 
 @dataclass(slots=True)
 class Census:
-    """What a file holds once MuJoCo has expanded it."""
+    """Counts of a file once MuJoCo has expanded it."""
 
     elements: Counter[str] = field(default_factory=Counter)
     mesh_bytes: int = 0
@@ -94,6 +94,7 @@ class _Model:
         self._tags: list[str] = []
         self._weights = [1]
         self._read(path)
+        self._check_counts()
         for name, weight in self._attached:
             self._add(self._models.get(name, Census()), weight)
         for asset in self._assets:
@@ -165,7 +166,6 @@ class _Model:
             counts[tag] += weight
         elif tag in _MOVING or parent == _SENSOR_SECTION:
             counts["moving"] += weight
-        self._check_counts()
 
     def _check_counts(self) -> None:
         counts = self.census.elements

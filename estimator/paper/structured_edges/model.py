@@ -24,6 +24,8 @@ _OPTIONS = ("stride", "patchSize", "patchInnerSize", "shrinkNumber", "numberOfTr
             "gradientNormalizationRadius", "gradientSmoothingRadius", "regFeatureSmoothingRadius",
             "ssFeatureSmoothingRadius")  # fmt: skip
 _SECTIONS = ("childs", "featureIds", "thresholds", "edgeBoundaries", "edgeBins")
+_MAX_BYTES = 256 << 20
+"""of a model unpacked; that of `touchdown edges train` has 10 MiB"""
 _LINE = 24
 """numbers on a line; OpenCV's reader wants lines of moderate length"""
 
@@ -123,12 +125,18 @@ def check_model(path: Path) -> None:
             "'gradient' for edges without one"
         )
     try:
-        text = gzip.decompress(path.read_bytes())
+        with gzip.open(path) as file:
+            text = file.read(_MAX_BYTES + 1)
     except (OSError, EOFError, zlib.error) as error:
         raise ValueError(
             f"structured edge model '{path}' is damaged ({error}): restore it, or train one by "
             "`touchdown edges train`"
         ) from None
+    if len(text) > _MAX_BYTES:
+        raise ValueError(
+            f"structured edge model '{path}' has more than {_MAX_BYTES >> 20} MiB unpacked: train "
+            "one by `touchdown edges train`"
+        )
     fault = _fault(text.decode("ascii", errors="replace"))
     if fault:
         raise ValueError(

@@ -306,6 +306,25 @@ def test_folders_that_cannot_be_used(
         read_catalogue(argument.format(folder(files)), "d_land")
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{columns}\n/etc/hostname,lawn,lawn,flat,1,train,9,9,1\n", "lies outside of the folder"),
+        ("{columns}\nlawn/../../x.png,lawn,lawn,flat,1,train,9,9,1\n", "line 2: .* lies outside"),
+        ("{columns}\nlawn/a.png\n", "line 2: unknown class or split"),
+        ("{columns}\n" + "x" * 200_000, "is not a table in CSV and UTF-8"),
+        ("{columns}\n\udcff", "is not a table in CSV and UTF-8"),
+    ],
+)
+def test_manifests_that_cannot_be_used(folder: Any, text: str, message: str) -> None:
+    data = folder({"lawn": 1})
+    columns = "file,d_land,d_scene,scene,seed,split,height_m,side_m,share"
+    content = text.format(columns=columns).encode("utf-8", "surrogateescape")
+    (data / "manifest.csv").write_bytes(content)
+    with pytest.raises(UsageError, match=message):
+        read_catalogue(f"rendered={data}", "d_land")
+
+
 def test_no_picture_in_a_split(folder: Any) -> None:
     catalogue = read_catalogue(str(folder({"river": 3})), "d_land")
     with pytest.raises(UsageError, match="no image is in the split 'test'"):
@@ -322,7 +341,7 @@ def test_pictures_that_are_refused(tmp_path: Path) -> None:
         (grey, "is grey"),
         (deep, "has 16 bits"),
         (tmp_path / "text.png", "is not an image"),
-        (tmp_path / "none.png", "does not exist"),
+        (tmp_path / "none.png", "not found"),
     ):
         with pytest.raises(UsageError, match=message):
             read_picture(path)

@@ -1,0 +1,256 @@
+"""Networks and checkpoints of strangers: checked before and after they are loaded."""
+
+from __future__ import annotations
+
+import pickle
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.landing.classification import trial, weights
+from touchdown.landing.classification.engine import OnnxClassifier
+from touchdown.landing.classification.labels import D_LAND
+from touchdown.landing.classification.weights import INPUT, OUTPUT, NetworkFacts, write_network
+
+from support.ground_class_support import write_colour_network
+from support.hostile_files import sparse
+
+pytest.importorskip("onnx")
+
+SIZE = 16
+FACTS = NetworkFacts(network="n", labels="d_land", image_size=SIZE, classes=D_LAND).properties()
+
+
+def network(
+    path: Path,
+    nodes: list[Any],
+    initial: list[Any],
+    facts: dict[str, str] | None = None,
+    inputs: str = INPUT,
+) -> Path:
+    """An ONNX file of ``nodes`` from ``inputs`` (N, 3, 16, 16) to the scores."""
+    import onnx
+    from onnx import TensorProto, helper
+
+    graph = helper.make_graph(
+        nodes,
+        "g",
+        [helper.make_tensor_value_info(inputs, TensorProto.FLOAT, ["batch", 3, SIZE, SIZE])],
+        [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, None)],
+        initial,
+    )
+    model: onnx.ModelProto = helper.make_model(
+        graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8
+    )
+    helper.set_model_props(model, FACTS if facts is None else facts)
+    write_network(path, model.SerializeToString())
+    return path
+
+
+def _mean(rows: int, columns: int, values: Any = None) -> tuple[list[Any], list[Any]]:
+    """Nodes of a mean over the image and a matrix (rows, columns)."""
+    from onnx import helper, numpy_helper
+
+    matrix = np.ones((rows, columns), np.float32) if values is None else values
+    nodes = [
+        helper.make_node("GlobalAveragePool", [INPUT], ["pooled"]),
+        helper.make_node("Flatten", ["pooled"], ["flat"]),
+        helper.make_node("MatMul", ["flat", "matrix"], [OUTPUT]),
+    ]
+    return nodes, [numpy_helper.from_array(matrix, "matrix")]
+
+
+def refused(path: Path, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        OnnxClassifier(path)
+    text = str(caught.value)
+    assert "\n" not in text and "ONNXRuntimeError" not in text and text.isprintable()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"image_size": "1000000000"}, "image_size 1000000000 in its metadata, not 16 to 512"),
+        ({"image_size": "-1"}, "image_size -1"),
+        ({"image_size": "1" * 5000}, "no usable metadata"),
+        ({"network": "[/x]\x1b[31m"}, "name of its network"),
+        ({"network": "n" * 1000}, "name of its network"),
+        ({"least_probability": "nan"}, "limits in its metadata"),
+        ({"least_probability": "7"}, "limits in its metadata"),
+        ({"least_energy": "nan"}, "limits in its metadata"),
+        ({"classes": "cat dog"}, "not .1, 2.|classes that are not"),
+    ],
+)
+def test_metadata_have_limits(tmp_path: Path, change: dict[str, str], message: str) -> None:
+    refused(network(tmp_path / "n.onnx", *_mean(3, 7), FACTS | change), message)
+
+
+def test_a_sound_network_of_this_kind_is_loaded(tmp_path: Path) -> None:
+    classifier = OnnxClassifier(network(tmp_path / "n.onnx", *_mean(3, 7)))
+    assert classifier.scores(np.zeros((2, SIZE, SIZE, 3), np.uint8)).shape == (2, 7)
+
+
+def test_networks_of_other_shapes_are_refused(tmp_path: Path) -> None:
+    from onnx import helper
+
+    refused(network(tmp_path / "a.onnx", *_mean(3, 5)), r"shape \(1, 5\) for one image, not \(1, 7")
+    refused(network(tmp_path / "b.onnx", *_mean(9, 7)), "cannot be loaded|cannot classify an image")
+    nan = np.full((3, 7), np.nan, np.float32)
+    refused(network(tmp_path / "c.onnx", *_mean(3, 7, nan)), "gives scores that are no numbers")
+    nodes = [helper.make_node("Identity", ["x"], [OUTPUT])]
+    refused(network(tmp_path / "d.onnx", nodes, [], inputs="x"), r"has the inputs \['x'\]")
+    nodes = [helper.make_node("Made_up", [INPUT], [OUTPUT])]
+    refused(network(tmp_path / "e.onnx", nodes, []), "cannot be loaded as a network")
+
+
+def test_weights_outside_of_the_file_are_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither beside the file, nor in the current directory, nor anywhere else."""
+    from onnx import TensorProto
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "secret.bin").write_bytes(np.ones((3, 7), np.float32).tobytes())
+    for place in ("secret.bin", f"../{tmp_path.name}/secret.bin", str(tmp_path / "secret.bin")):
+        nodes, _ = _mean(3, 7)
+        outside = TensorProto(name="matrix", data_type=TensorProto.FLOAT, dims=[3, 7])
+        outside.data_location = TensorProto.EXTERNAL
+        outside.external_data.add(key="location", value=place)
+        path = network(tmp_path / "n.onnx", nodes, [outside])
+        refused(path, "its weights lie in another file; save it as one file")
+        pytest.importorskip("torch")
+        from touchdown.landing.classification.learning.weights_file import read_weights
+
+        with pytest.raises(ValueError, match="in another file; save it as one file"):
+            read_weights(path)
+
+
+def test_a_graph_that_fills_the_memory_is_given_up(tmp_path: Path) -> None:
+    from onnx import helper, numpy_helper
+
+    nodes, initial = _mean(3, 7)
+    shape = np.array([40_000, 40_000, 10], np.int64)
+    nodes = [
+        helper.make_node("ConstantOfShape", ["shape"], ["ones"]),
+        helper.make_node("ReduceSum", ["ones"], ["total"], keepdims=0),
+        *nodes[:2],
+        helper.make_node("MatMul", ["flat", "matrix"], ["small"]),
+        helper.make_node("Add", ["small", "total"], [OUTPUT]),
+    ]
+    initial.append(numpy_helper.from_array(shape, "shape"))
+    refused(network(tmp_path / "n.onnx", nodes, initial),
+            "cannot be loaded|cannot classify an image|GiB of memory")  # fmt: skip
+
+
+def test_a_network_that_takes_too_long_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trial, "_WAIT_S", 0.05)
+    refused(write_colour_network(tmp_path / "n.onnx"), "needs more than 0 s to load")
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
+    path = sparse(tmp_path / "n.onnx", b"onnx", 2 << 30)
+    weights.checksum_file(path).write_text("0  n.onnx\n")
+    refused(path, "has 2048 MiB, more than 1024 MiB")
+
+
+# ------------------------------------------------------------------------------------ checkpoints
+
+
+class _Code:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (Path.touch, (Path("was_here"),))
+
+
+@pytest.fixture
+def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a training that a stranger sent."""
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "theirs"
+    folder.mkdir()
+    return folder
+
+
+def _begin(start: Path) -> None:
+    from touchdown.landing.classification.learning.checkpoint import begin_with
+    from touchdown.landing.classification.networks.registry import build_network
+
+    network = build_network("mobilenet_v3_large", 7, 32)
+    begin_with(network, "mobilenet_v3_large", D_LAND, start)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("strings", "something else than the weights of a network"),
+        ("list", "something else than weights"),
+        ("numbers", "something else than the weights"),
+        ("keys", "something else than the weights"),
+        ("shapes", "weights of another network or of other classes"),
+        ("nan", "weights that are NaN or infinite"),
+        ("code", "something else than weights, which is not loaded"),
+        ("pickle", "cannot be read as a checkpoint: it is none"),
+        ("wide", "something else than weights"),
+        ("bomb", "more than 4096 MiB"),
+        ("missing", "it does not exist; name the folder"),
+    ],
+)
+def test_checkpoints_that_hold_something_else(start: Path, kind: str, message: str) -> None:
+    torch = pytest.importorskip("torch")
+    from touchdown.landing.classification.networks.registry import build_network
+
+    path = start / "best.pt"
+    sound = build_network("mobilenet_v3_large", 7, 32).state_dict()
+    first = next(iter(sound))
+    contents = {
+        "strings": {name: "text" for name in sound},
+        "list": [1, 2, 3],
+        "numbers": {name: 1.0 for name in sound},
+        "keys": {number: value for number, value in enumerate(sound.values())},
+        "shapes": sound | {first: torch.zeros(3)},
+        "nan": sound | {first: sound[first] * float("nan")},
+        "code": {"a": _Code()},
+        "wide": sound | {first: torch.zeros(1).expand(100_000, 100_000)},
+    }
+    if kind in contents:
+        torch.save(contents[kind], path)
+    elif kind == "pickle":
+        path.write_bytes(pickle.dumps(_Code()))
+    elif kind == "bomb":
+        torch.save(sound, path)
+        with zipfile.ZipFile(path) as archive:
+            entry = archive.infolist()[0]
+        data = bytearray(path.read_bytes())
+        # the size of the first entry in the archive's directory, in 32 bits
+        at = data.rfind(b"PK\x01\x02", 0, data.find(entry.filename.encode(), len(data) // 2))
+        data[at + 24 : at + 28] = (4_294_967_294).to_bytes(4, "little")
+        path.write_bytes(bytes(data))
+    with pytest.raises(ValueError, match=message) as caught:
+        _begin(start)
+    assert "\n" not in str(caught.value) and not Path("was_here").exists()
+
+
+def test_a_checkpoint_of_something_else_is_not_resumed(start: Path) -> None:
+    torch = pytest.importorskip("torch")
+    from touchdown.landing.classification.learning.checkpoint import restore
+
+    class Trainer:
+        def take_state(self, state: dict[str, Any]) -> None:
+            raise KeyError("network")
+
+    row = {"epoch": 1, "val_macro_f1": 0.5}
+    for state, message in (
+        ({"a": 1}, "is not the checkpoint of a training"),
+        ({"identity": {}, "history": "x", "best_epoch": 0}, "is not the checkpoint of a training"),
+        ({"identity": {}, "history": [{}], "best_epoch": 0}, "is not the checkpoint"),
+        ({"identity": {}, "history": [row], "best_epoch": 9}, "is not the checkpoint"),
+        ({"identity": {}, "history": [row], "best_epoch": 0}, "does not hold the state of this"),
+        ({"identity": 7}, "is not the checkpoint"),
+    ):
+        torch.save(state, start / "last.pt")
+        with pytest.raises(ValueError, match=message):
+            restore(Trainer(), start, {})

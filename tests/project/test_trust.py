@@ -1,0 +1,64 @@
+"""The page on files from strangers: its limits are those of the code, its kinds those that are
+read."""
+
+from __future__ import annotations
+
+import pytest
+
+from touchdown.landing.classification import trial as network_trial
+from touchdown.landing.classification import weights
+from touchdown.scenes.importers import geotiff, mjcf_limits, model_check, pictures, trial
+
+from support.docs_support import rows_of, text_of
+
+PAGE = "docs/trust.md"
+KINDS = (
+    "MJCF", "textures", "GeoTIFF", "PNG", "ONNX", "checkpoint", "calibration", "configuration",
+    "campaign (TOML)", "config.json", "campaign.json", "part.json", "result.json", "baselines",
+    "TUM", "CSV", "MCAP", "SQL", "estimator",
+)  # fmt: skip
+
+
+def _mib(size: int) -> str:
+    return f"{size >> 20} MiB"
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [
+        _mib(mjcf_limits.MAX_TEXT_BYTES),
+        _mib(mjcf_limits.MAX_MESH_BYTES),
+        _mib(trial.TRIAL_BYTES),
+        _mib(geotiff.MAX_BLOCK_BYTES),
+        _mib(weights.MAX_BYTES),
+        f"{trial.TRIAL_S} s of a processor and {trial.TRIAL_MEMORY_BYTES >> 30} GiB",
+        f"{weights.IMAGE_SIZES[0]} to {weights.IMAGE_SIZES[1]}",
+        f"| {mjcf_limits.MAX_DEPTH}; {mjcf_limits.MAX_MODELS_DEEP} |",
+        f"| {mjcf_limits.MAX_MOVING} |",
+        f"| {mjcf_limits.MAX_ELEMENTS} |",
+        f"| {mjcf_limits.MAX_CELLS} |",
+        f"| {mjcf_limits.MAX_TEXELS}; {mjcf_limits.MAX_TEXTURE_SIDE} |",
+        f"| {model_check.MAX_TRIANGLES} |",
+        f"{model_check.FARTHEST_M:.0e} m",
+        f"{geotiff.PART_CELLS} rows",
+        f"{geotiff.MAX_PART_CELLS} cells",
+        f"{geotiff.FINE_CELLS} cells across",
+        f"{geotiff.COARSEST_M:g} m",
+        f"{pictures.MAX_PIXELS} pixels",
+        *(f"{most} each" for most in set(mjcf_limits.MAX_OF_TAG.values())),
+    ],
+)
+def test_limits_are_those_of_the_code(limit: str) -> None:
+    assert limit in text_of(PAGE)
+
+
+def test_limits_of_both_trials_are_the_same() -> None:
+    assert network_trial.TRIAL_S == trial.TRIAL_S
+    assert network_trial.TRIAL_MEMORY_BYTES == trial.TRIAL_MEMORY_BYTES
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_file_is_in_the_table(kind: str) -> None:
+    rows = rows_of(PAGE, "file")
+    assert any(kind in cells[0] for cells in rows)
+    assert all(len(cells) == 4 and all(cells) for cells in rows)
