@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import importlib.abc
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
+from types import ModuleType
 from typing import Any
-from unittest import mock
 
 LEARNING = (
     "onnx",
@@ -21,59 +23,23 @@ LEARNING = (
     "touchdown.landing.classification.learning.training",
     "touchdown.landing.classification.learning.export",
 )
-_STOPS = (
-    "touchdown.experiments.flight.run.fly_and_judge",
-    "touchdown.experiments.external.conformance.check_estimator",
-    "touchdown.experiments.reproduce.run._do",
-    "touchdown.experiments.cli.view.run_viewer",
-    "touchdown.sim.posed_sensors.PosedSensors.__init__",
-    "concurrent.futures.ProcessPoolExecutor.__init__",
-    "touchdown.experiments.classification.evaluate.measured_footprint",
-)
-_SPECS = ("touchdown.scenes.compose.compose_spec", "touchdown.scenes.export.compose_spec")
-_REVISIONS = (
-    "touchdown.experiments.io.provenance.git_revision",
-    "touchdown.experiments.flight.replay.git_revision",
-)
-_TRAINER = "touchdown.landing.classification.learning.training"
 
 
 class Reached(BaseException):
     """The input is valid: a flight, a rendering or a training would begin now."""
 
 
-def load(*names: str) -> None:
-    """Imports modules once for all cases."""
-    for name in names:
-        if name not in sys.modules:
-            with contextlib.suppress(Exception):
-                importlib.import_module(name)
+def _reach(*_arguments: Any, **_options: Any) -> Any:
+    raise Reached
 
 
-def install() -> None:
-    """Replaces the beginnings of long work by raising `Reached`, for the rest of the process."""
+def _compose_spec(name_or_path: str, seed: int) -> Any:
+    """Composes scenes of files; built-in ones take seconds and read nothing."""
     from touchdown.scenes import compose
 
-    real_spec, generator = compose.compose_spec, compose.scene_generator
-
-    def compose_spec(name_or_path: str, seed: int) -> Any:
-        if name_or_path.endswith(".xml") or "/" in name_or_path or seed < 0:
-            return real_spec(name_or_path, seed)
-        generator(name_or_path)
-        raise Reached(f"build {name_or_path}")
-
-    for name in _STOPS:
-        mock.patch(name, _reach).start()
-    for name in _SPECS:
-        mock.patch(name, compose_spec).start()
-    for name in _REVISIONS:
-        mock.patch(name, return_value="abc").start()
-    mock.patch("touchdown.experiments.campaign.executor.LocalEngine.run", _fly_some).start()
-    if _TRAINER in sys.modules:
-        mock.patch(f"{_TRAINER}.Trainer.run_epoch", _reach).start()
-
-
-def _reach(*_arguments: Any, **_options: Any) -> Any:
+    if name_or_path.endswith(".xml") or "/" in name_or_path or seed < 0:
+        return _REAL["touchdown.scenes.compose", "compose_spec"](name_or_path, seed)
+    compose.scene_generator(name_or_path)
     raise Reached
 
 
@@ -103,12 +69,79 @@ def fly_nowhere(config: Any, out: Path) -> Any:
     return result
 
 
+def _no_revision() -> str:
+    return "abc"
+
+
+_STOPS: dict[str, dict[str, Callable[..., Any]]] = {
+    "concurrent.futures.process": {"ProcessPoolExecutor.__init__": _reach},
+    "touchdown.experiments.campaign.executor": {"LocalEngine.run": _fly_some},
+    "touchdown.experiments.classification.evaluate": {"measured_footprint": _reach},
+    "touchdown.experiments.cli.view": {"run_viewer": _reach},
+    "touchdown.experiments.external.conformance": {"check_estimator": _reach},
+    "touchdown.experiments.flight.replay": {"git_revision": _no_revision},
+    "touchdown.experiments.flight.run": {"fly_and_judge": _reach},
+    "touchdown.experiments.io.provenance": {"git_revision": _no_revision},
+    "touchdown.experiments.reproduce.run": {"_do": _reach},
+    "touchdown.landing.classification.learning.training": {"Trainer.run_epoch": _reach},
+    "touchdown.scenes.compose": {"compose_spec": _compose_spec},
+    "touchdown.scenes.export": {"compose_spec": _compose_spec},
+    "touchdown.sim.posed_sensors": {"PosedSensors.__init__": _reach},
+}
+"""By module, what is replaced in it."""
+_REAL: dict[tuple[str, str], Callable[..., Any]] = {}
+
+
+class _Stopping(importlib.abc.MetaPathFinder):
+    """Replaces parts of a module when it is imported."""
+
+    def find_spec(self, name: str, path: Any, target: Any = None) -> ModuleSpec | None:
+        if name not in _STOPS:
+            return None
+        spec = PathFinder.find_spec(name, path, target)
+        if spec is None or spec.loader is None:
+            return spec
+        execute = spec.loader.exec_module
+
+        def exec_module(module: ModuleType) -> None:
+            execute(module)
+            _replace(name, module)
+
+        spec.loader.exec_module = exec_module  # type: ignore[method-assign]
+        return spec
+
+
+def _replace(name: str, module: ModuleType) -> None:
+    for path, new in _STOPS[name].items():
+        owner: Any = module
+        *parents, last = path.split(".")
+        for parent in parents:
+            owner = getattr(owner, parent)
+        _REAL[name, path] = getattr(owner, last)
+        setattr(owner, last, new)
+
+
+def install() -> None:
+    """Replaces the beginnings of long work, for the rest of the process."""
+    if not any(isinstance(finder, _Stopping) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _Stopping())
+        for name in _STOPS:
+            if name in sys.modules:
+                _replace(name, sys.modules[name])
+
+
+def load(*names: str) -> None:
+    """Imports modules once for all cases."""
+    for name in names:
+        if name not in sys.modules:
+            with contextlib.suppress(Exception):
+                importlib.import_module(name)
+
+
 def main() -> int:
     """A whole command, in a process of its own."""
     from fuzz.cases import REACHED
 
-    if sys.argv[1] in ("train", "quantize"):
-        load(*LEARNING)
     install()
     from touchdown.experiments.cli.main import main as run
 
@@ -120,4 +153,6 @@ def main() -> int:
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parents[1]))
-    sys.exit(main())
+    from fuzz import grounding
+
+    sys.exit(grounding.main())
