@@ -78,10 +78,7 @@ def test_a_case_is_the_same_each_time(tmp_path: Path) -> None:
     assert files(tmp_path / "a") == files(tmp_path / "b")
 
 
-def _ended(action: Callable[[], object], monkeypatch: pytest.MonkeyPatch) -> worker.End:
-    monkeypatch.setattr(worker, "LIMIT_S", 0.3)
-    monkeypatch.setattr(worker, "MEMORY_BYTES", 600 << 20)
-
+def _ended(action: Callable[[], object]) -> worker.End:
     def start() -> None:
         os.setsid()
         action()
@@ -109,21 +106,26 @@ def _desert() -> None:
 
 
 @pytest.mark.parametrize(
-    ("action", "why"),
-    [(_spin, "took longer"), (_swell, "GB")],
+    ("action", "limit", "most", "why"),
+    [(_spin, "LIMIT_S", 0.3, "took longer"), (_swell, "MEMORY_BYTES", 700 << 20, "GB")],
 )
 def test_what_passes_a_limit_is_ended(
-    action: Callable[[], object], why: str, monkeypatch: pytest.MonkeyPatch
+    action: Callable[[], object],
+    limit: str,
+    most: float,
+    why: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    end = _ended(action, monkeypatch)
+    monkeypatch.setattr(worker, limit, most)
+    end = _ended(action)
     assert why in end.why
     assert os.waitstatus_to_exitcode(end.status) == -signal.SIGKILL
 
 
-def test_a_crash_and_a_process_left_behind_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    crashed = _ended(_crash, monkeypatch)
+def test_a_crash_and_a_process_left_behind_are_seen() -> None:
+    crashed = _ended(_crash)
     assert os.waitstatus_to_exitcode(crashed.status) == -signal.SIGABRT
-    assert _ended(_desert, monkeypatch).left == 1
+    assert _ended(_desert).left == 1
 
 
 @pytest.mark.parametrize(
