@@ -15,6 +15,16 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f" (did you mean '{matches[0]}'?)" if matches else ""
 
 
+def visible(text: object, keep: str = "") -> str:
+    r"""Text of outside as it may be printed: control characters, line ends, marks of direction and
+    of no width, and lone surrogates are written as escapes, such as ``\x1b`` and ``\u202e``.
+    Characters of ``keep`` stay."""
+    words = str(text)
+    if words.isprintable():
+        return words
+    return "".join(c if c.isprintable() or c in keep else ascii(c)[1:-1] for c in words)
+
+
 _REMEDIES = {
     errno.ENOSPC: "make room there and give the command again",
     errno.EDQUOT: "make room there and give the command again",

@@ -14,8 +14,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from touchdown.experiments.config.files import check_named_code, read_tree
 from touchdown.experiments.config.keys import flatten
-from touchdown.experiments.config.loading import OPTION_KEYS, config_of, dump_config, read_tree
+from touchdown.experiments.config.loading import OPTION_KEYS, config_of, dump_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, usage_errors
 
@@ -39,17 +40,23 @@ def load_config(
     estimator: str | None = None,
     seed: int | None = None,
     overrides: Overrides | None = None,
+    allow_code: bool = False,
 ) -> Config:
     """The configuration of a flight.
 
     ``file`` is a TOML file or the ``config.json`` of a run; without it the defaults apply.
-    ``overrides`` win over the file, the other arguments over both. Raises UsageError.
+    ``overrides`` win over the file, the other arguments over both. A file that came with results
+    names an external estimator, whose module a flight imports, only with ``allow_code``. Raises
+    UsageError.
     """
     values: dict[str, Any] = {}
     sources: dict[str, str] = {}
     if file is not None:
         for key, value in flatten(read_tree(Path(file))):
             values[key], sources[key] = value, str(file)
+        named_here = estimator is not None or "estimator" in (overrides or {})
+        if not (allow_code or named_here):
+            check_named_code(Path(file), [values.get("estimator")])
     return _changed(values, sources, overrides, scene=scene, estimator=estimator, seed=seed)
 
 
@@ -98,18 +105,20 @@ def replay(
     overrides: Overrides | None = None,
     out: str | Path | None = None,
     progress: Progress = False,
+    allow_code: bool = False,
 ) -> RunResult:
     """Replays the logged sensors of a run directory into an estimator; returns the result.
 
     The run must hold ``sensors.mcap`` (``overrides={"log.sensors": True}`` of its flight). Without
-    ``estimator``, that of the run is used. Raises UsageError.
+    ``estimator``, that of the run is used; where it is an external one, with ``allow_code`` only.
+    Raises UsageError.
     """
     from touchdown.experiments.flight import replay as replays
     from touchdown.experiments.terminal import end_progress
 
     _prepare()
     texts = tuple(f"{key}={json.dumps(value)}" for key, value in (overrides or {}).items())
-    config = replays.replay_config(Path(run), estimator, texts)
+    config = replays.replay_config(Path(run), estimator, texts, allow_code=allow_code)
     result = replays.replay(Path(run), config, _path(out), _progress(progress))
     end_progress(quiet=progress is not True)
     return result

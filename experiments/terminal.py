@@ -6,7 +6,9 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from touchdown.experiments.errors import visible
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,25 +23,45 @@ _LONGEST_ERROR, _END_OF_ERROR = 700, 250
 def error_line(message: str) -> str:
     """The one line that stands for a mistake of the user. What it quotes of the input may be of any
     length and hold anything: characters that would steer the terminal are written as escapes."""
-    words = " ".join(message.split())
+    words = visible(" ".join(message.split()))
     if len(words) > _LONGEST_ERROR:
         words = f"{words[: _LONGEST_ERROR - _END_OF_ERROR]} ... {words[-_END_OF_ERROR:]}"
-    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)
-    return f"touchdown: error: {shown}"
+    return f"touchdown: error: {words}"
 
 
-def make_console() -> Console:
-    """Of stdout. Only on a terminal do tables have to fit: in a file or a pipe nothing is cut."""
+def warning_line(message: object) -> str:
+    """The one line of a warning."""
+    return f"touchdown: warning: {visible(' '.join(str(message).split()))}"
+
+
+def say(text: object = "", *, err: bool = False) -> None:
+    """Prints lines to stdout, or to stderr with ``err``. What they name of outside cannot steer the
+    terminal."""
+    import click
+
+    click.echo(visible(text, keep="\n"), err=err)
+
+
+def make_console(*, stderr: bool = False) -> Console:
+    """Of stdout or stderr. Text is printed as it is: brackets are no markup, colons no emoji, and
+    control characters are escapes; styles are given as `rich.text.Text`. Only on a terminal do
+    tables have to fit: in a file or a pipe nothing is cut."""
     from rich.console import Console
+    from rich.text import Text
 
-    return Console(highlight=False, width=None if sys.stdout.isatty() else _UNCUT)
+    class LiteralConsole(Console):
+        def render_str(self, text: str, **options: Any) -> Text:
+            return super().render_str(visible(text), **options)
+
+    width = None if stderr or sys.stdout.isatty() else _UNCUT
+    return LiteralConsole(stderr=stderr, highlight=False, markup=False, emoji=False, width=width)
 
 
 def make_notes(quiet: bool) -> Callable[[str], None]:
     """Prints what is being worked on to stderr."""
     if quiet:
         return lambda _note: None
-    return lambda note: print(note, file=sys.stderr, flush=True)
+    return lambda note: print(visible(note, keep="\n"), file=sys.stderr, flush=True)
 
 
 def make_progress(quiet: bool) -> Callable[[float, str, str], None]:
@@ -52,7 +74,7 @@ def make_progress(quiet: bool) -> Callable[[float, str, str], None]:
 
     def progress(time_s: float, phase: str, note: str) -> None:
         nonlocal seen
-        line = f"{time_s:6.1f} s  {phase:<10} {note}"
+        line = visible(f"{time_s:6.1f} s  {phase:<10} {note}")
         if phase != seen:
             seen = phase
             print(f"\r\033[K{line}" if live else line, file=sys.stderr, flush=True)
@@ -73,7 +95,6 @@ def end_progress(quiet: bool) -> None:
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[int, int, str], None]]:
     """A bar on stderr that shows (done, total, what is being worked on)."""
-    from rich.console import Console
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -84,15 +105,15 @@ def progress_bar(quiet: bool) -> Iterator[Callable[[int, int, str], None]]:
 
     columns = (
         BarColumn(30), MofNCompleteColumn(), TimeRemainingColumn(),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
     )  # fmt: skip
-    bar = Progress(*columns, console=Console(stderr=True), disable=quiet)
+    bar = Progress(*columns, console=make_console(stderr=True), disable=quiet)
     task = bar.add_task("", total=None)
 
     def progress(done: int, total: int, note: str) -> None:
         # not before there is something to show: bad input is one line
         bar.start()
-        bar.update(task, completed=done, total=total, description=note)
+        bar.update(task, completed=done, total=total, description=visible(note))
 
     try:
         yield progress

@@ -371,6 +371,8 @@ class Contact:
     part: str
     other: str
     normal_force_n: float
+    point_world: tuple[float, float, float] | None = None
+    """metres, where they press hardest; None where it is not known"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -8,22 +8,33 @@ import json
 import os
 import shutil
 import socket
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.campaign.plan import Plan, PlannedRun, config_for, config_sha
-from touchdown.experiments.campaign.results_table import FAILED, RUNS, refresh
+from touchdown.experiments.campaign.results_table import FAILED, RESULTS_FILE, RUNS, refresh
+from touchdown.experiments.campaign.run_names import is_run_name
 from touchdown.experiments.campaign.worker import PARTIAL, Task
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.loading import code_now, is_external
+from touchdown.experiments.io.foreign import inside, is_plain_name, read_object, refuse_links, shown
 from touchdown.experiments.io.run_directory import utc_now, write_text
 
 PLAN_FILE, SOURCE_FILE, LOCK_FILE = "campaign.json", "campaign.toml", ".lock"
+SHARE_FILE = ".share"
+"""Beginning of the names of the files by which nodes of a cluster prove that they see the same
+directory."""
 Shard = tuple[int, int]
 
+
+_OWN = (
+    LOCK_FILE, PARTIAL, SHARE_FILE, RUNS, FAILED, PLAN_FILE, SOURCE_FILE, RESULTS_FILE,
+    f".{PLAN_FILE}", f".{SOURCE_FILE}", f".{RESULTS_FILE}",
+)  # fmt: skip
+"""Beginnings of the names of all that a campaign writes into its directory."""
 
 # ------------------------------------------------------------------------------------------- lock
 
@@ -75,14 +86,28 @@ def _holder(directory: Path) -> str:
 def _check_is_ours(directory: Path) -> None:
     if not directory.is_dir():
         raise UsageError(f"--out {directory}: is a file; name a new directory")
-    if (directory / PLAN_FILE).is_file():
-        return
-    # A campaign that was killed in its first moment leaves these.
-    others = [p.name for p in directory.iterdir() if not p.name.startswith((".lock", ".campaign"))]
-    if set(others) - {SOURCE_FILE}:
-        raise UsageError(
-            f"--out {directory}: holds something that is no campaign; name another directory"
-        )
+    if not (directory / PLAN_FILE).is_file():
+        # A campaign that was killed in its first moment leaves these.
+        marks = (".lock", ".campaign", SHARE_FILE)
+        others = [p.name for p in directory.iterdir() if not p.name.startswith(marks)]
+        if set(others) - {SOURCE_FILE}:
+            raise UsageError(
+                f"--out {directory}: holds something that is no campaign; name another directory"
+            )
+    check_plain(directory)
+
+
+def check_plain(directory: Path) -> None:
+    """Raises UsageError where a campaign would write, replace or remove through a link, or where a
+    file stands in the place of one of its folders."""
+    own = [path for path in directory.iterdir() if path.name.startswith(_OWN)]
+    refuse_links(own, "a campaign")
+    for name in (RUNS, FAILED, PARTIAL):
+        folder = directory / name
+        if folder.is_dir():
+            refuse_links(folder.iterdir(), "a campaign")
+        elif folder.exists():
+            raise UsageError(f"'{folder}' is a file where a campaign has a folder; remove it")
 
 
 # ------------------------------------------------------------------------------------------- plan
@@ -92,7 +117,7 @@ def read_plan_file(directory: Path) -> dict[str, Any]:
     """``campaign.json``. Raises UsageError where there is none."""
     path = directory / PLAN_FILE
     try:
-        document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        document = read_object(path)
     except FileNotFoundError:
         raise UsageError(f"'{directory}' is no campaign: it holds no {PLAN_FILE}") from None
     except (OSError, ValueError) as error:
@@ -102,13 +127,21 @@ def read_plan_file(directory: Path) -> dict[str, Any]:
             f"'{path}' is damaged or of another program; name another directory, or the campaign's "
             "own"
         )
+    names = [run["run_id"] for run in document["runs"]]
+    strange = next((name for name in names if not is_plain_name(name)), None)
+    if strange is not None or len(set(names)) < len(names):
+        fault = "gives two runs one name" if strange is None else f"calls a run {shown(strange)}"
+        raise UsageError(
+            f"'{path}' {fault}, which no campaign does: it is damaged or of another program; name "
+            "another directory"
+        )
     return document
 
 
-def _is_plan(document: Any) -> bool:
+def _is_plan(document: Mapping[str, Any]) -> bool:
     """True if the document has the parts of every plan."""
     kinds = {"name": str, "mode": str, "created_utc": str, "sessions": list, "runs": list}
-    if not isinstance(document, dict) or "git_revision" not in document:
+    if "git_revision" not in document:
         return False
     if not all(isinstance(document.get(key), kind) for key, kind in kinds.items()):
         return False
@@ -173,16 +206,28 @@ def _merged(
     """``runs`` under the names that they had, which lengthen when an axis gets a second value."""
     # Compared as today's program understands them: defaults may have changed since.
     source = str(directory / PLAN_FILE)
+    for old in before:
+        if not is_run_name(old["run_id"], old["values"]):
+            raise UsageError(
+                f"'{source}' calls a run {shown(old['run_id'])}, which is not the name of its "
+                "values: it is damaged or of another program; name another --out"
+            )
     known = [config_sha(config_for(old["values"], source), but=("record",)) for old in before]
     names = {sha: old["run_id"] for sha, old in zip(known, before, strict=True)}
     planned = [config_sha(config_for(run.values, source), but=("record",)) for run in runs]
     for old, sha in zip(before, known, strict=True):
         if sha not in planned:
             raise UsageError(_difference(old, runs, directory))
-    return tuple(
+    merged = tuple(
         replace(run, run_id=names.get(sha, run.run_id))
         for run, sha in zip(runs, planned, strict=True)
     )
+    if len({run.run_id for run in merged}) < len(merged):
+        raise UsageError(
+            f"'{source}' gives a run the name of another; it is damaged or of another program; "
+            "name another --out"
+        )
+    return merged
 
 
 def _difference(old: Mapping[str, Any], runs: Sequence[PlannedRun], directory: Path) -> str:
@@ -228,6 +273,22 @@ def check_external_code(plan: Plan, directory: Path) -> None:
 # ---------------------------------------------------------------------------------------- leavings
 
 
+def sweep(directory: Path, run_ids: Iterable[str], *, whole: bool) -> None:
+    """Takes away what dead processes left of runs; ``whole``: nobody else works in ``directory``,
+    and all unfinished files go."""
+    if not whole:
+        for run_id in run_ids:
+            clear_partial(directory, run_id)
+        return
+    shutil.rmtree(directory / PARTIAL, ignore_errors=True)
+    for name in (f".{PLAN_FILE}.", f".{SOURCE_FILE}.", f"{SHARE_FILE}-"):
+        for path in directory.glob(f"{name}*"):
+            path.unlink(missing_ok=True)
+    for path in directory.glob(f".{RESULTS_FILE}.*"):
+        if not Path("/proc", path.suffix[1:]).exists():  # readers write it too, without a lock
+            path.unlink(missing_ok=True)
+
+
 def clear_partial(directory: Path, run_id: str) -> None:
     """Takes away what a worker that is dead left of a run."""
     for path in (directory / PARTIAL).glob(f"{_escaped(run_id)}.*"):
@@ -263,6 +324,7 @@ def write_failure(task: Task, kind: str, error: str, traceback: str, attempts: i
 
     folder = Path(task.directory) / FAILED
     folder.mkdir(exist_ok=True)
+    path = inside(folder, f"{task.run_id}.json")
     config = config_for(task.values, f"run {task.run_id}")
     record = {
         "run_id": task.run_id,
@@ -280,4 +342,4 @@ def write_failure(task: Task, kind: str, error: str, traceback: str, attempts: i
         "traceback": traceback,
         "values": dict(task.values),
     }
-    write_text(folder / f"{task.run_id}.json", json.dumps(record, indent=1) + "\n")
+    write_text(path, json.dumps(record, indent=1) + "\n")

@@ -1,7 +1,8 @@
 """Executors of the runs of a campaign: worker processes, each watched by a supervisor.
 
 An engine decides where workers run; a supervisor watches one of them, wherever it is: its time, its
-memory, its death. `experiments.campaign.executor_ray` puts the same supervisors on a Ray cluster.
+memory, its death, and the processes that an estimator starts in it.
+`experiments.campaign.executor_ray` puts the same supervisors on a Ray cluster.
 """
 
 from __future__ import annotations
@@ -24,8 +25,10 @@ from pathlib import Path
 from typing import IO, Any, Protocol
 
 from touchdown.experiments.campaign.directory import clear_partial, write_failure
+from touchdown.experiments.campaign.guard import SUPERVISOR
 from touchdown.experiments.campaign.plan import Limits
 from touchdown.experiments.campaign.worker import Task
+from touchdown.experiments.external.processes import descendants, memory_bytes
 from touchdown.experiments.flight.platform import rendering_backend
 
 Event = dict[str, Any]
@@ -57,7 +60,9 @@ RUNS_PER_WORKER = 50
 MAX_KILLED = 5
 """Times that a run is started over since somebody else killed its worker."""
 
-_POLL_S = 0.25
+_POLL_S, _PAUSE_S = 0.25, 0.005
+_END_S = 15.0
+"""for the guard to end what an estimator started"""
 _START_UP_S = 300.0
 """for a worker to load what it needs, on a machine that is busy"""
 
@@ -67,6 +72,8 @@ class Engine(Protocol):
 
     name: str
     jobs: int
+    patience_s: float
+    """until files that its workers have written are seen here"""
 
     def run(self, tasks: Sequence[Task], limits: Limits, tell: Callable[[Event], None]) -> None:
         """Returns when every task has ended. ``tell`` is called in the calling thread. Raises
@@ -88,9 +95,9 @@ class Failure:
     traceback: str = ""
 
 
-_SERVE = (
+_GUARD = (
     "import sys; sys.path.sort(key=lambda entry: entry == ''); "  # here comes last: hides nothing
-    "from touchdown.experiments.campaign.worker import serve; serve()"
+    "from touchdown.experiments.campaign.guard import guard; guard()"
 )
 
 
@@ -149,11 +156,11 @@ class Supervisor:
             tell({"event": "retry", "run_id": task.run_id, "error": failure.error})
 
     def close(self) -> None:
-        """Ends the worker, at once."""
+        """Ends the worker, at once, and every process that it started."""
         if self._worker is not None:
-            with contextlib.suppress(ProcessLookupError):
-                self._worker.kill()
-            self._worker.wait()
+            if self._worker.returncode is None:
+                os.kill(self._worker.pid, signal.SIGTERM)  # the guard, which ends them all
+                self._collect()
             for pipe in (self._worker.stdin, self._worker.stdout, self._log):
                 if pipe is not None:
                     with contextlib.suppress(OSError):
@@ -193,21 +200,28 @@ class Supervisor:
         assert self._worker and self._worker.stdout
         pipe, since, rest = self._worker.stdout, time.monotonic(), b""
         while not self._stop.is_set():
-            if select.select([pipe], [], [], _POLL_S)[0]:
+            # The pipe may outlive the worker: in processes that a library of it forked.
+            dead = self._has_ended()  # before a look for its last words
+            if select.select([pipe], [], [], 0.0 if dead else _POLL_S)[0]:
                 chunk = os.read(pipe.fileno(), 65536)
                 if not chunk:
                     return self._death()
                 *lines, rest = (rest + chunk).split(b"\n")
                 for message in map(json.loads, lines):
                     if message["event"] in ("ready", "idle"):
+                        if message.get("spent"):
+                            self.close()
                         return None
                     if message["event"] == "error":
                         return Failure(message["kind"], message["error"], message["traceback"])
                     note(message)
                     since = time.monotonic()  # what follows is the recording
+            elif dead:
+                return self._death()
             if time.monotonic() - since > limit_s:
                 return Failure("time", f"took longer than {limit_s:g} s")
-            if _resident_bytes(self._worker.pid) > self._limits.memory_gb * 1e9:
+            limit = self._limits.memory_gb * 1e9
+            if memory_bytes(descendants(self._worker.pid), limit) > limit:
                 return Failure("memory", f"took more than {self._limits.memory_gb:g} GB of memory")
         return None
 
@@ -216,18 +230,34 @@ class Supervisor:
         fcntl.fcntl(self._log, fcntl.F_SETFL, os.O_APPEND)
         self._runs = 0
         self._worker = subprocess.Popen(
-            [sys.executable, "-c", _SERVE],
+            [sys.executable, "-c", _GUARD],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
-            env={**self._environment, "TOUCHDOWN_SUPERVISOR": str(os.getpid())},
+            env={**self._environment, SUPERVISOR: str(os.getpid())},
             cwd=self._directory,
             start_new_session=True,  # Ctrl-C is for the parent
         )
 
+    def _has_ended(self) -> bool:
+        """True if the guard has ended. Its process id stays its own until it is collected."""
+        assert self._worker
+        flags = os.WEXITED | os.WNOHANG | os.WNOWAIT
+        return os.waitid(os.P_PID, self._worker.pid, flags) is not None
+
+    def _collect(self) -> int:
+        """Waits for the guard to end, with all that it guards, and returns its exit code."""
+        assert self._worker
+        deadline = time.monotonic() + _END_S
+        while not self._has_ended() and time.monotonic() < deadline:
+            time.sleep(_PAUSE_S)
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._worker.pid, signal.SIGKILL)  # should somebody have killed the guard
+        return self._worker.wait()
+
     def _death(self) -> Failure:
-        assert self._worker and self._log
-        code = self._worker.wait()
+        assert self._log
+        code = self._collect()
         self._log.seek(0)
         tail = self._log.read()[-8000:].decode(errors="replace")
         if code >= 0:
@@ -237,14 +267,6 @@ class Supervisor:
         return Failure(kind, f"the worker was ended by {name}", tail)
 
 
-def _resident_bytes(pid: int) -> int:
-    try:
-        with open(f"/proc/{pid}/statm", encoding="ascii") as file:
-            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except (OSError, IndexError):
-        return 0
-
-
 # ------------------------------------------------------------------------------------------ local
 
 
@@ -252,6 +274,7 @@ class LocalEngine:
     """Worker processes on this machine, each with a thread that watches it."""
 
     name = "local"
+    patience_s = 0.0
 
     def __init__(self, jobs: int, slots: threading.Semaphore | None = None) -> None:
         """A run is begun when one of the ``slots`` is free, which others may take too."""

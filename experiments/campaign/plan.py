@@ -6,7 +6,6 @@ import hashlib
 import itertools
 import json
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,28 +15,18 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchdown.experiments.api import Outcome
+from touchdown.experiments.campaign.run_names import AXES, run_name
+from touchdown.experiments.config.files import check_named_code, read_tree
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.loading import (
-    OPTION_KEYS,
     config_of,
     is_key,
     known_keys,
-    read_tree,
 )
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds
 from touchdown.experiments.errors import UsageError, nearest
-
-AXES: Mapping[str, str] = {
-    "scene": "scene",
-    "estimator": "estimator",
-    "seed": "seed",
-    "wind_kmh": OPTION_KEYS["wind_kmh"],
-}
-"""Short names of axes and the keys that they set; any other key is an axis by its own name."""
-
-_LABELS = {"wind_kmh": "w", "faults.events": ""}
-"""Prefixes of the values of an axis in run names, where it is not the last part of its key."""
+from touchdown.experiments.io.foreign import LONGEST_NAME, is_plain_name, shown
 
 _OWN_KEYS = {
     "scene": "an axis: [axes] scene",
@@ -142,8 +131,9 @@ class Plan:
     """what runs are to come to: the keys of ``Expect``, ``when`` by dotted keys of runs' values"""
 
 
-def load_plan(file: Path) -> Plan:
-    """Reads, checks and unrolls a campaign's TOML file.
+def load_plan(file: Path, *, allow_code: bool = False) -> Plan:
+    """Reads, checks and unrolls a campaign's TOML file. A file that lies in the directory of a
+    campaign or a run names an external estimator only with ``allow_code``.
 
     Every configuration is validated here, so that a mistake shows before the first flight.
     Raises UsageError, one line.
@@ -153,6 +143,8 @@ def load_plan(file: Path) -> Plan:
         raise UsageError(f"'{file}' is no TOML file; a campaign is described in FILE.toml")
     spec = _parse(tree, str(file))
     axes = _axes(spec.axes, str(file))
+    if not allow_code:
+        check_named_code(file, axes["estimator"])
     base = dict(flatten(spec.base))
     _check_settable(base, axes, f"[base] of {file}")
     overrides = [_override(entry, axes, f"[[override]] {number} of {file}")
@@ -346,7 +338,7 @@ def _runs(
             checked[rest] = config_for(values, source)
         config = checked[rest].model_copy(update={"seed": values["seed"]})
         runs.append(
-            PlannedRun(run_id=_run_id(place, axes), values=values, config_sha=config_sha(config))
+            PlannedRun(run_id=run_name(place, axes), values=values, config_sha=config_sha(config))
         )
     if not runs:
         raise UsageError(f"[[skip]] of {source} leaves nothing to fly")
@@ -354,20 +346,10 @@ def _runs(
     name, count = names.most_common(1)[0]
     if count > 1:
         raise UsageError(f"{count} runs of {source} would both be called '{name}'; rename a scene")
+    for name in names:
+        if not is_plain_name(name):
+            raise UsageError(
+                f"a run of {source} would be called {shown(name)}, which is no name of a directory "
+                f"or longer than {LONGEST_NAME} bytes; rename the scene, or shorten the values"
+            )
     return runs
-
-
-def _run_id(place: Mapping[str, Any], axes: Mapping[str, list[Any]]) -> str:
-    """``crossroad-gps-s3``, then every further axis that has several values."""
-    parts = [Path(place["scene"]).stem, place["estimator"], f"s{place['seed']}"]
-    for axis, value in place.items():
-        if axis not in ("scene", "estimator", "seed") and len(axes[axis]) > 1:
-            label = _LABELS.get(axis, axis.rpartition(".")[2])
-            parts.append(f"{label}{_slug(value) or 'none'}")
-    return "-".join(re.sub(r"[^\w.+-]+", ".", part) for part in parts)
-
-
-def _slug(value: Any) -> str:
-    if isinstance(value, list):
-        return "_".join(_slug(item) for item in value)
-    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -10,8 +10,6 @@ from collections.abc import Mapping, Sequence
 from statistics import fmean
 from typing import Any
 
-from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
@@ -19,6 +17,7 @@ from touchdown.experiments.campaign import expectations
 from touchdown.experiments.campaign.executor import Event
 from touchdown.experiments.campaign.session import Watcher
 from touchdown.experiments.campaign.worker import Task
+from touchdown.experiments.errors import visible
 from touchdown.experiments.terminal import make_console
 
 
@@ -59,7 +58,7 @@ class Display(Watcher):
     """Watcher that shows the bar or prints the lines."""
 
     def __init__(self) -> None:
-        self._console = Console(stderr=True, highlight=False)
+        self._console = make_console(stderr=True)
         self._live = self._console.is_terminal
         self._counts = {"finished": 0, "failed": 0, "unsuccessful": 0}
         self._progress: Progress | None = None
@@ -115,9 +114,9 @@ class Display(Watcher):
 
     def _say(self, text: str) -> None:
         if self._live:
-            self._console.print(escape(text))
+            self._console.print(text)
         else:
-            print(text, file=sys.stderr, flush=True)
+            print(visible(text), file=sys.stderr, flush=True)
 
 
 def _clock(seconds: float) -> str:
@@ -142,9 +141,9 @@ def print_summary(figures: Mapping[str, Any]) -> None:
     if figures["estimators"]:
         console.print(_cost_table(figures["estimators"]))
     for run_id, error in figures["errors"].items():
-        console.print(f"crashed: {run_id}: {escape(error or '')}", soft_wrap=True)
+        console.print(f"crashed: {run_id}: {error or ''}", soft_wrap=True)
     for line in expectations.lines([expectations.verdict_of(v) for v in figures["expectations"]]):
-        console.print(escape(line), soft_wrap=True)
+        console.print(line, soft_wrap=True)
     console.print(f"table: {figures['results']}", soft_wrap=True)
 
 

@@ -1,4 +1,4 @@
-"""The table of a campaign, one row per run: written to Parquet, read as rows or with DuckDB."""
+"""The table of a campaign, one row per run: written to Parquet, read as rows."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from touchdown.experiments.campaign.plan import config_sha
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.foreign import is_plain_name, read_object, shown
 from touchdown.experiments.io.results import (
     RunResult,
     columns,
@@ -199,33 +200,12 @@ def load_rows(directory: Path) -> list[dict[str, Any]]:
     return sorted(table_of(rows).to_pylist(), key=_order)
 
 
-def connect(directory: Path) -> Any:
-    """Returns an in-memory DuckDB connection with the view ``runs``. Raises UsageError as
-    load_rows."""
-    import duckdb
+def refresh(directory: Path, *, must_write: bool = False) -> list[dict[str, Any]]:
+    """Returns all rows of a campaign; rewrites ``results.parquet`` where it is out of date.
 
-    connection = duckdb.connect(":memory:")
-    connection.register("run_rows", table_of(load_rows(directory)))
-    connection.execute("create view runs as select * from run_rows")
-    return connection
-
-
-def run_sql(directory: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """Returns column titles and rows of ``sql`` over the view ``runs``. Raises UsageError for bad
-    SQL."""
-    import duckdb
-
-    connection = connect(directory)
-    try:
-        found = connection.execute(sql)
-        return [column[0] for column in found.description or []], found.fetchall()
-    except duckdb.Error as error:
-        text = " ".join(str(error).split("LINE 1")[0].split())
-        raise UsageError(f"query of '{directory}': {text}") from error
-
-
-def refresh(directory: Path) -> list[dict[str, Any]]:
-    """Returns all rows of a campaign; rewrites ``results.parquet`` where it is out of date."""
+    Reading does without the file where it cannot be written. Raises UsageError for that with
+    ``must_write``.
+    """
     results = directory / RESULTS_FILE
     stamp = _stamp(directory)
     rows = _rows_at(results, stamp)
@@ -234,7 +214,8 @@ def refresh(directory: Path) -> list[dict[str, Any]]:
         try:
             write_table(rows, results, stamp)
         except OSError as error:
-            raise UsageError(f"'{results}' cannot be written: {error.strerror}") from error
+            if must_write:
+                raise UsageError(f"'{results}' cannot be written: {error.strerror}") from error
     return rows
 
 
@@ -254,6 +235,8 @@ def is_whole(run: Path) -> bool:
 
 def _ends_in(path: Path, mark: bytes) -> bool:
     try:
+        if not path.is_file():
+            return False
         with path.open("rb") as file:
             file.seek(-min(8, os.fstat(file.fileno()).st_size), os.SEEK_END)
             return file.read().rstrip().endswith(mark)
@@ -281,33 +264,49 @@ def _rows_at(results: Path, stamp: str) -> list[dict[str, Any]] | None:
         metadata = pq.read_schema(results).metadata or {}
         if metadata.get(b"touchdown.stamp", b"").decode() != stamp:
             return None
-        return _read_table(results)
-    except (OSError, pyarrow.lib.ArrowException):
+        rows = _read_table(results)
+        for row in rows:
+            _check_names(row, row.get("run_id"))
+            # A file that came with the runs may name others: its rows are made anew.
+            if not is_plain_name(row["run_id"]):
+                return None
+        return rows
+    except (OSError, ValueError, pyarrow.lib.ArrowException):
         return None
 
 
 def _finished_rows(directory: Path) -> Iterable[dict[str, Any]]:
     for run_id in sorted(finished_ids(directory)):
-        run = directory / RUNS / run_id
-        try:
-            rows = _read_table(run / ROW_FILE)
-            for row in rows:
-                _check_names(row)
-                row |= judged_columns(row)  # absent in rows of earlier versions
-        except (OSError, ValueError) as error:  # of pyarrow, too
-            raise UsageError(
-                f"'{run / ROW_FILE}' is damaged; remove the directory '{run}' and give the "
-                f"campaign again, which flies it anew ({error})"
-            ) from error
-        yield from rows
+        yield read_row(directory / RUNS / run_id)
 
 
-def _check_names(row: Mapping[str, Any]) -> None:
-    """Raises ValueError unless a row identifies its run."""
+def read_row(run: Path) -> dict[str, Any]:
+    """The row of a finished run of a campaign. Raises UsageError where it is damaged or of another
+    run."""
+    try:
+        rows = _read_table(run / ROW_FILE)
+        if len(rows) != 1:
+            raise ValueError(f"it has {len(rows)} rows")
+        _check_names(rows[0], run.name)
+    except (OSError, ValueError) as error:  # of pyarrow, too
+        raise UsageError(
+            f"'{run / ROW_FILE}' is damaged; remove the directory '{run}' and give the "
+            f"campaign again, which flies it anew ({error})"
+        ) from error
+    row = dict.fromkeys(SCHEMA) | rows[0]  # rows of earlier versions have fewer columns
+    return row | judged_columns(row)
+
+
+def _check_names(row: Mapping[str, Any], run_id: object) -> None:
+    """Raises ValueError unless a row identifies its run, and that is ``run_id``."""
     for key in ("run_id", "scene", "estimator", "seed", "outcome"):
         kind = int if key == "seed" else str
         if not isinstance(row.get(key), kind):
-            raise ValueError(f"{key} = {row.get(key)!r}")
+            raise ValueError(f"{key} = {shown(row.get(key))}")
+    if not isinstance(row.get("wind_kmh"), float | int | None):
+        raise ValueError(f"wind_kmh = {shown(row['wind_kmh'])}")
+    if row["run_id"] != run_id:
+        raise ValueError(f"it is of the run {shown(row['run_id'])}")
 
 
 def _crashed_rows(directory: Path) -> Iterable[dict[str, Any]]:
@@ -315,8 +314,7 @@ def _crashed_rows(directory: Path) -> Iterable[dict[str, Any]]:
     for path in sorted(folder.glob("*.json")) if folder.is_dir() else ():
         if not (directory / RUNS / path.stem).exists():
             try:
-                record = json.loads(path.read_text(encoding="utf-8"))
-                _check_names(row := crashed_row(record))
+                _check_names(row := crashed_row(read_object(path)), path.stem)
             except (OSError, ValueError, KeyError, TypeError) as error:
                 raise UsageError(
                     f"'{path}' is damaged; remove it and give the campaign again ({error})"
@@ -340,7 +338,7 @@ def _mode_and_sha(file: Path, result: RunResult) -> tuple[str, str | None]:
     """Mode and configuration hash of a single run, from its configuration file; where that is
     missing or of another version, the mode follows from the outcome."""
     try:
-        config = load_config(file)
+        config = load_config(file, allow_code=True)  # nothing is imported
     except UsageError:
         return ("fly" if result.outcome == "COMPLETED" else "land"), None
     return ("fly" if config.landing.survey_only else "land"), config_sha(config)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import socket
 import threading
 import time
@@ -13,18 +12,19 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.campaign import expectations
+from touchdown.experiments.campaign.arrival import Arrivals
 from touchdown.experiments.campaign.directory import (
     Shard,
     add_session,
     check_external_code,
-    clear_partial,
     flying_now,
     locked,
     read_plan_file,
     settle_plan,
+    sweep,
 )
 from touchdown.experiments.campaign.executor import Engine, EngineStoppedError, Event, LocalEngine
-from touchdown.experiments.campaign.plan import Plan, in_shard
+from touchdown.experiments.campaign.plan import Plan, PlannedRun, in_shard
 from touchdown.experiments.campaign.results_table import (
     CRASHED,
     FAILED,
@@ -33,7 +33,7 @@ from touchdown.experiments.campaign.results_table import (
     finished_ids,
     refresh,
 )
-from touchdown.experiments.campaign.worker import PARTIAL, REAL_RUNNER, Task, wants_recording
+from touchdown.experiments.campaign.worker import REAL_RUNNER, Task, wants_recording
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.results import load_result
 from touchdown.experiments.io.run_directory import utc_now
@@ -63,7 +63,8 @@ def fly_campaign(
     watcher: Watcher | None = None,
     runner: str = REAL_RUNNER,
 ) -> dict[str, Any]:
-    """Flies the runs of a plan that ``directory`` lacks, and returns `summary`.
+    """Flies the runs of a plan that ``directory`` lacks, and returns `summary` with the key
+    ``missing``: the names of the runs that were to be flown and have no row at the end.
 
     Finished runs are never repeated; runs that crashed are tried again. Stopping it at any moment,
     by whatever means, and calling it again gives the rows of an undisturbed campaign. ``shard`` (i,
@@ -82,7 +83,9 @@ def fly_campaign(
         if real:
             check_external_code(plan, directory)
         plan = settle_plan(plan, directory, git_revision())
-        todo, done = _left(plan, directory, shard, runner)
+        mine = [run for run in plan.runs if shard is None or in_shard(run.run_id, shard)]
+        sweep(directory, [run.run_id for run in mine], whole=shard is None)
+        todo, shas = _left(plan, mine, directory, runner)
         session: dict[str, Any] = {
             "started_utc": utc_now(),
             "host": socket.gethostname(),
@@ -91,31 +94,33 @@ def fly_campaign(
             "shard": None if shard is None else f"{shard[0]}/{shard[1]}",
         }
         started = time.perf_counter()
-        watcher.start(todo, done, engine.jobs)
+        watcher.start(todo, len(mine) - len(todo), engine.jobs)
+        arrivals = Arrivals(todo, shas, engine.patience_s, watcher.see)
         try:
             if todo:
-                engine.run(todo, plan.limits, watcher.see)
+                engine.run(todo, plan.limits, arrivals.see)
         except EngineStoppedError as error:
             raise UsageError(
                 f"--out {directory}: {error}; make room, then give the same command again"
             ) from error
         finally:
             watcher.end()
-            _sweep(directory, todo, whole=shard is None)
+            sweep(directory, [task.run_id for task in todo], whole=shard is None)
             session |= {"finished_utc": utc_now(), "wall_s": time.perf_counter() - started}
             session["runs"] = len(finished_ids(directory) & {task.run_id for task in todo})
             if todo:
-                add_session(directory, session, not _missing(plan, directory))
-        return summary(directory)
+                add_session(directory, session, not _without_row(plan.runs, directory))
+        refresh(directory, must_write=True)
+        return summary(directory) | {"missing": _without_row(mine, directory)}
 
 
-def _left(plan: Plan, directory: Path, shard: Shard | None, runner: str) -> tuple[list[Task], int]:
-    """The remaining tasks of this shard, and the number of its completed ones."""
+def _left(
+    plan: Plan, mine: Sequence[PlannedRun], directory: Path, runner: str
+) -> tuple[list[Task], dict[str, str]]:
+    """The remaining tasks, and the hashes of the configurations of those that have no run yet."""
     finished = finished_ids(directory)
-    mine = [run for run in plan.runs if shard is None or in_shard(run.run_id, shard)]
     todo = []
     for run in mine:
-        clear_partial(directory, run.run_id)
         task = Task(
             run_id=run.run_id,
             values=run.values,
@@ -125,7 +130,7 @@ def _left(plan: Plan, directory: Path, shard: Shard | None, runner: str) -> tupl
         )
         if run.run_id not in finished or _lacks_recording(task):
             todo.append(task)
-    return todo, len(mine) - len(todo)
+    return todo, {run.run_id: run.config_sha for run in mine if run.run_id not in finished}
 
 
 def _lacks_recording(task: Task) -> bool:
@@ -135,16 +140,10 @@ def _lacks_recording(task: Task) -> bool:
     return wants_recording(task, run_dir, load_result(run_dir / "result.json"))
 
 
-def _sweep(directory: Path, todo: Sequence[Task], *, whole: bool) -> None:
-    for task in todo:
-        clear_partial(directory, task.run_id)
-    if whole:
-        shutil.rmtree(directory / PARTIAL, ignore_errors=True)
-
-
-def _missing(plan: Plan, directory: Path) -> int:
-    crashed = {path.stem for path in (directory / FAILED).glob("*.json")}
-    return len({run.run_id for run in plan.runs} - finished_ids(directory) - crashed)
+def _without_row(runs: Sequence[PlannedRun], directory: Path) -> list[str]:
+    """Names of the runs that are neither finished nor recorded as crashed."""
+    known = finished_ids(directory) | {path.stem for path in (directory / FAILED).glob("*.json")}
+    return [run.run_id for run in runs if run.run_id not in known]
 
 
 # ---------------------------------------------------------------------------------------- summary

@@ -1,12 +1,11 @@
 """Worker process of a campaign: flies runs and moves their directories into place.
 
 A worker reads tasks from stdin and answers on stdout, one JSON object per line. It is started by
-`touchdown.experiments.campaign.executor.Supervisor` on the same machine, and ends with it.
+a guard (`touchdown.experiments.campaign.guard`) on the same machine, and ends with it.
 """
 
 from __future__ import annotations
 
-import ctypes
 import datetime
 import errno
 import faulthandler
@@ -23,6 +22,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from touchdown.experiments.campaign.guard import SUPERVISOR
 from touchdown.experiments.campaign.plan import config_for, config_sha
 from touchdown.experiments.campaign.results_table import (
     FAILED,
@@ -34,7 +34,13 @@ from touchdown.experiments.campaign.results_table import (
 )
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.external.processes import (
+    adopt_orphans,
+    descendants,
+    die_with_parent,
+)
 from touchdown.experiments.flight.run import fly_with_usage_errors
+from touchdown.experiments.io.foreign import inside
 from touchdown.experiments.io.results import RunResult, load_result
 
 PARTIAL = ".partial"
@@ -42,7 +48,6 @@ PARTIAL = ".partial"
 
 RECORDING = "flight.rrd"
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
-_PR_SET_PDEATHSIG = 1
 
 REAL_RUNNER = "touchdown.experiments.campaign.worker:run_task"
 
@@ -74,7 +79,7 @@ def execute(task: Task, tell: Tell) -> None:
     The run directory appears under ``runs/`` whole, with its row, or not at all. Raises whatever
     the flight raises.
     """
-    run_dir = Path(task.directory) / RUNS / task.run_id
+    run_dir = inside(Path(task.directory) / RUNS, task.run_id)
     config = config_for(task.values, f"run {task.run_id}")
     if is_whole(run_dir):
         result = load_result(run_dir / "result.json")
@@ -144,7 +149,7 @@ def _add_recording(task: Task, config: Config, run_dir: Path) -> None:
 
 
 def _staging(task: Task) -> Path:
-    path = Path(task.directory) / PARTIAL / f"{task.run_id}.{os.getpid()}"
+    path = inside(Path(task.directory) / PARTIAL, f"{task.run_id}.{os.getpid()}")
     shutil.rmtree(path, ignore_errors=True)
     path.mkdir(parents=True)
     return path
@@ -166,25 +171,31 @@ def run_task(config: Config, out: Path) -> RunResult:
 
 def serve() -> None:
     """Main loop of a worker: flies the tasks from stdin until it ends."""
-    die_with_parent(int(os.environ.get("TOUCHDOWN_SUPERVISOR", os.getppid())))
+    die_with_parent(int(os.environ.get(SUPERVISOR, os.getppid())))
+    adopt_orphans()
     faulthandler.enable()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the supervisor decides
+    tasks = os.fdopen(os.dup(0), encoding="utf-8")
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # keeps the output of libraries out of the answers
+    # Keeps the output of libraries out of the answers, and tasks from programs that they start.
+    os.dup2(2, 1)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.register_at_fork(after_in_child=lambda: os.close(answers.fileno()))
 
     def tell(message: dict[str, Any]) -> None:
         answers.write(json.dumps(message) + "\n")
         answers.flush()
 
     tell({"event": "ready"})
-    for line in sys.stdin:
+    for line in tasks:
         _forget_random_state()
         try:
             execute(Task(**json.loads(line)), tell)
         except Exception as error:
             tell(_error_message(error))
         else:
-            tell({"event": "idle"})
+            # A run must not depend on processes that the run before it has left.
+            tell({"event": "idle", "spent": bool(descendants(os.getpid()))})
 
 
 def _error_message(error: Exception) -> dict[str, Any]:
@@ -207,12 +218,3 @@ def _forget_random_state() -> None:
     """Resets the random generator of OpenCV: a run must not depend on the runs before it."""
     if "cv2" in sys.modules:
         sys.modules["cv2"].setRNGSeed(0)
-
-
-def die_with_parent(parent: int) -> None:
-    """Linux kills this process when the thread that started it, of process ``parent``, ends."""
-    libc = ctypes.CDLL(None, use_errno=True)
-    if hasattr(libc, "prctl"):
-        libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
-        os._exit(1)  # it was dead before

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import ctypes
+import fcntl
 import json
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -14,6 +16,7 @@ from typing import Any
 from touchdown.experiments.classification.image_folders import load_images, read_catalogue
 from touchdown.experiments.classification.optional_import import training_libraries
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.run_directory import whole_file, write_text
 from touchdown.landing.classification.decision import fitted_limits
 from touchdown.landing.classification.engine import apply_miss_costs
 from touchdown.landing.classification.labels import SCHEMES
@@ -64,6 +67,7 @@ def train_network(
         for split in ("train", "val")
     )
     out.mkdir(parents=True, exist_ok=True)
+    lock = _locked(out)
     trainer = training.Trainer(params, train, val, out, chosen, start=start, compiled=compiled)
     if trainer.history:
         notes(f"resuming after epoch {len(trainer.history)}")
@@ -96,8 +100,25 @@ def train_network(
         "written": {name: found[name] for name in ("loss", "macro_f1", "recall", "top1", "ece")},
         "bytes": (out / NETWORK).stat().st_size,
     }
-    (out / REPORT).write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    write_text(out / REPORT, json.dumps(report, indent=2) + "\n")
+    os.close(lock)
     return report
+
+
+def _locked(out: Path) -> int:
+    """A descriptor whose lock keeps others from training in ``out`` until it is closed, or this
+    process has ended. Raises UsageError where another one trains there."""
+    lock = os.open(out, os.O_RDONLY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(lock)
+        raise UsageError(
+            f"--out: another process is training in '{out}'; wait for it, or name another folder"
+        ) from None
+    except OSError:
+        pass  # a file system without locks of directories
+    return lock
 
 
 def keep_freed_memory() -> None:
@@ -115,7 +136,7 @@ def keep_freed_memory() -> None:
 
 def write_curves(path: Path, history: Sequence[Mapping[str, float]]) -> None:
     """Writes the learning curves as CSV, one row an epoch."""
-    with path.open("w", encoding="utf-8", newline="") as file:
+    with whole_file(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, list(history[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows({key: f"{value:.6g}" for key, value in row.items()} for row in history)
@@ -125,15 +146,17 @@ def record_curves(path: Path, history: Sequence[Mapping[str, float]]) -> None:
     """Writes the learning curves for the Rerun viewer: `touchdown view FILE`."""
     import rerun as rr
 
-    stream = rr.RecordingStream("touchdown training", recording_id=str(path.parent.name))
-    stream.save(path)
-    epochs = [int(row["epoch"]) for row in history]
-    for name in history[0]:
-        if name != "epoch":
-            group = "loss" if name.endswith("loss") else name
-            stream.send_columns(
-                f"{group}/{name}",
-                [rr.TimeColumn("epoch", sequence=epochs)],
-                rr.Scalars.columns(scalars=[row[name] for row in history]),
-            )
-    stream.flush()
+    with whole_file(path) as partial:
+        stream = rr.RecordingStream("touchdown training", recording_id=str(path.parent.name))
+        stream.save(partial)
+        epochs = [int(row["epoch"]) for row in history]
+        for name in history[0]:
+            if name != "epoch":
+                group = "loss" if name.endswith("loss") else name
+                stream.send_columns(
+                    f"{group}/{name}",
+                    [rr.TimeColumn("epoch", sequence=epochs)],
+                    rr.Scalars.columns(scalars=[row[name] for row in history]),
+                )
+        stream.flush()
+        stream.disconnect()

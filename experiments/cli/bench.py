@@ -9,10 +9,10 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, CommandGroup
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, SEED, CommandGroup
 from touchdown.experiments.cli.console import print_overhead, print_stages
 from touchdown.experiments.errors import usage_errors
-from touchdown.experiments.terminal import end_progress, make_progress
+from touchdown.experiments.terminal import end_progress, make_progress, say
 
 
 @click.group(cls=CommandGroup)
@@ -27,7 +27,7 @@ def bench() -> int:
 @bench.command("loop")
 @click.option("--scene", default="crossroad", show_default=True)
 @click.option("--estimator", default="livo", show_default=True)
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--full", is_flag=True, help="The whole survey instead of a short one.")
 @click.option("--ratio/--no-ratio", default=True, help="Measure ratio.bare as well.  [ratio]")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
@@ -91,7 +91,7 @@ def bench_scaling_command(
             workers=workers,
             runs=runs,
             rounds=rounds,
-            report=lambda line: click.echo(line, err=as_json),
+            report=lambda line: say(line, err=as_json),
         )
     )
     if as_json:
@@ -104,7 +104,7 @@ def bench_scaling_command(
 @bench.command("lidar")
 @click.option("--scene", default="crossroad", show_default=True)
 @click.option("--preset", default="horizon", show_default=True, help="horizon, avia or mid360.")
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--rounds", type=click.IntRange(1, 100), default=7, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def bench_lidar(scene: str, preset: str, seed: int, rounds: int, as_json: bool) -> int:
@@ -126,7 +126,7 @@ def bench_lidar(scene: str, preset: str, seed: int, rounds: int, as_json: bool) 
 
 @bench.command("landing")
 @click.option("--scene", default="crossroad", show_default=True)
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--rounds", type=click.IntRange(1, 100), default=9, show_default=True)
 @click.option("--reference/--no-reference", default=True, help="Time the reference code too.")
 @click.option("--network", type=click.Path(path_type=Path), default=None,
@@ -215,14 +215,14 @@ def bench_selector(
             jobs=jobs,
             fit_model=fit_model,
             overrides=overrides,
-            report=lambda result: click.echo(selector_check.row(result), err=as_json),
+            report=lambda result: say(selector_check.row(result), err=as_json),
             pictures=pictures,
         )
     )
     if as_json:
         click.echo(json.dumps(figures, indent=2))
     else:
-        click.echo(selector_check.text(figures))
+        say(selector_check.text(figures))
     return EXIT_DONE
 
 
@@ -262,7 +262,7 @@ def bench_endurance(
             for seed in parse_seeds(seeds, "--seeds")
         ]
         flights = endurance.measure(
-            configs, jobs, lambda flight: click.echo(endurance.row(flight), err=as_json)
+            configs, jobs, lambda flight: say(endurance.row(flight), err=as_json)
         )
         if plot is not None:
             endurance.plot(flights, plot)

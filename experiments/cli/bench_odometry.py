@@ -10,8 +10,9 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE
+from touchdown.experiments.cli.common import EXIT_DONE, SEED
 from touchdown.experiments.errors import usage_errors
+from touchdown.experiments.terminal import say
 
 
 @click.command("estimator")
@@ -19,7 +20,7 @@ from touchdown.experiments.errors import usage_errors
 @click.option(
     "--ablate", is_flag=True, help="Leave out one part of the estimators after the other instead."
 )
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--seconds", type=float, help="Duration of each log after lift-off.  [all]")
 @click.option(
     "--runs",
@@ -58,10 +59,10 @@ def bench_estimator(
         if ablate:
             table = usage_errors(lambda: run_ablation(chosen, report=report, **where))
             text = json.dumps({"seed": seed, "seconds": seconds, "ablation": table}, indent=2)
-            click.echo(text if as_json else ablation_table(table))
+            say(text if as_json else ablation_table(table))
             return EXIT_DONE
         figures = usage_errors(lambda: bench.bench_estimator(chosen, report=report, **where))
-    click.echo(json.dumps(figures, indent=2) if as_json else _table(figures))
+    say(json.dumps(figures, indent=2) if as_json else _table(figures))
     return EXIT_DONE
 
 

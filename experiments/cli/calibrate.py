@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE
+from touchdown.experiments.cli.common import EXIT_DONE, SEED
 from touchdown.experiments.cli.console import print_calibration
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import make_notes
@@ -15,7 +15,7 @@ from touchdown.experiments.terminal import make_notes
 
 @click.command()
 @click.option("--poses", type=click.IntRange(min=3), default=12, show_default=True)
-@click.option("--seed", type=int, help="Varies the poses, the room and all noise.  [0]")
+@click.option("--seed", type=SEED, help="Varies the poses, the room and all noise.  [0]")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -54,7 +54,8 @@ def calibrate(
     from touchdown.experiments.calibration.evaluate import run_calibration
     from touchdown.experiments.config.loading import load_config
 
-    config = load_config(config_file, overrides, seed=seed)
+    # No estimator is built.
+    config = load_config(config_file, overrides, allow_code=True, seed=seed)
     report = usage_errors(lambda: run_calibration(config, poses, out, pictures, make_notes(quiet)))
     if as_json:
         click.echo(json.dumps(report, indent=2))

@@ -1,8 +1,7 @@
-"""Commands for many flights: ``touchdown campaign ...`` and ``touchdown query``."""
+"""Commands for many flights: ``touchdown campaign ...``."""
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 import sys
@@ -74,17 +73,18 @@ def campaign() -> int:
 @click.option("--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True)
 @click.option("--ray-address", metavar="ADDRESS", help="Of a Ray cluster.  [a local one]")
 @click.option("--shard", type=ShardType(), help="Fly the I-th of N parts, on one of N machines.")
+@click.option("--allow-code", is_flag=True,
+              help="Import external estimators that a campaign.toml of results names.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
 def fly_file(
     file: Path,
     out: Path,
-    jobs: int | None,
-    engine: str,
-    ray_address: str | None,
     shard: tuple[int, int] | None,
+    allow_code: bool,
     as_json: bool,
     quiet: bool,
+    **engine: Any,
 ) -> int:
     """Fly all runs of FILE.toml: scenes x estimators x seeds x winds, in parallel.
 
@@ -98,8 +98,8 @@ def fly_file(
     from touchdown.experiments.campaign.progress import Display, print_summary
     from touchdown.experiments.campaign.session import Watcher, fly_campaign, make_engine
 
-    plan = load_plan(file)
-    flown_by = make_engine(engine, jobs, ray_address)
+    plan = load_plan(file, allow_code=allow_code)
+    flown_by = make_engine(engine["engine"], engine["jobs"], engine["ray_address"])
     watcher = Watcher() if quiet else Display()
     try:
         figures = fly_campaign(plan, out, flown_by, shard=shard, watcher=watcher)
@@ -114,7 +114,14 @@ def fly_file(
         click.echo(json.dumps(figures, indent=2))
     else:
         print_summary(figures)
-    return EXIT_FAILED if figures["crashed"] or not figures["as_expected"] else EXIT_DONE
+    if missing := figures["missing"]:
+        print(
+            f"touchdown: {len(missing)} runs have no row, such as {missing[0]}; give the same "
+            "command again to fly them",
+            file=sys.stderr,
+        )
+    failed = figures["crashed"] or missing or not figures["as_expected"]
+    return EXIT_FAILED if failed else EXIT_DONE
 
 
 @campaign.command("status")
@@ -135,49 +142,3 @@ def status(directory: Path, as_json: bool) -> int:
     else:
         print_summary(figures)
     return EXIT_DONE if figures["as_expected"] else EXIT_FAILED
-
-
-@click.command()
-@click.argument("directory", type=click.Path(path_type=Path), metavar="DIR")
-@click.argument("sql")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--csv", "as_csv", is_flag=True, help="Print comma-separated values.")
-def query(directory: Path, sql: str, as_json: bool, as_csv: bool) -> int:
-    """Run SQL over the runs in DIR, a campaign or any directory of runs. The table is `runs`.
-
-    Names with a dot are quoted: "position_error_m.mean". `describe runs` lists them all.
-
-    Example: touchdown query runs/positioning 'select estimator, avg("position_error_m.mean") from
-    runs group by all'
-    """
-    from touchdown.experiments.campaign.results_table import run_sql
-    from touchdown.experiments.errors import UsageError
-
-    if as_json and as_csv:
-        raise UsageError("--json and --csv exclude each other; give one of them")
-    columns, rows = run_sql(directory, sql)
-    if as_json:
-        objects = [dict(zip(columns, row, strict=True)) for row in rows]
-        click.echo(json.dumps({"columns": columns, "rows": objects}, indent=2, default=str))
-    elif as_csv:
-        writer = csv.writer(sys.stdout, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(rows)
-    else:
-        _print_rows(columns, rows)
-    return EXIT_DONE
-
-
-def _print_rows(columns: list[str], rows: list[tuple[Any, ...]]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    from touchdown.experiments.terminal import make_console
-
-    table = Table()
-    for title in columns:
-        table.add_column(escape(title))
-    for row in rows:
-        cells = (f"{v:.6g}" if isinstance(v, float) else "" if v is None else str(v) for v in row)
-        table.add_row(*map(escape, cells))
-    make_console().print(table)

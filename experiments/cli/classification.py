@@ -10,8 +10,9 @@ from typing import Any
 import click
 import numpy as np
 
-from touchdown.experiments.cli.common import EXIT_DONE, CommandGroup
+from touchdown.experiments.cli.common import EXIT_DONE, SEED, CommandGroup
 from touchdown.experiments.errors import usage_errors
+from touchdown.experiments.terminal import say
 
 SCHEMES = ("d_land", "d_scene")
 """Keys of `landing.classification.labels.SCHEMES`, repeated to keep `--help` fast."""
@@ -79,7 +80,7 @@ def dataset() -> int:
 @dataset.command("render")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="A new folder.")
 @click.option("--images", type=click.IntRange(1, 10_000_000), default=4000, show_default=True)
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True,
+@click.option("--seed", type=SEED, default=0, show_default=True,
               help="Of layouts, poses and light; scene seeds start at 1000.")  # fmt: skip
 @click.option("--scene", "scenes", multiple=True, metavar="NAME",
               help="Only this scene. May be repeated.  [all]")  # fmt: skip
@@ -112,8 +113,8 @@ def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: 
         click.echo(json.dumps(done, indent=2))
     else:
         for kind in ("classes", "splits"):
-            click.echo("  ".join(f"{name} {count}" for name, count in done[kind].items()))
-        click.echo(f"written: {done['directory']} ({done['images']} images)")
+            say("  ".join(f"{name} {count}" for name, count in done[kind].items()))
+        say(f"written: {done['directory']} ({done['images']} images)")
     return EXIT_DONE
 
 
@@ -150,7 +151,7 @@ def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: 
 @_miss_cost("[1 each]")
 @click.option("--patience", type=click.IntRange(1), default=8, show_default=True,
               help="Epochs without a better validation score before training ends.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
 @click.option("--threads", type=click.IntRange(1), help="Of the processor.  [all]")
 @click.option("--compile", "compiled", is_flag=True,
@@ -198,7 +199,7 @@ def train(
         click.echo(json.dumps(report, indent=2))
     else:
         best = report["validation"]
-        click.echo(
+        say(
             f"best epoch {report['best_epoch']} of {report['epochs']}: validation top-1 "
             f"{best['val_top1']:.3f}, macro F1 {best['val_macro_f1']:.3f}\n"
             f"written, validation top-1 {report['written']['top1']:.3f}: "
@@ -291,7 +292,7 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
     if as_json:
         click.echo(json.dumps(report, indent=2))
     else:
-        click.echo(
+        say(
             f"validation top-1 {report['top1_before']:.4f} before, {report['top1']:.4f} after\n"
             f"written, validation top-1 {report['written']['top1']:.3f}: "
             f"{report['network_file']} ({report['bytes'] / 1e6:.1f} MB)"
@@ -345,7 +346,7 @@ def classify(
     else:
         for row in rows:
             shares = "  ".join(f"{name} {share:.0%}" for name, share in row["shares"].items())
-            click.echo(f"{row['classes']}: {shares}")
+            say(f"{row['classes']}: {shares}")
     return EXIT_DONE
 
 

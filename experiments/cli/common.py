@@ -2,9 +2,31 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
+from touchdown.experiments.config.files import LARGEST
+
 EXIT_DONE, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
+
+
+class SeedType(click.ParamType):
+    """A whole number that tables of results have room for."""
+
+    name = "INTEGER"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        try:
+            seed = int(value)
+        except ValueError:
+            self.fail(f"'{value}' is no whole number", param, ctx)
+        if not 0 <= seed <= LARGEST:
+            self.fail(f"{value} is no seed: seeds go from 0 to {LARGEST}", param, ctx)
+        return seed
+
+
+SEED = SeedType()
 
 
 class CommandGroup(click.Group):

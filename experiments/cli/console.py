@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from touchdown.experiments.errors import visible
 from touchdown.experiments.terminal import make_console
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ _STAGE_ORDER = ("world", "estimator", "mapper", "lander", "controller", "recorde
 def print_result(result: RunResult, out_dir: Path | None) -> None:
     """Prints the table of a flight and the paths of its files."""
     from rich.table import Table
+    from rich.text import Text
 
     console = make_console()
     title = f"{result.scene}, {result.estimator}, seed {result.seed}"
@@ -53,15 +55,15 @@ def print_result(result: RunResult, out_dir: Path | None) -> None:
             continue
         if isinstance(value, bool):
             value = "yes" if value else "no"
-        text = form.format(value)
+        text: Any = form.format(value)
         if path == "outcome":
-            text = f"[bold {'green' if result.is_success else 'red'}]{text}[/]"
+            text = Text(visible(text), style=f"bold {'green' if result.is_success else 'red'}")
         table.add_row(label, text)
     if remark := _remark(result):
         table.add_row("remark", remark)
     console.print(table)
     for line in _last_events(result):
-        console.print(line, soft_wrap=True, markup=False)
+        console.print(line, soft_wrap=True)
     if out_dir is not None:
         console.print(f"run directory: {out_dir}", soft_wrap=True)
         if (out_dir / "flight.rrd").exists():
@@ -193,15 +195,15 @@ def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
 
 def print_place(row: Mapping[str, Any]) -> None:
     """Prints the facts of an imported scene, its problems and remarks."""
-    from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     facts, usable = row["facts"], not row["problems"]
     x, y = facts["takeoff_xy_m"]
     table = Table(title=row["place"], show_header=False, title_justify="left", min_width=52)
     table.add_column(style="dim")
     table.add_column(justify="right")
-    verdict = "[bold green]yes[/]" if usable else "[bold red]no[/]"
+    verdict: Any = Text("yes", style="bold green") if usable else Text("no", style="bold red")
     for label, text in (
         ("can be flown", verdict),
         ("take-off", f"{x:.1f}, {y:.1f} m, heading {facts['takeoff_yaw_deg']:.0f} deg"),
@@ -216,11 +218,11 @@ def print_place(row: Mapping[str, Any]) -> None:
         ("geoms without a class", ", ".join(facts["without_class"]) or "none"),
     ):
         table.add_row(label, text)
-    console = Console(highlight=False)
+    console = make_console()
     console.print(table)
     for kind in ("problems", "remarks"):
         for sentence in row[kind]:
-            console.print(f"{kind[:-1]}: {sentence}", soft_wrap=True, markup=False)
+            console.print(f"{kind[:-1]}: {sentence}", soft_wrap=True)
 
 
 def print_calibration(report: Mapping[str, Any]) -> None:

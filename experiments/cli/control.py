@@ -37,7 +37,8 @@ def control_margins(config_file: Path | None, overrides: tuple[str, ...], as_jso
     from touchdown.experiments.flight.wiring import build_scene
     from touchdown.sim.airframe.vehicle import vehicle_model
 
-    config = load_config(config_file, overrides)
+    # No estimator is built.
+    config = load_config(config_file, overrides, allow_code=True)
     scene = usage_errors(lambda: build_scene(config))
     margins = loop_margins(vehicle_model(scene.model), config.control)
     rows = [dataclasses.asdict(margin) for margin in margins]

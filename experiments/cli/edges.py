@@ -9,9 +9,9 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, CommandGroup
+from touchdown.experiments.cli.common import EXIT_DONE, SEED, CommandGroup
 from touchdown.experiments.errors import usage_errors
-from touchdown.experiments.terminal import make_notes
+from touchdown.experiments.terminal import make_notes, say
 
 
 @click.group(cls=CommandGroup)
@@ -26,7 +26,7 @@ def edges() -> None:
 @click.option("--out", type=click.Path(path_type=Path), default=Path("edges.yml.gz"),
               show_default=True, help="The model, *.yml.gz; flights take it by "
               "--set paper.edge_model=FILE.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True,
+@click.option("--seed", type=SEED, default=0, show_default=True,
               help="Varies the scenes, the poses and the forest.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
@@ -43,7 +43,7 @@ def edges_train(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
     if as_json:
         click.echo(json.dumps(report, indent=2))
     else:
-        click.echo(
+        say(
             f"{report['pictures']} pictures in {report['render_s']:.0f} s; {report['trees']} trees "
             f"with {report['leaves']} leaves in {report['train_s']:.0f} s\n"
             f"written: {report['file']} ({report['bytes'] / 1e6:.2f} MB)"
@@ -81,7 +81,7 @@ def edges_evaluate(model: str, seeds: int, plot: Path | None, as_json: bool, qui
 @edges.command("picture")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("edge-pictures"),
               show_default=True, help="Folder for edges.jpg and smoothness.jpg.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--model", default="shipped", show_default=True)
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
 def edges_picture(out: Path, seed: int, model: str, quiet: bool) -> int:
@@ -92,7 +92,7 @@ def edges_picture(out: Path, seed: int, model: str, quiet: bool) -> int:
     from touchdown.experiments.edges.figures import draw_figures
 
     for path in usage_errors(lambda: draw_figures(out, seed, model, make_notes(quiet))):
-        click.echo(str(path))
+        say(str(path))
     return EXIT_DONE
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from touchdown.experiments.cli.common import EXIT_DONE
+from touchdown.experiments.terminal import say
 
 if TYPE_CHECKING:
     from touchdown.experiments.export.flown_run import GeodeticPoint
@@ -131,8 +132,8 @@ def export(run: Path, kind: str, out: Path | None, as_json: bool, **choices: Any
         return EXIT_DONE
     width = max(len(name) for name in done.counts)
     for name, count in done.counts.items():
-        click.echo(f"{name:<{width}}  {count:>9}")
+        say(f"{name:<{width}}  {count:>9}")
     for note in done.notes:
-        click.echo(f"note: {note}")
-    click.echo(f"written: {done.out} ({done.facts['bytes'] / 1e6:.1f} MB)")
+        say(f"note: {note}")
+    say(f"written: {done.out} ({done.facts['bytes'] / 1e6:.1f} MB)")
     return EXIT_DONE

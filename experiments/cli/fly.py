@@ -59,6 +59,11 @@ _FLIGHT_OPTIONS = (
         help="A TOML file, or the config.json of an earlier run.",
     ),
     click.option(
+        "--allow-code",
+        is_flag=True,
+        help="Import the external estimator that a run's config.json names.",
+    ),
+    click.option(
         "--set",
         "overrides",
         multiple=True,
@@ -147,6 +152,7 @@ def fly(context: click.Context, replayed: Path | None, **options: Any) -> int:
 
 def _run_flight(options: dict[str, Any], **more: Any) -> int:
     from touchdown.experiments.config.loading import load_config
+    from touchdown.experiments.external.processes import none_left
     from touchdown.experiments.flight.run import fly_with_usage_errors
     from touchdown.experiments.io.run_directory import check_log_kept
 
@@ -154,6 +160,7 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
     config = load_config(
         options["config_file"],
         options["overrides"],
+        allow_code=options["allow_code"],
         **{key: options[key] for key in _CONFIG_OPTIONS},
         fault=options["fault"] or None,
         **more,
@@ -162,7 +169,8 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
         stem = Path(config.scene).stem
         out = Path("runs") / f"{stem}-{config.estimator.replace(':', '.')}-{config.seed}"
     check_log_kept(out, logs=config.log.sensors, force=options["force"])
-    result = fly_with_usage_errors(config, out, make_progress(quiet))
+    with none_left():
+        result = fly_with_usage_errors(config, out, make_progress(quiet))
     end_progress(quiet)
     if options["as_json"]:
         click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -14,7 +15,7 @@ import click
 from touchdown.experiments.cli.bench import bench
 from touchdown.experiments.cli.bench_odometry import bench_estimator
 from touchdown.experiments.cli.calibrate import calibrate
-from touchdown.experiments.cli.campaign import campaign, query
+from touchdown.experiments.cli.campaign import campaign
 from touchdown.experiments.cli.classification import classify, dataset, evaluate, quantize, train
 from touchdown.experiments.cli.common import (
     EXIT_DONE,
@@ -26,6 +27,7 @@ from touchdown.experiments.cli.control import control
 from touchdown.experiments.cli.edges import edges
 from touchdown.experiments.cli.export import export
 from touchdown.experiments.cli.fly import fly, land
+from touchdown.experiments.cli.query import query
 from touchdown.experiments.cli.replay import check_estimator_command
 from touchdown.experiments.cli.report import regress, report
 from touchdown.experiments.cli.reproduce import reproduce
@@ -33,7 +35,7 @@ from touchdown.experiments.cli.scenes import scenes
 from touchdown.experiments.cli.view import view
 from touchdown.experiments.errors import system_message
 from touchdown.experiments.flight.platform import rendering_backend
-from touchdown.experiments.terminal import end_progress, error_line
+from touchdown.experiments.terminal import end_progress, error_line, warning_line
 
 
 @click.group(cls=CommandGroup, invoke_without_command=True)
@@ -81,6 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # A warning of numba about an optional library; nothing here has several threads.
     warnings.filterwarnings("ignore", message=".*TBB threading layer")
     signal.signal(signal.SIGTERM, _interrupt)
+    _print_any_name()
     for word in sys.argv[1:] if arguments is None else arguments:
         if not word.isascii() and any("\ud800" <= letter <= "\udfff" for letter in word):
             return _fail(f"'{word}' is not UTF-8 text; rename the file, or correct the argument")
@@ -124,7 +127,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _one_line_warning(message: Warning | str, *_where: Any, **_more: Any) -> str:
-    return f"touchdown: warning: {message}\n"
+    return f"{warning_line(message)}\n"
+
+
+def _print_any_name() -> None:
+    """Names that the encoding of the terminal has no characters for are printed as escapes."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _interrupt(_signal: int, _frame: Any) -> None:

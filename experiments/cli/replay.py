@@ -11,6 +11,7 @@ import click
 
 from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED
 from touchdown.experiments.errors import usage_errors
+from touchdown.experiments.terminal import say
 
 _FLOWN = {
     "seed": "--seed",
@@ -28,6 +29,7 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
     """Replays the sensors of ``run``; ``options`` are those of ``fly``. Returns the exit code."""
     from touchdown.experiments.cli.console import print_result
     from touchdown.experiments.errors import UsageError
+    from touchdown.experiments.external.processes import none_left
     from touchdown.experiments.flight.replay import replay, replay_config
     from touchdown.experiments.io.run_directory import check_log_kept
     from touchdown.experiments.terminal import end_progress, make_progress
@@ -35,7 +37,9 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
     for name, option in _FLOWN.items():
         if options.get(name) not in (None, (), False):
             raise UsageError(f"{option} does not go with --replay: the flight is over")
-    config = replay_config(run, options["estimator"], options["overrides"])
+    config = replay_config(
+        run, options["estimator"], options["overrides"], allow_code=options["allow_code"]
+    )
     scene, quiet = options["scene"], options["quiet"]
     if scene is not None and scene != config.scene:
         raise UsageError(f"'{run}' was flown over {config.scene}, not {scene}")
@@ -46,13 +50,14 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
         out = Path("runs") / f"{stem}-{name}-{config.seed}-replay"
     if out.resolve() != run.resolve():  # `replay` reports that with its own message
         check_log_kept(out, logs=False, force=options["force"])
-    result = replay(run, config, out, make_progress(quiet))
+    with none_left():
+        result = replay(run, config, out, make_progress(quiet))
     end_progress(quiet)
     if options["as_json"]:
         click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))
     else:
         print_result(result, out)
-        click.echo(f"replayed open loop, judged at {result.judged_hz:g} Hz")
+        say(f"replayed open loop, judged at {result.judged_hz:g} Hz")
     return EXIT_DONE if result.is_success else EXIT_FAILED
 
 
@@ -80,22 +85,22 @@ def check_estimator_command(
     """
     from touchdown.experiments.errors import UsageError
     from touchdown.experiments.external.conformance import RULES
+    from touchdown.experiments.external.processes import none_left
 
     if not seconds > 0.0:
         raise UsageError(f"--seconds {seconds:g} must be positive")
-    violations = _checked(name, run, seconds, overrides)
+    with none_left():
+        violations = _checked(name, run, seconds, overrides)
     if as_json:
         rows = [{"rule": v.rule, "reason": v.reason, "trace": v.trace} for v in violations]
         click.echo(json.dumps({"estimator": name, "violations": rows}, indent=2))
     else:
         for violation in violations:
-            click.echo(str(violation))
+            say(str(violation))
             if violation.trace:
-                click.echo(textwrap.indent(violation.trace.rstrip(), "    "))
+                say(textwrap.indent(violation.trace.rstrip(), "    "))
         broken = len(violations)
-        click.echo(
-            f"{name}: {broken} of {len(RULES)} rules broken" if broken else f"{name}: conforms"
-        )
+        say(f"{name}: {broken} of {len(RULES)} rules broken" if broken else f"{name}: conforms")
     return EXIT_FAILED if violations else EXIT_DONE
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED
+from touchdown.experiments.terminal import say
 
 
 @click.command()
@@ -50,8 +51,8 @@ def _print_table(directory: Path, as_json: bool) -> int:
     if as_json:
         click.echo(json.dumps({"summary": totals, "runs": as_rows(runs)}, indent=2))
     else:
-        click.echo(markdown_table(runs, LANDING_COLUMNS))
-        click.echo(f"\n{summary_line(totals)}")
+        say(markdown_table(runs, LANDING_COLUMNS))
+        say(f"\n{summary_line(totals)}")
     return EXIT_DONE
 
 
@@ -80,12 +81,12 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
         click.echo(json.dumps({**figures(made, rows), "files": files}, indent=2))
         return EXIT_DONE if all_as_expected(verdicts) else EXIT_FAILED
     for section in made.sections[:2]:
-        click.echo(f"{section.title}\n")
-        click.echo("\n".join(f"- {line}" for line in section.words) + "\n")
+        say(f"{section.title}\n")
+        say("\n".join(f"- {line}" for line in section.words) + "\n")
     if verdicts:
-        click.echo("\n".join(lines(verdicts)) + "\n")
+        say("\n".join(lines(verdicts)) + "\n")
     for path in written.values():
-        click.echo(f"written: {path}")
+        say(f"written: {path}")
     return EXIT_DONE if all_as_expected(verdicts) else EXIT_FAILED
 
 
@@ -140,12 +141,12 @@ def regress(
         if as_json:
             click.echo(json.dumps({"baseline": str(baseline), "flights": len(rows)}))
         else:
-            click.echo(f"written: {baseline}, {len(rows)} flights")
+            say(f"written: {baseline}, {len(rows)} flights")
         return EXIT_DONE
     found = compare(rows, read_baseline(baseline), margin)
     if as_json:
         click.echo(json.dumps({**found.as_json(), "words": verdict_sentences(found)}, indent=2))
     else:
         table = [*table_lines(found), ""] if found.cells else []
-        click.echo("\n".join([*table, *verdict_sentences(found)]))
+        say("\n".join([*table, *verdict_sentences(found)]))
     return EXIT_FAILED if found.failed(require_power) else EXIT_DONE

@@ -9,10 +9,10 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, CommandGroup
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, SEED, CommandGroup
 from touchdown.experiments.cli.console import print_place, print_scene_check
 from touchdown.experiments.errors import usage_errors
-from touchdown.experiments.terminal import make_notes
+from touchdown.experiments.terminal import make_notes, say
 
 VIEW_NAMES = (
     "above",
@@ -47,7 +47,7 @@ def scenes_list(as_json: bool) -> int:
     from touchdown.scenes.registry import scene_names
 
     names = scene_names()
-    click.echo(json.dumps({"scenes": names}) if as_json else "\n".join(names))
+    say(json.dumps({"scenes": names}) if as_json else "\n".join(names))
     return EXIT_DONE
 
 
@@ -60,7 +60,7 @@ def scenes_list(as_json: bool) -> int:
     type=click.Path(path_type=Path),
     help="PNG file, or directory for several.  [SCENE-VIEW.png, SCENE-SEED, scenes-SEED]",
 )
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option(
     "--view",
     type=click.Choice(VIEW_NAMES),
@@ -104,7 +104,7 @@ def scenes_render(
         target = out or Path(f"{Path(scene or '').stem}-{view}.png")
         scene_tools.render_view(scene or "", seed, view, target)
         done = {"picture": str(target)}
-    click.echo(json.dumps(done) if as_json else "\n".join(done.values()))
+    say(json.dumps(done) if as_json else "\n".join(done.values()))
     return EXIT_DONE
 
 
@@ -151,7 +151,7 @@ def scenes_check(
 @scenes.command("export")
 @click.argument("scene")
 @click.option("--out", type=click.Path(path_type=Path), help="Directory.  [SCENE-SEED]")
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int:
     """Write a scene's MJCF with its assets, to open in MuJoCo's own viewer.
@@ -163,7 +163,7 @@ def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int
 
     target = out or Path(f"{Path(scene).stem}-{seed}")
     model_file = export_scene_files(scene, seed, target)
-    click.echo(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
+    say(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
     return EXIT_DONE
 
 
@@ -206,8 +206,8 @@ def scenes_import_dem(
         )
     )  # fmt: skip
     for note in notes:
-        click.echo(f"touchdown: {note}", err=True)
-    click.echo(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
+        say(f"touchdown: {note}", err=True)
+    say(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
     return EXIT_DONE
 
 

@@ -26,6 +26,8 @@ from touchdown.experiments.config.checks import (
     check_survey,
 )
 from touchdown.experiments.config.external_table import wrong_external_key
+from touchdown.experiments.config.files import LARGEST, check_named_code, wrong_value
+from touchdown.experiments.config.files import read_tree as read_tree
 from touchdown.experiments.config.keys import flatten, is_external_key
 from touchdown.experiments.config.ranges import rule_of
 from touchdown.experiments.config.schema import Config
@@ -51,14 +53,17 @@ def load_config(
     file: Path | None = None,
     overrides: list[str] | tuple[str, ...] = (),
     take: Callable[[str], bool] = lambda _key: True,
+    *,
+    allow_code: bool = False,
     **options: Any,
 ) -> Config:
     """Builds the configuration of a flight.
 
     ``file`` is a TOML file or a ``config.json``; ``overrides`` are ``a.b=c`` strings whose values
     are TOML (bare words count as text); ``options`` are the names in ``OPTION_KEYS``, where None
-    means not given. Keys of the file for which ``take`` is false are left out. Raises
-    ``UsageError``.
+    means not given. Keys of the file for which ``take`` is false are left out. Without
+    ``allow_code`` a file that came with results must not name an external estimator, unless an
+    override or an option names one too. Raises ``UsageError``.
     """
     values: dict[str, Any] = {}
     sources: dict[str, str] = {}
@@ -74,6 +79,8 @@ def load_config(
             key = OPTION_KEYS[name]
             values[key] = list(value) if isinstance(value, tuple) else value
             sources[key] = f"--{name.replace('_', '-')}"
+    if file is not None and not allow_code and sources.get("estimator") == str(file):
+        check_named_code(file, [values["estimator"]])
     return config_of(values, sources)
 
 
@@ -81,6 +88,8 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
     """The configuration with ``values`` by dotted key. ``sources`` holds the source of each value,
     for error messages. Raises ``UsageError``."""
     for key, value in values.items():
+        if reason := wrong_value([key, value]):
+            raise UsageError(f"{key[:80]} in {sources[key]} {reason}")
         _check_key(key, sources[key])
         _check_finite(key, value, sources[key])
     if found := wrong_external_key(values, values.get("estimator", "livo")):
@@ -110,29 +119,6 @@ def is_key(key: str) -> bool:
     return key in known_keys() or is_external_key(key)
 
 
-def read_tree(file: Path) -> dict[str, Any]:
-    """The tables of a TOML or JSON file. Raises ``UsageError``."""
-    if not file.is_file():
-        raise UsageError(f"configuration file '{file}' does not exist")
-    try:
-        text = file.read_text(encoding="utf-8")
-        data = json.loads(text) if file.suffix == ".json" else tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
-        kind = "JSON" if file.suffix == ".json" else "TOML"
-        raise UsageError(f"'{file}' is not valid {kind}: {_one_line(error)}") from None
-    except (UnicodeDecodeError, OSError) as error:
-        raise UsageError(f"'{file}' cannot be read as text: {_one_line(error)}") from None
-    except RecursionError:
-        raise UsageError(f"'{file}' is nested too deeply for a configuration") from None
-    if not isinstance(data, dict):
-        raise UsageError(f"'{file}' must hold one object of keys and values")
-    return data
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
-
-
 def _parse_override(text: str) -> tuple[str, Any]:
     key, equals, raw = text.partition("=")
     key = key.strip()
@@ -142,6 +128,8 @@ def _parse_override(text: str) -> tuple[str, Any]:
         return key, tomllib.loads(f"value = {raw.strip()}")["value"]
     except (tomllib.TOMLDecodeError, KeyError, RecursionError):
         return key, raw.strip()
+    except ValueError:  # of Python, about a number of thousands of digits
+        return key, LARGEST + 1
 
 
 def _check_key(key: str, source: str) -> None:
@@ -206,7 +194,11 @@ _OUT_OF_RANGE = {"greater_than", "greater_than_equal", "less_than", "less_than_e
 def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping[str, str]) -> str:
     """One line about the first mistake that pydantic found."""
     first = error.errors(include_url=False)[0]
+    message = first["msg"][:1].lower() + first["msg"][1:]
     location = [str(part) for part in first["loc"] if not str(part).isdigit()]
+    if not location:  # of the configuration as a whole
+        files = ", ".join(dict.fromkeys(sources.values()))
+        return f"the configuration of {files or 'this flight'} is wrong: {message}"
     prefixes = [".".join(location[:n]) for n in range(len(location), 0, -1)]
     key = next((prefix for prefix in prefixes if prefix in values), prefixes[0])
     value = values.get(key)
@@ -214,5 +206,4 @@ def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping
     where = sources.get(key, "the configuration")
     if first["type"] in _OUT_OF_RANGE:
         return f"{key} = {given} in {where} {rule_of(key)}"
-    message = first["msg"][:1].lower() + first["msg"][1:]
     return f"{key} = {given} in {where} is wrong: {message}"

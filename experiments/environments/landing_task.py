@@ -52,7 +52,7 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.environments.action_modes import ACTION_MODES, ActionMode
 from touchdown.experiments.environments.observations import SENSORS, ObservationBuffer, sensor_needs
 from touchdown.experiments.environments.wiring import EnvBackend, build_env_backend
-from touchdown.experiments.flight.truth_lookup import TruthLookup
+from touchdown.experiments.flight.truth_lookup import TruthLookup, stands_on_truth
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.scenes.api import Scene, TruthMaps
 from touchdown.scenes.truth.maps import truth_maps as scene_truth_maps
@@ -291,7 +291,8 @@ class LandingTask:
         legs = all(c.part == "leg" and c.other not in moving for c in now.contacts)
         if not (gentle and legs):
             return Outcome.COLLIDED, False, _FAILED
-        safe = bool(lookup.judge(now.world_from_body.translation[:2]).safe)
+        on_truth = stands_on_truth(lookup.height_gap_m(now.contacts)) is not False
+        safe = on_truth and bool(lookup.judge(now.world_from_body.translation[:2]).safe)
         if not safe:
             return Outcome.LANDED, False, _UNSAFE
         return Outcome.LANDED, True, _SAFE * (1.0 - 0.5 * max(down, 0.0) / TOUCH_DOWN_MPS)

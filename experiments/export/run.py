@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from touchdown.experiments.errors import UsageError
@@ -17,7 +13,7 @@ from touchdown.experiments.export.flown_run import (
     open_flown,
 )
 from touchdown.experiments.export.tables import _COLUMNS, write_csv, write_tum
-from touchdown.experiments.io.run_directory import whole_file
+from touchdown.experiments.io.run_directory import whole_file, whole_folder
 
 FORMATS = ("mcap", "ply", "tum", "csv")
 _OWN_FILES = (
@@ -48,21 +44,6 @@ def export(run: Path, kind: str, out: Path | None, options: ExportOptions) -> Ex
     done.out = out
     done.facts["bytes"] = sum(file.stat().st_size for file in _files(out))
     return done
-
-
-@contextmanager
-def whole_folder(out: Path) -> Iterator[Path]:
-    """Yields the path of a folder to make, which becomes ``out``, in place of an earlier one, when
-    the context ends without an error. Its last part is the name of ``out``."""
-    partial = out.with_name(f".{out.name}.partial-{os.getpid()}")
-    partial.mkdir(parents=True)
-    try:
-        yield partial / out.name
-        if out.exists():
-            shutil.rmtree(out)
-        os.replace(partial / out.name, out)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def _files(path: Path) -> list[Path]:

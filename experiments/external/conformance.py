@@ -130,7 +130,7 @@ class _Check:
             return None
         try:
             estimator = self._build(copy.deepcopy(self._params), self._rig)
-        except Exception as error:  # any error is reported to the author
+        except (Exception, SystemExit) as error:  # any error is reported to the author
             self._note("builds", f"build raised {describe_error(error)}", _trace(error))
             return None
         reason = wrong_estimator(estimator, self._rig)
@@ -172,7 +172,7 @@ class _Check:
     def _answer(self, estimator: Estimator, obs: Observation) -> Estimate | None:
         try:
             estimate = estimator.update(obs)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             reason = f"at {obs.time_s:.3f} s update raised {describe_error(error)}"
             self._note("answers", reason, _trace(error))
             return None
@@ -285,7 +285,7 @@ class _Check:
         for obs in _with_gap(field, stream):
             try:
                 estimate = estimator.update(obs)
-            except Exception as error:
+            except (Exception, SystemExit) as error:
                 self._note(
                     "missing data",
                     f"without {field}, at {obs.time_s:.3f} s, update raised "
@@ -323,7 +323,7 @@ def _between(first: Pose, second: Pose) -> tuple[float, float]:
     return distance, float(np.degrees(angle))
 
 
-def _trace(error: Exception) -> str:
+def _trace(error: BaseException) -> str:
     """The traceback of an exception, without the frame of the caller here."""
     first = error.__traceback__.tb_next if error.__traceback__ is not None else None
     return "".join(traceback.format_exception(type(error), error, first))

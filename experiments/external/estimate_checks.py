@@ -32,7 +32,7 @@ def wrong_estimator(estimator: Any, rig: SensorRig) -> str:
     kind = type(estimator).__name__
     try:
         needs = getattr(estimator, "needs", None)
-    except Exception as error:  # a property may raise anything
+    except (Exception, SystemExit) as error:  # a property may raise anything
         return f"'needs' of the estimator raised {describe_error(error)}"
     if needs is None:
         return f"the estimator, a {kind}, has no SensorNeeds in an attribute 'needs'"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -33,7 +34,7 @@ class ExternalEstimator:
 
     def __init__(self, name: str, params: Mapping[str, Any], rig: SensorRig) -> None:
         build = external_builder(name)
-        self._name = name
+        self._name, self._process = name, os.getpid()
         reason = wrong_signature(build)
         if reason:
             raise self._error(reason)
@@ -41,6 +42,8 @@ class ExternalEstimator:
             inner: Any = build(copy.deepcopy(dict(params)), rig)
         except (Exception, SystemExit) as error:  # external code may raise anything
             raise self._error(f"build raised {describe_error(error)}", error) from error
+        finally:
+            self._end_copy()
         reason = wrong_estimator(inner, rig)
         if reason:
             raise self._error(reason)
@@ -54,10 +57,17 @@ class ExternalEstimator:
         except (Exception, SystemExit) as error:
             what = f"at {obs.time_s:.3f} s update raised {describe_error(error)}"
             raise self._error(what, error) from error
+        finally:
+            self._end_copy()
         reason = wrong_estimate(estimate)
         if reason:
             raise self._error(f"at {obs.time_s:.3f} s update returned {reason}")
         return estimate
+
+    def _end_copy(self) -> None:
+        """Ends a copy of this process that the estimator has forked: it must not fly as well."""
+        if os.getpid() != self._process:
+            os._exit(1)
 
     def _error(self, what: str, error: BaseException | None = None) -> ExternalEstimatorError:
         where = "" if error is None else location(error, self._name.partition(":")[0])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
 from touchdown.experiments.io.results import Nees, PositionError
-from touchdown.sim.api import Truth
+from touchdown.sim.api import Contact, Truth
 from touchdown.sim.frames import Pose, tilt_from_rotation, wrap_angle, yaw_from_rotation
 
 Array = NDArray[np.float64]
@@ -179,7 +179,7 @@ class TouchdownWindow:
         self.impact_peak_mps2 = 0.0
         self.bounce_m = 0.0
         self._lowest = np.inf
-        self.contact_with: str | None = None
+        self.contacts: tuple[Contact, ...] = ()
 
     def add_before(self, truth: Truth) -> None:
         x, y, z = truth.velocity_world.tolist()
@@ -190,7 +190,7 @@ class TouchdownWindow:
     def first_contact(self, truth: Truth) -> None:
         self.contact_xy = truth.world_from_body.translation[:2].copy()
         self.contact_time_s = truth.time_s
-        self.contact_with = truth.contacts[0].other
+        self.contacts = truth.contacts
 
     def add_after(self, truth: Truth) -> None:
         height = float(truth.world_from_body.translation[2])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from touchdown.experiments.flight.metrics import (
     TouchdownWindow,
     TrajectoryDeviation,
 )
+from touchdown.experiments.flight.truth_lookup import stands_on_truth
 from touchdown.experiments.io.results import (
     JUDGED_BY_CLASS,
     JUDGED_BY_GEOMETRY,
@@ -28,7 +29,7 @@ from touchdown.experiments.io.results import (
 )
 from touchdown.landing.api import LanderView, Phase
 from touchdown.scenes.api import SAFE_CLASSES
-from touchdown.sim.api import Truth
+from touchdown.sim.api import Contact, Truth
 from touchdown.sim.frames import Pose, tilt_from_rotation
 
 Array = NDArray[np.float64]
@@ -56,10 +57,21 @@ class Judgement:
     landing: Landing | None
 
 
+class TrueGround(Protocol):
+    """The true ground, as `experiments.flight.truth_lookup.TruthLookup` looks it up."""
+
+    @property
+    def moving_geoms(self) -> frozenset[str]: ...
+
+    def judge(self, xy: Array) -> Any: ...
+
+    def height_gap_m(self, contacts: tuple[Contact, ...]) -> float | None: ...
+
+
 class Referee:
     """Judges every control step on the truth.
 
-    ``judge_ground(xy)`` returns the true ground at a point. ``on_survey_end`` is called once.
+    ``ground``: the true ground. ``on_survey_end`` is called once.
     ``by_class``: the class of the ground counts as well as its geometry. ``commanded_xy_m``: the
     commanded site, stated in the result.
     """
@@ -70,8 +82,7 @@ class Referee:
         *,
         survey_only: bool,
         steps_per_s: float,
-        judge_ground: Callable[[Array], Any],
-        moving_geoms: frozenset[str] = frozenset(),
+        ground: TrueGround,
         on_survey_end: Callable[[], None] = lambda: None,
         by_class: bool = False,
         commanded_xy_m: tuple[float, float] | None = None,
@@ -79,8 +90,8 @@ class Referee:
         self._params = params
         self._upright_cosine = math.cos(math.radians(params.tip_tilt_deg))
         self._survey_only = survey_only
-        self._judge_ground = judge_ground
-        self._moving_geoms = moving_geoms
+        self._ground = ground
+        self._moving_geoms = ground.moving_geoms
         self._on_survey_end = on_survey_end
         self._judged_on = JUDGED_BY_CLASS if by_class else JUDGED_BY_GEOMETRY
         self._commanded_xy_m = commanded_xy_m
@@ -127,16 +138,20 @@ class Referee:
         survey_s = 0.0
         if self._survey_from_s is not None:
             survey_s = (self._survey_to_s or truth.time_s) - self._survey_from_s
+        landing = self._landing(truth, view)
+        reason = self._reason or ("" if outcome is Outcome.COMPLETED else view.note)
+        if landing is not None and landing.height_agrees is False:
+            reason = "; ".join(filter(None, (reason, _off_the_map(landing.height_gap_m))))
         return Judgement(
             outcome=outcome,
-            reason=self._reason or ("" if outcome is Outcome.COMPLETED else view.note),
+            reason=reason,
             sim_s=truth.time_s,
             survey_s=survey_s,
             span_s=(self._lift_off_s, self._survey_to_s),
             position_error=self._position_error.summary(),
             deviation=self._deviation.summary(),
             nees=self._consistency.summary(),
-            landing=self._landing(view),
+            landing=landing,
         )
 
     def _follow_phases(self, truth: Truth, view: LanderView) -> None:
@@ -218,11 +233,15 @@ class Referee:
             self._rest_since_s = truth.time_s
         return truth.time_s - self._rest_since_s >= _REST_S
 
-    def _landing(self, view: LanderView) -> Landing | None:
+    def _landing(self, truth: Truth, view: LanderView) -> Landing | None:
         contact_xy = self._touchdown.contact_xy
         if contact_xy is None:
             return None
-        verdict = self._judge_ground(contact_xy)
+        verdict = self._ground.judge(contact_xy)
+        gap = self._height_gap(truth)
+        agrees = stands_on_truth(gap)
+        # Where the truth map lacks what the vehicle stands on, it cannot vouch for anything there.
+        known = agrees is not False
         site = view.committed_site_world
         offset = None if site is None else float(np.linalg.norm(contact_xy - site[:2]))
         touchdown = self._touchdown.summary()
@@ -243,8 +262,26 @@ class Referee:
             class_predicted=view.site_class,
             class_probability=view.site_class_probability,
             class_true=verdict.land_class,
-            safe_geometry=bool(verdict.safe_geometry),
-            safe_class=verdict.land_class in SAFE_CLASSES,
-            safe=bool(verdict.safe),
+            height_gap_m=gap,
+            height_agrees=agrees,
+            safe_geometry=bool(verdict.safe_geometry) and known,
+            safe_class=verdict.land_class in SAFE_CLASSES and known,
+            safe=bool(verdict.safe) and known,
             judged_on=self._judged_on,
         )
+
+    def _height_gap(self, truth: Truth) -> float | None:
+        """Of the first contact or of the last instant, whichever is larger in size."""
+        gaps = [
+            self._ground.height_gap_m(contacts)
+            for contacts in (self._touchdown.contacts, truth.contacts)
+        ]
+        return max((gap for gap in gaps if gap is not None), key=abs, default=None)
+
+
+def _off_the_map(height_gap_m: float | None) -> str:
+    """The reason why a landing is not safe where the vehicle stands off the truth map."""
+    if height_gap_m is None or math.isinf(height_gap_m):
+        return "it stands where the truth map has no ground: not safe"
+    side = "above" if height_gap_m > 0.0 else "below"
+    return f"it stands {abs(height_gap_m):.2f} m {side} the truth map: not safe"

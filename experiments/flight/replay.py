@@ -93,13 +93,19 @@ def open_run(run: Path) -> LoggedRun:
 
 
 def replay_config(
-    run: Path, estimator: str | None = None, overrides: tuple[str, ...] = (), fresh: bool = False
+    run: Path,
+    estimator: str | None = None,
+    overrides: tuple[str, ...] = (),
+    fresh: bool = False,
+    *,
+    allow_code: bool = False,
 ) -> Config:
     """The configuration of a run with another estimator or other parameters.
 
     ``fresh``: default parameters instead of the run's. Parameters that no longer exist are left
     out with a warning; those of an external estimator are left out when another replaces it.
-    Raises UsageError for a key of the flight itself.
+    ``allow_code``: the run may name an external estimator. Raises UsageError for a key of the
+    flight itself.
     """
     if not (run / "config.json").is_file():
         raise UsageError(f"'{run}' is no run directory: it has no config.json")
@@ -117,7 +123,8 @@ def replay_config(
             gone.append(key)
         return not fresh and is_key(key) and (same or not is_external_key(key))
 
-    config = load_config(run / "config.json", overrides, take, estimator=estimator)
+    file = run / "config.json"
+    config = load_config(file, overrides, take, allow_code=allow_code, estimator=estimator)
     if gone and not fresh:
         warnings.warn(f"'{run}' has parameters that are gone: {', '.join(gone)}", stacklevel=2)
     return config

@@ -137,13 +137,11 @@ def make_referee(
 ) -> Referee:
     """Returns the referee of a flight of ``config`` over ``scene``; ``by_class``: the class of the
     ground counts as well as its geometry."""
-    truth = TruthLookup(scene)
     return Referee(
         config.referee,
         survey_only=config.landing.survey_only,
         steps_per_s=config.sim.tick_hz / config.sim.control_ticks,
-        judge_ground=truth.judge,
-        moving_geoms=truth.moving_geoms,
+        ground=TruthLookup(scene),
         on_survey_end=on_survey_end,
         by_class=by_class,
         commanded_xy_m=config.landing.site_xy_m,

@@ -8,29 +8,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.io.run_directory import whole_file
+from touchdown.scenes.importers.pictures import read_rgb
 
 Picture = NDArray[np.uint8]
 
 
 def read_picture(path: Path) -> Picture:
-    """(H, W, 3) uint8 RGB. A fourth channel, transparency, is dropped.
+    """(H, W, 3) uint8 RGB, turned as the camera was held. Transparency is dropped.
 
-    Raises UsageError for a file that is no picture, and for a grey or a 16-bit one: colour is half
-    of what tells ground apart, and what the levels of 16 bits mean differs from camera to camera.
+    Raises UsageError for a file that is no picture, is damaged or too large, and for a grey or a
+    16-bit one: colour is half of what tells ground apart, and what the levels of 16 bits mean
+    differs from camera to camera.
     """
-    if not path.is_file():
-        raise UsageError(f"'{path}' does not exist")
-    picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if picture is None:
-        raise UsageError(f"'{path}' is no picture that can be read")
-    if picture.dtype != np.uint8:
-        bits = 8 * picture.dtype.itemsize
-        raise UsageError(f"'{path}' has {bits} bits a channel: convert it to 8-bit RGB")
-    if picture.ndim != 3 or picture.shape[2] not in (3, 4):
-        raise UsageError(f"'{path}' is grey: ground classification needs colour, 8-bit RGB")
-    return np.ascontiguousarray(picture[..., 2::-1])
+    return np.asarray(usage_errors(lambda: read_rgb(path, grey=False, what="image")), np.uint8)
 
 
 def squared(picture: Picture, pixels: int) -> Picture:

@@ -81,6 +81,10 @@ class Landing(_Part):
     class_predicted: str | None = None
     class_probability: Figure = None
     class_true: str | None = None
+    height_gap_m: Figure = None
+    """of the legs' contact points over the truth map; None also where the map has no ground"""
+    height_agrees: bool | None = None
+    """False: the landing counts as not safe, as the truth map lacks what the vehicle stands on"""
     safe_geometry: bool | None = None
     safe_class: bool | None = None
     safe: bool | None = None

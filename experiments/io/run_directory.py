@@ -1,15 +1,20 @@
-"""Atomic creation of run directories and files."""
+"""Atomic creation of run directories and files. What a killed process left is removed by the next
+that makes the same."""
 
 from __future__ import annotations
 
+import ctypes
 import datetime
 import os
 import shutil
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from touchdown.experiments.errors import UsageError, system_message
+
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
 
 def check_out_dir(out_dir: Path) -> None:
@@ -42,33 +47,98 @@ def run_directory(out_dir: Path) -> Iterator[Path]:
 
     Raises UsageError where the machine does not let it: a full or read-only disk, no permission.
     """
-    partial = out_dir.with_name(f".{out_dir.name}.partial-{os.getpid()}")
     try:
-        partial.mkdir(parents=True)
-        yield partial
-        if out_dir.exists():
-            shutil.rmtree(out_dir)
-        os.replace(partial, out_dir)
+        if out_dir.is_symlink():
+            out_dir = out_dir.resolve()
+        with _staging(out_dir) as partial:
+            partial.mkdir()
+            yield partial
+            put_in_place(partial, out_dir)
     except OSError as error:
         # Of the machine, such as a full disk; whoever reads it knows ``out_dir`` alone.
         if system_message(error) is None:
             raise
         error.filename, error.filename2 = str(out_dir), None
         raise UsageError(f"--out: {system_message(error)}") from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+
+
+@contextmanager
+def whole_folder(out: Path) -> Iterator[Path]:
+    """Yields the path of a folder to make, which becomes ``out``, in place of an earlier one, if
+    all goes well. Its last part is the name of ``out``."""
+    with _staging(out) as partial:
+        partial.mkdir()
+        yield partial / out.name
+        put_in_place(partial / out.name, out)
 
 
 @contextmanager
 def whole_file(out: Path) -> Iterator[Path]:
     """A file to write; it becomes ``out``, in place of an earlier one, if all goes well."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    partial = out.with_name(f".{out.name}.partial-{os.getpid()}")
-    try:
+    with _staging(out) as partial:
         yield partial
         os.replace(partial, out)
+
+
+@contextmanager
+def _staging(out: Path) -> Iterator[Path]:
+    """The path beside ``out`` where it is made, which names the owner: this process. What lies
+    there at the end is removed, and first what a process left that no longer lives."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    for left in out.parent.glob(f"{_escaped(f'.{out.name}')}.partial-*"):
+        if _is_abandoned(left):
+            _remove(left)
+    partial = out.with_name(f".{out.name}.partial-{socket.gethostname()}.{os.getpid()}")
+    try:
+        yield partial
     finally:
-        partial.unlink(missing_ok=True)
+        _remove(partial)
+
+
+def _is_abandoned(partial: Path) -> bool:
+    """True if the process that made ``partial`` has ended. False where it runs on another machine,
+    of which nothing is known."""
+    import psutil
+
+    host, _, pid = partial.name.rpartition(".partial-")[2].rpartition(".")
+    if host != socket.gethostname() or not pid.isdecimal():
+        return False
+    try:
+        # A process that began after the last change is another one of that number.
+        return bool(psutil.Process(int(pid)).create_time() > partial.stat().st_ctime + 1.0)
+    except psutil.NoSuchProcess:
+        return True
+    except (psutil.Error, OSError, OverflowError):
+        return False
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def put_in_place(made: Path, out: Path) -> None:
+    """Moves the directory ``made`` to ``out``. An earlier one there is exchanged for it in one step
+    where the file system can do that: no moment is without one of them."""
+    if out.exists() and not _exchange(made, out):
+        shutil.rmtree(out)
+    if made.exists() and not out.exists():
+        os.replace(made, out)
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """True if the two paths have been exchanged."""
+    renameat2 = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if renameat2 is None:
+        return False
+    paths = (os.fsencode(one.absolute()), os.fsencode(other.absolute()))
+    return bool(renameat2(_AT_FDCWD, paths[0], _AT_FDCWD, paths[1], _RENAME_EXCHANGE) == 0)
+
+
+def _escaped(name: str) -> str:
+    return "".join(f"[{c}]" if c in "*?[" else c for c in name)
 
 
 def utc_now() -> str:
@@ -78,9 +148,5 @@ def utc_now() -> str:
 
 def write_text(path: Path, text: str) -> None:
     """Writes a text file atomically."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
+    with whole_file(path) as partial:
         partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)

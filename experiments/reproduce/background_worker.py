@@ -16,8 +16,8 @@ from types import TracebackType
 from typing import Any
 
 from touchdown.experiments.campaign.executor import SINGLE_THREAD
-from touchdown.experiments.campaign.worker import die_with_parent
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.external.processes import die_with_parent
 
 Notes = Callable[[str], None]
 

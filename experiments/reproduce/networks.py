@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.campaign.worker import die_with_parent
+from touchdown.experiments.external.processes import die_with_parent
+from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.run_directory import write_text
 from touchdown.experiments.reproduce.plans import Recognition
 
@@ -76,7 +77,7 @@ def train_and_score(
         for network in size.networks
         for labels in size.labels
     ]  # fmt: skip
-    _train([one for one in wanted if not (one.folder / SCORES).is_file()], jobs, notes)
+    _train([one for one in wanted if _known_scores(one.folder / SCORES, one) is None], jobs, notes)
     return [_score(training, notes) for training in wanted]
 
 
@@ -185,13 +186,23 @@ def _ignore_progress(_done: int, _total: int, _note: str) -> None:
 # ---------------------------------------------------------------------------------------- scoring
 
 
+def _known_scores(file: Path, training: Training) -> dict[str, Any] | None:
+    """The scores in ``file``; None where there are none of this training."""
+    try:
+        known = read_object(file)
+    except (OSError, ValueError):
+        return None
+    same = (known.get("network"), known.get("labels")) == (training.network, training.labels)
+    whole = all(isinstance(known.get(split), dict) for split in ("val", "test"))
+    return known if same and whole else None
+
+
 def _score(training: Training, notes: Notes) -> dict[str, Any]:
     """Returns the validation and test scores of a trained network."""
     from touchdown.experiments.classification.evaluate import evaluate_network
 
     file = training.folder / SCORES
-    if file.is_file():
-        known: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    if (known := _known_scores(file, training)) is not None:
         return known
     notes(f"scoring {training.name}")
     scores: dict[str, Any] = {"network": training.network, "labels": training.labels}

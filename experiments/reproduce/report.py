@@ -164,7 +164,12 @@ def _section(
     if part.name in _SECTIONS:
         _add_campaign(section, folder / FLIGHTS, rows)
     else:
-        _FILLERS[part.name](section, state.figures, folder)
+        try:
+            _FILLERS[part.name](section, state.figures, folder)
+        except (KeyError, IndexError, TypeError, AttributeError) as error:
+            raise UsageError(
+                f"'{folder / 'part.json'}' lacks figures of its part; delete it, and the part runs again"
+            ) from error
     return section
 
 

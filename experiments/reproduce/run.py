@@ -29,6 +29,7 @@ from touchdown.experiments.reproduce.state import (
     PartState,
     Reproduction,
     _is_done,
+    check_plain,
     read_states,
 )
 from touchdown.experiments.reproduce.steps import PARTS, Done, Job, Notes, Part, part_named
@@ -179,6 +180,8 @@ def _locked(out: Path) -> Iterator[None]:
     """Makes and locks the directory. Raises UsageError if it holds something else."""
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: is a file; name a new directory")
+    if out.is_dir():
+        check_plain(out)
     ours = (out / MARK).is_file()
     if out.is_dir() and not ours and any(not p.name.startswith(".") for p in out.iterdir()):
         raise UsageError(

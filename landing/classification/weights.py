@@ -90,9 +90,12 @@ def checksum_file(path: Path) -> Path:
 
 
 def write_network(path: Path, content: bytes) -> None:
-    """Writes the checksum, in the format of ``sha256sum``, and then the network's file."""
-    line = f"{hashlib.sha256(content).hexdigest()}  {path.name}\n"
-    for target, data in ((checksum_file(path), line.encode()), (path, content)):
+    """Writes the network's file and its checksum, in the format of ``sha256sum``. In between the
+    checksum is both that of an earlier file and of this one: each is valid at every moment."""
+    line = f"{hashlib.sha256(content).hexdigest()}  {path.name}\n".encode()
+    checksum = checksum_file(path)
+    before = checksum.read_bytes() if checksum.is_file() and path.is_file() else b""
+    for target, data in ((checksum, line + before), (path, content), (checksum, line)):
         partial = target.with_name(f".{target.name}.partial")
         partial.write_bytes(data)
         partial.replace(target)
@@ -111,8 +114,9 @@ def read_network(path: Path) -> bytes:
             f"'{checksum_file(path)}' is missing: '{path.name}' is not loaded without it"
         )
     content = path.read_bytes()
-    words = checksum_file(path).read_text(encoding="utf-8", errors="replace").split()
-    if not words or words[0].lower() != hashlib.sha256(content).hexdigest():
+    lines = checksum_file(path).read_text(encoding="utf-8", errors="replace").splitlines()
+    checksums = [line.split()[0].lower() for line in lines[:2] if line.split()]
+    if hashlib.sha256(content).hexdigest() not in checksums:
         raise ValueError(
             f"'{path}' ({len(content)} bytes) does not have the checksum in "
             f"'{checksum_file(path).name}': it is truncated or changed; copy it again"

@@ -23,6 +23,7 @@ from touchdown.scenes.importers.geotiff import (
     read_georeference,
     read_heights,
 )
+from touchdown.scenes.importers.pictures import check_picture, opened_picture
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -72,8 +73,9 @@ def import_dem(
         raise ValueError(f"class '{land_class}' is none of {', '.join(LAND_CLASSES)}")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"'{out}' exists already; name a new folder")
-    raster = read_heights(tif)
-    image = None if ortho is None else _read_image(ortho)
+    raster = read_heights(tif, centre_m, window_m)
+    if ortho is not None:
+        check_picture(ortho)
     half, step = _grid(raster, cell_m, window_m, tif)
     middle = _window_centre(raster, half, centre_m, tif)
     heights = _filled(raster, middle, half, tif)
@@ -81,10 +83,10 @@ def import_dem(
     spot = takeoff_spot(terrain)
     level = terrain.point(*spot)
     terrain = HeightField(heights_m=terrain.heights_m - level, half_m=terrain.half_m)
-    if image is None or ortho is None:
+    if ortho is None:
         colours = relief_texture(terrain)
     else:
-        colours = _cut_ortho(image, ortho, raster, middle, terrain.half_m)
+        colours = _cut_ortho(ortho, raster, middle, terrain.half_m)
     spec = mujoco.MjSpec.from_file(str(TEMPLATE))
     spec.modelname = tif.stem
     spec.comment = f"{tif.name}: level {level:.2f} m of the model is height 0"
@@ -136,19 +138,22 @@ def _window_centre(
     low, high = reach, np.array([rows - 1, cols - 1]) - reach
     if centre_m is not None:
         east, north = centre_m
-        middle = np.array([rows - 0.5 - north / raster.cell_m[1], east / raster.cell_m[0] - 0.5])
+        south = raster.size_m[1] - north - raster.corner_m[1]
+        middle = np.array([south, east - raster.corner_m[0]]) / raster.cell_m[::-1] - 0.5
         if (middle < low - 1e-6).any() or (middle > high + 1e-6).any():
             raise ValueError(
                 f"a window of {2 * half:g} m around {centre_m} leaves {path}, which covers "
-                f"{cols * raster.cell_m[0]:g} x {rows * raster.cell_m[1]:g} m"
+                f"{raster.size_m[0]:g} x {raster.size_m[1]:g} m"
             )
         return np.clip(np.round(middle), low, high)
     known = np.isfinite(raster.heights_m)
     if not known.any():
-        raise ValueError(f"{path} holds no heights: every cell is a hole")
+        part = raster.corner_m.any()
+        where = " around its middle; choose another with --centre" if part else ""
+        raise ValueError(f"{path} holds no heights: every cell is a hole{where}")
     size = tuple(2 * np.floor(reach).astype(int) + 1)
     share = ndimage.uniform_filter(known.astype(np.float32), size, mode="constant")
-    row, col = np.indices(share.shape)
+    row, col = np.indices(share.shape, sparse=True)
     middle = 0.5 * np.array([rows - 1, cols - 1])
     inside = (
         (row >= low[0] - 0.5) & (row <= high[0] + 0.5)
@@ -261,41 +266,30 @@ def relief_texture(terrain: HeightField) -> Image:
     return np.ascontiguousarray(np.clip(colours, 0.0, 255.0).astype(np.uint8)[::-1])
 
 
-def _read_image(path: Path) -> Image:
-    """(H, W, 3) uint8 RGB."""
-    if not path.is_file():
-        raise FileNotFoundError(f"aerial image not found: {path}")
-    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if pixels is None or min(pixels.shape[:2]) < 16:
-        raise ValueError(f"{path} is not an image; give a PNG, JPEG or TIFF with colours")
-    return np.ascontiguousarray(pixels[..., ::-1])
-
-
-def _cut_ortho(image: Image, path: Path, raster: HeightRaster, middle: Array, half: float) -> Image:
+def _cut_ortho(path: Path, raster: HeightRaster, middle: Array, half: float) -> Image:
     """The window's part of an aerial image, square, at its own resolution up to 4096 texels."""
-    rows, cols = raster.heights_m.shape
-    size = np.array([cols, rows]) * raster.cell_m
-    per_m, start = np.array(image.shape[1::-1]) / size, np.zeros(2)
-    is_tiff = path.suffix.lower() in (".tif", ".tiff")
-    own = read_georeference(path) if is_tiff else Georeference(unit_cell=np.ones(2))
-    model = raster.georeference
-    if own.origin is not None and model.origin is not None:
-        metres = raster.cell_m / model.unit_cell
-        per_m = 1.0 / (own.unit_cell * metres)
-        start = (own.origin - model.origin) * np.array([1.0, -1.0]) * metres
-    elif abs(per_m[0] / per_m[1] - 1.0) > 0.03:
-        raise ValueError(
-            f"{path} has {image.shape[1]} x {image.shape[0]} pixels, the model covers "
-            f"{size[0]:g} x {size[1]:g} m: they must show the same extent"
-        )
-    centre = (middle[::-1] + 0.5) * raster.cell_m
-    first = (centre - half - start) * per_m
-    span = 2.0 * half * per_m
-    if (first < -1.0).any() or (first + span > np.array(image.shape[1::-1]) + 1.0).any():
-        raise ValueError(f"{path} does not cover the window; give an image of the whole model")
-    pixels = int(np.clip(np.ceil(span.max()), 64, MAX_TEXELS))
-    low = np.maximum(np.floor(first).astype(int), 0)
-    high = np.ceil(first + span).astype(int)
-    part = image[low[1] : high[1], low[0] : high[0]]
+    with opened_picture(path) as picture:
+        size = raster.size_m
+        per_m, start = picture.size / size, np.zeros(2)
+        own = read_georeference(path) if picture.is_tiff else Georeference(unit_cell=np.ones(2))
+        model = raster.georeference
+        if own.origin is not None and model.origin is not None:
+            metres = raster.metres_per_unit
+            per_m = 1.0 / (own.unit_cell * metres)
+            start = (own.origin - model.origin) * np.array([1.0, -1.0]) * metres
+        elif abs(per_m[0] / per_m[1] - 1.0) > 0.03:
+            raise ValueError(
+                f"{path} has {picture.size[0]} x {picture.size[1]} pixels, the model covers "
+                f"{size[0]:g} x {size[1]:g} m: they must show the same extent"
+            )
+        centre = (middle[::-1] + 0.5) * raster.cell_m + raster.corner_m
+        first = (centre - half - start) * per_m
+        span = 2.0 * half * per_m
+        if (first < -1.0).any() or (first + span > picture.size + 1.0).any():
+            raise ValueError(f"{path} does not cover the window; give an image of the whole model")
+        pixels = int(np.clip(np.ceil(span.max()), 64, MAX_TEXELS))
+        low = np.maximum(np.floor(first).astype(int), 0)
+        high = np.minimum(np.ceil(first + span).astype(int), picture.size)
+        part = picture.part(low, high)
     method = cv2.INTER_AREA if span.max() > pixels else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(part, (pixels, pixels), interpolation=method), np.uint8)

@@ -11,6 +11,10 @@ import numpy as np
 
 from touchdown.scenes.api import LAND_CLASSES, Surface
 from touchdown.scenes.authoring.draft import SceneDraft
+from touchdown.scenes.importers.files import check_file, printable
+from touchdown.scenes.importers.mjcf_limits import check_mjcf
+from touchdown.scenes.importers.model_check import check_model
+from touchdown.scenes.importers.trial import TRIAL_BYTES, check_compiles
 
 REFLECTIVITY_905NM = {
     "lawn": 0.45,
@@ -34,6 +38,11 @@ _MOVING_KINDS = (
     "flexes", "skins", "joints",
 )  # fmt: skip
 """Ordered so that no element refers to one deleted before it."""
+
+_MUJOCO_ERRORS = (ValueError, MemoryError, RuntimeError, mujoco.FatalError)
+"""MuJoCo raises RuntimeError for any exception that it does not know, such as one of memory."""
+_MAX_BUFFER, _MAX_SLICES = 4096, 64
+"""pixels along a side of an image, and pieces of a round geom, that a file may ask for"""
 
 _warned: set[tuple[str, str]] = set()
 """Files and the warnings given for them."""
@@ -64,13 +73,15 @@ def read_mjcf(path: Path) -> SceneDraft:
     file without a light gets a sun. Ground far from height 0 is moved there.
 
     Raises FileNotFoundError for a missing file or asset, ValueError for a file that MuJoCo cannot
-    read and for a take-off spot without ground.
+    read, for one beyond the limits of `scenes.importers.mjcf_limits`, `scenes.importers.trial` and
+    `scenes.importers.model_check`, and for a take-off spot without ground.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"scene file not found: {path}")
+    check_file(path, "a scene")
+    if check_mjcf(path).mesh_bytes > TRIAL_BYTES:
+        check_compiles(path)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, mujoco.FatalError) as error:
+    except _MUJOCO_ERRORS as error:
         raise ValueError(f"{path}: not a valid MJCF file: {_one_line(error)}") from error
     remove_motion(spec, path)
     model, data = _compiled(spec, path)
@@ -114,8 +125,20 @@ def remove_motion(spec: Any, path: Path) -> None:
     compiler.boundmass = compiler.boundinertia = 0.0
     compiler.discardvisual = compiler.fusestatic = False
     compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
-    option.disableflags = option.enableflags = 0
+    usual = mujoco.MjSpec().option
+    for name in dir(usual):
+        if not name.startswith("_"):
+            setattr(option, name, getattr(usual, name))
     spec.memory = spec.njmax = spec.nconmax = -1
+    spec.nuserdata = spec.nkey = 0
+    for name in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor"):
+        setattr(spec, f"nuser_{name}", -1)
+    visual = spec.visual
+    for name in ("offwidth", "offheight"):
+        setattr(visual.global_, name, min(int(getattr(visual.global_, name)), _MAX_BUFFER))
+    for name in ("numslices", "numstacks", "numquads"):
+        pieces = int(getattr(visual.quality, name))
+        setattr(visual.quality, name, min(max(pieces, 1), _MAX_SLICES))
 
 
 def _remove_vehicle(spec: Any) -> bool:
@@ -136,11 +159,12 @@ def _compiled(spec: Any, path: Path) -> tuple[Any, Any]:
     """Returns the model, and its data with the poses of time 0."""
     try:
         model = spec.copy().compile()
-    except (ValueError, mujoco.FatalError) as error:
+    except _MUJOCO_ERRORS as error:
         _blame_asset(spec, path)
         raise ValueError(f"{path}: not a valid MJCF file: {_one_line(error)}") from error
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
+    check_model(model, data, path)
     return model, data
 
 
@@ -206,7 +230,8 @@ def _warn_once(path: Path, text: str) -> None:
 
 
 def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+    text = " ".join(str(error).split())
+    return "MuJoCo needs more memory than there is" if "unknown exception" in text else text
 
 
 def _takeoff(model: Any, data: Any) -> tuple[np.ndarray, float]:
@@ -239,7 +264,8 @@ def _surfaces(spec: Any, path: Path) -> dict[str, Surface]:
             unknown.append(geom.name)
         surfaces[geom.name] = found or DEFAULT_SURFACE
     if unknown:
-        names = ", ".join(unknown[:4]) + (" ..." if len(unknown) > 4 else "")
+        shown = ", ".join(printable(name) for name in unknown[:4])
+        names = shown + (" ..." if len(unknown) > 4 else "")
         one = len(unknown) == 1
         _warn_once(
             path,
@@ -258,7 +284,7 @@ def _bounds(model: Any, data: Any, takeoff_xy_m: np.ndarray, path: Path) -> np.n
     planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
     if bool((planes & (model.geom_size[:, :2] == 0.0).any(axis=1)).any()) or model.ngeom == 0:
         return window
-    centres = model.geom_aabb[:, :3]
+    centres = np.where(planes[:, None], 0.0, model.geom_aabb[:, :3])
     half = np.where(planes[:, None], model.geom_size * [1.0, 1.0, 0.0], model.geom_aabb[:, 3:])
     rotations = data.geom_xmat.reshape(-1, 3, 3)
     world = np.einsum("nij,nj->ni", rotations, centres) + data.geom_xpos

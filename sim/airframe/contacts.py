@@ -23,20 +23,24 @@ class ContactSensor:
         self._force = np.zeros(6)
 
     def read(self, data: Any) -> tuple[Contact, ...]:
-        """The contacts of the last tick, one per pair of geoms, their normal forces added up; in
-        ascending order of geom ids."""
+        """The contacts of the last tick, one per pair of geoms, their normal forces added up and
+        the point of the largest of them; in ascending order of geom ids."""
         forces: dict[tuple[int, int], float] = {}
+        hardest: dict[tuple[int, int], tuple[float, int]] = {}
         for i, (first, second) in enumerate(data.contact.geom[: data.ncon].tolist()):
             own, other = (first, second) if self._of_vehicle[first] else (second, first)
             if not self._of_vehicle[own]:
                 continue
             mujoco.mj_contactForce(self._model, data, i, self._force)
-            forces[own, other] = forces.get((own, other), 0.0) + float(self._force[0])
+            force = float(self._force[0])
+            forces[own, other] = forces.get((own, other), 0.0) + force
+            hardest[own, other] = max(hardest.get((own, other), (force, i)), (force, i))
         return tuple(
             Contact(
                 part=_part(self._names[own]),
                 other=self._names[other],
                 normal_force_n=force,
+                point_world=tuple(data.contact.pos[hardest[own, other][1]].tolist()),
             )
             for (own, other), force in sorted(forces.items())
         )

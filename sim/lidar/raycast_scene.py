@@ -7,23 +7,17 @@ are carried into that frame. The vehicle, geom groups 3 and above, and invisible
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
-from typing import Any
-
-# Open3D would otherwise probe for a display when it is first imported.
-os.environ.setdefault("OPEN3D_CPU_RENDERING", "true")
 
 import mujoco
 import numpy as np
-import open3d as o3d
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import LAND_CLASSES, GroundRaster, Scene, Surface
 from touchdown.sim.frames import Pose
+from touchdown.sim.geometry.quadrics import ShapeTable
+from touchdown.sim.geometry.ray_target import Hits, RayTarget, body_pose, geom_pose
+from touchdown.sim.geometry.tessellation import geom_mesh
 from touchdown.sim.lidar.heightfield import GroundGrid
-from touchdown.sim.lidar.quadrics import ShapeTable, settle
-from touchdown.sim.lidar.tessellation import geom_mesh
 from touchdown.sim.typing import Array, Bools, Float32, Indices, Int32
 
 VEHICLE_PREFIX = "vehicle/"
@@ -32,51 +26,11 @@ DEFAULT_SURFACE = Surface(land_class="other", reflectivity=0.3)
 """Surface of geoms that the scene does not describe."""
 
 _PLANE_MARGIN_M = 300.0
-_MOST_LAYERS = 8
-"""Wrappings of round shapes that one ray may graze."""
-_LAYER_STEP_M = 1e-4
 _NO_GEOM = -1
 
 
-@dataclass(frozen=True, slots=True)
-class Hits:
-    """Nearest hit of each ray."""
-
-    distance: Float32
-    """(N,) metres, inf for a miss"""
-    geom: Int32
-    """(N,) MuJoCo geom id, -1 for a miss"""
-    cosine: Float32
-    """(N,) of the angle between the surface's outward normal and the way back along the ray;
-    negative when the ray meets the surface from inside"""
-
-    @staticmethod
-    def none(count: int) -> Hits:
-        return Hits(
-            np.full(count, np.inf, dtype=np.float32),
-            np.full(count, _NO_GEOM, dtype=np.int32),
-            np.zeros(count, dtype=np.float32),
-        )
-
-    @staticmethod
-    def joined(*groups: Hits) -> Hits:
-        return Hits(
-            np.concatenate([group.distance for group in groups]),
-            np.concatenate([group.geom for group in groups]),
-            np.concatenate([group.cosine for group in groups]),
-        )
-
-    def at(self, rays: NDArray[Any]) -> Hits:
-        return Hits(self.distance[rays], self.geom[rays], self.cosine[rays])
-
-    def put(self, rays: NDArray[Any], hits: Hits) -> None:
-        self.distance[rays] = hits.distance
-        self.geom[rays] = hits.geom
-        self.cosine[rays] = hits.cosine
-
-
-class RayTarget:
-    """Some geoms, rigid in one frame, under one Embree acceleration structure."""
+class GroundTarget(RayTarget):
+    """Geoms of which one may be terrain, where most rays meet nothing else."""
 
     def __init__(
         self,
@@ -86,92 +40,18 @@ class RayTarget:
         shapes: ShapeTable,
         ground: GroundGrid | None = None,
     ) -> None:
-        offsets = np.cumsum([0] + [len(block) for block in vertices])[:-1]
-        points = np.concatenate(vertices).astype(np.float32)
-        indices = [block + start for block, start in zip(triangles, offsets, strict=True)]
-        self._geom_of_triangle = np.repeat(
-            np.array(geoms, dtype=np.int32), [len(block) for block in triangles]
-        )
-        self._shapes = shapes
         self._ground = ground
-        self.center = 0.5 * (points.min(axis=0) + points.max(axis=0)).astype(np.float64)
-        self.radius = float(np.linalg.norm(points - self.center, axis=1).max())
-        self.triangle_count = len(self._geom_of_triangle)
-        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        self._scene.add_triangles(
-            o3d.core.Tensor.from_numpy(points),
-            o3d.core.Tensor.from_numpy(np.concatenate(indices).astype(np.uint32)),
-        )
-        # Embree builds its hierarchy at the first ray: now, rather than in the middle of a flight.
-        self.cast(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]], dtype=np.float32))
-
-    def cast(self, rays: Float32) -> Hits:
-        """Nearest hits of (N, 6) float32 origins and unit directions in the target's frame."""
-        return self.cast_apart(rays)[0]
+        super().__init__(vertices, triangles, geoms, shapes)
 
     def cast_apart(self, rays: Float32) -> tuple[Hits, Indices]:
         """Nearest hits, and the indices of the rays that passed near anything but open ground."""
         if self._ground is None:
-            return self.cast_all(rays), np.arange(len(rays))
+            return super().cast_apart(rays)
         hits = Hits.none(len(rays))
         others = self._ground.march(rays, hits.distance, hits.geom, hits.cosine)
         if others.size:
             hits.put(others, self.cast_all(rays[others]))
         return hits, others
-
-    def embree(self, rays: Float32) -> dict[str, o3d.core.Tensor]:
-        """The bare cast against the triangles, as Open3D answers it."""
-        answer: dict[str, o3d.core.Tensor] = self._scene.cast_rays(
-            o3d.core.Tensor.from_numpy(rays), nthreads=1
-        )
-        return answer
-
-    def cast_all(self, rays: Float32) -> Hits:
-        """Nearest hits without the shortcut for open ground: for rays that start or end near
-        objects."""
-        hits, again, reached = self._cast_once(rays)
-        for _ in range(_MOST_LAYERS):
-            if not again.size:
-                break
-            onward, travelled = rays_behind(rays[again], reached + np.float32(_LAYER_STEP_M))
-            behind, more, reached = self._cast_once(onward)
-            behind.distance[:] += travelled
-            nearer = behind.distance < hits.distance[again]
-            hits.put(again[nearer], behind.at(nearer))
-            reached += travelled[more]
-            again = again[more]
-            # What is known lies before all that is still to come.
-            open_ended = hits.distance[again] > reached
-            again, reached = again[open_ended], reached[open_ended]
-        return hits
-
-    def _cast_once(self, rays: Float32) -> tuple[Hits, Indices, Float32]:
-        """Hits, the rays that have to be cast on, and how far those came."""
-        answer = self.embree(rays)
-        hits = Hits.none(len(rays))
-        reached = answer["t_hit"].numpy()
-        again = settle(
-            rays,
-            reached,
-            answer["primitive_ids"].numpy(),
-            answer["primitive_normals"].numpy(),
-            self._geom_of_triangle,
-            self._shapes.kind,
-            self._shapes.rotation,
-            self._shapes.center,
-            self._shapes.size,
-            hits.distance,
-            hits.geom,
-            hits.cosine,
-        )
-        return hits, again, reached[again]
-
-
-def rays_behind(rays: Float32, distance: Float32) -> tuple[Float32, Float32]:
-    """Copies of (N, 6) rays that start ``distance`` (N,) further on, and those distances."""
-    onward = rays.copy()
-    onward[:, :3] += distance[:, None] * onward[:, 3:]
-    return onward, distance
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,19 +88,19 @@ class LidarScene:
             if mesh is None or not len(mesh[1]):
                 continue
             root = moving_root(model, int(model.geom_bodyid[geom_id]))
-            frame = Pose.identity() if root == 0 else _body_pose(rest, root)
-            local = frame.inverse() @ _geom_pose(rest, geom_id)
+            frame = Pose.identity() if root == 0 else body_pose(rest, root)
+            local = frame.inverse() @ geom_pose(rest, geom_id)
             block = blocks.setdefault(root, ([], [], [], ShapeTable.empty(model.ngeom)))
             block[0].append(local.apply(mesh[0]))
             block[1].append(mesh[1])
             block[2].append(geom_id)
             block[3].add(model, geom_id, local)
-        self.static: RayTarget | None = None
+        self.static: GroundTarget | None = None
         if 0 in blocks:
             ground = _ground_grid(model, rest, *blocks[0][:3])
-            self.static = RayTarget(*blocks.pop(0), ground)
+            self.static = GroundTarget(*blocks.pop(0), ground)
         self.moving = {_body_name(model, root): RayTarget(*block) for root, block in blocks.items()}
-        self.rest_poses = {_body_name(model, root): _body_pose(rest, root) for root in blocks}
+        self.rest_poses = {_body_name(model, root): body_pose(rest, root) for root in blocks}
 
 
 def _ground_grid(
@@ -321,11 +201,3 @@ def _alpha(model: mujoco.MjModel, geom_id: int) -> float:
 
 def _body_name(model: mujoco.MjModel, body_id: int) -> str:
     return str(model.body(body_id).name) or f"body {body_id}"
-
-
-def _body_pose(data: mujoco.MjData, body_id: int) -> Pose:
-    return Pose(data.xmat[body_id].reshape(3, 3).copy(), data.xpos[body_id].copy())
-
-
-def _geom_pose(data: mujoco.MjData, geom_id: int) -> Pose:
-    return Pose(data.geom_xmat[geom_id].reshape(3, 3).copy(), data.geom_xpos[geom_id].copy())

@@ -18,9 +18,10 @@ from touchdown.scenes.api import Scene
 from touchdown.sim.api import LidarParams, LidarScan
 from touchdown.sim.faults.weather import Weather
 from touchdown.sim.frames import Pose
+from touchdown.sim.geometry.ray_target import Hits, RayTarget, rays_behind
 from touchdown.sim.lidar import beams, returns
 from touchdown.sim.lidar.patterns.livox import ScanPattern, pattern
-from touchdown.sim.lidar.raycast_scene import Hits, LidarScene, RayTarget, rays_behind
+from touchdown.sim.lidar.raycast_scene import LidarScene
 from touchdown.sim.lidar.weather import Clutter, LidarWeather
 from touchdown.sim.moving import BodyTrack
 from touchdown.sim.typing import Array, Bytes, Float32, Indices, Uint32

@@ -26,7 +26,7 @@ API_MAY_USE = {
 
 ROOM_MAY_IMPORT = {
     "errors": "",
-    "terminal": "",
+    "terminal": "errors",
     "api": "",
     "drawing": "",
     "config": "api errors",
@@ -43,8 +43,8 @@ ROOM_MAY_IMPORT = {
     "edges": "config errors flight scene_tools",
     "reporting": "api campaign errors io",
     "classification": "config errors flight io reporting scene_tools",
-    "reproduce": "benchmarks calibration campaign classification config edges errors io reporting "
-    "scene_tools",
+    "reproduce": "benchmarks calibration campaign classification config edges errors external io "
+    "reporting scene_tools",
     "cli": "api benchmarks calibration campaign classification config edges errors export external "
     "flight io reporting reproduce scene_tools terminal",
     "python_api": "config errors external flight io terminal",
@@ -53,6 +53,8 @@ ROOM_MAY_IMPORT = {
 """Rooms of ``experiments/`` in the order of dependency, and the rooms each may import."""
 ROOT_FILES = {"__init__", "errors", "terminal", "api", "python_api", "pytest_plugin"}
 
+SHARED = ("touchdown.sim.frames", "touchdown.sim.geometry.")
+"""What all library folders may use beside the apis."""
 TORCH_FOLDERS = (
     Path("landing/classification/networks"),
     Path("landing/classification/learning"),
@@ -136,8 +138,16 @@ def test_library_folders_meet_only_at_their_apis(own: str) -> None:
     """``experiments`` is the composition root and may import any public module."""
     for path in _sources_of(own):
         for line, module, folder, rest in _ours(path):
-            allowed = folder == own or rest == "api" or module == "touchdown.sim.frames"
+            allowed = folder == own or rest == "api" or module.startswith(SHARED)
             assert allowed, f"{_id(path)}:{line} imports {module}; only {folder}.api is open to it"
+
+
+def test_shared_geometry_depends_on_frames_alone() -> None:
+    """``sim.geometry`` stands below all folders, as ``sim.frames`` does."""
+    for path in sorted((ROOT / "sim" / "geometry").glob("*.py")):
+        for line, module, _, _ in _ours(path):
+            known = module.startswith(SHARED) or module == "touchdown.sim.typing"
+            assert known, f"{_id(path)}:{line} imports {module}"
 
 
 @pytest.mark.parametrize("folder", FOLDERS)

@@ -40,7 +40,9 @@ def below(scene: Scene, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return heights, geoms, class_ids(scene, low, cell_m, geoms)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", ["lake", *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1:])]
+)
 def test_same_seed_same_bytes_other_seed_another_scene(name: str) -> None:
     def parts(model: mujoco.MjModel) -> tuple[bytes, bytes]:
         return model.tex_data.tobytes(), model.light_dir.tobytes() + model.qpos0.tobytes()

@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
+import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +42,8 @@ def fly(config: Config, out: Path) -> RunResult:
         hoard = bytearray(400_000_000)
         hoard[::4096] = b"x" * len(hoard[::4096])
         time.sleep(600.0)
+    elif behaviour in PROCESSES:
+        PROCESSES[behaviour](campaign_dir(out))
     elif behaviour == "fills_the_disk":
         raise OSError(28, "No space left on device")
     elif behaviour == "prints":
@@ -50,6 +55,76 @@ def fly(config: Config, out: Path) -> RunResult:
         (partial / "flight.rrd").write_text("seen")
     os.replace(partial, out)
     return RunResult.model_validate(result)
+
+
+# -------------------------------------------------------------------------------------- processes
+
+
+def start_three(directory: Path) -> None:
+    """Starts a program, one in a session of its own, and a daemon: its parent is gone. Returns when
+    all have written their process id."""
+    command = f"echo $$ >> '{directory}/pids.log'; exec sleep 1000"
+    subprocess.Popen(["sh", "-c", command])
+    subprocess.Popen(["sh", "-c", command], start_new_session=True)
+    subprocess.run(["sh", "-c", f'setsid sh -c "{command}" &'.replace("$$", "\\$\\$")], check=True)
+    while len(started(directory)) < 3:
+        time.sleep(0.01)
+
+
+def started(directory: Path) -> list[int]:
+    """Process ids in ``pids.log``."""
+    file = directory / "pids.log"
+    return [int(line) for line in file.read_text().split()] if file.exists() else []
+
+
+def fork_and_exit(directory: Path) -> None:
+    """Leaves a copy of the worker with all its pipes."""
+    if (pid := os.fork()) == 0:
+        time.sleep(1000.0)
+        os._exit(0)
+    (directory / "pids.log").write_text(f"{pid}\n")
+    os._exit(3)
+
+
+def start_and_crash(directory: Path) -> None:
+    start_three(directory)
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def start_and_hang(directory: Path) -> None:
+    start_three(directory)
+    time.sleep(1000.0)
+
+
+def feed_a_child(_directory: Path) -> None:
+    """A child takes the memory."""
+    code = "x = bytearray(400_000_000); x[::4096] = b'x' * len(x[::4096]); input()"
+    subprocess.run([sys.executable, "-c", code], stdin=subprocess.PIPE)
+    time.sleep(1000.0)
+
+
+def share_memory(_directory: Path) -> None:
+    """Four children see the same memory, which they did not take."""
+    shared = bytearray(150_000_000)
+    shared[::4096] = b"x" * len(shared[::4096])
+    children = []
+    for _ in range(4):
+        if (pid := os.fork()) == 0:
+            time.sleep(2.0)
+            os._exit(0)
+        children.append(pid)
+    for pid in children:
+        os.waitpid(pid, 0)
+
+
+PROCESSES: dict[str, Callable[[Path], None]] = {
+    "forks": fork_and_exit,
+    "starts_and_crashes": start_and_crash,
+    "starts_and_hangs": start_and_hang,
+    "leaves": start_three,
+    "feeds_a_child": feed_a_child,
+    "shares": share_memory,
+}
 
 
 def campaign_dir(out: Path) -> Path:

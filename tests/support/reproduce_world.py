@@ -159,7 +159,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
             mine = dataclasses.replace(task, runner="support.reproduce_world:fly")
             execute(mine, functools.partial(_report_of, report, task.run_id))
 
-    engine = SimpleNamespace(name="here", jobs=1, run=run)
+    engine = SimpleNamespace(name="here", jobs=1, patience_s=0.0, run=run)
     monkeypatch.setattr(
         "touchdown.experiments.campaign.session.make_engine", lambda *_, slots: engine
     )

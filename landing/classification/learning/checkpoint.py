@@ -26,11 +26,13 @@ class Resumable(Protocol):
 
 
 def restore(trainer: Resumable, folder: Path, identity: dict[str, Any]) -> None:
-    """Resumes from ``last.pt`` in ``folder``, if it exists.
+    """Resumes from ``last.pt`` in ``folder``, if it exists. No other training may use the folder.
 
     Raises ValueError where it belongs to a training with other parameters or images, or cannot be
     read.
     """
+    for left in folder.glob(".*.pt.partial*"):
+        left.unlink(missing_ok=True)  # of a training that was killed
     path = folder / LAST
     if not path.is_file():
         return
@@ -83,7 +85,7 @@ def fingerprint(start: Path) -> int:
 
 
 def _write(path: Path, value: dict[str, Any]) -> None:
-    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
+    partial = path.with_name(f".{path.name}.partial")
     try:
         torch.save(value, partial)
         os.replace(partial, path)

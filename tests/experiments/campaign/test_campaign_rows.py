@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 
 from touchdown.experiments.campaign.directory import locked
-from touchdown.experiments.campaign.results_table import connect, finished_ids, load_rows
+from touchdown.experiments.campaign.results_table import finished_ids, load_rows
 from touchdown.experiments.campaign.session import summary
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.reporting.sql import connect
 
 from support.campaign_flights import MANY, attempts, axes, fly, make_plan
 

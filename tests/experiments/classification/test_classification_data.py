@@ -321,7 +321,7 @@ def test_pictures_that_are_refused(tmp_path: Path) -> None:
     for path, message in (
         (grey, "is grey"),
         (deep, "has 16 bits"),
-        (tmp_path / "text.png", "is no picture"),
+        (tmp_path / "text.png", "is not an image"),
         (tmp_path / "none.png", "does not exist"),
     ):
         with pytest.raises(UsageError, match=message):

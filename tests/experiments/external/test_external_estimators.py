@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -29,7 +30,10 @@ from touchdown.experiments.io.results import load_result
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
-from support.campaign_flights import axes, make_plan
+from support.campaign_fakes import started
+from support.campaign_flights import axes, is_alive, make_plan
+
+TESTS = os.getpid()
 
 STILL = """
 import dataclasses
@@ -195,6 +199,34 @@ def test_a_right_update_passes_through_as_it_is(lab: Callable[..., str]) -> None
     assert isinstance(estimator.update(OBSERVATION), Estimate)
 
 
+@pytest.mark.parametrize("ending", ["", "    raise RuntimeError('lost')\n", "    sys.exit(3)\n"])
+def test_a_command_ends_the_processes_that_it_starts(
+    lab: Callable[..., str], tmp_path: Path, ending: str
+) -> None:
+    text = (
+        "import sys, pathlib\nfrom support.campaign_fakes import start_three\n"
+        f"def build(params, rig):\n    start_three(pathlib.Path({str(tmp_path)!r}))\n"
+    )
+    module = lab(STILL + text + ending + "    return Still(params, rig)\n")
+    cli.main(["check-estimator", f"{module}:build", "--seconds", "0.1"])
+    assert len(started(tmp_path)) >= 3
+    assert not any(map(is_alive, started(tmp_path)))
+
+
+def test_a_copy_that_it_forks_does_not_fly_on(lab: Callable[..., str], tmp_path: Path) -> None:
+    fork = f"open({str(tmp_path / 'forked')!r}, 'a').write(f'{{os.fork()}}\\n')"
+    text = "import os\n" + _spoilt(f"{fork}; return estimate")
+    estimator = ExternalEstimator(f"{lab(text)}:build", {}, synthetic_rig())
+    estimator.update(OBSERVATION)
+    if os.getpid() != TESTS:
+        (tmp_path / "flew_on").touch()
+        os._exit(0)
+    copies = [int(line) for line in (tmp_path / "forked").read_text().split()]
+    (copy,) = [pid for pid in copies if pid]
+    assert os.waitstatus_to_exitcode(os.waitpid(copy, 0)[1]) == 1
+    assert not (tmp_path / "flew_on").exists()
+
+
 def test_a_flight_that_it_ends_leaves_nothing(
     lab: Callable[..., str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -222,8 +254,8 @@ def test_external_keys_reach_the_builder_and_come_back(
     built = build_estimator(config, synthetic_rig())
     assert built.update.__self__._update.__self__.params == config.external  # type: ignore[attr-defined]
     (tmp_path / "config.json").write_text(dump_config(config))
-    assert load_config(tmp_path / "config.json") == config
-    assert replay_config(tmp_path).external == config.external
+    assert load_config(tmp_path / "config.json", allow_code=True) == config
+    assert replay_config(tmp_path, allow_code=True).external == config.external
     assert replay_config(tmp_path, "livo").external == {}
 
 

@@ -39,6 +39,20 @@ def test_livo_knows_where_it_is(livo_flight: tuple[Path, dict[str, Any]]) -> Non
     assert result["trajectory_error_m"] < 0.15
 
 
+def test_same_seed_same_beginning_to_the_byte_on_any_number_of_threads(
+    livo_flight: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    """The first seconds in the air; the whole flight is compared below."""
+    first, _ = livo_flight
+    short = ("sim.threads=1", "referee.timeout_s=6.0")
+    assert run(tmp_path / "run", *short, estimator="livo", seed=11, survey_only=True)
+    for name in ("truth.tum", "estimate.tum", "reference.tum"):
+        begun = (tmp_path / "run" / name).read_bytes()
+        assert begun.count(b"\n") > 100
+        assert (first / name).read_bytes().startswith(begun), name
+
+
+@pytest.mark.slow
 def test_same_seed_same_flight_to_the_byte_on_any_number_of_threads(
     livo_flight: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
@@ -57,6 +71,9 @@ def test_the_flight_follows_the_estimate_not_the_truth() -> None:
     site = (x, y)
     result = run(
         None,
+        "survey.height_m=9.0",
+        "survey.leg_length_m=4.0",
+        "survey.duration_s=3.0",
         "landing.second_look=false",
         "bias.xy_m=[0.3, -0.4]",
         estimator="oracle",

@@ -19,12 +19,22 @@ SAFE_LAWN = SimpleNamespace(
 )
 
 
+def ground(*gaps: float | None) -> Any:
+    """A true ground that is safe lawn everywhere, with a car that moves; each look at contacts
+    takes one of ``gaps``."""
+    left = iter(gaps)
+    return SimpleNamespace(
+        judge=lambda xy: SAFE_LAWN,
+        height_gap_m=lambda contacts: next(left, None),
+        moving_geoms=frozenset({"car"}),
+    )
+
+
 def make_referee(**changes: Any) -> Referee:
     values: dict[str, Any] = {
         "survey_only": False,
         "steps_per_s": 200.0,
-        "judge_ground": lambda xy: SAFE_LAWN,
-        "moving_geoms": frozenset({"car"}),
+        "ground": ground(),
     }
     return Referee(RefereeParams(timeout_s=100.0), **(values | changes))
 
@@ -87,6 +97,36 @@ def test_what_follows_the_first_contact_is_in_the_result() -> None:
     assert landing.tilt_deg == pytest.approx(3.0)
     assert landing.touchdown_xy_m == (5.0, 6.0)
     assert landing.touchdown_time_s == pytest.approx(61.0)
+
+
+@pytest.mark.parametrize(
+    ("gaps", "largest", "agrees", "reason"),
+    [
+        ((0.004, -0.006), -0.006, True, ""),
+        ((0.049, 0.0), 0.049, True, ""),
+        ((0.051, 0.0), 0.051, False, "it stands 0.05 m above the truth map: not safe"),
+        ((0.0, 2.3), 2.3, False, "it stands 2.30 m above the truth map: not safe"),
+        ((0.0, -0.4), -0.4, False, "it stands 0.40 m below the truth map: not safe"),
+        ((np.inf, 0.0), np.inf, False, "it stands where the truth map has no ground: not safe"),
+        ((None, None), None, None, ""),
+    ],
+)
+def test_a_landing_off_the_truth_map_is_never_safe(
+    gaps: Any, largest: float | None, agrees: bool | None, reason: str
+) -> None:
+    """The gap at the first contact or at rest, whichever is larger."""
+    referee = make_referee(ground=ground(*gaps))
+    fly_to_descent(referee)
+    for time_s in (61.0, 61.2, 61.6):
+        judge(referee, time_s, [5, 6, 0.3], Phase.DONE, contacts=LEG_ON_LAWN)
+    result = referee.result(Outcome.LANDED)
+    landing = result.landing
+    assert landing is not None
+    assert landing.height_gap_m == (None if largest == np.inf else largest)
+    assert (landing.height_agrees, result.reason) == (agrees, reason)
+    safe = agrees is not False
+    assert (landing.safe, landing.safe_geometry, landing.safe_class) == (safe, safe, safe)
+    assert landing.ground_safe is safe
 
 
 @pytest.mark.parametrize("commanded", [None, (14.0, -33.5)])

@@ -105,7 +105,7 @@ def test_one_command_gives_every_table_and_figure(
     out = tmp_path / "deep" / "out"
     code = cli.main(["reproduce", "--out", str(out), "--quick", "--jobs", "1", "--json"])
     output = capsys.readouterr()
-    assert code == 0
+    assert code == 0, output.err
     tree = json.loads(output.out)
     assert [part["part"] for part in tree["parts"]] == [part.name for part in PARTS]
     assert tree["good"] and all(part["good"] for part in tree["parts"])

@@ -78,7 +78,7 @@ def settle(
     cosine: Float32,
 ) -> Indices:
     """True hits of rays (N, 6) from those on triangles: fills ``distance``, ``geom`` and ``cosine``
-    (N,) (see ``sim.lidar.raycast_scene.Hits``; inf, -1 and 0 for none so far). Returns the rays
+    (N,) (see ``sim.geometry.ray_target.Hits``; inf, -1 and 0 for none so far). Returns the rays
     that have to be cast on from ``wrapped_distance``: those that pass between a shape and its
     wrapping."""
     again = np.empty(rays.shape[0], dtype=np.int64)

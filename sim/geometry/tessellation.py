@@ -2,7 +2,7 @@
 
 Height fields get the triangulation that MuJoCo itself casts rays against. Round shapes are wrapped
 in triangles that lie outside of them everywhere, so that no ray that meets the shape misses its
-wrapping; where exactly it meets the shape is then a matter of `sim.lidar.quadrics`.
+wrapping; where exactly it meets the shape is then a matter of `sim.geometry.quadrics`.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ _MARGIN = 1.0 + 1e-5
 """Keeps a wrapping outside after its corners are rounded to single precision."""
 
 _PLANE_CELL_M = 25.0
+_MOST_PLANE_CELLS = 400
+"""along one side: planes are settled exactly, so that large cells of vast ones do no harm"""
 _FEWEST_SEGMENTS = 12
 
 _BOX_CORNERS = np.array(
@@ -40,8 +42,8 @@ def geom_mesh(
     model: mujoco.MjModel, geom_id: int, plane_reach_m: float, porous: bool = False
 ) -> Mesh | None:
     """Triangles of one geom in the geom's own frame, or None for a kind that has no surface here
-    (signed-distance and flexible shapes). An unbounded plane reaches ``plane_reach_m`` around its
-    origin."""
+    (flexible shapes). Signed-distance shapes have the mesh that MuJoCo makes of them. An unbounded
+    plane reaches ``plane_reach_m`` around its origin."""
     size = np.array(model.geom_size[geom_id])
     kind = int(model.geom_type[geom_id])
     data_id = int(model.geom_dataid[geom_id])
@@ -50,7 +52,7 @@ def geom_mesh(
         return plane(np.where(size[:2] > 0.0, size[:2], plane_reach_m))
     if kind == types.mjGEOM_HFIELD:
         return height_field(model, data_id)
-    if kind == types.mjGEOM_MESH:
+    if kind == types.mjGEOM_MESH or (kind == types.mjGEOM_SDF and data_id >= 0):
         return _stored_mesh(model, data_id)
     if kind == types.mjGEOM_BOX:
         return box(size)
@@ -67,7 +69,7 @@ def geom_mesh(
 
 def plane(half_sizes: Array) -> Mesh:
     """A rectangle in z = 0, cut into cells so that single-precision hits stay exact."""
-    counts = np.maximum(1, np.ceil(2.0 * half_sizes / _PLANE_CELL_M)).astype(int)
+    counts = np.clip(np.ceil(2.0 * half_sizes / _PLANE_CELL_M), 1, _MOST_PLANE_CELLS).astype(int)
     xs = np.linspace(-half_sizes[0], half_sizes[0], counts[0] + 1)
     ys = np.linspace(-half_sizes[1], half_sizes[1], counts[1] + 1)
     return _grid_vertices(xs, ys, np.zeros((ys.size, xs.size))), _grid_triangles(ys.size, xs.size)

@@ -1,0 +1,116 @@
+"""Configuration files: reading of TOML and JSON within limits, and which of them may name code."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from touchdown.experiments.errors import UsageError
+
+MOST_BYTES = 16 << 20
+"""of a configuration file"""
+DEEPEST = 32
+"""levels of tables and lists within each other"""
+LARGEST = 2**63 - 1
+"""whole number in a configuration: what tables of results have room for"""
+RESULT_FILES = ("result.json", "campaign.json", "part.json")
+"""Files whose directory holds results."""
+
+
+def read_tree(file: Path) -> dict[str, Any]:
+    """The tables of a TOML or JSON file, in UTF-8 with or without a byte order mark.
+
+    Raises ``UsageError`` for a file that is not valid, too large or too deep, and for whole numbers
+    and text that no key can hold.
+    """
+    kind = "JSON" if file.suffix == ".json" else "TOML"
+    text = _text(file)
+    try:
+        data = json.loads(text) if kind == "JSON" else tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
+        raise UsageError(f"'{file}' is not valid {kind}: {_one_line(error)}") from None
+    except RecursionError:
+        raise UsageError(f"'{file}' {_TOO_DEEP}") from None
+    except ValueError:  # of Python, about a number of thousands of digits
+        raise UsageError(f"'{file}' holds a whole number that {_TOO_LARGE}") from None
+    if not isinstance(data, dict):
+        raise UsageError(f"'{file}' must hold one object of keys and values")
+    if reason := wrong_value(data):
+        raise UsageError(f"'{file}' holds a value that {reason}")
+    return data
+
+
+def _text(file: Path) -> str:
+    if not file.is_file():
+        raise UsageError(f"configuration file '{file}' does not exist")
+    try:
+        with file.open("rb") as opened:
+            content = opened.read(MOST_BYTES + 1)
+        text = content.decode("utf-8-sig")
+    except (UnicodeDecodeError, OSError) as error:
+        raise UsageError(f"'{file}' cannot be read as text: {_one_line(error)}") from None
+    if len(content) > MOST_BYTES:
+        raise UsageError(
+            f"'{file}' has more than {MOST_BYTES >> 20} MB, which no configuration needs; name the "
+            "file of a configuration"
+        )
+    return text
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+# ------------------------------------------------------------------------------------------- values
+
+_TOO_DEEP = f"is nested too deeply: a configuration has at most {DEEPEST} levels"
+_TOO_LARGE = f"is too large: whole numbers go to {LARGEST}; write a larger one as 1e20"
+
+
+def wrong_value(value: Any) -> str:
+    """The reason why no key can hold ``value`` or something in it: too deep, too large, no text; ""
+    if a key can."""
+    left = [(value, 0)]
+    while left:
+        item, depth = left.pop()
+        if depth > DEEPEST:
+            return _TOO_DEEP
+        if isinstance(item, dict):
+            left += [(inner, depth + 1) for pair in item.items() for inner in pair]
+        elif isinstance(item, list):
+            left += [(inner, depth + 1) for inner in item]
+        elif isinstance(item, int) and abs(item) > LARGEST:
+            return _TOO_LARGE
+        elif isinstance(item, str) and not _is_text(item):
+            return f"is no text: {ascii(item)[:60]} has half a character or a zero byte; correct it"
+    return ""
+
+
+def _is_text(text: str) -> bool:
+    return "\0" not in text and not any("\ud800" <= letter <= "\udfff" for letter in text)
+
+
+# --------------------------------------------------------------------------------------------- code
+
+
+def came_with_results(file: Path) -> bool:
+    """True if a program wrote the configuration beside results: a JSON file, or a file in the
+    directory of a run or a campaign. Other files were written by their user."""
+    return file.suffix == ".json" or any((file.parent / n).is_file() for n in RESULT_FILES)
+
+
+def check_named_code(file: Path, estimators: Iterable[Any]) -> None:
+    """Raises ``UsageError`` where a file that came with results names an external estimator: its
+    module would be imported, and may lie beside them."""
+    if not came_with_results(file):
+        return
+    for name in estimators:
+        if isinstance(name, str) and ":" in name:
+            raise UsageError(
+                f"'{file}' came with results and names code, estimator '{name}': the module "
+                f"'{name.partition(':')[0]}' would be imported and run, from the current directory "
+                "too; if you trust it, give --allow-code, or name the estimator with --estimator"
+            )

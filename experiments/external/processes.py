@@ -1,0 +1,135 @@
+"""Processes that an estimator starts: found in whatever session they are, measured, ended.
+
+Linux only; elsewhere ``descendants`` needs no more than psutil, and orphans are not adopted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+_PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
+_PATIENCE_S = 10.0
+_PAUSE_S = 0.01
+
+
+def adopt_orphans() -> None:
+    """Makes this process the parent of all its descendants whose own parent has ended, so that none
+    of them gets out of sight, not even in a session of its own."""
+    _prctl(_PR_SET_CHILD_SUBREAPER, 1)
+
+
+def die_with_parent(parent: int, number: signal.Signals = signal.SIGKILL) -> None:
+    """Linux sends this process the signal ``number`` when the thread that started it, of process
+    ``parent``, ends."""
+    _prctl(_PR_SET_PDEATHSIG, number)
+    if os.getppid() != parent:
+        os._exit(1)  # it was dead before
+
+
+def descendants(pid: int) -> list[int]:
+    """Process ids of the children of ``pid``, of theirs and so on, without those that have ended
+    and wait to be collected. A process that is started meanwhile may be missing."""
+    found, waiting = [], [pid]
+    while waiting:
+        children = _children(waiting.pop())
+        waiting += children
+        found += [child for child in children if not _is_zombie(child)]
+    return found
+
+
+def memory_bytes(pids: list[int], enough: float) -> float:
+    """Memory of processes together, bytes. Pages that they share count once, which takes longer to
+    find out: it is done where the plain sum exceeds ``enough``."""
+    total = sum(map(_resident_bytes, pids))
+    if total <= enough or len(pids) == 1:
+        return total
+    return min(total, sum(map(_proportional_bytes, pids)))
+
+
+def end_descendants(pid: int, keep: frozenset[int] = frozenset()) -> None:
+    """Kills the descendants of ``pid`` except ``keep``, however they defend themselves, and returns
+    when none is left. Only those of this very process are collected."""
+    deadline = time.monotonic() + _PATIENCE_S
+    while left := [child for child in descendants(pid) if child not in keep]:
+        for child in left:
+            with contextlib.suppress(OSError):
+                os.kill(child, signal.SIGKILL)
+        if time.monotonic() > deadline:
+            return  # the kernel does not let go of them
+        time.sleep(_PAUSE_S)
+        if pid == os.getpid():
+            _collect(set(_children(pid)) - keep)
+
+
+@contextlib.contextmanager
+def none_left() -> Iterator[None]:
+    """Ends, when the context ends, all processes that were started in it."""
+    adopt_orphans()
+    before = frozenset(descendants(os.getpid()))
+    try:
+        yield
+    finally:
+        end_descendants(os.getpid(), keep=before)
+
+
+def _children(pid: int) -> list[int]:
+    try:
+        threads = os.listdir(f"/proc/{pid}/task")
+        texts = [Path(f"/proc/{pid}/task/{one}/children").read_text() for one in threads]
+    except OSError:
+        # The process or its thread has ended, or this kernel does not list children there.
+        return _children_by_psutil(pid)
+    return [int(word) for text in texts for word in text.split()]
+
+
+def _children_by_psutil(pid: int) -> list[int]:
+    import psutil
+
+    try:
+        return [child.pid for child in psutil.Process(pid).children()]
+    except psutil.Error:
+        return []
+
+
+def _is_zombie(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0]
+    except (OSError, IndexError):
+        return not Path("/proc/self/stat").exists()
+    return state in (b"Z", b"X")
+
+
+def _resident_bytes(pid: int) -> float:
+    try:
+        with open(f"/proc/{pid}/statm", encoding="ascii") as file:
+            return float(int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
+    except (OSError, IndexError):
+        return 0.0
+
+
+def _proportional_bytes(pid: int) -> float:
+    try:
+        for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
+            if line.startswith("Pss:"):
+                return 1024.0 * int(line.split()[1])
+    except OSError:
+        pass
+    return _resident_bytes(pid)
+
+
+def _collect(pids: set[int]) -> None:
+    for pid in pids:
+        with contextlib.suppress(OSError):
+            os.waitpid(pid, os.WNOHANG)
+
+
+def _prctl(option: int, value: int) -> None:
+    libc = ctypes.CDLL(None, use_errno=True)
+    if hasattr(libc, "prctl"):
+        libc.prctl(option, value, 0, 0, 0)

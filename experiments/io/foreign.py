@@ -1,0 +1,64 @@
+"""What files of other people may say before it is used: names that become paths, JSON documents,
+links. Every string of a file that becomes a path goes through this module."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from touchdown.experiments.errors import UsageError
+
+LONGEST_NAME = 200
+"""bytes of a name; file systems take 255, of which endings such as that of a partial file are left
+over"""
+
+
+def is_plain_name(name: object) -> bool:
+    """True if ``name`` can be nothing but one entry of a directory: printable text without a
+    separator that is not ``.`` or ``..``."""
+    if not isinstance(name, str) or name in ("", ".", "..") or "/" in name:
+        return False
+    return name.isprintable() and len(name.encode()) <= LONGEST_NAME
+
+
+def inside(folder: Path, name: object) -> Path:
+    """The path of ``name``, one or several plain names with slashes between them, in ``folder``.
+    Raises ValueError for a name that leads elsewhere."""
+    parts = name.split("/") if isinstance(name, str) else []
+    if not parts or not all(map(is_plain_name, parts)):
+        raise ValueError(f"{shown(name)} is no name of a file in '{folder}'")
+    return folder / PurePosixPath(*parts)
+
+
+def shown(value: object) -> str:
+    """``value`` as a short quoted text of printable ASCII."""
+    text = ascii(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def read_object(path: Path) -> dict[str, Any]:
+    """The JSON object in ``path``. Raises OSError, or ValueError with the reason in one line."""
+    if path.exists() and not path.is_file():
+        raise ValueError("it is no regular file")
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    except UnicodeDecodeError:
+        raise ValueError("it is not UTF-8 text") from None
+    if not isinstance(tree, dict):
+        raise ValueError("it holds no object of keys and values")
+    return tree
+
+
+def refuse_links(paths: Iterable[Path], what: str) -> None:
+    """Raises UsageError, one line, if one of ``paths`` is a link: ``what`` is written and removed
+    there, and a link may lead anywhere."""
+    for path in paths:
+        if path.is_symlink():
+            raise UsageError(
+                f"'{path}' is a link; {what} uses none, since it replaces and removes what lies "
+                "there: move the target of the link to its place, or name another --out"
+            )

@@ -1,0 +1,198 @@
+"""Images of users: checked by their header, decoded only below a limit, GeoTIFFs in parts."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.importers.files import MIB, check_file
+from touchdown.scenes.importers.geotiff import check_blocks, opened_tiff
+
+Image = NDArray[np.uint8]
+
+MAX_PIXELS = 1 << 27
+"""of an image that is decoded whole, 11 585 x 11 585"""
+MAX_FILE_BYTES = 1024 * MIB
+MAX_PART_PIXELS = 1 << 30
+"""of the part of a GeoTIFF"""
+SMALLEST = 16
+_PART_SIDE = 8192
+"""Larger parts of a GeoTIFF are averaged to this side while they are read."""
+_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
+_GREY = ("1", "L", "LA", "La", "I", "F")
+_TIFF_ENDINGS = (".tif", ".tiff")
+
+
+class Picture(Protocol):
+    """An image of which a part can be read."""
+
+    size: NDArray[np.int64]
+    """(2,) width and height, pixels"""
+    is_tiff: bool
+
+    def part(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> Image:
+        """Returns (H, W, 3) RGB from column and row ``low`` to below ``high``."""
+
+
+def read_rgb(path: Path, *, grey: bool = True, what: str = "an image") -> Image:
+    """Returns (H, W, 3) RGB, turned as the camera was held (EXIF). Transparency is dropped.
+
+    Raises FileNotFoundError, and ValueError for a file that is no image, is damaged or cut short,
+    has more than `MAX_PIXELS`, more than 8 bits a channel or colours of print (CMYK), or, unless
+    ``grey``, no colours.
+    """
+    from PIL import ImageOps
+
+    with _decoded(path, what) as image:
+        _check_kind(image, path, grey)
+        image.load()
+        turned = ImageOps.exif_transpose(image)
+        return np.ascontiguousarray(np.asarray(turned.convert("RGB")))
+
+
+def check_picture(path: Path) -> None:
+    """Raises FileNotFoundError or ValueError for an aerial image whose header is none."""
+    with opened_picture(path) as picture:
+        if min(picture.size) < SMALLEST:
+            width, height = picture.size.tolist()
+            raise ValueError(
+                f"{path} is not an image of the ground: it has {width} x {height} pixels"
+            )
+
+
+@contextmanager
+def opened_picture(path: Path) -> Iterator[Picture]:
+    """Yields an aerial image; a GeoTIFF of any size, of which parts are read. Raises as
+    `read_rgb`."""
+    check_file(path, "aerial image")
+    if path.suffix.lower() in _TIFF_ENDINGS:
+        with opened_tiff(path) as dataset:
+            yield _TiffPicture(dataset, path)
+        return
+    yield _WholePicture(path)
+
+
+class _WholePicture:
+    is_tiff = False
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with _decoded(path, "aerial image") as image:
+            _check_kind(image, path, grey=True)
+            size = image.size
+            if image.getexif().get(_ORIENTATION, 1) >= 5:  # a quarter turn
+                size = size[::-1]
+        self.size = np.array(size)
+
+    def part(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> Image:
+        image = read_rgb(self._path, what="aerial image")
+        return image[low[1] : high[1], low[0] : high[0]]
+
+
+_ORIENTATION = 0x0112
+"""EXIF tag"""
+
+
+class _TiffPicture:
+    is_tiff = True
+
+    def __init__(self, dataset: Any, path: Path) -> None:
+        kinds = set(dataset.dtypes)
+        if kinds != {"uint8"}:
+            raise ValueError(
+                f"{path} has {', '.join(sorted(map(str, kinds)))} values; convert it to 8-bit RGB"
+            )
+        check_blocks(dataset, path)
+        self.size = np.array([dataset.width, dataset.height])
+        self._dataset, self._path = dataset, path
+
+    def part(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> Image:
+        from rasterio.enums import Resampling
+        from rasterio.windows import Window
+
+        data = self._dataset
+        width, height = (high - low).tolist()
+        if width * height > MAX_PART_PIXELS:
+            raise ValueError(
+                f"{self._path}: the window covers {width} x {height} pixels, more than "
+                f"{MAX_PART_PIXELS}; choose a smaller --window, or scale the image down"
+            )
+        shape = min(height, _PART_SIDE), min(width, _PART_SIDE)
+        bands = [1, 2, 3] if data.count >= 3 else [1]
+        found = data.read(
+            bands,
+            window=Window(*low.tolist(), width, height),
+            out_shape=(len(bands), *shape),
+            resampling=Resampling.average,
+        )
+        if len(bands) == 3:
+            return np.ascontiguousarray(found.transpose(1, 2, 0))
+        table = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+        if data.colorinterp[0].name == "palette":
+            for index, colour in data.colormap(1).items():
+                table[index] = colour[:3]
+        return np.ascontiguousarray(table[found[0]])
+
+
+@contextmanager
+def _decoded(path: Path, what: str) -> Iterator[Any]:
+    """Yields Pillow's image, of which only the header has been read."""
+    from PIL import Image as Pillow
+
+    check_file(path, what, MAX_FILE_BYTES)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Pillow.open(path, formats=_FORMATS) as image:
+                width, height = image.size
+                if width * height > MAX_PIXELS:
+                    raise _too_large(path, f"{width} x {height}")
+                yield image
+    except Pillow.DecompressionBombError as error:
+        count = re.search(r"\d+", str(error))
+        raise _too_large(path, count.group() if count else "too many") from None
+    except Pillow.UnidentifiedImageError:
+        raise ValueError(
+            f"{path} is not an image that can be read; give a PNG, JPEG or TIFF"
+        ) from None
+    except ValueError:
+        raise
+    except Exception as error:  # decoders raise errors of many kinds for damaged data
+        if isinstance(error, OSError) and error.errno:
+            raise
+        reason = " ".join(str(error).split()) or "damaged data"
+        raise ValueError(f"{path} is a damaged image, copy or export it anew ({reason})") from error
+
+
+def _too_large(path: Path, pixels: str) -> ValueError:
+    return ValueError(
+        f"{path} has {pixels} pixels, more than {MAX_PIXELS}; scale it down, or cut it in parts"
+    )
+
+
+def _check_kind(image: Any, path: Path, grey: bool) -> None:
+    """ValueError: more than 8 bits a channel, colours of print, or none."""
+    bits = _bits(image)
+    if bits > 8:
+        raise ValueError(f"'{path}' has {bits} bits a channel: convert it to 8-bit RGB")
+    if image.mode == "CMYK":
+        raise ValueError(f"'{path}' has colours of print (CMYK): convert it to 8-bit RGB")
+    if not grey and image.mode in _GREY:
+        raise ValueError(f"'{path}' is grey: ground classification needs colour, 8-bit RGB")
+
+
+def _bits(image: Any) -> int:
+    """Bits of a channel in the file, which Pillow's mode does not tell for colours."""
+    if image.mode.startswith(("I", "F")):
+        return 32 if image.mode in ("I", "F") else 16
+    for tile in image.tile:
+        if re.search(r";16|;32", str(tile[3])):
+            return 16
+    return 8

@@ -1,0 +1,198 @@
+"""The top surface of everything in a scene that cannot move, under vertical rays.
+
+Rays are cast with Embree at the triangles and shapes that the LIDAR sees too, whatever body a geom
+hangs on. Infinite planes are solved exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import Scene
+from touchdown.scenes.compose import VEHICLE_BODY, VEHICLE_GROUP
+from touchdown.sim.frames import Pose
+from touchdown.sim.geometry.quadrics import ShapeTable
+from touchdown.sim.geometry.ray_target import RayTarget, geom_pose
+from touchdown.sim.geometry.tessellation import geom_mesh
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int32]
+
+_STRIP_REACH_M = 5000.0
+"""Half length of planes that are unbounded in one direction only."""
+_BLOCK = 1 << 18
+"""Rays that are cast at once, which bounds the memory."""
+_KEPT = 2
+_recent: list[tuple[Scene, StaticSurface]] = []
+
+
+@dataclass(frozen=True, slots=True)
+class TopHits:
+    """The top surface at points."""
+
+    height_m: Array
+    """(N,) world, NaN where nothing lies below"""
+    geom: Indices
+    """(N,) the geom that is seen there, -1 for none"""
+
+
+@dataclass(frozen=True, slots=True)
+class _Plane:
+    geom: int
+    point: Array
+    normal: Array
+
+    def height(self, xy_m: Array) -> Array:
+        """(N,) world heights at (N, 2) world points."""
+        slope: Array = (xy_m - self.point[:2]) @ self.normal[:2]
+        return self.point[2] - slope / self.normal[2]
+
+
+class StaticSurface:
+    """All geoms of ``scene`` but those of the vehicle and of moving bodies, at time 0.
+
+    Geoms that can be seen count, and unseen ones that the vehicle can touch; such a one has a
+    height and no class: what is seen below it has.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._model = scene.model
+        self._data = mujoco.MjData(scene.model)
+        mujoco.mj_kinematics(scene.model, self._data)
+        self.geoms = _static_geoms(scene)
+        """(G,) geom ids, in ascending order"""
+        self._unseen = np.array([not _visible(scene.model, int(g)) for g in self.geoms], bool)
+        # Near the take-off spot single precision is exact to hundredths of a millimetre.
+        self._origin = np.round(scene.takeoff_xy_m).astype(np.float64)
+        self._all = self._caster(self.geoms)
+
+    def cast(self, xy_m: Array) -> TopHits:
+        """The top surface at (N, 2) world points."""
+        hits = self._all.cast(xy_m)
+        if self._unseen.any():
+            below = np.flatnonzero(np.isin(hits.geom, self.geoms[self._unseen]))
+            hits.geom[below] = self._seen.cast(xy_m[below]).geom
+        return hits
+
+    def bare_ground(self, xy_m: Array) -> Array:
+        """(N,) heights of the height fields, or of the planes of a scene without such; NaN where
+        there is neither."""
+        return self._terrain.cast(xy_m).height_m
+
+    def box(self, geom: int) -> tuple[Array, Array]:
+        """Centre (3,) of a geom's bounding box and its half axes (3, 3) as columns, world."""
+        rotation = self._data.geom_xmat[geom].reshape(3, 3)
+        aabb = self._model.geom_aabb[geom]
+        return rotation @ aabb[:3] + self._data.geom_xpos[geom], rotation * aabb[3:]
+
+    @cached_property
+    def _seen(self) -> _Caster:
+        return self._caster(self.geoms[~self._unseen])
+
+    @cached_property
+    def _terrain(self) -> _Caster:
+        kinds = self._model.geom_type[self.geoms]
+        fields = kinds == mujoco.mjtGeom.mjGEOM_HFIELD
+        planes = kinds == mujoco.mjtGeom.mjGEOM_PLANE
+        return self._caster(self.geoms[fields if fields.any() else planes])
+
+    def _caster(self, geoms: Indices) -> _Caster:
+        return _Caster(self._model, self._data, geoms, self._origin)
+
+
+class _Caster:
+    """Vertical rays at some geoms."""
+
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, geoms: Indices, origin_xy_m: Array
+    ) -> None:
+        self._origin = origin_xy_m
+        self._planes: list[_Plane] = []
+        shift = Pose(np.eye(3), -np.array([*origin_xy_m, 0.0]))
+        vertices, triangles, owners = [], [], []
+        shapes = ShapeTable.empty(model.ngeom)
+        top = 0.0
+        for geom in geoms.tolist():
+            pose = geom_pose(data, geom)
+            if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
+                if pose.rotation[2, 2] <= 0.0:
+                    continue  # seen from behind, where MuJoCo has no surface
+                if not model.geom_size[geom, :2].any():
+                    self._planes.append(_Plane(geom, pose.translation, pose.rotation[:, 2]))
+                    continue
+            mesh = geom_mesh(model, geom, _STRIP_REACH_M)
+            if mesh is None or not len(mesh[1]):
+                continue
+            local = shift @ pose
+            vertices.append(local.apply(mesh[0]))
+            triangles.append(mesh[1])
+            owners.append(geom)
+            shapes.add(model, geom, local)
+            top = max(top, float(vertices[-1][:, 2].max()))
+        self._start_z = float(np.ceil(top) + 1.0)
+        self._target = RayTarget(vertices, triangles, owners, shapes) if vertices else None
+
+    def cast(self, xy_m: Array) -> TopHits:
+        """The top surface at (N, 2) world points."""
+        heights = np.full(len(xy_m), np.nan)
+        geoms = np.full(len(xy_m), -1, np.int32)
+        if self._target is not None:
+            for start in range(0, len(xy_m), _BLOCK):
+                block = slice(start, start + _BLOCK)
+                hits = self._target.cast(self._rays(xy_m[block]))
+                distance = hits.distance.astype(np.float64)
+                heights[block] = np.where(hits.geom >= 0, self._start_z - distance, np.nan)
+                geoms[block] = hits.geom
+        for plane in self._planes:
+            level = plane.height(xy_m)
+            above = ~(level <= heights)
+            heights[above], geoms[above] = level[above], plane.geom
+        return TopHits(heights, geoms)
+
+    def _rays(self, xy_m: Array) -> NDArray[np.float32]:
+        """(N, 6) downward rays that start above everything, in the caster's frame."""
+        rays = np.zeros((len(xy_m), 6), np.float32)
+        rays[:, :2] = xy_m - self._origin
+        rays[:, 2], rays[:, 5] = self._start_z, -1.0
+        return rays
+
+
+def static_surface(scene: Scene) -> StaticSurface:
+    """The surface of ``scene``; those of the last scenes are kept, as they take a while to build.
+    The model's geometry must not change any more."""
+    for known, surface in _recent:
+        if known.model is scene.model and known.moving is scene.moving:
+            return surface
+    surface = StaticSurface(scene)
+    _recent[:] = [(scene, surface), *_recent[: _KEPT - 1]]
+    return surface
+
+
+def _static_geoms(scene: Scene) -> Indices:
+    """Ids of the geoms that hang neither on the vehicle nor on a moving body, however deep, and
+    that can be seen or touched."""
+    model = scene.model
+    roots = {model.body(moving.body_name).rootid[0] for moving in scene.moving}
+    vehicle = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, VEHICLE_BODY)
+    if vehicle >= 0:
+        roots.add(model.body_rootid[vehicle])
+    return np.array(
+        [
+            geom
+            for geom in range(model.ngeom)
+            if model.body_rootid[model.geom_bodyid[geom]] not in roots
+            and model.geom_group[geom] != VEHICLE_GROUP
+            and (_visible(model, geom) or model.geom_contype[geom] or model.geom_conaffinity[geom])
+        ],
+        np.int32,
+    )
+
+
+def _visible(model: mujoco.MjModel, geom: int) -> bool:
+    material = int(model.geom_matid[geom])
+    return bool((model.mat_rgba[material, 3] if material >= 0 else model.geom_rgba[geom, 3]) > 0.0)

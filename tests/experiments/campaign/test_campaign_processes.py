@@ -1,0 +1,85 @@
+"""Estimators that start processes: their death is noticed, their memory counts, none is left."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from touchdown.experiments.campaign.results_table import load_rows
+
+from support.campaign_fakes import started
+from support.campaign_flights import (
+    attempts,
+    axes,
+    fly,
+    is_alive,
+    make_plan,
+    start_campaign,
+    wait_for,
+)
+
+LIMITS = "[limits]\nrun_timeout_s = 60\nmemory_gb = 0.35\nretries = 0\n"
+
+
+def flown(folder: Path, *behaviours: str, limits: str = LIMITS) -> dict[str, Any]:
+    """Flies a run for each behaviour in turn; returns outcome and reason by behaviour."""
+    names = [f"fake:{name}" for name in behaviours]
+    fly(make_plan(folder, axes(scene=["flat"], estimator=names) + limits), folder / "out")
+    return {
+        row["estimator"].partition(":")[2]: (row["outcome"], row["reason"])
+        for row in load_rows(folder / "out")
+    }
+
+
+def test_a_worker_whose_copy_holds_its_pipes_is_known_to_be_dead(tmp_path: Path) -> None:
+    assert flown(tmp_path, "forks")["forks"] == ("CRASHED", "the worker exited with code 3")
+    (copy,) = started(tmp_path / "out")
+    assert not is_alive(copy)
+
+
+def test_a_crash_leaves_no_process(tmp_path: Path) -> None:
+    outcome, reason = flown(tmp_path, "starts_and_crashes")["starts_and_crashes"]
+    assert (outcome, reason) == ("CRASHED", "the worker was ended by SIGSEGV")
+    assert len(started(tmp_path / "out")) == 3
+    assert not any(map(is_alive, started(tmp_path / "out")))
+
+
+def test_a_run_that_hangs_leaves_no_process(tmp_path: Path) -> None:
+    limits = LIMITS.replace("60", "2")
+    found = flown(tmp_path, "starts_and_hangs", limits=limits)
+    assert found["starts_and_hangs"] == ("CRASHED", "took longer than 2 s")
+    assert len(started(tmp_path / "out")) == 3
+    assert not any(map(is_alive, started(tmp_path / "out")))
+
+
+def test_processes_of_a_run_are_gone_before_the_next(tmp_path: Path) -> None:
+    found = flown(tmp_path, "leaves", "good")
+    assert found == {"leaves": ("COMPLETED", ""), "good": ("COMPLETED", "")}
+    assert len(started(tmp_path / "out")) == 3
+    assert not any(map(is_alive, started(tmp_path / "out")))
+    assert set(attempts(tmp_path / "out").values()) == {1}
+
+
+def test_the_memory_of_a_child_counts(tmp_path: Path) -> None:
+    found = flown(tmp_path, "feeds_a_child")
+    assert found["feeds_a_child"] == ("CRASHED", "took more than 0.35 GB of memory")
+
+
+def test_memory_that_processes_share_counts_once(tmp_path: Path) -> None:
+    limits = LIMITS.replace("0.35", "0.6")
+    assert flown(tmp_path, "shares", limits=limits) == {"shares": ("COMPLETED", "")}
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_no_process_outlives_the_campaign(tmp_path: Path, number: int) -> None:
+    text = axes(scene=["flat"], estimator=["fake:starts_and_hangs"]) + LIMITS.replace("60", "600")
+    make_plan(tmp_path, text)
+    command = start_campaign(tmp_path / "campaign.toml", tmp_path / "out")
+    wait_for(lambda: len(started(tmp_path / "out")) == 3, "three processes")
+    os.kill(command.pid, number)
+    assert command.wait() != 0
+    wait_for(lambda: not any(map(is_alive, started(tmp_path / "out"))), "they outlive it")

@@ -1,0 +1,285 @@
+"""Campaigns on Ray: nodes that do not share the directory, rows that do not arrive, and addresses
+where no cluster is."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from touchdown.experiments.campaign import ray_share
+from touchdown.experiments.campaign.arrival import why_not_arrived
+from touchdown.experiments.campaign.executor_ray import RayEngine
+from touchdown.experiments.campaign.plan import Plan
+from touchdown.experiments.campaign.results_table import RUNS, finished_ids, load_rows, write_table
+from touchdown.experiments.campaign.session import fly_campaign, make_engine
+from touchdown.experiments.errors import UsageError
+
+from support.campaign_command import start
+from support.campaign_flights import RUNNER, axes, fly, make_plan
+from support.ray_cluster import cluster, may_mount
+from support.ray_fake import FakeRay, Node
+
+FOUR = axes(scene=["flat", "lake"], estimator=["fake:good"], seeds="0-1")
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Plan:
+    return make_plan(tmp_path / "plan", FOUR)
+
+
+@pytest.fixture(autouse=True)
+def no_patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ray_share, "VISIBLE_S", 0.0)
+    monkeypatch.setattr(RayEngine, "patience_s", 0.0)
+
+
+def elsewhere(tmp_path: Path, name: str) -> Node:
+    """A node on which every path of the driver is another place of its own."""
+    root = tmp_path / f"disk-of-{name}"
+
+    def here(path: str) -> str:
+        inner = root / path.lstrip("/")
+        inner.parent.mkdir(parents=True, exist_ok=True)
+        return str(inner)
+
+    def sees(question: Any) -> Any:
+        return dataclasses.replace(question, file=here(question.file))
+
+    def flies(task: Any) -> Any:
+        directory = Path(here(task.directory))
+        directory.mkdir(exist_ok=True)
+        return dataclasses.replace(task, directory=str(directory))
+
+    return Node(name, sees=sees, flies=flies)
+
+
+def flown(monkeypatch: pytest.MonkeyPatch, plan: Plan, out: Path, ray: FakeRay) -> dict[str, Any]:
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    return fly_campaign(plan, out, make_engine("ray", None), runner=RUNNER)
+
+
+# ------------------------------------------------------------------------------------------ share
+
+
+def test_a_node_without_the_share_is_refused_before_the_first_flight(
+    tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ray, out = FakeRay(Node("near"), elsewhere(tmp_path, "far")), tmp_path / "out"
+    with pytest.raises(UsageError) as caught:
+        flown(monkeypatch, plan, out, ray)
+    message = str(caught.value)
+    assert "the Ray node far (10.0.0.1) does not see" in message and "\n" not in message
+    assert "name an --out that all nodes share" in message
+    assert not ray.actors and not (out / RUNS).exists() and not (out / "attempts.log").exists()
+    assert not list(out.glob(".share*"))
+
+
+def test_a_head_without_processors_needs_no_share(
+    tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    head = dataclasses.replace(elsewhere(tmp_path, "head"), cpus=0.0)
+    ray = FakeRay(Node("near"), Node("next"))
+    monkeypatch.setattr(ray, "nodes", lambda: [n.facts for n in (*ray.all_nodes, head)])
+    assert flown(monkeypatch, plan, tmp_path / "out", ray)["finished"] == 4
+
+
+def test_a_node_that_joins_later_is_checked_when_its_actor_starts(
+    tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ray, out = FakeRay(Node("near")), tmp_path / "out"
+    ray.joined = [elsewhere(tmp_path, "late")]
+    with pytest.raises(UsageError, match="the Ray node late .* does not see"):
+        flown(monkeypatch, plan, out, ray)
+    assert not list(tmp_path.glob("disk-of-late/**/runs"))
+    assert len(ray.killed) == 2, "no actor is left"
+    ray = FakeRay(Node("near"))
+    assert flown(monkeypatch, plan, out, ray)["missing"] == [], "what was flown is kept"
+
+
+def test_a_node_that_reads_alone_is_refused(
+    tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It sees a copy of the directory, in which what it writes stays."""
+    node = elsewhere(tmp_path, "copy")
+
+    def sees(question: Any) -> Any:
+        assert node.sees is not None
+        other = node.sees(question)
+        Path(other.file).write_text(question.text)
+        return other
+
+    copy = dataclasses.replace(node, sees=sees)
+    with pytest.raises(UsageError, match="the Ray node copy .* writes into another"):
+        flown(monkeypatch, plan, tmp_path / "out", FakeRay(Node("near"), copy))
+    assert not (tmp_path / "out" / RUNS).exists()
+
+
+# ------------------------------------------------------------------------------------------- rows
+
+
+def test_a_run_whose_row_stays_on_the_node_counts_as_failed(
+    tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even where every proof of the share was passed."""
+    away = elsewhere(tmp_path, "away")
+    away = dataclasses.replace(away, cpus=2.0, sees=lambda question: question)
+    totals = flown(monkeypatch, plan, tmp_path / "out", FakeRay(away))
+    assert (totals["finished"], totals["crashed"], totals["remaining"]) == (0, 4, 0)
+    assert all("its row is not in" in reason for reason in totals["errors"].values())
+    assert {row["outcome"] for row in load_rows(tmp_path / "out")} == {"CRASHED"}
+    assert fly(plan, tmp_path / "out")["finished"] == 4, "the next start flies them"
+
+
+def _other_configuration(run: Path, row: dict[str, Any]) -> None:
+    write_table([row | {"config_sha": "0" * 12}], run / "row.parquet")
+
+
+def _other_run(run: Path, row: dict[str, Any]) -> None:
+    write_table([row | {"run_id": "../../x"}], run / "row.parquet")
+
+
+def _two_rows(run: Path, row: dict[str, Any]) -> None:
+    write_table([row, row], run / "row.parquet")
+
+
+def _other_result(run: Path, row: dict[str, Any]) -> None:
+    result = json.loads((run / "result.json").read_text()) | {"outcome": "DIVERGED"}
+    (run / "result.json").write_text(json.dumps(result))
+
+
+def _cut_row(run: Path, row: dict[str, Any]) -> None:
+    (run / "row.parquet").write_bytes((run / "row.parquet").read_bytes()[:-9])
+
+
+def _no_result(run: Path, row: dict[str, Any]) -> None:
+    (run / "result.json").unlink()
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (_other_configuration, "another version of the program"),
+        (_other_run, "it is of the run '../../x'"),
+        (_two_rows, "it has 2 rows"),
+        (_other_result, "are of two flights"),
+        (_cut_row, "its row is not in"),
+        (_no_result, "its row is not in"),
+    ],
+)
+def test_a_row_that_is_not_the_planned_one_does_not_count(
+    damage: Any, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = make_plan(tmp_path, axes(scene=["flat"], estimator=["fake:good"], seeds="0"))
+    out, name = tmp_path / "out", plan.runs[0].run_id
+    ray = FakeRay(Node("near"))
+    get = ray.get
+
+    def get_after_damage(reference: Any) -> Any:
+        found = get(reference)
+        if (out / RUNS / name).is_dir():
+            damage(out / RUNS / name, read_row(out / RUNS / name))
+        return found
+
+    from touchdown.experiments.campaign.results_table import read_row
+
+    monkeypatch.setattr(ray, "get", get_after_damage)
+    totals = flown(monkeypatch, plan, out, ray)
+    assert totals["crashed"] == 1 and reason in totals["errors"][name]
+    assert fly(plan, out)["finished"] == 1
+    assert why_not_arrived(out, name, plan.runs[0].config_sha) == ""
+
+
+# ------------------------------------------------------------------------------------- addresses
+
+
+@pytest.fixture
+def silent_port() -> Iterator[int]:
+    """A port that takes connections and never says a word."""
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        server.listen(50)
+        yield server.getsockname()[1]
+
+
+def _closed_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _refusal(address: str) -> tuple[str, float]:
+    begun = time.monotonic()
+    with pytest.raises(UsageError) as caught:
+        RayEngine(1, address)
+    return str(caught.value), time.monotonic() - begun
+
+
+def test_an_address_where_nothing_listens_is_one_line() -> None:
+    pytest.importorskip("ray")
+    address = f"127.0.0.1:{_closed_port()}"
+    message, took_s = _refusal(address)
+    assert message.startswith(f"--ray-address {address}: cannot be reached") and took_s < 30.0
+    assert "ray start --head" in message and "\n" not in message
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["silent", "unrouted", "auto", "garbage", "client", "http", ":"])
+def test_every_wrong_address_is_refused_in_half_a_minute(
+    kind: str, silent_port: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    pytest.importorskip("ray")
+    monkeypatch.setenv("RAY_TMPDIR", str(tmp_path))  # no cluster of others is found
+    address = {
+        "silent": f"127.0.0.1:{silent_port}",
+        "unrouted": "192.0.2.77:6379",  # RFC 5737
+        "client": f"ray://127.0.0.1:{_closed_port()}",
+        "http": "http://127.0.0.1:8265",
+    }.get(kind, kind)
+    message, took_s = _refusal(address)
+    assert message.startswith(f"--ray-address {address}: ") and took_s < 30.0
+    assert "\n" not in message and "Error" not in message and "touchdown" not in message
+
+
+# ---------------------------------------------------------------------------------- a real cluster
+
+
+@pytest.mark.slow
+def test_three_real_nodes_one_of_them_without_the_share(tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    if not may_mount():
+        pytest.skip("hiding a folder from a node needs the rights to mount")
+    make_plan(tmp_path, FOUR)
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    command = ("campaign", tmp_path / "campaign.toml", "--out", shared / "out", "--engine", "ray",
+               "--quiet", "--ray-address")  # fmt: skip
+    with cluster(tmp_path) as nodes:
+        nodes.join("second")
+        done = start(*command, nodes.address, **{"RAY_AUTH_MODE": "disabled"})
+        out, err = done.communicate(timeout=300.0)
+        assert done.returncode == 0, err
+        rows = load_rows(shared / "out")
+        assert len(rows) == 4 and all(row["outcome"] == "COMPLETED" for row in rows)
+
+        nodes.join("third", hidden=shared)
+        assert len(nodes.nodes()) == 3
+        refused = start(*(str(part).replace("/out", "/other") for part in command), nodes.address,
+                        **{"RAY_AUTH_MODE": "disabled"})  # fmt: skip
+        out, err = refused.communicate(timeout=300.0)
+        assert refused.returncode == 2, err
+        (line,) = err.strip().splitlines()
+        assert line.startswith("touchdown: error: the Ray node third (")
+        assert "does not see" in line and "name an --out that all nodes share" in line
+        assert not (shared / "other" / RUNS).exists()
+        assert not (shared / "other" / "attempts.log").exists(), "no flight has begun"
+        assert finished_ids(shared / "out") == {row["run_id"] for row in rows}
+    assert os.listdir(shared / "out" / RUNS)

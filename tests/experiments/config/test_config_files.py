@@ -1,0 +1,167 @@
+"""Configuration files at their limits: one line, at once, whatever they hold."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import touchdown
+from touchdown.experiments.campaign.plan import load_plan
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.config.seeds import parse_seeds
+from touchdown.experiments.errors import UsageError
+
+DIGITS = "9" * 5000
+DEEP = 3000
+
+TOML = {
+    "integer of 5000 digits": (f"seed = {DIGITS}", "too large: whole numbers go to"),
+    "hexadecimal integer of 5000 digits": (f"seed = 0x{'f' * 5000}", "too large"),
+    "integer within a list": (f"external.gains = [1, [{2**63}]]", "too large"),
+    "3000 tables": (f"[{'.'.join('a' * DEEP)}]\nb = 1", "nested too deeply"),
+    "3000 dotted keys": (f"{'.'.join('a' * DEEP)} = 1", "nested too deeply"),
+    "3000 lists": (f"a = {'[' * DEEP}{']' * DEEP}", "nested too deeply"),
+    "3000 inline tables": (f"a = {'{b=' * DEEP}1{'}' * DEEP}", "nested too deeply"),
+    "40 levels": (f"external.a = {'[' * 40}{']' * 40}", "at most 32 levels"),
+    "half a character": ('scene = "\\ud800"', "is not valid TOML"),
+    "a zero byte": ('scene = "a\\u0000b"', "is no text: 'a\\x00b'"),
+    "markup": ('"[/x]" = 1', "unknown key '[/x]'"),
+    "control characters": ('"\\u001b[31m\\u202e" = 1', r"unknown key '\x1b[31m\u202e'"),
+    "seed": (f"seed = {2**63}", "too large: whole numbers go to 9223372036854775807"),
+    "scene_seed": (f"scene_seed = {2**63}", "too large"),
+}
+JSON = {
+    "integer of 5000 digits": (f'{{"seed": {DIGITS}}}', "too large: whole numbers go to"),
+    "3000 objects": ('{"a":' * DEEP + "1" + "}" * DEEP, "nested too deeply"),
+    "100000 lists": ("[" * 100_000, "nested too deeply"),
+    "half a character": ('{"scene": "\\ud800"}', r"is no text: '\ud800' has half a character"),
+    "half a character in a number's place": ('{"scene_seed": "\\udcff"}', "is no text"),
+    "half a character in a key": ('{"\\udcff": 1}', r"'\udcff' has half a character"),
+    "a zero byte": ('{"scene": "a\\u0000b"}', "zero byte"),
+    "a list": ("[1]", "must hold one object"),
+    "infinity in a list of lists": ('{"external": {"a": [[Infinity]]}}', "external.a"),
+}
+CASES = [
+    *(pytest.param(f"{name}.toml", *case, id=f"TOML {name}") for name, case in TOML.items()),
+    *(pytest.param(f"{name}.json", *case, id=f"JSON {name}") for name, case in JSON.items()),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "words"), CASES)
+def test_a_file_at_its_limits_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, text: str, words: str
+) -> None:
+    file = tmp_path / name
+    file.write_text(text, encoding="utf-8")
+    assert cli.main(["fly", "flat", "--config", str(file), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and error.strip().isprintable() and len(error) < 1000
+    assert words in error
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("name", "text", "words"), CASES)
+def test_the_same_from_python(tmp_path: Path, name: str, text: str, words: str) -> None:
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    with pytest.raises(UsageError):
+        touchdown.load_config(tmp_path / name)
+
+
+@pytest.mark.parametrize(("text", "words"), TOML.values(), ids=TOML)
+def test_the_same_in_a_campaign(tmp_path: Path, text: str, words: str) -> None:
+    text = text if text.startswith("[") else f"[base]\n{text}"
+    (tmp_path / "c.toml").write_text(f'name = "c"\naxes.scene = ["flat"]\n{text}\n')
+    with pytest.raises(UsageError):
+        load_plan(tmp_path / "c.toml")
+
+
+def test_a_byte_order_mark_is_no_mistake(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbfseed = 7\n")
+    (tmp_path / "a.json").write_bytes(b"\xef\xbb\xbf" + json.dumps({"seed": 8}).encode())
+    assert load_config(tmp_path / "a.toml").seed == 7
+    assert touchdown.load_config(tmp_path / "a.json").seed == 8
+
+
+def test_a_large_file_is_not_read(tmp_path: Path) -> None:
+    with (tmp_path / "a.toml").open("wb") as file:
+        file.truncate(1 << 36)
+    with pytest.raises(UsageError, match="more than 16 MB, which no configuration needs"):
+        load_config(tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize("text", ["seed=" + DIGITS, f"seed={2**63}", f"external.n=[{DIGITS}]"])
+def test_large_numbers_after_set(text: str) -> None:
+    with pytest.raises(UsageError, match="too large: whole numbers go to 9223372036854775807"):
+        load_config(None, [text], estimator="a:b")
+
+
+@pytest.mark.parametrize(
+    "value", [2**63, 10**5000, "\ud800", [["\udcff"]], {"a": "\0"}], ids=range(5)
+)
+def test_overrides_of_python(value: Any) -> None:
+    with pytest.raises(UsageError, match=r"external\.x in overrides is"):
+        touchdown.load_config(estimator="a:b", overrides={"external.x": value})
+
+
+def test_a_mistake_of_the_whole_configuration_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error of pydantic without a location, here that of invalid JSON."""
+    monkeypatch.setattr("touchdown.experiments.config.loading.json.dumps", lambda *_, **__: "{")
+    with pytest.raises(UsageError, match=r"^the configuration of --set seed=3, --scene is wrong: "):
+        load_config(None, ["seed=3"], scene="flat")
+
+
+# ------------------------------------------------------------------------------------------- seeds
+
+LARGEST = 2**63 - 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("fly", "flat", "--seed", str(2**63)),
+        ("land", "flat", "--seed", DIGITS),
+        ("fly", "flat", "--set", f"scene_seed={2**63}"),
+        ("scenes", "render", "flat", "--seed", str(2**63)),
+        ("scenes", "export", "flat", "--seed", str(2**63)),
+        ("calibrate", "--seed", str(2**63)),
+        ("dataset", "render", "--seed", str(2**63)),
+        ("train", "data", "--seed", "-1"),
+        ("bench", "loop", "--seed", str(2**63)),
+        ("bench", "endurance", "--seeds", str(2**63)),
+    ],
+    ids=" ".join,
+)
+def test_a_seed_that_no_table_holds_is_refused_where_it_enters(
+    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(list(arguments)) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "seed" in error
+    assert str(LARGEST) in error or len(arguments[-1]) > 100
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("text", [f"{2**63}", f"0-{2**63}", f"{2**63}-{2**63 + 1}", DIGITS])
+def test_lists_of_seeds(text: str) -> None:
+    with pytest.raises(UsageError, match=f"holds a seed above {LARGEST}, the largest"):
+        parse_seeds(text, "--seeds")
+    assert parse_seeds(f"{LARGEST - 1}-{LARGEST}", "--seeds") == [LARGEST - 1, LARGEST]
+
+
+@pytest.mark.parametrize("axis", [f"seeds = '{2**63}'", f"seed = [0, {2**63}]"])
+def test_seeds_of_a_campaign(tmp_path: Path, axis: str) -> None:
+    (tmp_path / "c.toml").write_text(f'name = "c"\n[axes]\nscene = ["flat"]\n{axis}\n')
+    with pytest.raises(UsageError, match=str(LARGEST)):
+        load_plan(tmp_path / "c.toml")
+
+
+def test_the_largest_seed_is_a_seed(tmp_path: Path) -> None:
+    assert load_config(seed=LARGEST).seed == LARGEST
+    (tmp_path / "c.toml").write_text(f'name = "c"\n[axes]\nscene = ["flat"]\nseeds = "{LARGEST}"\n')
+    assert load_plan(tmp_path / "c.toml").runs[0].values["seed"] == LARGEST

@@ -1,0 +1,189 @@
+"""Truth maps against MuJoCo's single rays: geoms on any body, of any type, in any attitude."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from touchdown.scenes.api import LAND_CLASSES, Scene
+from touchdown.scenes.compose import load_scene
+from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
+from touchdown.scenes.truth.raycast import cast_points
+
+from support.truth_rays import SingleRays
+
+ROOF = LAND_CLASSES.index("building")
+FORMS = {
+    "box": "1.0 0.8 1.2",
+    "sphere": "1.1",
+    "capsule": "0.6 1.0",
+    "cylinder": "0.9 1.1",
+    "ellipsoid": "1.2 0.8 0.9",
+}
+NEST = (
+    "{0}",
+    "<body>{0}</body>",
+    "<body pos='2 -1 0.2'><body euler='0 0 30'>{0}</body></body>",
+)
+
+
+def scene_of(folder: Path, things: str, assets: str = "") -> Scene:
+    path = folder / "place.xml"
+    path.write_text(
+        f"<mujoco><asset>{assets}</asset><worldbody><geom name='lawn' type='plane' size='60 60 1'/>"
+        f"{things}</worldbody></mujoco>",
+        encoding="utf-8",
+    )
+    return load_scene(str(path), 0)
+
+
+def boxes(rng: np.random.Generator) -> tuple[str, np.ndarray]:
+    """Six boxes of 2 m that hang on one body or on nested ones, apart from one another and from
+    the take-off spot; and their middles in the world (6, 2)."""
+    cells = rng.permutation(48)[:6]
+    middles = np.stack([cells % 8, cells // 8], axis=-1) * 5.0 - [17.5, 12.5]
+    middles += rng.uniform(-1.0, 1.0, (6, 2))
+    xml = ""
+    for number, (x, y) in enumerate(middles):
+        geom = f"<geom name='building_{number}' type='box' size='1 1 1' pos='{x} {y} 1'/>"
+        xml += (
+            geom
+            if number < 4
+            else f"<body pos='{x} {y} 0.5'><body pos='{-x} {-y} -0.5'>{geom}</body></body>"
+        )
+    return f"<body name='all'>{xml}</body>", middles
+
+
+@pytest.mark.parametrize("layout", range(50))
+def test_boxes_on_nested_bodies_are_seen(tmp_path: Path, layout: int) -> None:
+    things, middles = boxes(np.random.default_rng([layout, 22]))
+    scene = scene_of(tmp_path, things)
+    maps = truth_maps(scene, 0.25)
+    for middle in middles:
+        col, row = np.floor((middle - maps.origin_xy_m) / maps.cell_m).astype(int)
+        assert maps.height_m[row, col] == pytest.approx(2.0, abs=1e-4)
+        assert maps.class_id[row, col] == ROOF
+        assert not maps.safe[row, col]
+    judged = judge_touchdown(scene, middles[layout % 6])
+    assert judged.land_class == "building" and not judged.safe and not judged.safe_geometry
+    beside = judge_touchdown(scene, middles[layout % 6] + [1.3, 0.0])
+    assert beside.obstacle_distance_m == pytest.approx(0.3, abs=0.06) and not beside.safe_geometry
+
+
+def forms(rng: np.random.Generator) -> str:
+    """Twelve geoms of all forms in any attitude, in turn on the world, a body and nested ones."""
+    xml = ""
+    for number in range(12):
+        kind = list(FORMS)[number % len(FORMS)]
+        x, y = (number % 4) * 5.0 - 8.0, (number // 4) * 5.0 + 3.0
+        turn = " ".join(f"{angle:.3f}" for angle in rng.uniform(0.0, 360.0, 3))
+        geom = (
+            f"<geom name='building_{number}' type='{kind}' size='{FORMS[kind]}' "
+            f"pos='{x} {y} {rng.uniform(0.0, 2.0):.3f}' euler='{turn}'/>"
+        )
+        xml += NEST[number % len(NEST)].format(geom)
+    return xml
+
+
+def check_against_single_rays(scene: Scene, points: np.ndarray) -> None:
+    """All heights within 1 cm of ``mj_ray`` and all geoms equal but at edges: fewer than 1 in 100."""
+    rays = SingleRays(scene)
+    heights, geoms = cast_points(scene, points)
+    wrong, edges = rays.disagreements(points, heights)
+    assert wrong.size == 0, points[wrong]
+    assert edges <= 0.01 * len(points)
+    others = [i for i, point in enumerate(points) if rays.cast(point)[1] != geoms[i]]
+    assert all(rays.is_edge(points[i]) for i in others)
+
+
+@pytest.mark.parametrize(
+    "layout", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 50))]
+)
+def test_every_form_in_every_attitude_is_seen(tmp_path: Path, layout: int) -> None:
+    rng = np.random.default_rng([layout, 23])
+    scene = scene_of(tmp_path, forms(rng))
+    check_against_single_rays(scene, rng.uniform([-14.0, -4.0], [14.0, 18.0], (1500, 2)))
+
+
+def test_meshes_and_fields_are_seen(tmp_path: Path) -> None:
+    """A mesh, two height fields, one of them turned and not square, and a tilted plane that ends,
+    all on one body."""
+    rng = np.random.default_rng(5)
+    field = " ".join(f"{z:.3f}" for z in rng.uniform(0.0, 1.0, 6 * 9))
+    other = " ".join(f"{z:.3f}" for z in rng.uniform(0.0, 1.0, 5 * 5))
+    assets = (
+        "<mesh name='wedge' vertex='0 0 0  3 0 0  0 3 0  0 0 2  2 2 3'/>"
+        f"<hfield name='a' nrow='6' ncol='9' size='4 2 1.5 0.5' elevation='{field}'/>"
+        f"<hfield name='b' nrow='5' ncol='5' size='2 2 1 0.5' elevation='{other}'/>"
+    )
+    things = (
+        "<body name='all' pos='0 0 0.3'><body euler='0 0 20'>"
+        "<geom name='building_w' type='mesh' mesh='wedge' pos='6 6 0' euler='10 20 30'/>"
+        "<geom name='field_a' type='hfield' hfield='a' pos='-8 6 0'/>"
+        "<geom name='field_b' type='hfield' hfield='b' pos='4 -8 0' euler='0 8 15'/>"
+        "<geom name='road_p' type='plane' size='2 3 1' pos='-8 -6 1' euler='12 0 40'/>"
+        "</body></body>"
+    )
+    scene = scene_of(tmp_path, things, assets)
+    points = rng.uniform(-14.0, 14.0, (3000, 2))
+    check_against_single_rays(scene, points)
+    names = {scene.model.geom(int(g)).name for g in cast_points(scene, points)[1]}
+    assert names == {"lawn", "building_w", "field_a", "field_b", "road_p"}
+
+
+def test_signed_distance_shapes_are_seen(tmp_path: Path) -> None:
+    """MuJoCo marches along a ray until it is near enough to such a shape; a few rays pass it."""
+    corners = " ".join(f"{x} {y} {z}" for x in (-1, 1) for y in (-1, 1) for z in (-1, 1))
+    things = (
+        "<body pos='5 5 1' euler='0 0 20'>"
+        "<geom name='building_s' type='sdf' mesh='cube' euler='10 15 0'/></body>"
+    )
+    scene = scene_of(tmp_path, things, f"<mesh name='cube' vertex='{corners}'/>")
+    points = np.random.default_rng(2).uniform(4.4, 5.6, (400, 2))
+    heights, geoms = cast_points(scene, points)
+    assert {scene.model.geom(int(g)).name for g in geoms} == {"building_s"}
+    true = SingleRays(scene).heights(points)
+    passed = np.abs(heights - true) > 0.01
+    assert passed.mean() < 0.02 and (heights[passed] > true[passed]).all()
+
+
+def test_planes_are_infinite_where_they_have_no_size(tmp_path: Path) -> None:
+    """Far outside of the scene, level and tilted, and in one direction only; never from below."""
+    path = tmp_path / "place.xml"
+    path.write_text(
+        "<mujoco><worldbody><geom name='lawn' type='plane' size='0 0 1' pos='300 0 0'/>"
+        "<body><geom name='road' type='plane' size='0 2 1' pos='0 20 0.5'/>"
+        "<geom name='field' type='plane' size='0 0 1' pos='0 200 -1' euler='5 0 0'/>"
+        "<geom name='path' type='plane' size='0 0 1' pos='0 0 30' euler='180 0 0'/></body>"
+        "</worldbody></mujoco>",
+        encoding="utf-8",
+    )
+    scene = load_scene(str(path), 0)
+    points = np.array([[0.0, 0.0], [900.0, 21.0], [-3000.0, 19.0], [70.0, 260.0], [0.0, -900.0]])
+    check_against_single_rays(scene, points)
+
+
+def test_what_cannot_be_seen_and_can_be_touched_has_a_height_and_no_class(tmp_path: Path) -> None:
+    things = (
+        "<geom name='building_hull' type='box' size='2 2 0.5' pos='6 0 0.5' rgba='1 1 1 0'/>"
+        "<geom name='trees_ghost' type='box' size='2 2 0.5' pos='-6 0 0.5' rgba='1 1 1 0' "
+        "contype='0' conaffinity='0'/>"
+    )
+    scene = scene_of(tmp_path, things)
+    heights, geoms = cast_points(scene, np.array([[6.0, 0.0], [-6.0, 0.0]]))
+    np.testing.assert_allclose(heights, [1.0, 0.0], atol=1e-5)
+    assert [scene.model.geom(int(g)).name for g in geoms] == ["lawn", "lawn"]
+
+
+def test_bare_ground_lies_where_its_body_puts_it(tmp_path: Path) -> None:
+    """An obstacle's height counts from a height field on a body that is raised and turned."""
+    field = " ".join(["0.0"] * 20)
+    assets = f"<hfield name='a' nrow='4' ncol='5' size='9 7 1 0.5' elevation='{field}'/>"
+    things = (
+        "<body pos='20 0 1.5'><geom name='lawn_h' type='hfield' hfield='a'/>"
+        "<geom name='building_b' type='box' size='0.5 0.5 0.5' pos='4 0 0.5'/></body>"
+    )
+    scene = scene_of(tmp_path, things, assets)
+    judged = judge_touchdown(scene, np.array([20.0, 0.0]))
+    assert judged.safe and judged.land_class == "lawn"
+    assert judged.obstacle_distance_m == pytest.approx(3.5, abs=0.06)
