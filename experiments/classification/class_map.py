@@ -32,6 +32,10 @@ _UNSURE_RGB = (255, 255, 255)
 _COVER = 0.5
 """opacity of the class colours"""
 _LEGEND_PX = 34
+_BAND_ROWS = 256
+"""rows that are drawn at a time, to save memory"""
+MAX_CHANCES = 1 << 29
+"""probabilities of one image: pixels times classes, 2 GiB"""
 
 
 def classify_images(
@@ -55,7 +59,9 @@ def classify_images(
     if len(set(targets)) < len(targets):
         raise UsageError("two of the images have the same name: classify them one by one")
     for file in files:
-        _window(read_picture(file), window_px, classifier.facts.image_size)
+        picture = read_picture(file)
+        _window(picture, window_px, classifier.facts.image_size)
+        _check_size(picture, len(classifier.facts.classes), file)
     out.mkdir(parents=True, exist_ok=True)
     rows = []
     for file, target in zip(files, targets, strict=True):
@@ -71,6 +77,16 @@ def classify_images(
             "shares": _shares(chance, classifier.facts.classes, least),
         })  # fmt: skip
     return rows
+
+
+def _check_size(image: Image, classes: int, file: Path) -> None:
+    """Raises UsageError where the probabilities of all pixels would fill the memory."""
+    height, width = image.shape[:2]
+    if height * width * classes > MAX_CHANCES:
+        raise UsageError(
+            f"'{file}' has {width} x {height} pixels, more than {MAX_CHANCES // classes} for "
+            f"{classes} classes; scale it down, or cut it in parts"
+        )
 
 
 def _window(image: Image, window_px: int | None, size: int) -> int:
@@ -108,10 +124,14 @@ def class_colours(classes: Sequence[str]) -> dict[str, tuple[int, int, int]]:
     return wheel
 
 
-def _numbers(chance: NDArray[np.float32], least: float) -> NDArray[np.int64]:
+def _numbers(chance: NDArray[np.float32], least: float) -> NDArray[np.uint8]:
     """Returns the class (H, W) of each pixel; the number of classes where it is unsure."""
-    best = chance.argmax(axis=2)
-    return np.where(chance.max(axis=2) >= least, best, chance.shape[2])
+    numbers = np.empty(chance.shape[:2], np.uint8)
+    for first in range(0, len(chance), _BAND_ROWS):
+        band = chance[first : first + _BAND_ROWS]
+        sure = band.max(axis=2) >= least
+        numbers[first : first + _BAND_ROWS] = np.where(sure, band.argmax(axis=2), chance.shape[2])
+    return numbers
 
 
 def _shares(chance: NDArray[np.float32], classes: Sequence[str], least: float) -> dict[str, float]:
@@ -129,12 +149,15 @@ def class_overlay(
     colours = class_colours(classes) | {UNSURE: _UNSURE_RGB}
     palette = np.array(list(colours.values()), np.float32)
     numbers = _numbers(chance, least)
-    mixed = (1.0 - _COVER) * image + _COVER * palette[numbers]
+    mixed = np.empty_like(image)
+    for first in range(0, len(image), _BAND_ROWS):
+        band = slice(first, first + _BAND_ROWS)
+        mixed[band] = np.round((1.0 - _COVER) * image[band] + _COVER * palette[numbers[band]])
     shares = np.bincount(numbers.ravel(), minlength=len(colours)) / numbers.size
     shown = [name for name, share in zip(colours, shares, strict=True) if share >= 0.002]
     legend = _legend([(n, colours[n], shares[list(colours).index(n)]) for n in shown],
                      image.shape[1])  # fmt: skip
-    return np.vstack([np.round(mixed).astype(np.uint8), legend])
+    return np.vstack([mixed, legend])
 
 
 def _legend(rows: Sequence[tuple[str, tuple[int, int, int], float]], width: int) -> Image:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.landing.classification import scores
+from touchdown.landing.classification import scores, trial
 from touchdown.landing.classification.weights import INPUT, NetworkFacts, facts_of, read_network
 
 Float32 = NDArray[np.float32]
@@ -29,23 +30,24 @@ class OnnxClassifier:
     """A network's file in ONNX Runtime, on ``threads`` threads of the processor.
 
     Raises ValueError and FileNotFoundError as `landing.classification.weights.read_network`, and
-    ImportError without onnxruntime."""
+    ValueError for a network that cannot classify one image within the limits of
+    `landing.classification.trial`, and ImportError without onnxruntime."""
 
     def __init__(self, path: Path, threads: int = 1) -> None:
         import onnxruntime
 
         content = read_network(path)
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
-        options.inter_op_num_threads = 1
-        options.log_severity_level = 3
+        # ONNX Runtime is not asked in this process about a file that it may break on.
+        reason = trial.reason_against(path.resolve(), hashlib.sha256(content).hexdigest())
+        if reason:
+            raise ValueError(f"'{path}' {reason}")
         try:
             self._session = onnxruntime.InferenceSession(
-                content, options, providers=["CPUExecutionProvider"]
+                content, trial.session_options(threads), providers=["CPUExecutionProvider"]
             )
         except Exception as error:  # onnxruntime's errors share no base class
-            first = str(error).splitlines()[0]
-            raise ValueError(f"'{path}' cannot be loaded as a network: {first}") from error
+            text = trial.plain_reason(error)
+            raise ValueError(f"'{path}' cannot be loaded as a network: {text}") from error
         self.facts = facts_of(self._session.get_modelmeta().custom_metadata_map, path)
 
     def scores(self, images: NDArray[np.uint8]) -> Float32:

@@ -12,6 +12,9 @@ from touchdown.landing.classification.decision import Limits
 from touchdown.landing.classification.labels import SCHEMES
 
 SUFFIX = ".onnx"
+MAX_BYTES = 1 << 30
+IMAGE_SIZES = (16, 512)
+"""least and greatest side of a network's input, pixels"""
 INPUT, OUTPUT = "pictures", "scores"
 _LIMIT_KEYS = {"min_probability": "least_probability", "min_energy": "least_energy"}
 """fields of ``Limits``, and their keys in a file"""
@@ -56,7 +59,7 @@ class NetworkFacts:
 
 def facts_of(properties: Mapping[str, str], path: Path) -> NetworkFacts:
     """Returns the inverse of ``NetworkFacts.properties``. Raises ValueError where something is
-    missing."""
+    missing or out of range."""
     try:
         facts = NetworkFacts(
             network=properties["network"],
@@ -77,8 +80,22 @@ def facts_of(properties: Mapping[str, str], path: Path) -> NetworkFacts:
                 )
             ),
         )
-    except (KeyError, ValueError) as error:
+    except KeyError as error:
+        raise ValueError(
+            f"'{path}' has no usable metadata, it lacks {error}: give a file that `touchdown train` "
+            "wrote"
+        ) from error
+    except ValueError as error:
         raise ValueError(f"'{path}' has no usable metadata: {error}") from error
+    if not (facts.network.isprintable() and 0 < len(facts.network) <= 64):
+        raise ValueError(f"'{path}' has a name of its network that is none: {facts.network[:64]!r}")
+    least, most = IMAGE_SIZES
+    if not least <= facts.image_size <= most:
+        raise ValueError(
+            f"'{path}' has the image_size {facts.image_size} in its metadata, not {least} to {most}"
+        )
+    if math.isnan(facts.limits.min_energy) or not 0.0 <= facts.limits.min_probability <= 1.0:
+        raise ValueError(f"'{path}' has limits in its metadata that are no numbers or no shares")
     if SCHEMES.get(facts.labels) != facts.classes:
         raise ValueError(f"'{path}' has classes that are not those of '{facts.labels}'")
     return facts
@@ -113,8 +130,15 @@ def read_network(path: Path) -> bytes:
         raise FileNotFoundError(
             f"'{checksum_file(path)}' is missing: '{path.name}' is not loaded without it"
         )
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise ValueError(
+            f"'{path}' has {size >> 20} MiB, more than {MAX_BYTES >> 20} MiB: give a file that "
+            "`touchdown train` wrote"
+        )
     content = path.read_bytes()
-    lines = checksum_file(path).read_text(encoding="utf-8", errors="replace").splitlines()
+    with checksum_file(path).open(encoding="utf-8", errors="replace") as file:
+        lines = file.read(1000).splitlines()
     checksums = [line.split()[0].lower() for line in lines[:2] if line.split()]
     if hashlib.sha256(content).hexdigest() not in checksums:
         raise ValueError(

@@ -51,4 +51,5 @@ def class_map(
             total[inside] += weight[..., None] * chance
             norm[inside] += weight
     assert total is not None
-    return np.asarray(total / norm[..., None], np.float32)
+    total /= norm[..., None]
+    return total

@@ -145,7 +145,9 @@ def _window_centre(
                 f"a window of {2 * half:g} m around {centre_m} leaves {path}, which covers "
                 f"{raster.size_m[0]:g} x {raster.size_m[1]:g} m"
             )
-        return np.clip(np.round(middle), low, high)
+        # Rounded in the whole file, so that a part is cut at the same cells.
+        first = raster.corner_m[::-1] / raster.cell_m[::-1]
+        return np.clip(np.round(middle + first) - first, low, high)
     known = np.isfinite(raster.heights_m)
     if not known.any():
         part = raster.corner_m.any()

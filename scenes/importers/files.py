@@ -22,7 +22,7 @@ def check_file(path: Path, what: str, max_bytes: int | None = None) -> int:
     except ValueError as error:  # a null byte in the name
         raise ValueError(f"{what}: '{path}' is no name of a file: {error}") from error
     if not stat.S_ISREG(found.st_mode):
-        raise ValueError(f"{path} is {_kind(found.st_mode)}; {what} must be a file")
+        raise ValueError(f"{what}: '{path}' is {_kind(found.st_mode)}; give a file")
     if max_bytes is not None and found.st_size > max_bytes:
         raise ValueError(
             f"{path} has {found.st_size / MIB:.0f} MiB, and {what} may have {max_bytes / MIB:.0f} "

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 PART_CELLS, FINE_CELLS = 4096, 6144
 """Rows and columns up to which a file is read whole, and up to which cells are kept as they are."""
 MAX_PART_CELLS = 1 << 28
+COARSEST_M = 1000.0
 MAX_BLOCK_BYTES = 1 << 29
 _MARGIN_CELLS = 16
 METRES_PER_DEGREE = 111_132.95
@@ -92,8 +93,11 @@ def read_heights(
         reference = _georeference(dataset, path)
         metres = _metres_per_coordinate(dataset, reference)
         cell = reference.unit_cell * metres
-        if not (np.isfinite(cell).all() and (cell > 0.0).all()):
-            raise ValueError(f"{path} has cells of {cell.tolist()} m; they must be above 0")
+        if not ((cell > 0.0) & (cell <= COARSEST_M)).all():
+            raise ValueError(
+                f"{path} has cells of {cell[0]:.3g} x {cell[1]:.3g} m; they must be above 0 and at "
+                f"most {COARSEST_M:g} m"
+            )
         rows, cols = _part(dataset, cell, centre_m, side_m)
         if len(rows) * len(cols) > MAX_PART_CELLS:
             raise ValueError(
@@ -230,7 +234,7 @@ def opened_tiff(path: Path) -> Iterator[Any]:
             ):
                 yield dataset
     except (rasterio.errors.RasterioError, MemoryError) as error:
-        reason = " ".join(str(error).split())
+        reason = " ".join(str(error.__cause__ or error).split())
         codec = re.search(r"missing codec (\w+)|(\w+) compression support is not", reason)
         if codec:
             name = codec.group(1) or codec.group(2)

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import os
 import pickle
+import zipfile
 from pathlib import Path
 from typing import Any, Protocol
 from zlib import crc32
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from touchdown.landing.classification.learning.weights_file import load_weights, read_weights
 from touchdown.landing.classification.weights import SUFFIX
 
 LAST, BEST = "last.pt", "best.pt"
+MAX_BYTES = 4 << 30
+_DEEPEST = 20
 _OTHER = {"data": "other images", "start": "other weights to begin with"}
 
 
@@ -37,12 +40,32 @@ def restore(trainer: Resumable, folder: Path, identity: dict[str, Any]) -> None:
     if not path.is_file():
         return
     state = _read(path)
-    before = state["identity"]
+    before = state.get("identity")
+    if not isinstance(before, dict) or _history_fault(state):
+        raise ValueError(f"'{path}' is not the checkpoint of a training; name another folder")
     for key, value in identity.items():
         if before.get(key) != value:
             what = _OTHER[key] if key in _OTHER else f"{key} {before.get(key)}, not {value}"
             raise ValueError(f"'{folder}' holds a training with {what}; name another folder")
-    trainer.take_state(state)
+    try:
+        trainer.take_state(state)
+    except (RuntimeError, ValueError, KeyError, TypeError, AttributeError, IndexError):
+        raise ValueError(
+            f"'{path}' does not hold the state of this training; name another folder"
+        ) from None
+
+
+def _history_fault(state: dict[str, Any]) -> bool:
+    """True where the epochs of a checkpoint are not what a training writes."""
+    history, best = state.get("history"), state.get("best_epoch")
+    rows = history if isinstance(history, list) else [None]
+    number = (int, float)
+    return not (
+        all(isinstance(row, dict) and "val_macro_f1" in row for row in rows)
+        and all(isinstance(k, str) and isinstance(v, number) for r in rows for k, v in r.items())
+        and isinstance(best, int)
+        and -1 <= best < max(1, len(rows))
+    )
 
 
 def write_last(folder: Path, state: dict[str, Any]) -> None:
@@ -56,8 +79,16 @@ def write_best(folder: Path, weights: dict[str, Any]) -> None:
 
 
 def read_best(folder: Path) -> dict[str, Any]:
-    """Returns the weights of the best epoch. Raises ValueError where they cannot be read."""
-    return _read(folder / BEST)
+    """Returns the weights of the best epoch. Raises ValueError where they cannot be read, or are
+    not weights."""
+    path = folder / BEST
+    weights = _read(path)
+    named = all(isinstance(k, str) and isinstance(v, Tensor) for k, v in weights.items())
+    if not named or not weights:
+        raise ValueError(f"'{path}' holds something else than the weights of a network")
+    if not all(bool(torch.isfinite(v).all()) for v in weights.values() if v.is_floating_point()):
+        raise ValueError(f"'{path}' holds weights that are NaN or infinite; train anew")
+    return weights
 
 
 def begin_with(network: nn.Module, name: str, classes: tuple[str, ...], start: Path) -> None:
@@ -94,9 +125,43 @@ def _write(path: Path, value: dict[str, Any]) -> None:
 
 
 def _read(path: Path) -> dict[str, Any]:
+    """The content of a file that `torch.save` wrote: tensors, numbers and text, never code."""
+    if not path.is_file():
+        raise ValueError(
+            f"'{path}' cannot be read as a checkpoint: it does not exist; name the folder of a training"
+        )
+    if not zipfile.is_zipfile(path):
+        raise ValueError(f"'{path}' cannot be read as a checkpoint: it is none, or was cut short")
     try:
-        value: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, RuntimeError, ValueError, EOFError, pickle.UnpicklingError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        with zipfile.ZipFile(path) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+        if size > MAX_BYTES:
+            raise ValueError(f"it has {size >> 20} MiB, more than {MAX_BYTES >> 20} MiB")
+        value = torch.load(path, map_location="cpu", weights_only=True)
+        if not isinstance(value, dict) or _bytes_of(value) > MAX_BYTES:
+            raise ValueError("it holds something else than weights")
+    except pickle.UnpicklingError as error:
+        raise ValueError(
+            f"'{path}' cannot be read as a checkpoint: it holds something else than weights, which "
+            "is not loaded"
+        ) from error
+    except Exception as error:  # damaged archives raise errors of many kinds
+        if isinstance(error, OSError) and error.errno:
+            raise
+        reason = str(error).splitlines()[0] if str(error) else "it is damaged"
         raise ValueError(f"'{path}' cannot be read as a checkpoint: {reason}") from error
     return value
+
+
+def _bytes_of(value: Any, depth: int = 0) -> int:
+    """Bytes of all tensors within, each as large as its shape says: a view may repeat a number."""
+    if isinstance(value, Tensor):
+        return value.numel() * value.element_size()
+    if depth > _DEEPEST:
+        raise ValueError("it is nested too deep")
+    inner = value.values() if isinstance(value, dict) else value
+    return (
+        sum(_bytes_of(part, depth + 1) for part in inner)
+        if isinstance(value, dict | list | tuple)
+        else 0
+    )

@@ -104,7 +104,12 @@ class TorchClassifier:
         self._device = device or torch.device("cpu")
         network = build_network(self.facts.network, len(self.facts.classes), self.facts.image_size)
         self._module = Calibrated(network, 1.0)
-        load_weights(self._module, weights)
+        try:
+            load_weights(self._module, weights)
+        except RuntimeError:
+            raise ValueError(
+                f"'{path}' does not hold the weights of a {self.facts.network}"
+            ) from None
         self._module.eval().to(self._device)
 
     def scores(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:

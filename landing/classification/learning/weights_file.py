@@ -8,6 +8,7 @@ import numpy as np
 import onnx
 import torch
 from onnx import numpy_helper
+from onnx.external_data_helper import uses_external_data
 from torch import Tensor, nn
 
 from touchdown.landing.classification.weights import NetworkFacts, facts_of, read_network
@@ -24,7 +25,12 @@ def read_weights(path: Path) -> tuple[NetworkFacts, dict[str, Tensor]]:
     except Exception as error:  # protobuf's own class moves between versions
         raise ValueError(f"'{path}' cannot be loaded as a network: {error}") from error
     facts = facts_of({p.key: p.value for p in model.metadata_props}, path)
-    given = {value.name: numpy_helper.to_array(value) for value in model.graph.initializer}
+    if any(uses_external_data(value) for value in model.graph.initializer):
+        raise ValueError(f"'{path}' keeps its weights in another file; save it as one file")
+    try:
+        given = {value.name: numpy_helper.to_array(value) for value in model.graph.initializer}
+    except (ValueError, TypeError, KeyError, MemoryError) as error:
+        raise ValueError(f"'{path}' has weights that cannot be read: {error}") from error
     # the exporter gives values that are equal one name, and an Identity for each other
     for node in model.graph.node:
         if node.op_type == "Identity" and node.input[0] in given:

@@ -1,0 +1,120 @@
+"""Loads a network's file in a process of its own and classifies one image, with limits on time and
+memory.
+
+ONNX Runtime cannot be interrupted, and what a graph needs does not follow from its size. As a
+program, ``python trial.py FILE``, it prints a reason and ends with code 3 if the network cannot be
+used; it imports nothing of this package.
+"""
+
+from __future__ import annotations
+
+import functools
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+INPUT = "pictures"
+NOWHERE = "/nonexistent"
+"""Folder in which ONNX Runtime looks for weights outside of a network's file"""
+TRIAL_S, TRIAL_MEMORY_BYTES = 20, 6 << 30
+_WAIT_S = 30.0
+_REFUSED = 3
+_LARGEST = 4096
+"""pixels; the range that is allowed is checked elsewhere"""
+
+
+@functools.lru_cache(maxsize=32)
+def reason_against(path: Path, _sha256: str) -> str:
+    """The reason why a network's file cannot be used, "" for none; asked once for each content."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", __file__, str(path)],
+            capture_output=True,
+            timeout=_WAIT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"needs more than {_WAIT_S:.0f} s to load and to classify one image"
+    if done.returncode == _REFUSED:
+        return done.stdout.decode("utf-8", "replace").strip()
+    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        return f"needs more than {TRIAL_S} s of a processor to load and to classify one image"
+    if done.returncode < 0 or b"MemoryError" in done.stderr:
+        return f"needs more than {TRIAL_MEMORY_BYTES >> 30} GiB of memory, or breaks ONNX Runtime"
+    return ""
+
+
+def session_options(threads: int) -> Any:
+    """Returns the options of a session; weights outside of the file are not read."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    options.add_session_config_entry(
+        "session.model_external_initializers_file_folder_path", NOWHERE
+    )
+    return options
+
+
+def plain_reason(error: Exception) -> str:
+    """The first line of an error of ONNX Runtime without its codes."""
+    lines = str(error).splitlines() or [type(error).__name__]
+    words = lines[0].split(" : ", 3)
+    text = words[3] if len(words) == 4 and words[0].startswith("[ONNX") else lines[0]
+    if "xternal data" in text:
+        return "its weights lie in another file; save it as one file"
+    return text.strip()
+
+
+def fault_of(session: Any) -> str:
+    """The reason why a loaded network cannot be used, "" for none."""
+    import numpy as np
+
+    inputs, outputs = session.get_inputs(), session.get_outputs()
+    names = [entry.name for entry in inputs]
+    if names != [INPUT] or len(outputs) != 1:
+        return f"has the inputs {names[:4]} and {len(outputs)} outputs, not '{INPUT}' and one"
+    facts = session.get_modelmeta().custom_metadata_map
+    try:
+        size, classes = int(facts["image_size"]), len(facts["classes"].split())
+    except (KeyError, ValueError):
+        return ""  # the metadata are checked elsewhere
+    if not 1 <= size <= _LARGEST:
+        return ""
+    try:
+        found = session.run(None, {INPUT: np.zeros((1, 3, size, size), np.float32)})[0]
+    except Exception as error:  # onnxruntime's errors share no base class
+        return f"cannot classify an image of {size} x {size} pixels: {plain_reason(error)}"
+    scores = np.asarray(found)
+    if scores.shape != (1, classes) or scores.dtype.kind != "f":
+        return f"gives scores of shape {scores.shape} for one image, not (1, {classes})"
+    if not np.isfinite(scores).all():
+        return "gives scores that are no numbers"
+    return ""
+
+
+def _try(path: str) -> str:
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_CPU, (TRIAL_S, TRIAL_S))
+    resource.setrlimit(resource.RLIMIT_AS, (TRIAL_MEMORY_BYTES, TRIAL_MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    import onnxruntime
+
+    try:
+        session = onnxruntime.InferenceSession(
+            Path(path).read_bytes(), session_options(1), providers=["CPUExecutionProvider"]
+        )
+    except Exception as error:  # onnxruntime's errors share no base class
+        return f"cannot be loaded as a network: {plain_reason(error)}"
+    return fault_of(session)
+
+
+if __name__ == "__main__":
+    _reason = _try(sys.argv[1])
+    print(_reason)
+    sys.exit(_REFUSED if _reason else 0)

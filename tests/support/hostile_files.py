@@ -1,0 +1,60 @@
+"""Files that declare more than they hold, or are no files."""
+
+from __future__ import annotations
+
+import os
+import resource
+import struct
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+MEMORY_BYTES = 4 << 30
+LIMIT_S = 60.0
+"""Above the 30 s that are promised: tests share the machine."""
+
+
+def png(width: int, height: int, bits: int = 8, colour: int = 2) -> bytes:
+    """A PNG that declares a size and holds a thousand bytes."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
+
+    header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"IDAT", zlib.compress(b"\0" * 1000))
+        + chunk(b"IEND", b"")
+    )
+
+
+def sparse(path: Path, head: bytes, size: int) -> Path:
+    """A file of ``size`` bytes that takes no room on the disk."""
+    with path.open("wb") as file:
+        file.write(head)
+        file.truncate(size)
+    return path
+
+
+def pipe(path: Path) -> Path:
+    """A named pipe that nobody writes to."""
+    os.mkfifo(path)
+    return path
+
+
+def limited(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """A command in a process with 4 GiB of data and `LIMIT_S`."""
+    return subprocess.run(
+        [sys.executable, "-m", "touchdown", *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES)),
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+    )
