@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED
+from touchdown.experiments.errors import visible
 from touchdown.experiments.terminal import say
 
 
@@ -82,11 +83,11 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
         return EXIT_DONE if all_as_expected(verdicts) else EXIT_FAILED
     for section in made.sections[:2]:
         say(f"{section.title}\n")
-        say("\n".join(f"- {line}" for line in section.words) + "\n")
+        say("\n".join(f"- {visible(line)}" for line in section.words) + "\n")
     if verdicts:
-        say("\n".join(lines(verdicts)) + "\n")
+        say("\n".join(map(visible, lines(verdicts))) + "\n")
     for path in written.values():
-        say(f"written: {path}")
+        say(f"written: {visible(path)}")
     return EXIT_DONE if all_as_expected(verdicts) else EXIT_FAILED
 
 
@@ -148,5 +149,5 @@ def regress(
         click.echo(json.dumps({**found.as_json(), "words": verdict_sentences(found)}, indent=2))
     else:
         table = [*table_lines(found), ""] if found.cells else []
-        say("\n".join([*table, *verdict_sentences(found)]))
+        say("\n".join(map(visible, [*table, *verdict_sentences(found)])))
     return EXIT_FAILED if found.failed(require_power) else EXIT_DONE

@@ -13,6 +13,7 @@ from typing import Any
 
 from touchdown.experiments.campaign.expectations import Verdict
 from touchdown.experiments.campaign.results_table import is_successful
+from touchdown.experiments.errors import visible
 from touchdown.experiments.io.provenance import UNRECORDED_REMEDY
 from touchdown.experiments.io.run_directory import run_directory, write_text
 from touchdown.experiments.reporting import published
@@ -27,6 +28,7 @@ from touchdown.experiments.reporting.flights import (
 )
 from touchdown.experiments.reporting.landing_figure import landing_pictures
 from touchdown.experiments.reporting.landings import landing_sentences, landing_tables
+from touchdown.experiments.reporting.markdown_text import fenced, markdown_cell, markdown_text
 from touchdown.experiments.reporting.narrative import (
     leading_sentences,
     published_sentences,
@@ -209,31 +211,34 @@ def tiles(rows: Sequence[Row]) -> list[tuple[str, str]]:
 
 def markdown(report: Report, pictures_at: str = "figures") -> str:
     """Returns the report as Markdown; figures are linked as ``pictures_at/NAME.svg``."""
-    lines = [f"# {report.title}", ""]
+    lines = [f"# {markdown_text(report.title)}", ""]
     for section in report.sections:
-        lines += [f"## {section.title}", "", *(f"- {line}" for line in section.words)]
+        lines += [f"## {section.title}", "", *(f"- {markdown_text(w)}" for w in section.words)]
         lines += [""] if section.words else []
         for picture in section.pictures:
-            lines += [f"![{picture.title}]({pictures_at}/{picture.name}.svg)", ""]
-            lines += [f"*{picture.title}.* {picture.caption}", ""]
+            title = markdown_text(picture.title)
+            lines += [f"![{title}]({pictures_at}/{picture.name}.svg)", ""]
+            lines += [f"*{title}.* {markdown_text(picture.caption)}", ""]
         for table in section.tables:
             lines += [*_markdown_table(table), ""]
     if report.configuration:
-        lines += ["## Configuration", "", "```", report.configuration.strip(), "```", ""]
+        lines += ["## Configuration", "", *fenced(report.configuration), ""]
     return "\n".join(lines)
 
 
 def _markdown_table(table: Table) -> list[str]:
-    lines = [f"**{table.title}**", "", "| " + " | ".join(table.header) + " |"]
+    header = " | ".join(map(markdown_cell, table.header))
+    lines = [f"**{markdown_text(table.title)}**", "", f"| {header} |"]
     lines.append("|" + "---|" * len(table.header))
     lines += ["| " + " | ".join(_markdown_cell(c) for c in row) + " |" for row in table.rows]
     lines += [""] if table.notes else []
-    return lines + [f"- {note}" for note in table.notes]
+    return lines + [f"- {markdown_text(note)}" for note in table.notes]
 
 
 def _markdown_cell(cell: Cell) -> str:
-    text = f"**{cell.text}** {cell.interval}".rstrip() if cell.kind == "best" else cell.plain
-    return text.replace("|", "\\|")
+    if cell.kind == "best":
+        return f"**{markdown_cell(cell.text)}** {markdown_cell(cell.interval)}".rstrip()
+    return markdown_cell(cell.plain)
 
 
 # -------------------------------------------------------------------------------------------- HTML
@@ -246,6 +251,7 @@ def page(report: Report) -> str:
     source = resources.files("touchdown.experiments.reporting").joinpath("report.html.j2")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     environment.filters["code"] = _code
+    environment.finalize = _shown
     template = environment.from_string(source.read_text(encoding="utf-8"))
     return template.render(report=report)
 
@@ -254,8 +260,16 @@ def _code(text: str) -> Any:
     """Escaped text with `names` as code elements."""
     import markupsafe
 
-    escaped = html.escape(text, quote=False)
+    escaped = html.escape(visible(text), quote=False)
     return markupsafe.Markup(re.sub(r"`([^`]*)`", r"<code>\1</code>", escaped))
+
+
+def _shown(value: Any) -> Any:
+    """Text of outside without control characters; what is markup already stays."""
+    import markupsafe
+
+    is_text = isinstance(value, str) and not isinstance(value, markupsafe.Markup)
+    return visible(value, keep="\n\t") if is_text else value
 
 
 def as_json(report: Report, rows: Sequence[Row]) -> dict[str, Any]:

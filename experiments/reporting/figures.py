@@ -13,9 +13,11 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
+from touchdown.experiments.errors import visible
 from touchdown.experiments.reporting.flights import (
     Row,
     Trajectory,
@@ -48,6 +50,7 @@ SPARE_COLOURS = ("#159bb3", "#a3576b", "#6f9a2d", "#b05fc0")
 PATH_POINTS = 300
 _STYLE: Any = {
     "svg.fonttype": "none",
+    "text.parse_math": False,  # a name may hold dollar signs
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9,
@@ -112,6 +115,8 @@ def draw(
     with matplotlib.rc_context(style):
         figure = Figure(figsize=size, layout="constrained")
         paint(figure)
+        for words in figure.findobj(Text):
+            words.set_text(visible(words.get_text(), keep="\n"))
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     return Picture(name, title, caption, text.getvalue())
@@ -313,7 +318,7 @@ def _paint_bars(
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_locator(NullLocator())
         axes.set_ylim(bottom=0.5 * min(positive))
-    axes.set_xticks(range(len(scenes)), scenes)
+    axes.set_xticks(range(len(scenes)), [visible(scene) for scene in scenes])
     axes.grid(axis="x", visible=False)
 
 

@@ -9,6 +9,7 @@ from statistics import fmean
 from typing import Any
 
 from touchdown.experiments.io.results import LANDED, RunResult, lookup
+from touchdown.experiments.reporting.markdown_text import markdown_cell
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,8 @@ def markdown_table(runs: Mapping[str, RunResult], columns: Sequence[Column]) -> 
     kept = [c for c in columns if any(lookup(row, c.path) is not None for row in rows)]
     lines = ["| " + " | ".join(column.title for column in kept) + " |"]
     lines.append("|" + "---|" * len(kept))
-    lines += ["| " + " | ".join(column.text(row) for column in kept) + " |" for row in rows]
+    cells = ([markdown_cell(column.text(row)) for column in kept] for row in rows)
+    lines += [f"| {' | '.join(line)} |" for line in cells]
     return "\n".join(lines)
 
 
