@@ -25,6 +25,10 @@ LEARNING = (
 )
 
 
+SOUND_NETWORKS: set[str] = set()
+"""Checksums of networks that need no trial."""
+
+
 class Reached(BaseException):
     """The input is valid: a flight, a rendering or a training would begin now."""
 
@@ -41,6 +45,14 @@ def _compose_spec(name_or_path: str, seed: int) -> Any:
         return _REAL["touchdown.scenes.compose", "compose_spec"](name_or_path, seed)
     compose.scene_generator(name_or_path)
     raise Reached
+
+
+def _reason_against(path: Path, sha256: str) -> str:
+    """Tries a network in a process of its own, but for the one that all cases share."""
+    if sha256 in SOUND_NETWORKS:
+        return ""
+    reason: str = _REAL["touchdown.landing.classification.trial", "reason_against"](path, sha256)
+    return reason
 
 
 def _fly_some(_engine: Any, todo: Sequence[Any], _limits: Any, report: Any) -> None:
@@ -84,6 +96,7 @@ _STOPS: dict[str, dict[str, Callable[..., Any]]] = {
     "touchdown.experiments.io.provenance": {"git_revision": _no_revision},
     "touchdown.experiments.reproduce.run": {"_do": _reach},
     "touchdown.landing.classification.learning.training": {"Trainer.run_epoch": _reach},
+    "touchdown.landing.classification.trial": {"reason_against": _reason_against},
     "touchdown.scenes.compose": {"compose_spec": _compose_spec},
     "touchdown.scenes.export": {"compose_spec": _compose_spec},
     "touchdown.sim.posed_sensors": {"PosedSensors.__init__": _reach},

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fuzz import grounding
 from fuzz import picture_formats as pictures
 from fuzz.cases import Case
 from fuzz.config_kinds import FLOOR
@@ -41,6 +42,8 @@ def _once(folder: Path, fill: Callable[[Path], Any]) -> Path:
 def _copy_network(folder: Path, shared: Path) -> None:
     for file in _network(shared).iterdir():
         shutil.copy(file, folder / file.name)
+    data = (folder / "network.onnx").read_bytes()
+    grounding.SOUND_NETWORKS.add(hashlib.sha256(data).hexdigest())
 
 
 def _data_set(rng: Rng, folder: Path, changes: bool = False) -> None:
