@@ -148,6 +148,8 @@ def written(
     new = sorted(path for path, digest in after.items() if before.get(path) != digest)
     lost = sorted(before.keys() - after.keys())
     halves = [path for path in new if _HALF.search(path) and path not in before]
+    # the folder in which shards fly stays for the others, empty
+    halves = [path for path in halves if after[path] != "folder" or not path.endswith(".partial")]
     faults = [f"half-written: {path}" for path in halves[:3]]
     new = [path for path in new if not path.endswith(_MAY_STAY) and ".lock" not in path]
     new = [path for path in new if path not in halves and not _is_cache(path)]

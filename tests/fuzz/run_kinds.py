@@ -201,7 +201,7 @@ def _aim_elsewhere(rng: Rng, plan: dict[str, Any]) -> None:
     """Names in the plan lead out of the campaign's directory."""
     run = pick(rng, plan["runs"])
     key = pick(rng, ("run_id", "run_id", "run_id", "values"))
-    aim = pick(rng, ("../../x", "../x", "/tmp/fuzz-victim", "..", "", ".", "a/b", *MARKED))
+    aim = pick(rng, ("../../x", "../x", "/nonexistent/x", "..", "", ".", "a/b", *MARKED))
     if key == "run_id":
         run["run_id"] = aim
     elif isinstance(run.get("values"), dict):
