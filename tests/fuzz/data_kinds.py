@@ -42,7 +42,7 @@ def tum_case(rng: Rng, folder: Path, shared: Path) -> Case:
         ("report", "runs", "--out", "rep"),
     ]
     if logged:
-        source = _logged(shared)
+        source = logged_run(shared)
         for name in ("sensors.mcap", "result.json", "config.json"):
             shutil.copy(source / name, folder / run / name)
         truth = (source / "truth.tum").read_text()
@@ -94,7 +94,7 @@ def _other_tum(rng: Rng, text: str) -> str:
 # -------------------------------------------------------------------------------------- sensor logs
 
 
-def _logged(shared: Path) -> Path:
+def logged_run(shared: Path) -> Path:
     """A run of half a second with a sensor log, made once."""
     from support.export_support import ALL
     from support.replay_support import make_run
@@ -110,7 +110,7 @@ def _logged(shared: Path) -> Path:
 def mcap_case(rng: Rng, folder: Path, shared: Path) -> Case:
     """``sensors.mcap`` of a replay or an export: damaged, or rewritten with other messages."""
     run = folder / "run"
-    shutil.copytree(_logged(shared), run)
+    shutil.copytree(logged_run(shared), run)
     data = (run / "sensors.mcap").read_bytes()
     if chance(rng, 0.7):
         data = _other_log(rng, data)

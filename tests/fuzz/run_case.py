@@ -13,7 +13,6 @@ import os
 import shlex
 import sys
 import tempfile
-from collections import Counter
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -23,11 +22,8 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 # Cases that are not UTF-8 text are seen by the command's own check.
 os.environ["PYTHONUTF8"] = "1"
 
-from fuzz import grounding, kinds, worker  # noqa: E402
+from fuzz import grounding, kinds, warm, worker  # noqa: E402
 from fuzz.cases import Verdict  # noqa: E402
-
-_LEARN_FROM = 12
-"""cases of a kind"""
 
 
 def prepare(kind: str) -> None:
@@ -46,21 +42,21 @@ def prepare(kind: str) -> None:
 
 def serve(home: Path) -> None:
     """Answers lines of stdin until it ends."""
-    prepared: set[bool] = set()
-    asked: Counter[str] = Counter()
+    prepared: set[str] = set()
     shared = home / "shared"
     shared.mkdir(exist_ok=True)
     for line in sys.stdin:
         kind, number, *how = line.split()
-        learning = kind in kinds.LEARNING
-        if learning not in prepared:
+        if kind not in prepared:
             prepare(kind)
-            prepared.add(learning)
+            if "whole" not in how:
+                warm.warm(kind, home, shared)
+                gc.freeze()
+            prepared.add(kind)
         folder = home / f"{kind}-{number}"
         verdict = worker.run(kind, int(number), folder, shared, whole="whole" in how)
-        asked[kind] += 1
-        if asked[kind] <= _LEARN_FROM and "whole" not in how:
-            # what the first cases import, the next ones need not
+        if "whole" not in how:
+            # what one case imports, the next ones need not
             grounding.load(*worker.modules_of(folder))
             gc.freeze()
         worker.discard(folder)
