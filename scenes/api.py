@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -85,6 +85,8 @@ class Scene:
     moving: tuple[MovingBody, ...]
     source: str = ""
     """the name or path that it was loaded from"""
+    origin_m: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) of the world's origin in the coordinates of that file: add it to get back to them"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -71,6 +71,7 @@ def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: st
         ground=draft.ground,
         moving=draft.moving,
         source=source,
+        origin_m=draft.origin_m,
     )
 
 

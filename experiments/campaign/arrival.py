@@ -1,5 +1,5 @@
-"""Whether a run that an engine calls finished has arrived: its row is read back and compared with the
-plan before the run is counted."""
+"""Arrival of runs: the row of a run that an engine calls finished is read back and compared with
+the plan before the run is counted."""
 
 from __future__ import annotations
 

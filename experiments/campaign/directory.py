@@ -21,7 +21,7 @@ from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.loading import code_now, is_external
 from touchdown.experiments.io.foreign import inside, is_plain_name, read_object, refuse_links, shown
-from touchdown.experiments.io.run_directory import utc_now, write_text
+from touchdown.experiments.io.run_directory import clear_partials, utc_now, write_text
 
 PLAN_FILE, SOURCE_FILE, LOCK_FILE = "campaign.json", "campaign.toml", ".lock"
 SHARE_FILE = ".share"
@@ -281,12 +281,10 @@ def sweep(directory: Path, run_ids: Iterable[str], *, whole: bool) -> None:
             clear_partial(directory, run_id)
         return
     shutil.rmtree(directory / PARTIAL, ignore_errors=True)
-    for name in (f".{PLAN_FILE}.", f".{SOURCE_FILE}.", f"{SHARE_FILE}-"):
-        for path in directory.glob(f"{name}*"):
-            path.unlink(missing_ok=True)
-    for path in directory.glob(f".{RESULTS_FILE}.*"):
-        if not Path("/proc", path.suffix[1:]).exists():  # readers write it too, without a lock
-            path.unlink(missing_ok=True)
+    for path in directory.glob(f"{SHARE_FILE}-*"):
+        path.unlink(missing_ok=True)
+    clear_partials(directory)
+    clear_partials(directory / FAILED, alone=True)
 
 
 def clear_partial(directory: Path, run_id: str) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from touchdown.experiments.classification.render_dataset import COLUMNS, MANIFEST
 from touchdown.experiments.classification.splits import SPLITS, split_of_file, split_of_ucmerced
 from touchdown.experiments.errors import UsageError, nearest
+from touchdown.experiments.io.foreign import inside
 from touchdown.experiments.io.images import read_picture, squared
 from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification import labels
@@ -98,7 +99,12 @@ def _rendered(folder: Path, scheme: str) -> Catalogue:
                 )
             else:
                 label = classes.index(row[scheme])
-                image, split = folder / row["file"], row["split"]
+                try:
+                    image, split = inside(folder, row["file"]), row["split"]
+                except ValueError as error:
+                    raise UsageError(
+                        f"--data: '{folder / MANIFEST}', line {number}: {error}"
+                    ) from None
                 entries.append(Entry(image, label, split, RENDERED, row["scene"]))
     return _checked(Catalogue(RENDERED, tuple(entries), left_out), folder)
 

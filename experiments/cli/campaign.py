@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, CommandGroup
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, CommandGroup, interrupt_code
 
 
 class ShardType(click.ParamType):
@@ -103,13 +103,13 @@ def fly_file(
     watcher = Watcher() if quiet else Display()
     try:
         figures = fly_campaign(plan, out, flown_by, shard=shard, watcher=watcher)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         print(
             "touchdown: stopped; finished runs are kept, and the same command resumes the "
             f"campaign (see 'touchdown campaign status {out}')",
             file=sys.stderr,
         )
-        return EXIT_INTERRUPTED
+        return interrupt_code(error)
     if as_json:
         click.echo(json.dumps(figures, indent=2))
     else:

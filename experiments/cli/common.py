@@ -8,7 +8,16 @@ import click
 
 from touchdown.experiments.config.files import LARGEST
 
-EXIT_DONE, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
+EXIT_DONE, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_TERMINATED = 0, 1, 2, 130, 143
+
+
+class TerminatedError(KeyboardInterrupt):
+    """The process got SIGTERM."""
+
+
+def interrupt_code(error: BaseException | None) -> int:
+    """The exit code after Ctrl-C or SIGTERM: 128 and the number of the signal."""
+    return EXIT_TERMINATED if isinstance(error, TerminatedError) else EXIT_INTERRUPTED
 
 
 class SeedType(click.ParamType):

@@ -193,6 +193,13 @@ def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
         console.print(note, soft_wrap=True)
 
 
+def _origin_row(origin_m: Sequence[float]) -> list[tuple[str, str]]:
+    """Where the world's origin lies in a file that counts from elsewhere."""
+    if not any(origin_m):
+        return []
+    return [("origin in the file", ", ".join(f"{value:.1f}" for value in origin_m) + " m")]
+
+
 def print_place(row: Mapping[str, Any]) -> None:
     """Prints the facts of an imported scene, its problems and remarks."""
     from rich.table import Table
@@ -207,6 +214,7 @@ def print_place(row: Mapping[str, Any]) -> None:
     for label, text in (
         ("can be flown", verdict),
         ("take-off", f"{x:.1f}, {y:.1f} m, heading {facts['takeoff_yaw_deg']:.0f} deg"),
+        *_origin_row(facts["origin_m"]),
         ("ground at take-off", f"{facts['takeoff_geom']} ({facts['takeoff_class']})"),
         ("height above surroundings", f"{facts['takeoff_above_m'] + 0.0:.1f} m"),
         ("take-off point is safe to land on", "yes" if facts["takeoff_safe"] else "no"),

@@ -154,7 +154,7 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
     from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.external.processes import none_left
     from touchdown.experiments.flight.run import fly_with_usage_errors
-    from touchdown.experiments.io.run_directory import check_log_kept
+    from touchdown.experiments.io.run_directory import check_log_kept, default_out_dir
 
     quiet, out = options["quiet"], options["out"]
     config = load_config(
@@ -166,8 +166,7 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
         **more,
     )
     if out is None:
-        stem = Path(config.scene).stem
-        out = Path("runs") / f"{stem}-{config.estimator.replace(':', '.')}-{config.seed}"
+        out = default_out_dir(config.scene, config.estimator, config.seed)
     check_log_kept(out, logs=config.log.sensors, force=options["force"])
     with none_left():
         result = fly_with_usage_errors(config, out, make_progress(quiet))

@@ -19,9 +19,10 @@ from touchdown.experiments.cli.campaign import campaign
 from touchdown.experiments.cli.classification import classify, dataset, evaluate, quantize, train
 from touchdown.experiments.cli.common import (
     EXIT_DONE,
-    EXIT_INTERRUPTED,
     EXIT_USAGE,
     CommandGroup,
+    TerminatedError,
+    interrupt_code,
 )
 from touchdown.experiments.cli.control import control
 from touchdown.experiments.cli.edges import edges
@@ -99,10 +100,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(_missing_command(error))
     except click.ClickException as error:
         return _fail(_click_message(error))
-    except (click.Abort, KeyboardInterrupt):
+    except (click.Abort, KeyboardInterrupt) as error:
         end_progress(quiet=False)
         print("touchdown: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
+        return interrupt_code(error.__cause__ or error)
     except SystemExit:
         # click raises this when the reader of a pipe has gone, which is no failure.
         if not type(sys.stdout).__name__.endswith("PacifyFlushWrapper"):
@@ -138,7 +139,7 @@ def _print_any_name() -> None:
 
 
 def _interrupt(_signal: int, _frame: Any) -> None:
-    raise KeyboardInterrupt
+    raise TerminatedError
 
 
 def _let_go_of_stdout() -> None:

@@ -31,7 +31,7 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
     from touchdown.experiments.errors import UsageError
     from touchdown.experiments.external.processes import none_left
     from touchdown.experiments.flight.replay import replay, replay_config
-    from touchdown.experiments.io.run_directory import check_log_kept
+    from touchdown.experiments.io.run_directory import check_log_kept, default_out_dir
     from touchdown.experiments.terminal import end_progress, make_progress
 
     for name, option in _FLOWN.items():
@@ -45,9 +45,7 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
         raise UsageError(f"'{run}' was flown over {config.scene}, not {scene}")
     out = options["out"]
     if out is None:
-        stem = Path(config.scene).stem
-        name = config.estimator.replace(":", ".")
-        out = Path("runs") / f"{stem}-{name}-{config.seed}-replay"
+        out = default_out_dir(config.scene, config.estimator, config.seed, "-replay")
     if out.resolve() != run.resolve():  # `replay` reports that with its own message
         check_log_kept(out, logs=False, force=options["force"])
     with none_left():

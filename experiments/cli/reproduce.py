@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, interrupt_code
 
 
 @click.command()
@@ -70,12 +70,12 @@ def reproduce(
             notes=make_notes(quiet),
             watcher=Watcher if quiet else Display,
         )
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         print(
             "touchdown: stopped; finished parts are kept, and the same command resumes the rest",
             file=sys.stderr,
         )
-        return EXIT_INTERRUPTED
+        return interrupt_code(error)
     figures = figures_of(done, out / REPORT)
     if as_json:
         click.echo(json.dumps(figures, indent=2))

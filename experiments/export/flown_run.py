@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.foreign import read_object
 
 LIBRARY = "touchdown export"
 """name of the writer in exported files"""
@@ -74,7 +74,7 @@ class FlownRun:
         from touchdown.experiments.io.sensor_log import FILE_NAME
 
         own, replayed = self.path / FILE_NAME, self.result.get("replay_of")
-        if not own.is_file() and replayed and (Path(replayed) / FILE_NAME).is_file():
+        if not own.is_file() and isinstance(replayed, str) and self._is_replay_of(Path(replayed)):
             return Path(replayed) / FILE_NAME
         if not own.is_file():
             raise UsageError(
@@ -82,6 +82,22 @@ class FlownRun:
                 "data; tum, csv and the map as ply do not need it"
             )
         return own
+
+    def _is_replay_of(self, flight: Path) -> bool:
+        """True if the run directory ``flight``, whose path is that of the result, is of the flight
+        that the result describes and has a log."""
+        from touchdown.experiments.io.sensor_log import FILE_NAME
+
+        try:
+            flown = read_object(flight / "result.json")
+        except (OSError, ValueError):
+            return False
+        same = all(flown.get(key) == self.result.get(key) for key in ("scene", "seed"))
+        return (
+            same
+            and self.result.get("flown_by") in (None, flown.get("estimator"))
+            and (flight / FILE_NAME).is_file()
+        )
 
     def span_s(self) -> tuple[float, float]:
         """Begin and end of the evaluated span, s: (inf, inf) for a flight that never took off,
@@ -107,9 +123,7 @@ def open_flown(run: Path) -> FlownRun:
     if not (run / "result.json").is_file():
         raise UsageError(f"'{run}' is no run directory: it has no result.json")
     try:
-        result = json.loads((run / "result.json").read_text(encoding="utf-8"))
+        result = read_object(run / "result.json")
     except (ValueError, OSError) as error:
-        raise UsageError(f"'{run}' cannot be read: {error}") from error
-    if not isinstance(result, dict):
-        raise UsageError(f"'{run}' is no run directory: its result.json is no result")
+        raise UsageError(f"'{run / 'result.json'}' is no result of a run: {error}") from error
     return FlownRun(run, result)

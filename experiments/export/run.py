@@ -15,6 +15,7 @@ from touchdown.experiments.export.flown_run import (
 from touchdown.experiments.export.tables import _COLUMNS, write_csv, write_tum
 from touchdown.experiments.io.run_directory import whole_file, whole_folder
 
+BAG_METADATA = "metadata.yaml"
 FORMATS = ("mcap", "ply", "tum", "csv")
 _OWN_FILES = (
     "sensors.mcap", "map.ply", "truth.tum", "estimate.tum", "reference.tum", "odometry.tum",
@@ -109,6 +110,8 @@ def _is_export(path: Path, kind: str) -> bool:
 def _is_our_bag(folder: Path) -> bool:
     from touchdown.experiments.export.ros2_bag import WRITTEN_BY
 
-    metadata = folder / "metadata.yaml"
-    text = metadata.read_text(encoding="utf-8") if metadata.is_file() else ""
+    if any(path.name != BAG_METADATA and ".mcap" not in path.suffixes for path in folder.iterdir()):
+        return False  # it would go with the bag
+    metadata = folder / BAG_METADATA
+    text = metadata.read_text(encoding="utf-8", errors="replace") if metadata.is_file() else ""
     return f"{WRITTEN_BY}: {LIBRARY}" in text

@@ -35,6 +35,8 @@ def make_result(
 ) -> RunResult:
     """Returns the result of a finished flight."""
     code: dict[str, Any] = dict(flown_code(config.estimator))
+    origin = stack.scene.origin_m
+    moved: dict[str, Any] = {"origin_m": (*origin.tolist(),)} if origin.any() else {}
     return RunResult(
         outcome=str(judgement.outcome),
         reason=judgement.reason,
@@ -43,6 +45,7 @@ def make_result(
         estimator=config.estimator,
         **code,
         wind_kmh=config.wind.mean_kmh,
+        **moved,
         position_error_m=judgement.position_error,
         span_s=judgement.span_s,
         trajectory_error_m=judgement.deviation.mean_m,

@@ -55,7 +55,23 @@ def build_scene(config: Config) -> Scene:
     from touchdown.scenes.compose import load_scene
 
     seed = config.seed if config.scene_seed is None else config.scene_seed
-    return load_scene(config.scene, seed, low_sun(config))
+    scene = load_scene(config.scene, seed, low_sun(config))
+    if config.landing.site_xy_m is not None:
+        _refuse_site_of_the_file(np.array(config.landing.site_xy_m), scene)
+    return scene
+
+
+def _refuse_site_of_the_file(site: Array, scene: Scene) -> None:
+    """Raises ValueError for a site in the coordinates of a file whose origin was moved."""
+    moved = site - scene.origin_m[:2]
+    low, high = scene.bounds_xy_m
+    inside = bool(((moved >= low) & (moved <= high)).all())
+    if inside and not bool(((site >= low) & (site <= high)).all()):
+        x, y = scene.origin_m[:2]
+        raise ValueError(
+            f"site {site[0]:g},{site[1]:g} is in the coordinates of the file; the world's origin "
+            f"lies at {x:.0f},{y:.0f} there: give {moved[0]:g},{moved[1]:g}"
+        )
 
 
 def low_sun(config: Config) -> LowSun | None:

@@ -23,6 +23,11 @@ def is_plain_name(name: object) -> bool:
     return name.isprintable() and len(name.encode()) <= LONGEST_NAME
 
 
+def as_plain_name(text: str) -> str:
+    """``text`` as one entry of a directory: separators and unprintable characters are dots."""
+    return "".join(c if c.isprintable() and c != "/" else "." for c in text)
+
+
 def inside(folder: Path, name: object) -> Path:
     """The path of ``name``, one or several plain names with slashes between them, in ``folder``.
     Raises ValueError for a name that leads elsewhere."""

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.provenance import plain_json
 
 SUCCESS_WITHOUT_LANDING = "COMPLETED"
@@ -30,6 +31,9 @@ Figure = Annotated[float | None, BeforeValidator(_finite)]
 """A measured number; None where the run has none."""
 PointXY = Annotated[tuple[float, float] | None, Field(strict=False)]
 """World x and y in metres; None where the run has no such point."""
+
+PointXYZ = Annotated[tuple[float, float, float] | None, Field(strict=False)]
+"""x, y and z in metres; None where the run has no such point."""
 
 
 class _Part(BaseModel):
@@ -159,6 +163,8 @@ class RunResult(_Part):
     estimator_sha: str | None = None
     """hash of the code of an external estimator"""
     wind_kmh: Figure = None
+    origin_m: PointXYZ = None
+    """of the world's origin in the coordinates of the scene's file, where it was moved"""
     replay_of: str | None = None
     flown_by: str | None = None
     """estimator of the flight that a replay reads"""
@@ -274,11 +280,11 @@ def lookup(row: Mapping[str, Any], path: str) -> Any:
 def load_result(path: Path) -> RunResult:
     """Reads one ``result.json``. Raises UsageError, one line, where it is none."""
     try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise UsageError(f"'{path}' cannot be read: {error}") from error
-    if not isinstance(tree, dict):
-        raise UsageError(f"'{path}' is no run's result: it holds no object of keys and values")
+        tree = read_object(path)
+    except OSError as error:
+        raise UsageError(f"'{path}' cannot be read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise UsageError(f"'{path}' is no run's result: {error}") from error
     try:
         return RunResult.model_validate(tree)
     except ValidationError as error:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import ctypes
 import datetime
 import os
+import re
 import shutil
 import socket
 from collections.abc import Iterator
@@ -13,8 +14,19 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from touchdown.experiments.errors import UsageError, system_message
+from touchdown.experiments.io.foreign import as_plain_name, read_object
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+_PARTIAL = re.compile(r"\.(?P<name>.+?)\.(?:partial-(?:(?P<host>.+)\.)?)?(?P<process>\d+)")
+"""Names of unfinished files and folders: of what they become, and the machine and the process that
+write them."""
+_KEYS_OF_RESULT = ("outcome", "scene", "seed", "estimator")
+
+
+def default_out_dir(scene: str, estimator: str, seed: int, ending: str = "") -> Path:
+    """``runs/SCENE-ESTIMATOR-SEED`` and ``ending``, whatever a configuration file calls the two."""
+    name = f"{Path(scene).stem}-{estimator.replace(':', '.')}-{seed}{ending}"
+    return Path("runs") / as_plain_name(name)
 
 
 def check_out_dir(out_dir: Path) -> None:
@@ -23,8 +35,21 @@ def check_out_dir(out_dir: Path) -> None:
         return
     if not out_dir.is_dir():
         raise UsageError(f"--out {out_dir}: is a file; name a new directory")
-    if any(out_dir.iterdir()) and not (out_dir / "result.json").exists():
+    if Path.cwd().is_relative_to(out_dir.resolve()):
+        raise UsageError(
+            f"--out {out_dir}: is the working directory or above it, and would be replaced; name "
+            "another directory"
+        )
+    if any(out_dir.iterdir()) and not _holds_result(out_dir):
         raise UsageError(f"--out {out_dir}: holds something that is no run; name another directory")
+
+
+def _holds_result(directory: Path) -> bool:
+    try:
+        tree = read_object(directory / "result.json")
+    except (OSError, ValueError):
+        return False
+    return all(key in tree for key in _KEYS_OF_RESULT)
 
 
 def check_log_kept(out_dir: Path, *, logs: bool, force: bool) -> None:
@@ -85,27 +110,36 @@ def _staging(out: Path) -> Iterator[Path]:
     """The path beside ``out`` where it is made, which names the owner: this process. What lies
     there at the end is removed, and first what a process left that no longer lives."""
     out.parent.mkdir(parents=True, exist_ok=True)
-    for left in out.parent.glob(f"{_escaped(f'.{out.name}')}.partial-*"):
-        if _is_abandoned(left):
-            _remove(left)
+    clear_partials(out.parent, out.name)
     partial = out.with_name(f".{out.name}.partial-{socket.gethostname()}.{os.getpid()}")
+    _remove(partial)  # it may be a link that leads elsewhere
     try:
         yield partial
     finally:
         _remove(partial)
 
 
-def _is_abandoned(partial: Path) -> bool:
+def clear_partials(folder: Path, name: str | None = None, *, alone: bool = False) -> None:
+    """Removes the unfinished files and folders that dead processes left in ``folder``: those of
+    ``name``, or all. ``alone``: nobody else writes there, and all are of dead processes."""
+    for path in list(folder.iterdir()) if folder.is_dir() else []:
+        found = _PARTIAL.fullmatch(path.name)
+        if found is None or (name is not None and found["name"] != name):
+            continue
+        if alone or _is_abandoned(path, found["host"], found["process"]):
+            _remove(path)
+
+
+def _is_abandoned(partial: Path, host: str | None, process: str) -> bool:
     """True if the process that made ``partial`` has ended. False where it runs on another machine,
-    of which nothing is known."""
+    of which nothing is known; one without the name of a machine is of this one."""
     import psutil
 
-    host, _, pid = partial.name.rpartition(".partial-")[2].rpartition(".")
-    if host != socket.gethostname() or not pid.isdecimal():
+    if host not in (None, socket.gethostname()):
         return False
     try:
         # A process that began after the last change is another one of that number.
-        return bool(psutil.Process(int(pid)).create_time() > partial.stat().st_ctime + 1.0)
+        return bool(psutil.Process(int(process)).create_time() > partial.stat().st_ctime + 1.0)
     except psutil.NoSuchProcess:
         return True
     except (psutil.Error, OSError, OverflowError):
@@ -135,10 +169,6 @@ def _exchange(one: Path, other: Path) -> bool:
         return False
     paths = (os.fsencode(one.absolute()), os.fsencode(other.absolute()))
     return bool(renameat2(_AT_FDCWD, paths[0], _AT_FDCWD, paths[1], _RENAME_EXCHANGE) == 0)
-
-
-def _escaped(name: str) -> str:
-    return "".join(f"[{c}]" if c in "*?[" else c for c in name)
 
 
 def utc_now() -> str:

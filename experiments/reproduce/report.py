@@ -168,7 +168,8 @@ def _section(
             _FILLERS[part.name](section, state.figures, folder)
         except (KeyError, IndexError, TypeError, AttributeError) as error:
             raise UsageError(
-                f"'{folder / 'part.json'}' lacks figures of its part; delete it, and the part runs again"
+                f"'{folder / 'part.json'}' lacks figures of its part; delete it, and the part runs "
+                "again"
             ) from error
     return section
 

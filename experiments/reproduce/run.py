@@ -6,7 +6,6 @@ import contextlib
 import fcntl
 import importlib.util
 import json
-import shutil
 import threading
 import time
 import traceback
@@ -17,7 +16,7 @@ from typing import Any
 from touchdown.experiments.campaign.executor import EngineStoppedError
 from touchdown.experiments.campaign.session import Watcher
 from touchdown.experiments.errors import UsageError, system_message
-from touchdown.experiments.io.run_directory import utc_now, write_text
+from touchdown.experiments.io.run_directory import clear_partials, utc_now, write_text
 from touchdown.experiments.reproduce.background_worker import BackgroundWorker, send_note
 from touchdown.experiments.reproduce.plans import Extent
 from touchdown.experiments.reproduce.state import (
@@ -64,12 +63,16 @@ def reproduce(
         raise UsageError("--skip leaves nothing to do")
     if git_revision() is None:
         raise UsageError(f"reproduce needs a git revision to state: {UNRECORDED_REMEDY}")
+    if out.is_dir():
+        check_plain(out)
     started = time.perf_counter()
     extent = Extent(quick=quick, photographs=tuple(photographs))
     _check_libraries([part for part in wanted if not _is_done(part, out, extent)])
     with _locked(out):
         todo = [part for part in wanted if not _is_done(part, out, extent)]
         _sign(out, quick=quick)
+        for folder in (out, out / REPORT, out / REPORT / "figures"):
+            clear_partials(folder, alone=True)
         heads = {p.name: f"[{n}/{len(wanted)}] {p.name}" for n, p in enumerate(wanted, start=1)}
         for part in wanted:
             if part not in todo:
@@ -124,8 +127,7 @@ def _do(part: Part, job: Job, head: str) -> None:
     job.notes(f"{head}: {part.title}, for {', '.join(part.shows)}")
     started = time.perf_counter()
     job.folder.mkdir(parents=True, exist_ok=True)
-    for partial in job.folder.glob(".*.partial-*"):
-        shutil.rmtree(partial, ignore_errors=True)  # of one that was killed: others are locked out
+    clear_partials(job.folder, alone=True)
     done, error = Done({}), ""
     try:
         done = part.run(job)
@@ -180,8 +182,6 @@ def _locked(out: Path) -> Iterator[None]:
     """Makes and locks the directory. Raises UsageError if it holds something else."""
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: is a file; name a new directory")
-    if out.is_dir():
-        check_plain(out)
     ours = (out / MARK).is_file()
     if out.is_dir() and not ours and any(not p.name.startswith(".") for p in out.iterdir()):
         raise UsageError(

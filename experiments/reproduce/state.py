@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -102,11 +102,13 @@ def _check_names(state: PartState) -> None:
         return
     if state.part == "recognition" and figures["folder"] not in _EDITIONS:
         raise ValueError(f"its folder is {shown(figures['folder'])}")
-    scenes = {
-        "world": lambda: [(name, PAPER_SCENES) for name in figures["scenes"]],
-        "sites": lambda: [(place["scene"], SITES) for place in figures["places"]],
-    }.get(state.part, list)()
-    for name, known in scenes:
+    scenes: list[Any] = []
+    known: Iterable[str] = ()
+    if state.part == "world":
+        scenes, known = list(figures["scenes"]), PAPER_SCENES
+    elif state.part == "sites":
+        scenes, known = [place["scene"] for place in figures["places"]], SITES
+    for name in scenes:
         if not isinstance(name, str) or name not in known:
             raise ValueError(f"its scene {shown(name)} is none of the part")
 

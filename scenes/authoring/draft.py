@@ -28,3 +28,5 @@ class SceneDraft:
     """by geom name"""
     ground: GroundRaster | None
     moving: tuple[MovingBody, ...] = field(default=())
+    origin_m: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) of the world's origin in the coordinates of the file that the scene was read from"""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -14,6 +14,13 @@ from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.importers.files import check_file, printable
 from touchdown.scenes.importers.mjcf_limits import check_mjcf
 from touchdown.scenes.importers.model_check import check_model
+from touchdown.scenes.importers.origin import (
+    coarse_meshes,
+    far_origin,
+    finite_box,
+    infinite_planes,
+    move_world,
+)
 from touchdown.scenes.importers.trial import TRIAL_BYTES, check_compiles
 
 REFLECTIVITY_905NM = {
@@ -70,7 +77,8 @@ def read_mjcf(path: Path) -> SceneDraft:
     file written by `scenes.export`, else the origin. Classes follow from names
     (`surface_of_name`); other geoms get class ``other`` with reflectivity 0.30, and one warning
     names them. Joints and actuators are left out: bodies keep the pose that the file gives them. A
-    file without a light gets a sun. Ground far from height 0 is moved there.
+    file without a light gets a sun. Ground far from height 0 is moved there, and so is a scene more
+    than 1 km from the origin, such as one in map coordinates: `scenes.importers.origin`.
 
     Raises FileNotFoundError for a missing file or asset, ValueError for a file that MuJoCo cannot
     read, for one beyond the limits of `scenes.importers.mjcf_limits`, `scenes.importers.trial` and
@@ -85,12 +93,27 @@ def read_mjcf(path: Path) -> SceneDraft:
         raise ValueError(f"{path}: not a valid MJCF file: {_one_line(error)}") from error
     remove_motion(spec, path)
     model, data = _compiled(spec, path)
-    xy, yaw = _takeoff(model, data)
+    takeoff = _takeoff(model, data)
     if _remove_vehicle(spec):
         model, data = _compiled(spec, path)
+    origin_xy = far_origin(model, data, None if takeoff is None else takeoff.xy_m)
+    xy, yaw = takeoff or _Takeoff(origin_xy, 0.0)
+    if coarse := coarse_meshes(model):
+        _warn_once(
+            path,
+            f"meshes are read in single precision ({', '.join(coarse[:4])}); subtract a common "
+            "offset from their vertices and give it to the geoms as pos",
+        )
     ground = _ground_height(model, data, xy)
-    if abs(ground) > _MAX_GROUND_M:
-        _raise_world(spec, -ground)
+    origin = np.array([*origin_xy, ground if abs(ground) > _MAX_GROUND_M else 0.0])
+    if origin.any():
+        move_world(spec, -origin)
+    if origin_xy.any():
+        _warn_once(
+            path,
+            f"the world's origin is moved to x {origin[0]:.0f}, y {origin[1]:.0f} of the file; "
+            "sites and results count from there",
+        )
     if not spec.lights:
         spec.worldbody.add_light(
             name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=[-0.4, 0.3, -0.86],
@@ -98,11 +121,12 @@ def read_mjcf(path: Path) -> SceneDraft:
         )  # fmt: skip
     return SceneDraft(
         spec=spec,
-        takeoff_xy_m=xy,
+        takeoff_xy_m=xy - origin_xy,
         takeoff_yaw=yaw,
-        bounds_xy_m=_bounds(model, data, xy, path),
+        bounds_xy_m=_bounds(model, data, xy, path) - origin_xy,
         surfaces=_surfaces(spec, path),
         ground=None,
+        origin_m=origin,
     )
 
 
@@ -205,23 +229,6 @@ def _ground_height(model: Any, data: Any, xy_m: np.ndarray) -> float:
     return top - float(distance)
 
 
-def _raise_world(spec: Any, by_m: float) -> None:
-    """Moves all elements of the world up."""
-    world = spec.worldbody
-    offset = np.array([0.0, 0.0, by_m])
-    for element in (*world.geoms, *world.bodies, *world.sites, *world.cameras, *world.lights):
-        if element.frame is not None:
-            continue
-        ends = getattr(element, "fromto", np.full(6, np.nan))
-        if np.isfinite(ends[0]):
-            element.fromto = ends + np.tile(offset, 2)
-        else:
-            element.pos = element.pos + offset
-    for frame in world.frames:
-        if frame.frame is None:
-            frame.pos = frame.pos + offset
-
-
 def _warn_once(path: Path, text: str) -> None:
     """Warns once in a process, since a file is read several times."""
     if (key := (str(path.resolve()), text)) not in _warned:
@@ -234,7 +241,13 @@ def _one_line(error: Exception) -> str:
     return "MuJoCo needs more memory than there is" if "unknown exception" in text else text
 
 
-def _takeoff(model: Any, data: Any) -> tuple[np.ndarray, float]:
+class _Takeoff(NamedTuple):
+    xy_m: np.ndarray
+    yaw: float
+
+
+def _takeoff(model: Any, data: Any) -> _Takeoff | None:
+    """The take-off spot that the file names, if it does."""
     for kind, name, positions, matrices in (
         (mujoco.mjtObj.mjOBJ_SITE, "takeoff", data.site_xpos, data.site_xmat),
         (mujoco.mjtObj.mjOBJ_BODY, "takeoff", data.xpos, data.xmat),
@@ -243,8 +256,9 @@ def _takeoff(model: Any, data: Any) -> tuple[np.ndarray, float]:
         index = mujoco.mj_name2id(model, kind, name)
         if index >= 0:
             rotation = matrices[index].reshape(3, 3)
-            return positions[index, :2].copy(), float(np.arctan2(rotation[1, 0], rotation[0, 0]))
-    return np.zeros(2), 0.0
+            yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+            return _Takeoff(positions[index, :2].copy(), yaw)
+    return None
 
 
 def _surfaces(spec: Any, path: Path) -> dict[str, Surface]:
@@ -281,16 +295,10 @@ def _bounds(model: Any, data: Any, takeoff_xy_m: np.ndarray, path: Path) -> np.n
     """The horizontal box around all finite geoms, cut to 160 m around the take-off spot; that
     whole square where an infinite plane lies below. Warns of a size that is unlikely in metres."""
     window = np.stack([takeoff_xy_m - _HALF_BOUNDS_M, takeoff_xy_m + _HALF_BOUNDS_M])
-    planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
-    if bool((planes & (model.geom_size[:, :2] == 0.0).any(axis=1)).any()) or model.ngeom == 0:
+    box = finite_box(model, data)
+    if box is None or infinite_planes(model).any():
         return window
-    centres = np.where(planes[:, None], 0.0, model.geom_aabb[:, :3])
-    half = np.where(planes[:, None], model.geom_size * [1.0, 1.0, 0.0], model.geom_aabb[:, 3:])
-    rotations = data.geom_xmat.reshape(-1, 3, 3)
-    world = np.einsum("nij,nj->ni", rotations, centres) + data.geom_xpos
-    reach = np.einsum("nij,nj->ni", np.abs(rotations), half)
-    low, high = (world - reach).min(axis=0)[:2], (world + reach).max(axis=0)[:2]
-    size = float((high - low).max())
+    size = float((box[1] - box[0]).max())
     if not _SMALL_M <= size <= _HUGE_M:
         _warn_once(path, f"the scene is {size:.3g} m across; are its lengths in metres?")
-    return np.stack([np.maximum(low, window[0]), np.minimum(high, window[1])])
+    return np.stack([np.maximum(box[0], window[0]), np.minimum(box[1], window[1])])

@@ -26,6 +26,8 @@ class SceneFacts:
 
     takeoff_xy_m: tuple[float, float]
     takeoff_yaw_deg: float
+    origin_m: tuple[float, float, float]
+    """of the world's origin in the coordinates of the scene's file"""
     takeoff_geom: str
     """geom below the vehicle"""
     takeoff_class: str
@@ -65,6 +67,7 @@ def scene_facts(
     return SceneFacts(
         takeoff_xy_m=(x, y),
         takeoff_yaw_deg=float(np.rad2deg(scene.takeoff_yaw)),
+        origin_m=(*scene.origin_m.tolist(),),
         takeoff_geom=name,
         takeoff_class=scene.surfaces[name].land_class if name in scene.surfaces else "other",
         takeoff_above_m=level - float(np.median(heights[around])) if around.any() else 0.0,

@@ -125,7 +125,8 @@ class _Caster:
                 if not model.geom_size[geom, :2].any():
                     self._planes.append(_Plane(geom, pose.translation, pose.rotation[:, 2]))
                     continue
-            mesh = geom_mesh(model, geom, _STRIP_REACH_M)
+            around = pose.inverse().apply(np.array([*origin_xy_m, 0.0]))
+            mesh = geom_mesh(model, geom, _STRIP_REACH_M, around=(around[0], around[1]))
             if mesh is None or not len(mesh[1]):
                 continue
             local = shift @ pose

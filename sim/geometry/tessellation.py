@@ -39,17 +39,23 @@ _BOX_QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 
 
 
 def geom_mesh(
-    model: mujoco.MjModel, geom_id: int, plane_reach_m: float, porous: bool = False
+    model: mujoco.MjModel,
+    geom_id: int,
+    plane_reach_m: float,
+    porous: bool = False,
+    around: tuple[float, float] = (0.0, 0.0),
 ) -> Mesh | None:
     """Triangles of one geom in the geom's own frame, or None for a kind that has no surface here
     (flexible shapes). Signed-distance shapes have the mesh that MuJoCo makes of them. An unbounded
-    plane reaches ``plane_reach_m`` around its origin."""
+    plane reaches ``plane_reach_m`` around the point ``around`` of its own frame."""
     size = np.array(model.geom_size[geom_id])
     kind = int(model.geom_type[geom_id])
     data_id = int(model.geom_dataid[geom_id])
     types = mujoco.mjtGeom
     if kind == types.mjGEOM_PLANE:
-        return plane(np.where(size[:2] > 0.0, size[:2], plane_reach_m))
+        bounded = size[:2] > 0.0
+        half_sizes = np.where(bounded, size[:2], plane_reach_m)
+        return plane(half_sizes, np.where(bounded, 0.0, around))
     if kind == types.mjGEOM_HFIELD:
         return height_field(model, data_id)
     if kind == types.mjGEOM_MESH or (kind == types.mjGEOM_SDF and data_id >= 0):
@@ -67,11 +73,12 @@ def geom_mesh(
     return None
 
 
-def plane(half_sizes: Array) -> Mesh:
-    """A rectangle in z = 0, cut into cells so that single-precision hits stay exact."""
+def plane(half_sizes: Array, middle: Array) -> Mesh:
+    """A rectangle in z = 0 around (2,) ``middle``, cut into cells so that single-precision hits
+    stay exact."""
     counts = np.clip(np.ceil(2.0 * half_sizes / _PLANE_CELL_M), 1, _MOST_PLANE_CELLS).astype(int)
-    xs = np.linspace(-half_sizes[0], half_sizes[0], counts[0] + 1)
-    ys = np.linspace(-half_sizes[1], half_sizes[1], counts[1] + 1)
+    (left, low), (right, high) = middle - half_sizes, middle + half_sizes
+    xs, ys = np.linspace(left, right, counts[0] + 1), np.linspace(low, high, counts[1] + 1)
     return _grid_vertices(xs, ys, np.zeros((ys.size, xs.size))), _grid_triangles(ys.size, xs.size)
 
 

@@ -81,10 +81,13 @@ class LidarScene:
         self.optics = optical_table(model, scene)
         rest = mujoco.MjData(model)
         mujoco.mj_kinematics(model, rest)
-        reach = float(np.abs(scene.bounds_xy_m).max()) + _PLANE_MARGIN_M
+        middle = np.array([*scene.bounds_xy_m.mean(axis=0), 0.0])
+        reach = float(np.abs(scene.bounds_xy_m - middle[:2]).max()) + _PLANE_MARGIN_M
         blocks: dict[int, tuple[list[Array], list[Int32], list[int], ShapeTable]] = {}
         for geom_id in _visible_geoms(model):
-            mesh = geom_mesh(model, geom_id, reach, bool(self.optics.porosity[geom_id] > 0.0))
+            around = geom_pose(rest, geom_id).inverse().apply(middle)
+            porous = bool(self.optics.porosity[geom_id] > 0.0)
+            mesh = geom_mesh(model, geom_id, reach, porous, (around[0], around[1]))
             if mesh is None or not len(mesh[1]):
                 continue
             root = moving_root(model, int(model.geom_bodyid[geom_id]))

@@ -99,7 +99,7 @@ def start_and_hang(directory: Path) -> None:
 def feed_a_child(_directory: Path) -> None:
     """A child takes the memory."""
     code = "x = bytearray(400_000_000); x[::4096] = b'x' * len(x[::4096]); input()"
-    subprocess.run([sys.executable, "-c", code], stdin=subprocess.PIPE)
+    subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE)
     time.sleep(1000.0)
 
 

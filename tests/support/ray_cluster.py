@@ -44,8 +44,10 @@ class Cluster:
     def join(self, name: str, hidden: Path | None = None) -> None:
         """Starts a node; another empty file system lies over ``hidden`` there."""
         count = len(self.nodes())
-        command = [sys.executable, "-c", "from ray.scripts.scripts import main; main()", "start",
-                   "--block", "--num-cpus=1", f"--address={self.address}", f"--node-name={name}"]  # fmt: skip
+        command = [
+            sys.executable, "-c", "from ray.scripts.scripts import main; main()", "start",
+            "--block", "--num-cpus=1", f"--address={self.address}", f"--node-name={name}",
+        ]  # fmt: skip
         if hidden is not None:
             inner = 'mount -t tmpfs none "$0" && exec "$@"'
             command = ["unshare", "--mount", "sh", "-c", inner, str(hidden), *command]

@@ -144,7 +144,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
 
     @replaced("classification.train.train_network", "training")
     def _(data: list[str], out: Path, options: dict[str, Any], *rest: Any) -> dict[str, Any]:
-        out.mkdir(parents=True)
+        out.mkdir(parents=True, exist_ok=True)
         (out / "network.onnx").write_text("weights")
         return {"epochs": options["epochs"]}
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from touchdown.experiments.campaign.results_table import is_successful
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.run_directory import write_text
 from touchdown.experiments.reporting.flights import Row, number
 
@@ -114,7 +115,7 @@ def read_baseline(path: Path) -> Baseline:
     if not path.is_file():
         raise UsageError(f"baseline '{path}' does not exist; write it with --update")
     try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
+        tree = read_object(path)
         if tree["format"] != FORMAT:
             raise ValueError(f"its format is {tree['format']!r}, not {FORMAT!r}")
         cells = {

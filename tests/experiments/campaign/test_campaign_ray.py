@@ -97,7 +97,7 @@ def test_a_node_that_joins_later_is_checked_when_its_actor_starts(
 ) -> None:
     ray, out = FakeRay(Node("near")), tmp_path / "out"
     ray.joined = [elsewhere(tmp_path, "late")]
-    with pytest.raises(UsageError, match="the Ray node late .* does not see"):
+    with pytest.raises(UsageError, match=r"the Ray node late .* does not see"):
         flown(monkeypatch, plan, out, ray)
     assert not list(tmp_path.glob("disk-of-late/**/runs"))
     assert len(ray.killed) == 2, "no actor is left"
@@ -118,7 +118,7 @@ def test_a_node_that_reads_alone_is_refused(
         return other
 
     copy = dataclasses.replace(node, sees=sees)
-    with pytest.raises(UsageError, match="the Ray node copy .* writes into another"):
+    with pytest.raises(UsageError, match=r"the Ray node copy .* writes into another"):
         flown(monkeypatch, plan, tmp_path / "out", FakeRay(Node("near"), copy))
     assert not (tmp_path / "out" / RUNS).exists()
 
@@ -265,7 +265,7 @@ def test_three_real_nodes_one_of_them_without_the_share(tmp_path: Path) -> None:
     with cluster(tmp_path) as nodes:
         nodes.join("second")
         done = start(*command, nodes.address, **{"RAY_AUTH_MODE": "disabled"})
-        out, err = done.communicate(timeout=300.0)
+        _, err = done.communicate(timeout=300.0)
         assert done.returncode == 0, err
         rows = load_rows(shared / "out")
         assert len(rows) == 4 and all(row["outcome"] == "COMPLETED" for row in rows)
@@ -274,7 +274,7 @@ def test_three_real_nodes_one_of_them_without_the_share(tmp_path: Path) -> None:
         assert len(nodes.nodes()) == 3
         refused = start(*(str(part).replace("/out", "/other") for part in command), nodes.address,
                         **{"RAY_AUTH_MODE": "disabled"})  # fmt: skip
-        out, err = refused.communicate(timeout=300.0)
+        _, err = refused.communicate(timeout=300.0)
         assert refused.returncode == 2, err
         (line,) = err.strip().splitlines()
         assert line.startswith("touchdown: error: the Ray node third (")

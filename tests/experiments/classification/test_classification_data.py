@@ -375,3 +375,14 @@ def test_geom_classes_by_surface() -> None:
     model = SimpleNamespace(ngeom=4, geom=lambda i: SimpleNamespace(name=names[i]))
     scene: Any = SimpleNamespace(model=model, surfaces=surfaces)
     assert list(patches.geom_classes(scene)) == [0, 5, 255, 255]
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "", "a/../../b.png"])
+def test_a_manifest_names_images_of_its_folder_alone(name: str, tmp_path: Path) -> None:
+    from touchdown.experiments.classification.render_dataset import COLUMNS
+
+    row = dict.fromkeys(COLUMNS, "0") | {"file": name, "d_land": "lawn", "split": "train"}
+    lines = [COLUMNS, [row[column] for column in COLUMNS]]
+    (tmp_path / "manifest.csv").write_text("".join(",".join(line) + "\n" for line in lines))
+    with pytest.raises(UsageError, match=r"manifest\.csv', line 2: .* is no name of a file in"):
+        read_catalogue(str(tmp_path), "d_land")

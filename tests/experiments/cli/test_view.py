@@ -107,7 +107,8 @@ def test_the_viewer_ends_with_the_command(run: Path, tmp_path: Path, number: int
     viewer, child, *arguments = (package / "seen").read_text().splitlines()
     command.send_signal(number)
     out, err = command.communicate(timeout=30.0)
-    assert command.returncode == 130 and err.strip() == "touchdown: interrupted"
+    assert command.returncode == (143 if number == signal.SIGTERM else 130)
+    assert err.strip() == "touchdown: interrupted"
     assert out.startswith("http://127.0.0.1:") and "ssh -L " in out
     assert arguments[:2] == [str(run / "flight.rrd"), "--serve-web"]
     assert _gone(int(viewer)) and _gone(int(child))

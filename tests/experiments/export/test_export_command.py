@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from touchdown.experiments.cli import main as cli
-from touchdown.experiments.export.flown_run import ExportOptions
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.export.flown_run import ExportOptions, open_flown
 from touchdown.experiments.export.run import export
 from touchdown.experiments.external.synthetic_stream import synthetic_rig
 
@@ -130,3 +132,31 @@ def test_invalid_input_is_one_line_and_leaves_no_files(
     assert errors.count("\n") == 1 and message in errors
     assert sorted(path for path in tmp_path.rglob("*")) == before
     assert (tmp_path / "note.txt").read_text() == "mine"
+
+
+def test_a_log_named_in_a_result_must_be_of_its_flight(run: Path, tmp_path: Path) -> None:
+    """`replay_of` comes from a file: it does not open any log of the machine."""
+    other = tmp_path / "replay"
+    other.mkdir()
+    for name in ("truth.tum", "estimate.tum"):
+        (other / name).write_bytes((run / name).read_bytes())
+    flown = json.loads((run / "result.json").read_text())
+    facts = {key: flown.get(key) for key in ("scene", "seed", "estimator")}
+    facts |= {"replay_of": str(run), "flown_by": flown.get("estimator")}
+    (other / "result.json").write_text(json.dumps(facts))
+    assert open_flown(other).sensors() == run / "sensors.mcap"
+    for change in ({"seed": 77}, {"scene": "lake"}, {"flown_by": "x"}, {"replay_of": [str(run)]}):
+        (other / "result.json").write_text(json.dumps(facts | change))
+        with pytest.raises(UsageError, match=r"has no sensors\.mcap"):
+            open_flown(other).sensors()
+
+
+def test_a_bag_with_something_of_the_user_is_not_replaced(
+    run: Path, bag: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "bag"
+    shutil.copytree(bag, out)
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(UsageError, match="holds something that is no earlier export"):
+        export(run, "mcap", out, ExportOptions())
+    assert (out / "notes.txt").read_text() == "mine"

@@ -95,7 +95,9 @@ def test_rows_meet_by_time_and_gaps_stay_empty(run: Path, tmp_path: Path) -> Non
     short = tmp_path / "short"
     short.mkdir()
     (short / "truth.tum").write_bytes((run / "truth.tum").read_bytes())
-    (short / "result.json").write_text(json.dumps({"replay_of": str(run)}))
+    flown = json.loads((run / "result.json").read_text())
+    facts = {key: flown.get(key) for key in ("scene", "seed")}
+    (short / "result.json").write_text(json.dumps(facts | {"replay_of": str(run)}))
     rows = (run / "estimate.tum").read_text().splitlines(keepends=True)
     (short / "estimate.tum").write_text("".join(rows[5:20]))
     (short / "reference.tum").write_bytes((run / "truth.tum").read_bytes())

@@ -8,7 +8,9 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from unittest import mock
 
+import psutil
 import pytest
 
 from touchdown.experiments.io import run_directory as whole
@@ -18,6 +20,7 @@ MAKERS = {"run_directory": run_directory, "whole_folder": whole_folder, "whole_f
 HALF = """
 import os, signal, sys
 from pathlib import Path
+from unittest import mock
 from touchdown.experiments.io import run_directory as whole
 with getattr(whole, sys.argv[1])(Path(sys.argv[2])) as partial:
     if sys.argv[1] == "whole_folder":
@@ -68,13 +71,15 @@ def test_the_next_start_removes_what_a_dead_process_left_and_nothing_else(
 
 
 def test_a_process_of_the_same_number_that_began_later_is_another(tmp_path: Path) -> None:
-    partial = tmp_path / f".a.partial-{socket.gethostname()}.{os.getpid()}"
+    partial = tmp_path / ".a.partial"
     partial.write_text("")
-    assert not whole._is_abandoned(partial)
-    assert not whole._is_abandoned(partial.with_name(f".a.partial-x.{os.getpid()}"))
-    first = partial.with_name(f".a.partial-{socket.gethostname()}.1")
-    first.write_text("")
-    assert not whole._is_abandoned(first)
+    here = socket.gethostname()
+    assert not whole._is_abandoned(partial, here, str(os.getpid()))
+    assert not whole._is_abandoned(partial, "x", str(os.getpid()))
+    assert not whole._is_abandoned(partial, here, "1")
+    begun = psutil.Process().create_time()
+    with mock.patch("psutil.Process.create_time", return_value=begun + 1e6):
+        assert whole._is_abandoned(partial, here, str(os.getpid()))
 
 
 @pytest.mark.parametrize("can_exchange", [True, False])

@@ -1,0 +1,160 @@
+"""Names, documents and links in files of other people; unfinished files of dead processes."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.foreign import inside, is_plain_name, read_object, refuse_links
+from touchdown.experiments.io.run_directory import (
+    check_out_dir,
+    default_out_dir,
+    run_directory,
+    whole_file,
+    write_text,
+)
+
+STRANGE = (
+    "",
+    ".",
+    "..",
+    "a/b",
+    "/a",
+    "../a",
+    "a\n",
+    "\x1b[2J",
+    "\ud800",
+    "a\0",
+    "x" * 201,
+    3,
+    None,
+)
+
+
+@pytest.mark.parametrize("name", STRANGE)
+def test_names_that_lead_elsewhere_are_none(name: object) -> None:
+    assert not is_plain_name(name)
+
+
+@pytest.mark.parametrize("name", ["a", "...", ".a", "crossroad-gps-s3-w6", "Wäldchen-a b-s0"])
+def test_plain_names(name: str, tmp_path: Path) -> None:
+    assert is_plain_name(name) and inside(tmp_path, name) == tmp_path / name
+
+
+def test_paths_stay_inside(tmp_path: Path) -> None:
+    assert inside(tmp_path, "lake/3.png") == tmp_path / "lake" / "3.png"
+    for name in (*STRANGE[:3], *STRANGE[4:], "a/../../b", "a//b", "a/", None):
+        with pytest.raises(ValueError, match="is no name of a file in"):
+            inside(tmp_path, name)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"[]", "holds no object"),
+        (b"[" * 100_000, "nested too deeply"),
+        (b"\xff\xfe{}", "not UTF-8"),
+        (b"{", "Expecting property name"),
+        (b'{"a": ' + b"9" * 5000 + b"}", "digits"),
+    ],
+)
+def test_documents_that_are_none_have_a_reason_of_one_line(
+    content: bytes, reason: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "x.json"
+    file.write_bytes(content)
+    with pytest.raises(ValueError, match=reason) as caught:
+        read_object(file)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_pipe_is_no_document(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "x.json")
+    with pytest.raises(ValueError, match="no regular file"):
+        read_object(tmp_path / "x.json")
+
+
+def test_links_are_refused_wherever_they_lead(tmp_path: Path) -> None:
+    (tmp_path / "plain").mkdir()
+    refuse_links([tmp_path / "plain", tmp_path / "none"], "a campaign")
+    (tmp_path / "link").symlink_to(tmp_path / "plain")
+    (tmp_path / "dangling").symlink_to(tmp_path / "none")
+    for name in ("link", "dangling"):
+        with pytest.raises(UsageError, match=f"{name}' is a link; a campaign uses none"):
+            refuse_links([tmp_path / "plain", tmp_path / name], "a campaign")
+
+
+# ----------------------------------------------------------------------------- files that are made
+
+
+def _dead_process() -> int:
+    done = subprocess.Popen([sys.executable, "-c", ""])
+    done.wait()
+    return done.pid
+
+
+def test_leavings_of_a_killed_process_go_at_the_next_start(tmp_path: Path) -> None:
+    dead = tmp_path / f".run.partial-{_dead_process()}"
+    alive = tmp_path / f".run.partial-{os.getppid()}"
+    other = tmp_path / f".runner.partial-{_dead_process()}"
+    for folder in (dead, alive, other):
+        folder.mkdir()
+        (folder / "truth.tum").write_text("0")
+    with run_directory(tmp_path / "run") as partial:
+        (partial / "result.json").write_text("{}")
+    assert sorted(tmp_path.iterdir()) == sorted([alive, other, tmp_path / "run"])
+    cut = tmp_path / f".file.json.partial-{_dead_process()}"
+    cut.write_text("{")
+    with whole_file(tmp_path / "file.json") as partial:
+        partial.write_text("{}")
+    assert not cut.exists()
+
+
+def test_a_link_in_the_way_of_a_file_leads_nowhere(tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("mine")
+    partial = tmp_path / f".file.partial-{socket.gethostname()}.{os.getpid()}"
+    partial.symlink_to(tmp_path / "mine")
+    write_text(tmp_path / "file", "new")
+    assert (tmp_path / "file").read_text() == "new" and (tmp_path / "mine").read_text() == "mine"
+
+
+def test_only_runs_are_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "papers"
+    folder.mkdir()
+    check_out_dir(folder)
+    for text in ("{}", "[1]", '{"outcome": "of an election"}'):
+        (folder / "result.json").write_text(text)
+        with pytest.raises(UsageError, match="holds something that is no run"):
+            check_out_dir(folder)
+    run = '{"outcome": "LANDED", "scene": "flat", "seed": 0, "estimator": "gps"}'
+    (folder / "result.json").write_text(run)
+    check_out_dir(folder)
+    monkeypatch.chdir(folder)
+    for here in (Path(), folder, Path(".."), tmp_path):
+        with pytest.raises(UsageError, match="is the working directory or above it"):
+            check_out_dir(here)
+
+
+def test_a_link_as_out_stays_and_its_target_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "big-disk" / "run").mkdir(parents=True)
+    (tmp_path / "big-disk" / "run" / "old").touch()
+    (tmp_path / "run").symlink_to(tmp_path / "big-disk" / "run")
+    with run_directory(tmp_path / "run") as partial:
+        (partial / "new").touch()
+    assert (tmp_path / "run").is_symlink()
+    assert [path.name for path in (tmp_path / "big-disk" / "run").iterdir()] == ["new"]
+
+
+def test_names_of_a_configuration_make_no_path() -> None:
+    assert default_out_dir("places/yard.xml", "lab.vio:build", 3) == Path(
+        "runs/yard-lab.vio.build-3"
+    )
+    assert default_out_dir("flat", "gps", 0, "-replay") == Path("runs/flat-gps-0-replay")
+    strange = default_out_dir("..", "a/../../home/b:c", 0)
+    assert strange.parent == Path("runs") and is_plain_name(strange.name)

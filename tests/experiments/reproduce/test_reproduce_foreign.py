@@ -1,0 +1,118 @@
+"""Directories of reproductions that other people made: nothing outside is read or touched."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.reproduce import run as reproduce
+from touchdown.experiments.reproduce.steps import PARTS
+
+if TYPE_CHECKING:
+    from support.reproduce_world import World
+
+pytest_plugins = ("support.reproduce_world",)
+
+CHEAP = ("world", "sites", "recognition", "speed")
+
+
+def run_cheap(out: Path) -> reproduce.Reproduction:
+    skip = [part.name for part in PARTS if part.name not in CHEAP]
+    return reproduce.reproduce(out, quick=True, jobs=1, skip=skip)
+
+
+@pytest.fixture
+def out(world: World, tmp_path: Path) -> Path:
+    directory = tmp_path / "home" / "out"
+    run_cheap(directory)
+    victim = tmp_path / "home" / "victim"
+    victim.mkdir()
+    (victim / "thesis.txt").write_text("years of work")
+    world.calls.clear()
+    return directory
+
+
+def changed(file: Path, **changes: Any) -> None:
+    state = json.loads(file.read_text())
+    figures = changes.pop("figures", {})
+    state = state | changes | {"figures": state["figures"] | figures}
+    file.write_text(json.dumps(state))
+
+
+@pytest.mark.parametrize(
+    ("part", "changes"),
+    [
+        ("recognition", {"figures": {"folder": "../../victim"}}),
+        ("recognition", {"figures": {"folder": "/etc"}}),
+        ("recognition", {"figures": {"folder": 3}}),
+        ("world", {"figures": {"scenes": ["../../../victim/thesis"]}}),
+        ("world", {"figures": {"scenes": [["lake"]]}}),
+        ("world", {"figures": {"scenes": None}}),
+        ("sites", {"figures": {"places": [{"scene": "/../../../../victim/x"}]}}),
+        ("sites", {"figures": {"places": [{}]}}),
+        ("speed", {"part": "world"}),
+        ("speed", {"edition": "../x"}),
+        ("speed", {"wall_s": "long"}),
+        ("speed", {"error": None}),
+        ("speed", {"settings": []}),
+        ("speed", {"more": 1}),
+    ],
+)
+def test_states_that_name_other_files_are_damaged(
+    part: str, changes: dict[str, Any], out: Path, world: World
+) -> None:
+    changed(out / part / "part.json", **changes)
+    with pytest.raises(UsageError, match=r"part\.json' is damaged .*; delete it") as caught:
+        run_cheap(out)
+    assert "\n" not in str(caught.value) and not world.calls
+
+
+@pytest.mark.parametrize("text", ["[]", "[" * 100_000, "", "{}"])
+def test_states_that_are_none_are_damaged(text: str, out: Path) -> None:
+    (out / "speed" / "part.json").write_text(text)
+    with pytest.raises(UsageError, match=r"part\.json' is damaged"):
+        run_cheap(out)
+
+
+def test_figures_that_the_report_lacks_are_named(out: Path) -> None:
+    state = json.loads((out / "speed" / "part.json").read_text()) | {"figures": {}}
+    (out / "speed" / "part.json").write_text(json.dumps(state))
+    with pytest.raises(UsageError, match=r"speed/part\.json' lacks figures of its part; delete it"):
+        run_cheap(out)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [".lock", "reproduction.json", "report", "speed", "world/pictures", "speed/part.json",
+     "speed/error.txt", "positioning", "recognition/quick", "recognition/quick/networks",
+     "recognition/quick/networks/resnet18-d_land", "speed/.part.json.1", ".x.partial-1"],
+)  # fmt: skip
+@pytest.mark.parametrize("target", ["victim", "victim/thesis.txt", "nothing"])
+def test_links_in_the_directory_are_refused(
+    name: str, target: str, out: Path, world: World
+) -> None:
+    link, home = out / name, out.parent
+    if link.is_dir():
+        shutil.rmtree(link)
+    link.unlink(missing_ok=True)
+    link.symlink_to(home / target)
+    with pytest.raises(UsageError, match="is a link; a reproduction uses none"):
+        run_cheap(out)
+    assert not world.calls and not (home / "nothing").exists()
+    assert [path.name for path in (home / "victim").iterdir()] == ["thesis.txt"]
+    assert (home / "victim" / "thesis.txt").read_text() == "years of work"
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"network": "x", "labels": "d_land"}'])
+def test_scores_of_something_else_are_measured_anew(text: str, out: Path, world: World) -> None:
+    file = out / "recognition" / "quick" / "networks" / "resnet18-d_land" / "scores.json"
+    before = file.read_text()
+    file.write_text(text)
+    (out / "recognition" / "part.json").unlink()
+    assert run_cheap(out).successful and world.count("scores") == 2
+    assert file.read_text() == before
