@@ -348,5 +348,5 @@ def geotiff_case(rng: Rng, folder: Path, _shared: Path) -> Case:
         options += ("--centre", str(pick(rng, (60, *NUMBERS))), str(pick(rng, (60, *NUMBERS))))
     if chance(rng, 0.1):
         options += ("--class", str(pick(rng, ("lawn", "water", "feld", ""))))
-    out = pick(rng, ("out", "out", "a/b/out", dem))
+    out = dem if chance(rng, 0.04) else pick(rng, ("out", "out", "a/b/out"))
     return Case(arguments=("scenes", "import-dem", dem, out, *options), writes=(out,))
