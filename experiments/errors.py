@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import errno
 import os
+import re
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -23,6 +24,36 @@ def visible(text: object, keep: str = "") -> str:
     if words.isprintable():
         return words
     return "".join(c if c.isprintable() or c in keep else ascii(c)[1:-1] for c in words)
+
+
+def is_text(text: str) -> bool:
+    """True unless text holds half a character (a lone surrogate) or a zero byte: no file, table or
+    terminal takes it."""
+    return "\0" not in text and not any("\ud800" <= letter <= "\udfff" for letter in text)
+
+
+def broken_text(tree: Any) -> str | None:
+    """The first key or value in nested tables and lists that is no text, as an escape; None where
+    all are."""
+    left = [tree]
+    while left:
+        item = left.pop()
+        if isinstance(item, dict):
+            left += [inner for pair in item.items() for inner in pair]
+        elif isinstance(item, list):
+            left += item
+        elif isinstance(item, str) and not is_text(item):
+            return ascii(item)[:60]
+    return None
+
+
+def plain_fault(message: str) -> str:
+    """A message of pydantic without the names of classes, beginning in lower case."""
+    words = re.sub(
+        r" or instance of \w+|, unable to parse raw data as a unicode string", "", message
+    )
+    words = words.replace("a valid dictionary", "a table").replace("an object", "a table")
+    return f"{words[:1].lower()}{words[1:]}"
 
 
 _REMEDIES = {

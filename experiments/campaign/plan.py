@@ -25,7 +25,7 @@ from touchdown.experiments.config.loading import (
 )
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds
-from touchdown.experiments.errors import UsageError, nearest
+from touchdown.experiments.errors import UsageError, nearest, plain_fault
 from touchdown.experiments.io.foreign import LONGEST_NAME, is_plain_name, shown
 
 _OWN_KEYS = {
@@ -202,8 +202,7 @@ def _parse(tree: Mapping[str, Any], source: str) -> CampaignFile:
             ) from None
         if first["type"] == "missing":
             raise UsageError(f"{source} lacks '{key}'") from None
-        message = first["msg"][:1].lower() + first["msg"][1:]
-        raise UsageError(f"{key} in {source} is wrong: {message}") from None
+        raise UsageError(f"{key} in {source} is wrong: {plain_fault(first['msg'])}") from None
 
 
 def _siblings(location: tuple[int | str, ...]) -> list[str]:

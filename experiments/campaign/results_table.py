@@ -12,7 +12,7 @@ from typing import Any
 from touchdown.experiments.campaign.plan import config_sha
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.loading import load_config
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import UsageError, is_text
 from touchdown.experiments.io.foreign import is_plain_name, read_object, shown
 from touchdown.experiments.io.results import (
     RunResult,
@@ -149,10 +149,13 @@ def _kind(value: Any) -> str:
 def _cast(value: Any, kind: str) -> Any:
     if value is None:
         return None
-    if kind == "float":
-        return float(value) if _kind(value) == "float" and math.isfinite(value) else None
-    if kind == "floats":
-        return [float(item) for item in value] if _kind(value) == "floats" else None
+    try:
+        if kind == "float":
+            return float(value) if _kind(value) == "float" and math.isfinite(value) else None
+        if kind == "floats":
+            return [float(item) for item in value] if _kind(value) == "floats" else None
+    except OverflowError:
+        return None  # a whole number of hundreds of digits
     if kind == "json" or (kind == "text" and not isinstance(value, str)):
         return json.dumps(value)
     return value
@@ -328,6 +331,8 @@ def _plain_rows(directory: Path) -> list[dict[str, Any]]:
         raise UsageError(f"'{directory}' is no directory of runs")
     rows = []
     for path in sorted(directory.rglob("result.json")):
+        if not is_text(str(path)):
+            raise UsageError(f"the name of '{path.parent}' is no UTF-8 text; rename that directory")
         result, name = load_result(path), path.parent.relative_to(directory).as_posix()
         mode, sha = _mode_and_sha(path.with_name("config.json"), result)
         rows.append(make_row(result, name if name != "." else directory.name, mode, sha))

@@ -100,9 +100,7 @@ def fly_campaign(
             if todo:
                 engine.run(todo, plan.limits, arrivals.see)
         except EngineStoppedError as error:
-            raise UsageError(
-                f"--out {directory}: {error}; make room, then give the same command again"
-            ) from error
+            raise UsageError(f"--out {directory}: {error}") from error
         finally:
             watcher.end()
             sweep(directory, [task.run_id for task in todo], whole=shard is None)

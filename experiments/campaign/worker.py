@@ -47,7 +47,12 @@ PARTIAL = ".partial"
 """Folder of a campaign's directory in which runs are flown; those of dead processes are swept."""
 
 RECORDING = "flight.rrd"
-_NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+_NO_SPACE = {
+    errno.ENOSPC: "make room, then give the same command again",
+    errno.EDQUOT: "make room, then give the same command again",
+    errno.EROFS: "name another --out",
+}
+"""Errors that end a campaign, and their remedies."""
 
 REAL_RUNNER = "touchdown.experiments.campaign.worker:run_task"
 
@@ -199,17 +204,18 @@ def serve() -> None:
 
 
 def _error_message(error: Exception) -> dict[str, Any]:
-    kind = "error"
     cause = error.__cause__ or error
+    text = " ".join(str(error).split())
     if isinstance(cause, OSError) and cause.errno in _NO_SPACE:
-        kind = "disk"
+        kind, text = "disk", f"{os.strerror(cause.errno)}; {_NO_SPACE[cause.errno]}"
     elif isinstance(error, UsageError):
         kind = "input"
-    text = " ".join(str(error).split())
+    else:
+        kind, text = "error", f"{type(error).__name__}: {text}"
     return {
         "event": "error",
         "kind": kind,
-        "error": text if kind == "input" else f"{type(error).__name__}: {text}",
+        "error": text,
         "traceback": "".join(traceback.format_exception(error)),
     }
 

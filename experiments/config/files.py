@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import UsageError, input_message, is_text
 
 MOST_BYTES = 16 << 20
 """of a configuration file"""
@@ -50,8 +50,10 @@ def _text(file: Path) -> str:
         with file.open("rb") as opened:
             content = opened.read(MOST_BYTES + 1)
         text = content.decode("utf-8-sig")
-    except (UnicodeDecodeError, OSError) as error:
+    except UnicodeDecodeError as error:
         raise UsageError(f"'{file}' cannot be read as text: {_one_line(error)}") from None
+    except OSError as error:
+        raise UsageError(input_message(error)) from None
     if len(content) > MOST_BYTES:
         raise UsageError(
             f"'{file}' has more than {MOST_BYTES >> 20} MB, which no configuration needs; name the "
@@ -84,13 +86,9 @@ def wrong_value(value: Any) -> str:
             left += [(inner, depth + 1) for inner in item]
         elif isinstance(item, int) and abs(item) > LARGEST:
             return _TOO_LARGE
-        elif isinstance(item, str) and not _is_text(item):
+        elif isinstance(item, str) and not is_text(item):
             return f"is no text: {ascii(item)[:60]} has half a character or a zero byte; correct it"
     return ""
-
-
-def _is_text(text: str) -> bool:
-    return "\0" not in text and not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
 # --------------------------------------------------------------------------------------------- code

@@ -31,7 +31,7 @@ from touchdown.experiments.config.files import read_tree as read_tree
 from touchdown.experiments.config.keys import flatten, is_external_key
 from touchdown.experiments.config.ranges import rule_of
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.errors import UsageError, nearest
+from touchdown.experiments.errors import UsageError, nearest, plain_fault
 
 OPTION_KEYS: Mapping[str, str] = {
     "scene": "scene",
@@ -194,7 +194,7 @@ _OUT_OF_RANGE = {"greater_than", "greater_than_equal", "less_than", "less_than_e
 def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping[str, str]) -> str:
     """One line about the first mistake that pydantic found."""
     first = error.errors(include_url=False)[0]
-    message = first["msg"][:1].lower() + first["msg"][1:]
+    message = plain_fault(first["msg"])
     location = [str(part) for part in first["loc"] if not str(part).isdigit()]
     if not location:  # of the configuration as a whole
         files = ", ".join(dict.fromkeys(sources.values()))

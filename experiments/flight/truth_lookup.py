@@ -72,7 +72,7 @@ class TruthLookup:
         lowest = np.where(known, heights, np.inf).min(axis=1)
         above, below = touching[:, 2] - highest, lowest - touching[:, 2]
         gaps = np.where(above > 0.0, above, -np.maximum(below, 0.0))
-        return float(gaps[np.argmax(np.abs(gaps))])
+        return float(gaps[np.argmax(np.abs(gaps))]) + 0.0  # no negative zero
 
     @cached_property
     def moving_geoms(self) -> frozenset[str]:

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchdown.estimator.api import CalibrationResult
-from touchdown.experiments.errors import UsageError, nearest
+from touchdown.experiments.errors import UsageError, nearest, plain_fault
 from touchdown.experiments.io.run_directory import whole_file
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
@@ -165,7 +165,7 @@ _WORDS: dict[str, Callable[[str], str]] = {
 def _first_mistake(error: ValidationError) -> str:
     first = error.errors(include_url=False)[0]
     key = ".".join(str(part) for part in first["loc"])
-    message = first["msg"][:1].lower() + first["msg"][1:]
+    message = plain_fault(first["msg"])
     return _WORDS.get(first["type"], lambda key: f"{key} is wrong: {message}")(key)
 
 

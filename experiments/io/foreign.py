@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import UsageError, broken_text
 
 LONGEST_NAME = 200
 """bytes of a name; file systems take 255, of which endings such as that of a partial file are left
@@ -53,6 +53,12 @@ def read_object(path: Path) -> dict[str, Any]:
         raise ValueError("it is nested too deeply") from None
     except UnicodeDecodeError:
         raise ValueError("it is not UTF-8 text") from None
+    except json.JSONDecodeError as error:
+        raise ValueError(f"it is no JSON: {error}") from None
+    except ValueError:  # of int()
+        raise ValueError("it holds a number of thousands of digits") from None
+    if (text := broken_text(tree)) is not None:
+        raise ValueError(f"{text} has half a character or a zero byte")
     if not isinstance(tree, dict):
         raise ValueError("it holds no object of keys and values")
     return tree

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import UsageError, input_message, plain_fault
 from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.provenance import plain_json
 
@@ -282,7 +282,7 @@ def load_result(path: Path) -> RunResult:
     try:
         tree = read_object(path)
     except OSError as error:
-        raise UsageError(f"'{path}' cannot be read: {error.strerror or error}") from error
+        raise UsageError(input_message(error)) from error
     except ValueError as error:
         raise UsageError(f"'{path}' is no run's result: {error}") from error
     try:
@@ -308,7 +308,7 @@ def _one_line(error: ValidationError) -> str:
     shown = shown if len(shown) <= 80 else f"{shown[:77]}..."
     if kind is not None:
         return f"{key} = {shown} must be {kind}"
-    return f"{key} = {shown}: {' '.join(fault['msg'].split())}"
+    return f"{key} = {shown}: {plain_fault(fault['msg'])}"
 
 
 def load_runs(directory: Path) -> dict[str, RunResult]:

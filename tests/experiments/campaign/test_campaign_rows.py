@@ -68,8 +68,10 @@ def test_axes_may_grow_and_nothing_else_may_change(tmp_path: Path) -> None:
 
 def test_a_full_disk_ends_the_campaign_in_one_line(tmp_path: Path) -> None:
     plan = make_plan(tmp_path, axes(scene=["flat"], estimator=["fake:fills_the_disk"]))
-    with pytest.raises(UsageError, match="No space left on device; make room"):
+    remedy = "make room, then give the same command again"
+    with pytest.raises(UsageError) as caught:
         fly(plan, tmp_path / "out")
+    assert str(caught.value) == f"--out {tmp_path / 'out'}: No space left on device; {remedy}"
     assert summary(tmp_path / "out")["remaining"] == 1
 
 

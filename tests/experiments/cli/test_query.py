@@ -248,7 +248,7 @@ def _interrupted(runs: Path, sql: str, number: signal.Signals) -> subprocess.Com
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        while not _maps(process.pid, "duckdb"):
+        while process.poll() is None and not _maps(process.pid, "duckdb"):
             time.sleep(0.05)
         time.sleep(2.0)
         os.kill(process.pid, number)
