@@ -294,8 +294,7 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
     else:
         say(
             f"validation top-1 {report['top1_before']:.4f} before, {report['top1']:.4f} after\n"
-            f"written, validation top-1 {report['written']['top1']:.3f}: "
-            f"{report['network_file']} ({report['bytes'] / 1e6:.1f} MB)"
+            f"written: {report['network_file']} ({report['bytes'] / 1e6:.1f} MB)"
         )
     return EXIT_DONE
 

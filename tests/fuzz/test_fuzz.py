@@ -1,138 +1,158 @@
 """Fuzzing: every input is accepted, or refused in one line that names the remedy.
 
-The short run is part of every test run, the long one (``-m slow``) is ten thousand cases. A finding
-is repeated by its kind and number: the same number is the same input.
+The short run is part of every test run, the long one (``-m slow``) is 24,000 cases; docs in
+CONTRIBUTING. A finding is repeated by its kind and number: the same number is the same input.
 """
 
 from __future__ import annotations
 
+import faulthandler
 import os
-import resource
+import signal
 import subprocess
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from fuzz import fuzz_files as files
-from fuzz import fuzz_inputs as inputs
-from fuzz import fuzz_runs as runs
-from fuzz import fuzzing
-from fuzz.fuzzing import Case
+from fuzz import cases, fleet, run_all, worker
+from fuzz.kinds import KINDS
 
-MEMORY_BYTES = 9 << 30
-SHORT = {"set": 150, "config": 80, "campaign": 60, "argv": 40, "mjcf": 8, "runs": 15, "files": 6}
-LONG = {
-    "set": 2800,
-    "config": 1800,
-    "campaign": 1800,
-    "argv": 1400,
-    "mjcf": 700,
-    "runs": 800,
-    "files": 300,
-    "learn": 100,
-}
-WHOLE = 300
-"""Number of inputs run as separate commands."""
-PYTHON = (sys.executable, "-m", "touchdown")
+FOLDER = os.environ.get("TOUCHDOWN_FUZZ", "")
+"""A folder of verdicts that long runs go on from."""
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _limited() -> Iterator[None]:
-    """Imports modules before the first time limit starts, and limits the memory of an input."""
-    fuzzing.import_heavy()
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+@pytest.fixture(scope="module")
+def asked() -> Iterator[fleet.Server]:
+    with fleet.server() as found:
+        yield found
 
 
-def _makers(home: Path) -> dict[str, Callable[[np.random.Generator, Path], Case]]:
-    return {
-        "set": inputs.set_case,
-        "config": inputs.config_case,
-        "campaign": inputs.campaign_case,
-        "argv": inputs.argv_case,
-        "mjcf": files.mjcf_case,
-        "runs": runs.run_case_of(home),
-        "files": files.file_case_of(home),
-        "learn": files.learn_case,
-    }
+def _check(verdicts: fleet.Verdicts) -> None:
+    print(fleet.table(verdicts))
+    found = fleet.causes(verdicts)
+    text = "\n\n".join(fleet.finding_text(same[0]) for same in list(found.values())[:8])
+    assert not found, f"{sum(map(len, found.values()))} of {len(verdicts)}:\n\n{text}"
+    codes = Counter(verdict["code"] for verdict in verdicts)
+    assert codes[2] and codes[2] < len(verdicts), f"all end in one way: {codes}"
 
 
-def _case(kind: str, number: int, home: Path) -> Case:
-    folder = home / f"{kind}{number}"
-    folder.mkdir()
-    rng = np.random.default_rng([number, len(kind), sum(map(ord, kind))])
-    return _makers(home)[kind](rng, folder)
-
-
-def _run(kind: str, numbers: range, home: Path) -> None:
-    if kind == "learn":
-        fuzzing.import_heavy("touchdown.landing.classification.learning.training")
-    codes: Counter[int | str] = Counter()
-    found = []
-    with fuzzing.grounded(compile_files=kind != "argv"):
-        for number in numbers:
-            case = _case(kind, number, home)
-            verdict = fuzzing.run_case(case)
-            codes[verdict.code] += 1
-            if verdict.faults:
-                line = fuzzing.as_text(case.arguments)
-                found.append(f"{kind} {number}: touchdown {line}\n" + "\n".join(verdict.faults))
-    print(kind, dict(codes))
-    assert not found, f"{len(found)} of {len(numbers)}:\n\n" + "\n\n".join(found[:5])
-    # Both accepted and refused inputs occur, except for commands that need a network file.
-    assert codes[2] and (kind == "learn" or sum(codes.values()) > codes[2]), codes
-
-
-@pytest.mark.parametrize("kind", [kind for kind in SHORT if kind not in ("mjcf", "files")])
-def test_inputs_are_accepted_or_refused_in_one_line(kind: str, tmp_path: Path) -> None:
-    _run(kind, range(SHORT[kind]), tmp_path)
+@pytest.mark.parametrize("kind", KINDS)
+def test_inputs_are_accepted_or_refused_in_one_line(kind: str, asked: fleet.Server) -> None:
+    _check([asked.ask(kind, number) for number in range(KINDS[kind].short)])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", list(LONG))
-def test_ten_thousand_inputs(kind: str, tmp_path: Path) -> None:
-    _run(kind, range(10_000, 10_000 + LONG[kind]), tmp_path)
+@pytest.mark.parametrize("kind", KINDS)
+def test_many_inputs(kind: str, tmp_path: Path) -> None:
+    out = Path(FOLDER) if FOLDER else tmp_path
+    _check(fleet.run_kind(kind, run_all.numbers_of(kind), out / f"{kind}.jsonl"))
 
 
 @pytest.mark.slow
 def test_whole_commands(tmp_path: Path) -> None:
     """In separate processes, with the output and the signals of C libraries."""
-    kinds = ("argv", "mjcf", "config", "campaign", "runs", "files")
-    found = []
-    for number in range(WHOLE):
-        case = _case(kinds[number % len(kinds)], 50_000 + number, tmp_path)
-        verdict = whole_command(case)
-        if verdict:
-            found.append(f"{case.kind} {number}: {fuzzing.as_text(case.arguments)}\n{verdict}")
-    assert not found, "\n\n".join(found[:5])
+    out = Path(FOLDER) if FOLDER else tmp_path
+    _check(run_all.whole_commands(out / "whole.jsonl"))
 
 
-def whole_command(case: Case) -> str:
-    """Returns the faults in the end of a command in a separate process, without flights."""
-    before = fuzzing.fingerprint(case.folder)
-    script = (
-        "import sys; from fuzz import fuzzing; from touchdown.experiments import cli\n"
-        f"with fuzzing.grounded({case.kind != 'argv'}):\n"
-        "    try:\n        code = cli.main(sys.argv[1:])\n"
-        "    except fuzzing.Reached:\n        code = 77\n"
-        "sys.exit(code)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script, *case.arguments],
-        cwd=case.folder,
-        env={**os.environ, "PYTHONPATH": str(inputs.ROOT)},
-        capture_output=True,
-        timeout=300,
-        check=False,
-    )
-    code: int | str = "reached" if done.returncode == 77 else done.returncode
-    stderr = done.stderr.decode("utf-8", "backslashreplace")
-    faults = fuzzing.judge(code, stderr)
-    faults += fuzzing.written(code, before, fuzzing.fingerprint(case.folder))
-    return "\n".join(faults)
+# ------------------------------------------------------------------------------- the harness itself
+
+
+def test_a_case_is_the_same_each_time(tmp_path: Path) -> None:
+    from fuzz import kinds
+
+    def files(folder: Path) -> tuple[object, dict[str, str]]:
+        folder.mkdir()
+        here = os.getcwd()
+        os.chdir(folder)
+        try:
+            case = kinds.make("baseline", 7, folder, tmp_path)
+        finally:
+            os.chdir(here)
+        return case, cases.fingerprint(folder)
+
+    assert files(tmp_path / "a") == files(tmp_path / "b")
+
+
+def _ended(action: Callable[[], object]) -> worker.End:
+    def start() -> None:
+        os.setsid()
+        action()
+
+    return worker.watched(start)
+
+
+def _spin() -> None:
+    while True:
+        pass
+
+
+def _swell() -> None:
+    hoard = [b"x" * (50 << 20) for _ in range(20)]
+    time.sleep(len(hoard))
+
+
+def _crash() -> None:
+    faulthandler.disable()
+    os.abort()
+
+
+def _desert() -> None:
+    subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+
+
+@pytest.mark.parametrize(
+    ("action", "limit", "most", "why"),
+    [(_spin, "LIMIT_S", 0.3, "took longer"), (_swell, "MEMORY_BYTES", 700 << 20, "GB")],
+)
+def test_what_passes_a_limit_is_ended(
+    action: Callable[[], object],
+    limit: str,
+    most: float,
+    why: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(worker, limit, most)
+    end = _ended(action)
+    assert why in end.why
+    assert os.waitstatus_to_exitcode(end.status) == -signal.SIGKILL
+
+
+def test_a_crash_and_a_process_left_behind_are_seen() -> None:
+    crashed = _ended(_crash)
+    assert os.waitstatus_to_exitcode(crashed.status) == -signal.SIGABRT
+    assert _ended(_desert).left == 1
+
+
+@pytest.mark.parametrize(
+    ("code", "errors", "fault"),
+    [
+        (2, "touchdown: error: 'x' does not exist; name a file\n", ""),
+        (0, "touchdown: warning: a thing is odd\n", ""),
+        (2, "touchdown: error: one thing is bad\ntouchdown: error: two are\n", "2 lines"),
+        (2, "", "0 lines"),
+        (2, "libpng error: bad\ntouchdown: error: 'x' is no image; give one\n", "foreign"),
+        (0, "Traceback (most recent call last)\n", "traceback"),
+        (2, "touchdown: error: KeyError: 'x' in the file\n", "class name"),
+        (2, "touchdown: error: the name \x1b[31m is bad\n", "ESC"),
+        ("SIGSEGV", "", "SIGSEGV"),
+        (3, "", "exit code 3"),
+    ],
+)
+def test_ends_are_judged(code: int | str, errors: str, fault: str) -> None:
+    found = cases.judge(code, errors, "")
+    assert fault in " ".join(found) if fault else not found
+
+
+def test_files_are_judged() -> None:
+    before = {"in.txt": "1", "x": "folder", "x/keep.txt": "2"}
+    assert not cases.written(0, before, {**before, "out/a": "3"}, ["out"])
+    assert cases.written(0, before, {**before, "other": "3"}, ["out"])
+    assert cases.written(2, before, {**before, "out/a": "3"}, ["out"])
+    assert cases.written(0, before, {"in.txt": "1", "x": "folder"}, ["out"])
+    assert cases.written(0, before, {**before, "x/keep.txt": "9"}, ["*"])
+    assert "half" in cases.written(0, before, {**before, "out/.a.partial": "3"}, ["out"])[0]

@@ -1,0 +1,171 @@
+"""Stops commands where long work would begin: flights, renderings, trainings, other programs.
+
+All readers run: scenes are compiled, networks loaded, images decoded, queries executed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import importlib.abc
+import sys
+from collections.abc import Callable, Sequence
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+LEARNING = (
+    "onnx",
+    "onnxruntime.quantization",
+    "touchdown.experiments.classification.quantize",
+    "touchdown.experiments.classification.train",
+    "touchdown.landing.classification.learning.training",
+    "touchdown.landing.classification.learning.export",
+)
+
+
+SOUND_NETWORKS: set[str] = set()
+"""Checksums of networks that need no trial."""
+
+
+class Reached(BaseException):
+    """The input is valid: a flight, a rendering or a training would begin now."""
+
+
+def _reach(*_arguments: Any, **_options: Any) -> Any:
+    raise Reached
+
+
+def _compose_spec(name_or_path: str, seed: int) -> Any:
+    """Composes scenes of files; built-in ones take seconds and read nothing."""
+    from touchdown.scenes import compose
+
+    if name_or_path.endswith(".xml") or "/" in name_or_path or seed < 0:
+        return _REAL["touchdown.scenes.compose", "compose_spec"](name_or_path, seed)
+    compose.scene_generator(name_or_path)
+    raise Reached
+
+
+def _reason_against(path: Path, sha256: str) -> str:
+    """Tries a network in a process of its own, but for the one that all cases share."""
+    if sha256 in SOUND_NETWORKS:
+        return ""
+    reason: str = _REAL["touchdown.landing.classification.trial", "reason_against"](path, sha256)
+    return reason
+
+
+def _fly_some(_engine: Any, todo: Sequence[Any], _limits: Any, report: Any) -> None:
+    """Takes the first tasks as a worker does, with `fly_nowhere` for the flight."""
+    import dataclasses
+
+    from touchdown.experiments.campaign.worker import execute
+
+    for task in todo[:3]:
+        mine = dataclasses.replace(task, runner="fuzz.grounding:fly_nowhere")
+        execute(mine, lambda event, run_id=task.run_id: report({**event, "run_id": run_id}))
+
+
+def fly_nowhere(config: Any, out: Path) -> Any:
+    """Fills a run directory as a flight does."""
+    from touchdown.experiments.config.loading import dump_config
+    from touchdown.experiments.io.results import RunResult
+
+    from support.campaign_fakes import fake_result
+
+    out.mkdir()
+    (out / "truth.tum").write_text("0 0 0 0 0 0 0 1\n")
+    result = RunResult.model_validate(fake_result(config, "COMPLETED"))
+    (out / "config.json").write_text(dump_config(config))
+    (out / "result.json").write_text(result.to_json())
+    return result
+
+
+def _no_revision() -> str:
+    return "abc"
+
+
+_STOPS: dict[str, dict[str, Callable[..., Any]]] = {
+    "concurrent.futures.process": {"ProcessPoolExecutor.__init__": _reach},
+    "touchdown.experiments.campaign.executor": {"LocalEngine.run": _fly_some},
+    "touchdown.experiments.classification.evaluate": {"measured_footprint": _reach},
+    "touchdown.experiments.cli.view": {"run_viewer": _reach},
+    "touchdown.experiments.external.conformance": {"check_estimator": _reach},
+    "touchdown.experiments.flight.replay": {"git_revision": _no_revision},
+    "touchdown.experiments.flight.run": {"fly_and_judge": _reach},
+    "touchdown.experiments.io.provenance": {"git_revision": _no_revision},
+    "touchdown.experiments.reproduce.run": {"_do": _reach},
+    "touchdown.landing.classification.learning.training": {"Trainer.run_epoch": _reach},
+    "touchdown.landing.classification.trial": {"reason_against": _reason_against},
+    "touchdown.scenes.compose": {"compose_spec": _compose_spec},
+    "touchdown.scenes.export": {"compose_spec": _compose_spec},
+    "touchdown.sim.posed_sensors": {"PosedSensors.__init__": _reach},
+}
+"""By module, what is replaced in it."""
+_REAL: dict[tuple[str, str], Callable[..., Any]] = {}
+
+
+class _Stopping(importlib.abc.MetaPathFinder):
+    """Replaces parts of a module when it is imported."""
+
+    def find_spec(self, name: str, path: Any, target: Any = None) -> ModuleSpec | None:
+        if name not in _STOPS:
+            return None
+        spec = PathFinder.find_spec(name, path, target)
+        if spec is None or spec.loader is None:
+            return spec
+        execute = spec.loader.exec_module
+
+        def exec_module(module: ModuleType) -> None:
+            execute(module)
+            _replace(name, module)
+
+        spec.loader.exec_module = exec_module  # type: ignore[method-assign]
+        return spec
+
+
+def _replace(name: str, module: ModuleType) -> None:
+    for path, new in _STOPS[name].items():
+        owner: Any = module
+        *parents, last = path.split(".")
+        for parent in parents:
+            owner = getattr(owner, parent)
+        _REAL[name, path] = getattr(owner, last)
+        setattr(owner, last, new)
+
+
+def install() -> None:
+    """Replaces the beginnings of long work, for the rest of the process."""
+    if not any(isinstance(finder, _Stopping) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _Stopping())
+        for name in _STOPS:
+            if name in sys.modules:
+                _replace(name, sys.modules[name])
+
+
+def load(*names: str) -> None:
+    """Imports modules once for all cases."""
+    for name in names:
+        if name not in sys.modules:
+            with contextlib.suppress(Exception):
+                importlib.import_module(name)
+
+
+def main() -> int:
+    """A whole command, in a process of its own."""
+    from fuzz.cases import REACHED
+
+    install()
+    from touchdown.experiments.cli.main import main as run
+
+    try:
+        return run(sys.argv[1:])
+    except Reached:
+        return REACHED
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+    from fuzz import grounding
+
+    sys.exit(grounding.main())

@@ -1,0 +1,373 @@
+"""Cases over data sets of images, networks and checkpoints."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import pickle
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fuzz import grounding
+from fuzz import picture_formats as pictures
+from fuzz.cases import Case
+from fuzz.config_kinds import FLOOR
+from fuzz.mutations import MARKED, NUMBERS, TEXTS, Rng, chance, flipped, pick, put, put_special
+
+_COLUMNS = "file,d_land,d_scene,scene,seed,split,height_m,side_m,share"
+_CLASSES = ("lawn", "water", "road")
+
+
+def _network(shared: Path) -> Path:
+    """The file of a small network, made once."""
+    from support.ground_class_support import write_colour_network
+
+    return _once(shared / "network", lambda folder: write_colour_network(folder / "network.onnx"))
+
+
+def _once(folder: Path, fill: Callable[[Path], Any]) -> Path:
+    if not folder.exists():
+        partial = folder.with_name(f"{folder.name}.{os.getpid()}")
+        partial.mkdir()
+        fill(partial)
+        partial.rename(folder)
+    return folder
+
+
+def _copy_network(folder: Path, shared: Path) -> None:
+    for file in _network(shared).iterdir():
+        shutil.copy(file, folder / file.name)
+    data = (folder / "network.onnx").read_bytes()
+    grounding.SOUND_NETWORKS.add(hashlib.sha256(data).hexdigest())
+
+
+def _data_set(rng: Rng, folder: Path, changes: bool = False) -> None:
+    """Folders of classes with images of all splits."""
+    for name in _CLASSES:
+        for number in (0, 4, 6, 7):
+            file = folder / name / f"{name}{number:02d}.png"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            if changes and chance(rng, 0.15):
+                put(rng, file, pictures.png(rng), 0.4)
+            else:
+                file.write_bytes(pictures.png(rng, (32, 32), changes=False))
+
+
+# ------------------------------------------------------------------------------------------- images
+
+
+def image_case(rng: Rng, folder: Path, shared: Path) -> Case:
+    """PNG and JPEG: photographs to classify, images of a data set."""
+    _copy_network(folder, shared)
+    make = pick(rng, (pictures.png, pictures.png, pictures.jpeg, pictures.jpeg, pictures.geotiff))
+    end = {"png": "png", "jpeg": "jpg", "geotiff": "tif"}[make.__name__]
+    if chance(rng, 0.6):
+        name = f"{pick(rng, ('photo', 'photo', '[x]', 'größe', 'a b'))}.{end}"
+        put(rng, folder / name, make(rng), 0.15)
+        command = ("classify", name, "--network", "network.onnx", "--out", "out")
+        size = pick(rng, ((), (), ("--window", str(pick(rng, (16, 20, 10**6))))))
+        more = pick(rng, ((), ("--json",)))
+        return Case(arguments=(*command, *size, *more, "--quiet"), writes=("out",))
+    _data_set(rng, folder / "data", changes=True)
+    for _ in range(int(pick(rng, (1, 1, 2)))):
+        name = pick(rng, _CLASSES)
+        put(rng, folder / "data" / name / f"{name}07.{end}", make(rng), 0.15)
+    if chance(rng, 0.15):
+        put_special(rng, folder / "data" / pick(rng, ("trees", "lawn/lawn50.png", "x")))
+    command = (
+        "evaluate",
+        "network.onnx",
+        "--data",
+        "data",
+        "--split",
+        pick(rng, ("train", "test")),
+    )
+    return Case(arguments=(*command, "--no-cost", "--quiet", *pick(rng, ((), ("--json",)))))
+
+
+def csv_case(rng: Rng, folder: Path, shared: Path) -> Case:
+    """``manifest.csv`` of a data set."""
+    _copy_network(folder, shared)
+    _data_set(rng, folder / "data")
+    rows = [
+        [f"{name}/{name}{number:02d}.png", name, name if name != "road" else "", "flat", "1",
+         split, "9.0", "9.0", "1.0"]
+        for name in _CLASSES
+        for number, split in ((0, "train"), (4, "test"), (6, "val"))
+    ]  # fmt: skip
+    head = _COLUMNS.split(",")
+    for _ in range(int(pick(rng, (0, 1, 1, 2, 3)))):
+        _change_rows(rng, head, rows)
+    mark = pick(rng, (",", ",", ",", ",", ";", "\t"))
+    ends = pick(rng, ("\n", "\n", "\r\n", "\r"))
+    text = ends.join(mark.join(row) for row in (head, *rows)) + ends
+    if chance(rng, 0.05):
+        text = text.replace("lawn", '"' + "x" * 200_000, 1)
+    put(rng, folder / "data" / "manifest.csv", text, 0.15)
+    where = pick(rng, ("rendered=data", "rendered=data", "data", "d_land=data", "x=data"))
+    labels: tuple[tuple[str, ...], ...] = (
+        ("evaluate", "network.onnx", "--data", where, "--no-cost", "--quiet"),
+        ("evaluate", "network.onnx", "--data", where, "--split", "train", "--no-cost", "--quiet"),
+        ("quantize", "network.onnx", "--data", where, "--out", "out.onnx", "--type", "float16",
+         "--quiet"),
+    )  # fmt: skip
+    return Case(arguments=pick(rng, labels), writes=("out.onnx", "out.onnx.sha256"))
+
+
+def _change_rows(rng: Rng, head: list[str], rows: list[list[str]]) -> None:
+    row = pick(rng, (head, *rows)) if chance(rng, 0.3) else pick(rng, rows or [head])
+    at = int(rng.integers(max(len(row), 1)))
+    kind = int(rng.integers(7))
+    odd = (
+        "", "../../x/keep.txt", "/dev/zero", "/etc/passwd", "lawn", "gone.png", "nan", '"', '"a"b',
+        "a,b", ".", "lawn", "data/lawn", *MARKED, "d_land",
+    )  # fmt: skip
+    if kind == 0 and rows:
+        rows.remove(pick(rng, rows))
+    elif kind == 1:
+        rows.append(list(row))
+    elif kind == 2:
+        del row[at:]
+    elif kind == 3:
+        row.insert(at, "x")
+    elif kind == 4 and rows:
+        rng.shuffle(rows)
+    elif row:
+        row[min(at, len(row) - 1)] = "".join(
+            c for c in pick(rng, odd) if not "\ud800" <= c <= "\udfff"
+        )
+
+
+# ----------------------------------------------------------------------------------------- networks
+
+
+def onnx_case(rng: Rng, folder: Path, shared: Path) -> Case:
+    """A network's file: other metadata, shapes, types, operators; its checksum fits mostly."""
+    import onnx
+
+    _copy_network(folder, shared)
+    file = folder / "network.onnx"
+    model = onnx.load(str(file))
+    for _ in range(int(pick(rng, (0, 1, 1, 2, 3)))):
+        _change_model(rng, model, onnx)
+    data = model.SerializeToString()
+    if chance(rng, 0.2):
+        data = flipped(rng, data) if chance(rng, 0.6) else data[: int(rng.integers(len(data)))]
+    if chance(rng, 0.04):
+        file.unlink()
+        put_special(rng, file)
+    else:
+        file.write_bytes(data)
+    _put_checksum(rng, folder / "network.onnx.sha256", data)
+    (folder / "photo.png").write_bytes(pictures.png(rng, (40, 40), changes=False))
+    _data_set(rng, folder / "data")
+    (folder / "floor.xml").write_text(FLOOR)
+    on_data = ("--data", "data", "--quiet")
+    commands: tuple[tuple[str, ...], ...] = (
+        *[("classify", "photo.png", "--network", "network.onnx", "--out", "out", "--quiet")] * 4,
+        *[("evaluate", "network.onnx", "--no-cost", "--split", "train", *on_data)] * 2,
+        *[("land", "floor.xml", "--set", "landing.classifier=network.onnx", "--quiet")] * 2,
+        ("quantize", "network.onnx", "--out", "new.onnx", "--type", pick(rng, ("int8", "float16")),
+         *on_data),
+        ("train", "--start-from", "network.onnx", "--network", "resnet18", "--image-size", "32",
+         "--out", "out", *on_data),
+    )  # fmt: skip
+    arguments = pick(rng, commands)
+    writes = ("out", "new.onnx", "new.onnx.sha256")
+    return Case(arguments=arguments, writes=() if arguments[0] == "land" else writes)
+
+
+def _put_checksum(rng: Rng, path: Path, data: bytes) -> None:
+    line = f"{hashlib.sha256(data).hexdigest()}  network.onnx\n"
+    if chance(rng, 0.06):
+        line = pick(rng, ("", "0" * 64, line.upper(), "\x1b[31m", "x" * 10_000))
+    path.unlink()
+    put(rng, path, line, 0.03)
+
+
+def _change_model(rng: Rng, model: Any, onnx: Any) -> None:
+    graph = model.graph
+    kind = int(rng.integers(9))
+    if kind <= 2:  # metadata
+        prop = pick(rng, model.metadata_props)
+        known = ("16", "32", "1000000000", "-1", "0", "nan", "1e999", "9" * 5000, "lawn", "d_scene")
+        new = str(
+            pick(rng, (*known, *NUMBERS, *TEXTS, "water=nan", "lawn=1e999", "x=1", "lawn=-1"))
+        )
+        prop.value = "".join(c for c in new if not "\ud800" <= c <= "\udfff")
+        if chance(rng, 0.15):
+            model.metadata_props.remove(prop)
+    elif kind == 3:  # shapes of input and output
+        value = pick(rng, (graph.input[0], graph.output[0]))
+        dims = value.type.tensor_type.shape.dim
+        at = int(rng.integers(len(dims)))
+        dims[at].dim_value = int(pick(rng, (0, -1, 1, 3, 17, 100_000, 2**40, 2**62)))
+    elif kind == 4:  # an initializer
+        array = graph.initializer[0]
+        change = int(rng.integers(4))
+        if change == 0:
+            array.dims[0] = int(pick(rng, (0, -1, 1, 2**31, 2**62)))
+        elif change == 1:
+            array.data_type = int(pick(rng, (0, 1, 7, 8, 16, 20, 99)))
+        elif change == 2:
+            array.raw_data = array.raw_data[: int(rng.integers(len(array.raw_data)))]
+        else:
+            array.data_location = onnx.TensorProto.EXTERNAL
+            entry = array.external_data.add()
+            where = ("../../x/keep.txt", "/etc/passwd", "/dev/zero", "gone.bin", "")
+            entry.key, entry.value = "location", pick(rng, where)
+    elif kind == 5:
+        node = pick(rng, graph.node)
+        node.op_type = pick(rng, ("Relu", "Loop", "If", "Reshape", "Expand", "NoSuch", "", "Tile"))
+    elif kind == 6:
+        node = pick(rng, graph.node)
+        ends = node.input if chance(rng, 0.5) else node.output
+        ends[0] = pick(rng, ("x", "", "pictures", "scores", "filters", "wide"))
+    elif kind == 7:
+        node = pick(rng, graph.node)
+        node.attribute.append(onnx.helper.make_attribute("pads", [2**31, 0, 0, 2**31]))
+        node.domain = pick(rng, ("", "ai.onnx.ml", "com.evil", "\x1b[31m"))
+    else:
+        model.ir_version = int(pick(rng, (0, 1, 8, 999)))
+        model.opset_import[0].version = int(pick(rng, (0, 1, 17, 999, -1)))
+
+
+# -------------------------------------------------------------------------------------- checkpoints
+
+
+_TRAINED = ("--network", "mobilenet_v3_large", "--image-size", "32", "--batch-size", "2")
+
+
+def _trained(shared: Path) -> Path:
+    """Data, and a folder with the checkpoints of a training that has just begun; made once."""
+
+    def fill(folder: Path) -> None:
+        from touchdown.experiments.cli.main import main
+        from touchdown.landing.classification.learning import checkpoint, training
+
+        from fuzz.grounding import Reached
+
+        _data_set(np.random.default_rng(0), folder / "data")
+
+        def note(trainer: Any, _progress: Any) -> None:
+            row = {"epoch": 1.0, "val_macro_f1": 0.5, "val_loss": 1.0, "train_loss": 1.0,
+                   "val_top1": 0.5}  # fmt: skip
+            trainer.history, trainer.best_epoch = [row], 0
+            checkpoint.write_best(trainer._folder, trainer._average.state_dict())
+            checkpoint.write_last(trainer._folder, trainer.state())
+            raise Reached
+
+        training.Trainer.run_epoch = note  # type: ignore[method-assign,assignment]
+        here = os.getcwd()
+        os.chdir(folder)
+        try:
+            main(["train", "--data", "data", "--out", "out", *_TRAINED, "--quiet"])
+        except Reached:
+            pass
+        finally:
+            os.chdir(here)
+
+    return _once(shared / "trained", fill)
+
+
+def checkpoint_case(rng: Rng, folder: Path, shared: Path) -> Case:
+    """``last.pt`` and ``best.pt``: trees changed, other objects, foreign pickles, damaged zips."""
+    source = _trained(shared)
+    shutil.copytree(source / "data", folder / "data")
+    name = pick(rng, ("last.pt", "last.pt", "best.pt"))
+    target = folder / ("out" if name == "last.pt" else "start") / name
+    target.parent.mkdir()
+    _put_checkpoint(rng, source / "out" / name, target)
+    command = ("train", "--data", "data", "--out", "out", *_TRAINED, "--quiet")
+    if name == "best.pt":
+        command = (*command, "--start-from", "start")
+    if chance(rng, 0.1):
+        command = (*command, "--epochs", "1")
+    return Case(arguments=command, writes=("out",))
+
+
+def _put_checkpoint(rng: Rng, valid: Path, target: Path) -> None:
+    import torch
+
+    kind = int(rng.integers(10))
+    if kind == 0:
+        shutil.copy(valid, target)
+        with target.open("r+b") as file:
+            if chance(rng, 0.5):
+                file.truncate(int(rng.integers(valid.stat().st_size)))
+            else:
+                for at in rng.integers(0, valid.stat().st_size, 20):
+                    file.seek(int(at))
+                    file.write(bytes([int(rng.integers(256))]))
+    elif kind == 1:
+        put_special(rng, target)
+    elif kind == 2:
+        target.write_bytes(_foreign_pickle(rng))
+    elif kind == 3:
+        odd = ({}, [], None, 3, "x", {"identity": 3}, {"identity": {}}, torch.zeros(3),
+               {"identity": {}, "network": {}}, {1: 2}, torch.zeros(1, device="meta"))  # fmt: skip
+        torch.save(pick(rng, odd), target)
+    else:
+        state = torch.load(valid, map_location="cpu", weights_only=True)
+        for _ in range(int(pick(rng, (1, 1, 2, 3)))):
+            _change_state(rng, state, torch)
+        torch.save(_slim(rng, state, torch), target)
+
+
+def _slim(rng: Rng, state: Any, torch: Any) -> Any:
+    """Mostly without the moments of the optimiser, which take the time of a case."""
+    optimizer = state.get("optimizer") if isinstance(state, dict) else None
+    if isinstance(optimizer, dict) and chance(rng, 0.8):
+        optimizer["state"] = {}
+    return state
+
+
+def _change_state(rng: Rng, state: dict[Any, Any], torch: Any) -> None:
+    key = pick(rng, state) if state else "x"
+    inner = state.get(key)
+    while isinstance(inner, dict) and inner and chance(rng, 0.75):
+        state, key = inner, pick(rng, inner)
+        inner = state[key]
+    odd: tuple[Any, ...] = (
+        None, 3, "x", [], {}, float("nan"), -1, 10**9, torch.zeros(3), torch.zeros(0),
+        torch.full((2, 2), float("nan")), torch.zeros(1, dtype=torch.complex64), [{}],
+        [{"epoch": 1}], torch.zeros(3, device="meta"), "\x1b[31m[/x]",
+        torch.zeros(1).expand(100_000, 100_000),
+    )  # fmt: skip
+    kind = int(rng.integers(4))
+    if kind == 0:
+        state.pop(key, None)
+    elif kind == 1:
+        state[f"{key}x"] = state.pop(key, None)
+    elif kind == 2 and isinstance(inner, torch.Tensor) and inner.is_floating_point():
+        state[key] = pick(rng, (inner * float("nan"), inner.double(), inner.flatten(), inner[:1]))
+    else:
+        state[key] = pick(rng, odd)
+
+
+class _Call:
+    """Calls a function when it is unpickled."""
+
+    def __init__(self, function: Any, *arguments: Any) -> None:
+        self._made = (function, arguments)
+
+    def __reduce__(self) -> Any:
+        return self._made
+
+
+def _foreign_pickle(rng: Rng) -> bytes:
+    """Pickles that run code where they are trusted, and others that are no checkpoint."""
+    call = pick(rng, (_Call(os.system, "touch ../../x/evil"), _Call(exec, "1/0"), {"a": {1, 2}}))
+    data = pickle.dumps(call, protocol=int(pick(rng, (0, 2, 4))))
+    if chance(rng, 0.3):
+        import torch
+
+        out = io.BytesIO()
+        torch.save(call, out)
+        data = out.getvalue()
+    return bytes(pick(rng, (data, b"PK\x03\x04" + data, data[:-1], b"\x80\x05N.")))

@@ -1,0 +1,302 @@
+"""Mutations of values, trees, texts and bytes, and files that are none."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+Rng = np.random.Generator
+
+NUMBERS: tuple[Any, ...] = (
+    0, -1, 1, 2, 3, 7, 100, -0.0, 0.5, 1e-300, 1e300, 1e308, 2**31, 2**53 + 1, 2**63, 2**64,
+    10**30, -(2**63), 1e9, 10**9, 1e-9, -1e-9, 0.1, 3.5, 1e5, 10**5, 5e5, float("nan"),
+    float("inf"), float("-inf"),
+)  # fmt: skip
+MARKED = (
+    "[/x]", "[bold red]x[/bold red]", "<script>alert(1)</script>", "|a|b|", "`x`", "\x1b[31mred",
+    "\x9b2J", "../../x", "../x", "a\ud800b", "\u202egpj", "{{ x }}", "%s%n", "](x)", "*x*", "\0",
+)  # fmt: skip
+"""Names that a terminal, a page, a table or a path would take for something else."""
+TEXTS = (
+    "", " ", "nan", "inf", "-1", "0", "1e999", "ü", "💥", "../..", "/dev/null", "/proc/self/mem",
+    "a" * 5000, "'", '"', "]", "{", "null", "true", "[]", "$(x)", "1,5", "١٢", "0x10", "1_000",
+    "--help", "-", "--", "crossroad", "flat", "livo", "no.xml", "a/b.xml", "os:system",
+    "os.path:join", ":", "x:", ":x", "a b", "\t", "line\nline", "line\rline", "\u2028", "C:\\x",
+    "~", ".", "..", "/", "//", "\udcff", "*", "?", "[a", "0-9", "9-0", "1/4", "12.5,-3", "nan,1",
+    "lidar_dropout@20+1", *(text for text in MARKED if text != "\0"),
+)  # fmt: skip
+_HUGE_INTEGER = 10**5000
+
+
+def pick(rng: Rng, items: Iterable[Any]) -> Any:
+    """Returns one of ``items``."""
+    items = list(items)
+    return items[int(rng.integers(len(items)))]
+
+
+def chance(rng: Rng, share: float) -> bool:
+    """True with the given probability."""
+    return bool(rng.random() < share)
+
+
+# ------------------------------------------------------------------------------------------ values
+
+
+def value(rng: Rng, depth: int = 0) -> Any:
+    """Returns any value of TOML or JSON."""
+    kind = int(rng.integers(8 if depth < 3 else 5))
+    if kind < 3:
+        return pick(rng, NUMBERS)
+    if kind == 3:
+        return pick(rng, TEXTS)
+    if kind == 4:
+        return bool(rng.integers(2))
+    if kind < 7:
+        return [value(rng, depth + 1) for _ in range(int(rng.integers(0, 5)))]
+    return {pick(rng, ("a", "b c", "", "when", "ü")): value(rng, depth + 1)}
+
+
+def neighbour(rng: Rng, old: Any) -> Any:
+    """Returns mostly a value of the type of ``old`` with another size, sign or length."""
+    if chance(rng, 0.2):
+        return value(rng)
+    if isinstance(old, bool):
+        return not old
+    if isinstance(old, int | float):
+        if chance(rng, 0.3):
+            return pick(rng, NUMBERS)
+        scaled = old * float(pick(rng, (-1, 0, 0.001, 0.1, 0.5, 1, 1.5, 2, 3, 10, 1000)))
+        whole = isinstance(old, int) and np.isfinite(scaled) and chance(rng, 0.9)
+        return round(scaled) if whole else scaled
+    if isinstance(old, list):
+        changed = [neighbour(rng, item) if chance(rng, 0.5) else item for item in old]
+        return pick(rng, (changed, changed[:-1], [*changed, 0.0], changed[::-1]))
+    if isinstance(old, str):
+        return pick(rng, (*TEXTS, old, old + "x", old[:-1], old.upper()))
+    return pick(rng, (None, 0.0, 1.5, -3.0, [1.0, 2.0], "x", False))
+
+
+def misspelt(rng: Rng, word: str) -> str:
+    """``word`` with a letter less, more, or other."""
+    at = int(rng.integers(max(len(word), 1)))
+    letter = pick(rng, "aeiou_.-= \n\tÄ0")
+    return pick(
+        rng,
+        (
+            word[:at] + word[at + 1 :],
+            word[:at] + letter + word[at:],
+            word[:at] + letter + word[at + 1 :],
+            word.upper(),
+            word + "." + word,
+            word,
+        ),
+    )
+
+
+def mutate_tree(rng: Rng, tree: Any) -> None:
+    """Changes, renames, removes, adds, doubles or nests one thing somewhere in a dictionary."""
+    key, inner = _somewhere(rng, tree)
+    while True:
+        if isinstance(inner, list) and inner and chance(rng, 0.6):
+            at = int(rng.integers(len(inner)))
+            if isinstance(inner[at], dict) and chance(rng, 0.7):
+                tree = inner[at]
+                key, inner = _somewhere(rng, tree)
+                continue
+            _mutate_list(rng, inner, at)
+            return
+        if not (isinstance(inner, dict) and inner and chance(rng, 0.7)):
+            break
+        tree = inner
+        key, inner = _somewhere(rng, tree)
+    kind = int(rng.integers(6))
+    if kind == 0 and key in tree:
+        del tree[key]
+    elif kind == 1 and key in tree:
+        tree[misspelt(rng, key)] = tree.pop(key)
+    elif kind in (2, 3):
+        tree[key] = neighbour(rng, inner)
+    elif kind == 4:
+        tree[key] = pick(rng, ([inner], {key: inner}, [inner, inner], None, str(inner)))
+    else:
+        tree[pick(rng, ("seeds", "seed", "extra", "name", "wind_kmh", *TEXTS[:6]))] = value(rng)
+
+
+def _somewhere(rng: Rng, tree: dict[str, Any]) -> tuple[str, Any]:
+    key = pick(rng, tree) if tree else "x"
+    return key, tree.get(key)
+
+
+def _mutate_list(rng: Rng, items: list[Any], at: int) -> None:
+    kind = int(rng.integers(4))
+    if kind == 0:
+        del items[at]
+    elif kind == 1:
+        items.insert(at, items[at])
+    else:
+        items[at] = neighbour(rng, items[at])
+
+
+# -------------------------------------------------------------------------------------------- text
+
+
+def toml_text(tree: Mapping[str, Any]) -> str:
+    """TOML with dotted keys; values that TOML cannot hold are left out."""
+    lines = [
+        f"{toml_key(key)} = {toml_value(item)}" for key, item in tree.items() if item is not None
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def toml_key(key: str) -> str:
+    """A dotted key, its parts quoted where they have to be."""
+    return ".".join(
+        part if part.isidentifier() and part.isascii() else json.dumps(part)
+        for part in key.split(".")
+    )
+
+
+def toml_value(item: Any) -> str:
+    """A value of TOML."""
+    if isinstance(item, bool):
+        return "true" if item else "false"
+    if isinstance(item, list | tuple):
+        return "[" + ", ".join(toml_value(part) for part in item if part is not None) + "]"
+    if isinstance(item, dict):
+        return "{" + ", ".join(f"{json.dumps(k)} = {toml_value(v)}" for k, v in item.items()) + "}"
+    if isinstance(item, str):
+        return json.dumps(item, ensure_ascii=False)
+    return repr(item)
+
+
+def json_text(rng: Rng, tree: Any) -> str:
+    """JSON, now and then with what Python's own reader takes and others do not, nested too deeply
+    or with too many digits."""
+    text = json.dumps(tree, ensure_ascii=chance(rng, 0.7))
+    kind = int(rng.integers(60))
+    if kind == 0:
+        return "[" * 100_000 + "]" * 100_000
+    if kind == 1:
+        return '{"a":' * 20_000 + "1" + "}" * 20_000
+    if kind == 2:
+        return text.replace("1", "9" * 6000, 1)
+    if kind == 3:
+        return text[:-1] + ', "big": 1e999}' if text.endswith("}") else text
+    if kind == 4:
+        return f"[{text}]"
+    if kind == 5:
+        return text.replace(":", ': NaN, "x":', 1)
+    if kind == 6:
+        return text + text
+    return text
+
+
+def toml_oddity(rng: Rng, text: str) -> str:
+    """``text`` with something that a reader of TOML may stumble over."""
+    return pick(
+        rng,
+        (
+            text + f"a = {'1' * 5000}\n",
+            text + "a = " + "[" * 3000 + "]" * 3000 + "\n",
+            text + ".".join("a" * 1 for _ in range(3000)) + " = 1\n",
+            "\ufeff" + text,
+            text + text,
+            text + "[a]\n[a]\n",
+            text + "when = 2020-01-01T00:00:00Z\n",
+            text + "a = 07:32:00\n",
+            text + f"seed = {'9' * 400}\n",
+            text + 'a = """\n\\ud800"""\n',
+            text + "\0",
+            text.replace("\n", "\r"),
+            "[[sim]]\n" + text,
+            "sim = 3\n" + text,
+            text + "seed = 0x7fffffffffffffffffff\n",
+        ),
+    )
+
+
+# ------------------------------------------------------------------------------------------- bytes
+
+
+def damaged(rng: Rng, data: bytes) -> bytes:
+    """``data`` as a bad disk, a wrong editor or a lost connection would leave it."""
+    at, end = sorted(int(x) for x in rng.integers(0, len(data) + 1, 2))
+    kind = int(rng.integers(14))
+    if kind == 0:
+        return data[:at]
+    if kind == 1:
+        return data[:at] + data[min(end, at + 40) :]
+    if kind == 2:
+        return data[:at] + bytes(rng.integers(0, 256, 8, dtype=np.uint8)) + data[at + 8 :]
+    if kind == 3:
+        return data[:at] + data[at:end][:200] * 2 + data[end:]
+    if kind == 4:
+        return b""
+    if kind == 5:
+        return b"\xef\xbb\xbf" + data
+    if kind == 6:
+        return data.replace(b"\n", b"\r\n")
+    if kind == 7:
+        return data.decode("utf-8", "replace").encode("utf-16")
+    if kind == 8:
+        return data[:at] + "größe".encode("latin-1") + data[at:]
+    if kind == 9:
+        return data[:at] + b"\0" + data[at:]
+    if kind == 10:
+        lines = data.split(b"\n")
+        rng.shuffle(lines)  # type: ignore[arg-type]
+        return b"\n".join(lines)
+    if kind in (11, 12):
+        return flipped(rng, data)
+    return bytes(rng.integers(0, 256, int(rng.integers(1, 300)), dtype=np.uint8))
+
+
+def flipped(rng: Rng, data: bytes) -> bytes:
+    """``data`` with one to ten other bytes."""
+    changed = bytearray(data)
+    for at in rng.integers(0, max(len(data), 1), int(rng.integers(1, 11))):
+        if data:
+            changed[int(at)] = int(rng.integers(256))
+    return bytes(changed)
+
+
+def encoded(text: str) -> bytes:
+    """UTF-8; lone surrogates stay what they are."""
+    return text.encode("utf-8", "surrogatepass")
+
+
+def put(rng: Rng, path: Path, data: str | bytes, share: float = 0.25) -> Path:
+    """Writes ``data``, damaged with the given probability, seldom as a file that is none."""
+    data = encoded(data) if isinstance(data, str) else data
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not chance(rng, share):
+        path.write_bytes(data)
+    elif chance(rng, 0.2):
+        put_special(rng, path)
+    else:
+        path.write_bytes(damaged(rng, data))
+    return path
+
+
+def put_special(rng: Rng, path: Path) -> None:
+    """Puts something at ``path`` that is no ordinary file."""
+    kind = int(rng.integers(7))
+    if kind == 0:
+        os.mkfifo(path)
+    elif kind == 1:
+        path.mkdir()
+    elif kind == 2:
+        path.symlink_to(path.name)  # a circle
+    elif kind == 3:
+        path.symlink_to("/dev/zero")
+    elif kind == 4:
+        path.symlink_to("gone")
+    elif kind == 5:
+        path.symlink_to("/dev/null")
+    else:
+        path.touch()

@@ -1,0 +1,352 @@
+"""Cases over MJCF files, their meshes, textures and height fields, and elevation models."""
+
+from __future__ import annotations
+
+import copy
+import struct
+import xml.etree.ElementTree as Tree
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fuzz import picture_formats as pictures
+from fuzz.cases import Case
+from fuzz.config_kinds import FLOOR
+from fuzz.mutations import (
+    MARKED,
+    NUMBERS,
+    Rng,
+    chance,
+    damaged,
+    encoded,
+    misspelt,
+    pick,
+    put,
+    put_special,
+)
+
+SCENE_XML = """<mujoco model="place">
+  <option timestep="0.002" gravity="0 0 -9.81"/>
+  <compiler angle="degree" autolimits="true"/>
+  <default><geom friction="1 0.1 0.1"/>
+    <default class="road"><geom rgba="1 0 0 1"/></default></default>
+  <asset><texture name="t" type="2d" builtin="checker" width="16" height="16" rgb1="1 1 1"/>
+    <material name="lawn" texture="t" texrepeat="4 4"/>
+    <mesh name="m" vertex="0 0 0  1 0 0  0 1 0  0 0 1"/>
+    <hfield name="h" nrow="3" ncol="3" size="40 40 1 1" elevation="0 0 0 0 1 0 0 0 0"/></asset>
+  <worldbody>
+    <light pos="0 0 9" dir="0 0 -1"/>
+    <geom name="field" type="hfield" hfield="h" pos="0 0 -1"/>
+    <geom name="lawn_1" type="box" size="30 30 0.5" pos="0 0 -0.5" material="lawn"/>
+    <geom class="road" type="capsule" fromto="9 0 1 9 0 3" size="0.2"/>
+    <frame pos="4 4 0"><geom name="hut" type="cylinder" size="1 1"/></frame>
+    <body name="arm" pos="5 0 1" euler="0 0 90"><joint name="hinge" type="hinge" axis="0 0 1"/>
+      <geom name="building" type="mesh" mesh="m"/><site name="tip" pos="0 0 1"/>
+      <body name="ball" pos="1 0 0"><joint type="ball"/>
+        <geom type="sphere" size="0.2"/></body></body>
+    <body name="free" pos="-5 0 2"><freejoint/>
+      <geom type="ellipsoid" size=".1 .2 .3" mass="1"/></body>
+    <site name="takeoff" pos="0 3 0"/>
+    <camera name="c" pos="0 0 5" fovy="45"/>
+  </worldbody>
+  <contact><exclude body1="arm" body2="ball"/></contact>
+  <equality><weld body1="arm" body2="ball"/></equality>
+  <actuator><motor joint="hinge" gear="1"/></actuator>
+  <sensor><jointpos joint="hinge"/></sensor>
+</mujoco>"""
+
+_KEYS = (
+    "name", "class", "type", "size", "pos", "file", "mesh", "material", "mass", "quat", "zaxis",
+    "group", "contype", "rgba", "euler", "dclass", "scale", "nrow", "count", "hfield", "fromto",
+)  # fmt: skip
+_TAGS = (
+    "geom", "body", "site", "joint", "frame", "include", "light", "flexcomp", "composite",
+    "replicate", "attach", "plugin", "camera", "skin", "model", "keyframe", "numeric", "key",
+)  # fmt: skip
+_NAMES = ("vehicle/quadrotor", "takeoff", "water", "lawn", "", "ü", "world", *MARKED)
+_WORDS = (
+    *NUMBERS, "x", "", "gone.png", "../x.obj", "1e10", "1e-10", "-5", "300", "takeoff", "sdf",
+    "500000 4000000 60", "place.xml", *(text for text in MARKED if text != "\0"),
+)  # fmt: skip
+
+
+def _xml_safe(word: Any) -> str:
+    """What an XML writer can hold: others are for `_raw_trouble`."""
+    return "".join(c for c in str(word) if c >= " " and not "\ud800" <= c <= "\udfff")
+
+
+def _mutate_mjcf(rng: Rng, text: str) -> str:
+    root = Tree.fromstring(text)
+    for _ in range(int(pick(rng, (0, 1, 1, 1, 2, 3)))):
+        parents = [node for node in root.iter() if len(node)]
+        parent = pick(rng, parents)
+        node = pick(rng, parent)
+        kind = int(rng.integers(9))
+        if kind == 0:
+            parent.remove(node)
+        elif kind == 1:
+            parent.insert(int(rng.integers(len(parent) + 1)), copy.deepcopy(node))
+        elif kind == 2 and node.attrib:
+            del node.attrib[pick(rng, node.attrib)]
+        elif kind in (3, 4) and node.attrib:
+            key = pick(rng, node.attrib)
+            node.set(key, _other_words(rng, node.attrib[key]))
+        elif kind == 5:
+            node.set(pick(rng, _KEYS), _other_words(rng, "1 0 0"))
+        elif kind == 6:
+            node.tag = pick(rng, (*_TAGS, "geom", "body", _tag(misspelt(rng, node.tag))))
+        elif kind == 7:
+            node.set("name", _xml_safe(pick(rng, _NAMES)))
+        else:
+            pick(rng, parents).append(copy.deepcopy(node))
+        if sum(1 for _ in root.iter()) > 400 or not len(root):
+            break
+    return Tree.tostring(root, encoding="unicode")
+
+
+def _tag(word: str) -> str:
+    return "".join(c for c in word if c.isalnum()) or "x"
+
+
+def _other_words(rng: Rng, old: str) -> str:
+    numbers = old.split()
+    at = int(rng.integers(len(numbers) + 1))
+    new = _xml_safe(pick(rng, _WORDS))
+    return " ".join([*numbers[:at], new, *numbers[at + chance(rng, 0.8) :]])
+
+
+def _inside(text: str, more: str, tag: str = "worldbody") -> str:
+    return text.replace(f"<{tag}>", f"<{tag}>{more}", 1)
+
+
+def _raw_trouble(rng: Rng, text: str) -> str:
+    """Files that are well formed and hard to swallow."""
+    boxes = "".join(f'<geom type="box" size="1 1 1" pos="{n % 200} {n // 200} 0"/>'
+                    for n in range(int(pick(rng, (3000, 20_000)))))  # fmt: skip
+    entities = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 10))
+    bomb = f'<?xml version="1.0"?><!DOCTYPE m [<!ENTITY a0 "ha">{entities}]>'
+    huge = pick(rng, (1000, 100_000, 2**31 - 1))
+    return pick(
+        rng,
+        (
+            _inside(text, boxes),
+            _inside(text, "<body>" * 3000 + "</body>" * 3000),
+            _inside(text, '<body><geom size="1"/>' * 300 + "</body>" * 300),
+            _inside(
+                text, f'<hfield name="g" nrow="{huge}" ncol="{huge}" size="9 9 1 1"/>', "asset"
+            ),
+            _inside(
+                text,
+                f'<texture name="g" builtin="flat" type="2d" width="{huge}" height="{huge}"/>',
+                "asset",
+            ),
+            _inside(text, f'<replicate count="{huge}" offset="1 0 0"><geom size="1"/></replicate>'),
+            _inside(
+                text,
+                f'<composite type="cable" count="{huge} 1 1" size="1"><geom size=".1"/>'
+                "</composite>",
+            ),
+            _inside(
+                text,
+                f'<body><flexcomp name="f" type="grid" dim="2" count="{min(huge, 100000)} 30 1" '
+                'spacing=".1 .1 .1" mass="1"/></body>',
+            ),
+            _inside(text, '<include file="place.xml"/>'),
+            _inside(text, '<include file="/dev/zero"/>'),
+            _inside(text, '<include file="fifo.xml"/>'),
+            _inside(text, '<model name="me" file="place.xml"/>', "asset").replace(
+                "</worldbody>", '<attach model="me" body="arm" prefix="p"/></worldbody>'
+            ),
+            _inside(
+                text,
+                '<plugin plugin="mujoco.sdf.torus"><instance name="s"/></plugin>',
+                "asset",
+            ),
+            text.replace('type="sphere"', 'type="sdf" mesh="m"'),
+            _inside(text, '<mesh name="d"><plugin plugin="mujoco.sdf.torus"/></mesh>', "asset"),
+            text.replace("<mujoco", "<extension><plugin plugin='os.system'/></extension><mujoco"),
+            bomb + text.replace("building", "&a9;"),
+            text.replace("building", "x" * 1_000_000),
+            text.replace("building", pick(rng, MARKED)),
+            text.replace("takeoff", pick(rng, MARKED)),
+            text.replace('name="m"', f'name="{pick(rng, MARKED)}" file="gone.stl"'),
+            text.replace('pos="0 3 0"', 'pos="500000 4000000 60"'),
+            text.replace("<worldbody>", '<worldbody><frame pos="500000 4000000 60">').replace(
+                "</worldbody>", "</frame></worldbody>"
+            ),
+            text.replace('size="30 30 0.5"', 'size="3e5 3e5 0.5"'),
+            text.replace('angle="degree"', 'angle="degree" meshdir="/" texturedir="../../.."'),
+            "<mujoco>" * 5000,
+            '<robot name="x"><link name="a"/></robot>',
+            "<mujocoinclude/>",
+            text.replace("<mujoco", '<mujoco xmlns="http://x"'),
+            f'<?xml version="1.0" encoding="UTF-16"?>{text}',
+            text.replace('elevation="0 0 0 0 1 0 0 0 0"', f'elevation="{"nan " * 9}"'),
+            text.replace('size="40 40 1 1"', f'size="{pick(rng, ("1e-9 40 1 1", "40 40 1e9 1"))}"'),
+            text.replace('vertex="', 'vertex="nan nan nan 1e300 0 0 '),
+        ),
+    )
+
+
+def mjcf_case(rng: Rng, folder: Path, _shared: Path) -> Case:
+    """A scene from an MJCF file: compiled with the vehicle in it, checked, exported."""
+    text = SCENE_XML if chance(rng, 0.85) else FLOOR
+    text = _raw_trouble(rng, text) if chance(rng, 0.1) else _mutate_mjcf(rng, text)
+    name = pick(rng, ("place.xml", "place.xml", "mein haus.xml", "größe.xml", "[x]/place.xml"))
+    put(rng, folder / name, text, 0.12)
+    if "fifo.xml" in text:
+        import os
+
+        os.mkfifo(folder / "fifo.xml")
+    return _scene_command(rng, name)
+
+
+def _scene_command(rng: Rng, name: str) -> Case:
+    commands: tuple[tuple[str, ...], ...] = (
+        *[("fly", name, "--estimator", "gps", "--quiet", "--no-record", "--out", "out")] * 5,
+        ("land", name, "--quiet", "--no-record", "--set", "landing.classifier=off"),
+        ("scenes", "export", name, "--out", "out"),
+        ("scenes", "check", name),
+        ("scenes", "render", name, "--out", "out.png", "--view", pick(rng, ("height", "above"))),
+        ("control", "margins", "--set", f"scene={name}"),
+    )
+    return Case(arguments=pick(rng, commands), writes=("out", "out.png"))
+
+
+# ------------------------------------------------------------------------------------------- assets
+
+
+def asset_case(rng: Rng, folder: Path, _shared: Path) -> Case:
+    """A scene with a mesh, a texture or a height field from a damaged file."""
+    kind, maker = pick(rng, _ASSETS)
+    name, data = maker(rng)
+    if chance(rng, 0.1):
+        name = pick(rng, ("[x].png", "x.PNG", "m.stl", "m.obj", "t.png", "h.bin", "a.dae", "noext"))
+    target = folder / name
+    if chance(rng, 0.06):
+        put_special(rng, target)
+    else:
+        target.write_bytes(damaged(rng, data) if chance(rng, 0.2) else data)
+    asset, geom = {
+        "mesh": (f'<mesh name="a" file="{name}"/>', '<geom type="mesh" mesh="a" pos="9 9 0"/>'),
+        "hfield": (
+            f'<hfield name="a" file="{name}" size="30 30 2 1"/>',
+            '<geom name="field" type="hfield" hfield="a" pos="0 0 -1"/>',
+        ),
+        "texture": (
+            f'<texture name="t" type="2d" file="{name}"/><material name="a" texture="t"/>',
+            '<geom type="box" size="1 1 1" pos="9 9 0" material="a"/>',
+        ),
+        "cube": (f'<texture name="t" type="skybox" file="{name}"/>', ""),
+        "skin": ("", ""),
+    }[kind]
+    if kind == "skin":
+        asset = f'</asset><deformable><skin name="a" file="{name}"/></deformable><asset>'
+    place = FLOOR.replace("<worldbody>", f"<asset>{asset}</asset><worldbody>{geom}")
+    (folder / "place.xml").write_text(place)
+    return _scene_command(rng, "place.xml")
+
+
+_OBJ_LINES = (
+    "mtllib ../x.mtl", "o [/x]", "vt 0 0", "g \x1b[31m", "s off", "f 1 2", "f 1 2 3 4 5", "call x",
+    "v 1e400 0 0",
+)  # fmt: skip
+
+
+def _obj(rng: Rng) -> tuple[str, bytes]:
+    lines = ["v 0 0 0", "v 4 0 0", "v 0 4 0", "v 0 0 2", "f 1 3 2", "f 1 2 4", "f 2 3 4", "f 3 1 4"]
+    for _ in range(int(pick(rng, (0, 1, 1, 2, 4)))):
+        at = int(rng.integers(len(lines)))
+        words = lines[at].split()
+        words[int(rng.integers(len(words)))] = str(pick(rng, (*NUMBERS, "x", "1/1/1", "1//2", "")))
+        lines[at] = " ".join(words)
+        if chance(rng, 0.3):
+            lines.insert(at, pick(rng, _OBJ_LINES))
+    if chance(rng, 0.03):
+        lines += ["f 1 2 3"] * 300_000
+    return "m.obj", encoded("\n".join(lines) + "\n")
+
+
+def _stl(rng: Rng) -> tuple[str, bytes]:
+    corners = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 2]], np.float32)
+    faces = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)]
+    if chance(rng, 0.4):
+        corners[int(rng.integers(4)), int(rng.integers(3))] = np.float32(_small(rng))
+    count = int(pick(rng, (4, 4, 4, 3, 5, 0, 2**31, 2**32 - 1, 200_001)))
+    body = b"".join(
+        struct.pack("<12fH", 0, 0, 0, *corners[list(face)].ravel().tolist(), 0) for face in faces
+    )
+    if chance(rng, 0.15):
+        return "m.stl", b"solid x\nfacet normal 0 0 0\nouter loop\nvertex 0 0 0\n" * 4
+    return "m.stl", b"solid".ljust(80, b" ") + struct.pack("<I", count) + body
+
+
+def _small(rng: Rng) -> float:
+    with np.errstate(over="ignore"):
+        return float(np.float32(float(pick(rng, NUMBERS))))
+
+
+def _msh(rng: Rng) -> tuple[str, bytes]:
+    counts = [4, 0, 0, 4]
+    if chance(rng, 0.6):
+        counts[int(rng.integers(4))] = int(pick(rng, (-1, 0, 1, 3, 5, 2**31 - 1, 10**8)))
+    points = np.array([0, 0, 0, 4, 0, 0, 0, 4, 0, 0, 0, 2], np.float32).tobytes()
+    faces = np.array([0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3], np.int32)
+    if chance(rng, 0.4):
+        faces[int(rng.integers(12))] = int(pick(rng, (-1, 4, 99, 2**31 - 1)))
+    return "m.msh", struct.pack("<4i", *counts) + points + faces.tobytes()
+
+
+def _hfield_bin(rng: Rng) -> tuple[str, bytes]:
+    rows, cols = 4, 4
+    if chance(rng, 0.4):
+        rows, cols = (int(pick(rng, (4, 4, 1, 0, -1, 5, 2**31 - 1, 70_000))) for _ in range(2))
+    heights = rng.random(16).astype(np.float32)
+    if chance(rng, 0.4):
+        heights[int(rng.integers(16))] = np.float32(_small(rng))
+    return "h.bin", struct.pack("<2i", rows, cols) + heights.tobytes()
+
+
+def _png(rng: Rng) -> tuple[str, bytes]:
+    # MuJoCo's textures are square
+    side = int(pick(rng, (16, 16, 32)))
+    return "t.png", pictures.png(rng, (side, side) if chance(rng, 0.8) else None)
+
+
+def _skin(rng: Rng) -> tuple[str, bytes]:
+    counts = [int(pick(rng, (3, 0, -1, 2**31 - 1))) for _ in range(4)]
+    return "s.skn", struct.pack("<4i", *counts) + bytes(400)
+
+
+_Maker = Callable[[Rng], tuple[str, bytes]]
+_ASSETS: tuple[tuple[str, _Maker], ...] = (
+    ("mesh", _obj), ("mesh", _stl), ("mesh", _msh), ("hfield", _hfield_bin), ("hfield", _png),
+    ("texture", _png), ("texture", _png), ("cube", _png), ("skin", _skin),
+)  # fmt: skip
+
+
+# --------------------------------------------------------------------------------- elevation models
+
+
+def geotiff_case(rng: Rng, folder: Path, _shared: Path) -> Case:
+    """``scenes import-dem``: an elevation model, with or without an aerial image."""
+    dem = pick(rng, ("hill.tif", "hill.tif", "hügel land.tif", "[x].tif"))
+    put(rng, folder / dem, pictures.geotiff(rng), 0.2)
+    options: tuple[str, ...] = ("--window", str(pick(rng, (100, 100, 118, *NUMBERS))))
+    if chance(rng, 0.7):
+        options = ("--window", "100")
+    if chance(rng, 0.3):
+        ortho = pick(rng, ("ortho.png", "ortho.jpg", "ortho.tif"))
+        data = {"png": pictures.png, "jpg": pictures.jpeg, "tif": pictures.geotiff}[ortho[-3:]]
+        put(rng, folder / ortho, data(rng), 0.2)
+        options += ("--ortho", ortho)
+    if chance(rng, 0.2):
+        options += ("--cell", str(pick(rng, (0.5, 1, 2, *NUMBERS))))
+    if chance(rng, 0.15):
+        options += ("--centre", str(pick(rng, (60, *NUMBERS))), str(pick(rng, (60, *NUMBERS))))
+    if chance(rng, 0.1):
+        options += ("--class", str(pick(rng, ("lawn", "water", "feld", ""))))
+    out = dem if chance(rng, 0.04) else pick(rng, ("out", "out", "a/b/out"))
+    return Case(arguments=("scenes", "import-dem", dem, out, *options), writes=(out,))
