@@ -36,7 +36,7 @@ class Question:
     """the driver's working directory, which workers start in"""
 
     def answer_file(self, node_id: str) -> Path:
-        """Where the node writes the text."""
+        """The file into which the node writes the text."""
         return Path(f"{self.file}-{node_id}")
 
 

@@ -1,5 +1,5 @@
-"""What files of other people may say before it is used: names that become paths, JSON documents,
-links. Every string of a file that becomes a path goes through this module."""
+"""Names, JSON documents and links in files of other people, before they are used. Every string of a
+file that becomes a path goes through this module."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def refused(plan: Plan, out: Path, reason: str) -> None:
 
 # ------------------------------------------------------------------------------------------ names
 
-STRANGE = ("../../victim", "../victim", "..", ".", "", "/tmp/victim", "a/b", "x\n", "\x1b[31mx",
+STRANGE = ("../../victim", "../victim", "..", ".", "", "/etc/victim", "a/b", "x\n", "\x1b[31mx",
            "\ud800", "x" * 300)  # fmt: skip
 
 
