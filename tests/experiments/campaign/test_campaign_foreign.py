@@ -91,7 +91,9 @@ def test_a_run_cannot_be_called_by_a_path(name: str, out: Path, plan: Plan) -> N
     shutil.rmtree(out / "runs" / NAME)
     refused(plan, out, r"calls a run .* which no campaign does")
     assert cli.main(["campaign", "status", str(out)]) == 2
-    assert cli.main(["campaign", str(out / "campaign.toml"), "--out", str(out), "--allow-code"]) == 2
+    assert (
+        cli.main(["campaign", str(out / "campaign.toml"), "--out", str(out), "--allow-code"]) == 2
+    )
 
 
 @pytest.mark.parametrize(
