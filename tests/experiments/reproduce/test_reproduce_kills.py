@@ -109,7 +109,8 @@ class Killed:
 
 def test_a_signal_costs_no_finished_part_or_flight(tmp_path: Path) -> None:
     killed = Killed(tmp_path, signal.SIGTERM, 0, MOST)
-    assert killed.kill()
+    while not killed.kill():
+        pass  # it ended first
     killed.finish()
 
 
