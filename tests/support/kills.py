@@ -40,7 +40,8 @@ def strike(command: subprocess.Popen[str], number: int, mark: dict[str, str]) ->
     wrote to stderr; fails unless it ended as is usual after that signal."""
     command.send_signal(number)
     _, err = command.communicate(timeout=60.0)
-    assert command.returncode == (-9 if number == signal.SIGKILL else 128 + number), err
+    wanted = -9 if number == signal.SIGKILL else 128 + number
+    assert command.returncode == wanted, f"exit code {command.returncode}: {err}"
     wait_for(lambda: not marked(mark), "processes outlive the command")
     if number != signal.SIGKILL:
         assert err.startswith("touchdown: stopped; ") and err.count("\n") == 1, err
