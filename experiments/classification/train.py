@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import ctypes
 import fcntl
 import json
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -66,9 +67,9 @@ def train_network(
         load_images(catalogues, split, params.labels, params.image_size, progress)
         for split in ("train", "val")
     )
-    out.mkdir(parents=True, exist_ok=True)
-    lock = _locked(out)
-    trainer = training.Trainer(params, train, val, out, chosen, start=start, compiled=compiled)
+    with _new_folder(out):
+        lock = _locked(out)
+        trainer = training.Trainer(params, train, val, out, chosen, start=start, compiled=compiled)
     if trainer.history:
         notes(f"resuming after epoch {len(trainer.history)}")
     while not trainer.finished:
@@ -103,6 +104,20 @@ def train_network(
     write_text(out / REPORT, json.dumps(report, indent=2) + "\n")
     os.close(lock)
     return report
+
+
+@contextlib.contextmanager
+def _new_folder(out: Path) -> Iterator[None]:
+    """Makes a folder; where the block raises, what was made is removed, as long as it is empty."""
+    missing = [folder for folder in (out, *out.parents) if not folder.exists()]
+    out.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(OSError):
+            for folder in missing:
+                folder.rmdir()
+        raise
 
 
 def _locked(out: Path) -> int:

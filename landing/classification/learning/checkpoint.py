@@ -44,7 +44,7 @@ def restore(trainer: Resumable, folder: Path, identity: dict[str, Any]) -> None:
     if not isinstance(before, dict) or _history_fault(state):
         raise ValueError(f"'{path}' is not the checkpoint of a training; name another folder")
     for key, value in identity.items():
-        if before.get(key) != value:
+        if isinstance(before.get(key), Tensor) or before.get(key) != value:
             what = _OTHER[key] if key in _OTHER else f"{key} {before.get(key)}, not {value}"
             raise ValueError(f"'{folder}' holds a training with {what}; name another folder")
     try:

@@ -1,0 +1,57 @@
+"""A training that is refused leaves nothing behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.experiments.cli.main import main
+from touchdown.experiments.io.images import write_png
+
+_COLOURS = {"lawn": (40, 200, 40), "water": (40, 40, 200), "road": (200, 40, 40)}
+_TRAIN = ("--network", "mobilenet_v3_large", "--image-size", "32", "--batch-size", "2", "--quiet")
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> str:
+    for name, colour in _COLOURS.items():
+        (tmp_path / "data" / name).mkdir(parents=True)
+        for number in range(8):
+            file = tmp_path / "data" / name / f"{name}{number:02d}.png"
+            write_png(file, np.full((32, 32, 3), colour, np.uint8))
+    return str(tmp_path / "data")
+
+
+def _refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert main(["train", *arguments, *_TRAIN]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+def test_no_folder_is_left_where_the_start_is_refused(
+    torch: Any, data: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "start").mkdir()
+    torch.save({"x": 3}, tmp_path / "start" / "best.pt")
+    out = tmp_path / "new" / "er"
+    line = _refused(
+        capsys, "--data", data, "--out", str(out), "--start-from", str(tmp_path / "start")
+    )
+    assert "best.pt" in line
+    assert not out.parent.exists()
+
+
+def test_a_tensor_for_a_parameter_is_another_training(
+    torch: Any, data: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    identity = {"network": torch.zeros(3)}
+    state = {"identity": identity, "history": [], "best_epoch": -1}
+    (tmp_path / "out").mkdir()
+    torch.save(state, tmp_path / "out" / "last.pt")
+    line = _refused(capsys, "--data", data, "--out", str(tmp_path / "out"))
+    assert "holds a training with network" in line
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["last.pt"]
