@@ -48,10 +48,11 @@ def test_no_folder_is_left_where_the_start_is_refused(
 def test_a_tensor_for_a_parameter_is_another_training(
     torch: Any, data: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    identity = {"network": torch.zeros(3)}
+    size = torch.full((3,), 32.0)
+    identity = {"network": _TRAIN[1], "labels": "d_land", "image_size": size}
     state = {"identity": identity, "history": [], "best_epoch": -1}
     (tmp_path / "out").mkdir()
     torch.save(state, tmp_path / "out" / "last.pt")
     line = _refused(capsys, "--data", data, "--out", str(tmp_path / "out"))
-    assert "holds a training with network" in line
+    assert "holds a training with image_size" in line
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["last.pt"]
