@@ -156,8 +156,10 @@ def _cast(value: Any, kind: str) -> Any:
             return [float(item) for item in value] if _kind(value) == "floats" else None
     except OverflowError:
         return None  # a whole number of hundreds of digits
+    if kind == "bool":
+        return value if isinstance(value, bool) else None
     if kind == "json" or (kind == "text" and not isinstance(value, str)):
-        return json.dumps(value)
+        return json.dumps(value, default=str)
     return value
 
 
@@ -220,6 +222,13 @@ def refresh(directory: Path, *, must_write: bool = False) -> list[dict[str, Any]
             if must_write:
                 raise UsageError(f"'{results}' cannot be written: {error.strerror}") from error
     return rows
+
+
+def check_rows(directory: Path) -> None:
+    """Raises UsageError for a damaged row in a campaign's directory, so that it is named before
+    anything is flown."""
+    for _ in (*_finished_rows(directory), *_crashed_rows(directory)):
+        pass
 
 
 def finished_ids(directory: Path) -> set[str]:
@@ -296,17 +305,24 @@ def read_row(run: Path) -> dict[str, Any]:
             f"'{run / ROW_FILE}' is damaged; remove the directory '{run}' and give the "
             f"campaign again, which flies it anew ({error})"
         ) from error
-    row = dict.fromkeys(SCHEMA) | rows[0]  # rows of earlier versions have fewer columns
+    row = _of_schema(dict.fromkeys(SCHEMA) | rows[0])  # earlier versions have fewer columns
     return row | judged_columns(row)
+
+
+def _of_schema(row: Mapping[str, Any]) -> dict[str, Any]:
+    """``row`` with values of the kinds of ``SCHEMA``; None for others."""
+    return {key: _cast(value, SCHEMA.get(key, "")) for key, value in row.items()}
 
 
 def _check_names(row: Mapping[str, Any], run_id: object) -> None:
     """Raises ValueError unless a row identifies its run, and that is ``run_id``."""
-    for key in ("run_id", "scene", "estimator", "seed", "outcome"):
-        kind = int if key == "seed" else str
-        if not isinstance(row.get(key), kind):
+    for key in ("run_id", "scene", "estimator", "outcome"):
+        if not isinstance(row.get(key), str):
             raise ValueError(f"{key} = {shown(row.get(key))}")
-    if not isinstance(row.get("wind_kmh"), float | int | None):
+    seed = row.get("seed")
+    if type(seed) is not int or not -(2**63) <= seed < 2**63:
+        raise ValueError(f"seed = {shown(seed)}")
+    if _kind(row.get("wind_kmh")) != "float" and row.get("wind_kmh") is not None:
         raise ValueError(f"wind_kmh = {shown(row['wind_kmh'])}")
     if row["run_id"] != run_id:
         raise ValueError(f"it is of the run {shown(row['run_id'])}")
@@ -322,7 +338,7 @@ def _crashed_rows(directory: Path) -> Iterable[dict[str, Any]]:
                 raise UsageError(
                     f"'{path}' is damaged; remove it and give the campaign again ({error})"
                 ) from error
-            yield row
+            yield _of_schema(row)
 
 
 def _plain_rows(directory: Path) -> list[dict[str, Any]]:

@@ -30,6 +30,7 @@ from touchdown.experiments.campaign.results_table import (
     FAILED,
     RESULTS_FILE,
     RUNS,
+    check_rows,
     finished_ids,
     refresh,
 )
@@ -82,6 +83,7 @@ def fly_campaign(
     with locked(directory, shard):
         if real:
             check_external_code(plan, directory)
+        check_rows(directory)
         plan = settle_plan(plan, directory, git_revision())
         mine = [run for run in plan.runs if shard is None or in_shard(run.run_id, shard)]
         sweep(directory, [run.run_id for run in mine], whole=shard is None)

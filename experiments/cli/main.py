@@ -126,7 +126,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         _let_go_of_stdout()
         return _fail(message)
+    except RuntimeError as error:
+        # What `Path.resolve` raises for links in a circle, before Python 3.13.
+        if not str(error).startswith(_CIRCLE):
+            raise
+        where = str(error).removeprefix(_CIRCLE)
+        return _fail(f"{where}: its links lead in a circle; name the target itself")
     return int(code or 0)
+
+
+_CIRCLE = "Symlink loop from "
 
 
 def _one_line_warning(message: Warning | str, *_where: Any, **_more: Any) -> str:

@@ -68,6 +68,8 @@ def plain_reason(error: Exception) -> str:
     text = words[3] if len(words) == 4 and words[0].startswith("[ONNX") else lines[0]
     if "xternal data" in text:
         return "its weights lie in another file; save it as one file"
+    if "::" in text:  # a place in the sources of ONNX Runtime, then a condition, then the reason
+        text = text.rpartition(" was false. ")[2] if " was false. " in text else "it is damaged"
     return text.strip()
 
 

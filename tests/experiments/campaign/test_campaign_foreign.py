@@ -89,7 +89,7 @@ STRANGE = ("../../victim", "../victim", "..", ".", "", "/etc/victim", "a/b", "x\
 def test_a_run_cannot_be_called_by_a_path(name: str, out: Path, plan: Plan) -> None:
     edit(out, lambda document: document["runs"][0].update(run_id=name))
     shutil.rmtree(out / "runs" / NAME)
-    refused(plan, out, r"calls a run .* which no campaign does")
+    refused(plan, out, r"calls a run .* which no campaign does|has half a character")
     assert cli.main(["campaign", "status", str(out)]) == 2
     assert (
         cli.main(["campaign", str(out / "campaign.toml"), "--out", str(out), "--allow-code"]) == 2
@@ -249,3 +249,59 @@ def test_leavings_of_killed_campaigns_go(out: Path, plan: Plan) -> None:
         path.write_text("")
     assert fly(plan, out)["finished"] == 2
     assert not any(path.exists() for path in left)
+
+
+# ---------------------------------------------------------------------------------- kinds of values
+
+
+def _other_row(out: Path, **values: Any) -> None:
+    """The first run's row with other values, of whatever kinds."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    file = out / "runs" / NAME / "row.parquet"
+    row = pq.read_table(file).to_pylist()[0] | values
+    pq.write_table(pa.table({key: [value] for key, value in row.items()}), file)
+    (out / "results.parquet").unlink()
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("landing.safe", 2**63 - 1),
+        ("landing.safe", "\x1b[31m"),
+        ("reason", b"\xff\xfe"),
+        ("timing.wall_s", [1.0]),
+        ("timing.stage_ms.world", [1.0]),
+        ("position_error_m.mean", "x"),
+        ("more", b"\xff"),
+    ],
+)
+def test_values_of_other_kinds_do_not_count(
+    key: str, value: object, out: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _other_row(out, **{key: value})
+    for command in (["campaign", "status", str(out)], ["query", str(out), "select * from runs"]):
+        assert cli.main(command) == 0
+    assert not capsys.readouterr().err
+    row = next(row for row in load_rows(out) if row["run_id"] == NAME)
+    assert key == "more" or not isinstance(row[key], type(value)) or row[key] is None
+
+
+@pytest.mark.parametrize("seed", [True, 2**63, -(2**63) - 1, 1.5, "1"])
+def test_a_crash_names_its_seed(
+    seed: object, out: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.rmtree(out / "runs" / NAME)
+    crash = {"run_id": NAME, "scene": "flat", "estimator": "fake:good", "seed": seed, "error": "x"}
+    (out / "failed").mkdir(exist_ok=True)
+    (out / "failed" / f"{NAME}.json").write_text(json.dumps(crash))
+    assert cli.main(["campaign", "status", str(out)]) == 2
+    assert "seed = " in capsys.readouterr().err
+
+
+def test_damage_is_named_before_anything_is_flown(out: Path, plan: Plan) -> None:
+    shutil.rmtree(out / "runs" / NAME)
+    (out / "failed").mkdir(exist_ok=True)
+    (out / "failed" / "other.json").write_text("{}")
+    refused(plan, out, "is damaged")

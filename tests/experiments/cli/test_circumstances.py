@@ -270,3 +270,28 @@ def test_a_comma_for_a_point_is_refused(capsys: pytest.CaptureFixture[str]) -> N
         load_config(None, ["wind.mean_kmh=7,5"])
     code, _, err = _run(capsys, "fly", "flat", "--wind-kmh", "7,5")
     assert code == 2 and "not a valid float" in err
+
+
+def test_links_in_a_circle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Wherever a path is given, one line names it."""
+    circle = tmp_path / "circle"
+    circle.symlink_to(circle)
+    network, inner = tmp_path / "network.onnx", str(circle / "x")
+    network.symlink_to(network)
+    for command in (
+        ("fly", "flat", "--out", str(circle)),
+        ("fly", "flat", "--out", inner),
+        ("fly", "flat", "--config", str(circle)),
+        ("fly", inner),
+        ("report", str(circle)),
+        ("query", inner, "select 1"),
+        ("export", str(circle), "--format", "tum"),
+        ("campaign", "status", str(circle)),
+        ("scenes", "import-dem", str(circle), str(tmp_path / "out")),
+        ("quantize", str(network), "--data", str(tmp_path), "--out", str(tmp_path / "o.onnx")),
+        ("classify", str(circle), "--out", inner),
+    ):
+        assert cli.main(list(command)) == 2, command
+        lines = capsys.readouterr().err.strip().splitlines()
+        assert len(lines) == 1 and lines[0].startswith("touchdown: error: "), (command, lines)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["circle", "network.onnx"]
