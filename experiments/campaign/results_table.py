@@ -272,6 +272,8 @@ def _rows_at(results: Path, stamp: str) -> list[dict[str, Any]] | None:
     import pyarrow.lib
     import pyarrow.parquet as pq
 
+    if not results.is_file():  # a pipe would be waited for
+        return None
     try:
         metadata = pq.read_schema(results).metadata or {}
         if metadata.get(b"touchdown.stamp", b"").decode() != stamp:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -286,6 +287,16 @@ def test_values_of_other_kinds_do_not_count(
     assert not capsys.readouterr().err
     row = next(row for row in load_rows(out) if row["run_id"] == NAME)
     assert key == "more" or not isinstance(row[key], type(value)) or row[key] is None
+
+
+def test_a_table_that_is_no_file_is_made_anew(
+    out: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (out / "results.parquet").unlink()
+    os.mkfifo(out / "results.parquet")
+    assert cli.main(["query", str(out), "select count(*) from runs", "--csv"]) == 0
+    assert capsys.readouterr().out.split() == ["count_star()", "2"]
+    assert (out / "results.parquet").is_file()
 
 
 @pytest.mark.parametrize("seed", [True, 2**63, -(2**63) - 1, 1.5, "1"])
