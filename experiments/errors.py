@@ -88,6 +88,11 @@ def input_message(error: ValueError | OSError) -> str:
     return known or str(error)
 
 
+def reason_of(error: Exception) -> str:
+    """The words of an error, without the number that the system gives it."""
+    return error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+
+
 def usage_errors(action: Callable[[], Any]) -> Any:
     """Runs ``action`` and returns its result. Raises UsageError for its ValueError or OSError."""
 

@@ -16,7 +16,7 @@ import psutil
 from touchdown.experiments.benchmarks.jit_warmup import compiled_before
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
 from touchdown.experiments.recording.run_recorder import NullRecorder
 from touchdown.experiments.recording.step_record import StepRecord
@@ -179,7 +179,7 @@ def plot(flights: Sequence[dict[str, Any]], path: Path) -> None:
     try:
         figure.savefig(path)
     except (OSError, ValueError) as error:
-        raise UsageError(f"cannot write the plot {path}: {error}") from None
+        raise UsageError(f"cannot write the plot {path}: {reason_of(error)}") from None
 
 
 def _resident_mb() -> float:

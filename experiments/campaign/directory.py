@@ -18,7 +18,7 @@ from touchdown.experiments.campaign.results_table import FAILED, RESULTS_FILE, R
 from touchdown.experiments.campaign.run_names import is_run_name
 from touchdown.experiments.campaign.worker import PARTIAL, Task
 from touchdown.experiments.config.keys import flatten
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.external.loading import code_now, is_external
 from touchdown.experiments.io.foreign import inside, is_plain_name, read_object, refuse_links, shown
 from touchdown.experiments.io.run_directory import clear_partials, utc_now, write_text
@@ -118,10 +118,10 @@ def read_plan_file(directory: Path) -> dict[str, Any]:
     path = directory / PLAN_FILE
     try:
         document = read_object(path)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise UsageError(f"'{directory}' is no campaign: it holds no {PLAN_FILE}") from None
     except (OSError, ValueError) as error:
-        raise UsageError(f"'{path}' cannot be read: {error}") from None
+        raise UsageError(f"'{path}' cannot be read: {reason_of(error)}") from None
     if not _is_plan(document):
         raise UsageError(
             f"'{path}' is damaged or of another program; name another directory, or the campaign's "

@@ -12,7 +12,7 @@ from typing import Any
 from touchdown.experiments.campaign.plan import config_sha
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.loading import load_config
-from touchdown.experiments.errors import UsageError, is_text
+from touchdown.experiments.errors import UsageError, is_text, reason_of
 from touchdown.experiments.io.foreign import is_plain_name, read_object, shown
 from touchdown.experiments.io.results import (
     RunResult,
@@ -305,7 +305,7 @@ def read_row(run: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:  # of pyarrow, too
         raise UsageError(
             f"'{run / ROW_FILE}' is damaged; remove the directory '{run}' and give the "
-            f"campaign again, which flies it anew ({error})"
+            f"campaign again, which flies it anew ({reason_of(error)})"
         ) from error
     row = _of_schema(dict.fromkeys(SCHEMA) | rows[0])  # earlier versions have fewer columns
     return row | judged_columns(row)
@@ -338,7 +338,8 @@ def _crashed_rows(directory: Path) -> Iterable[dict[str, Any]]:
                 _check_names(row := crashed_row(read_object(path)), path.stem)
             except (OSError, ValueError, KeyError, TypeError) as error:
                 raise UsageError(
-                    f"'{path}' is damaged; remove it and give the campaign again ({error})"
+                    f"'{path}' is damaged; remove it and give the campaign again "
+                    f"({reason_of(error)})"
                 ) from error
             yield _of_schema(row)
 

@@ -16,7 +16,7 @@ from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.edges.dataset import EdgeView, boundaries, edge_views
 from touchdown.experiments.edges.train import CANNY_THRESHOLDS, canny_masks
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.flight.wiring import build_scene, make_world
 from touchdown.experiments.scene_tools.posed_views import posed_sensors
 from touchdown.scenes.api import Scene
@@ -157,7 +157,7 @@ def plot_curves(path: Path, report: Mapping[str, Any]) -> None:
     try:
         figure.savefig(path)
     except (OSError, ValueError) as error:
-        raise UsageError(f"--plot: '{path}' cannot be written: {error}") from error
+        raise UsageError(f"--plot: '{path}' cannot be written: {reason_of(error)}") from error
 
 
 def _line_drawing(mask: NDArray[np.bool_]) -> Image:
@@ -197,7 +197,7 @@ def _write(path: Path, image: Image) -> None:
     try:
         path.write_bytes(data.tobytes())
     except OSError as error:
-        raise UsageError(f"--out: '{path}' cannot be written: {error}") from error
+        raise UsageError(f"--out: '{path}' cannot be written: {reason_of(error)}") from error
 
 
 def still_features(

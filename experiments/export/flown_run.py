@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.io.foreign import read_object
 
 LIBRARY = "touchdown export"
@@ -125,5 +125,6 @@ def open_flown(run: Path) -> FlownRun:
     try:
         result = read_object(run / "result.json")
     except (ValueError, OSError) as error:
-        raise UsageError(f"'{run / 'result.json'}' is no result of a run: {error}") from error
+        reason = reason_of(error)
+        raise UsageError(f"'{run / 'result.json'}' is no result of a run: {reason}") from error
     return FlownRun(run, result)

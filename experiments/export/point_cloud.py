@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from plyfile import PlyData, PlyParseError
 
 from touchdown.estimator.api import PoseTrack
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.export.flown_run import LIBRARY, Exported, ExportOptions, FlownRun
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import tum_rows
@@ -47,7 +47,7 @@ def _write_map(flown: FlownRun, path: Path) -> Exported:
         cloud = PlyData.read(source)
         count = len(cloud["vertex"].data)
     except (PlyParseError, KeyError, ValueError) as error:
-        raise UsageError(f"'{source}' is no map of a flight: {error}") from error
+        raise UsageError(f"'{source}' is no map of a flight: {reason_of(error)}") from error
     cloud.comments = [f"{LIBRARY}: map, world frame, metres"]
     cloud.write(path)
     return Exported(path, {"points": count})

@@ -23,7 +23,7 @@ from touchdown.experiments.api import Outcome
 from touchdown.experiments.config.keys import is_external_key
 from touchdown.experiments.config.loading import dump_config, is_key, load_config, read_tree
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.external.loading import flown_code
 from touchdown.experiments.flight.metrics import PositioningError
 from touchdown.experiments.flight.observers import Progress
@@ -79,7 +79,7 @@ def open_run(run: Path) -> LoggedRun:
     try:
         times, positions, quats = read_tum(run / "truth.tum")
     except OSError as error:
-        raise UsageError(f"'{run}' cannot be read: {error}") from error
+        raise UsageError(f"'{run}' cannot be read: {reason_of(error)}") from error
     if not len(times):
         raise UsageError(f"'{run}' cannot be replayed: its truth.tum is empty")
     ticks = np.rint(times * sensors.rig.tick_hz).astype(int).tolist()

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchdown.estimator.api import CalibrationResult
-from touchdown.experiments.errors import UsageError, nearest, plain_fault
+from touchdown.experiments.errors import UsageError, nearest, plain_fault, reason_of
 from touchdown.experiments.io.run_directory import whole_file
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
@@ -135,7 +135,7 @@ def read_calibration(path: Path) -> CalibrationFile:
     except json.JSONDecodeError as error:
         raise UsageError(f"'{path}' is not valid JSON: {error}") from None
     except (UnicodeDecodeError, OSError) as error:
-        raise UsageError(f"'{path}' cannot be read as text: {error}") from None
+        raise UsageError(f"'{path}' cannot be read as text: {reason_of(error)}") from None
     except RecursionError:
         raise UsageError(f"'{path}' is nested too deeply for a calibration") from None
     if not isinstance(tree, dict):

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from touchdown.experiments.errors import UsageError, input_message, plain_fault
+from touchdown.experiments.errors import UsageError, input_message, plain_fault, reason_of
 from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.provenance import plain_json
 
@@ -284,7 +284,7 @@ def load_result(path: Path) -> RunResult:
     except OSError as error:
         raise UsageError(input_message(error)) from error
     except ValueError as error:
-        raise UsageError(f"'{path}' is no run's result: {error}") from error
+        raise UsageError(f"'{path}' is no run's result: {reason_of(error)}") from error
     try:
         return RunResult.model_validate(tree)
     except ValidationError as error:

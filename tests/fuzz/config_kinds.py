@@ -251,9 +251,12 @@ def argv_case(rng: Rng, folder: Path, _shared: Path) -> Case:
             rng, ([], [arguments[at]] * 2, [misspelt(rng, arguments[at])], [pick(rng, TEXTS)])
         )
     arguments = [one.replace("\0", "") for one in arguments if one != "/proc/self/mem"]
-    if chance(rng, 0.5) and any(option.name == "quiet" for option in command.params):
+    can_be_quiet = any(option.name == "quiet" for option in command.params)
+    if chance(rng, 0.5) and can_be_quiet:
         arguments.append("--quiet")
-    return Case(arguments=tuple(arguments), writes=("*",))
+    # `scenes check` says which seed it is at, and cannot be quiet
+    noisy = path == ("scenes", "check") or (can_be_quiet and "--quiet" not in arguments)
+    return Case(arguments=tuple(arguments), writes=("*",), noisy=noisy)
 
 
 def _put_specials(folder: Path) -> None:

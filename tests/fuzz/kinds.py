@@ -41,7 +41,7 @@ KINDS: Mapping[str, Kind] = {
     "geotiff": Kind(scene_kinds.geotiff_case, 14),
     "image": Kind(learn_kinds.image_case, 14),
     "onnx": Kind(learn_kinds.onnx_case, 14),
-    "checkpoint": Kind(learn_kinds.checkpoint_case, 6),
+    "checkpoint": Kind(learn_kinds.checkpoint_case, 10),
 }
 LEARNING = ("onnx", "checkpoint", "csv")
 """Kinds whose commands need torch."""

@@ -44,11 +44,14 @@ def main() -> int:
     parser.add_argument("--count", type=int, help="cases of each kind  [1500 or more]")
     parser.add_argument("--first", type=int, default=FIRST, help="number of the first case")
     parser.add_argument("--no-whole", action="store_true", help="no separate commands")
+    parser.add_argument("--again", action="store_true", help="the findings that are there")
     parser.add_argument("--only-table", action="store_true", help="of what is there")
     given = parser.parse_args()
     found: fleet.Verdicts = []
     for kind in given.kinds.split(","):
         out = given.out / f"{kind}.jsonl"
+        if given.again:
+            fleet.forget_findings(out)
         if given.only_table:
             found += fleet.read(out)
         else:

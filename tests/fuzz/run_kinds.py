@@ -398,11 +398,8 @@ def reproduction_case(rng: Rng, folder: Path, _shared: Path) -> Case:
 
 def json_case(rng: Rng, folder: Path, shared: Path) -> Case:
     """JSON that is read back."""
-    return Case(**_fields(pick(rng, _JSON)(rng, folder, shared)))
-
-
-def _fields(case: Case) -> dict[str, Any]:
-    return {"arguments": case.arguments, "writes": case.writes}
+    case: Case = pick(rng, _JSON)(rng, folder, shared)
+    return case
 
 
 def _config_json(rng: Rng, folder: Path, shared: Path) -> Case:

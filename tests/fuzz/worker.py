@@ -87,7 +87,10 @@ def run(kind: str, number: int, folder: Path, shared: Path, *, whole: bool = Fal
     code = "reached" if code == REACHED else code
     if isinstance(code, int) and code < 0:
         code = signal.Signals(-code).name
-    faults = [end.why] if end.why else cases.judge(code, errors, output)
+    faults = [end.why]
+    if not end.why:
+        as_data = "--csv" in case.arguments
+        faults = cases.judge(code, errors, output, as_data=as_data, noisy=case.noisy)
     if end.left:
         faults.append(f"left {end.left} processes behind")
     if not end.why:
@@ -114,7 +117,8 @@ def _made(place: Place, errors: str) -> tuple[Case, dict[str, str]]:
     if not note.is_file():
         raise RuntimeError(f"the case cannot be made:\n{errors}")
     tree = json.loads(note.read_text(encoding="utf-8"))
-    return Case(arguments=tuple(tree["arguments"]), writes=tuple(tree["writes"])), tree["files"]
+    files = tree.pop("files")
+    return Case(**{k: tuple(v) if isinstance(v, list) else v for k, v in tree.items()}), files
 
 
 # ----------------------------------------------------------------------------------- running a case

@@ -18,7 +18,7 @@ import pytest
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import dump_config, load_config
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.errors import UsageError, system_message
+from touchdown.experiments.errors import UsageError, reason_of, system_message
 from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.io.run_directory import run_directory, whole_file
 from touchdown.experiments.terminal import error_line
@@ -295,3 +295,15 @@ def test_links_in_a_circle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         lines = capsys.readouterr().err.strip().splitlines()
         assert len(lines) == 1 and lines[0].startswith("touchdown: error: "), (command, lines)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["circle", "network.onnx"]
+
+
+def test_errors_have_words_and_no_numbers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "empty.toml"
+    file.touch()
+    assert cli.main(["campaign", "status", str(file)]) == 2
+    assert "is no campaign" in (error := capsys.readouterr().err)
+    assert "Errno" not in error
+    assert reason_of(IsADirectoryError(errno.EISDIR, "Is a directory")) == "Is a directory"
+    assert reason_of(ValueError("no")) == "no"
