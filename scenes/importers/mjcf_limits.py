@@ -201,11 +201,6 @@ class _Model:
                 f"'{printable(attributes.get('plugin') or attributes.get('instance', ''))}', which "
                 "no sensor of a flight sees; give its shape as a mesh file (OBJ or STL)"
             )
-        elif tag == "geom" and attributes.get("type", "").strip() == "sdf":
-            raise self._fail(
-                f"geom '{printable(name)}' is a signed distance field, which a LIDAR scan cannot "
-                'see; give its shape as a mesh (type="mesh")'
-            )
         elif tag in ("mesh", "skin", "flexcomp", "texture", "hfield"):
             self._asset(tag, name, attributes, path)
 

@@ -30,7 +30,7 @@ _WORDS = {"cam": "camera", "mat": "material", "hfield": "height field"}
 
 def check_model(model: Any, data: Any, path: Path) -> None:
     """Raises ValueError for a number that is NaN or infinite, for what lies or reaches beyond
-    `FARTHEST_M`, for signed distance fields and for more triangles than `MAX_TRIANGLES`."""
+    `FARTHEST_M`, for shapes of plug-ins and for more triangles than `MAX_TRIANGLES`."""
     # Geoms first: boxes around them follow from their own numbers.
     for name in sorted(dir(model), key=lambda name: (not name.startswith("geom_"), name)):
         if name in _DERIVED:
@@ -58,17 +58,19 @@ def check_model(model: Any, data: Any, path: Path) -> None:
                 f"{path}: {_element(model, name, far)} lies or reaches farther than "
                 f"{FARTHEST_M:.0e} m; give lengths in metres"
             )
-    sdf = model.geom_type == mujoco.mjtGeom.mjGEOM_SDF
-    if sdf.any():
+    formless = (model.geom_type == mujoco.mjtGeom.mjGEOM_SDF) & (
+        (model.geom_plugin >= 0) | (model.geom_dataid < 0)
+    )
+    if formless.any():
         raise ValueError(
-            f"{path}: {_element(model, 'geom_', sdf)} is a signed distance field, which a LIDAR "
-            'scan cannot see; give its shape as a mesh (type="mesh")'
+            f"{path}: {_element(model, 'geom_', formless)} is a signed distance field without a "
+            'mesh, which a LIDAR scan cannot see; give its shape as a mesh (type="mesh")'
         )
     _check_triangles(model, path)
 
 
 def _check_triangles(model: Any, path: Path) -> None:
-    meshes = model.geom_type == mujoco.mjtGeom.mjGEOM_MESH
+    meshes = np.isin(model.geom_type, (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SDF))
     fields = model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD
     count = int(model.mesh_facenum[model.geom_dataid[meshes]].sum())
     cells = model.hfield_nrow.astype(np.int64) * model.hfield_ncol
