@@ -85,8 +85,10 @@ def system_message(error: OSError) -> str | None:
 
 def input_message(error: ValueError | OSError) -> str:
     """The message for an error that bad input or the machine has caused."""
-    known = system_message(error) if isinstance(error, OSError) else None
-    return known or str(error)
+    if isinstance(error, OSError) and error.strerror:
+        where = f"'{error.filename}': " if error.filename else ""
+        return system_message(error) or f"{where}{error.strerror}"
+    return str(error)
 
 
 def reason_of(error: Exception) -> str:

@@ -18,7 +18,7 @@ import pytest
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import dump_config, load_config
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.errors import UsageError, reason_of, system_message
+from touchdown.experiments.errors import UsageError, input_message, reason_of, system_message
 from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.io.run_directory import run_directory, whole_file
 from touchdown.experiments.terminal import error_line
@@ -307,3 +307,4 @@ def test_errors_have_words_and_no_numbers(
     assert "Errno" not in error
     assert reason_of(IsADirectoryError(errno.EISDIR, "Is a directory")) == "Is a directory"
     assert reason_of(ValueError("no")) == "no"
+    assert input_message(FileExistsError(errno.EEXIST, "File exists", "a")) == "'a': File exists"
