@@ -307,4 +307,4 @@ def test_errors_have_words_and_no_numbers(
     assert "Errno" not in error
     assert reason_of(IsADirectoryError(errno.EISDIR, "Is a directory")) == "Is a directory"
     assert reason_of(ValueError("no")) == "no"
-    assert input_message(FileExistsError(errno.EEXIST, "File exists", "a")) == "'a': File exists"
+    assert input_message(OSError(errno.ENODEV, "No such device", "a")) == "'a': No such device"
