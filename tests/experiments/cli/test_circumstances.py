@@ -312,7 +312,8 @@ def test_errors_have_words_and_no_numbers(
 
 def test_what_libraries_log_is_not_printed() -> None:
     code = (
-        "import logging; from touchdown.experiments.cli.main import main; main(['scenes', 'list'])\n"
+        "import logging\nfrom touchdown.experiments.cli.main import main\n"
+        "main(['scenes', 'list'])\n"
         "logging.getLogger('PIL').error('More samples per pixel than can be decoded')"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
