@@ -61,6 +61,7 @@ def test_libraries_stay_on_one_thread_whatever_the_environment_says(first: str) 
     assert (opencv, numba) == (1, 1)
 
 
+@pytest.mark.slow
 def test_a_short_flight_is_the_same_with_other_threads(tmp_path: Path) -> None:
     plain = flown(tmp_path / "plain", "flat", "gps")
     odd = dict.fromkeys(NAMES, "2") | {"NUMBA_NUM_THREADS": "many"}

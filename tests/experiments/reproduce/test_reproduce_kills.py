@@ -107,6 +107,7 @@ class Killed:
         return Counter(file.read_text().splitlines() if file.is_file() else [])
 
 
+@pytest.mark.slow
 def test_a_signal_costs_no_finished_part_or_flight(tmp_path: Path) -> None:
     killed = Killed(tmp_path, signal.SIGTERM, 0, MOST)
     while not killed.kill():
