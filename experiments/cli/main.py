@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import os
 import signal
 import sys
@@ -83,6 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # `experiments.recording.rerun_recorder` reports in one line what could not be written.
     os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=off")
     warnings.formatwarning = _one_line_warning
+    # What libraries log, Pillow for one, is not for the terminal: an error is one line.
+    logging.getLogger().addHandler(logging.NullHandler())
     # A warning of numba about an optional library; nothing here has several threads.
     warnings.filterwarnings("ignore", message=".*TBB threading layer")
     signal.signal(signal.SIGTERM, _interrupt)

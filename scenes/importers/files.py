@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import stat
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 MIB = 1 << 20
@@ -47,3 +51,20 @@ def printable(text: str) -> str:
     and long text is cut."""
     cut = text if len(text) <= 80 else f"{text[:77]}..."
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in cut)
+
+
+@contextlib.contextmanager
+def quiet_libraries() -> Iterator[None]:
+    """Drops what C libraries print on stderr, such as a page of advice of Qhull: an error is one
+    line, of the exception that they raise as well."""
+    with contextlib.ExitStack() as held:
+        with contextlib.suppress(OSError, ValueError):  # there is no stderr
+            if sys.stderr is not None:
+                sys.stderr.flush()
+            kept = os.dup(2)
+            held.callback(os.close, kept)
+            held.callback(os.dup2, kept, 2)
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            held.callback(os.close, nowhere)
+            os.dup2(nowhere, 2)
+        yield

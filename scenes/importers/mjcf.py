@@ -11,7 +11,7 @@ import numpy as np
 
 from touchdown.scenes.api import LAND_CLASSES, Surface
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.importers.files import check_file, printable
+from touchdown.scenes.importers.files import check_file, printable, quiet_libraries
 from touchdown.scenes.importers.mjcf_limits import check_mjcf
 from touchdown.scenes.importers.model_check import check_model
 from touchdown.scenes.importers.origin import (
@@ -182,7 +182,8 @@ def _remove_vehicle(spec: Any) -> bool:
 def _compiled(spec: Any, path: Path) -> tuple[Any, Any]:
     """Returns the model, and its data with the poses of time 0."""
     try:
-        model = spec.copy().compile()
+        with quiet_libraries():
+            model = spec.copy().compile()
     except _MUJOCO_ERRORS as error:
         _blame_asset(spec, path)
         raise ValueError(f"{path}: not a valid MJCF file: {_one_line(error)}") from error
@@ -238,6 +239,10 @@ def _warn_once(path: Path, text: str) -> None:
 
 def _one_line(error: Exception) -> str:
     text = " ".join(str(error).split())
+    if "qhull error" in text:
+        text = text.replace(
+            "qhull error", "a mesh is flat, or has too few points: give it a volume"
+        )
     return "MuJoCo needs more memory than there is" if "unknown exception" in text else text
 
 

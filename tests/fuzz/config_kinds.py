@@ -250,13 +250,23 @@ def argv_case(rng: Rng, folder: Path, _shared: Path) -> Case:
         arguments[at : at + 1] = pick(
             rng, ([], [arguments[at]] * 2, [misspelt(rng, arguments[at])], [pick(rng, TEXTS)])
         )
-    arguments = [one.replace("\0", "") for one in arguments if one != "/proc/self/mem"]
+    arguments = [_as_given(one) for one in arguments if one != "/proc/self/mem"]
     can_be_quiet = any(option.name == "quiet" for option in command.params)
     if chance(rng, 0.5) and can_be_quiet:
         arguments.append("--quiet")
     # `scenes check` says which seed it is at, and cannot be quiet
     noisy = path == ("scenes", "check") or (can_be_quiet and "--quiet" not in arguments)
     return Case(arguments=tuple(arguments), writes=("*",), noisy=noisy)
+
+
+def _as_given(word: str) -> str:
+    """What a system can hand to a program: bytes without zeros."""
+    word = word.replace("\0", "")
+    try:
+        os.fsencode(word)
+    except UnicodeEncodeError:
+        return word.encode("utf-8", "replace").decode("utf-8")
+    return word
 
 
 def _put_specials(folder: Path) -> None:

@@ -148,4 +148,5 @@ def cause(verdict: dict[str, Any]) -> str:
 def finding_text(verdict: dict[str, Any]) -> str:
     """A finding with the command that repeats it."""
     again = f"python tests/fuzz/run_case.py {verdict['kind']} {verdict['number']}"
-    return "\n  ".join([again, *(fault[:1000] for fault in verdict["faults"])])
+    text = "\n  ".join([again, *(fault[:1000] for fault in verdict["faults"])])
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")

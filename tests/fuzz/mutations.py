@@ -274,6 +274,9 @@ def put(rng: Rng, path: Path, data: str | bytes, share: float = 0.25) -> Path:
     """Writes ``data``, damaged with the given probability, seldom as a file that is none."""
     data = encoded(data) if isinstance(data, str) else data
     path.parent.mkdir(parents=True, exist_ok=True)
+    if path.is_dir() and not path.is_symlink():
+        path.rmdir()
+    path.unlink(missing_ok=True)  # it may be a pipe, or a link to elsewhere
     if not chance(rng, share):
         path.write_bytes(data)
     elif chance(rng, 0.2):

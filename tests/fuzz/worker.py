@@ -43,6 +43,10 @@ _CUT = 200_000
 """characters of output that are judged"""
 
 
+class UnmadeError(RuntimeError):
+    """A defect of a generator."""
+
+
 class Place(NamedTuple):
     """Folders of a case: ``root`` is watched; the command runs in ``work``, deep inside it."""
 
@@ -82,7 +86,11 @@ def run(kind: str, number: int, folder: Path, shared: Path, *, whole: bool = Fal
     place = Place.make(folder)
     end = watched(lambda: _make_and_run(kind, number, place, shared, whole))
     errors, output = (_text(place.log / name) for name in ("stderr", "stdout"))
-    case, before = _made(place, errors)
+    try:
+        case, before = _made(place, errors)
+    except UnmadeError:
+        case, before = Case(arguments=("?",), noisy=True), {}
+        end = end._replace(why=f"the case cannot be made: {cases.last_frame(errors)}")
     code: int | str = os.waitstatus_to_exitcode(end.status)
     code = "reached" if code == REACHED else code
     if isinstance(code, int) and code < 0:
@@ -115,7 +123,7 @@ def _made(place: Place, errors: str) -> tuple[Case, dict[str, str]]:
     """The case that a child has made, and the files before it ran."""
     note = place.log / "case.json"
     if not note.is_file():
-        raise RuntimeError(f"the case cannot be made:\n{errors}")
+        raise UnmadeError(errors)
     tree = json.loads(note.read_text(encoding="utf-8"))
     files = tree.pop("files")
     return Case(**{k: tuple(v) if isinstance(v, list) else v for k, v in tree.items()}), files

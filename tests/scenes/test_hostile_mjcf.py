@@ -254,3 +254,15 @@ def test_a_whole_command_ends_in_one_line(tmp_path: Path) -> None:
     assert done.returncode == 2 and not (tmp_path / "run").exists()
     assert done.stderr.startswith("touchdown: error: ") and done.stderr.count("\n") == 1
     assert str(mjcf_limits.MAX_CELLS) in done.stderr
+
+
+def test_a_mesh_without_a_hull_is_refused_in_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    corners = ("0 0 0", "4 0 0", "0 4 0", "0 0 2", "1e400 0 0")
+    faces = ("1 2 4", "2 3 4", "5 1 4")
+    lines = [*(f"v {corner}" for corner in corners), *(f"f {face}" for face in faces)]
+    (tmp_path / "m.obj").write_text("\n".join(lines) + "\n")
+    with pytest.raises(ValueError, match="is flat"):
+        load(tmp_path, place(ON_MESH, MESH.format('file="m.obj"')))
+    assert not capfd.readouterr().err

@@ -308,3 +308,13 @@ def test_errors_have_words_and_no_numbers(
     assert reason_of(IsADirectoryError(errno.EISDIR, "Is a directory")) == "Is a directory"
     assert reason_of(ValueError("no")) == "no"
     assert input_message(OSError(errno.ENODEV, "No such device", "a")) == "'a': No such device"
+
+
+def test_what_libraries_log_is_not_printed() -> None:
+    code = (
+        "import logging\nfrom touchdown.experiments.cli.main import main\n"
+        "main(['scenes', 'list'])\n"
+        "logging.getLogger('PIL').error('More samples per pixel than can be decoded')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "crossroad" in done.stdout and not done.stderr
