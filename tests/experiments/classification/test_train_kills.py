@@ -12,6 +12,9 @@ from touchdown.landing.classification.labels import D_LAND
 from support.killed_trainings import killed_trainings
 from support.labelled_images_support import coloured
 
+ENDS = {"SIGKILL": {0, -9}, "SIGTERM": {0, 143, -15}, "SIGINT": {0, 130, -2}}
+"""Exit codes; negative where the signal came before the program took it"""
+
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -31,7 +34,7 @@ def check(data: Path, folder: Path, name: str, kills: int) -> None:
     print({key: value for key, value in found.items() if key != "err"})
     assert found["kills"] == kills and found["trainings"] >= 1
     assert (found["lost"], found["left"]) == (0, 0)
-    assert set(found["ends"]) <= ({0, -9} if name == "SIGKILL" else {0, 130, -2, -15})
+    assert set(found["ends"]) <= ENDS[name]
     lines = set(found["err"].splitlines())
     assert all(line.startswith("touchdown: ") for line in lines), lines
 
