@@ -30,7 +30,8 @@ _WORDS = {"cam": "camera", "mat": "material", "hfield": "height field"}
 
 def check_model(model: Any, data: Any, path: Path) -> None:
     """Raises ValueError for a number that is NaN or infinite, for what lies or reaches beyond
-    `FARTHEST_M`, for shapes of plug-ins and for more triangles than `MAX_TRIANGLES`."""
+    `FARTHEST_M`, for shapes of plug-ins, for height fields of one row or column and for more
+    triangles than `MAX_TRIANGLES`."""
     # Geoms first: boxes around them follow from their own numbers.
     for name in sorted(dir(model), key=lambda name: (not name.startswith("geom_"), name)):
         if name in _DERIVED:
@@ -65,6 +66,12 @@ def check_model(model: Any, data: Any, path: Path) -> None:
         raise ValueError(
             f"{path}: {_element(model, 'geom_', formless)} is a signed distance field without a "
             'mesh, which a LIDAR scan cannot see; give its shape as a mesh (type="mesh")'
+        )
+    thin = np.minimum(model.hfield_nrow, model.hfield_ncol) < 2
+    if thin.any():
+        raise ValueError(
+            f"{path}: {_element(model, 'hfield_nrow', thin)} has fewer than 2 rows or columns: it "
+            "spans no ground; give it 2 or more of both"
         )
     _check_triangles(model, path)
 
