@@ -145,13 +145,30 @@ def _is_plan(document: Mapping[str, Any]) -> bool:
         return False
     if not all(isinstance(document.get(key), kind) for key, kind in kinds.items()):
         return False
-    runs, sessions = document["runs"], document["sessions"]
+    runs, sessions, expected = document["runs"], document["sessions"], document.get("expect") or []
+    if not isinstance(expected, list) or not all(map(_is_expectation, expected)):
+        return False
     return all(
         isinstance(run, dict)
         and isinstance(run.get("run_id"), str)
         and isinstance(run.get("values"), dict)
         for run in runs
     ) and all(isinstance(one, dict) and isinstance(one.get("wall_s"), float) for one in sessions)
+
+
+def _is_expectation(tree: object) -> bool:
+    """True for what `settle_plan` writes of an expectation."""
+    if not isinstance(tree, dict) or not isinstance(tree.get("when"), dict):
+        return False
+    limit = tree.get("position_error_m_max", "")
+    return (
+        all(isinstance(wanted, list) for wanted in tree["when"].values())
+        and isinstance(tree.get("name"), str)
+        and isinstance(tree.get("outcome"), list)
+        and all(isinstance(outcome, str) for outcome in tree["outcome"])
+        and (limit is None or (isinstance(limit, float | int) and not isinstance(limit, bool)))
+        and isinstance(tree.get("unsafe"), bool)
+    )
 
 
 def settle_plan(plan: Plan, directory: Path, git_revision: str | None) -> Plan:

@@ -171,7 +171,8 @@ def written(
 
 
 def _is_cache(path: str) -> bool:
-    return path in _CACHES or path.startswith(_CACHES[:2])
+    # torch makes the folder in which it would keep what it compiles, and compiles nothing.
+    return path in _CACHES or path.startswith((*_CACHES[:2], "tmp/torchinductor_"))
 
 
 def _within(path: str, writes: Sequence[str]) -> bool:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from touchdown.experiments.campaign import session
+from touchdown.experiments.campaign.expectations import judge_campaign
 from touchdown.experiments.campaign.plan import Plan, load_plan
 from touchdown.experiments.campaign.results_table import _stamp, load_rows, write_table
 from touchdown.experiments.campaign.run_names import is_run_name
@@ -185,6 +186,25 @@ def test_rows_that_name_another_run_are_damaged(out: Path) -> None:
     (out / "results.parquet").unlink()
     with pytest.raises(UsageError, match=r"row\.parquet' is damaged; remove the directory"):
         load_rows(out)
+
+
+@pytest.mark.parametrize(
+    "expect",
+    [
+        [[]],
+        {"when": {}},
+        [{"when": []}],
+        [{"when": {"seed": 3}, "name": "", "outcome": [], "position_error_m_max": None,
+          "unsafe": False}],
+        [{"when": {}, "name": "", "outcome": [], "position_error_m_max": "1", "unsafe": False}],
+        [{"when": {}, "name": "", "outcome": [3], "position_error_m_max": 1.0, "unsafe": False}],
+    ],
+)  # fmt: skip
+def test_expectations_of_another_form_are_damaged(out: Path, expect: object) -> None:
+    file = out / "campaign.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"expect": expect}))
+    with pytest.raises(UsageError, match=r"campaign\.json' is damaged or of another program"):
+        judge_campaign(out)
 
 
 def test_a_table_that_came_along_names_no_paths(out: Path) -> None:
