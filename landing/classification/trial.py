@@ -9,6 +9,7 @@ used; it imports nothing of this package.
 from __future__ import annotations
 
 import functools
+import re
 import signal
 import subprocess
 import sys
@@ -70,7 +71,7 @@ def plain_reason(error: Exception) -> str:
         return "its weights lie in another file; save it as one file"
     if "::" in text:  # a place in the sources of ONNX Runtime, then a condition, then the reason
         text = text.rpartition(" was false. ")[2] if " was false. " in text else "it is damaged"
-    return text.strip()
+    return re.sub(r"\[\w+\] ?", "", text).strip()  # names of classes of ONNX Runtime
 
 
 def fault_of(session: Any) -> str:
@@ -88,15 +89,16 @@ def fault_of(session: Any) -> str:
         return ""  # the metadata are checked elsewhere
     if not 1 <= size <= _LARGEST:
         return ""
-    try:
-        found = session.run(None, {INPUT: np.zeros((1, 3, size, size), np.float32)})[0]
-    except Exception as error:  # onnxruntime's errors share no base class
-        return f"cannot classify an image of {size} x {size} pixels: {plain_reason(error)}"
-    scores = np.asarray(found)
-    if scores.shape != (1, classes) or scores.dtype.kind != "f":
-        return f"gives scores of shape {scores.shape} for one image, not (1, {classes})"
-    if not np.isfinite(scores).all():
-        return "gives scores that are no numbers"
+    for count in (1, 2):  # a network may be made for one number of images alone
+        images = np.zeros((count, 3, size, size), np.float32)
+        try:
+            scores = np.asarray(session.run(None, {INPUT: images})[0])
+        except Exception as error:  # onnxruntime's errors share no base class
+            return f"cannot classify {count} x {size} x {size} pixels: {plain_reason(error)}"
+        if scores.shape != (count, classes) or scores.dtype.kind != "f":
+            return f"gives scores of shape {scores.shape}, not ({count}, {classes})"
+        if not np.isfinite(scores).all():
+            return "gives scores that are no numbers"
     return ""
 
 

@@ -96,14 +96,21 @@ def test_a_sound_network_of_this_kind_is_loaded(tmp_path: Path) -> None:
 def test_networks_of_other_shapes_are_refused(tmp_path: Path) -> None:
     from onnx import helper
 
-    refused(network(tmp_path / "a.onnx", *_mean(3, 5)), r"shape \(1, 5\) for one image, not \(1, 7")
-    refused(network(tmp_path / "b.onnx", *_mean(9, 7)), "cannot be loaded|cannot classify an image")
+    refused(network(tmp_path / "a.onnx", *_mean(3, 5)), r"shape \(1, 5\), not \(1, 7\)")
+    refused(network(tmp_path / "b.onnx", *_mean(9, 7)), "cannot be loaded|cannot classify 1 x")
     nan = np.full((3, 7), np.nan, np.float32)
     refused(network(tmp_path / "c.onnx", *_mean(3, 7, nan)), "gives scores that are no numbers")
     nodes = [helper.make_node("Identity", ["x"], [OUTPUT])]
     refused(network(tmp_path / "d.onnx", nodes, [], inputs="x"), r"has the inputs \['x'\]")
     nodes = [helper.make_node("Made_up", [INPUT], [OUTPUT])]
     refused(network(tmp_path / "e.onnx", nodes, []), "cannot be loaded as a network")
+    nodes, initial = _mean(3, 7)
+    last = nodes[-1]
+    del last.output[:]
+    last.output.append("mean_of_one")
+    one = helper.make_tensor("one", 7, [2], [1, 7])
+    check = helper.make_node("Reshape", ["mean_of_one", "one"], [OUTPUT])
+    refused(network(tmp_path / "f.onnx", [*nodes, check], [*initial, one]), "cannot classify 2 x")
 
 
 def test_weights_outside_of_the_file_are_not_read(
@@ -142,7 +149,7 @@ def test_a_graph_that_fills_the_memory_is_given_up(tmp_path: Path) -> None:
     ]
     initial.append(numpy_helper.from_array(shape, "shape"))
     refused(network(tmp_path / "n.onnx", nodes, initial),
-            "cannot be loaded|cannot classify an image|GiB of memory")  # fmt: skip
+            "cannot be loaded|cannot classify 1 x|GiB of memory")  # fmt: skip
 
 
 def test_a_network_that_takes_too_long_is_given_up(
