@@ -34,7 +34,7 @@ class OnnxClassifier:
     """A network's file in ONNX Runtime, on ``threads`` threads of the processor.
 
     Raises ValueError and FileNotFoundError as `landing.classification.weights.read_network`, and
-    ValueError for a network that cannot classify one image within the limits of
+    ValueError for a network that cannot classify images within the limits of
     `landing.classification.trial`, and ImportError without onnxruntime."""
 
     def __init__(self, path: Path, threads: int = 1) -> None:

@@ -1,4 +1,4 @@
-"""Loads a network's file in a process of its own and classifies one image, with limits on time and
+"""Loads a network's file in a process of its own and classifies images, with limits on time and
 memory.
 
 ONNX Runtime cannot be interrupted, and what a graph needs does not follow from its size. As a
