@@ -17,6 +17,7 @@ from touchdown.estimator.filtering.imu_propagation import (
     GYRO_BIAS,
     POSITION,
     ROTATION,
+    SCALE_DIM,
     STATE_DIM,
     VELOCITY,
     ImuBuffer,
@@ -30,6 +31,8 @@ from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 Array = NDArray[np.float64]
 CLONE_DIM = 6
+_RATE_SAMPLES = 3
+"""of the IMU, over which the turn rate is a mean: one alone is mostly vibration"""
 
 
 class Eskf:
@@ -48,7 +51,10 @@ class Eskf:
         """(C,) calibration parameters that measurements correct; the others are "consider"
         parameters (Schmidt): their covariance counts, their estimate stays"""
         self.rate = np.zeros(3)
-        """(3,) rad/s, turn rate in the IMU's frame at the state's tick"""
+        """(3,) rad/s, turn rate in the IMU's frame over the last hundredth of a second"""
+        self.shared = max(0, len(state.calibration) - SCALE_DIM)
+        """number of calibration parameters that measurements depend on directly: all but the scale
+        errors of the IMU, which act through the propagation"""
         if len(state.calibration) != self.base - STATE_DIM:
             raise ValueError(
                 f"Eskf: {self.base} variances do not fit {len(state.calibration)} numbers of "
@@ -69,17 +75,14 @@ class Eskf:
         """
         ticks, gyro, force, _ = buffer.samples(count)
         state = self.state
-        gyro, force = gyro - state.gyro_bias, force - state.accel_bias
+        gyro, force = state.corrected(gyro, force)
         rotations, positions, velocities = integrate(
             state.rotation, state.position, state.velocity, gyro, force, buffer.step_s, GRAVITY_MPS2
         )
-        total, noise = transition(rotations, gyro, force, buffer.step_s, buffer.densities)
-        cov = self.covariance
-        cov[:STATE_DIM, :STATE_DIM] = total @ cov[:STATE_DIM, :STATE_DIM] @ total.T + noise
-        cov[:STATE_DIM, STATE_DIM:] = total @ cov[:STATE_DIM, STATE_DIM:]
-        cov[STATE_DIM:, :STATE_DIM] = cov[:STATE_DIM, STATE_DIM:].T
+        total, noise, by_scale = transition(rotations, gyro, force, buffer.step_s, buffer.densities)
+        self._propagate_covariance(total, noise, by_scale)
         if count:
-            self.rate = gyro[-1]
+            self.rate = gyro[-_RATE_SAMPLES:].mean(axis=0)
         all_ticks = np.concatenate(([state.tick], ticks))
         self.state = NavState(
             int(ticks[-1]) if count else state.tick,
@@ -91,6 +94,18 @@ class Eskf:
             state.calibration,
         )
         return all_ticks, rotations, positions
+
+    def _propagate_covariance(self, total: Array, noise: Array, by_scale: Array) -> None:
+        cov, nav = self.covariance, slice(0, STATE_DIM)
+        moved = total @ cov[nav]
+        if self.shared:
+            moved += by_scale @ cov[self.base - SCALE_DIM : self.base]
+        own = moved[:, nav] @ total.T + noise
+        if self.shared:
+            own += moved[:, self.base - SCALE_DIM : self.base] @ by_scale.T
+        cov[nav] = moved
+        cov[STATE_DIM:, nav] = moved[:, STATE_DIM:].T
+        cov[nav, nav] = 0.5 * (own + own.T)
 
     @property
     def motion(self) -> Array:
@@ -183,12 +198,12 @@ class Eskf:
         return moved, new_clones
 
     def deviation(self, state: NavState, clones: list[Pose], touched_clones: list[int]) -> Array:
-        """Error coordinates (6 + C + 6m,) of the present mean relative to a prior mean: pose first,
-        then the calibration and the given clones."""
+        """Error coordinates (6 + S + 6m,) of the present mean relative to a prior mean: pose first,
+        then the S shared parameters of the calibration and the given clones."""
         parts = [
             so3_log(state.rotation.T @ self.state.rotation),
             self.state.position - state.position,
-            self.state.calibration - state.calibration,
+            (self.state.calibration - state.calibration)[: self.shared],
         ]
         for k in touched_clones:
             parts.append(so3_log(clones[k].rotation.T @ self.clones[k].rotation))
@@ -196,8 +211,8 @@ class Eskf:
         return np.concatenate(parts)
 
     def touched(self, clones: list[int]) -> NDArray[np.int64]:
-        """Error coordinates of pose, calibration and the given clones, (6 + C + 6m,)."""
-        shared = np.arange(STATE_DIM, self.base)
+        """Error coordinates of pose, shared calibration and the given clones, (6 + S + 6m,)."""
+        shared = np.arange(STATE_DIM, STATE_DIM + self.shared)
         return np.concatenate(
             [np.arange(CLONE_DIM), shared, *(self.clone_indices(k) for k in clones)]
         )

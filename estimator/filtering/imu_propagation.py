@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.imu_noise import MeasuredNoise
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import Pose
 
@@ -28,6 +29,8 @@ VELOCITY = slice(6, 9)
 GYRO_BIAS = slice(9, 12)
 ACCEL_BIAS = slice(12, 15)
 STATE_DIM = 15
+SCALE_DIM = 6
+"""relative scale errors of gyroscope and accelerometer, three each"""
 
 
 @dataclass(slots=True)
@@ -47,12 +50,24 @@ class NavState:
     """(3,) m/s^2"""
     calibration: Array = field(default_factory=lambda: np.zeros(0))
     """estimated errors of the given calibration, if any
-    (``estimator/livo/online_calibration.py``)"""
+    (``estimator/livo/online_calibration.py``); the last six are ``imu_scale``"""
 
     @property
     def pose(self) -> Pose:
         """odom_from_imu."""
         return Pose(self.rotation, self.position)
+
+    @property
+    def imu_scale(self) -> Array:
+        """(6,) relative scale errors of gyroscope and accelerometer, by axis; zero without a
+        calibration."""
+        return self.calibration[-SCALE_DIM:] if len(self.calibration) else np.zeros(SCALE_DIM)
+
+    def corrected(self, gyro: Array, force: Array) -> tuple[Array, Array]:
+        """Returns (N, 3) samples less bias and scale error."""
+        scale = self.imu_scale
+        rate = (gyro - self.gyro_bias) * (1.0 - scale[:3])
+        return rate, (force - self.accel_bias) * (1.0 - scale[3:])
 
     def copy(self) -> NavState:
         """Returns a deep copy."""
@@ -142,14 +157,17 @@ def _skew(v: Array) -> Array:
 @njit(cache=True)
 def transition(
     rotations: Array, gyro: Array, force: Array, step_s: float, densities: Array
-) -> tuple[Array, Array]:
-    """Error-state transition (15, 15) and accumulated noise (15, 15) over N samples.
+) -> tuple[Array, Array, Array]:
+    """Error-state transition (15, 15), accumulated noise (15, 15) and derivative by the scale
+    errors (15, 6) over N samples.
 
-    ``rotations`` as from ``integrate``; ``densities``: gyroscope rad/s/sqrt(Hz), accelerometer
-    m/s^2/sqrt(Hz), gyroscope bias walk rad/s^2/sqrt(Hz), accelerometer bias walk m/s^3/sqrt(Hz).
+    ``rotations`` as from ``integrate``; ``densities`` (4, 3), by axis of the IMU: gyroscope
+    rad/s/sqrt(Hz), accelerometer m/s^2/sqrt(Hz), gyroscope bias walk rad/s^2/sqrt(Hz),
+    accelerometer bias walk m/s^3/sqrt(Hz).
     """
     total = np.eye(15)
     noise = np.zeros((15, 15))
+    by_scale = np.zeros((15, 6))
     step = np.eye(15)
     for i in range(gyro.shape[0]):
         middle = rotations[i] @ exp_so3(0.5 * step_s * gyro[i])
@@ -165,12 +183,19 @@ def transition(
         step[3:6, 12:15] = -0.5 * step_s * step_s * middle
         total = step @ total
         noise = step @ noise @ step.T
+        by_scale = step @ by_scale
         for k in range(3):
-            noise[k, k] += step_s * densities[0] ** 2
-            noise[6 + k, 6 + k] += step_s * densities[1] ** 2
-            noise[9 + k, 9 + k] += step_s * densities[2] ** 2
-            noise[12 + k, 12 + k] += step_s * densities[3] ** 2
-    return total, noise
+            by_scale[k, k] -= step_s * gyro[i, k]
+            noise[k, k] += step_s * densities[0, k] ** 2
+            for a in range(3):
+                by_scale[6 + a, 3 + k] -= step_s * middle[a, k] * force[i, k]
+                by_scale[3 + a, 3 + k] -= 0.5 * step_s * step_s * middle[a, k] * force[i, k]
+                for b in range(3):
+                    spread = middle[a, k] * middle[b, k] * densities[1, k] ** 2
+                    noise[6 + a, 6 + b] += step_s * spread
+            noise[9 + k, 9 + k] += step_s * densities[2, k] ** 2
+            noise[12 + k, 12 + k] += step_s * densities[3, k] ** 2
+    return total, noise, by_scale
 
 
 class ImuBuffer:
@@ -182,9 +207,7 @@ class ImuBuffer:
 
     def __init__(self, imu: ImuParams, step_s: float, capacity: int = 512) -> None:
         self.step_s = step_s
-        self.densities = np.array(
-            [imu.gyro_density, imu.accel_density, imu.gyro_bias_walk, imu.accel_bias_walk]
-        )
+        self._noise = MeasuredNoise(imu, step_s)
         self.count = 0
         self._ticks = np.zeros(capacity, dtype=np.int64)
         self._gyro = np.zeros((capacity, 3))
@@ -196,9 +219,15 @@ class ImuBuffer:
         if self.count == len(self._ticks):
             raise RuntimeError("the IMU buffer is full: the filter was not advanced")
         i = self.count
+        self._noise.add(gyro, force)
         self._ticks[i], self._resting[i] = tick, resting
         self._gyro[i], self._force[i] = gyro, force
         self.count += 1
+
+    @property
+    def densities(self) -> Array:
+        """(4, 3) as ``transition`` takes them."""
+        return self._noise.densities
 
     def until(self, tick: int) -> int:
         """Returns the number of buffered samples at or before ``tick``."""
@@ -230,8 +259,7 @@ def propagate_nominal(
         state.rotation,
         state.position,
         state.velocity,
-        gyro - state.gyro_bias,
-        force - state.accel_bias,
+        *state.corrected(gyro, force),
         step_s,
         GRAVITY_MPS2,
     )
