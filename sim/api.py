@@ -59,6 +59,9 @@ class SimParams:
     """ticks of one LIDAR scan (10 Hz)"""
     compute_latency_ticks: CountOrZero = 36
     """From the end of a scan, or the exposure of an image, until an estimator may use it."""
+    latency_sigma: NotNegative = 0.0
+    """Spread of that time from message to message: standard deviation of its natural logarithm,
+    about the median ``compute_latency_ticks``. 0: always the same."""
     battery_capacity_j: Positive = 700e3
     """Usable energy at take-off (about 195 Wh)."""
     threads: Annotated[int, Interval(ge=1, le=2)] = 2
