@@ -109,6 +109,12 @@ class LidarParams:
     """Which echo of a split beam is reported."""
     pulse_length_m: NotNegative = 1.0
     """Surfaces nearer to one another than this merge into one echo at their mean range."""
+    range_bias_m: NotNegative = 0.0
+    """bound of the systematic range error: a constant by seed, time walk of weak echoes, and
+    incidence. 0: none"""
+    range_noise_growth: Fraction = 0.0
+    """share of the range noise's variance, at 20 m on 80 %, that grows as an echo gets weaker (with
+    the range squared, over reflectivity times cosine). 0: ``range_sigma_m`` everywhere"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
