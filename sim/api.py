@@ -59,6 +59,9 @@ class SimParams:
     """ticks of one LIDAR scan (10 Hz)"""
     compute_latency_ticks: CountOrZero = 36
     """From the end of a scan, or the exposure of an image, until an estimator may use it."""
+    latency_sigma: NotNegative = 0.0
+    """Spread of that time from message to message: standard deviation of its natural logarithm,
+    about the median ``compute_latency_ticks``. 0: always the same."""
     battery_capacity_j: Positive = 700e3
     """Usable energy at take-off (about 195 Wh)."""
     threads: Annotated[int, Interval(ge=1, le=2)] = 2
@@ -106,6 +109,12 @@ class LidarParams:
     """Which echo of a split beam is reported."""
     pulse_length_m: NotNegative = 1.0
     """Surfaces nearer to one another than this merge into one echo at their mean range."""
+    range_bias_m: NotNegative = 0.0
+    """bound of the systematic range error: a constant by seed, time walk of weak echoes, and
+    incidence. 0: none"""
+    range_noise_growth: Fraction = 0.0
+    """share of the range noise's variance, at 20 m on 80 %, that grows as an echo gets weaker (with
+    the range squared, over reflectivity times cosine). 0: ``range_sigma_m`` everywhere"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -1,4 +1,4 @@
-"""Delayed delivery: a measurement arrives at a fixed tick after it was taken.
+"""Delayed delivery: a measurement arrives at a tick that is fixed when it is taken.
 
 The work that turns a snapshot of the world into a measurement may run in another thread meanwhile.
 The tick at which its result arrives is fixed when it is submitted, and whoever collects at that
@@ -12,6 +12,11 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Generic, ParamSpec, TypeVar
+from zlib import crc32
+
+import numpy as np
+
+from touchdown.sim.api import SimParams
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -45,6 +50,37 @@ class InFlight(Generic[T]):
 
     due_tick: int
     result: Future[T]
+
+
+class Latency:
+    """Ticks at which the messages of one sensor arrive.
+
+    The time from measurement to arrival is log-normal, with the median
+    ``sim.compute_latency_ticks`` and the standard deviation ``sim.latency_sigma`` of its logarithm;
+    it ends at a control tick, and no message arrives before an older one of the same sensor. It is
+    a function of the seed, the sensor's ``name`` and the messages before. With a spread of 0 it is
+    the median, to the tick.
+    """
+
+    def __init__(self, sim: SimParams, seed: int, name: bytes) -> None:
+        self._median, self._sigma = sim.compute_latency_ticks, sim.latency_sigma
+        self._step = sim.control_ticks
+        self._key = [seed, crc32(b"latency of " + name)]
+        self.restart()
+
+    def restart(self) -> None:
+        """Returns to the first message of a flight."""
+        self._draw = np.random.default_rng(self._key).standard_normal
+        self._last = 0
+
+    def due(self, tick: int) -> int:
+        """Tick of arrival of what was measured at ``tick``: call it once a message, in order."""
+        if self._sigma <= 0.0:
+            return tick + self._median
+        latency = self._median * float(np.exp(self._sigma * self._draw()))
+        arrival = self._step * int(np.ceil((tick + latency) / self._step))
+        self._last = max(self._last, arrival)
+        return self._last
 
 
 class DeliveryQueue(Generic[T]):

@@ -1,7 +1,7 @@
 """Camera and LIDAR of a flying vehicle: exposures, scans, worker threads and delayed delivery.
 
 The physics thread records poses and snapshots at their ticks; images are rendered in one worker
-thread and scans cast in another, and both arrive ``compute_latency_ticks`` later.
+thread and scans cast in another, and both arrive after a latency of their own (`Latency`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from touchdown.sim.api import CameraImage, LidarScan, SensorNeeds, WorldParams
 from touchdown.sim.camera.gl import Snapshot
 from touchdown.sim.camera.sensor import CAMERA_NAME, CameraSensor
 from touchdown.sim.clock import image_period_ticks, readout_ticks
-from touchdown.sim.delivery import DeliveryQueue, make_executor
+from touchdown.sim.delivery import DeliveryQueue, Latency, make_executor
 from touchdown.sim.faults.disturbances import Disturbances
 from touchdown.sim.faults.weather import Weather
 from touchdown.sim.lidar.patterns.livox import pattern
@@ -50,6 +50,8 @@ class ImagingSensors:
         self._instants: list[Snapshot] = []
         self.scans: DeliveryQueue[LidarScan] = DeliveryQueue(self._caster)
         self.images: DeliveryQueue[CameraImage] = DeliveryQueue(self._renderer)
+        self._scan_latency = Latency(self._sim, seed, b"scans")
+        self._image_latency = Latency(self._sim, seed, b"images")
 
     def _make_camera(self, name: str) -> CameraSensor:
         params = self._params
@@ -76,6 +78,8 @@ class ImagingSensors:
         self.scans.clear()
         self.images.clear()
         self._instants.clear()
+        self._scan_latency.restart()
+        self._image_latency.restart()
 
     def close(self) -> None:
         """Ends the worker threads and frees the cameras."""
@@ -104,7 +108,7 @@ class ImagingSensors:
                 positions=self._positions.copy(),
                 quats_wxyz=self._quats.copy(),
             )
-            self.scans.submit(tick + self._sim.compute_latency_ticks, self._scan, tick, track)
+            self.scans.submit(self._scan_latency.due(tick), self._scan, tick, track)
             self._positions[0], self._quats[0] = position, quat_wxyz
 
     def _expose(self, tick: int, data: mujoco.MjData) -> None:
@@ -119,7 +123,7 @@ class ImagingSensors:
         mujoco.mj_camlight(self._model, data)
         self._instants.append(self.camera.snapshot(data))
         if until_pulse == 0:
-            due = tick + self._sim.compute_latency_ticks
+            due = self._image_latency.due(tick)
             self.images.submit(due, self._render, tuple(self._instants), tick)
             self._instants.clear()
 

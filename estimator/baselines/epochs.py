@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
+from touchdown.estimator.filtering.message_order import ArrivingStream, DelayBound
 from touchdown.sim.api import (
     BarometerSample,
     CameraImage,
@@ -17,6 +18,8 @@ from touchdown.sim.api import (
     SensorRig,
 )
 
+_PATIENCE_S = 0.3
+"""longest delay of an image that is waited for"""
 _BEAT_HZ = 10
 """Smallest rate of epochs, independent of messages."""
 
@@ -52,13 +55,19 @@ class _Inbox:
 
 
 class EpochQueue:
-    """Delays messages by the largest latency of the sensors in ``needs``.
+    """Delays messages by the largest nominal latency of the sensors in ``needs``, and by that of an
+    image that is later than that and still to be expected.
 
     ``late`` counts images and fixes that came after their epoch.
     """
 
     def __init__(self, rig: SensorRig, needs: SensorNeeds) -> None:
         nav = rig.nav
+        patience = max(rig.compute_latency_ticks, round(_PATIENCE_S * rig.tick_hz))
+        self._images = ArrivingStream(
+            rig.tick_hz // needs.camera_hz if needs.camera_hz else 0,
+            DelayBound(rig.compute_latency_ticks, patience),
+        )
         latencies = [
             rig.compute_latency_ticks if needs.camera_hz else 0,
             nav.gps.latency_ticks if needs.gps else 0,
@@ -75,6 +84,8 @@ class EpochQueue:
     def take(self, obs: Observation) -> list[Epoch]:
         """Adds the arrived messages; returns the epochs that are complete now, oldest first."""
         inbox = self._inbox
+        for image in obs.images:
+            self._images.take(image.tick, obs.tick)
         inbox.images += self._in_time(obs.images)
         inbox.fixes += self._in_time(obs.gps)
         inbox.magnetometer += obs.magnetometer
@@ -83,7 +94,12 @@ class EpochQueue:
         horizon = obs.tick - self._lag
         ticks = {image.tick for image in inbox.images} | {fix.tick for fix in inbox.fixes}
         ticks |= set(range((self._last // self._beat + 1) * self._beat, horizon + 1, self._beat))
-        return [self._epoch(tick) for tick in sorted(ticks) if tick <= horizon]
+        complete = []
+        for tick in sorted(ticks):
+            if tick > horizon or self._images.may_bring(tick + 1, obs.tick):
+                break
+            complete.append(self._epoch(tick))
+        return complete
 
     def _in_time(self, messages: Sequence[T]) -> list[T]:
         kept = [message for message in messages if message.tick > self._last]

@@ -1,13 +1,15 @@
-"""Online calibration: errors of the LIDAR's mount, of the lens and of the camera's clock.
+"""Online calibration: errors of the mounts, the lens, the clocks and the scale of the IMU.
 
-Eleven errors of the given calibration: a small rotation (rad) and translation (m) of the LIDAR in
-the IMU frame, the relative error of either focal length, the shift of the principal point (pixels),
-and the offset by which the camera's clock is ahead of the IMU's (s). The camera's mount is taken as
-known; its error is attributed to the LIDAR's.
+Twenty-four errors of the given calibration: a small rotation (rad) and translation (m) of the LIDAR
+in the IMU frame, the relative error of either focal length, the shift of the principal point
+(pixels), the offset by which the camera's clock is ahead of the IMU's (s), rotation and translation
+of the camera in the IMU frame, the offset of the LIDAR's clock (s), and the relative scale errors of
+gyroscope and accelerometer.
 
 A rotation of the LIDAR is observable in the map: the same ground, seen once ahead and once below,
 must have one height. Both the present returns and those of the map move with it, as in the
-derivatives here and in ``anchored_update``.
+derivatives here and in ``anchored_update``. That of the camera is observable against the LIDAR: the
+direction in which images say the vehicle moves must keep the height that the scans measure.
 
 A clock offset is observable where the vehicle rotates or accelerates: each image is taken a little
 before the pose at its stamp, and is displaced by the offset times turn rate and velocity (Li and
@@ -20,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import LivoParams
-from touchdown.estimator.filtering.imu_propagation import exp_so3_each
+from touchdown.estimator.filtering.imu_propagation import SCALE_DIM, exp_so3_each
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp
 
@@ -31,19 +33,32 @@ SHIFT = slice(3, 6)
 FOCAL = slice(6, 8)
 CENTER = slice(8, 10)
 CLOCK = 10
-CALIBRATION_DIM = 11
+CAMERA_TURN = slice(11, 14)
+CAMERA_SHIFT = slice(14, 17)
+LIDAR_CLOCK = 17
+SHARED_DIM = 18
+"""parameters that scans and images depend on directly"""
+CALIBRATION_DIM = SHARED_DIM + SCALE_DIM
 MOUNT_DIM = 6
-"""rotation and translation of the mount, the part that affects scans"""
+"""rotation and translation of the LIDAR's mount"""
 
 
 def prior_sigmas(params: LivoParams) -> Array:
-    """Standard deviations (11,), or (0,) without online calibration; rad, m, 1, pixels, s."""
+    """Standard deviations (24,), or (0,) without online calibration; rad, m, 1, pixels, s, 1."""
     if not params.use_calibration:
         return np.zeros(0)
-    turn = np.radians(params.mount_turn_sigma_deg)
-    shift, clock = params.mount_shift_sigma_m, params.camera_clock_sigma_s
-    sigmas = [turn, shift, params.focal_sigma, params.center_sigma_px, clock]
-    return np.repeat(sigmas, [3, 3, 2, 2, 1])
+    sigmas = [
+        np.radians(params.mount_turn_sigma_deg),
+        params.mount_shift_sigma_m,
+        params.focal_sigma,
+        params.center_sigma_px,
+        params.camera_clock_sigma_s,
+        np.radians(params.camera_turn_sigma_deg),
+        params.camera_shift_sigma_m,
+        params.lidar_clock_sigma_s,
+        params.imu_scale_sigma,
+    ]
+    return np.repeat(sigmas, [3, 3, 2, 2, 1, 3, 3, 1, SCALE_DIM])
 
 
 def calibration_diagnostics(calibration: Array) -> dict[str, float]:
@@ -51,35 +66,53 @@ def calibration_diagnostics(calibration: Array) -> dict[str, float]:
     calibration."""
     if not len(calibration):
         return {}
-    turn = np.degrees(calibration[TURN])
+    turn, camera = np.degrees(calibration[TURN]), np.degrees(calibration[CAMERA_TURN])
     return {
         "calibration_roll_deg": float(turn[0]),
         "calibration_pitch_deg": float(turn[1]),
         "calibration_yaw_deg": float(turn[2]),
+        "calibration_camera_roll_deg": float(camera[0]),
+        "calibration_camera_pitch_deg": float(camera[1]),
+        "calibration_camera_yaw_deg": float(camera[2]),
         "calibration_focal": float(calibration[FOCAL].mean()),
         "calibration_clock_ms": 1e3 * float(calibration[CLOCK]),
+        "calibration_lidar_clock_ms": 1e3 * float(calibration[LIDAR_CLOCK]),
     }
 
 
 def corrected_mount(imu_from_lidar: Pose, calibration: Array) -> Pose:
-    """Returns the given mount corrected by ``calibration`` (11,)."""
-    turn = so3_exp(calibration[TURN])
-    return Pose(turn @ imu_from_lidar.rotation, imu_from_lidar.translation + calibration[SHIFT])
+    """Returns the LIDAR's given mount corrected by ``calibration`` (24,) or (0,)."""
+    return _moved(imu_from_lidar, calibration, TURN, SHIFT)
+
+
+def corrected_camera(imu_from_camera: Pose, calibration: Array) -> Pose:
+    """Returns the camera's given mount corrected by ``calibration`` (24,) or (0,)."""
+    return _moved(imu_from_camera, calibration, CAMERA_TURN, CAMERA_SHIFT)
+
+
+def _moved(mount: Pose, calibration: Array, turn: slice, shift: slice) -> Pose:
+    if not len(calibration):
+        return mount
+    return Pose(
+        so3_exp(calibration[turn]) @ mount.rotation, mount.translation + calibration[shift]
+    )
 
 
 def corrected_intrinsics(camera: CameraIntrinsics, calibration: Array) -> Array:
-    """Returns fx, fy, cx, cy (4,) corrected by ``calibration`` (11,)."""
+    """Returns fx, fy, cx, cy (4,) corrected by ``calibration`` (24,)."""
     focal = np.array([camera.fx, camera.fy]) * (1.0 + calibration[FOCAL])
     center = np.array([camera.cx, camera.cy]) + calibration[CENTER]
     return np.concatenate([focal, center])
 
 
-def exposed(poses: list[Pose], motions: Array, calibration: Array) -> list[Pose]:
-    """Returns the poses (odom_from_imu) at the exposures of images, from ``poses`` at their stamps.
-    ``motions`` (N, 6): turn rates (IMU frame, rad/s) and velocities (odometry frame, m/s)."""
-    if not len(calibration):
-        return poses
-    moves = -calibration[CLOCK] * motions
+def exposed(poses: list[Pose], motions: Array, delays_s: Array, calibration: Array) -> list[Pose]:
+    """Returns the poses (odom_from_imu) at the exposures of images.
+
+    ``poses``: those of the filter; ``motions`` (N, 6): turn rates (IMU frame, rad/s) and velocities
+    (odometry frame, m/s); ``delays_s`` (N,): stamps of the images less the instants of the poses.
+    """
+    clock = calibration[CLOCK] if len(calibration) else 0.0
+    moves = (delays_s - clock)[:, None] * motions
     turns = exp_so3_each(np.ascontiguousarray(moves[:, :3]))
     return [
         Pose(pose.rotation @ turns[k], pose.translation + moves[k, 3:])
@@ -95,7 +128,8 @@ def landmark_jacobians(
     motion: Array,
     camera: CameraIntrinsics,
 ) -> Array:
-    """Derivatives of landmarks by the calibration, (N, 3, 11), in the IMU frame of their keyframe.
+    """Derivatives of landmarks by the shared calibration, (N, 3, 18), in the IMU frame of their
+    keyframe.
 
     ``rays`` (N, 3) with z = 1 and ``planes`` (N, 3), ``n . P = 1``: the landmark is their
     intersection. ``sensor`` (3,): position of the LIDAR. All in the camera frame;
@@ -106,7 +140,7 @@ def landmark_jacobians(
     along = np.einsum("ij,ij->i", rays, planes)[:, None]
     beams = rays / along - sensor
     rotation, lever = imu_from_camera.rotation, imu_from_camera.translation
-    out = np.empty((len(rays), 3, CALIBRATION_DIM))
+    out = np.zeros((len(rays), 3, SHARED_DIM))
     reach = rays / along
     # the plane moves by n . (turn x beam + shift), the landmark by as much along its ray
     out[:, :, TURN] = reach[:, :, None] * np.cross(beams, planes)[:, None, :] @ rotation.T
@@ -120,5 +154,13 @@ def landmark_jacobians(
     # a ray that bends meets the same plane elsewhere
     across = np.einsum("ij,ijk->ik", planes, bends)
     out[:, :, 6:10] = (bends - rays[:, :, None] * (across / along)[:, None, :]) / along[:, :, None]
+    # so does one that turns about the camera, or starts beside it: axes of the IMU
+    unit = rotation[None]
+    turned = np.cross(unit, reach[:, None, :]).swapaxes(1, 2)
+    for part, moves in ((CAMERA_TURN, turned), (CAMERA_SHIFT, np.broadcast_to(
+        rotation.T, (len(rays), 3, 3)
+    ))):
+        off = np.einsum("ij,ijk->ik", planes, moves)
+        out[:, :, part] = moves - reach[:, :, None] * off[:, None, :]
     out[:] = rotation @ out
     return out

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import Estimate, PaperParams, PoseTrack
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.filtering.message_order import MessageOrder, stamp_of
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.paper.camera_pose import CameraPositioning
@@ -20,6 +21,9 @@ from touchdown.estimator.paper.structured_edges.detector import edge_detector
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 
 Array = NDArray[np.float64]
+
+_PATIENCE_S = 0.3
+"""longest delay of a scan or image that is waited for"""
 
 
 class PaperEstimator:
@@ -40,6 +44,9 @@ class PaperEstimator:
         self._scan_track: PoseTrack | None = None
         self._skipped = 0
         self._guard = InputGuard(rig, params.camera_hz)
+        periods = {"scans": rig.lidar_scan_ticks, "images": rig.tick_hz // params.camera_hz}
+        patience = max(rig.compute_latency_ticks, round(_PATIENCE_S * rig.tick_hz))
+        self._order = MessageOrder(rig, periods, patience, scans_follow_images=True)
         self._events: list[str] = []
 
     def update(self, obs: Observation) -> Estimate:
@@ -50,12 +57,16 @@ class PaperEstimator:
         self._skipped += self._guard.refused
         self._filter.take_imu(obs)
         tick_before = self._filter.tick
-        flat = [self._flat(image) for image in obs.images]
-        self._images.extend(flat)
-        arrivals: list[LidarScan | CameraImage] = [*obs.scans, *flat]
-        for message in sorted(arrivals, key=_order):
+        arrivals = [
+            message if isinstance(message, LidarScan) else self._flat(message)
+            for message in self._order.push(obs)
+        ]
+        self._images.extend(m for m in arrivals if isinstance(m, CameraImage))
+        for message in arrivals:
             self._take(message)
-        lag = self._rig.compute_latency_ticks + self._rig.lidar_scan_ticks
+        lag = self._rig.lidar_scan_ticks + max(
+            self._rig.compute_latency_ticks, self._order.longest_wait_ticks
+        )
         if obs.tick - self._filter.tick > lag + self._rig.lidar_scan_ticks:
             self._filter.carry_to(obs.tick - lag)
         if self._filter.tick != tick_before:
@@ -77,7 +88,7 @@ class PaperEstimator:
         return CameraImage(tick=image.tick, time_s=image.time_s, rgb=rgb)
 
     def _take(self, message: LidarScan | CameraImage) -> None:
-        tick = _order(message)[0]
+        tick = stamp_of(message)
         if tick < self._filter.tick or tick > self._filter.head_tick:
             self._skipped += 1
             name = "scan" if isinstance(message, LidarScan) else "image"
@@ -99,10 +110,3 @@ class PaperEstimator:
         if self._energy[0] != image.tick:
             self._energy = (image.tick, half_size_energy(image.rgb, self._edges))
         return self._energy[1]
-
-
-def _order(message: LidarScan | CameraImage) -> tuple[int, bool]:
-    """By time of measurement; of a scan and an image of one instant the scan first."""
-    if isinstance(message, LidarScan):
-        return message.end_tick, False
-    return message.tick, True

@@ -8,7 +8,6 @@ several echoes.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from statistics import NormalDist
 from zlib import crc32
 
@@ -18,13 +17,15 @@ from touchdown.scenes.api import Scene
 from touchdown.sim.api import LidarParams, LidarScan
 from touchdown.sim.faults.weather import Weather
 from touchdown.sim.frames import Pose
-from touchdown.sim.geometry.ray_target import Hits, RayTarget, rays_behind
+from touchdown.sim.geometry.ray_target import Hits, rays_behind
 from touchdown.sim.lidar import beams, returns
 from touchdown.sim.lidar.patterns.livox import ScanPattern, pattern
+from touchdown.sim.lidar.range_errors import RangeErrors
 from touchdown.sim.lidar.raycast_scene import LidarScene
+from touchdown.sim.lidar.rays import Movers, Rays, Track
 from touchdown.sim.lidar.weather import Clutter, LidarWeather
 from touchdown.sim.moving import BodyTrack
-from touchdown.sim.typing import Array, Bytes, Float32, Indices, Uint32
+from touchdown.sim.typing import Array, Bytes, Float32, Indices
 
 _MOST_PASSES = 5
 """Porous surfaces that one pulse may cross (each crown counts twice: in and out)."""
@@ -36,56 +37,6 @@ width."""
 _FWHM_PER_SIGMA = 2.3548200450309493
 _ACROSS = (4, 0, 5, 3, 1, 6, 2)
 """Quantile of a beam's part across its long axis; the index is the one along it."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Track:
-    """World poses of one body at ascending instants: (M,), (M, 3), (M, 3, 3)."""
-
-    times_s: Array
-    positions: Array
-    rotations: Array
-
-    @staticmethod
-    def of(body: BodyTrack) -> _Track:
-        return _Track(
-            np.ascontiguousarray(body.times_s, dtype=np.float64),
-            np.ascontiguousarray(body.positions, dtype=np.float64),
-            beams.rotations_of(np.ascontiguousarray(body.quats_wxyz, dtype=np.float64)),
-        )
-
-    def mounted(self, mount: Pose) -> _Track:
-        """The track of something at the pose ``mount`` on the body."""
-        return _Track(
-            self.times_s,
-            self.positions + self.rotations @ mount.translation,
-            np.ascontiguousarray(self.rotations @ mount.rotation),
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class _Rays:
-    """World rays (N, 6) with the instants (N,), range noise (N,) and random bits (N,) of each."""
-
-    rays: Float32
-    times: Array
-    range_noise: Float32
-    bits: Uint32
-
-    def at(self, rows: Indices) -> _Rays:
-        return _Rays(self.rays[rows], self.times[rows], self.range_noise[rows], self.bits[rows])
-
-    @staticmethod
-    def joined(*groups: _Rays) -> _Rays:
-        return _Rays(
-            np.concatenate([group.rays for group in groups]),
-            np.concatenate([group.times for group in groups]),
-            np.concatenate([group.range_noise for group in groups]),
-            np.concatenate([group.bits for group in groups]),
-        )
-
-
-_Movers = list[tuple[RayTarget, _Track]]
 
 
 class LidarSensor:
@@ -116,6 +67,7 @@ class LidarSensor:
         self._budget = returns.LinkBudget.of(
             self._pattern.range_limits_m, self._pattern.range_reflectivities, self._max_range
         )
+        self._range_errors = RangeErrors.of(params, self._pattern, seed)
         self._weather = None
         if weather is not None and weather.ever:
             self._weather = LidarWeather(
@@ -150,7 +102,7 @@ class LidarSensor:
         start_s = start_tick / tick_hz
         self._check_track(body.times_s, start_s, end_tick / tick_hz)
         nominal = self._pattern.directions(first, count)
-        track = _Track.of(body).mounted(body_from_lidar)
+        track = Track.of(body).mounted(body_from_lidar)
         pulses = self._aim(first, nominal, np.arange(count), _ON_AXIS, track)
         movers = self._in_view(track, self._movers(body.times_s, moving))
         clutter = self._weather.at(end_tick) if self._weather is not None else None
@@ -169,14 +121,14 @@ class LidarSensor:
     # ---------------------------------------------------------------------------- beams
 
     def _aim(
-        self, first: int, nominal: Float32, chosen: Indices, offsets: Array, track: _Track
-    ) -> _Rays:
+        self, first: int, nominal: Float32, chosen: Indices, offsets: Array, track: Track
+    ) -> Rays:
         """The rays of the ``chosen`` pulses, one for each of the ``offsets`` (S, 3) from the axis;
         those of one pulse follow one another."""
         rate = self._pattern.point_rate_hz
         count = len(chosen) * len(offsets)
         times = (first + chosen) / rate
-        rays = _Rays(
+        rays = Rays(
             np.empty((count, 6), dtype=np.float32),
             times if len(offsets) == 1 else np.repeat(times, len(offsets)),
             np.empty(count, dtype=np.float32),
@@ -200,7 +152,7 @@ class LidarSensor:
         )
         return rays
 
-    def _movers(self, times_s: Array, moving: Mapping[str, BodyTrack]) -> _Movers:
+    def _movers(self, times_s: Array, moving: Mapping[str, BodyTrack]) -> Movers:
         unknown = sorted(set(moving) - set(self._scene.moving))
         if unknown:
             raise ValueError(
@@ -212,10 +164,10 @@ class LidarSensor:
             motion = moving.get(name)
             if motion is None:
                 motion = BodyTrack.at_rest(self._scene.rest_poses[name], times_s[:1])
-            movers.append((target, _Track.of(motion)))
+            movers.append((target, Track.of(motion)))
         return movers
 
-    def _in_view(self, track: _Track, movers: _Movers) -> _Movers:
+    def _in_view(self, track: Track, movers: Movers) -> Movers:
         """The moving bodies that may come into the field of view during a scan."""
         middle = len(track.times_s) // 2
         eye, boresight = track.positions[middle], track.rotations[middle][:, 2]
@@ -237,7 +189,7 @@ class LidarSensor:
     # ----------------------------------------------------------------------------- hits
 
     def _cast(
-        self, rays: Float32, times: Array, movers: _Movers, *, open_ground: bool = False
+        self, rays: Float32, times: Array, movers: Movers, *, open_ground: bool = False
     ) -> tuple[Hits, Indices]:
         """Nearest hits over the static scene and every moving body, and the indices (with repeats)
         of the rays that came near more than open ground, which is looked for on request."""
@@ -266,7 +218,7 @@ class LidarSensor:
             others = np.concatenate([others, chosen])
         return hits, others
 
-    def _penetrate(self, pulses: _Rays, hits: Hits, movers: _Movers) -> None:
+    def _penetrate(self, pulses: Rays, hits: Hits, movers: Movers) -> None:
         """Replaces hits on porous surfaces by what lies behind, where the pulse passes."""
         porosity = self._scene.optics.porosity
         if not porosity.any():
@@ -291,9 +243,9 @@ class LidarSensor:
         self,
         first: int,
         nominal: Float32,
-        pulses: _Rays,
-        track: _Track,
-        movers: _Movers,
+        pulses: Rays,
+        track: Track,
+        movers: Movers,
         clutter: Clutter | None,
     ) -> tuple[Float32, Bytes]:
         """Ranges and intensities of all pulses."""
@@ -301,7 +253,7 @@ class LidarSensor:
         split = np.empty(0, dtype=np.int64)
         if self._params.divergence:
             split, parts, part_hits = self._split(first, nominal, hits, others, track, movers)
-            pulses, hits = _Rays.joined(pulses, *parts), Hits.joined(hits, *part_hits)
+            pulses, hits = Rays.joined(pulses, *parts), Hits.joined(hits, *part_hits)
         self._penetrate(pulses, hits, movers)
         strengths, ranges, intensity = self._receive(pulses, hits)
         if clutter is not None:
@@ -324,6 +276,8 @@ class LidarSensor:
                 ranges,
                 intensity,
             )
+        if self._range_errors is not None:
+            self._range_errors.apply(pulses.range_noise, hits.cosine, ranges, intensity)
         if clutter is not None:
             clutter.scatter(pulses.bits[:count], ranges, intensity)
         return ranges, intensity
@@ -334,9 +288,9 @@ class LidarSensor:
         nominal: Float32,
         hits: Hits,
         others: Indices,
-        track: _Track,
-        movers: _Movers,
-    ) -> tuple[Indices, list[_Rays], list[Hits]]:
+        track: Track,
+        movers: Movers,
+    ) -> tuple[Indices, list[Rays], list[Hits]]:
         """The pulses that an edge divides, with rays and first hits of their parts off the axis,
         part by part. Open ground divides no pulse. Where neighbours show a possible edge, two
         probes at the ends of a beam decide if its other parts are cast."""
@@ -366,7 +320,7 @@ class LidarSensor:
             [*(end_hits.at(kept) for end_hits in found), rest.at(rows)],
         )
 
-    def _receive(self, pulses: _Rays, hits: Hits) -> tuple[Float32, Float32, Bytes]:
+    def _receive(self, pulses: Rays, hits: Hits) -> tuple[Float32, Float32, Bytes]:
         """Strengths, ranges and intensities of rays as pulses of their own."""
         optics = self._scene.optics
         strengths = np.empty(len(pulses.rays), dtype=np.float32)

@@ -7,9 +7,11 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import Executor
 
+import numpy as np
 import pytest
 
-from touchdown.sim.delivery import DeliveryQueue, make_executor
+from touchdown.sim.api import SimParams
+from touchdown.sim.delivery import DeliveryQueue, Latency, make_executor
 
 
 @pytest.fixture(params=[1, 2])
@@ -95,3 +97,44 @@ def test_clear_forgets_everything(executor: Executor) -> None:
 def test_thread_count_is_checked() -> None:
     with pytest.raises(ValueError, match=r"sim.threads must be 1 or 2, not 3"):
         make_executor(3)
+
+
+def _latencies(count: int, seed: int = 1, name: bytes = b"scans", **params: float) -> list[int]:
+    """Latencies of messages that are too far apart to wait for one another."""
+    latency = Latency(SimParams(**params), seed, name)  # type: ignore[arg-type]
+    return [latency.due(6000 * k) - 6000 * k for k in range(count)]
+
+
+def test_without_spread_the_latency_is_the_nominal_one_to_the_tick() -> None:
+    assert set(_latencies(20)) == {36}
+    assert set(_latencies(20, compute_latency_ticks=35, latency_sigma=0.0)) == {35}
+
+
+def test_latencies_are_log_normal_and_end_at_control_ticks() -> None:
+    drawn = np.array(_latencies(20_000, latency_sigma=0.3))
+    assert set(drawn % 3) == {0}
+    # rounding up adds half a control step on average
+    logs = np.log((drawn - 1.5) / 36.0)
+    assert abs(logs.mean()) < 0.01
+    assert abs(logs.std() - 0.3) < 0.015
+    third = ((logs - logs.mean()) ** 3).mean() / logs.std() ** 3
+    assert abs(third) < 0.1  # of the logarithm: that of the latency itself is 0.95
+    assert drawn.min() > 0
+
+
+def test_latencies_are_those_of_seed_and_sensor() -> None:
+    one = _latencies(50, latency_sigma=0.3)
+    assert one == _latencies(50, latency_sigma=0.3)
+    assert one != _latencies(50, seed=2, latency_sigma=0.3)
+    assert one != _latencies(50, name=b"images", latency_sigma=0.3)
+    latency = Latency(SimParams(latency_sigma=0.3), 1, b"scans")
+    first = [latency.due(6000 * k) for k in range(10)]
+    latency.restart()
+    assert first == [latency.due(6000 * k) for k in range(10)]
+
+
+def test_messages_of_one_sensor_do_not_overtake_one_another() -> None:
+    latency = Latency(SimParams(latency_sigma=1.0), 3, b"images")
+    due = np.array([latency.due(60 * k) for k in range(1, 500)])
+    assert (np.diff(due) >= 0).all()
+    assert (np.diff(due) == 0).any()  # some had to wait for the one before

@@ -27,6 +27,7 @@ from touchdown.sim.api import (
     WindParams,
     WorldParams,
 )
+from touchdown.sim.delivery import Latency
 from touchdown.sim.frames import so3_exp, yaw_from_rotation
 from touchdown.sim.moving import MovingBodies
 from touchdown.sim.world import MujocoWorld
@@ -133,6 +134,25 @@ def test_measurements_arrive_on_schedule(make_world: MakeWorld, threads: int) ->
     assert scans == [(60 * (k + 1) + 36, 60 * k, 60 * (k + 1)) for k in range(4)]
     assert images == [(60 * (k + 1) + 36, 60 * (k + 1)) for k in range(4)]
     assert imu == [(tick, tick) for tick in range(3, 301, 3)]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_scans_and_images_arrive_after_latencies_of_their_own(
+    make_world: MakeWorld, threads: int
+) -> None:
+    sim = SimParams(threads=threads, latency_sigma=0.3)
+    world = make_world(sim, SensorNeeds(camera_hz=10, lidar=True))
+    for _ in range(2):  # a reset starts the latencies anew
+        scans, images = [], []
+        for obs, _ in _fly(world, 140):
+            scans += [(obs.tick, s.end_tick) for s in obs.scans]
+            images += [(obs.tick, i.tick) for i in obs.images]
+        for arrived, name in ((scans, b"scans"), (images, b"images")):
+            latency = Latency(sim, 3, name)
+            expected = [(latency.due(tick), tick) for tick in range(60, 360, 60)]
+            assert arrived[:5] == expected
+            assert len({due - tick for due, tick in expected}) > 2
+        assert [due for due, _ in scans] != [due for due, _ in images]
 
 
 def test_pulses_between_control_steps_come_at_the_next_one(make_world: MakeWorld) -> None:

@@ -31,7 +31,9 @@ from touchdown.sim.api import (
     Observation,
     RangefinderSample,
     SensorNeeds,
+    SimParams,
 )
+from touchdown.sim.delivery import Latency
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, rotation_from_yaw, so3_exp
 from touchdown.sim.navigation.magnetometer import earth_field_world
 from touchdown.sim.noise import GaussMarkov
@@ -86,6 +88,22 @@ def test_messages_after_their_epoch_are_counted_not_used() -> None:
     assert [e.tick for e in queue.take(observation(156, images=(image(120),)))] == [60, 120]
     assert queue.take(observation(160, images=(image(60),))) == []
     assert queue.late == 1
+
+
+def test_images_of_varying_latency_all_get_their_epoch() -> None:
+    """Log-normal latencies about the nominal one: a fixed delay would lose every second image."""
+    queue = EpochQueue(make_rig(), SensorNeeds(camera_hz=10))
+    latency = Latency(SimParams(latency_sigma=0.3), 0, b"images")
+    arrivals: dict[int, list[CameraImage]] = {}
+    for tick in range(60, 18_000, 60):
+        arrivals.setdefault(latency.due(tick), []).append(image(tick))
+    seen = []
+    for now in range(3, 18_200, 3):
+        for epoch in queue.take(observation(now, images=tuple(arrivals.get(now, ())))):
+            seen.append(epoch.image is not None)
+    assert queue.late <= 3
+    assert sum(seen) >= 295
+    assert len(seen) - sum(seen) <= 8
 
 
 # ------------------------------------------------------------------------------------ alignment

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.api import PaperParams
+from touchdown.estimator.filtering.message_order import stamp_of
 from touchdown.estimator.paper.estimator import PaperEstimator
 from touchdown.sim.api import (
     GRAVITY_MPS2,
@@ -17,7 +18,9 @@ from touchdown.sim.api import (
     ImuSample,
     LidarScan,
     Observation,
+    SimParams,
 )
+from touchdown.sim.delivery import Latency
 
 from support.paper_flight import (
     FLIGHT,
@@ -62,6 +65,29 @@ def test_same_input_same_output_to_the_bit() -> None:
 def test_every_part_can_be_left_out(part: str) -> None:
     estimates = fly(FLIGHT, left_out(part))
     assert max(map(error, estimates)) < 0.06
+
+
+def test_scans_and_images_that_overtake_one_another_are_all_used() -> None:
+    sim = SimParams(latency_sigma=0.4)
+    latencies = {name: Latency(sim, 3, name.encode()) for name in ("scans", "images")}
+    arrivals: dict[int, dict[str, list[Any]]] = {}
+    for obs in FLIGHT:
+        for name, latency in latencies.items():
+            for message in getattr(obs, name):
+                due = latency.due(stamp_of(message))
+                arrivals.setdefault(due, {"scans": [], "images": []})[name].append(message)
+    nothing: dict[str, list[Any]] = {"scans": [], "images": []}
+    flight = [
+        dataclasses.replace(
+            obs, **{k: tuple(m) for k, m in arrivals.get(obs.tick, nothing).items()}
+        )
+        for obs in FLIGHT
+    ]
+    apart = [len(o.scans) != len(o.images) for o in flight if o.scans or o.images]
+    assert sum(apart) > len(apart) // 2
+    estimates = fly(flight)
+    assert max(map(error, estimates)) < 0.03
+    assert estimates[-1].diagnostics["skipped"] == fly(FLIGHT)[-1].diagnostics["skipped"]
 
 
 def left_out(part: str) -> PaperParams:
