@@ -91,6 +91,14 @@ class LivoParams:
     """the same of the principal point"""
     camera_clock_sigma_s: NotNegative = 0.005
     """prior of the offset of the camera's clock from the IMU's; 0: no offset"""
+    camera_turn_sigma_deg: NotNegative = 0.0
+    """prior of the calibration errors: camera relative to the IMU"""
+    camera_shift_sigma_m: NotNegative = 0.0
+    """the same of the translation"""
+    lidar_clock_sigma_s: NotNegative = 0.0
+    """prior of the offset of the LIDAR's clock from the IMU's"""
+    imu_scale_sigma: NotNegative = 0.0
+    """prior of the relative scale errors of gyroscope and accelerometer"""
     use_degeneracy: bool = True
     """scans do not correct degenerate directions, such as lateral motion over level ground"""
     weak_sigma_m: NotNegative = 0.1

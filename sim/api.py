@@ -256,6 +256,10 @@ class SensorRig:
     world_from_body_start: Pose
     vehicle: VehicleModel
     nav: NavParams = field(default_factory=NavParams)
+    start_tilt_sigma_rad: float = 0.0
+    """standard deviation of roll and pitch of ``world_from_body_start``, each"""
+    camera_readout_s: float = 0.0
+    """nominal time from the exposure of an image's first row to that of its last"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

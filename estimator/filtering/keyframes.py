@@ -35,7 +35,9 @@ class Keyframe:
     calibration: Array
     """(C,) of the filter when the planes were measured"""
     motion: Array
-    """(6,) turn rate in the IMU's frame and velocity in the odometry frame at ``tick``"""
+    """(6,) turn rate in the IMU's frame and velocity in the odometry frame at the clone"""
+    delay_s: float = 0.0
+    """stamp of the image less the instant of the clone"""
 
     def landmarks_camera(self, camera: CameraIntrinsics) -> Array:
         """(N, 3) in the camera frame; zeros where the plane is unknown."""

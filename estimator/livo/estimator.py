@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import Estimate, LivoParams, PoseTrack
 from touchdown.estimator.filtering.deskew import PlacedScan, place_scan, screen_scan, thin_out
 from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
 from touchdown.estimator.filtering.imu_propagation import (
     STATE_DIM,
     ImuBuffer,
@@ -28,6 +29,7 @@ from touchdown.estimator.filtering.imu_propagation import (
     transition,
 )
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.filtering.message_order import Message, MessageOrder, stamp_of
 from touchdown.estimator.filtering.plane_map import PlaneMap
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.undistortion import Undistorter
@@ -38,11 +40,13 @@ from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.lidar_update import DegeneracyWatch, LidarReport
 from touchdown.estimator.livo.online_calibration import (
     CLOCK,
+    SHARED_DIM,
     calibration_diagnostics,
     corrected_mount,
     prior_sigmas,
 )
 from touchdown.estimator.livo.patch_tracker import grey_levels
+from touchdown.estimator.livo.shutter import Shutter
 from touchdown.estimator.livo.visual import VisualFrontEnd, VisualParams, VisualReport
 from touchdown.sim.api import (
     GRAVITY_MPS2,
@@ -58,6 +62,10 @@ Array = NDArray[np.float64]
 
 _START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)
 """rad, m, m/s: the take-off pose is known, but the legs settle"""
+_LEVEL_SIGMA = 5e-3
+"""m/s^2, of the mean specific force at rest, beside the accelerometer's bias"""
+_PATIENCE_S = 0.3
+"""longest delay of a scan or image that is waited for"""
 _FEWEST_RETURNS = 50
 """minimum of a usable scan"""
 _FRESH_SCANS = 3
@@ -88,6 +96,11 @@ class Livo:
         camera_hz = params.camera_hz if params.use_vision else 0
         self.needs = SensorNeeds(camera_hz=camera_hz, lidar=True)
         self._guard = InputGuard(rig, camera_hz)
+        periods = {"scans": rig.lidar_scan_ticks}
+        if camera_hz:
+            periods["images"] = rig.tick_hz // camera_hz
+        patience = max(rig.compute_latency_ticks, round(_PATIENCE_S * rig.tick_hz))
+        self._order = MessageOrder(rig, periods, patience)
         self._events: list[str] = []
         step_s = rig.imu_ticks / rig.tick_hz
         self._buffer = ImuBuffer(rig.imu, step_s)
@@ -100,7 +113,10 @@ class Livo:
             0, start.rotation, start.translation, zero, zero, zero, np.zeros(len(rig_sigmas))
         )
         bias_sigmas = np.repeat([rig.imu.gyro_bias_sigma, rig.imu.accel_bias_sigma], 3)
-        self._eskf = Eskf(state, np.concatenate([_START_SIGMAS, bias_sigmas, rig_sigmas]) ** 2)
+        sigmas = np.concatenate([_START_SIGMAS, bias_sigmas, rig_sigmas])
+        sigmas[:2] = np.hypot(sigmas[:2], rig.start_tilt_sigma_rad)
+        self._eskf = Eskf(state, sigmas**2)
+        self._levelled = rig.start_tilt_sigma_rad == 0.0
         self._eskf.loosely_coupled = params.loose
         self._enable_calibration(False)
         self._anchors = Anchors()
@@ -120,6 +136,7 @@ class Livo:
                 newest_only=None if params.use_closures else _LAST_FEW,
                 depth_sigma_m=params.depth_sigma_m,
                 height_sigma_m=params.anchor_height_m,
+                shutter=Shutter(rig.camera_readout_s),
             ),
             lidar_in_camera=(rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
             on_change=self._follow_clones,
@@ -158,12 +175,11 @@ class Livo:
                 self._buffer.step_s,
             )
         measured = False
-        images = obs.images if self._params.use_vision else ()
-        arrivals: list[LidarScan | CameraImage] = [*obs.scans, *images]
-        arrivals.sort(key=lambda m: (_tick_of(m), isinstance(m, CameraImage)))
-        for message in arrivals:
+        for message in self._order.push(obs):
             measured |= self._take(message)
-        lag = self._rig.compute_latency_ticks + self._rig.lidar_scan_ticks
+        lag = self._rig.lidar_scan_ticks + max(
+            self._rig.compute_latency_ticks, self._order.longest_wait_ticks
+        )
         if obs.tick - self._eskf.state.tick > lag + self._rig.lidar_scan_ticks:
             self._advance(obs.tick - lag)
             measured = True
@@ -181,8 +197,8 @@ class Livo:
         slow = bool(np.all(rotor_speed <= _IDLE_MARGIN * vehicle.rotor_speed_min))
         return slow or not self._lifted
 
-    def _take(self, message: LidarScan | CameraImage) -> bool:
-        tick = _tick_of(message)
+    def _take(self, message: Message) -> bool:
+        tick = stamp_of(message)
         if tick < self._eskf.state.tick or tick > self._head.tick:
             self._diagnostics["skipped"] += 1.0
             self._events.append(f"{_name_of(message)} {tick} refused: it came too late")
@@ -200,6 +216,11 @@ class Livo:
         if count == 0:
             return
         _, gyro, force, resting = self._buffer.samples(count)
+        if not self._levelled and resting.all():
+            sigma = _LEVEL_SIGMA + self._rig.imu.accel_density / np.sqrt(count * self._buffer.step_s)
+            align_with_gravity(self._eskf, force.mean(axis=0), sigma)
+            self._levelled = True
+            self._history_rotations[-1] = self._eskf.state.rotation
         ticks, rotations, positions = self._eskf.propagate(self._buffer, count)
         self._history_ticks = np.concatenate([self._history_ticks, ticks[1:]])[-_HISTORY:]
         self._history_rotations = np.concatenate([self._history_rotations, rotations[1:]])
@@ -302,7 +323,7 @@ class Livo:
         """Keeps the map's anchors in step with the filter's clones."""
         eskf = self._eskf
         if gone is None:
-            self._anchors.add(eskf.clones[-1], eskf.state.calibration)
+            self._anchors.add(eskf.clones[-1], eskf.state.calibration, eskf.motion)
             return
         successor, move = self._anchors.reassignment(gone, eskf.clones)
         self._map.reassign(gone, successor, move)
@@ -310,10 +331,11 @@ class Livo:
 
     def _take_image(self, image: CameraImage) -> None:
         levels = grey_levels(self._undistort(image.rgb))
+        delay_s = image.time_s - self._eskf.state.tick / self._rig.tick_hz
         self._vision.measure_open_keyframes(self._eskf, self._recent, image.tick)
         # errors of a keyframe repeat from image to image and would be attributed to the calibration
         self._enable_calibration(False)
-        report = self._vision.update(self._eskf, levels)
+        report = self._vision.update(self._eskf, levels, delay_s)
         if report.used:
             self._vision_tick = image.tick
             self._correct_history()
@@ -322,15 +344,18 @@ class Livo:
         if self._vision.wants_keyframe(report, image.tick):
             # old returns lie at one side of the image, and may be on a roof there
             fresh = image.tick - self._scan_tick <= _FRESH_SCANS * self._rig.lidar_scan_ticks
-            self._vision.add_keyframe(self._eskf, levels, self._recent, image.tick, extend=fresh)
+            self._vision.add_keyframe(
+                self._eskf, levels, self._recent, image.tick, delay_s=delay_s, extend=fresh
+            )
         self._diagnostics |= _visual_diagnostics(report, len(self._vision.keyframes))
         self._diagnostics |= calibration_diagnostics(self._eskf.state.calibration)
 
     def _enable_calibration(self, mount_and_lens: bool) -> None:
-        """Sets whether the next measurement corrects mount and lens; the camera's clock, which no
-        other error resembles, is always corrected."""
+        """Sets whether the next measurement corrects mounts and lens; the camera's clock, which no
+        other error resembles, and the IMU's scale are always corrected."""
         self._eskf.calibration_enabled[:] = mount_and_lens
-        self._eskf.calibration_enabled[CLOCK:] = True
+        self._eskf.calibration_enabled[CLOCK : CLOCK + 1] = True
+        self._eskf.calibration_enabled[SHARED_DIM:] = True
 
     def _track_over(self, first: int) -> PoseTrack:
         imu_from_body = self._imu_from_body
@@ -368,11 +393,11 @@ class Livo:
         covariance = self._eskf.covariance[:STATE_DIM, :STATE_DIM]
         if len(gyro) == 0:
             return covariance.copy()
-        gyro, force = gyro - state.gyro_bias, force - state.accel_bias
+        gyro, force = state.corrected(gyro, force)
         rotations, _, _ = integrate(
             state.rotation, state.position, state.velocity, gyro, force, step_s, GRAVITY_MPS2
         )
-        total, noise = transition(rotations, gyro, force, step_s, self._buffer.densities)
+        total, noise, _ = transition(rotations, gyro, force, step_s, self._buffer.densities)
         return np.asarray(total @ covariance @ total.T + noise)
 
     def _estimate(self, obs: Observation) -> Estimate:
@@ -405,11 +430,7 @@ class Livo:
         )
 
 
-def _tick_of(message: LidarScan | CameraImage) -> int:
-    return message.end_tick if isinstance(message, LidarScan) else message.tick
-
-
-def _name_of(message: LidarScan | CameraImage) -> str:
+def _name_of(message: Message) -> str:
     return "scan" if isinstance(message, LidarScan) else "image"
 
 

@@ -22,12 +22,16 @@ from touchdown.estimator.filtering.keyframes import (
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera, calibrated_information
 from touchdown.estimator.livo.online_calibration import (
+    CAMERA_SHIFT,
+    CAMERA_TURN,
     CENTER,
     FOCAL,
+    corrected_camera,
     corrected_intrinsics,
     exposed,
     landmark_jacobians,
 )
+from touchdown.estimator.livo.shutter import Shutter, rows_of_keyframe
 from touchdown.estimator.livo.patch_tracker import Grey, track
 from touchdown.estimator.livo.plane_extension import extend_plane
 from touchdown.sim.frames import Pose
@@ -59,7 +63,7 @@ class _Track:
     landmarks: Array
     """(N, 3) IMU frame of the keyframe"""
     jacobians: Array
-    """(N, 3, C) by the calibration"""
+    """(N, 3, C) by the shared calibration"""
     spreads: Array
     """(N, 3) one standard deviation along the ray"""
     made_with: Array
@@ -88,6 +92,7 @@ class VisualParams:
     """of a landmark along its ray"""
     height_sigma_m: float = 0.0
     """height error that all landmarks and planes of a keyframe share"""
+    shutter: Shutter = Shutter()
 
 
 class VisualFrontEnd:
@@ -107,7 +112,6 @@ class VisualFrontEnd:
     ) -> None:
         self._camera = camera.intrinsics
         self._imu_from_camera = camera.imu_from_camera
-        self._camera_from_imu = camera.imu_from_camera.inverse()
         self._intrinsics = camera.focal_and_center
         self._params = params
         self._lidar_in_camera = np.zeros(3) if lidar_in_camera is None else lidar_in_camera
@@ -132,7 +136,9 @@ class VisualFrontEnd:
     def _camera_at(self, pose: Pose, keyframe: Keyframe) -> Pose:
         """odom_from_camera of a keyframe with stamp at ``pose``, by the calibration at its
         creation."""
-        (taken,) = exposed([pose], keyframe.motion[None], keyframe.calibration)
+        (taken,) = exposed(
+            [pose], keyframe.motion[None], np.array([keyframe.delay_s]), keyframe.calibration
+        )
         return taken @ self._imu_from_camera
 
     def add_keyframe(
@@ -142,13 +148,14 @@ class VisualFrontEnd:
         recent: RecentReturns,
         tick: int,
         *,
+        delay_s: float = 0.0,
         extend: bool = True,
     ) -> bool:
         """Makes the present image a keyframe if enough of its features have a plane; returns True
-        if so. ``extend``: features without returns may take the common plane of the returns
+        if so. ``delay_s``: its stamp less the instant of the filter's state; ``extend``: features without returns may take the common plane of the returns
         around."""
         pixels = detect_features(levels[0], self._params.features)
-        keyframe = self._keyframe(eskf, levels, pixels, tick)
+        keyframe = self._keyframe(eskf, levels, pixels, tick, delay_s)
         camera_from_odom = self._camera_at(eskf.state.pose, keyframe).inverse()
         measure_planes(keyframe, recent, camera_from_odom, self._camera)
         if extend and int(keyframe.valid.sum()) < _LEAST_PLANES:
@@ -161,12 +168,13 @@ class VisualFrontEnd:
     def add_anchor(self, eskf: Eskf, depth_m: float, tick: int) -> None:
         """Adds the present pose, ``depth_m`` above the ground, as a clone without an image, to
         anchor the map to."""
-        keyframe = self._keyframe(eskf, (_NO_IMAGE, _NO_IMAGE, _NO_IMAGE), np.zeros((0, 2)), tick)
+        nothing = (_NO_IMAGE, _NO_IMAGE, _NO_IMAGE)
+        keyframe = self._keyframe(eskf, nothing, np.zeros((0, 2)), tick, 0.0)
         keyframe.depth_m = depth_m
         self._append(eskf, keyframe)
 
     def _keyframe(
-        self, eskf: Eskf, levels: tuple[Grey, Grey, Grey], pixels: Array, tick: int
+        self, eskf: Eskf, levels: tuple[Grey, Grey, Grey], pixels: Array, tick: int, delay_s: float
     ) -> Keyframe:
         count = len(pixels)
         return Keyframe(
@@ -179,6 +187,7 @@ class VisualFrontEnd:
             depth_m=0.0,
             calibration=eskf.state.calibration,
             motion=eskf.motion,
+            delay_s=delay_s,
         )
 
     def _append(self, eskf: Eskf, keyframe: Keyframe) -> None:
@@ -202,9 +211,14 @@ class VisualFrontEnd:
 
     # ------------------------------------------------------------------------ update
 
-    def update(self, eskf: Eskf, levels: tuple[Grey, Grey, Grey]) -> VisualReport:
-        """Iterated update by one image; nothing is changed if fewer than 15 landmarks are found."""
-        *poses, now = (pose @ self._imu_from_camera for pose in self._exposed(eskf))
+    def update(
+        self, eskf: Eskf, levels: tuple[Grey, Grey, Grey], delay_s: float = 0.0
+    ) -> VisualReport:
+        """Iterated update by one image whose stamp is ``delay_s`` after the filter's state; nothing
+        is changed if fewer than 15 landmarks are found."""
+        middle = self._params.shutter.middle_s
+        mount = corrected_camera(self._imu_from_camera, eskf.state.calibration)
+        *poses, now = (pose @ mount for pose in self._exposed(eskf, delay_s, middle))
         candidates = overlaps(self.keyframes, poses, now, self._camera)
         if self._params.newest_only is not None:
             first = len(self.keyframes) - self._params.newest_only
@@ -227,35 +241,47 @@ class VisualFrontEnd:
                 tracks.append(self._track(eskf, k, usable[found], pixels[found]))
         if sum(len(t.pixels) for t in tracks) < 15:
             return VisualReport(best_share=share)
-        used, rms = self._iterate(eskf, tracks)
+        used, rms = self._iterate(eskf, tracks, delay_s)
         return VisualReport(used=used, keyframes_tracked=len(tracks), rms_px=rms, best_share=share)
 
-    def _exposed(self, eskf: Eskf) -> list[Pose]:
-        """odom_from_imu of all clones and of the present at the exposures of their images."""
+    def _exposed(self, eskf: Eskf, delay_s: float, after_s: float = 0.0) -> list[Pose]:
+        """odom_from_imu of all clones and of the present, ``after_s`` after the stamps of their
+        images."""
         motions = np.array([*(keyframe.motion for keyframe in self.keyframes), eskf.motion])
-        return exposed([*eskf.clones, eskf.state.pose], motions, eskf.state.calibration)
+        delays = np.array([*(keyframe.delay_s for keyframe in self.keyframes), delay_s])
+        poses = [*eskf.clones, eskf.state.pose]
+        return exposed(poses, motions, delays + after_s, eskf.state.calibration)
 
     def _track(self, eskf: Eskf, k: int, which: NDArray[np.int64], pixels: Array) -> _Track:
         """Landmarks of keyframe ``k`` as created, and their derivatives by the calibration."""
-        keyframe = self.keyframes[k]
-        landmarks = self._imu_from_camera.apply(keyframe.landmarks_camera(self._camera)[which])
-        arms = landmarks - self._imu_from_camera.translation
-        sigmas = np.hypot(self._params.depth_sigma_m, keyframe.sigmas[which])
-        spreads = arms * (sigmas / np.linalg.norm(arms, axis=1))[:, None]
-        if len(eskf.state.calibration) == 0:
-            none = np.zeros((len(which), 3, 0))
-            return _Track(k, pixels, landmarks, none, spreads, np.zeros(0))
-        made_with = keyframe.calibration.copy()
-        made_with[FOCAL] = made_with[CENTER] = 0.0  # rays are those of the given lens
+        keyframe, mount = self.keyframes[k], self._imu_from_camera
         motion = keyframe.motion.copy()
         motion[3:] = eskf.clones[k].rotation.T @ motion[3:]
-        jacobians = landmark_jacobians(
-            bearing_rays(keyframe.pixels[which], self._camera), keyframe.planes[which],
-            self._lidar_in_camera, self._imu_from_camera, motion, self._camera,
+        rays, starts = rows_of_keyframe(
+            bearing_rays(keyframe.pixels[which], self._camera), motion, mount,
+            self._params.shutter.row_times(keyframe.pixels[which, 1], self._camera.height),
         )  # fmt: skip
+        planes = keyframe.planes[which]
+        along = np.einsum("ij,ij->i", rays, planes)
+        before = np.einsum("ij,ij->i", starts, planes)
+        landmarks = mount.apply(starts + rays * ((1.0 - before) / along)[:, None])
+        arms = landmarks - mount.translation
+        sigmas = np.hypot(self._params.depth_sigma_m, keyframe.sigmas[which])
+        spreads = arms * (sigmas / np.linalg.norm(arms, axis=1))[:, None]
+        if not eskf.shared:
+            none = np.zeros((len(which), 3, 0))
+            return _Track(k, pixels, landmarks, none, spreads, np.zeros(0))
+        made_with = keyframe.calibration[: eskf.shared].copy()
+        for given in (FOCAL, CENTER, CAMERA_TURN, CAMERA_SHIFT):
+            made_with[given] = 0.0  # rays are those of the given lens and mount
+        jacobians = landmark_jacobians(
+            rays, planes, self._lidar_in_camera, mount, motion, self._camera
+        )
         return _Track(k, pixels, landmarks, jacobians, spreads, made_with)
 
-    def _iterate(self, eskf: Eskf, tracks: list[_Track], iterations: int = 4) -> tuple[int, float]:
+    def _iterate(
+        self, eskf: Eskf, tracks: list[_Track], delay_s: float, iterations: int = 4
+    ) -> tuple[int, float]:
         prior, clones = eskf.state, eskf.clones
         keys = [track.keyframe for track in tracks]
         touched = eskf.touched(keys)
@@ -263,7 +289,7 @@ class VisualFrontEnd:
         information, used, rms = np.zeros((size, size)), 0, 0.0
         for iteration in range(iterations):
             gate = (12.0, 6.0, 3.0, 3.0)[min(iteration, 3)]
-            information, vector, used, rms = self._accumulate(eskf, tracks, gate)
+            information, vector, used, rms = self._accumulate(eskf, tracks, delay_s, gate)
             if used < 15:
                 eskf.state, eskf.clones = prior, clones
                 return 0, 0.0
@@ -274,24 +300,29 @@ class VisualFrontEnd:
         eskf.update_covariance(touched, information)
         return used, rms
 
-    def _accumulate(self, eskf: Eskf, tracks: list[_Track], gate_px: float) -> NormalEquations:
+    def _accumulate(
+        self, eskf: Eskf, tracks: list[_Track], delay_s: float, gate_px: float
+    ) -> NormalEquations:
         state = eskf.state
-        shared = len(state.calibration)
+        shared = eskf.shared
         size = CLONE_DIM * (1 + len(tracks)) + shared
         information, vector = np.zeros((size, size)), np.zeros(size)
         intrinsics = self._intrinsics
         if shared:
             intrinsics = corrected_intrinsics(self._camera, state.calibration)
         used, total = 0, 0.0
-        *clones, now = self._exposed(eskf)
+        *clones, now = self._exposed(eskf, delay_s)
+        camera = corrected_camera(self._imu_from_camera, state.calibration).inverse()
+        calibration = state.calibration[:shared]
         for slot, track_ in enumerate(tracks):
             clone, keyframe = clones[track_.keyframe], self.keyframes[track_.keyframe]
-            landmarks = track_.landmarks + track_.jacobians @ (state.calibration - track_.made_with)
+            landmarks = track_.landmarks + track_.jacobians @ (calibration - track_.made_with)
+            rows = self._params.shutter.row_times(track_.pixels[:, 1], self._camera.height)
             part = calibrated_information(
-                track_.pixels, landmarks, track_.jacobians, track_.spreads,
+                track_.pixels, rows, landmarks, track_.jacobians, track_.spreads,
                 now.rotation, now.translation, clone.rotation, clone.translation,
                 np.concatenate([eskf.motion, keyframe.motion]),
-                self._camera_from_imu.rotation, self._camera_from_imu.translation,
+                camera.rotation, camera.translation,
                 intrinsics, self._params.sigma_px, gate_px,
             )  # fmt: skip
             start = CLONE_DIM * (1 + slot) + shared
