@@ -1,4 +1,4 @@
-"""The true vehicle differs from the nominal one: draws, physics, telemetry, battery, IMU's place."""
+"""The true vehicle beside the nominal one: draws, physics, telemetry, battery, the IMU's place."""
 
 from __future__ import annotations
 
@@ -215,7 +215,7 @@ def test_the_world_reports_noisy_speeds_and_keeps_the_true_ones(scene: Scene) ->
 
 
 def test_open_circuit_voltage_of_a_cell() -> None:
-    """Figures of Chen and Rincon-Mora (2006): 4.10 V full, about 3.8 V at half, steep at the end."""
+    """Chen and Rincon-Mora (2006): 4.10 V full, about 3.8 V at half, steep at the end."""
     assert open_circuit_voltage(1.0) / 6.0 == pytest.approx(4.103, abs=0.001)
     assert open_circuit_voltage(0.5) / 6.0 == pytest.approx(3.803, abs=0.005)
     assert open_circuit_voltage(0.02) / 6.0 < 3.3
