@@ -105,13 +105,12 @@ class PropellerVibration:
             self._normals, self._next = self._rng.standard_normal(shape), 0
         normals = self._normals[self._next]
         self._next += 1
-        before, self._speeds = self._speeds, speeds.copy()
-        out = _harmonics(
-            before, speeds, self._phases, self._offsets, self._lines, self._hover,
-            self._isolation, self._period_s,
+        out = np.zeros(6)
+        _sample(
+            self._speeds, speeds, self._phases, self._offsets, self._lines, self._hover,
+            self._isolation, self._period_s, self._state, self._advance, self._roots, normals,
+            self._levels, out,
         )  # fmt: skip
-        scale = (speeds @ speeds) / (len(speeds) * self._hover**2)
-        _broadband(self._state, self._advance, self._roots, normals, scale * self._levels, out)
         return out
 
 
@@ -126,6 +125,33 @@ def mount_gain(rate: float, share: float, corner: float) -> float:
 
 
 @njit(cache=True)
+def _sample(
+    before: Array,
+    speeds: Array,
+    phases: Array,
+    offsets: Array,
+    lines: Array,
+    hover: float,
+    isolation: Array,
+    period_s: float,
+    state: Array,
+    advance: Array,
+    roots: Array,
+    normals: Array,
+    levels: Array,
+    out: Array,
+) -> None:
+    """One call for both parts, which costs less than two; ``before`` becomes ``speeds``."""
+    _harmonics(before, speeds, phases, offsets, lines, hover, isolation, period_s, out)
+    square = 0.0
+    for i in range(speeds.shape[0]):
+        square += speeds[i] * speeds[i]
+        before[i] = speeds[i]
+    scale = square / (speeds.shape[0] * hover * hover)
+    _broadband(state, advance, roots, normals, levels, scale, out)
+
+
+@njit(cache=True)
 def _harmonics(
     before: Array,
     speeds: Array,
@@ -135,10 +161,10 @@ def _harmonics(
     hover: float,
     isolation: Array,
     period_s: float,
-) -> Array:
-    """(6,) means of the rotors' lines; advances ``phases``. The mean of a cosine whose phase runs
-    from a to b is (sin b - sin a) / (b - a)."""
-    out = np.zeros(6)
+    out: Array,
+) -> None:
+    """Adds (6,) means of the rotors' lines to ``out``; advances ``phases``. The mean of a cosine
+    whose phase runs from a to b is (sin b - sin a) / (b - a)."""
     for i in range(speeds.shape[0]):
         speed = 0.5 * (before[i] + speeds[i])
         turn = speed * period_s
@@ -153,14 +179,20 @@ def _harmonics(
             for k in range(6):
                 a = first + offsets[i, h, k]
                 out[k] += size * lines[h, k] * (np.sin(a + span) - np.sin(a)) / span
-    return out
 
 
 @njit(cache=True)
 def _broadband(
-    state: Array, advance: Array, roots: Array, normals: Array, levels: Array, out: Array
+    state: Array,
+    advance: Array,
+    roots: Array,
+    normals: Array,
+    levels: Array,
+    scale: float,
+    out: Array,
 ) -> None:
-    """Advances the resonances' states (modes, 6, 4) by a sample and adds their means to ``out``."""
+    """Advances the resonances' states (modes, 6, 4) by a sample and adds their means, times
+    ``scale``, to ``out``."""
     modes, axes, states = state.shape
     following = np.empty(states + 1)
     for m in range(modes):
@@ -173,7 +205,7 @@ def _broadband(
                     total += roots[m, row, column] * normals[m, k, column]
                 following[row] = total
             state[m, k] = following[:states]
-            out[k] += levels[m, k] * following[states]
+            out[k] += scale * levels[m, k] * following[states]
 
 
 def _resonance(rate: float, damping: float, share: float, period_s: float) -> _Resonance:

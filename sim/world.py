@@ -78,7 +78,8 @@ class MujocoWorld:
         self._nav = self._make_nav()
         self.rig = self._make_rig()
         self._imu_mount = self.rig.body_from_imu.rotation
-        self._imu_lever = self.rig.body_from_imu.translation
+        self._imu_lever = self._imu_mount.T @ self.rig.body_from_imu.translation
+        self._imu_is_off = bool(self._imu_lever.any())
         self.reset()
 
     # ------------------------------------------------------------------------ preparation
@@ -182,7 +183,7 @@ class MujocoWorld:
     def _mark_start(self) -> None:
         """Sets the present state as the earlier state of sensors that compare two."""
         self._imu_rotation = self._world_from_imu()
-        self._imu_velocity = self._velocity_of_imu()
+        self._imu_velocity = self._velocity_of_imu(self._imu_rotation)
         self._imaging.start(self._position, self._quat, self.disturbances)
 
     def step(self, command: Command) -> Observation:
@@ -294,7 +295,8 @@ class MujocoWorld:
         self._imaging.sense(self._tick, self._data, self._position, self._quat)
 
     def _sample_imu(self) -> ImuSample:
-        rotation, velocity = self._world_from_imu(), self._velocity_of_imu()
+        rotation = self._world_from_imu()
+        velocity = self._velocity_of_imu(rotation)
         sample = self._imu.sample(
             self._tick,
             self._imu_rotation,
@@ -310,12 +312,12 @@ class MujocoWorld:
     def _world_from_imu(self) -> Array:
         return matrix_from_quat_wxyz(self._quat) @ self._imu_mount
 
-    def _velocity_of_imu(self) -> Array:
+    def _velocity_of_imu(self, world_from_imu: Array) -> Array:
         """(3,) m/s, world axes, of the IMU's own point, a new array."""
         velocity = self._velocity.copy()
-        if self._imu_lever.any():
-            swing = cross(self._angular_velocity, self._imu_lever)
-            velocity += matrix_from_quat_wxyz(self._quat) @ swing
+        if self._imu_is_off:
+            swing = cross(self._imu_mount.T @ self._angular_velocity, self._imu_lever)
+            velocity += world_from_imu @ swing
         return velocity
 
     # ------------------------------------------------------------------------ messages
