@@ -55,9 +55,23 @@ class BiasParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class StartParams:
+    """Knowledge of the take-off pose that estimators are given."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    attitude_known: bool = True
+    """False: position and heading only; roll and pitch are for the estimator to find"""
+    tilt_sigma_deg: Annotated[float, Interval(gt=0.0, le=30.0)] = 3.0
+    """standard deviation of roll and pitch on the ground, as told to estimators that must find
+    them"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class CalibrationErrorParams:
-    """Standard deviations of the calibration error of the believed rig, drawn from the seed; unused
-    in flights with a calibration file."""
+    """Standard deviations of the calibration error of the believed rig, drawn from the seed. Those
+    of camera_from_lidar and of the lens are unused in flights with a calibration file; those
+    against the IMU remain."""
 
     __pydantic_config__ = FORBID_EXTRA
 
@@ -69,3 +83,14 @@ class CalibrationErrorParams:
     """relative, of each focal length"""
     center_sigma_px: NotNegative = 0.0
     """of either coordinate of the principal point"""
+    distortion_sigma_px: NotNegative = 0.0
+    """of the largest displacement in the image that the distortion's error causes"""
+    imu_camera_rotation_sigma_deg: NotNegative = 0.0
+    """of the camera's mount against the IMU, about each axis"""
+    imu_camera_translation_sigma_m: NotNegative = 0.0
+    """of the camera's mount against the IMU, along each axis"""
+    imu_lidar_rotation_sigma_deg: NotNegative = 0.0
+    """of the LIDAR's mount against the IMU, about each axis; with a calibration file it follows the
+    camera's mount instead"""
+    imu_lidar_translation_sigma_m: NotNegative = 0.0
+    """of the LIDAR's mount against the IMU, along each axis, likewise"""

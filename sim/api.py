@@ -12,10 +12,12 @@ from typing import Annotated, Literal, Protocol
 import numpy as np
 from annotated_types import Interval
 
+from touchdown.sim.airframe.types import VehicleErrorParams as VehicleErrorParams
 from touchdown.sim.faults.types import FAULT_KINDS as FAULT_KINDS
 from touchdown.sim.faults.types import Fault as Fault
 from touchdown.sim.faults.types import FaultParams as FaultParams
 from touchdown.sim.frames import Pose
+from touchdown.sim.imu_types import ImuParams as ImuParams
 from touchdown.sim.navigation.types import FORBID_EXTRA as FORBID_EXTRA
 from touchdown.sim.navigation.types import BarometerParams as BarometerParams
 from touchdown.sim.navigation.types import BarometerSample as BarometerSample
@@ -64,6 +66,10 @@ class SimParams:
     about the median ``compute_latency_ticks``. 0: always the same."""
     battery_capacity_j: Positive = 700e3
     """Usable energy at take-off (about 195 Wh)."""
+    battery_sag: bool = False
+    """the voltage falls with charge and load, and the highest rotor speed with it"""
+    battery_resistance_ohm: NotNegative = 0.025
+    """of cells and leads, with ``battery_sag``"""
     threads: Annotated[int, Interval(ge=1, le=2)] = 2
     """2: rendering and ray casting overlap with each other and with everything else; 1: all of it
     in the calling thread.
@@ -147,32 +153,6 @@ class CameraParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ImuParams:
-    """Bosch BMI088 (data sheet): noise densities, in-run bias walk, turn-on bias."""
-
-    __pydantic_config__ = FORBID_EXTRA
-
-    gyro_density: NotNegative = 2.44e-4
-    """rad/s/sqrt(Hz)"""
-    accel_density: NotNegative = 1.72e-3
-    """m/s^2/sqrt(Hz)"""
-    gyro_bias_walk: NotNegative = 1.0e-5
-    """rad/s^2/sqrt(Hz)"""
-    accel_bias_walk: NotNegative = 1.0e-4
-    """m/s^3/sqrt(Hz)"""
-    gyro_bias_sigma: NotNegative = 3.0e-3
-    """rad/s, turn-on"""
-    accel_bias_sigma: NotNegative = 3.0e-2
-    """m/s^2, turn-on"""
-    vibration_gyro_density: NotNegative = 0.0
-    """rad/s/sqrt(Hz) that the propellers shake into the sensor in hover, broad band; grows with the
-    square of the rotor speed. 0: a perfectly isolated mount; 4e-3 is the median of unisolated
-    sensors on a DJI Phantom 4 (flights of Hurwitz and Klein 2023), a damped mount a tenth of it"""
-    vibration_accel_density: NotNegative = 0.0
-    """m/s^2/sqrt(Hz), likewise; 0.12 on the same flights (three times that along the rotor axes)"""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class WorldParams:
     """Every parameter of the simulated world but its scene and its seed."""
 
@@ -183,6 +163,7 @@ class WorldParams:
     imu: ImuParams = field(default_factory=ImuParams)
     nav: NavParams = field(default_factory=NavParams)
     faults: FaultParams = field(default_factory=FaultParams)
+    vehicle_error: VehicleErrorParams = field(default_factory=VehicleErrorParams)
 
 
 # -------------------------------------------------------------- the vehicle's model and calibration
@@ -239,7 +220,8 @@ class VehicleModel:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SensorRig:
     """Sensor calibration and rates as given to an estimator. ``world_from_body_start`` is the known
-    take-off pose. Extrinsics map sensor coordinates to body coordinates."""
+    take-off pose: all of it, or position and heading, see ``start_tilt_sigma_rad``. Extrinsics map
+    sensor coordinates to body coordinates."""
 
     tick_hz: int
     body_from_imu: Pose
@@ -257,7 +239,8 @@ class SensorRig:
     vehicle: VehicleModel
     nav: NavParams = field(default_factory=NavParams)
     start_tilt_sigma_rad: float = 0.0
-    """standard deviation of roll and pitch of ``world_from_body_start``, each"""
+    """standard deviation of the true roll and pitch at take-off about those of
+    ``world_from_body_start``, which are 0 then; 0: they are known"""
     camera_readout_s: float = 0.0
     """nominal time from the exposure of an image's first row to that of its last"""
 

@@ -1,4 +1,4 @@
-"""An integrating IMU: mean angular rate and specific force a sample, with bias and noise."""
+"""An integrating IMU: mean angular rate and specific force a sample, with its errors."""
 
 from __future__ import annotations
 
@@ -10,20 +10,37 @@ import numpy as np
 from numba import njit
 
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams, ImuSample
+from touchdown.sim.imu_errors import ImuErrors
 from touchdown.sim.typing import Array
+from touchdown.sim.vibration import PropellerVibration
 
 _DRAWN = 64
+_STOPPED = np.zeros(4)
 
 
 class ImuSensor:
     """Samples every ``imu_ticks`` ticks of ``tick_hz``.
 
     White noise of density d averages to d / sqrt(T) over a sample of T seconds. The bias starts at
-    a random turn-on value and walks by w sqrt(T) a sample. Vibration is white as well: the lines
-    of four propellers at different speeds, folded by the sampling, fill the whole band.
+    a random turn-on value and walks by w sqrt(T) a sample. The vibration of
+    ``vibration_*_density`` is white as well: the lines of four propellers at different speeds,
+    folded by the sampling, fill the whole band. That of ``vibration_harmonics`` and
+    ``vibration_broadband`` is `vibration.PropellerVibration`.
+
+    A sample is made in the order of a real one: motion and vibration of the sensor, then scale,
+    misalignment and g-sensitivity, then bias and noise, then saturation.
     """
 
-    def __init__(self, params: ImuParams, tick_hz: int, imu_ticks: int, seed: int) -> None:
+    def __init__(
+        self,
+        params: ImuParams,
+        tick_hz: int,
+        imu_ticks: int,
+        seed: int,
+        hover_radps: float = 0.0,
+    ) -> None:
+        """``hover_radps``: rotor speed that the levels of the vibration belong to. ValueError:
+        there is vibration and it is not positive."""
         self._tick_hz = tick_hz
         self._period_s = imu_ticks / tick_hz
         self._rng = np.random.default_rng([seed, crc32(b"imu")])
@@ -38,6 +55,10 @@ class ImuSensor:
         self._randomness = self._draw()
         turn_on = _stack(params.gyro_bias_sigma, params.accel_bias_sigma)
         self._bias = turn_on * self._rng.standard_normal(6)
+        self.errors = ImuErrors(params, seed)
+        self._propellers: PropellerVibration | None = None
+        if params.vibration_harmonics or params.vibration_broadband:
+            self._propellers = PropellerVibration(params, self._period_s, hover_radps, seed)
 
     @property
     def bias(self) -> Array:
@@ -52,16 +73,23 @@ class ImuSensor:
         velocity_start: Array,
         velocity_end: Array,
         shake: float = 0.0,
+        rotor_speeds: Array | None = None,
     ) -> ImuSample:
         """The sample that ends at ``tick``, from the world_from_imu rotations (3, 3) at both ends
         of its period and the world velocities (3,) m/s of the IMU's own point. ``shake``: mean
-        square of the rotor speeds over that in hover. Turns of more than 170 degrees a sample are
-        beyond it."""
+        square of the rotor speeds over that in hover; ``rotor_speeds``: (4,) rad/s now, None: at
+        rest. Turns of more than 170 degrees a sample are beyond it."""
         measured = _ideal(
             rotation_start, rotation_end, velocity_start, velocity_end, self._period_s
         )
         noise, step, shaking = next(self._randomness)
+        if self._propellers is not None:
+            measured += self._propellers.sample(_STOPPED if rotor_speeds is None else rotor_speeds)
+        if self.errors.distorts:
+            measured = self.errors.matrix @ measured
         measured += self._bias + noise + shake * shaking
+        if self.errors.saturates:
+            measured = self.errors.saturated(measured)
         self._bias = self._bias + step
         measured.setflags(write=False)
         return ImuSample(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from touchdown.scenes.api import Scene
 from touchdown.sim.airframe.battery import Battery
 from touchdown.sim.airframe.contacts import ContactSensor
+from touchdown.sim.airframe.deviations import SpeedTelemetry, draw_deviations, true_model
 from touchdown.sim.airframe.ground_probe import GroundProbe
 from touchdown.sim.airframe.physics import prepare_physics, settle_on_ground
 from touchdown.sim.airframe.rotors import Rotors
@@ -33,7 +35,7 @@ from touchdown.sim.camera.sensor import Snapshot
 from touchdown.sim.clock import check_rates
 from touchdown.sim.faults.disturbances import Disturbances
 from touchdown.sim.faults.injector import FaultInjector
-from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
+from touchdown.sim.frames import Pose, cross, matrix_from_quat_wxyz
 from touchdown.sim.imaging_sensors import ImagingSensors
 from touchdown.sim.imu import ImuSensor
 from touchdown.sim.moving import MovingBodies
@@ -64,6 +66,9 @@ class MujocoWorld:
         needs: SensorNeeds = _NOTHING,
     ) -> None:
         check_rates(params.sim, needs)
+        self._vehicle = vehicle_model(scene.model)
+        self._deviations = draw_deviations(params.vehicle_error, seed)
+        scene = replace(scene, model=true_model(scene.model, self._deviations))
         self._scene, self._params, self._seed, self._needs = scene, params, seed, needs
         self._sim, self._model = params.sim, scene.model
         self._step_s = self._sim.control_ticks / self._sim.tick_hz
@@ -73,6 +78,8 @@ class MujocoWorld:
         self._nav = self._make_nav()
         self.rig = self._make_rig()
         self._imu_mount = self.rig.body_from_imu.rotation
+        self._imu_lever = self._imu_mount.T @ self.rig.body_from_imu.translation
+        self._imu_is_off = bool(self._imu_lever.any())
         self.reset()
 
     # ------------------------------------------------------------------------ preparation
@@ -83,7 +90,6 @@ class MujocoWorld:
         self._moving = MovingBodies(self._scene)
         self._moving.write(self._data, 0.0)
         self._start_state = settle_on_ground(self._scene, self._data)
-        self._vehicle = vehicle_model(self._model)
         weight = self._vehicle.mass_kg * GRAVITY_MPS2
         self._hover_square = weight / self._vehicle.thrust_coefficient
         body_id = vehicle_body_id(self._model)
@@ -102,11 +108,18 @@ class MujocoWorld:
     def _make_nav(self) -> NavSensors:
         return NavSensors(self._scene, self._params.nav, self._sim, self._needs, self._seed)
 
+    def _make_imu(self) -> ImuSensor:
+        hover = math.sqrt(self._hover_square / len(self._vehicle.rotor_spin))
+        sim = self._sim
+        return ImuSensor(self._params.imu, sim.tick_hz, sim.imu_ticks, self._seed, hover)
+
     def _make_rig(self) -> SensorRig:
         mounts = self._imaging.mounts
         return SensorRig(
             tick_hz=self._sim.tick_hz,
-            body_from_imu=mounts.imu,
+            body_from_imu=Pose(
+                mounts.imu.rotation, mounts.imu.translation + self._params.imu.offset_m
+            ),
             body_from_lidar=mounts.lidar,
             body_from_camera=mounts.camera,
             body_from_camera_right=mounts.camera_right,
@@ -146,10 +159,16 @@ class MujocoWorld:
         self._tick = 0
         self._truth: Truth | None = None
         self._rotors = Rotors(
-            self._vehicle, rotor_geometry(self._model), tick_s=1.0 / self._sim.tick_hz
+            self._vehicle,
+            rotor_geometry(self._model),
+            tick_s=1.0 / self._sim.tick_hz,
+            deviations=self._deviations,
         )
-        self._battery = Battery(self._sim.battery_capacity_j)
-        self._imu = ImuSensor(self._params.imu, self._sim.tick_hz, self._sim.imu_ticks, self._seed)
+        self._telemetry = SpeedTelemetry(self._params.vehicle_error, self._seed)
+        self._battery = Battery(
+            self._sim.battery_capacity_j, self._sim.battery_sag, self._sim.battery_resistance_ohm
+        )
+        self._imu = self._make_imu()
         self._nav = self._make_nav()
         faults, tick_hz = self._params.faults, self._sim.tick_hz
         self.faults = FaultInjector(faults, tick_hz)
@@ -164,7 +183,7 @@ class MujocoWorld:
     def _mark_start(self) -> None:
         """Sets the present state as the earlier state of sensors that compare two."""
         self._imu_rotation = self._world_from_imu()
-        self._imu_velocity = self._velocity.copy()
+        self._imu_velocity = self._velocity_of_imu(self._imu_rotation)
         self._imaging.start(self._position, self._quat, self.disturbances)
 
     def step(self, command: Command) -> Observation:
@@ -250,6 +269,7 @@ class MujocoWorld:
             self._rotors.cut()
         else:
             share = self.disturbances.rotor_speed_share(self._tick)
+            self._rotors.speed_share = self._battery.speed_share
             self._rotors.demand(command.rotor_speed_radps, share)
 
     def _advance_tick(self, clearance_m: float) -> None:
@@ -275,7 +295,8 @@ class MujocoWorld:
         self._imaging.sense(self._tick, self._data, self._position, self._quat)
 
     def _sample_imu(self) -> ImuSample:
-        rotation, velocity = self._world_from_imu(), self._velocity.copy()
+        rotation = self._world_from_imu()
+        velocity = self._velocity_of_imu(rotation)
         sample = self._imu.sample(
             self._tick,
             self._imu_rotation,
@@ -283,12 +304,21 @@ class MujocoWorld:
             self._imu_velocity,
             velocity,
             float(self._rotors.speeds @ self._rotors.speeds) / self._hover_square,
+            self._rotors.speeds,
         )
         self._imu_rotation, self._imu_velocity = rotation, velocity
         return sample
 
     def _world_from_imu(self) -> Array:
         return matrix_from_quat_wxyz(self._quat) @ self._imu_mount
+
+    def _velocity_of_imu(self, world_from_imu: Array) -> Array:
+        """(3,) m/s, world axes, of the IMU's own point, a new array."""
+        velocity = self._velocity.copy()
+        if self._imu_is_off:
+            swing = cross(self._imu_mount.T @ self._angular_velocity, self._imu_lever)
+            velocity += world_from_imu @ swing
+        return velocity
 
     # ------------------------------------------------------------------------ messages
 
@@ -303,7 +333,7 @@ class MujocoWorld:
             barometer=self._nav.barometer.collect(self._tick),
             magnetometer=self._nav.magnetometer.collect(self._tick),
             rangefinder=self._nav.rangefinder.collect(self._tick),
-            rotor_speed_radps=_frozen(self._rotors.speeds),
+            rotor_speed_radps=_frozen(self._telemetry.read(self._rotors.speeds)),
             battery_fraction=self._battery.fraction,
         )
         return self.faults.apply(obs)

@@ -66,7 +66,7 @@ class Navigator:
         self._undistort = Undistorter(rig)
         self.skipped = 0
         self.rate_imu: Array = np.zeros(3)
-        """(3,) rad/s at the newest sample, bias removed"""
+        """(3,) rad/s at the epoch, bias removed"""
 
     @property
     def filter(self) -> InertialFilter:
@@ -102,9 +102,7 @@ class Navigator:
                 self.skipped += 1
                 continue
             self._filter.carry_to(epoch.tick)
-            if obs.imu:
-                rate = obs.imu[-1].angular_velocity
-                self.rate_imu = rate - self._filter.eskf.state.gyro_bias
+            self.rate_imu = self._filter.eskf.rate
             self._take_heading(epoch.magnetometer)
             self._baro.take(self._filter.eskf, epoch.barometer, self._filter.still)
             yield epoch

@@ -7,7 +7,7 @@ IMU samples to the present.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,23 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import Estimate, PoseTrack
 from touchdown.estimator.filtering.deskew import PlacedScan, place_scan, screen_scan
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState, propagate_nominal
+from touchdown.estimator.filtering.imu_propagation import (
+    ROTATION,
+    ImuBuffer,
+    NavState,
+    propagate_nominal,
+)
+from touchdown.estimator.filtering.levelling import level_from_rest, level_sigmas
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
 from touchdown.sim.api import GRAVITY_MPS2, ImuSample, LidarScan, Observation, SensorRig
-from touchdown.sim.frames import Pose, cross, quat_wxyz_from_matrix, so3_exp, so3_log
+from touchdown.sim.frames import (
+    Pose,
+    cross,
+    quat_wxyz_from_matrix,
+    so3_exp,
+    so3_log,
+    yaw_from_rotation,
+)
 
 Array = NDArray[np.float64]
 
@@ -77,7 +90,10 @@ class InertialFilter:
         biases = np.repeat([rig.imu.gyro_bias_sigma, rig.imu.accel_bias_sigma], 3)
         self.eskf = Eskf(state, np.concatenate([_START_SIGMAS, biases]) ** 2)
         self._buffer = ImuBuffer(rig.imu, self.step_s)
-        self._zero_velocity = ZeroVelocityUpdate(rig.imu.gyro_density, self.step_s, attitude_known)
+        self._unlevelled = attitude_known and rig.start_tilt_sigma_rad > 0.0
+        self._zero_velocity = ZeroVelocityUpdate(
+            rig.imu.gyro_density, self.step_s, attitude_known and not self._unlevelled
+        )
         self._head = state
         self._trail = _Trail(np.zeros(1, np.int64), state.rotation[None], state.position[None])
         self._newest = ImuSample(tick=0, time_s=0.0, angular_velocity=zero, specific_force=zero)
@@ -104,6 +120,9 @@ class InertialFilter:
             rate, force = sample.angular_velocity, sample.specific_force
             self._newest = sample
             self._buffer.push(sample.tick, rate, force, standing)
+            if self._unlevelled:
+                self._head = replace(self._head, tick=sample.tick)
+                continue
             ticks = np.array([sample.tick])
             self._head = propagate_nominal(self._head, ticks, rate[None], force[None], self.step_s)
 
@@ -120,6 +139,8 @@ class InertialFilter:
         count = self._buffer.until(tick)
         if count == 0:
             return
+        if self._unlevelled:
+            self._level()
         _, gyro, force, standing = self._buffer.samples(count)
         ticks, rotations, positions = self.eskf.propagate(self._buffer, count)
         self._trail.extend(ticks[1:], rotations[1:], positions[1:])
@@ -127,6 +148,24 @@ class InertialFilter:
         self._buffer.drop(count)
         if self.still:
             self._trail.follow(self.eskf.state)
+
+    def _level(self) -> None:
+        """Sets roll and pitch from the samples so far, all taken at rest; the given heading stays.
+        Sensors are late, so that a sixth of a second has passed before the first of them."""
+        self._unlevelled = False
+        state = self.eskf.state
+        _, _, force, _ = self._buffer.samples(self._buffer.count)
+        mount, start = self.rig.body_from_imu, self.rig.world_from_body_start
+        body = level_from_rest(force @ mount.rotation.T, yaw_from_rotation(start.rotation))
+        levelled = Pose(body, start.translation) @ mount
+        self.eskf.state = replace(state, rotation=levelled.rotation, position=levelled.translation)
+        to_imu = mount.rotation.T
+        spread = np.diag(level_sigmas(self.rig.imu) ** 2)
+        self.eskf.covariance[ROTATION, ROTATION] = to_imu @ spread @ to_imu.T
+        self._trail = _Trail(
+            np.array([state.tick]), levelled.rotation[None], levelled.translation[None]
+        )
+        self._head = self.eskf.state
 
     # ------------------------------------------------------------------------ measurements
 

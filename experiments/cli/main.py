@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from touchdown.experiments.cli.bench import bench
+from touchdown.experiments.cli.bench_imu import bench_imu
 from touchdown.experiments.cli.bench_odometry import bench_estimator
 from touchdown.experiments.cli.calibrate import calibrate
 from touchdown.experiments.cli.campaign import campaign
@@ -62,6 +63,7 @@ cli.add_command(reproduce)
 cli.add_command(scenes)
 cli.add_command(bench)
 bench.add_command(bench_estimator)
+bench.add_command(bench_imu)
 cli.add_command(check_estimator_command)
 cli.add_command(calibrate)
 cli.add_command(campaign)

@@ -24,7 +24,12 @@ from touchdown.estimator.api import (
     PaperParams,
     StereoParams,
 )
-from touchdown.experiments.api import BiasParams, CalibrationErrorParams, RefereeParams
+from touchdown.experiments.api import (
+    BiasParams,
+    CalibrationErrorParams,
+    RefereeParams,
+    StartParams,
+)
 from touchdown.landing.api import LandingParams, SurveyParams
 from touchdown.sim.api import (
     FORBID_EXTRA,
@@ -41,6 +46,7 @@ from touchdown.sim.api import (
     Positive,
     RangefinderParams,
     SimParams,
+    VehicleErrorParams,
     WindParams,
 )
 
@@ -101,6 +107,8 @@ class Config(BaseModel):
     barometer: BarometerParams = Field(default_factory=BarometerParams)
     magnetometer: MagnetometerParams = Field(default_factory=MagnetometerParams)
     rangefinder: RangefinderParams = Field(default_factory=RangefinderParams)
+    vehicle_error: VehicleErrorParams = Field(default_factory=VehicleErrorParams)
+    start: StartParams = Field(default_factory=StartParams)
     faults: FaultParams = Field(default_factory=FaultParams)
     mapper: MapperParams = Field(default_factory=MapperParams)
     livo: LivoParams = Field(default_factory=LivoParams)

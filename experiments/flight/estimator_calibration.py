@@ -2,38 +2,52 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from zlib import crc32
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchdown.experiments.api import CalibrationErrorParams
+from touchdown.experiments.api import CalibrationErrorParams, StartParams
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.calibration_file import CalibrationFile, read_calibration
 from touchdown.sim.api import CameraIntrinsics, SensorRig
-from touchdown.sim.frames import Pose, so3_exp
+from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, yaw_from_rotation
+
+Array = NDArray[np.float64]
+
+_DISTORTION_TERMS = 4
+"""k1, k2, p1 and p2"""
+_DISTORTION_SHARE = 0.353
+"""of the standard deviation of the largest displacement, what each of them causes alone: their
+errors are independent, and there is a corner at which they add"""
 
 
 def believed_rig(rig: SensorRig, config: Config) -> SensorRig:
     """Returns the rig as estimators believe it: ``rig`` with the calibration file
     ``config.calibration``, or else with the errors of ``config.calibration_error``, drawn from the
-    seed.
+    seed; with the errors against the IMU; and with what ``config.start`` tells of the take-off.
 
-    The mount of the camera on the body is exact; that of the LIDAR follows from it. Raises
-    UsageError for a file that cannot be used.
+    Without an error against the IMU the mount of the camera on the body is exact, and that of the
+    LIDAR follows from it. Raises UsageError for a file that cannot be used.
     """
+    errors, start = config.calibration_error, config.start
     content = check_calibration(config)
-    if content is not None:
-        camera = content.intrinsics()
-        if (camera.width, camera.height) != (rig.camera.width, rig.camera.height):
-            raise UsageError(
-                f"'{config.calibration}' is of a camera of {camera.width} x {camera.height} "
-                f"pixels, the flight's has {rig.camera.width} x {rig.camera.height}"
-            )
-        return _with(rig, camera, content.lidar_pose())
-    return erring_rig(rig, config.calibration_error, config.seed)
+    if content is None:
+        return told_start(erring_rig(rig, errors, config.seed), start)
+    camera = content.intrinsics()
+    if (camera.width, camera.height) != (rig.camera.width, rig.camera.height):
+        raise UsageError(
+            f"'{config.calibration}' is of a camera of {camera.width} x {camera.height} "
+            f"pixels, the flight's has {rig.camera.width} x {rig.camera.height}"
+        )
+    # The file says how camera and LIDAR stand to one another; both are wrong against the IMU alike.
+    turned = _camera_against_imu(rig, errors, config.seed)
+    return told_start(_with(turned, camera, content.lidar_pose()), start)
 
 
 def check_calibration(config: Config) -> CalibrationFile | None:
@@ -41,8 +55,31 @@ def check_calibration(config: Config) -> CalibrationFile | None:
     return None if config.calibration is None else read_calibration(Path(config.calibration))
 
 
+def told_start(rig: SensorRig, start: StartParams) -> SensorRig:
+    """Returns the rig with the take-off pose as ``start`` tells it."""
+    if start.attitude_known:
+        return rig
+    pose = rig.world_from_body_start
+    heading = rotation_from_yaw(yaw_from_rotation(pose.rotation))
+    return replace(
+        rig,
+        world_from_body_start=Pose(heading, pose.translation),
+        start_tilt_sigma_rad=math.radians(start.tilt_sigma_deg),
+    )
+
+
 def erring_rig(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
-    """Returns the rig with normally distributed errors, or ``rig`` itself where all are 0."""
+    """Returns the rig with normally distributed errors, or ``rig`` itself where all are 0.
+
+    The error between camera and LIDAR comes first; those of either against the IMU are independent
+    of it and of one another.
+    """
+    lidar = _lidar_against_imu(_relative(rig, params, seed), params, seed)
+    return _distorted(_camera_against_imu(lidar, params, seed), params, seed)
+
+
+def _relative(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
+    """With the errors of camera_from_lidar and of the pinhole."""
     sigmas = (
         params.rotation_sigma_deg,
         params.translation_sigma_m,
@@ -70,3 +107,70 @@ def erring_rig(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> Sen
 
 def _with(rig: SensorRig, camera: CameraIntrinsics, camera_from_lidar: Pose) -> SensorRig:
     return replace(rig, camera=camera, body_from_lidar=rig.body_from_camera @ camera_from_lidar)
+
+
+# -------------------------------------------------------------------------- against the IMU
+
+
+def _camera_against_imu(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
+    """With the error of the cameras' mount, which carries both of a stereo pair."""
+    turn = params.imu_camera_rotation_sigma_deg
+    shift = params.imu_camera_translation_sigma_m
+    if not (turn or shift):
+        return rig
+    wrong = _mount_error(rig, turn, shift, seed, b"camera")
+    pair = rig.body_from_camera.inverse() @ rig.body_from_camera_right
+    camera = wrong(rig.body_from_camera)
+    return replace(rig, body_from_camera=camera, body_from_camera_right=camera @ pair)
+
+
+def _lidar_against_imu(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
+    turn = params.imu_lidar_rotation_sigma_deg
+    shift = params.imu_lidar_translation_sigma_m
+    if not (turn or shift):
+        return rig
+    wrong = _mount_error(rig, turn, shift, seed, b"lidar")
+    return replace(rig, body_from_lidar=wrong(rig.body_from_lidar))
+
+
+def _mount_error(
+    rig: SensorRig, turn_sigma_deg: float, shift_sigma_m: float, seed: int, sensor: bytes
+) -> Callable[[Pose], Pose]:
+    """Returns the error of one sensor's mount on the body: a turn about the sensor, and a shift, in
+    the IMU's axes."""
+    draw = np.random.default_rng([seed, crc32(b"imu mount of " + sensor)]).standard_normal
+    turn = so3_exp(np.deg2rad(turn_sigma_deg) * draw(3))
+    shift = shift_sigma_m * draw(3)
+
+    def wrong(body_from_sensor: Pose) -> Pose:
+        true = rig.body_from_imu.inverse() @ body_from_sensor
+        return rig.body_from_imu @ Pose(turn @ true.rotation, true.translation + shift)
+
+    return wrong
+
+
+# -------------------------------------------------------------------------- distortion
+
+
+def _distorted(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
+    if not params.distortion_sigma_px:
+        return rig
+    draw = np.random.default_rng([seed, crc32(b"rig distortion")]).standard_normal
+    unit = corner_displacement_px(rig.camera)
+    each = _DISTORTION_SHARE * params.distortion_sigma_px
+    error = np.append(each * draw(_DISTORTION_TERMS) / unit, 0.0)
+    camera = replace(rig.camera, distortion=rig.camera.distortion + error)
+    return replace(rig, camera=camera)
+
+
+def corner_displacement_px(camera: CameraIntrinsics) -> Array:
+    """(4,) pixels by which k1, k2, p1 and p2 of 1 displace the corner of the image that they
+    displace most."""
+    corners = [(u, v) for u in (0, camera.width - 1) for v in (0, camera.height - 1)]
+    u, v = np.array(corners, dtype=np.float64).T
+    x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    square = x * x + y * y
+    moved_x = np.stack([x * square, x * square**2, 2.0 * x * y, square + 2.0 * x * x])
+    moved_y = np.stack([y * square, y * square**2, square + 2.0 * y * y, 2.0 * x * y])
+    most: Array = np.hypot(camera.fx * moved_x, camera.fy * moved_y).max(axis=1)
+    return most

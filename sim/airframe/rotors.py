@@ -20,6 +20,7 @@ import math
 import numpy as np
 from numba import njit
 
+from touchdown.sim.airframe.deviations import NOMINAL, Deviations
 from touchdown.sim.airframe.vehicle import RotorGeometry
 from touchdown.sim.api import VehicleModel
 from touchdown.sim.typing import Array
@@ -32,9 +33,15 @@ _KT, _KQ, _INFLOW, _DRAG, _RADIUS = range(5)
 
 class Rotors:
     """Four rotors. ``speeds`` (4,) rad/s is the state; ``wrench`` (6,) is force and torque about
-    the body origin, both in world axes, as MuJoCo's ``xfrc_applied`` takes them."""
+    the centre of mass, both in world axes, as MuJoCo's ``xfrc_applied`` takes them."""
 
-    def __init__(self, vehicle: VehicleModel, geometry: RotorGeometry, tick_s: float) -> None:
+    def __init__(
+        self,
+        vehicle: VehicleModel,
+        geometry: RotorGeometry,
+        tick_s: float,
+        deviations: Deviations = NOMINAL,
+    ) -> None:
         self._positions = np.ascontiguousarray(geometry.positions_body)
         self._spin = np.ascontiguousarray(vehicle.rotor_spin)
         self._coefficients = np.array(
@@ -46,6 +53,9 @@ class Rotors:
                 geometry.radius_m,
             ]
         )
+        self._deviations = deviations
+        self.speed_share = 1.0
+        """of the highest speed, what the battery's voltage reaches"""
         self._min = vehicle.rotor_speed_min
         self._max = vehicle.rotor_speed_max
         self._lag = float(-np.expm1(-tick_s / vehicle.motor_time_constant_s))
@@ -63,7 +73,7 @@ class Rotors:
             raise ValueError(
                 f"a command must hold 4 finite rotor speeds in rad/s, not {rotor_speed_radps!r}"
             )
-        low, high = self._min, self._max
+        low, high = self._min, self._max * self.speed_share
         self._demand[:] = [min(max(w, low), high) if w > 0.0 else 0.0 for w in wanted]
         if speed_share is not None:
             self._demand *= speed_share
@@ -92,6 +102,9 @@ class Rotors:
             self._positions,
             self._spin,
             self._coefficients,
+            self._deviations.thrust,
+            self._deviations.torque,
+            self._deviations.center_of_mass_m,
             quat_wxyz,
             velocity_world,
             angular_velocity_body,
@@ -103,7 +116,8 @@ class Rotors:
 
     def shaft_power(self) -> float:
         """Mechanical power of all rotors at their present speed, W."""
-        cubes = sum(w * w * w for w in self.speeds.tolist())
+        shares = self._deviations.torque.tolist()
+        cubes = sum(k * w * w * w for k, w in zip(shares, self.speeds.tolist(), strict=True))
         return self._coefficients.item(_KQ) * cubes
 
 
@@ -123,6 +137,9 @@ def _step(
     positions: Array,
     spin: Array,
     coefficients: Array,
+    thrust_share: Array,
+    torque_share: Array,
+    center_of_mass: Array,
     quat_wxyz: Array,
     velocity_world: Array,
     angular_velocity: Array,
@@ -138,21 +155,24 @@ def _step(
         speeds[i] += lag * (demand[i] - speeds[i])
         w = speeds[i]
         x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
+        # about the centre of mass
+        a, b, c = x - center_of_mass[0], y - center_of_mass[1], z - center_of_mass[2]
         vx = air[0] + angular_velocity[1] * z - angular_velocity[2] * y
         vy = air[1] + angular_velocity[2] * x - angular_velocity[0] * z
         vz = air[2] + angular_velocity[0] * y - angular_velocity[1] * x
         rotor_up = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
         gain = ground_effect(ground_clearance + rotor_up, coefficients[_RADIUS])
-        thrust = (coefficients[_KT] * w - coefficients[_INFLOW] * vz) * w * gain
+        lift = coefficients[_KT] * thrust_share[i]
+        thrust = (lift * w - coefficients[_INFLOW] * vz) * w * gain
         fx = -coefficients[_DRAG] * w * vx
         fy = -coefficients[_DRAG] * w * vy
         fz = max(thrust, 0.0)
         force[0] += fx
         force[1] += fy
         force[2] += fz
-        torque[0] += y * fz - z * fy
-        torque[1] += z * fx - x * fz
-        torque[2] += x * fy - y * fx + spin[i] * coefficients[_KQ] * w * w
+        torque[0] += b * fz - c * fy
+        torque[1] += c * fx - a * fz
+        torque[2] += a * fy - b * fx + spin[i] * (coefficients[_KQ] * torque_share[i]) * w * w
     wrench[:3] = rotation @ force
     wrench[3:] = rotation @ torque
 

@@ -27,6 +27,8 @@ SENSOR_KEYS = (
     "magnetometer",
     "rangefinder",
     "calibration_error",
+    "vehicle_error",
+    "start",
 )
 
 # ------------------------------------------------------------------------------------------ names

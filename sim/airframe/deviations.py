@@ -1,0 +1,99 @@
+"""The true vehicle: deviations from the nominal model, and the telemetry of its rotors."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+from zlib import crc32
+
+import mujoco
+import numpy as np
+
+from touchdown.sim.airframe.vehicle import ROTOR_COUNT, vehicle_body_id
+from touchdown.sim.api import VehicleErrorParams
+from touchdown.sim.typing import Array
+
+_DRAWN = 64
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Deviations:
+    """Drawn once a flight; see ``VehicleErrorParams``."""
+
+    mass: float = 1.0
+    """true over nominal"""
+    center_of_mass_m: Array
+    """(3,) body axes, from the body origin"""
+    thrust: Array
+    """(4,) true over nominal coefficient of each rotor"""
+    torque: Array
+    """(4,)"""
+
+    @property
+    def of_the_body(self) -> bool:
+        """True if mass or centre of mass deviate."""
+        return self.mass != 1.0 or bool(self.center_of_mass_m.any())
+
+
+NOMINAL = Deviations(
+    center_of_mass_m=np.zeros(3), thrust=np.ones(ROTOR_COUNT), torque=np.ones(ROTOR_COUNT)
+)
+
+
+def draw_deviations(params: VehicleErrorParams, seed: int) -> Deviations:
+    """The deviations of one flight. Each quantity has a stream of its own, so that a bound of 0
+    leaves the draws of the others alone."""
+    single = params.rotor_share * _uniform(seed, b"rotors", ROTOR_COUNT)
+    return Deviations(
+        mass=1.0 + params.mass_share * _uniform(seed, b"mass", 1).item(),
+        center_of_mass_m=params.center_of_mass_m * _uniform(seed, b"center of mass", 3),
+        thrust=(1.0 + params.thrust_share * _uniform(seed, b"thrust", 1)) * (1.0 + single),
+        torque=(1.0 + params.torque_share * _uniform(seed, b"torque", 1)) * (1.0 + single),
+    )
+
+
+def _uniform(seed: int, name: bytes, count: int) -> Array:
+    return np.random.default_rng([seed, crc32(b"vehicle error " + name)]).uniform(-1.0, 1.0, count)
+
+
+def true_model(model: Any, deviations: Deviations) -> Any:
+    """MuJoCo's model of the scene with the true vehicle: a copy, or ``model`` itself where the body
+    does not deviate. The inertia grows with the mass; its axes pass through the centre of mass."""
+    if not deviations.of_the_body:
+        return model
+    true = copy.copy(model)
+    body = vehicle_body_id(true)
+    true.body_mass[body] *= deviations.mass
+    true.body_inertia[body] *= deviations.mass
+    true.body_ipos[body] += deviations.center_of_mass_m
+    mujoco.mj_setConst(true, mujoco.MjData(true))
+    return true
+
+
+class SpeedTelemetry:
+    """Rotor speeds as the speed controllers report them, with noise and resolution. A rotor that
+    stands still reports 0: its controller sees no commutation."""
+
+    def __init__(self, params: VehicleErrorParams, seed: int) -> None:
+        self._sigma, self._step = params.telemetry_sigma_radps, params.telemetry_step_radps
+        self._rng = np.random.default_rng([seed, crc32(b"rotor telemetry")])
+        self._noise = self._draw()
+
+    def read(self, speeds: Array) -> Array:
+        """(4,) rad/s, a new array."""
+        reported = speeds.copy()
+        # Scalars: at every control step, numpy's calls on four numbers are most of what they cost.
+        if self._sigma > 0.0:
+            noise = next(self._noise)
+            for i, speed in enumerate(speeds.tolist()):
+                reported[i] = max(speed + noise[i], 0.0) if speed > 0.0 else 0.0
+        if self._step > 0.0:
+            reported[:] = [self._step * round(w / self._step) for w in reported.tolist()]
+        return reported
+
+    def _draw(self) -> Iterator[list[float]]:
+        """Noise of one reading after the other; drawn for many at a time, which costs less."""
+        while True:
+            yield from (self._sigma * self._rng.standard_normal((_DRAWN, ROTOR_COUNT))).tolist()
