@@ -42,9 +42,10 @@ _WANTED = frozenset({OBSERVATION_TOPIC, SCAN_TOPIC, *IMAGE_TOPICS})
 
 @dataclass(frozen=True, slots=True)
 class PackedImage:
-    """One exposure at ``tick``, as PNG."""
+    """One exposure with a `CameraImage`'s stamp, as PNG."""
 
     tick: int
+    time_s: float
     png: NDArray[np.uint8]
     right_png: NDArray[np.uint8] | None
 
