@@ -132,7 +132,8 @@ class ImagingSensors:
             mujoco.mj_camlight(self._model, data)
             self._drawn = tick, self.camera.snapshot(data)
         pulse = tick - shutter.after_ticks
-        if (pulse - shutter.phase_ticks) % period or pulse <= 0 or self._drawn is None:
+        since_start = pulse - shutter.phase_ticks
+        if since_start < period or since_start % period or self._drawn is None:
             return
         drawn_tick, snapshot = self._drawn
         track = self._body_track() if self.camera.exposes_rows else None

@@ -97,10 +97,11 @@ class SensorLogReader:
                 images = tuple(
                     PackedImage(
                         tick=tick,
+                        time_s=time_s,
                         png=_png(left.popleft()),
                         right_png=_png(right.popleft()) if stereo else None,
                     )
-                    for tick, _time_s, stereo in plain.pop("images", [])
+                    for tick, time_s, stereo in plain.pop("images", [])
                 )
                 for eye in images:
                     check_png(eye.png)

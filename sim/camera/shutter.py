@@ -1,4 +1,4 @@
-"""Rolling shutter and motion blur: rows out of one drawn raster, each from the poses of its instants.
+"""Rolling shutter and motion blur: rows out of one drawn raster, each from its own poses.
 
 A raster is drawn once, in the middle of the readout, with its depth. Pixel x of a row that is
 exposed dt later shows the drawn pixel X + rho (K p - p_z X), X = K R K^-1 x, where X_ref = R X + p
@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera.gl import Snapshot
@@ -43,7 +42,9 @@ class CameraMotion:
     """(M, 3) m, optical frame"""
 
 
-def camera_motion(track: BodyTrack, snapshot: Snapshot, camera_id: int, at_s: float) -> CameraMotion:
+def camera_motion(
+    track: BodyTrack, snapshot: Snapshot, camera_id: int, at_s: float
+) -> CameraMotion:
     """The motion of the camera that is fixed to a body, whose track covers ``at_s``, the instant of
     ``snapshot``."""
     world_from_body = matrices_from_quats_wxyz(track.quats_wxyz)
@@ -181,7 +182,7 @@ def trace_row(
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")
-def _turned(c: Array, x: float, y: float) -> tuple[float, float]:
+def _turned(c: Array, x: float, y: float) -> tuple[np.float32, np.float32]:
     """Displacement by rotation of the raster place (x, y)."""
     w = 1.0 / (c[6] * x + c[7] * y + c[8])
     u, v = (c[0] * x + c[1] * y + c[2]) * w - x, (c[3] * x + c[4] * y + c[5]) * w - y
@@ -217,6 +218,6 @@ def sample_row(raw: Bytes, sx: Float32, sy: Float32, weights: Float32, levels: F
         for q in range(count):
             t0, l0 = np.float32(upper[q]), np.float32(lower[q])
             t = t0 + aside[q] * (np.float32(upper[q + np.uintp(3)]) - t0)
-            l = l0 + aside[q] * (np.float32(lower[q + np.uintp(3)]) - l0)
-            target[q] = t + down[q] * (l - t)
+            below = l0 + aside[q] * (np.float32(lower[q + np.uintp(3)]) - l0)
+            target[q] = t + down[q] * (below - t)
         start = stop

@@ -27,9 +27,7 @@ class ShutterClock:
     beginning of the first row's exposure to the end of the last.
     """
 
-    def __init__(
-        self, params: CameraParams, sim: SimParams, seed: int, takes_time: bool
-    ) -> None:
+    def __init__(self, params: CameraParams, sim: SimParams, seed: int, takes_time: bool) -> None:
         self._params, self._hz, self._seed = params, sim.tick_hz, seed
         readout = readout_ticks(params.readout_s, sim)
         longest = max(params.exposure_max_s, params.exposure_min_s) if takes_time else 0.0

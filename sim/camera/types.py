@@ -74,7 +74,7 @@ class LampParams:
 
     below_m: NotNegative = 0.0
     """the lamp is on while the ground below is nearer than this; 0: no lamp"""
-    flux_lm: Positive = 1000.0
+    flux_lm: Positive = 3000.0
     """luminous flux"""
     beam_deg: Annotated[float, Interval(gt=1.0, lt=170.0)] = 60.0
     """full angle between the directions of half the intensity"""
