@@ -19,7 +19,13 @@ from touchdown.estimator.parameters import MapperParams as MapperParams
 from touchdown.estimator.parameters import OpticalFlowParams as OpticalFlowParams
 from touchdown.estimator.parameters import PaperParams as PaperParams
 from touchdown.estimator.parameters import StereoParams as StereoParams
-from touchdown.sim.api import CameraIntrinsics, Observation, SensorNeeds
+from touchdown.sim.api import (
+    CameraImage,
+    CameraIntrinsics,
+    Observation,
+    SensorNeeds,
+    SensorRig,
+)
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
@@ -40,6 +46,30 @@ def image_defect(pixels: NDArray[np.uint8], before: NDArray[np.uint8]) -> str:
     if float(channels.std(axis=1).max()) < LEAST_CONTRAST:
         return "no contrast"
     return "the same as the one before" if np.array_equal(pixels, before) else ""
+
+
+class ImageThinning:
+    """Keeps one image of every ``pulses`` of the camera's clock, as a camera at that rate takes
+    them; 0: none. Images that lie on the clock's ticks are kept by their tick; others, of a camera
+    with a clock or delay of its own, by the ticks since the last one that was kept."""
+
+    def __init__(self, rig: SensorRig, pulses: int) -> None:
+        self._hz, self._pulse = rig.tick_hz, rig.camera_ticks
+        self._period = pulses * rig.camera_ticks
+        self._kept: int | None = None
+
+    def keeps(self, image: CameraImage) -> bool:
+        """True for an image to keep; images are given in order, each once."""
+        if not self._period:
+            return False
+        if image.time_s == image.tick / self._hz and image.tick % self._pulse == 0:
+            return image.tick % self._period == 0
+        since = image.tick - (0 if self._kept is None else self._kept)
+        slack = 0 if self._kept is None else self._pulse // 2
+        if since < self._period - slack:
+            return False
+        self._kept = image.tick
+        return True
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

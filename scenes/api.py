@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,12 @@ RISKY_CLASSES: frozenset[str] = frozenset({"road", "building"})
 UNSAFE_CLASSES: frozenset[str] = frozenset({"water", "trees"})
 OTHER_CLASS_ID = 255
 """Objects that belong to no land class (a car, a lamp)."""
+
+
+Light = Literal["day", "overcast", "dusk", "night"]
+LIGHT_LUX: Mapping[str, float] = {"day": 80e3, "overcast": 10e3, "dusk": 400.0, "night": 0.002}
+"""Illuminance of level ground: sun and clear sky; a typical overcast noon; sunset on a clear day;
+a clear, moonless night with airglow (values commonly tabulated, docs/scenes.md)"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -87,6 +93,8 @@ class Scene:
     """the name or path that it was loaded from"""
     origin_m: Array = field(default_factory=lambda: np.zeros(3))
     """(3,) of the world's origin in the coordinates of that file: add it to get back to them"""
+    light: Light = "day"
+    """the light that the model is drawn in; its strength is in `LIGHT_LUX`"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

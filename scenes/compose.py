@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import LowSun, Scene
+from touchdown.scenes.api import Light, LowSun, Scene
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.authoring.light import lower_own_sun, sun_at
+from touchdown.scenes.authoring.light import light_file
+from touchdown.scenes.authoring.sky import lit_by, set_sky
 from touchdown.scenes.importers.mjcf import read_mjcf
 from touchdown.scenes.registry import scene_generator
 
@@ -38,18 +40,22 @@ def _warn(message: str) -> None:
 mujoco.set_mju_user_warning(_warn)
 
 
-def load_scene(name_or_path: str, seed: int, sun: LowSun | None = None) -> Scene:
+def load_scene(
+    name_or_path: str, seed: int, sun: LowSun | None = None, light: Light = "day"
+) -> Scene:
     """Loads the scene ``name_or_path`` with the vehicle on its take-off spot.
 
     name_or_path: a name of `scenes.registry.scene_names` or the path of an MJCF file (a path has
     a slash or ends in .xml). seed: non-negative; the same seed gives the same model to the byte.
     A scene from a file does not depend on it. sun: replaces the scene's own; named scenes bake
-    their shadows with it, scenes from files have no baked shadows.
+    their shadows with it, scenes from files have no baked shadows. light: of the sky; ``sun`` is
+    that of ``day``. Neither changes what stands where.
     Raises ValueError (unknown name, negative seed, malformed MJCF) and FileNotFoundError.
     """
-    with sun_at(sun):
+    with lit_by(light, sun):
         spec, draft = compose_spec(name_or_path, seed)
-    return compile_scene(spec, draft, Path(name_or_path).stem, seed, name_or_path)
+    scene = compile_scene(spec, draft, Path(name_or_path).stem, seed, name_or_path)
+    return replace(scene, light=light)
 
 
 def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: str) -> Scene:
@@ -86,7 +92,8 @@ def compose_spec(name_or_path: str, seed: int) -> tuple[Any, SceneDraft]:
     is_path = name_or_path.endswith(".xml") or "/" in name_or_path
     draft = read_mjcf(Path(name_or_path)) if is_path else scene_generator(name_or_path)(seed)
     if is_path:
-        lower_own_sun(draft.spec)
+        light_file(draft.spec)
+    set_sky(draft.spec)
     prepare_spec(draft)
     return draft.spec, draft
 

@@ -40,11 +40,11 @@ def render_scene(scene: Scene, view: str, pixels: int | None = None) -> Image:
         size = (pixels or 1080, pixels or 1080)
         narrow = float(np.rad2deg(2.0 * np.arctan(0.51 / 4.0)))
         with _lens(model, narrow, 1.0 * span, 6.0 * span):
-            return _render(model, data, eye, size)
+            return _dimmed(_render(model, data, eye, size), scene.light)
     eye = _camera(middle, 0.72 * span, -33.0, 58.0)
     size = (pixels or 1600, (pixels or 1600) * 9 // 16)
     with _lens(model, 42.0, 0.005 * span, 6.0 * span):
-        return _render(model, data, eye, size)
+        return _dimmed(_render(model, data, eye, size), scene.light)
 
 
 def render_vehicle(scene: Scene, pixels: int = 1200) -> Image:
@@ -60,6 +60,22 @@ def render_vehicle(scene: Scene, pixels: int = 1200) -> Image:
     options.geomgroup[_VEHICLE_GROUP] = 1
     with _lens(model, 42.0, 0.02, 300.0):
         return _render(model, data, eye, (pixels, pixels * 9 // 16), options)
+
+
+_BRIGHTNESS = {
+    "day": (1.0, 1.0, 1.0),
+    "overcast": (0.92, 0.93, 0.95),
+    "dusk": (0.62, 0.56, 0.54),
+    "night": (0.16, 0.19, 0.26),
+}
+"""of pictures for people, whose eyes adapt: far less different than the lights"""
+
+
+def _dimmed(image: Image, light: str) -> Image:
+    """The picture as bright as its light seems to an eye; by day as drawn."""
+    if light == "day":
+        return image
+    return np.rint(image * np.array(_BRIGHTNESS[light])).astype(np.uint8)
 
 
 @contextmanager

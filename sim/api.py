@@ -1,7 +1,8 @@
 """Public interface of the simulated world: messages, parameters, protocols.
 
 Every array is float64 unless stated. Time is an integer count of ticks of ``SimParams.tick_hz``;
-``time_s`` is always ``tick / tick_hz``. Arrays inside messages are read-only.
+``time_s`` is ``tick / tick_hz``, but in the stamps of a `CameraImage`. Arrays inside messages are
+read-only.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import numpy as np
 from annotated_types import Interval
 
 from touchdown.sim.airframe.types import VehicleErrorParams as VehicleErrorParams
+from touchdown.sim.camera.types import CameraParams as CameraParams
+from touchdown.sim.camera.types import LampParams as LampParams
 from touchdown.sim.faults.types import FAULT_KINDS as FAULT_KINDS
 from touchdown.sim.faults.types import Fault as Fault
 from touchdown.sim.faults.types import FaultParams as FaultParams
@@ -124,35 +127,6 @@ class LidarParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class CameraParams:
-    """RealSense D435 colour camera."""
-
-    __pydantic_config__ = FORBID_EXTRA
-
-    width: Count = 848
-    """pixels"""
-    height: Count = 480
-    """pixels"""
-    fov_x_deg: Annotated[float, Interval(gt=0.0, lt=180.0)] = 69.0
-    """horizontal field of view"""
-    fov_y_deg: Annotated[float, Interval(gt=0.0, lt=180.0)] = 42.0
-    """vertical field of view"""
-    noise_sigma: NotNegative = 1.5
-    """Standard deviation of the grey-level noise (of 255)."""
-    samples: CountOrZero = 0
-    """Multisampling samples a pixel; 4 smooths silhouettes and nearly doubles the drawing time."""
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """k1, k2, p1, p2, k3 of OpenCV's lens model"""
-    gain: Positive = 1.0
-    """exposure relative to the scene's own, linear in light; what it clips is lost"""
-    auto_exposure: bool = False
-    """choose the gain for every image, within 1/4 to 4, so that its mean is a middle grey"""
-    readout_s: NotNegative = 0.0
-    """rolling shutter: time from the exposure of the first row to that of the last, in steps of one
-    tick; 0: all rows at once"""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class WorldParams:
     """Every parameter of the simulated world but its scene and its seed."""
 
@@ -160,6 +134,7 @@ class WorldParams:
     wind: WindParams = field(default_factory=WindParams)
     lidar: LidarParams = field(default_factory=LidarParams)
     camera: CameraParams = field(default_factory=CameraParams)
+    lamp: LampParams = field(default_factory=LampParams)
     imu: ImuParams = field(default_factory=ImuParams)
     nav: NavParams = field(default_factory=NavParams)
     faults: FaultParams = field(default_factory=FaultParams)
@@ -323,11 +298,15 @@ class LidarScan:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CameraImage:
-    """One exposure at ``tick``; with a rolling shutter the last row is exposed then and the first
-    one ``CameraParams.readout_s`` earlier."""
+    """One exposure. The stamp ``time_s`` is what the camera's driver wrote: the time at which the
+    middle of the last row's exposure seemed to be, which may lie beside a tick and be late
+    (``CameraParams.stamp_delay_s``, ``stamp_jitter_s``). ``tick`` is the tick nearest to it. With a
+    rolling shutter the first row is exposed ``SensorRig.camera_readout_s`` earlier than the last,
+    with a global one all rows are exposed at once."""
 
     tick: int
     time_s: float
+    """s; ``tick / tick_hz`` where stamps are exact"""
     rgb: Bytes
     """(H, W, 3)"""
     right_rgb: Bytes | None = None

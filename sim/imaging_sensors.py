@@ -6,6 +6,8 @@ thread and scans cast in another, and both arrive after a latency of their own (
 
 from __future__ import annotations
 
+from collections import deque
+
 import mujoco
 import numpy as np
 
@@ -14,14 +16,15 @@ from touchdown.sim.airframe.vehicle import sensor_mounts
 from touchdown.sim.api import CameraImage, LidarScan, SensorNeeds, WorldParams
 from touchdown.sim.camera.gl import Snapshot
 from touchdown.sim.camera.sensor import CAMERA_NAME, CameraSensor
-from touchdown.sim.clock import image_period_ticks, readout_ticks
+from touchdown.sim.camera.stamps import ShutterClock, Stamp
+from touchdown.sim.clock import image_period_ticks
 from touchdown.sim.delivery import DeliveryQueue, Latency, make_executor
 from touchdown.sim.faults.disturbances import Disturbances
 from touchdown.sim.faults.weather import Weather
 from touchdown.sim.lidar.patterns.livox import pattern
 from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.moving import BodyTrack, MovingBodies
-from touchdown.sim.typing import Array
+from touchdown.sim.typing import Array, Bytes
 
 RIGHT_CAMERA = "vehicle/camera_right"
 
@@ -46,8 +49,9 @@ class ImagingSensors:
         self._right: CameraSensor | None = None
         self._lidar: LidarSensor | None = None
         self._image_period = 0
-        self._readout = readout_ticks(params.camera.readout_s, self._sim)
-        self._instants: list[Snapshot] = []
+        self._shutter = ShutterClock(params.camera, self._sim, seed, self.camera.takes_time)
+        self._drawn: tuple[int, Snapshot] | None = None
+        self._poses: deque[tuple[int, Array, Array]] = deque(maxlen=self._shutter.span_ticks + 1)
         self.scans: DeliveryQueue[LidarScan] = DeliveryQueue(self._caster)
         self.images: DeliveryQueue[CameraImage] = DeliveryQueue(self._renderer)
         self._scan_latency = Latency(self._sim, seed, b"scans")
@@ -56,7 +60,13 @@ class ImagingSensors:
     def _make_camera(self, name: str) -> CameraSensor:
         params = self._params
         return CameraSensor(
-            self._scene, params.camera, self._seed, name, params.faults, self._sim.tick_hz
+            self._scene,
+            params.camera,
+            self._seed,
+            name,
+            params.faults,
+            self._sim.tick_hz,
+            params.lamp,
         )
 
     def add(self, needs: SensorNeeds) -> None:
@@ -77,9 +87,10 @@ class ImagingSensors:
         """Drops everything in transit."""
         self.scans.clear()
         self.images.clear()
-        self._instants.clear()
         self._scan_latency.restart()
         self._image_latency.restart()
+        self._drawn = None
+        self._poses.clear()
 
     def close(self) -> None:
         """Ends the worker threads and frees the cameras."""
@@ -96,6 +107,8 @@ class ImagingSensors:
         if self._lidar is not None:
             self._record_pose(tick, position, quat_wxyz)
         if self._image_period:
+            if self.camera.exposes_rows:
+                self._poses.append((tick, position.copy(), quat_wxyz.copy()))
             self._expose(tick, data)
 
     def _record_pose(self, tick: int, position: Array, quat_wxyz: Array) -> None:
@@ -112,20 +125,33 @@ class ImagingSensors:
             self._positions[0], self._quats[0] = position, quat_wxyz
 
     def _expose(self, tick: int, data: mujoco.MjData) -> None:
-        """Takes a snapshot at every tick of a rolling shutter's readout, which ends at the camera's
-        pulse."""
-        until_pulse = -tick % self._image_period
-        if until_pulse > self._readout:
+        """Takes the snapshot that an image is drawn from, and submits the image once the poses of
+        all its rows are known."""
+        shutter, period = self._shutter, self._image_period
+        since_pulse = (tick - shutter.phase_ticks) % period
+        if (since_pulse + shutter.before_ticks) % period == 0:
+            self._moving.write(data, tick / self._sim.tick_hz)
+            # mj_step leaves positions of the tick's beginning behind.
+            mujoco.mj_kinematics(self._model, data)
+            mujoco.mj_camlight(self._model, data)
+            self._drawn = tick, self.camera.snapshot(data)
+        pulse = tick - shutter.after_ticks
+        since_start = pulse - shutter.phase_ticks
+        if since_start < period or since_start % period or self._drawn is None:
             return
-        self._moving.write(data, tick / self._sim.tick_hz)
-        # mj_step leaves positions of the tick's beginning behind.
-        mujoco.mj_kinematics(self._model, data)
-        mujoco.mj_camlight(self._model, data)
-        self._instants.append(self.camera.snapshot(data))
-        if until_pulse == 0:
-            due = self._image_latency.due(tick)
-            self.images.submit(due, self._render, tuple(self._instants), tick)
-            self._instants.clear()
+        drawn_tick, snapshot = self._drawn
+        track = self._body_track() if self.camera.exposes_rows else None
+        stamp = shutter.stamp(pulse)
+        due = max(self._image_latency.due(pulse), stamp.tick, tick)
+        self.images.submit(due, self._render, snapshot, drawn_tick, track, pulse, stamp)
+
+    def _body_track(self) -> BodyTrack:
+        ticks, positions, quats = zip(*self._poses, strict=True)
+        return BodyTrack(
+            times_s=np.array(ticks) / self._sim.tick_hz,
+            positions=np.array(positions),
+            quats_wxyz=np.array(quats),
+        )
 
     # ------------------------------------------------------------------------ worker threads
 
@@ -140,10 +166,19 @@ class ImagingSensors:
             self._moving.tracks(track.times_s),
         )
 
-    def _render(self, instants: tuple[Snapshot, ...], tick: int) -> CameraImage:
+    def _render(
+        self, snapshot: Snapshot, drawn_tick: int, track: BodyTrack | None, tick: int, stamp: Stamp
+    ) -> CameraImage:
+        hz = self._sim.tick_hz
+
+        def taken(camera: CameraSensor) -> Bytes:
+            if track is None:
+                return camera.render(snapshot, tick)
+            return camera.render_rows(snapshot, drawn_tick / hz, track, tick / hz, tick)
+
         return CameraImage(
-            tick=tick,
-            time_s=tick / self._sim.tick_hz,
-            rgb=self.camera.render(instants, tick),
-            right_rgb=self._right.render(instants, tick) if self._right else None,
+            tick=stamp.tick,
+            time_s=stamp.time_s,
+            rgb=taken(self.camera),
+            right_rgb=taken(self._right) if self._right else None,
         )

@@ -64,7 +64,7 @@ class PosedSensors:
         self._data = mujoco.MjData(scene.model)
         self._moving = MovingBodies(scene)
         self._held: dict[str, Pose] = {}
-        self._camera = CameraSensor(scene, params.camera, seed)
+        self._camera = CameraSensor(scene, params.camera, seed, lamp=params.lamp)
         self.mounts = sensor_mounts(scene.model)
         """True extrinsics of the sensors"""
         self.intrinsics: CameraIntrinsics = self._camera.intrinsics()

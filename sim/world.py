@@ -133,6 +133,7 @@ class MujocoWorld:
             world_from_body_start=self._pose(),
             vehicle=self._vehicle,
             nav=self._params.nav,
+            camera_readout_s=self._params.camera.readout_s,
         )
 
     # ------------------------------------------------------------------------ the protocol

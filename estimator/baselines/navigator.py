@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import Estimate
+from touchdown.estimator.api import Estimate, ImageThinning
 from touchdown.estimator.baselines.aiding import BaroHeight, heading_of, update_heading
 from touchdown.estimator.baselines.alignment import Alignment, field_azimuth
 from touchdown.estimator.baselines.epochs import Epoch, EpochQueue
@@ -54,7 +54,8 @@ class Navigator:
         self._heading_sigma = math.radians(heading_sigma_deg)
         self._guard = InputGuard(rig, needs.camera_hz)
         self._queue = EpochQueue(rig, needs)
-        self._image_period = rig.tick_hz // needs.camera_hz if needs.camera_hz else 0
+        clock_hz = rig.tick_hz // rig.camera_ticks
+        self._thinning = ImageThinning(rig, clock_hz // needs.camera_hz if needs.camera_hz else 0)
         self._baro = BaroHeight(rig.tick_hz, baro_sigma_m)
         self._alignment = Alignment(rig)
         self._filter: InertialFilter | None = (
@@ -112,11 +113,11 @@ class Navigator:
     def _wanted(self, obs: Observation) -> Observation:
         """Returns ``obs`` without messages that only other consumers need: a flight must not depend
         on them."""
-        period, needs = self._image_period, self.needs
+        needs = self.needs
         return dataclasses.replace(
             obs,
             scans=(),
-            images=tuple(i for i in obs.images if period and i.tick % period == 0),
+            images=tuple(image for image in obs.images if self._thinning.keeps(image)),
             gps=obs.gps if needs.gps else (),
             barometer=obs.barometer if needs.barometer else (),
             magnetometer=obs.magnetometer if needs.magnetometer else (),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,6 +13,9 @@ from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, SEED, Comma
 from touchdown.experiments.cli.console import print_place, print_scene_check
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import make_notes, say
+
+if TYPE_CHECKING:
+    from touchdown.scenes.api import Light
 
 VIEW_NAMES = (
     "above",
@@ -26,6 +29,8 @@ VIEW_NAMES = (
     "safe",
 )
 """Keys of `experiments.scene_tools.views.VIEWS`, repeated so that help is instant."""
+LIGHTS = ("day", "overcast", "dusk", "night")
+"""Names of `scenes.api.Light`, likewise."""
 
 
 @click.group(cls=CommandGroup)
@@ -69,6 +74,8 @@ def scenes_list(as_json: bool) -> int:
     help="From above or from a corner; the camera, its depth and one second of LIDAR (coloured by "
     "intensity) from 30 m above the take-off; the true height, slope, class and safe ground.",
 )
+@click.option("--light", type=click.Choice(LIGHTS), default="day", show_default=True,
+              help="Light of the scene.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
 def scenes_render(
@@ -78,6 +85,7 @@ def scenes_render(
     out: Path | None,
     seed: int,
     view: str,
+    light: Light,
     as_json: bool,
     quiet: bool,
 ) -> int:
@@ -94,15 +102,15 @@ def scenes_render(
     if every_scene:
         folder = out or Path(f"scenes-{seed}")
         notes = make_notes(quiet)
-        sheet = scene_tools.render_every_scene(seed, folder, notes)
+        sheet = scene_tools.render_every_scene(seed, folder, notes, light)
         done = {"directory": str(folder), "contact_sheet": str(sheet)}
     elif scene is not None and all_views:
         folder = out or Path(f"{Path(scene).stem}-{seed}")
-        scene_tools.render_all_views(scene, seed, folder)
+        scene_tools.render_all_views(scene, seed, folder, light)
         done = {"directory": str(folder)}
     else:
         target = out or Path(f"{Path(scene or '').stem}-{view}.png")
-        scene_tools.render_view(scene or "", seed, view, target)
+        scene_tools.render_view(scene or "", seed, view, target, light)
         done = {"picture": str(target)}
     say(json.dumps(done) if as_json else "\n".join(done.values()))
     return EXIT_DONE

@@ -31,6 +31,7 @@ from touchdown.experiments.api import (
     StartParams,
 )
 from touchdown.landing.api import LandingParams, SurveyParams
+from touchdown.scenes.api import Light
 from touchdown.sim.api import (
     FORBID_EXTRA,
     BarometerParams,
@@ -40,6 +41,7 @@ from touchdown.sim.api import (
     FaultParams,
     GpsParams,
     ImuParams,
+    LampParams,
     LidarParams,
     MagnetometerParams,
     NavParams,
@@ -89,6 +91,8 @@ class Config(BaseModel):
     scene_seed: CountOrZero | None = None
     """seed of the scene alone, for flights over one scene in different wind and noise; none:
     ``seed``"""
+    light: Light = "day"
+    """light of the scene: ``day``, ``overcast``, ``dusk`` or ``night``"""
     estimator: str = "livo"
     """name of an estimator, or MODULE:FUNCTION of an external one"""
     external: dict[str, Any] = Field(default_factory=dict)
@@ -102,6 +106,7 @@ class Config(BaseModel):
     wind: WindParams = Field(default_factory=WindParams)
     lidar: LidarParams = Field(default_factory=LidarParams)
     camera: CameraParams = Field(default_factory=CameraParams)
+    lamp: LampParams = Field(default_factory=LampParams)
     imu: ImuParams = Field(default_factory=ImuParams)
     gps: GpsParams = Field(default_factory=GpsParams)
     barometer: BarometerParams = Field(default_factory=BarometerParams)

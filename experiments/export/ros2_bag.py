@@ -185,7 +185,7 @@ class _Sensors:
         self._add_navigation(arrival_ns, obs)
 
     def _add_image(self, arrival_ns: int, image: PackedImage) -> None:
-        stamp = self._ns(image.tick)
+        stamp = ros.stamp_ns(image.tick, image.time_s, self._rig.tick_hz)
         for number, png in enumerate((image.png, image.right_png)):
             if png is None:
                 continue

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import Estimate, Estimator
+from touchdown.estimator.api import Estimate, Estimator, ImageThinning
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.config.keys import is_external_key
 from touchdown.experiments.config.loading import dump_config, is_key, load_config, read_tree
@@ -159,7 +159,7 @@ def seen_by(needs: SensorNeeds, reader: SensorLogReader) -> Iterator[Observation
     wanted = needs | reader.shared
     clock_hz = reader.rig.tick_hz // reader.rig.camera_ticks
     thinned = bool(wanted.camera_hz) and reader.sensed.camera_hz % wanted.camera_hz == 0
-    period = reader.rig.camera_ticks * (clock_hz // wanted.camera_hz) if thinned else 1
+    thinning = ImageThinning(reader.rig, clock_hz // wanted.camera_hz if thinned else 0)
     dropped: dict[str, Any] = {
         ("scans" if field.name == "lidar" else field.name): ()
         for field in dataclasses.fields(wanted)
@@ -169,7 +169,7 @@ def seen_by(needs: SensorNeeds, reader: SensorLogReader) -> Iterator[Observation
         images = obs.images if wanted.camera_hz else ()
         with damage_reported(reader.path):
             check_images(images, reader.rig)
-        images = tuple(image for image in images if image.tick % period == 0)
+        images = tuple(image for image in images if not thinned or thinning.keeps(image))
         if not wanted.stereo:
             images = tuple(dataclasses.replace(image, right_rgb=None) for image in images)
         yield dataclasses.replace(obs, images=images, **dropped)

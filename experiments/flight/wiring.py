@@ -55,7 +55,7 @@ def build_scene(config: Config) -> Scene:
     from touchdown.scenes.compose import load_scene
 
     seed = config.seed if config.scene_seed is None else config.scene_seed
-    scene = load_scene(config.scene, seed, low_sun(config))
+    scene = load_scene(config.scene, seed, low_sun(config), config.light)
     if config.landing.site_xy_m is not None:
         _refuse_site_of_the_file(np.array(config.landing.site_xy_m), scene)
     return scene
@@ -171,6 +171,7 @@ def world_params(config: Config) -> WorldParams:
         wind=config.wind,
         lidar=config.lidar,
         camera=config.camera,
+        lamp=config.lamp,
         imu=config.imu,
         nav=config.nav,
         faults=config.faults,

@@ -79,6 +79,11 @@ def tick_ns(tick: int, tick_hz: int) -> int:
     return max(0, (2 * tick * 10**9 + tick_hz) // (2 * tick_hz))
 
 
+def stamp_ns(tick: int, time_s: float, tick_hz: int) -> int:
+    """Nanoseconds of a stamp of ``time_s`` near ``tick``: those of the tick where it is exact."""
+    return max(0, tick_ns(tick, tick_hz) + round((time_s - tick / tick_hz) * 1e9))
+
+
 # ------------------------------------------------------------------------------------------ parts
 
 

@@ -90,7 +90,8 @@ class SensorLog:
         eyes = (image.rgb, image.right_rgb)
         for topic, frame, rgb in zip(IMAGE_TOPICS, (CAMERA, CAMERA_RIGHT), eyes, strict=True):
             if rgb is not None:
-                stamp, png = self._ns(image.tick), pack_image(rgb)
+                stamp = ros.stamp_ns(image.tick, image.time_s, self._tick_hz)
+                png = pack_image(rgb)
                 message = ros.compressed_image_message(stamp, frame, png)
                 self._put(topic, arrival, image.tick, message)
 

@@ -42,9 +42,10 @@ _WANTED = frozenset({OBSERVATION_TOPIC, SCAN_TOPIC, *IMAGE_TOPICS})
 
 @dataclass(frozen=True, slots=True)
 class PackedImage:
-    """One exposure at ``tick``, as PNG."""
+    """One exposure with a `CameraImage`'s stamp, as PNG."""
 
     tick: int
+    time_s: float
     png: NDArray[np.uint8]
     right_png: NDArray[np.uint8] | None
 
@@ -96,10 +97,11 @@ class SensorLogReader:
                 images = tuple(
                     PackedImage(
                         tick=tick,
+                        time_s=time_s,
                         png=_png(left.popleft()),
                         right_png=_png(right.popleft()) if stereo else None,
                     )
-                    for tick, _time_s, stereo in plain.pop("images", [])
+                    for tick, time_s, stereo in plain.pop("images", [])
                 )
                 for eye in images:
                     check_png(eye.png)

@@ -14,7 +14,7 @@ from touchdown.experiments.drawing.contact_sheet import contact_sheet, thumbnail
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.experiments.scene_tools.views import VIEWS, Image, SceneViews, write_image
-from touchdown.scenes.api import Scene
+from touchdown.scenes.api import Light, Scene
 from touchdown.scenes.export import export_scene
 from touchdown.scenes.registry import scene_names
 from touchdown.sim.api import VehicleModel
@@ -23,21 +23,21 @@ CONTACT_SHEET = "contact_sheet.png"
 PICTURE_SUFFIXES = (".png", ".jpg")
 
 
-def render_view(name: str, seed: int, view: str, out: Path) -> None:
+def render_view(name: str, seed: int, view: str, out: Path, light: Light = "day") -> None:
     """Writes one view (`experiments.scene_tools.views.VIEWS`) of a scene, a map with ticks around
     it. Raises UsageError before anything is written."""
     if out.suffix.lower() not in PICTURE_SUFFIXES:
         raise UsageError(f"--out {out} must end in {' or '.join(PICTURE_SUFFIXES)}")
-    views = _views(name, seed)
+    views = _views(name, seed, light)
     image = views.draw(view)
     _make_folder(out.parent)
     write_image(out, views.framed(view, image))
 
 
-def render_all_views(name: str, seed: int, out_dir: Path) -> dict[str, Image]:
+def render_all_views(name: str, seed: int, out_dir: Path, light: Light = "day") -> dict[str, Image]:
     """Writes every view of a scene to ``out_dir/VIEW.png``, maps with ticks around them, and
     returns them by name, without ticks. Raises as `render_view`."""
-    views = _views(name, seed)
+    views = _views(name, seed, light)
     _make_folder(out_dir)
     images: dict[str, Image] = {}
     for view in VIEWS:
@@ -46,13 +46,15 @@ def render_all_views(name: str, seed: int, out_dir: Path) -> dict[str, Image]:
     return images
 
 
-def render_every_scene(seed: int, out: Path, progress: Callable[[str], None]) -> Path:
+def render_every_scene(
+    seed: int, out: Path, progress: Callable[[str], None], light: Light = "day"
+) -> Path:
     """Writes every view of every named scene to ``out/SCENE/VIEW.png`` and the contact sheet of
     them all, whose path is returned. ``progress`` is called with each name."""
     sheet = {}
     for name in scene_names():
         progress(name)
-        sheet[name] = thumbnails(render_all_views(name, seed, out / name))
+        sheet[name] = thumbnails(render_all_views(name, seed, out / name, light))
     path = out / CONTACT_SHEET
     write_image(path, contact_sheet(sheet))
     return path
@@ -84,8 +86,8 @@ def _make_folder(folder: Path) -> None:
         raise UsageError(f"--out: folder '{folder}' cannot be made: {error.strerror}") from error
 
 
-def _views(name: str, seed: int) -> SceneViews:
-    config = load_config(scene=name, seed=seed)
+def _views(name: str, seed: int, light: Light) -> SceneViews:
+    config = load_config(scene=name, seed=seed, light=light)
     return SceneViews(load_configured_scene(config), config)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.builder import Caster
 from touchdown.scenes.authoring.height_field import HeightField
+from touchdown.scenes.authoring.sky import light_in_shadow
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -33,8 +34,10 @@ def bake_light(
     y_min.
 
     sun_direction: (3,) unit, the direction in which the light travels. ambient: light left in full
-    shadow. Casters are projected on the level ground at their own foot, or, in ``hilly`` scenes, on
-    the slope that the shadow falls on; overlaps multiply."""
+    shadow by day; under other lights `scenes.authoring.sky` gives it. Casters are projected on the
+    level ground at their own foot, or, in ``hilly`` scenes, on the slope that the shadow falls on;
+    overlaps multiply."""
+    ambient = light_in_shadow(ambient)
     cell = 2.0 * terrain.half_m / pixels
     sun = np.ones((pixels, pixels), np.float32)
     sky = np.ones((pixels // 4, pixels // 4), np.float32)
@@ -44,11 +47,12 @@ def bake_light(
         ground = terrain.point(*middle)
         height = np.maximum(points[:, 2] - ground, 0.0)
         lift = float(height.min())
-        shadow = points[:, :2] - height[:, None] * sun_direction[:2] / sun_direction[2]
-        for _ in range(_SLOPE_STEPS if hilly else 0):
-            height = np.maximum(points[:, 2] - terrain.at(shadow), 0.0)
+        if ambient < 1.0:
             shadow = points[:, :2] - height[:, None] * sun_direction[:2] / sun_direction[2]
-        _darken(sun, shadow, terrain.half_m, cell, 1.0 - caster.opacity)
+            for _ in range(_SLOPE_STEPS if hilly else 0):
+                height = np.maximum(points[:, 2] - terrain.at(shadow), 0.0)
+                shadow = points[:, :2] - height[:, None] * sun_direction[:2] / sun_direction[2]
+            _darken(sun, shadow, terrain.half_m, cell, 1.0 - caster.opacity)
         # Low objects dim the ground around their foot, high crowns hardly do.
         _darken(sky, points[:, :2], terrain.half_m, 4.0 * cell, 1.0 - 0.55 * np.exp(-lift / 1.5))
     soft = cv2.GaussianBlur(sun, (0, 0), 0.8)

@@ -9,9 +9,6 @@ of a camera is that for both together.
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
-from contextvars import ContextVar
 from typing import Any
 
 import mujoco
@@ -22,6 +19,7 @@ from touchdown.scenes.api import LowSun
 from touchdown.scenes.authoring.bake import bake_light
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground, shade_ground
+from touchdown.scenes.authoring.sky import DUSK_SUN_DEG, DUSK_SUN_SHARE, Sky, present_sky
 
 Array = NDArray[np.float64]
 
@@ -29,17 +27,9 @@ Array = NDArray[np.float64]
 _WAVELENGTHS_UM = np.array([0.65, 0.55, 0.45])
 """of the three colours"""
 _HAZE = 0.05
-_low_sun: ContextVar[LowSun | None] = ContextVar("low_sun", default=None)
-
-
-@contextlib.contextmanager
-def sun_at(sun: LowSun | None) -> Iterator[None]:
-    """Gives this sun to all scenes made inside the context; None leaves each its own."""
-    token = _low_sun.set(sun)
-    try:
-        yield
-    finally:
-        _low_sun.reset(token)
+_DUSK_TINT = np.array([1.15, 0.98, 0.82])
+_BRIGHTEST_BEAM = 1.2
+"""of the sun at dusk on what faces it, 1 for white"""
 
 
 def air_mass(elevation_deg: float) -> float:
@@ -83,20 +73,62 @@ def draw_sun(rng: np.random.Generator, spec: Any) -> Array:
     light = spec.light("sun")
     light.dir = direction
     light.diffuse = strength * np.array([1.0, 0.985 - 0.04 * warmth, 0.95 - 0.12 * warmth])
-    low = _low_sun.get()
-    return direction if low is None else lower_sun(light, low, direction)
+    direction = _under_sky(spec, light, direction)
+    return direction
 
 
-def lower_own_sun(spec: Any) -> None:
-    """Lowers the first directional light of a scene from a file, inside `sun_at` with a sun."""
-    low = _low_sun.get()
-    if low is None:
+def _under_sky(spec: Any, light: Any, direction: Array) -> Array:
+    """Lights a model as the context says by its sun, whose light travelled along ``direction``.
+    Returns the direction in which sunlight travels now; that of an overcast day or of a night is
+    the old one."""
+    sky = present_sky()
+    if sky.light == "day":
+        return direction if sky.sun is None else lower_sun(light, sky.sun, direction)
+    if sky.light == "night":
+        _darken(spec)
+        return direction
+    level = np.array(light.diffuse) * max(0.0, -float(direction[2]))
+    light.specular = [0.0] * 3
+    if sky.light == "overcast":
+        light.dir = [0.0, 0.0, -1.0]
+        light.diffuse = [float(level.mean())] * 3
+        return direction
+    azimuth, elevation = np.arctan2(-direction[1], -direction[0]), np.deg2rad(DUSK_SUN_DEG)
+    flat = np.cos(elevation)
+    lowered = -np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+    light.dir = lowered
+    light.ambient = np.array(light.ambient) + level * _DUSK_TINT
+    beam = DUSK_SUN_SHARE * level.max() / np.sin(elevation)
+    light.diffuse = min(beam, _BRIGHTEST_BEAM) * sun_colour(DUSK_SUN_DEG)
+    headlight = spec.visual.headlight
+    headlight.ambient = np.array(headlight.ambient) * _DUSK_TINT
+    return lowered
+
+
+def _darken(spec: Any) -> None:
+    """Puts out every lamp of a model; an even light remains."""
+    for lamp in spec.lights:
+        lamp.active = False
+    headlight = spec.visual.headlight
+    headlight.active = 1
+    headlight.ambient, headlight.diffuse, headlight.specular = [1.0] * 3, [0.0] * 3, [0.0] * 3
+
+
+def light_file(spec: Any) -> None:
+    """Lights a scene from a file as the context says, by its first directional light; the others
+    shine by day alone. A scene without one keeps its lamps until night."""
+    sky = present_sky()
+    if sky == Sky():
         return
-    for light in spec.lights:
-        if light.type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
-            direction = np.array(light.dir) / np.linalg.norm(light.dir)
-            lower_sun(light, low, direction)
-            return
+    suns = [a for a in spec.lights if a.type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL]
+    if sky.light == "night" and not suns:
+        _darken(spec)
+    if not suns:
+        return
+    direction = np.array(suns[0].dir) / np.linalg.norm(suns[0].dir)
+    _under_sky(spec, suns[0], direction)
+    for other in suns[1:] if sky.light != "day" else ():
+        other.active = False
 
 
 def ground_texture(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import LAND_CLASSES, GroundRaster
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.sky import sun_shines
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -80,6 +81,10 @@ def ripple_tiles(
     return (x_slope / scale).astype(np.float32), (y_slope / scale).astype(np.float32)
 
 
+_NO_GLINT = 10.0
+"""height of a sun that no ripple mirrors"""
+
+
 def lay_water(
     rng: np.random.Generator,
     image: Bytes,
@@ -100,7 +105,8 @@ def lay_water(
     to_sun = -sun_direction[:2] / np.linalg.norm(sun_direction[:2])
     _lay(
         image, depth_m, along, across, gusts, shades, np.array(look.body), np.array(look.sky),
-        1.0 / np.array(look.clarity_m), look.ripple, to_sun, float(-sun_direction[2]),
+        1.0 / np.array(look.clarity_m), look.ripple, to_sun,
+        float(-sun_direction[2]) if sun_shines() else _NO_GLINT,
     )  # fmt: skip
 
 

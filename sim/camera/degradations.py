@@ -104,13 +104,16 @@ class CameraDegradations:
         _veil(drawn, depth, stretch, defects.extinction, airlight, _LIGHT, _DISPLAY, hazy)
         return hazy
 
-    def through_lens(self, defects: ImageDefects, image: Bytes, instant: Snapshot) -> Bytes:
-        """(H, W, 3) image with dirt and stray light; ``image`` itself is not changed."""
+    def through_lens(
+        self, defects: ImageDefects, image: Bytes, instant: Snapshot, white: float = 1.0
+    ) -> Bytes:
+        """(H, W, 3) image with dirt and stray light; ``image`` itself is not changed. ``white``:
+        exposure of a white level surface, 1 for saturation."""
         if defects.dirty:
             image = self._through_dirt(image)
         if defects.glaring and (stray := self.stray_light(instant)) is not None:
             image = np.stack(
-                [cv2.LUT(image[..., c], glare_table(stray[c])) for c in range(3)], axis=-1
+                [cv2.LUT(image[..., c], glare_table(white * stray[c])) for c in range(3)], axis=-1
             )
         return image
 

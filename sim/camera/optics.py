@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -30,13 +31,14 @@ _BORDER_PX = 2
 @dataclass(frozen=True, slots=True)
 class Lens:
     """``raster`` is the pinhole that is drawn; pixel (u, v) of the image shows the raster at
-    (map_x, map_y)[v, u], both (H, W) float32. Without distortion the raster is the image and the
-    maps are None."""
+    (map_x, map_y)[v, u], both (H, W) float32. Without distortion the maps are None, and the image
+    lies ``margin`` pixels inside the raster."""
 
     image: CameraIntrinsics
     raster: CameraIntrinsics
     map_x: Float32 | None
     map_y: Float32 | None
+    margin: int = 0
 
 
 def check_camera(params: CameraParams) -> None:
@@ -111,6 +113,27 @@ def make_lens(params: CameraParams) -> Lens:
     )
 
 
+def with_margin(lens: Lens, pixels: int) -> Lens:
+    """The lens with a raster that is wider by ``pixels`` at each side."""
+    old = lens.raster
+    raster = dataclasses.replace(
+        old,
+        width=old.width + 2 * pixels,
+        height=old.height + 2 * pixels,
+        cx=old.cx + pixels,
+        cy=old.cy + pixels,
+    )
+    shifted = None if lens.map_x is None else lens.map_x + np.float32(pixels)
+    lowered = None if lens.map_y is None else lens.map_y + np.float32(pixels)
+    return Lens(
+        image=lens.image,
+        raster=raster,
+        map_x=shifted,
+        map_y=lowered,
+        margin=lens.margin + pixels,
+    )
+
+
 def distort(ideal: Array, coefficients: Array) -> Array:
     """(..., 2) distorted normalised coordinates: OpenCV's model, k1 k2 p1 p2 k3."""
     return _distort_with_jacobian(ideal, coefficients)[0]
@@ -157,7 +180,8 @@ def through_lens(
     """Rows ``rows`` of the image out of ``drawn``, which begins at raster row ``first_row``.
     ``smooth`` interpolates (colours); else the nearest pixel is taken (depths, ids)."""
     if lens.map_x is None or lens.map_y is None:
-        return drawn
+        m = lens.margin
+        return np.ascontiguousarray(drawn[m : -m or None, m : -m or None]) if m else drawn
     flag = cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST
     map_y = lens.map_y[rows] - np.float32(first_row)
     return cv2.remap(drawn, lens.map_x[rows], map_y, flag)

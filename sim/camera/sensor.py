@@ -17,8 +17,9 @@ import mujoco
 import numpy as np
 
 from touchdown.scenes.api import Scene
-from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams
+from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams, LampParams
 from touchdown.sim.camera.degradations import CameraDegradations, ImageDefects
+from touchdown.sim.camera.film import NoisePlace
 from touchdown.sim.camera.gl import SNAPSHOT_FIELDS, Snapshot, Stage
 from touchdown.sim.camera.optics import (
     NOISE_MARGIN,
@@ -28,7 +29,11 @@ from touchdown.sim.camera.optics import (
     noise_tile,
     raster_rows,
     through_lens,
+    with_margin,
 )
+from touchdown.sim.camera.row_exposures import RowExposures, exposes_rows
+from touchdown.sim.camera.shutter import SHUTTER_MARGIN_PX, CameraMotion, camera_motion
+from touchdown.sim.moving import BodyTrack
 from touchdown.sim.typing import Bytes, Float32, Int32
 
 CAMERA_NAME = "vehicle/camera"
@@ -58,10 +63,16 @@ class CameraSensor:
         camera_name: str = CAMERA_NAME,
         faults: FaultParams | None = None,
         tick_hz: int = 600,
+        lamp: LampParams | None = None,
     ) -> None:
         self._model = scene.model
         self._params = params
         self._lens = make_lens(params)
+        self._rows: RowExposures | None = None
+        if exposes_rows(params, scene.light):
+            self._lens = with_margin(self._lens, SHUTTER_MARGIN_PX)
+            key = [seed, crc32(b"electrons of " + camera_name.encode())]
+            self._rows = RowExposures(self._lens, params, lamp or LampParams(), scene.light, key)
         self._camera_id = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, camera_name)
         if self._camera_id < 0:
             names = [self._model.camera(i).name for i in range(self._model.ncam)]
@@ -93,9 +104,12 @@ class CameraSensor:
         """(H, W, 3) uint8 RGB image, read-only, with the grey noise of ``tick``.
 
         Several snapshots are the instants of a rolling shutter, oldest first: the image's rows
-        are split evenly among them from the top, each band drawn from its own instant.
+        are split evenly among them from the top, each band drawn from its own instant. This is
+        what `render_rows` is measured by.
         """
         instants = [snapshot] if isinstance(snapshot, Snapshot) else list(snapshot)
+        if self._rows is not None and len(instants) == 1:
+            return self._develop(instants[0], tick, None, 0.0, 0.0)
         defects = self._degradations.at(tick) if self._degradations is not None else None
         whole = len(instants) == 1 and self._lens.map_x is None and defects is None
         if whole:  # the common case: `develop` flips, so that nothing is copied twice
@@ -113,6 +127,52 @@ class CameraSensor:
         develop(raw, self._noise, row, col, sign, whole, image)
         image.setflags(write=False)
         return image
+
+    @property
+    def exposes_rows(self) -> bool:
+        """True where images depend on the motion during readout and exposure: `render_rows`."""
+        return self._rows is not None
+
+    @property
+    def takes_time(self) -> bool:
+        """True where exposures take a time."""
+        return self._rows is not None and self._rows.takes_time
+
+    def render_rows(
+        self, snapshot: Snapshot, at_s: float, track: BodyTrack, end_s: float, tick: int
+    ) -> Bytes:
+        """(H, W, 3) uint8 RGB image, read-only, each row from the poses of its exposure, the last
+        one about ``end_s``. ``snapshot``: the instant ``at_s`` in the middle of the readout;
+        ``track``: of the body that carries the camera, from the first exposure to the last.
+        RuntimeError for a camera without `exposes_rows`."""
+        if self._rows is None:
+            raise RuntimeError("all rows of this camera are exposed at once: call render()")
+        motion = camera_motion(track, snapshot, self._camera_id, at_s)
+        return self._develop(snapshot, tick, motion, end_s - at_s, end_s)
+
+    def _develop(
+        self,
+        snapshot: Snapshot,
+        tick: int,
+        motion: CameraMotion | None,
+        end_s: float,
+        time_s: float,
+    ) -> Bytes:
+        assert self._rows is not None
+        stage, raster = self._own_stage(), self._lens.raster
+        drawn = stage.colour(snapshot, self._camera_id, 0, raster.height)
+        depth = stage.inverse_depth_of_last(raster.height)
+        defects = self._degradations.at(tick) if self._degradations is not None else None
+        if self._degradations is not None and defects is not None and defects.extinction > 0.0:
+            drawn = self._degradations.through_air(defects, drawn, depth.metres(), 0)
+        place = self._noise_place(tick)
+        image, white = self._rows.develop(drawn, depth, motion, end_s, time_s, self._noise, place)
+        if self._degradations is not None and defects is not None:
+            image = self._degradations.through_lens(defects, image, snapshot, white)
+        if not self._rows.takes_time:
+            table = exposure_table(self._params, image)
+            image = image if table is None else cv2.LUT(image, table).astype(np.uint8, copy=False)
+        return _frozen(image)
 
     def render_depth(self, snapshot: Snapshot) -> Float32:
         """(H, W) float32, read-only: true depth along the optical axis in metres, without noise;
@@ -167,10 +227,10 @@ class CameraSensor:
             )
         return self._stage
 
-    def _noise_place(self, tick: int) -> tuple[int, int, int]:
+    def _noise_place(self, tick: int) -> NoisePlace:
         rng = np.random.default_rng([*self._noise_key, tick])
         row, col = rng.integers(0, NOISE_MARGIN + 1, size=2)
-        return int(row), int(col), int(2 * rng.integers(0, 2) - 1)
+        return NoisePlace(int(row), int(col), int(2 * rng.integers(0, 2) - 1))
 
 
 def _frozen(array: Any) -> Any:

@@ -174,7 +174,12 @@ class _FaultyStream:
         since_s = max(0, _measured(message) - start_tick) / hz
         shift = round((params.skew_s + 1e-6 * params.skew_ppm * since_s) * hz)
         ticks = {n: getattr(message, n) + shift for n in _STAMPS[type(message)] if "tick" in n}
-        times = {n.replace("tick", "time_s"): tick / hz for n, tick in ticks.items()}
+        times = {
+            # what a stamp has beside its tick stays
+            (time := n.replace("tick", "time_s")): tick / hz
+            + (getattr(message, time) - getattr(message, n) / hz)
+            for n, tick in ticks.items()
+        }
         return dataclasses.replace(message, **ticks, **times)
 
     def _spoofed(self, fix: GpsFix, start_tick: int) -> GpsFix:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from collections.abc import Callable, Iterator
 
@@ -16,6 +17,7 @@ from touchdown.sim.airframe.contacts import ContactSensor
 from touchdown.sim.airframe.ground_probe import GroundProbe
 from touchdown.sim.api import (
     GRAVITY_MPS2,
+    CameraImage,
     CameraParams,
     Command,
     ImuParams,
@@ -200,6 +202,58 @@ def test_a_rolling_shutter_arrives_like_a_global_one(scene: Scene) -> None:
     (due, tick, still), (due_rolling, tick_rolling, rolled) = (p[0] for p in images.values())
     assert (due, tick) == (due_rolling, tick_rolling) == (96, 60)
     assert np.abs(still.astype(int) - rolled).mean() < 1.0
+
+
+def _images_of(
+    scene: Scene, camera: CameraParams, threads: int = 1
+) -> list[tuple[int, CameraImage]]:
+    """Images of a second of a wild flight, with the ticks of their arrival."""
+    params = WorldParams(sim=SimParams(threads=threads), camera=camera)
+    world = MujocoWorld(scene, params, 3, SensorNeeds(camera_hz=10, lidar=True))
+    arrived = [(obs.tick, image) for obs, _ in _fly(world, 200) for image in obs.images]
+    world.close()
+    return arrived
+
+
+def test_images_have_a_clock_and_stamps_of_their_own(scene: Scene) -> None:
+    """Phase, delay and jitter: pulses every 0.1 s at one offset, which are no ends of scans; stamps
+    3 ms after them, within a millisecond, and the tick nearest to each."""
+    camera = dataclasses.replace(
+        SMALL_IMAGE, phase_s=0.03, stamp_delay_s=0.003, stamp_jitter_s=0.0003
+    )
+    arrived = _images_of(scene, camera)
+    plain = [image for _, image in _images_of(scene, SMALL_IMAGE)]
+    assert len(arrived) == len(plain) == 9
+    assert [image.tick for image in plain] == [60 * n for n in range(1, 10)]
+    assert all(image.time_s == image.tick / 600 for image in plain)
+    stamps = np.array([image.time_s for _, image in arrived])
+    late = stamps - 0.1 * np.arange(1, 10)
+    phase = round((late.mean() - 0.003) * 600) / 600
+    assert 0.0 < phase <= 0.03
+    np.testing.assert_allclose(late, phase + 0.003, atol=0.0015)
+    assert np.ptp(late) > 1e-4
+    assert all(image.tick == round(image.time_s * 600) for _, image in arrived)
+    assert all(tick == 3 * -(-(60 * n + round(600 * phase) + 36) // 3) for n, (tick, _) in
+               enumerate(arrived, start=1))  # fmt: skip
+
+
+def test_rows_and_exposures_are_the_same_with_one_thread_and_two(scene: Scene) -> None:
+    camera = dataclasses.replace(
+        SMALL_IMAGE, readout_s=0.015, phase_s=0.02, exposure=True, exposure_lag_s=0.3
+    )
+    one, two = (_images_of(scene, camera, threads) for threads in (1, 2))
+    assert len(one) == 9
+    for (tick, image), (other_tick, other) in zip(one, two, strict=True):
+        assert (tick, image.tick) == (other_tick, other.tick)
+        np.testing.assert_array_equal(image.rgb, other.rgb)
+
+
+def test_an_estimator_is_told_the_readout(scene: Scene) -> None:
+    for readout_s in (0.0, 0.015):
+        camera = dataclasses.replace(SMALL_IMAGE, readout_s=readout_s)
+        world = MujocoWorld(scene, WorldParams(camera=camera), 3)
+        assert world.rig.camera_readout_s == readout_s
+        world.close()
 
 
 def test_a_scan_is_cast_from_the_poses_of_its_own_ticks(make_world: MakeWorld) -> None:

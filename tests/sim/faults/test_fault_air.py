@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.wiring import low_sun
 from touchdown.scenes.api import LowSun, Scene
-from touchdown.scenes.authoring.light import air_mass, lower_sun, sun_at, sun_colour
+from touchdown.scenes.authoring.light import air_mass, lower_sun, sun_colour
+from touchdown.scenes.authoring.sky import lit_by
 from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import CameraParams, FaultParams, LidarParams, LidarScan
 from touchdown.sim.camera.degradations import (
@@ -241,7 +242,7 @@ def test_the_low_sun_is_limited_to_scenes_with_the_fault(tmp_path: Any) -> None:
     plain, low = (load_scene(str(file), 0, s) for s in (None, LowSun(elevation_deg=5.0)))
     assert low.model.light("sun").dir[2] == pytest.approx(-math.sin(math.radians(5.0)), abs=1e-6)
     assert plain.model.light("sun").dir[2] < -0.8
-    with sun_at(LowSun(elevation_deg=5.0)):
+    with lit_by("day", LowSun(elevation_deg=5.0)):
         pass
     again = load_scene(str(file), 0)
     np.testing.assert_array_equal(again.model.light("sun").dir, plain.model.light("sun").dir)

@@ -1,0 +1,257 @@
+"""What the sensor's rows collect: shutter, motion blur, light, electrons, noise, grey levels.
+
+One pass over the image: for every row and every instant of its exposure the drawn places that it
+shows, interpolated levels, their mean in linear light, electrons with shot and read noise, display
+levels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.camera.gl import InverseDepth
+from touchdown.sim.camera.lamp import LampField, lamp_lux
+from touchdown.sim.camera.optics import NOISE_MARGIN, Lens
+from touchdown.sim.camera.shutter import sample_row, trace_row
+from touchdown.sim.typing import Array, Bytes, Float32
+
+GAMMA = 2.2
+_STEPS = 4
+"""steps of a table between two grey levels"""
+_LEVELS = _STEPS * 255 + 1
+_NOISE_UNIT = 1.0 / 32.0
+"""a step of the noise tile, in standard deviations"""
+_ROOTS = 4096
+
+LIGHT: Float32 = ((np.arange(_LEVELS) / (_LEVELS - 1.0)) ** GAMMA).astype(np.float32)
+"""linear light of a level, 1 for white"""
+_DISPLAY: Bytes = np.rint(255.0 * (np.arange(_ROOTS) / (_ROOTS - 1.0)) ** (2.0 / GAMMA)).astype(
+    np.uint8
+)
+"""grey level of the root of linear light: roots resolve the dark as grey levels do"""
+
+
+class NoisePlace(NamedTuple):
+    """Where an image begins in a noise tile, and the sign of the noise."""
+
+    row: int
+    col: int
+    sign: int
+
+
+_EVEN = (
+    (np.arange(_LEVELS) / _STEPS).astype(np.float32),
+    np.ones(_LEVELS, dtype=np.float32),
+)
+"""levels as drawn, with the noise as it is"""
+_QUIET_GAIN = 2.0
+"""Up to this gain noise is small against the light, so that tables of its effect on grey levels
+will do"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Exposed:
+    """An exposure: electrons of a white surface under the ambient light, saturation, read noise
+    (electrons), and amplification. ``lamp`` adds ``electrons_per_lux`` for each of its lux."""
+
+    electrons: float
+    full_well: float
+    read_noise: float
+    gain: float
+    lamp: LampField | None = None
+    electrons_per_lux: float = 0.0
+
+
+def sensor_noise(height: int, width: int, key: list[int]) -> NDArray[np.int8]:
+    """Standard normal noise in steps of 1/32, a margin larger than the image, (rows, 3 columns):
+    each colour has its own."""
+    shape = (height + NOISE_MARGIN, 3 * (width + NOISE_MARGIN))
+    drawn = np.random.default_rng(key).standard_normal(shape, dtype=np.float32)
+    return np.clip(np.rint(drawn / _NOISE_UNIT), -127, 127).astype(np.int8)
+
+
+class Film:
+    """Develops rasters of ``lens``, drawn bottom row first."""
+
+    def __init__(self, lens: Lens) -> None:
+        height, width = lens.image.height, lens.image.width
+        self._bent = lens.map_x is not None
+        self._x = np.arange(width, dtype=np.float32)[None] + np.float32(lens.margin)
+        self._y = np.zeros((1, width), dtype=np.float32) + np.float32(lens.margin)
+        if lens.map_x is not None and lens.map_y is not None:
+            self._x, self._y = lens.map_x, lens.map_y
+        self._shape = (height, width, 3)
+        self.raster: CameraIntrinsics = lens.raster
+
+    def shown(
+        self,
+        drawn: Bytes,
+        depth: InverseDepth,
+        shifts: Array,
+        noise: NDArray[np.int8],
+        place: NoisePlace,
+    ) -> Bytes:
+        """(H, W, 3) image of rows with the (H, 1, 12) coefficients ``shifts``, with grey noise of
+        `optics.noise_tile`."""
+        image = np.empty(self._shape, dtype=np.uint8)
+        _show(
+            drawn, depth.levels, depth.far, depth.per_level, shifts, self._x, self._y, self._bent,
+            noise, place.row, 3 * place.col, float(place.sign), *_EVEN, image,
+        )  # fmt: skip
+        return image
+
+    def exposed(
+        self,
+        drawn: Bytes,
+        depth: InverseDepth,
+        shifts: Array,
+        noise: NDArray[np.int8],
+        place: NoisePlace,
+        light: Exposed,
+    ) -> Bytes:
+        """(H, W, 3) image of rows whose exposures are the mean of K instants with the (H, K, 12)
+        coefficients ``shifts``; noise of `sensor_noise`."""
+        image = np.empty(self._shape, dtype=np.uint8)
+        if shifts.shape[1] == 1 and light.lamp is None and light.gain <= _QUIET_GAIN:
+            mean, spread = _quiet_tables(light)
+            _show(
+                drawn, depth.levels, depth.far, depth.per_level, shifts, self._x, self._y,
+                self._bent, noise, place.row, 3 * place.col, place.sign * _NOISE_UNIT, mean, spread,
+                image,
+            )  # fmt: skip
+            return image
+        lamp = light.lamp or LampField(np.zeros((1, 1), np.float32), 1.0, 1.0, 0.0, 0.0)
+        share = light.electrons_per_lux / light.electrons if light.lamp else 0.0
+        _expose(
+            drawn, depth.levels, depth.far, depth.per_level, shifts, self._x, self._y, self._bent,
+            noise, place.row, 3 * place.col, place.sign * _NOISE_UNIT,
+            LIGHT, _DISPLAY, light.electrons, light.full_well, light.read_noise**2, light.gain,
+            lamp.beam, lamp.fx, lamp.fy, lamp.cx, lamp.cy, share, image,
+        )  # fmt: skip
+        return image
+
+
+def mean_light(drawn: Bytes, depth: InverseDepth, lamp: LampField | None, ambient: float) -> float:
+    """Mean of linear light times illuminance over every eighth pixel, in lux of white."""
+    field = lamp or LampField(np.zeros((1, 1), np.float32), 1.0, 1.0, 0.0, 0.0)
+    return float(
+        _meter(
+            drawn, depth.levels, depth.far, depth.per_level, LIGHT, ambient, lamp is not None,
+            field.beam, field.fx, field.fy, field.cx, field.cy,
+        )
+    )  # fmt: skip
+
+
+def _quiet_tables(light: Exposed) -> tuple[Float32, Float32]:
+    """Grey level of every drawn level, and the standard deviation of its noise."""
+    collected = np.minimum(light.electrons * LIGHT.astype(np.float64), light.full_well)
+    noise = np.sqrt(collected + light.read_noise**2)
+    scale = light.gain / light.full_well
+
+    def shown(electrons: Array) -> Array:
+        grey: Array = 255.0 * np.clip(electrons * scale, 0.0, 1.0) ** (1.0 / GAMMA)
+        return grey
+
+    spread = 0.5 * (shown(collected + noise) - shown(collected - noise))
+    return shown(collected).astype(np.float32), spread.astype(np.float32)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _show(
+    drawn: Bytes, depth: Float32, far: float, per_level: float, shifts: Array,
+    x: Float32, y: Float32, bent: bool,
+    noise: NDArray[np.int8], first_row: int, first: int, unit: float,
+    mean: Float32, spread: Float32, out: Bytes,
+) -> None:  # fmt: skip
+    height, width = out.shape[0], out.shape[1]
+    lines = out.reshape(height, 3 * width)
+    sx, sy = np.empty(width, np.float32), np.empty(width, np.float32)
+    weights, levels = np.empty((2, 3 * width), np.float32), np.empty(3 * width, np.float32)
+    ys = y[0].copy()
+    step, steps = np.float32(unit), np.float32(_STEPS)
+    zero, top, half = np.float32(0.0), np.float32(255.0), np.float32(0.5)
+    for i in range(height):
+        if not bent:
+            ys[:] = y[0, 0] + np.float32(i)
+        trace_row(
+            shifts[i, 0], x[i if bent else 0], y[i] if bent else ys, depth, far, per_level, sx, sy
+        )
+        sample_row(drawn, sx, sy, weights, levels)
+        grain, target = noise[first_row + i, first : first + 3 * width], lines[i]
+        for j in range(3 * width):
+            index = np.uintp(levels[j] * steps + half)
+            value = mean[index] + spread[index] * (step * np.float32(grain[j]))
+            target[j] = np.uint8(min(max(value + half, zero), top))
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _expose(
+    drawn: Bytes, depth: Float32, far: float, per_level: float, shifts: Array,
+    x: Float32, y: Float32, bent: bool,
+    noise: NDArray[np.int8], first_row: int, first: int, unit: float,
+    light: Float32, display: Bytes, electrons: float, full_well: float, read_variance: float,
+    gain: float,
+    beam: Float32, fx: float, fy: float, cx: float, cy: float, lamp_share: float, out: Bytes,
+) -> None:  # fmt: skip
+    height, width = out.shape[0], out.shape[1]
+    instants = shifts.shape[1]
+    lines = out.reshape(height, 3 * width)
+    sx, sy = np.empty(width, np.float32), np.empty(width, np.float32)
+    weights, levels = np.empty((2, 3 * width), np.float32), np.empty(3 * width, np.float32)
+    total = np.empty(3 * width, np.float32)
+    ys = y[0].copy()
+    well, variance = np.float32(full_well), np.float32(read_variance)
+    scale, step, steps = np.float32(gain / full_well), np.float32(unit), np.float32(_STEPS)
+    top = np.float32(len(display) - 1)
+    zero, one, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
+    per_instant = np.float32(electrons / instants)
+    for i in range(height):
+        if not bent:
+            ys[:] = y[0, 0] + np.float32(i)
+        total[:] = 0.0
+        for k in range(instants):
+            trace_row(
+                shifts[i, k], x[i if bent else 0], y[i] if bent else ys, depth, far, per_level,
+                sx, sy,
+            )  # fmt: skip
+            sample_row(drawn, sx, sy, weights, levels)
+            if lamp_share > 0.0:
+                for j in range(width):
+                    lux = lamp_lux(depth, far, per_level, beam, fx, fy, cx, cy, sx[j], sy[j])
+                    share = per_instant * np.float32(1.0 + lamp_share * lux)
+                    for channel in range(3 * j, 3 * j + 3):
+                        total[channel] += share * light[np.uintp(levels[channel] * steps + half)]
+            else:
+                for j in range(3 * width):
+                    total[j] += per_instant * light[np.uintp(levels[j] * steps + half)]
+        grain, target = noise[first_row + i, first : first + 3 * width], lines[i]
+        for j in range(3 * width):
+            collected = min(total[j], well)
+            noisy = collected + np.sqrt(collected + variance) * (step * np.float32(grain[j]))
+            value = min(max(noisy * scale, zero), one)
+            target[j] = display[np.uintp(np.sqrt(value) * top + half)]
+
+
+@njit(cache=True, nogil=True)
+def _meter(
+    drawn: Bytes, depth: Float32, far: float, per_level: float, light: Float32, ambient: float,
+    lit: bool, beam: Float32, fx: float, fy: float, cx: float, cy: float,
+) -> float:  # fmt: skip
+    rows, cols = depth.shape
+    total, count = 0.0, 0
+    for row in range(4, rows, 8):
+        for col in range(4, cols, 8):
+            pixel = drawn[rows - 1 - row, col]
+            mean = light[_STEPS * pixel[0]] + light[_STEPS * pixel[1]] + light[_STEPS * pixel[2]]
+            lux = ambient
+            if lit:
+                lux += lamp_lux(depth, far, per_level, beam, fx, fy, cx, cy, col, row)
+            total += mean / 3.0 * lux
+            count += 1
+    return total / max(count, 1)

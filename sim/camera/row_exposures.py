@@ -1,0 +1,114 @@
+"""Images whose rows are exposed one after the other, for a time, in a given light."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import LIGHT_LUX
+from touchdown.sim.api import CameraParams, LampParams
+from touchdown.sim.camera.exposure import AutoExposure, Exposure
+from touchdown.sim.camera.film import Exposed, Film, NoisePlace, mean_light, sensor_noise
+from touchdown.sim.camera.gl import InverseDepth
+from touchdown.sim.camera.lamp import LampField, lamp_field, shines
+from touchdown.sim.camera.optics import Lens
+from touchdown.sim.camera.shutter import CameraMotion, identity_shifts, longest_shift, row_shifts
+from touchdown.sim.typing import Array, Bytes
+
+_DARK_LIGHTS = ("dusk", "night")
+_SHARP_PX = 0.5
+"""Shorter blur is not drawn"""
+_STEP_PX, _MOST_INSTANTS = 1.5, 12
+"""distance of a blur's instants in the image, and their largest number"""
+
+
+def takes_time(params: CameraParams, light: str) -> bool:
+    """True where images are exposed for a time: as configured, and at dusk and night."""
+    return params.exposure or light in _DARK_LIGHTS
+
+
+def exposes_rows(params: CameraParams, light: str) -> bool:
+    """True where images come from `RowExposures`."""
+    return params.readout_s > 0.0 or takes_time(params, light)
+
+
+class RowExposures:
+    """The rows of rasters of ``lens`` in a scene's ``light``. Where exposures take no time, images
+    are `Film.shown`, with the grey noise of ideal images."""
+
+    def __init__(
+        self, lens: Lens, params: CameraParams, lamp: LampParams, light: str, key: list[int]
+    ) -> None:
+        self._params, self._lamp, self._lens = params, lamp, lens
+        self._film = Film(lens)
+        self._lux = LIGHT_LUX[light]
+        self.takes_time = takes_time(params, light)
+        height = params.height
+        self._row_s = (np.arange(height) / max(height - 1, 1) - 1.0) * params.readout_s
+        self._still = identity_shifts(height)
+        self._control = AutoExposure(params)
+        if self.takes_time:
+            self._noise = sensor_noise(height, params.width, key)
+        self._field = lamp_field(lamp, lens.raster) if lamp.below_m > 0.0 else None
+
+    def develop(
+        self,
+        drawn: Bytes,
+        depth: InverseDepth,
+        motion: CameraMotion | None,
+        end_s: float,
+        time_s: float,
+        grey_noise: NDArray[np.int8],
+        place: NoisePlace,
+    ) -> tuple[Bytes, float]:
+        """(H, W, 3) image of a raster, bottom row first, and the share of saturation that white
+        gets. ``motion`` about the drawing; ``end_s``: time from it to the last row. None: at rest,
+        with an exposure that has settled."""
+        if not self.takes_time:
+            shifts = self._still if motion is None else self._at(motion, end_s, 0.0, 1)
+            return self._film.shown(drawn, depth, shifts, grey_noise, place), 1.0
+        lamp = self._field if shines(self._lamp, depth, self._lux) else None
+        lux = mean_light(drawn, depth, lamp, self._lux)
+        shifts = self._still
+        if motion is None:
+            exposure = self._control.settled(lux)
+        else:
+            exposure = self._control.follow(lux, time_s)
+            count = self._instants(motion, end_s, exposure, depth)
+            shifts = self._at(motion, end_s, exposure.time_s, count)
+        light = self._exposed(exposure, lamp)
+        image = self._film.exposed(drawn, depth, shifts, self._noise, place, light)
+        return image, light.electrons * light.gain / light.full_well
+
+    def _exposed(self, exposure: Exposure, lamp: LampField | None) -> Exposed:
+        p = self._params
+        per_lux = p.electrons_per_lux_s * exposure.time_s
+        return Exposed(
+            electrons=per_lux * self._lux,
+            full_well=p.full_well_e,
+            read_noise=p.read_noise_e,
+            gain=exposure.gain,
+            lamp=lamp,
+            electrons_per_lux=per_lux,
+        )
+
+    def _at(self, motion: CameraMotion, end_s: float, time_s: float, count: int) -> Array:
+        """(H, count, 12) coefficients of the instants of every row's exposure."""
+        within = ((np.arange(count) + 0.5) / count - 0.5) * time_s
+        return row_shifts(motion, self._lens.raster, end_s + self._row_s[:, None] + within)
+
+    def _instants(
+        self, motion: CameraMotion, end_s: float, exposure: Exposure, depth: InverseDepth
+    ) -> int:
+        rows = np.linspace(0, len(self._row_s) - 1, 5).astype(int)
+        ends = np.array([-0.5, 0.5]) * exposure.time_s
+        coefficients = row_shifts(
+            motion, self._lens.raster, end_s + self._row_s[rows][:, None] + ends
+        )
+        near = depth.far + depth.per_level * float(np.quantile(depth.levels[::32, ::32], 0.9))
+        longest = float(longest_shift(coefficients, self._lens.raster, near).max())
+        if longest < _SHARP_PX:
+            return 1
+        return min(max(math.ceil(longest / _STEP_PX), 2), _MOST_INSTANTS)

@@ -1,0 +1,223 @@
+"""Rolling shutter and motion blur: rows out of one drawn raster, each from its own poses.
+
+A raster is drawn once, in the middle of the readout, with its depth. Pixel x of a row that is
+exposed dt later shows the drawn pixel X + rho (K p - p_z X), X = K R K^-1 x, where X_ref = R X + p
+is the camera's motion in dt and rho the inverse depth that is drawn there. This is exact for a
+static scene but within a displacement's width of an edge in depth, where the drawn raster does not
+show what the edge hides. A body that moves by itself is shown where it is at the middle of the
+readout: a row that is exposed dt later shows it too far back by its speed times dt f / depth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.camera.gl import Snapshot
+from touchdown.sim.frames import Pose, matrices_from_quats_wxyz, so3_log
+from touchdown.sim.moving import BodyTrack
+from touchdown.sim.typing import Array, Bytes, Float32
+
+SHUTTER_MARGIN_PX = 16
+"""The raster is wider by this at each side, so that shifted rows find pixels."""
+
+_OPTICAL_FROM_GL = np.diag([1.0, -1.0, -1.0])
+_BLOCK = 16
+"""pixels over which the shift by rotation is interpolated; error below 0.01 px at 0.05 rad"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CameraMotion:
+    """Motion of a camera about the instant at which it was drawn: X_ref = R X + p at each node, R
+    as a rotation vector."""
+
+    offsets_s: Array
+    """(M,) seconds after that instant, ascending"""
+    turns: Array
+    """(M, 3) rad"""
+    shifts: Array
+    """(M, 3) m, optical frame"""
+
+
+def camera_motion(
+    track: BodyTrack, snapshot: Snapshot, camera_id: int, at_s: float
+) -> CameraMotion:
+    """The motion of the camera that is fixed to a body, whose track covers ``at_s``, the instant of
+    ``snapshot``."""
+    world_from_body = matrices_from_quats_wxyz(track.quats_wxyz)
+    node = int(np.abs(track.times_s - at_s).argmin())
+    camera = Pose(
+        snapshot.cam_xmat[camera_id].reshape(3, 3) @ _OPTICAL_FROM_GL, snapshot.cam_xpos[camera_id]
+    )
+    mount = Pose(world_from_body[node], track.positions[node]).inverse() @ camera
+    from_world = camera.inverse()
+    turns, shifts = np.empty((len(world_from_body), 3)), np.empty((len(world_from_body), 3))
+    for k, (rotation, position) in enumerate(zip(world_from_body, track.positions, strict=True)):
+        moved = from_world @ Pose(rotation, position) @ mount
+        turns[k], shifts[k] = so3_log(moved.rotation), moved.translation
+    return CameraMotion(offsets_s=track.times_s - at_s, turns=turns, shifts=shifts)
+
+
+def row_shifts(motion: CameraMotion, raster: CameraIntrinsics, offsets_s: Array) -> Array:
+    """(..., 12) coefficients at ``offsets_s`` (...): the nine of K R K^-1, then K p."""
+    flat = np.ascontiguousarray(offsets_s, dtype=np.float64).ravel()
+    out = np.empty((len(flat), 12))
+    lens = (raster.fx, raster.fy, raster.cx, raster.cy)
+    _row_shifts(flat, motion.offsets_s, motion.turns, motion.shifts, *lens, out)
+    return out.reshape(*offsets_s.shape, 12)
+
+
+def longest_shift(coefficients: Array, raster: CameraIntrinsics, inverse_depth: float) -> Array:
+    """(N,) largest displacement in pixels, of five pixels of the raster, between the first and the
+    last of (N, K, 12) coefficients at one inverse depth."""
+    w, h = raster.width - 1.0, raster.height - 1.0
+    spots = np.array([[0, 0, 1], [w, 0, 1], [0, h, 1], [w, h, 1], [raster.cx, raster.cy, 1]]).T
+    ends = []
+    for c in (coefficients[:, 0], coefficients[:, -1]):
+        moved = c[:, :9].reshape(-1, 3, 3) @ spots + inverse_depth * c[:, 9:, None]
+        ends.append(moved[:, :2] / moved[:, 2:])
+    apart: Array = np.linalg.norm(ends[1] - ends[0], axis=1).max(axis=1)
+    return apart
+
+
+def identity_shifts(rows: int) -> Array:
+    """(rows, 1, 12) coefficients of no motion."""
+    still = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
+    return np.tile(still, (rows, 1, 1))
+
+
+@njit(cache=True, nogil=True)
+def _row_shifts(
+    at: Array,
+    nodes: Array,
+    turns: Array,
+    shifts: Array,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    out: Array,
+) -> None:
+    last = len(nodes) - 2
+    for n in range(len(at)):
+        i = min(max(np.searchsorted(nodes, at[n], side="right") - 1, 0), max(last, 0))
+        k = min(i + 1, len(nodes) - 1)
+        span = nodes[k] - nodes[i]
+        f = min(max((at[n] - nodes[i]) / span, 0.0), 1.0) if span > 0.0 else 0.0
+        x, y, z = (1.0 - f) * turns[i] + f * turns[k]
+        squared = x * x + y * y + z * z
+        angle = np.sqrt(squared)
+        a, b = 1.0, 0.5
+        if angle > 1e-8:
+            a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / squared
+        r00, r01, r02 = 1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+        r10, r11, r12 = b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x
+        r20, r21, r22 = b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)
+        # K R, then times K^-1 from the right
+        k00, k01, k02 = fx * r00 + cx * r20, fx * r01 + cx * r21, fx * r02 + cx * r22
+        k10, k11, k12 = fy * r10 + cy * r20, fy * r11 + cy * r21, fy * r12 + cy * r22
+        out[n, 0], out[n, 1] = k00 / fx, k01 / fy
+        out[n, 2] = k02 - k00 * cx / fx - k01 * cy / fy
+        out[n, 3], out[n, 4] = k10 / fx, k11 / fy
+        out[n, 5] = k12 - k10 * cx / fx - k11 * cy / fy
+        out[n, 6], out[n, 7] = r20 / fx, r21 / fy
+        out[n, 8] = r22 - r20 * cx / fx - r21 * cy / fy
+        p = (1.0 - f) * shifts[i] + f * shifts[k]
+        out[n, 9], out[n, 10], out[n, 11] = fx * p[0] + cx * p[2], fy * p[1] + cy * p[2], p[2]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def trace_row(
+    c: Array,
+    xs: Float32,
+    ys: Float32,
+    depth: Float32,
+    far: float,
+    per_step: float,
+    sx: Float32,
+    sy: Float32,
+) -> None:
+    """Writes the drawn places (sx, sy) that the raster places (xs, ys) of a row show, one instant
+    with the coefficients ``c``. ``depth``: buffer of the drawing, bottom row first; inverse depth
+    is ``far + per_step * depth``."""
+    rows, cols = depth.shape
+    width = len(xs)
+    kx, ky, pz = np.float32(c[9]), np.float32(c[10]), np.float32(c[11])
+    flat, slope = np.float32(far), np.float32(per_step)
+    right, low = np.float32(cols - 1.01), np.float32(rows - 1.01)
+    half, zero = np.float32(0.5), np.float32(0.0)
+    lines = depth.reshape(rows * cols)
+    bottom = np.int32(rows - 1)
+    start = 0
+    while start < width:
+        stop = min(start + _BLOCK, width)
+        last = stop - 1
+        u0, v0 = _turned(c, xs[start], ys[start])
+        u1, v1 = _turned(c, xs[last], ys[last])
+        steps = np.float32(max(last - start, 1))
+        du, dv = (u1 - u0) / steps, (v1 - v0) / steps
+        # the parallax at the middle says where to look the depth up
+        mid = (start + last) // 2
+        part = np.float32(mid - start)
+        mx, my = xs[mid] + u0 + du * part, ys[mid] + v0 + dv * part
+        gx, gy = zero, zero
+        for _ in range(2):
+            col = np.uintp(min(max(mx + gx + half, zero), right))
+            row = np.uintp(min(max(my + gy + half, zero), low))
+            rho = flat + slope * lines[np.uintp(bottom - row) * np.uintp(cols) + col]
+            gx, gy = rho * (kx - pz * mx), rho * (ky - pz * my)
+        gx, gy = gx + half, gy + half
+        for j in range(start, stop):
+            step = np.float32(j - start)
+            px, py = xs[j] + u0 + du * step, ys[j] + v0 + dv * step
+            col32 = np.int32(min(max(px + gx, zero), right))
+            row32 = np.int32(min(max(py + gy, zero), low))
+            rho = flat + slope * lines[np.uintp((bottom - row32) * cols + col32)]
+            sx[j] = min(max(px + rho * (kx - pz * px), zero), right)
+            sy[j] = min(max(py + rho * (ky - pz * py), zero), low)
+        start = stop
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
+def _turned(c: Array, x: float, y: float) -> tuple[np.float32, np.float32]:
+    """Displacement by rotation of the raster place (x, y)."""
+    w = 1.0 / (c[6] * x + c[7] * y + c[8])
+    u, v = (c[0] * x + c[1] * y + c[2]) * w - x, (c[3] * x + c[4] * y + c[5]) * w - y
+    return np.float32(u), np.float32(v)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def sample_row(raw: Bytes, sx: Float32, sy: Float32, weights: Float32, levels: Float32) -> None:
+    """Writes (3 W) ``levels`` of (h, w, 3) ``raw``, bottom row first, interpolated at the places
+    (sx, sy). ``weights``: room for (2, 3 W) numbers."""
+    rows, width = raw.shape[0], len(sx)
+    stride = 3 * raw.shape[1]
+    flat = raw.reshape(rows * stride)
+    for j in range(width):
+        a = sx[j] - np.float32(np.int32(sx[j]))
+        b = sy[j] - np.float32(np.int32(sy[j]))
+        for q in range(3):
+            weights[0, 3 * j + q] = a
+            weights[1, 3 * j + q] = b
+    start = 0
+    while start < width:
+        # a run of pixels that lie side by side in the drawing, too: vector instructions
+        col, row = np.int32(sx[start]), np.int32(sy[start])
+        offset, stop = col - start, start + 1
+        while stop < width and np.int32(sx[stop]) - stop == offset and np.int32(sy[stop]) == row:
+            stop += 1
+        top = np.uintp((rows - 1 - row) * stride + 3 * col)
+        low = np.uintp((rows - 2 - row) * stride + 3 * col)
+        into, count = np.uintp(3 * start), np.uintp(3 * (stop - start))
+        upper, lower = flat[top : top + count + np.uintp(3)], flat[low : low + count + np.uintp(3)]
+        aside, down = weights[0, into : into + count], weights[1, into : into + count]
+        target = levels[into : into + count]
+        for q in range(count):
+            t0, l0 = np.float32(upper[q]), np.float32(lower[q])
+            t = t0 + aside[q] * (np.float32(upper[q + np.uintp(3)]) - t0)
+            below = l0 + aside[q] * (np.float32(lower[q + np.uintp(3)]) - l0)
+            target[q] = t + down[q] * (below - t)
+        start = stop
