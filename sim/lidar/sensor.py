@@ -23,6 +23,7 @@ from touchdown.sim.lidar.patterns.livox import ScanPattern, pattern
 from touchdown.sim.lidar.range_errors import RangeErrors
 from touchdown.sim.lidar.raycast_scene import LidarScene
 from touchdown.sim.lidar.rays import Movers, Rays, Track
+from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.lidar.weather import Clutter, LidarWeather
 from touchdown.sim.moving import BodyTrack
 from touchdown.sim.typing import Array, Bytes, Float32, Indices
@@ -31,6 +32,7 @@ _MOST_PASSES = 5
 """Porous surfaces that one pulse may cross (each crown counts twice: in and out)."""
 _STEP_BEHIND_M = 1e-3
 _ON_AXIS: Array = np.zeros((1, 3))
+_NO_GAIN: Float32 = np.empty(0, dtype=np.float32)
 _CONE_MARGIN_RAD = 0.02
 """Margin around the outermost pulse of the first second, for later pulses, pointing errors, beam
 width."""
@@ -66,6 +68,9 @@ class LidarSensor:
         self._max_range = min(params.max_range_m, self._pattern.max_range_m)
         self._budget = returns.LinkBudget.of(
             self._pattern.range_limits_m, self._pattern.range_reflectivities, self._max_range
+        )
+        self._detail = SurfaceDetail.of(
+            params, self._pattern, scene, self._scene.optics, self._scene.on_mover
         )
         self._range_errors = RangeErrors.of(params, self._pattern, seed)
         self._weather = None
@@ -255,7 +260,11 @@ class LidarSensor:
             split, parts, part_hits = self._split(first, nominal, hits, others, track, movers)
             pulses, hits = Rays.joined(pulses, *parts), Hits.joined(hits, *part_hits)
         self._penetrate(pulses, hits, movers)
-        strengths, ranges, intensity = self._receive(pulses, hits)
+        gain = _NO_GAIN
+        if self._detail is not None:
+            gain = self._detail.gains(pulses, hits, movers)
+            self._detail.enter_plants(pulses, hits)
+        strengths, ranges, intensity = self._receive(pulses, hits, gain)
         if clutter is not None:
             clutter.weaken(hits.distance, pulses.bits, strengths, ranges, intensity)
         count = len(nominal)
@@ -320,7 +329,7 @@ class LidarSensor:
             [*(end_hits.at(kept) for end_hits in found), rest.at(rows)],
         )
 
-    def _receive(self, pulses: Rays, hits: Hits) -> tuple[Float32, Float32, Bytes]:
+    def _receive(self, pulses: Rays, hits: Hits, gain: Float32) -> tuple[Float32, Float32, Bytes]:
         """Strengths, ranges and intensities of rays as pulses of their own."""
         optics = self._scene.optics
         strengths = np.empty(len(pulses.rays), dtype=np.float32)
@@ -338,6 +347,7 @@ class LidarSensor:
             optics.ground_geom,
             optics.ground_frame,
             optics.ground_reflectivity,
+            gain,
             self._budget.anchors,
             self._budget.sure,
             self._quantiles,
