@@ -121,6 +121,9 @@ class LidarParams:
     vegetation: NotNegative = 0.0
     """height of grass and crops that pulses partly enter, over the usual one of each material: 1
     as usual, 0 none"""
+    sway: NotNegative = 0.0
+    """how far crowns sway in the wind, over the displacement of a typical tree: 1 as typical, 0 not
+    at all"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -29,6 +30,7 @@ DEFAULT_SURFACE = Surface(land_class="other", reflectivity=0.3)
 _BARE = Surface(land_class="water", reflectivity=0.0, spread=0.0)
 """Bottom of a water: no texture, no plants."""
 _PLANE_MARGIN_M = 300.0
+_BELOW_M = 0.01
 _NO_GEOM = -1
 
 
@@ -89,6 +91,15 @@ class OpticalTable:
     """(M,)"""
 
 
+class Crowns(NamedTuple):
+    """Boxes of geoms, (G, 3) world frame, and (G,) heights of their tops above what lies below
+    their centres."""
+
+    low: Array
+    high: Array
+    height_m: Array
+
+
 class LidarScene:
     """All surfaces of ``scene`` that a LIDAR can hit. It uses no MjData, so any thread may cast
     rays."""
@@ -116,9 +127,13 @@ class LidarScene:
             block[2].append(geom_id)
             block[3].add(model, geom_id, local)
         self.static: GroundTarget | None = None
+        static_points = list(zip(blocks[0][2], blocks[0][0], strict=True)) if 0 in blocks else []
         if 0 in blocks:
             ground = _ground_grid(model, rest, *blocks[0][:3])
             self.static = GroundTarget(*blocks.pop(0), ground)
+        self._boxes = {
+            geom: (points.min(axis=0), points.max(axis=0)) for geom, points in static_points
+        }
         self.moving = {_body_name(model, root): RayTarget(*block) for root, block in blocks.items()}
         on_mover = np.zeros(model.ngeom, dtype=np.bool_)
         for target in self.moving.values():
@@ -126,6 +141,22 @@ class LidarScene:
         self.on_mover = on_mover
         """(G,) geoms of bodies that move"""
         self.rest_poses = {_body_name(model, root): body_pose(rest, root) for root in blocks}
+
+    def crowns(self, chosen: Bools) -> Crowns:
+        """Boxes and heights of the ``chosen`` (G,) geoms that do not move."""
+        low, high = np.zeros((2, len(chosen), 3))
+        heights = np.zeros(len(chosen))
+        geoms = [geom for geom in self._boxes if chosen[geom]]
+        if geoms and self.static is not None:
+            low[geoms] = [self._boxes[geom][0] for geom in geoms]
+            high[geoms] = [self._boxes[geom][1] for geom in geoms]
+            rays = np.zeros((len(geoms), 6), dtype=np.float32)
+            rays[:, :2], rays[:, 5] = 0.5 * (low + high)[geoms, :2], -1.0
+            rays[:, 2] = low[geoms, 2] - _BELOW_M
+            below = self.static.cast_all(rays).distance
+            ground = np.where(np.isfinite(below), rays[:, 2] - below, low[geoms, 2])
+            heights[geoms] = high[geoms, 2] - ground
+        return Crowns(low, high, heights)
 
 
 def _ground_grid(
