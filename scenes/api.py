@@ -37,6 +37,14 @@ class Surface:
     porosity: float = 0.0
     """share of pulses that pass through (crowns, reeds)"""
     water: bool = False
+    spread: float = 0.1
+    """relative standard deviation of the reflectivity within the surface"""
+    canopy_m: float = 0.0
+    """mean height of grass, crops or reeds on it, which pulses partly enter"""
+    leaf_area: float = 0.0
+    """leaf area index of these plants: one-sided leaf area over ground area"""
+    dust: float = 0.0
+    """share of the dust that dry, bare soil gives off under a downwash"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,6 +66,10 @@ class GroundRaster:
     cell_m: float
     class_id: NDArray[np.uint8]
     reflectivity: NDArray[np.float32]
+    material: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
+    """indices into ``materials``; empty: all of it is as the terrain's `Surface`"""
+    materials: tuple[Surface, ...] = ()
+    """spread, plants and dust of each material; reflectivity and class are those of the rasters"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

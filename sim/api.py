@@ -124,6 +124,15 @@ class LidarParams:
     range_noise_growth: Fraction = 0.0
     """share of the range noise's variance, at 20 m on 80 %, that grows as an echo gets weaker (with
     the range squared, over reflectivity times cosine). 0: ``range_sigma_m`` everywhere"""
+    texture: NotNegative = 0.0
+    """how much the reflectivity varies within a surface, over the measured spreads of materials: 1
+    as measured, 0 not at all"""
+    vegetation: NotNegative = 0.0
+    """height of grass and crops that pulses partly enter, over the usual one of each material: 1
+    as usual, 0 none"""
+    sway: NotNegative = 0.0
+    """how far crowns sway in the wind, over the displacement of a typical tree: 1 as typical, 0 not
+    at all"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

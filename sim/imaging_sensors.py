@@ -25,6 +25,7 @@ from touchdown.sim.lidar.patterns.livox import pattern
 from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.moving import BodyTrack, MovingBodies
 from touchdown.sim.typing import Array, Bytes
+from touchdown.sim.wind import Wind
 
 RIGHT_CAMERA = "vehicle/camera_right"
 
@@ -74,7 +75,9 @@ class ImagingSensors:
         self._image_period = image_period_ticks(self._sim, needs)
         if needs.lidar and self._lidar is None:
             air = Weather(self._params.faults, self._sim.tick_hz)
-            self._lidar = LidarSensor(self._scene, self._params.lidar, self._seed, air)
+            wind = self._params.wind
+            speed = wind.mean_kmh / 3.6 * Wind(wind, self._seed).mean_direction[:2]
+            self._lidar = LidarSensor(self._scene, self._params.lidar, self._seed, air, speed)
         if needs.stereo and self._right is None:
             self._right = self._make_camera(RIGHT_CAMERA)
 

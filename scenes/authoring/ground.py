@@ -11,7 +11,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import LAND_CLASSES, GroundRaster
+from touchdown.scenes.api import LAND_CLASSES, GroundRaster, Surface
+from touchdown.scenes.authoring.ground_cover import PAINT, cover_of
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 
 Array = NDArray[np.float64]
@@ -169,13 +170,30 @@ class Canvas:
         material = self.material[middle, middle]
         cover = self.paint[middle, middle].astype(np.float32) / 255.0
         plain = shine[material]
+        kinds = np.where(cover > 0.5, len(Ground), material).astype(np.uint8)
         return GroundRaster(
             geom_name=geom_name,
             origin_xy_m=np.array([-self.half_m, -self.half_m]),
             cell_m=self.texel_m * RASTER_STRIDE,
             class_id=np.array(ids, np.uint8)[material],
             reflectivity=plain + cover * (PAINT_REFLECTIVITY - plain),
+            material=kinds,
+            materials=_materials(),
         )
+
+
+def _materials() -> tuple[Surface, ...]:
+    """Returns the surface of each material, by its number, and of marking paint at last."""
+    surfaces = [
+        Surface(
+            land_class=_TABLE[material].land_class,
+            reflectivity=_TABLE[material].reflectivity,
+            **cover_of(material.name)._asdict(),
+        )
+        for material in Ground
+    ]
+    paint = Surface(land_class="road", reflectivity=PAINT_REFLECTIVITY, **PAINT._asdict())
+    return (*surfaces, paint)
 
 
 def shade_ground(

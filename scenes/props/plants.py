@@ -14,8 +14,8 @@ from touchdown.scenes.props.meshes import blob
 
 Array = NDArray[np.float64]
 
-CROWN = Surface(land_class="trees", reflectivity=0.45, porosity=0.35)
-HEDGE = Surface(land_class="trees", reflectivity=0.42, porosity=0.10)
+CROWN = Surface(land_class="trees", reflectivity=0.45, porosity=0.35, spread=0.25)
+HEDGE = Surface(land_class="trees", reflectivity=0.42, porosity=0.10, spread=0.25)
 TRUNK = Surface(land_class="trees", reflectivity=0.30)
 ROCK = Surface(land_class="other", reflectivity=0.30)
 SPECIES: tuple[Colour, ...] = (

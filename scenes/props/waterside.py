@@ -15,7 +15,7 @@ from touchdown.scenes.props.meshes import MeshData, blob, box, polygon
 
 Array = NDArray[np.float64]
 
-REED = Surface(land_class="trees", reflectivity=0.40, porosity=0.45)
+REED = Surface(land_class="trees", reflectivity=0.40, porosity=0.45, spread=0.25)
 DECK = Surface(land_class="path", reflectivity=0.38)
 PILE = Surface(land_class="other", reflectivity=0.30)
 NET = Surface(land_class="other", reflectivity=0.35, porosity=0.75)

@@ -15,8 +15,8 @@ from touchdown.scenes.props.tree_shapes import bark, canopy_mesh, conifer_mesh, 
 
 Array = NDArray[np.float64]
 
-CONIFER = Surface(land_class="trees", reflectivity=0.38, porosity=0.28)
-BROADLEAF = Surface(land_class="trees", reflectivity=0.47, porosity=0.38)
+CONIFER = Surface(land_class="trees", reflectivity=0.38, porosity=0.28, spread=0.25)
+BROADLEAF = Surface(land_class="trees", reflectivity=0.47, porosity=0.38, spread=0.25)
 LOG = Surface(land_class="other", reflectivity=0.34)
 NEEDLES: tuple[Colour, ...] = ((58.0, 86.0, 52.0), (44.0, 72.0, 48.0), (84.0, 100.0, 54.0))
 SUMMER: tuple[Colour, ...] = (

@@ -78,6 +78,8 @@ class RayTarget:
             np.array(geoms, dtype=np.int32), [len(block) for block in triangles]
         )
         self._shapes = shapes
+        self.geoms = np.unique(self._geom_of_triangle)
+        """ids of the geoms"""
         self.center = 0.5 * (points.min(axis=0) + points.max(axis=0)).astype(np.float64)
         self.radius = float(np.linalg.norm(points - self.center, axis=1).max())
         self.triangle_count = len(self._geom_of_triangle)

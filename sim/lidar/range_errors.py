@@ -17,14 +17,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 from zlib import crc32
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 
 from touchdown.sim.api import LidarParams
 from touchdown.sim.lidar.patterns.livox import ScanPattern
 from touchdown.sim.typing import Bytes, Float32
+
+Reals = NDArray[Any]
+"""Floating-point numbers of any width"""
 
 REFERENCE_M, REFERENCE_STRENGTH = 20.0, 0.8
 """Range and reflectivity that the data sheet's range noise is stated at"""
@@ -35,7 +39,7 @@ SMEAR_M = 0.05
 SHARES = (0.3, 0.4, 0.3)
 """Of the bound: the constant, time walk, incidence"""
 
-_INTENSITY_PER_STRENGTH = 150.0
+_STRENGTH_OF_LEVEL: Float32 = (np.maximum(np.arange(256), 1) / 150.0).astype(np.float32)
 _LEAST_COSINE = 0.05
 
 
@@ -72,16 +76,17 @@ class RangeErrors:
             min_range_m=params.min_range_m,
         )
 
-    def bias_m(self, range_m: float, strength: float, cosine: float) -> float:
-        """Systematic error of an echo."""
-        return float(
-            _bias(range_m, strength, cosine, self.constant_m, self.walk_m, self.incidence_m,
-                  self.half_width_rad)
-        )  # fmt: skip
+    def bias_m(self, range_m: Reals, strength: Reals, cosine: Reals) -> Reals:
+        """Systematic errors (N,) of echoes."""
+        late = np.log10(_weakness(range_m, strength)) / WALK_DECADES
+        c = np.maximum(np.abs(cosine), _LEAST_COSINE)
+        smear = self.half_width_rad * range_m * np.sqrt(np.maximum(1.0 / (c * c) - 1.0, 0.0))
+        total: Reals = self.constant_m + self.walk_m * np.clip(late, -1.0, 1.0)
+        return total + self.incidence_m * (smear / (smear + SMEAR_M))
 
-    def noise_sigma_m(self, range_m: float, strength: float) -> float:
-        """Standard deviation of the range of an echo."""
-        return self.sigma_m * float(_noise_factor(range_m, strength, self.growth))
+    def noise_sigma_m(self, range_m: Reals, strength: Reals) -> Reals:
+        """Standard deviations (N,) of the ranges of echoes."""
+        return self.sigma_m * np.sqrt(1.0 + self.growth * (_weakness(range_m, strength) - 1.0))
 
     def apply(
         self, range_noise: Float32, cosine: Float32, ranges: Float32, intensity: Bytes
@@ -89,69 +94,17 @@ class RangeErrors:
         """Adds the errors to ``ranges`` (N,), which have the white noise of ``sigma_m`` already:
         its normal deviates are the first N of ``range_noise``, cosines of incidence those of
         ``cosine``."""
-        _disturb(
-            range_noise,
-            cosine,
-            self.constant_m,
-            self.walk_m,
-            self.incidence_m,
-            self.half_width_rad,
-            self.sigma_m,
-            self.growth,
-            self.min_range_m,
-            ranges,
-            intensity,
+        count = len(ranges)
+        strength = _STRENGTH_OF_LEVEL[intensity]
+        distance = np.maximum(ranges, np.float32(self.min_range_m))
+        more = self.noise_sigma_m(distance, strength) - np.float32(self.sigma_m)
+        error = range_noise[:count] * more + self.bias_m(distance, strength, cosine[:count])
+        np.copyto(
+            ranges, np.maximum(ranges + error, np.float32(self.min_range_m)), where=ranges > 0.0
         )
 
 
-@njit(cache=True, forceinline=True)
-def _weakness(distance: float, strength: float) -> float:
-    """Power of the reference's echo over that of this one."""
-    reach = distance / REFERENCE_M
-    return reach * reach * REFERENCE_STRENGTH / strength
-
-
-@njit(cache=True, forceinline=True)
-def _noise_factor(distance: float, strength: float, growth: float) -> float:
-    return math.sqrt(1.0 + growth * (_weakness(distance, strength) - 1.0))
-
-
-@njit(cache=True, forceinline=True)
-def _bias(
-    distance: float,
-    strength: float,
-    cosine: float,
-    constant: float,
-    walk: float,
-    incidence: float,
-    half_width: float,
-) -> float:
-    late = math.log10(_weakness(distance, strength)) / WALK_DECADES
-    c = max(abs(cosine), _LEAST_COSINE)
-    smear = half_width * distance * math.sqrt(1.0 - min(c * c, 1.0)) / c
-    total = constant + walk * min(max(late, -1.0), 1.0)
-    return total + incidence * smear / (smear + SMEAR_M)
-
-
-@njit(cache=True, nogil=True)
-def _disturb(
-    range_noise: Float32,
-    cosine: Float32,
-    constant: float,
-    walk: float,
-    incidence: float,
-    half_width: float,
-    sigma: float,
-    growth: float,
-    min_range: float,
-    ranges: Float32,
-    intensity: Bytes,
-) -> None:
-    for i in range(ranges.shape[0]):
-        d = ranges[i]
-        if d <= 0.0:
-            continue
-        strength = intensity[i] / _INTENSITY_PER_STRENGTH
-        more = sigma * range_noise[i] * (_noise_factor(d, strength, growth) - 1.0)
-        bias = _bias(d, strength, cosine[i], constant, walk, incidence, half_width)
-        ranges[i] = max(d + more + bias, min_range)
+def _weakness(range_m: Reals, strength: Reals) -> Reals:
+    """Power of the reference's echo over that of these."""
+    reach = range_m / REFERENCE_M
+    return reach * reach * (REFERENCE_STRENGTH / strength)

@@ -7,7 +7,9 @@ are carried into that frame. The vehicle, geom groups 3 and above, and invisible
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -18,14 +20,17 @@ from touchdown.sim.geometry.quadrics import ShapeTable
 from touchdown.sim.geometry.ray_target import Hits, RayTarget, body_pose, geom_pose
 from touchdown.sim.geometry.tessellation import geom_mesh
 from touchdown.sim.lidar.heightfield import GroundGrid
-from touchdown.sim.typing import Array, Bools, Float32, Indices, Int32
+from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32
 
 VEHICLE_PREFIX = "vehicle/"
 FIRST_HIDDEN_GROUP = 3
 DEFAULT_SURFACE = Surface(land_class="other", reflectivity=0.3)
 """Surface of geoms that the scene does not describe."""
 
+_BARE = Surface(land_class="water", reflectivity=0.0, spread=0.0)
+"""Bottom of a water: no texture, no plants."""
 _PLANE_MARGIN_M = 300.0
+_BELOW_M = 0.01
 _NO_GEOM = -1
 
 
@@ -70,6 +75,29 @@ class OpticalTable:
     """(3,) x and y of the raster's corner, cells per metre"""
     ground_reflectivity: Float32
     """(rows, cols), negative where there is water: large, and read in one place"""
+    spread: Float32
+    """(G,) relative standard deviation of the reflectivity"""
+    canopy_m: Float32
+    """(G,) mean height of plants"""
+    leaf_area: Float32
+    """(G,) leaf area index of plants"""
+    ground_material: Bytes
+    """(rows, cols) index into the following; empty where the raster has no materials"""
+    material_spread: Float32
+    """(M,)"""
+    material_canopy_m: Float32
+    """(M,)"""
+    material_leaf_area: Float32
+    """(M,)"""
+
+
+class Crowns(NamedTuple):
+    """Boxes of geoms, (G, 3) world frame, and (G,) heights of their tops above what lies below
+    their centres."""
+
+    low: Array
+    high: Array
+    height_m: Array
 
 
 class LidarScene:
@@ -99,11 +127,36 @@ class LidarScene:
             block[2].append(geom_id)
             block[3].add(model, geom_id, local)
         self.static: GroundTarget | None = None
+        static_points = list(zip(blocks[0][2], blocks[0][0], strict=True)) if 0 in blocks else []
         if 0 in blocks:
             ground = _ground_grid(model, rest, *blocks[0][:3])
             self.static = GroundTarget(*blocks.pop(0), ground)
+        self._boxes = {
+            geom: (points.min(axis=0), points.max(axis=0)) for geom, points in static_points
+        }
         self.moving = {_body_name(model, root): RayTarget(*block) for root, block in blocks.items()}
+        on_mover = np.zeros(model.ngeom, dtype=np.bool_)
+        for target in self.moving.values():
+            on_mover[target.geoms] = True
+        self.on_mover = on_mover
+        """(G,) geoms of bodies that move"""
         self.rest_poses = {_body_name(model, root): body_pose(rest, root) for root in blocks}
+
+    def crowns(self, chosen: Bools) -> Crowns:
+        """Boxes and heights of the ``chosen`` (G,) geoms that do not move."""
+        low, high = np.zeros((2, len(chosen), 3))
+        heights = np.zeros(len(chosen))
+        geoms = [geom for geom in self._boxes if chosen[geom]]
+        if geoms and self.static is not None:
+            low[geoms] = [self._boxes[geom][0] for geom in geoms]
+            high[geoms] = [self._boxes[geom][1] for geom in geoms]
+            rays = np.zeros((len(geoms), 6), dtype=np.float32)
+            rays[:, :2], rays[:, 5] = 0.5 * (low + high)[geoms, :2], -1.0
+            rays[:, 2] = low[geoms, 2] - _BELOW_M
+            below = self.static.cast_all(rays).distance
+            ground = np.where(np.isfinite(below), rays[:, 2] - below, low[geoms, 2])
+            heights[geoms] = high[geoms, 2] - ground
+        return Crowns(low, high, heights)
 
 
 def _ground_grid(
@@ -170,16 +223,34 @@ def optical_table(model: mujoco.MjModel, scene: Scene) -> OpticalTable:
             f"scene '{scene.name}': its ground raster names the geom '{ground.geom_name}', which "
             "the model does not have; name the terrain geom so"
         )
+    wet = ground.class_id == LAND_CLASSES.index("water")
+    materials = (*ground.materials, _BARE)
     return OpticalTable(
         reflectivity=np.array([s.reflectivity for s in surfaces], dtype=np.float32),
         porosity=np.array([s.porosity for s in surfaces], dtype=np.float32),
         water=np.array([s.water for s in surfaces], dtype=np.bool_),
         ground_geom=names.index(ground.geom_name) if scene.ground is not None else _NO_GEOM,
         ground_frame=np.array([*ground.origin_xy_m, 1.0 / ground.cell_m], dtype=np.float64),
-        ground_reflectivity=np.where(
-            ground.class_id == LAND_CLASSES.index("water"), -1.0, ground.reflectivity
-        ).astype(np.float32),
+        ground_reflectivity=np.where(wet, -1.0, ground.reflectivity).astype(np.float32),
+        spread=_column(surfaces, "spread"),
+        canopy_m=_column(surfaces, "canopy_m"),
+        leaf_area=_column(surfaces, "leaf_area"),
+        ground_material=_dry_material(ground, wet),
+        material_spread=_column(materials, "spread"),
+        material_canopy_m=_column(materials, "canopy_m"),
+        material_leaf_area=_column(materials, "leaf_area"),
     )
+
+
+def _dry_material(ground: GroundRaster, wet: Bools) -> Bytes:
+    """Materials, with the last of the table, which is bare, under water."""
+    if not ground.material.size:
+        return ground.material
+    return np.where(wet, len(ground.materials), ground.material).astype(np.uint8)
+
+
+def _column(surfaces: Sequence[Surface], name: str) -> Float32:
+    return np.array([getattr(surface, name) for surface in surfaces], dtype=np.float32)
 
 
 def _visible_geoms(model: mujoco.MjModel) -> list[int]:

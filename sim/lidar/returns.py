@@ -160,6 +160,7 @@ def receive(
     ground_geom: int,
     ground_frame: Array,
     ground_reflectivity: Float32,
+    gain: Float32,
     anchors: Array,
     sure: Array,
     quantiles: Array,
@@ -172,7 +173,9 @@ def receive(
 ) -> None:
     """Fills, for undivided pulses, ``ranges`` (N,) in metres and ``intensity`` (N,), both 0 where
     nothing comes back, and ``strengths`` (N,). The ground as in
-    ``sim.lidar.raycast_scene.OpticalTable``."""
+    ``sim.lidar.raycast_scene.OpticalTable``. ``gain``: factors (N,) of matt reflectivities, or
+    empty."""
+    varied = gain.shape[0] > 0
     rows, cols = ground_reflectivity.shape
     for i in range(rays.shape[0]):
         strengths[i], ranges[i], intensity[i] = 0.0, 0.0, 0
@@ -186,6 +189,8 @@ def receive(
             if 0 <= row < rows and 0 <= col < cols:
                 rho = ground_reflectivity[row, col]
                 wet = rho < 0.0
+        if varied:
+            rho = min(rho * gain[i], max(rho, np.float32(1.0)))
         strength = _strength(rho, wet, cosine[i], bits[i])
         strengths[i] = strength
         step = int(d * (1.0 / _SURE_STEP_M))

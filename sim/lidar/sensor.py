@@ -23,6 +23,8 @@ from touchdown.sim.lidar.patterns.livox import ScanPattern, pattern
 from touchdown.sim.lidar.range_errors import RangeErrors
 from touchdown.sim.lidar.raycast_scene import LidarScene
 from touchdown.sim.lidar.rays import Movers, Rays, Track
+from touchdown.sim.lidar.surface_detail import SurfaceDetail
+from touchdown.sim.lidar.sway import Sway
 from touchdown.sim.lidar.weather import Clutter, LidarWeather
 from touchdown.sim.moving import BodyTrack
 from touchdown.sim.typing import Array, Bytes, Float32, Indices
@@ -31,6 +33,8 @@ _MOST_PASSES = 5
 """Porous surfaces that one pulse may cross (each crown counts twice: in and out)."""
 _STEP_BEHIND_M = 1e-3
 _ON_AXIS: Array = np.zeros((1, 3))
+_CALM: Array = np.zeros(2)
+_NO_GAIN: Float32 = np.empty(0, dtype=np.float32)
 _CONE_MARGIN_RAD = 0.02
 """Margin around the outermost pulse of the first second, for later pulses, pointing errors, beam
 width."""
@@ -43,12 +47,18 @@ class LidarSensor:
     """Simulates the LIDAR that ``params.preset`` names in ``scene``.
 
     ``scan`` is a pure function of its arguments, the scene and the seed: it may run in any thread
-    beside the physics. Without ``weather`` the air is clear. Raises ValueError for an unknown
+    beside the physics. Without ``weather`` the air is clear; ``wind_mps``, (2,) the mean wind at
+    20 ft, moves crowns. Raises ValueError for an unknown
     preset or return mode.
     """
 
     def __init__(
-        self, scene: Scene, params: LidarParams, seed: int, weather: Weather | None = None
+        self,
+        scene: Scene,
+        params: LidarParams,
+        seed: int,
+        weather: Weather | None = None,
+        wind_mps: Array = _CALM,
     ) -> None:
         if params.return_mode not in ("first", "strongest"):
             raise ValueError(
@@ -67,6 +77,10 @@ class LidarSensor:
         self._budget = returns.LinkBudget.of(
             self._pattern.range_limits_m, self._pattern.range_reflectivities, self._max_range
         )
+        self._detail = SurfaceDetail.of(
+            params, self._pattern, scene, self._scene.optics, self._scene.on_mover
+        )
+        self._sway = Sway.of(params, self._scene, wind_mps, seed)
         self._range_errors = RangeErrors.of(params, self._pattern, seed)
         self._weather = None
         if weather is not None and weather.ever:
@@ -255,7 +269,13 @@ class LidarSensor:
             split, parts, part_hits = self._split(first, nominal, hits, others, track, movers)
             pulses, hits = Rays.joined(pulses, *parts), Hits.joined(hits, *part_hits)
         self._penetrate(pulses, hits, movers)
-        strengths, ranges, intensity = self._receive(pulses, hits)
+        if self._sway is not None:
+            self._sway.move(pulses.rays, pulses.times, hits)
+        gain = _NO_GAIN
+        if self._detail is not None:
+            gain = self._detail.gains(pulses, hits, movers)
+            self._detail.enter_plants(pulses, hits)
+        strengths, ranges, intensity = self._receive(pulses, hits, gain)
         if clutter is not None:
             clutter.weaken(hits.distance, pulses.bits, strengths, ranges, intensity)
         count = len(nominal)
@@ -320,7 +340,7 @@ class LidarSensor:
             [*(end_hits.at(kept) for end_hits in found), rest.at(rows)],
         )
 
-    def _receive(self, pulses: Rays, hits: Hits) -> tuple[Float32, Float32, Bytes]:
+    def _receive(self, pulses: Rays, hits: Hits, gain: Float32) -> tuple[Float32, Float32, Bytes]:
         """Strengths, ranges and intensities of rays as pulses of their own."""
         optics = self._scene.optics
         strengths = np.empty(len(pulses.rays), dtype=np.float32)
@@ -338,6 +358,7 @@ class LidarSensor:
             optics.ground_geom,
             optics.ground_frame,
             optics.ground_reflectivity,
+            gain,
             self._budget.anchors,
             self._budget.sure,
             self._quantiles,

@@ -32,6 +32,10 @@ def _errors(params: LidarParams, seed: int = 5) -> RangeErrors:
     return errors
 
 
+def _at(*values: float) -> list[np.ndarray]:
+    return [np.array([value]) for value in values]
+
+
 def test_nothing_is_drawn_or_changed_without_bias_and_growth() -> None:
     assert RangeErrors.of(LidarParams(), HORIZON, 5) is None
     plain = _scan(LidarParams(), 30.0, 0.4)
@@ -51,12 +55,13 @@ def test_noise_variance_follows_the_power_of_the_echo(growth: float) -> None:
         spread = (noisy.ranges - exact.ranges)[near].std()
         share = 1.0 - growth + growth * (height / 20.0) ** 2 * 0.8 / reflectivity
         assert spread == pytest.approx(0.02 * math.sqrt(share), rel=0.05)
-        known = _errors(params).noise_sigma_m(height, reflectivity)
+        known = _errors(params).noise_sigma_m(*_at(height, reflectivity))
         assert known == pytest.approx(0.02 * math.sqrt(share))
 
 
 def test_noise_at_the_data_sheet_point_is_the_stated_one() -> None:
-    assert _errors(LidarParams(range_noise_growth=0.7)).noise_sigma_m(20.0, 0.8) == 0.02
+    errors = _errors(LidarParams(range_noise_growth=0.7))
+    assert errors.noise_sigma_m(*_at(20.0, 0.8)) == 0.02
 
 
 def test_bias_curve_in_a_scan_is_the_known_one() -> None:
@@ -67,10 +72,7 @@ def test_bias_curve_in_a_scan_is_the_known_one() -> None:
         cosine = scan.directions[:, 2].astype(np.float64)
         found = scan.ranges > 0
         level = scan.intensity[found] / 150.0
-        expected = [
-            errors.bias_m(r, s, c)
-            for r, s, c in zip(exact.ranges[found], level, cosine[found], strict=True)
-        ]
+        expected = errors.bias_m(exact.ranges[found].astype(float), level, cosine[found])
         np.testing.assert_allclose((scan.ranges - exact.ranges)[found], expected, atol=1e-5)
 
 
@@ -79,7 +81,7 @@ def test_bias_parts_by_hand() -> None:
         constant_m=0.003, walk_m=0.008, incidence_m=-0.006, sigma_m=0.02, growth=0.0,
         half_width_rad=math.radians(0.14), min_range_m=0.5,
     )  # fmt: skip
-    assert errors.bias_m(20.0, 0.8, 1.0) == pytest.approx(0.003)
+    assert errors.bias_m(*_at(20.0, 0.8, 1.0)) == pytest.approx(0.003)
     # 1.5 decades weaker: the whole of the walk; more than that: no more
     assert errors.bias_m(20.0, 0.8 / 10**1.5, 1.0) == pytest.approx(0.011)
     assert errors.bias_m(20.0, 0.8 / 10**1.8, 1.0) == pytest.approx(0.011)
@@ -87,7 +89,7 @@ def test_bias_parts_by_hand() -> None:
     # half the incidence's part where the echo is smeared by SMEAR_M
     tangent = SMEAR_M / (20.0 * math.radians(0.14))
     cosine = math.cos(math.atan(tangent))
-    assert errors.bias_m(20.0, 0.8, cosine) == pytest.approx(0.000, abs=1e-9)
+    assert errors.bias_m(*_at(20.0, 0.8, cosine)) == pytest.approx(0.000, abs=1e-9)
 
 
 def test_bias_is_bounded_constant_over_a_flight_and_differs_between_flights() -> None:
@@ -97,7 +99,7 @@ def test_bias_is_bounded_constant_over_a_flight_and_differs_between_flights() ->
     assert drawn[7] == _errors(params, 7)
     for errors in drawn:
         for where in ((1.0, 0.9, 1.0), (30.0, 0.1, 0.5), (200.0, 0.01, 0.1)):
-            assert abs(errors.bias_m(*where)) <= 0.02
+            assert abs(errors.bias_m(*_at(*where))) <= 0.02
     for name, share in zip(("constant_m", "walk_m"), SHARES, strict=False):
         values = np.array([getattr(errors, name) for errors in drawn])
         assert abs(values.mean()) < 0.1 * 0.02 * share * 2
