@@ -58,6 +58,14 @@ class Ground(IntEnum):
     BEACH = 27
     MUD = 28
     ROOF_DECK = 29
+    SNOW = 30
+    PACKED_SNOW = 31
+    ICE = 32
+    DUNE = 33
+    SAND_FLAT = 34
+    RUTTED_SAND = 35
+    DRY_GRASS = 36
+    BEDROCK = 37
 
 
 class _Row(NamedTuple):
@@ -107,6 +115,17 @@ _TABLE: dict[Ground, _Row] = {
     Ground.BEACH: _Row("field", 0.42, (198, 182, 146), (0.07, 0.06, 0.08, 0.04), (4, 3, 1), 1),
     Ground.MUD: _Row("field", 0.16, (96, 84, 66), (0.14, 0.16, 0.06, 0.07), (3, 3, 1), 1),
     Ground.ROOF_DECK: _Row("path", 0.21, (134, 133, 130), (0.05, 0.05, 0.06, 0.06), (3, 2, -1), 0),
+    Ground.SNOW: _Row("field", 0.87, (206, 210, 217), (0.012, 0.010, 0.020, 0.016), (0, 0, -1), 0),
+    Ground.PACKED_SNOW: _Row("field", 0.78, (190, 196, 206), (0.022, 0.02, 0.03, 0.02),
+                             (2, 1, 0), 0),
+    Ground.ICE: _Row("water", 0.06, (118, 142, 156), (0.02, 0.05, 0.012, 0.08), (-6, 1, 5), 0),
+    Ground.DUNE: _Row("field", 0.44, (206, 172, 122), (0.02, 0.02, 0.045, 0.03), (5, 2, -2), 0),
+    Ground.SAND_FLAT: _Row("field", 0.38, (186, 156, 114), (0.06, 0.06, 0.085, 0.04),
+                           (5, 3, 2), 1),
+    Ground.RUTTED_SAND: _Row("field", 0.40, (192, 160, 114), (0.05, 0.05, 0.06, 0.03),
+                             (4, 2, 0), 0),
+    Ground.DRY_GRASS: _Row("lawn", 0.42, (160, 138, 86), (0.24, 0.16, 0.14, 0.07), (8, 5, 2), 1),
+    Ground.BEDROCK: _Row("field", 0.34, (150, 122, 96), (0.13, 0.13, 0.09, 0.08), (8, 4, 2), 0),
 }  # fmt: skip
 PAINT_REFLECTIVITY = 0.60
 
@@ -179,12 +198,17 @@ class Canvas:
 
 
 def shade_ground(
-    rng: np.random.Generator, canvas: Canvas, light: Float32, pattern_angles: dict[Ground, float]
+    rng: np.random.Generator,
+    canvas: Canvas,
+    light: Float32,
+    pattern_angles: dict[Ground, float],
+    slopes: Bytes | None = None,
 ) -> Bytes:
     """Returns the texture, (rows, cols, 3) uint8 as the canvas is, top row = y_max.
 
     light: (n, n) share of full light, row 0 at y_min (see `scenes.authoring.bake`). pattern_angles:
-    radians by which slabs, mowing stripes and furrows of a material are turned."""
+    radians by which slabs, mowing stripes and furrows of a material are turned. slopes: as the
+    canvas, tones of a relief finer than the terrain's (see `scenes.authoring.micro_relief`)."""
     count = len(Ground)
     base = np.array([_TABLE[m].rgb for m in Ground], np.float32)
     gains = np.array([_TABLE[m].gains for m in Ground], np.float32)
@@ -200,9 +224,10 @@ def shade_ground(
     glow = (light * 255.0).astype(np.uint8)
     bright = np.asarray(cv2.resize(glow, size, interpolation=cv2.INTER_LINEAR), np.uint8)
     image = np.empty((*size, 3), np.uint8)
+    level = np.zeros((0, 0), np.uint8) if slopes is None else slopes
     _shade(
-        image, canvas.material, canvas.paint, canvas.stain, bright, fine, coarse, patches, hue,
-        base, gains, hues, ragged, frames, canvas.texel_m, int(rng.integers(1, 2**31)),
+        image, canvas.material, canvas.paint, canvas.stain, bright, level, fine, coarse, patches,
+        hue, base, gains, hues, ragged, frames, canvas.texel_m, int(rng.integers(1, 2**31)),
     )  # fmt: skip
     return image
 
@@ -291,6 +316,7 @@ def _shade(
     paint: Bytes,
     stain: Bytes,
     bright: Bytes,
+    slopes: Bytes,
     fine: Float32,
     coarse: Float32,
     patches: Float32,
@@ -309,6 +335,7 @@ def _shade(
     tile = fine.shape[0] - 1
     to_patch = (patches.shape[0] - 1.001) / rows
     half = 0.5 * rows * texel_m
+    sloped = slopes.shape[0] > 0
     for row in range(rows):
         y = (row + 0.5) * texel_m - half
         out_row = rows - 1 - row
@@ -355,6 +382,8 @@ def _shade(
                 green += cover * (white - green)
                 blue += cover * (0.985 * white - blue)
             glow = bright[row, col] * (1.0 / 255.0)
+            if sloped:
+                glow *= slopes[row, col] * (1.0 / 128.0)
             # Skylight is bluer than sunlight.
             cool = 1.0 + 0.10 * (1.0 - glow)
             image[out_row, col, 0] = min(max(red * glow, 0.0), 255.0)
