@@ -89,7 +89,7 @@ def paint_terrain(
     slopes: NDArray[np.uint8] | None = None,
 ) -> GroundRaster:
     """Writes the texture `ground` under the light and shadows of everything placed so far, and
-    returns the terrain's class raster. pattern_angles, hilly, slopes: as in `light.ground_texture`."""
+    returns the terrain's class raster. The other arguments are those of `light.ground_texture`."""
     texture = ground_texture(builder, canvas, pattern_angles, hilly, slopes)
     raster = canvas.raster("terrain")
     if flood is not None:

@@ -2,7 +2,7 @@
 
 The ground's geometry has nodes every 0.4 m; what is finer shows in the texture as the light on its
 slopes. A canvas holds heights of a few centimetres; `shading` turns them into a tone, the light that
-a slope receives over what level ground receives.
+a slope receives over that of level ground.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.ground import TEXELS, Canvas
+from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
 
 Array = NDArray[np.float64]
@@ -24,6 +25,7 @@ Bytes = NDArray[np.uint8]
 NEUTRAL = 128
 """Tone of level ground."""
 _FLAT = 128
+_TERRAIN_SHARE = 0.7
 _STEP_M = 0.001
 """Height of one grey level of `MicroRelief.prints`."""
 _SINE = np.sin(2.0 * np.pi * np.arange(4096) / 4096).astype(np.float32)
@@ -51,6 +53,16 @@ class MicroRelief:
     """at half the canvas' resolution"""
     prints: Bytes = field(default_factory=lambda: np.full((TEXELS, TEXELS), _FLAT, np.uint8))
     """millimetres above 128"""
+    base_slopes: Float32 = field(default_factory=lambda: np.zeros((2, 2, 2), np.float32))
+    """(n, n, 2) rise to the east and to the north at nodes over the same square"""
+
+    def stand_on(self, terrain: HeightField) -> None:
+        """Adds a share of the terrain's own slopes. MuJoCo's light saturates on level ground: it
+        shades what is turned from the sun, and does not brighten what is turned to it."""
+        heights = cv2.GaussianBlur(terrain.heights_m, (3, 3), 0.6)
+        rise_y, rise_x = np.gradient(heights, terrain.cell_m)
+        slopes = _TERRAIN_SHARE * np.stack([rise_x, rise_y], axis=-1)
+        self.base_slopes = slopes.astype(np.float32)
 
     @property
     def canvas(self) -> Canvas:
@@ -82,7 +94,7 @@ class MicroRelief:
         texel = 2.0 * self.half_m / size
         prints = np.asarray(cv2.GaussianBlur(self.prints, (5, 5), 1.0), np.uint8)
         tone = np.empty((size, size), np.uint8)
-        bend = np.stack([fractal_noise(rng, (1024, 1024), 14.0, 4, 0.55) for _ in range(2)], -1)
+        bend = np.stack([fractal_noise(rng, (1024, 1024), 30.0, 3, 0.4) for _ in range(2)], -1)
         if ripples is None:
             ripples = Ripples(wave_m=1.0, height_m=0.0, wind_angle=0.0,
                               cover=np.zeros((4, 4), np.float32))  # fmt: skip
@@ -91,7 +103,7 @@ class MicroRelief:
         )
         wind = np.array([np.cos(ripples.wind_angle), np.sin(ripples.wind_angle)])
         _shade_slopes(
-            tone, self.drifts_m, prints, bend, cover, _SINE, wind, -sun, texel,
+            tone, self.drifts_m, self.base_slopes, prints, bend, cover, _SINE, wind, -sun, texel,
             ripples.wave_m, ripples.height_m,
         )  # fmt: skip
         return tone
@@ -101,6 +113,7 @@ class MicroRelief:
 def _shade_slopes(
     tone: Bytes,
     drifts: Float32,
+    base: Float32,
     prints: Bytes,
     bend: Float32,
     cover: Float32,
@@ -115,6 +128,7 @@ def _shade_slopes(
     size = tone.shape[0]
     half = drifts.shape[0]
     to_bend = (bend.shape[0] - 1.001) / size
+    to_base = (base.shape[0] - 1.001) / size
     # Texels of either raster are compared with their neighbours.
     print_gain = 0.001 / (2.0 * texel_m)
     drift_gain = 1.0 / (4.0 * texel_m)
@@ -132,12 +146,24 @@ def _shade_slopes(
         bend_row = row * to_bend
         i = int(bend_row)
         v = bend_row - i
+        base_row = row * to_base
+        k = int(base_row)
+        base_v = base_row - k
         for col in range(size):
             right, left = min(col + 1, size - 1), max(col - 1, 0)
             drift_col = min(col >> 1, half - 1)
             drift_right, drift_left = min(drift_col + 1, half - 1), max(drift_col - 1, 0)
             gx = print_gain * (float(prints[row, right]) - float(prints[row, left]))
             gy = print_gain * (float(prints[up, col]) - float(prints[down, col]))
+            base_col = col * to_base
+            m = int(base_col)
+            base_u = base_col - m
+            a = (1.0 - base_u) * (1.0 - base_v)
+            b, c, d = base_u * (1.0 - base_v), (1.0 - base_u) * base_v, base_u * base_v
+            gx += a * base[k, m, 0] + b * base[k, m + 1, 0]
+            gx += c * base[k + 1, m, 0] + d * base[k + 1, m + 1, 0]
+            gy += a * base[k, m, 1] + b * base[k, m + 1, 1]
+            gy += c * base[k + 1, m, 1] + d * base[k + 1, m + 1, 1]
             gx += drift_gain * (drifts[drift_row, drift_right] - drifts[drift_row, drift_left])
             gy += drift_gain * (drifts[drift_up, drift_col] - drifts[drift_down, drift_col])
             if height_m > 0.0:
@@ -153,8 +179,8 @@ def _shade_slopes(
                     slow = a * bend[i, j, 1] + b * bend[i, j + 1, 1]
                     slow += c * bend[i + 1, j, 1] + d * bend[i + 1, j + 1, 1]
                     x = col * texel_m
-                    first = wind[0] * x + wind[1] * y + 0.28 * warp
-                    second = 1.06 * (east * x + north * y) + 0.28 * warp + 0.10 * slow
+                    first = wind[0] * x + wind[1] * y + 0.20 * warp
+                    second = 1.06 * (east * x + north * y) + 0.20 * warp + 0.08 * slow
                     p, q = int(first * to_cycle) & mask, int(second * to_cycle) & mask
                     # Steeper on the lee side: the second harmonic sharpens the fall.
                     wave = 0.62 * sine[p] + 0.5 * sine[q] + 0.22 * sine[(2 * p + 600) & mask]
@@ -163,5 +189,7 @@ def _shade_slopes(
                     gy += wave * wind[1]
             facing = 1.0 - (gx * sx + gy * sy)
             facing = max(facing, 0.0) / np.sqrt(1.0 + gx * gx + gy * gy)
+            # A camera's curve is flatter in the highlights.
+            facing = facing if facing < 1.0 else 1.0 + 0.5 * (facing - 1.0)
             value = 128.0 * (0.5 + 0.5 * facing) + 0.5
             tone[row, col] = int(min(max(value, 20.0), 255.0))

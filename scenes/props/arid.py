@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 SCRUB = Surface(land_class="trees", reflectivity=0.36, porosity=0.30)
 TUFT = Surface(land_class="lawn", reflectivity=0.42, porosity=0.45)
 STONE = Surface(land_class="other", reflectivity=0.32)
-_GREENS: tuple[Colour, ...] = ((122.0, 122.0, 84.0), (104.0, 110.0, 78.0), (142.0, 128.0, 88.0))
+_GREENS: tuple[Colour, ...] = ((176.0, 170.0, 122.0), (150.0, 152.0, 112.0), (196.0, 176.0, 126.0))
 
 
 @dataclass(kw_only=True, slots=True)
@@ -49,7 +49,7 @@ def grow_scrub(builder: SceneBuilder) -> Scrubland:
     land = Scrubland()
     for index, base in enumerate(_GREENS):
         tint = hedge_or_soil_tint(rng, base, 0.08)
-        land.leaves.append(builder.material(f"trees_scrub_{index}", foliage(rng, tint, (3, 8))))
+        land.leaves.append(builder.material(f"trees_scrub_{index}", foliage(rng, tint, (7, 16))))
     for index, radius in enumerate((0.35, 0.5, 0.7, 0.95)):
         half = radius * np.array([1.0, rng.uniform(0.8, 1.1), rng.uniform(0.6, 0.8)])
         mesh = builder.mesh(f"scrub_{index}", canopy_mesh(rng, half, 9, 1.2))

@@ -25,10 +25,12 @@ def paint_sand(rng: np.random.Generator, canvas: Canvas, relief: Relief) -> None
     cell = 2.0 * HALF_M / size
     ragged = fractal_noise(rng, (size, size), 1.6 / cell, 3, 0.6)
     patches = fractal_noise(rng, (size, size), 11.0 / cell, 3, 0.6)
+    bunches = fractal_noise(rng, (size, size), 0.5 / cell, 2, 0.7)
     layer = np.full((size, size), int(Ground.SAND_FLAT), np.uint8)
-    layer[(patches + 0.35 * ragged > 1.35) & (dune < 0.35)] = int(Ground.DRY_GRASS)
-    layer[dune + 0.05 * ragged > 0.14] = int(Ground.DUNE)
-    layer[rock + 0.15 * ragged > 0.5] = int(Ground.BEDROCK)
+    grown = np.clip(patches - 0.6, 0.0, 0.8) - 0.5 * np.clip(dune, 0.0, 1.0)
+    layer[0.9 * bunches + 1.6 * grown > 1.75] = int(Ground.DRY_GRASS)
+    layer[(dune + 0.05 * ragged > 0.14) & (layer != int(Ground.DRY_GRASS))] = int(Ground.DUNE)
+    layer[(rock + 0.15 * ragged > 0.5) & (rock > 0.15)] = int(Ground.BEDROCK)
     canvas.material[:] = cv2.resize(layer, (TEXELS, TEXELS), interpolation=cv2.INTER_NEAREST)
 
 
@@ -40,6 +42,7 @@ def fine_relief(rng: np.random.Generator, relief: Relief) -> MicroRelief:
     joints = np.abs(fractal_noise(rng, (size, size), 16.0, 3, 0.55))
     fine.drifts_m += np.float32(0.0012) * fractal_noise(rng, (size, size), 4.0, 2, 0.6)
     fine.drifts_m += np.float32(0.06) * np.minimum(joints, np.float32(0.5)) * rock
+    fine.stand_on(relief.terrain)
     return fine
 
 
@@ -52,10 +55,10 @@ def draw_ripples(rng: np.random.Generator, plan: Plan, relief: Relief) -> Ripple
     patches = fractal_noise(rng, (size, size), 40.0, 3, 0.6)
     cover = np.clip(0.55 + 0.5 * patches, 0.12, 1.0) * np.where(dune > 0.1, 1.0, 0.6)
     cover *= np.clip(1.0 - 1.6 * cv2.GaussianBlur(slip, (0, 0), 1.0), 0.0, 1.0) * (1.0 - rock)
-    wave = float(rng.uniform(0.09, 0.14))
+    wave = float(rng.uniform(0.10, 0.15))
     return Ripples(
         wave_m=wave,
-        height_m=wave / 18.0,
+        height_m=wave / 15.0,
         wind_angle=plan.wind_angle,
         cover=cover.astype(np.float32),
     )
@@ -67,12 +70,15 @@ def paint_traces(
     """A track of vehicles across the field, driven a few times, and walkers from it."""
     lot = plan.middle
     turn = rng.uniform(-0.35, 0.35)
-    ends = np.array([[-62.0, rng.uniform(-8.0, 14.0)], [62.0, 0.0]])
-    ends[1, 1] = ends[0, 1] + 124.0 * np.tan(turn)
-    line = wander(rng, lot.points(ends), 3.0)
+    middle = rng.uniform(-8.0, 14.0)
+    slant = 85.0 * np.tan(turn)
+    line = wander(rng, lot.points(np.array([[-85.0, middle - slant], [85.0, middle + slant]])), 5.0)
     for _ in range(3):
         shift = rng.normal(0.0, 0.35, 2)
-        vehicle_track(rng, canvas, fine, line + shift, Ground.RUTTED_SAND)
+        own = wander(rng, np.array([line[0], line[-1]]), 0.5) - wander(
+            rng, np.array([line[0], line[-1]]), 0.0
+        )
+        vehicle_track(rng, canvas, fine, line + shift + own, Ground.RUTTED_SAND)
     for _ in range(2):
         start = line[int(rng.uniform(0.3, 0.7) * len(line))]
         end = start + rng.uniform(18.0, 30.0) * _unit(rng.uniform(0.0, 2.0 * np.pi))

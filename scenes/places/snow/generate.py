@@ -13,7 +13,7 @@ from touchdown.scenes.places.snow.layout import HALF_M, draw_plan, shape_snow
 from touchdown.scenes.places.snow.objects import SNOW, lay_ice, place_objects
 from touchdown.scenes.places.snow.painting import fine_relief, paint_ice, paint_tracks
 
-SUN_DEG = (22.0, 36.0)
+SUN_DEG = (26.0, 40.0)
 
 
 def generate(seed: int) -> SceneDraft:

@@ -41,6 +41,7 @@ def fine_relief(rng: np.random.Generator, plan: Plan, relief: Relief) -> MicroRe
     fine.drifts_m[:] = cv2.resize(heights, (size, size), interpolation=cv2.INTER_CUBIC)
     grain = fractal_noise(rng, (size, size), 5.0, 2, 0.6)
     fine.drifts_m += np.float32(0.0016) * grain
+    fine.stand_on(relief.terrain)
     return fine
 
 
