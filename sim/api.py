@@ -135,6 +135,9 @@ class CameraParams:
     readout_s: NotNegative = 0.0
     """rolling shutter: time from the exposure of the first row to that of the last, in steps of one
     tick; 0: all rows at once"""
+    detail: bool = False
+    """grain of the ground below 10 m, from photographs of grass, soil, asphalt, sand, snow ...: a
+    scene's own texture has a texel of 2.5 cm"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import LAND_CLASSES, GroundRaster
+from touchdown.scenes.api import DETAILS, LAND_CLASSES, NO_DETAIL_ID, GroundRaster
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 
 Array = NDArray[np.float64]
@@ -127,6 +127,22 @@ _TABLE: dict[Ground, _Row] = {
     Ground.DRY_GRASS: _Row("lawn", 0.42, (176, 154, 106), (0.18, 0.10, 0.14, 0.05), (4, 3, 1), 1),
     Ground.BEDROCK: _Row("field", 0.34, (150, 122, 96), (0.13, 0.13, 0.09, 0.08), (8, 4, 2), 0),
 }  # fmt: skip
+_DETAIL = {
+    "grass": (Ground.LAWN, Ground.FAIRWAY, Ground.GREEN, Ground.PITCH, Ground.WORN),
+    "meadow": (Ground.MEADOW, Ground.ROUGH, Ground.FERN, Ground.CROPS, Ground.DRY_GRASS),
+    "soil": (Ground.SOIL, Ground.MUD, Ground.CLAY, Ground.RUBBER),
+    "litter": (Ground.MULCH, Ground.LITTER),
+    "asphalt": (Ground.ASPHALT, Ground.NEW_ASPHALT, Ground.CAR_PARK, Ground.ROOF_DECK),
+    "gravel": (Ground.GRAVEL, Ground.LANE),
+    "concrete": (Ground.PAVEMENT, Ground.SIDE_PAVEMENT, Ground.PAVERS, Ground.DECK, Ground.COBBLES,
+                 Ground.PLANKS),
+    "sand": (Ground.SAND, Ground.BEACH, Ground.SAND_FLAT, Ground.RUTTED_SAND),
+    "dune": (Ground.DUNE,),
+    "snow": (Ground.SNOW, Ground.PACKED_SNOW),
+    "rock": (Ground.BEDROCK,),
+}  # fmt: skip
+"""Materials by the photograph of their grain; water has none."""
+_DETAIL_OF = {material: name for name, group in _DETAIL.items() for material in group}
 PAINT_REFLECTIVITY = 0.60
 
 
@@ -184,6 +200,7 @@ class Canvas:
         """Returns classes and reflectivities, sampled at cell centres."""
         ids = [LAND_CLASSES.index(_TABLE[material].land_class) for material in Ground]
         shine = np.array([_TABLE[material].reflectivity for material in Ground], np.float32)
+        grain = [DETAILS.index(_DETAIL_OF[m]) if m in _DETAIL_OF else NO_DETAIL_ID for m in Ground]
         middle = slice(RASTER_STRIDE // 2, None, RASTER_STRIDE)
         material = self.material[middle, middle]
         cover = self.paint[middle, middle].astype(np.float32) / 255.0
@@ -194,6 +211,7 @@ class Canvas:
             cell_m=self.texel_m * RASTER_STRIDE,
             class_id=np.array(ids, np.uint8)[material],
             reflectivity=plain + cover * (PAINT_REFLECTIVITY - plain),
+            detail_id=np.array(grain, np.uint8)[material],
         )
 
 

@@ -1,8 +1,8 @@
 """Relief too fine for the height field, seen by its shading: drifts, ripples, prints and ruts.
 
 The ground's geometry has nodes every 0.4 m; what is finer shows in the texture as the light on its
-slopes. A canvas holds heights of a few centimetres; `shading` turns them into a tone, the light that
-a slope receives over that of level ground.
+slopes. A canvas holds heights of a few centimetres; `MicroRelief.shading` turns them into a tone,
+the light of a slope over that of level ground.
 """
 
 from __future__ import annotations

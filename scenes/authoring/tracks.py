@@ -26,13 +26,19 @@ def placed(at: Array, heading: float, local: Array) -> Array:
 def wander(rng: np.random.Generator, ends_m: Array, sway_m: float) -> Array:
     """(N, 2) a smooth way from one end to the other, (2, 2), a point every 0.1 m or so."""
     span = ends_m[1] - ends_m[0]
-    length = float(np.hypot(*span))
-    share = np.linspace(0.0, 1.0, max(8, int(length / 0.1)))
-    side = np.array([-span[1], span[0]]) / length
+    share = np.linspace(0.0, 1.0, max(8, int(np.hypot(*span) / 0.1)))
+    return sidled(rng, ends_m[0] + share[:, None] * span, sway_m)
+
+
+def sidled(rng: np.random.Generator, line_m: Array, sway_m: float) -> Array:
+    """A line (N, 2) that sways to both sides of another and shares its ends."""
+    span = line_m[-1] - line_m[0]
+    side = np.array([-span[1], span[0]]) / np.hypot(*span)
+    share = np.linspace(0.0, 1.0, len(line_m))
     off = np.zeros(len(share))
     for order in range(1, 5):
         off += rng.normal(0.0, sway_m / order) * np.sin(order * np.pi * share)
-    return ends_m[0] + share[:, None] * span + off[:, None] * side
+    return line_m + off[:, None] * side
 
 
 def footprints(

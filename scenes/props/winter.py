@@ -53,8 +53,9 @@ def grow_winter_wood(builder: SceneBuilder) -> Wood:
     wood.leaves.append(builder.material("trees_twigs", laden(rng, twigs, 0.55)))
     wood.bark = builder.material("wood_bark", bark(rng, (92.0, 78.0, 66.0)))
     for prefix, heights, kept in (
-        ("conifer", (5.0, 7.0, 9.0, 11.0, 12.5), wood.conifers), ("sapling", (1.3, 2.4), wood.saplings)
-    ):  # fmt: skip
+        ("conifer", (5.0, 7.0, 9.0, 11.0, 12.5), wood.conifers),
+        ("sapling", (1.3, 2.4), wood.saplings),
+    ):
         for index, height in enumerate(heights):
             radius = height * rng.uniform(0.19, 0.23) + 0.45
             mesh = builder.mesh(f"{prefix}_{index}", conifer_mesh(rng, height, radius))
@@ -97,7 +98,8 @@ def add_snowy_rock(builder: SceneBuilder, xy_m: Array, radius_m: float) -> None:
 def add_snow_pole(builder: SceneBuilder, xy_m: Array) -> None:
     """Adds a marker pole of 1.6 m: dark wood with a red head."""
     z = builder.terrain.point(*xy_m)
-    for low, high, rgba in ((-0.3, 1.25, [0.30, 0.23, 0.18, 1]), (1.25, 1.6, [0.78, 0.16, 0.10, 1])):
+    wood, red = [0.30, 0.23, 0.18, 1], [0.78, 0.16, 0.10, 1]
+    for low, high, rgba in ((-0.3, 1.25, wood), (1.25, 1.6, red)):
         builder.geom(
             "pole", POLE, type=GEOM.mjGEOM_CYLINDER, size=[0.03, 0, 0], rgba=rgba,
             fromto=[*xy_m, z + low, *xy_m, z + high],

@@ -35,6 +35,20 @@ class Snapshot:
     cam_xmat: Array
 
 
+@dataclass(frozen=True, slots=True)
+class InverseDepth:
+    """1 / depth along the optical axis is ``far + per_level * levels``, 1/m; levels (h, w)."""
+
+    levels: Float32
+    far: float
+    per_level: float
+
+    def metres(self) -> Float32:
+        """(h, w) depths, ``inf`` where nothing is drawn."""
+        inverse = self.far + self.per_level * self.levels.astype(np.float64)
+        return np.where(self.levels > 0.0, 1.0 / inverse, np.inf).astype(np.float32)
+
+
 SNAPSHOT_FIELDS = ("geom_xpos", "geom_xmat", "light_xpos", "light_xdir", "cam_xpos", "cam_xmat")
 
 
@@ -64,6 +78,7 @@ class Stage:
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._pixels = np.empty((pinhole.height, pinhole.width, 3), dtype=np.uint8)
+        self._levels: Float32 | None = None
 
     def colour(self, snapshot: Snapshot, camera_id: int, first: int, last: int) -> Bytes:
         """(last - first, W, 3) uint8, rows ``first`` to ``last`` (exclusive, counted from the top)
@@ -82,6 +97,15 @@ class Stage:
         viewport = mujoco.MjrRect(0, 0, self._pinhole.width, rows)
         mujoco.mjr_readPixels(None, buffer, viewport, self._context)
         return _metres(buffer, self._scene.camera[0])
+
+    def inverse_depth_of_last(self, rows: int) -> InverseDepth:
+        """Inverse depths of the ``colour`` just drawn, bottom row first; the buffer is reused by
+        the next call."""
+        if self._levels is None:
+            self._levels = np.empty((self._pinhole.height, self._pinhole.width), dtype=np.float32)
+        viewport = mujoco.MjrRect(0, 0, self._pinhole.width, rows)
+        mujoco.mjr_readPixels(None, self._levels[:rows], viewport, self._context)
+        return _inverse(self._levels[:rows], self._scene.camera[0])
 
     def depth(self, snapshot: Snapshot, camera_id: int) -> Float32:
         """(H, W) float32 metres along the optical axis, ``inf`` where nothing is drawn."""
@@ -153,11 +177,14 @@ class Stage:
 
 
 def _metres(buffer: Float32, eye: Any) -> Float32:
+    return _inverse(buffer, eye).metres()
+
+
+def _inverse(buffer: Float32, eye: Any) -> InverseDepth:
     """Depths out of a depth buffer that holds 1 at the near and 0 at the far plane (reversed, with
     most of its precision far away): 1 / z runs linearly between the planes."""
-    near, far = float(eye.frustum_near), float(eye.frustum_far)
-    inverse = 1.0 / far + buffer.astype(np.float64) * (1.0 / near - 1.0 / far)
-    return np.where(buffer > 0.0, 1.0 / inverse, np.inf).astype(np.float32)
+    far = 1.0 / float(eye.frustum_far)
+    return InverseDepth(buffer, far, 1.0 / float(eye.frustum_near) - far)
 
 
 def _mujoco_context(

@@ -29,7 +29,6 @@ def place_objects(builder: SceneBuilder, plan: Plan, relief: Relief) -> None:
         for _ in range(int(rng.integers(4, 8))):
             spot = centre + rng.normal(0.0, 0.45 * radius, 2)
             add_slab(builder, land, spot, float(rng.uniform(0.5, 1.3)))
-    plants = 0
     for _ in range(70):
         middle = plan.middle.points(rng.uniform([-56.0, -52.0], [56.0, 52.0]))
         for _ in range(int(rng.integers(2, 8))):
@@ -37,7 +36,6 @@ def place_objects(builder: SceneBuilder, plan: Plan, relief: Relief) -> None:
             outside = np.abs(spot).max() > HALF_M - 2.0
             if outside or float(dune.at(spot)) > 0.5 or not builder.is_free(spot, 0.5):
                 continue
-            plants += 1
             (add_tuft if rng.random() < 0.62 else add_scrub)(builder, land, spot)
     for side in (-1.0, 1.0):
         spot = plan.middle.points(np.array([side * rng.uniform(14.0, 28.0), rng.uniform(-16, 16)]))

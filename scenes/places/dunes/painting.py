@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.micro_relief import MicroRelief, Ripples
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.tracks import footprints, vehicle_track, wander
+from touchdown.scenes.authoring.tracks import footprints, sidled, vehicle_track, wander
 from touchdown.scenes.authoring.water import upsample
 from touchdown.scenes.places.dunes.layout import HALF_M, Plan, Relief
 
@@ -19,7 +19,7 @@ _SMALL = 1280
 
 
 def paint_sand(rng: np.random.Generator, canvas: Canvas, relief: Relief) -> None:
-    """Dunes over flats of coarser sand; dry grass in patches on the flats, rock where it is bare."""
+    """Dunes over flats of coarser sand; dry grass in bunches on the flats, bare rock."""
     size = _SMALL
     dune, rock = upsample(relief.dune, size), upsample(relief.rock, size)
     cell = 2.0 * HALF_M / size
@@ -64,9 +64,7 @@ def draw_ripples(rng: np.random.Generator, plan: Plan, relief: Relief) -> Ripple
     )
 
 
-def paint_traces(
-    rng: np.random.Generator, canvas: Canvas, fine: MicroRelief, plan: Plan
-) -> None:
+def paint_traces(rng: np.random.Generator, canvas: Canvas, fine: MicroRelief, plan: Plan) -> None:
     """A track of vehicles across the field, driven a few times, and walkers from it."""
     lot = plan.middle
     turn = rng.uniform(-0.35, 0.35)
@@ -75,10 +73,7 @@ def paint_traces(
     line = wander(rng, lot.points(np.array([[-85.0, middle - slant], [85.0, middle + slant]])), 5.0)
     for _ in range(3):
         shift = rng.normal(0.0, 0.35, 2)
-        own = wander(rng, np.array([line[0], line[-1]]), 0.5) - wander(
-            rng, np.array([line[0], line[-1]]), 0.0
-        )
-        vehicle_track(rng, canvas, fine, line + shift + own, Ground.RUTTED_SAND)
+        vehicle_track(rng, canvas, fine, sidled(rng, line + shift, 0.5), Ground.RUTTED_SAND)
     for _ in range(2):
         start = line[int(rng.uniform(0.3, 0.7) * len(line))]
         end = start + rng.uniform(18.0, 30.0) * _unit(rng.uniform(0.0, 2.0 * np.pi))

@@ -168,7 +168,8 @@ def drifts(plan: Plan, xy: Array) -> Array:
         side = side * (1.0 if side @ plan.wind > 0.0 else -1.0)
         along = (xy - start) @ way
         off = (xy - start) @ side
-        ends = smoothstep(-2.0, 2.0, along) * smoothstep(-2.0, 2.0, np.hypot(*(end - start)) - along)
+        left = np.hypot(*(end - start)) - along
+        ends = smoothstep(-2.0, 2.0, along) * smoothstep(-2.0, 2.0, left)
         bank = np.where(off > 1.6, np.exp(-(off - 1.6) / 3.0), np.exp(-(((off - 1.6) / 1.1) ** 2)))
         depth += 0.45 * abs(side @ plan.wind) * bank * ends
     return depth

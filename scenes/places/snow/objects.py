@@ -50,7 +50,8 @@ def place_objects(builder: SceneBuilder, plan: Plan, relief: Relief) -> None:
         spot = lot.points(np.array([along + rng.uniform(-1.0, 1.0), 22.5 + rng.uniform(-1.0, 1.0)]))
         if np.abs(spot).max() < HALF_M - 2.0 and builder.is_free(spot, 0.5):
             add_snow_pole(builder, spot)
-    spot = plan.hut_xy_m + 7.0 * np.array([np.cos(rng.uniform(0, 6.3)), np.sin(rng.uniform(0, 6.3))])
+    turn = rng.uniform(0.0, 2.0 * np.pi)
+    spot = plan.hut_xy_m + 7.0 * np.array([np.cos(turn), np.sin(turn)])
     if builder.is_free(spot, 1.0):
         add_snowman(builder, spot)
     bank = plan.pond_xy_m + (plan.pond_radius_m + 3.0) * np.array([-plan.wind[1], plan.wind[0]])
@@ -66,7 +67,8 @@ def _place_hut(builder: SceneBuilder, plan: Plan) -> None:
         wall=builder.material("building_wall_0", _log_wall(rng)),
         roof=builder.material("building_roof_0", _snow_roof(rng)),
     )
-    hut = House(centre_xy_m=plan.hut_xy_m, angle=plan.hut_angle, size_m=(6.0, 4.4, 2.3), ridge_m=1.9)
+    size = (6.0, 4.4, 2.3)
+    hut = House(centre_xy_m=plan.hut_xy_m, angle=plan.hut_angle, size_m=size, ridge_m=1.9)
     add_house(builder, hut, looks)
     c, s = np.cos(plan.hut_angle), np.sin(plan.hut_angle)
     side = np.array([[c, s], [-s, c]])
@@ -121,7 +123,8 @@ def _place_trees(builder: SceneBuilder, plan: Plan, wood: Wood) -> None:
 
     for _ in range(15):
         angle = rng.uniform(0.0, 2.0 * np.pi)
-        middle = lot.points(rng.uniform([38.0, 31.0], [52.0, 48.0]) * [np.cos(angle), np.sin(angle)])
+        reach = rng.uniform([38.0, 31.0], [52.0, 48.0])
+        middle = lot.points(reach * [np.cos(angle), np.sin(angle)])
         for _ in range(int(rng.integers(4, 10))):
             plant(middle + rng.normal(0.0, 4.0, 2))
     for _ in range(int(rng.integers(4, 7))):

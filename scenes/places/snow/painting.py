@@ -26,6 +26,7 @@ from touchdown.scenes.places.snow.layout import HALF_M, Plan, Relief, sastrugi
 
 Array = NDArray[np.float64]
 
+
 def fine_relief(rng: np.random.Generator, plan: Plan, relief: Relief) -> MicroRelief:
     """Returns the relief that the nodes cannot hold: small ridges along the wind where it has cut,
     faint ripples elsewhere."""
