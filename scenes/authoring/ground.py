@@ -125,7 +125,7 @@ _TABLE: dict[Ground, _Row] = {
     Ground.RUTTED_SAND: _Row("field", 0.40, (192, 160, 114), (0.05, 0.05, 0.06, 0.03),
                              (4, 2, 0), 0),
     Ground.DRY_GRASS: _Row("lawn", 0.42, (176, 154, 106), (0.18, 0.10, 0.14, 0.05), (4, 3, 1), 1),
-    Ground.BEDROCK: _Row("field", 0.34, (150, 122, 96), (0.13, 0.13, 0.09, 0.08), (8, 4, 2), 0),
+    Ground.BEDROCK: _Row("field", 0.34, (150, 124, 98), (0.13, 0.13, 0.09, 0.08), (4, 3, 2), 0),
 }  # fmt: skip
 _DETAIL = {
     "grass": (Ground.LAWN, Ground.FAIRWAY, Ground.GREEN, Ground.PITCH, Ground.WORN),
