@@ -308,8 +308,9 @@ def multiply_grain(
     metres_per_pixel: np.float32,
 ) -> None:
     """Multiplies grain into ``image`` (rows, W, 3). depth: (rows, W), 1 / metres along the axis is
-    ``inverse_far`` + ``per_level`` times it; rays: (3, 3) direction of pixel (0, 0), its change per column and per row; frame: origin and cells per
-    metre of ``height`` and of ``kind``; texels, starts: as `Pyramid`; metres_per_pixel: at 1 m."""
+    ``inverse_far`` + ``per_level`` times it; rays: (3, 3) direction of pixel (0, 0), its change per
+    column and per row; frame: origin and cells per metre of ``height`` and of ``kind``; texels,
+    starts: as `Pyramid`; metres_per_pixel: at 1 m."""
     rows, cols = depth.shape
     high_rows, high_cols = height.shape
     kind_rows, kind_cols = kind.shape
