@@ -56,6 +56,15 @@ class LowSun:
     """of the sun, counter-clockwise from east; None: drawn from the scene's seed"""
 
 
+DETAILS: tuple[str, ...] = (
+    "grass", "meadow", "soil", "litter", "asphalt", "gravel", "concrete", "sand", "dune", "snow",
+    "rock",
+)  # fmt: skip
+"""Kinds of ground with a photograph of their grain; an id is an index into this tuple."""
+NO_DETAIL_ID = 255
+"""Ground without grain (water)."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroundRaster:
     """Class and reflectivity of the terrain geom, whose texture shows several materials. Cell
@@ -70,6 +79,8 @@ class GroundRaster:
     """indices into ``materials``; empty: all of it is as the terrain's `Surface`"""
     materials: tuple[Surface, ...] = ()
     """spread, plants and dust of each material; reflectivity and class are those of the rasters"""
+    detail_id: NDArray[np.uint8] | None = None
+    """index into DETAILS or `NO_DETAIL_ID`; None: as the class says"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -20,6 +20,8 @@ _GENERATORS = {
     "lake": "touchdown.scenes.places.lake.generate",
     "pools": "touchdown.scenes.places.pools.generate",
     "open_water": "touchdown.scenes.places.open_water.generate",
+    "dunes": "touchdown.scenes.places.dunes.generate",
+    "snow": "touchdown.scenes.places.snow.generate",
 }
 
 

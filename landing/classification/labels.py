@@ -142,6 +142,8 @@ _RENDERED = {
     "pools": ("resort", {"field": "playground"}),
     "flat": ("meadow", {"field": "farmland"}),
     "open_water": ("pond", {"path": "port", "building": "port"}),
+    "snow": ("bareland", {"water": "pond", "trees": "forest", "building": "sparseresidential"}),
+    "dunes": ("desert", {}),
 }  # fmt: skip
 """by rendered scene: the AID class of the scene, and of the land classes that differ from it"""
 

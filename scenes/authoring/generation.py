@@ -16,7 +16,7 @@ from touchdown.scenes.authoring.builder import SceneBuilder, fill_texture
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.height_field import HeightField, write_hfield
-from touchdown.scenes.authoring.light import draw_sun, ground_texture
+from touchdown.scenes.authoring.light import SUN_ELEVATIONS_DEG, draw_sun, ground_texture
 from touchdown.scenes.authoring.water import Float32, WaterLook, flood_raster, lay_water
 
 Array = NDArray[np.float64]
@@ -63,17 +63,20 @@ def start_scene(
     *,
     base_m: float = 2.0,
     support: HeightField | None = None,
+    sun_deg: tuple[float, float] = SUN_ELEVATIONS_DEG,
 ) -> SceneBuilder:
     """Reads the MJCF of the scene ``name``, fills its height field `terrain` if it has one, draws
     the sun, and returns the builder.
 
     base_m: thickness of the ground below the lowest node. support: the surface that objects
-    stand on where it is not ``terrain`` (the bed of a stream, the deck of a building).
+    stand on where it is not ``terrain`` (the bed of a stream, the deck of a building). sun_deg:
+    between these elevations stands the sun.
     """
     spec = mujoco.MjSpec.from_file(str(PLACES / name / f"{name}.xml"))
     if spec.hfield("terrain") is not None:
         write_hfield(spec, "terrain", "terrain", terrain, base_m)
-    return SceneBuilder(spec=spec, rng=rng, terrain=support or terrain, sun=draw_sun(rng, spec))
+    sun = draw_sun(rng, spec, sun_deg)
+    return SceneBuilder(spec=spec, rng=rng, terrain=support or terrain, sun=sun)
 
 
 def paint_terrain(
@@ -83,10 +86,11 @@ def paint_terrain(
     *,
     hilly: bool = False,
     flood: Flood | None = None,
+    slopes: NDArray[np.uint8] | None = None,
 ) -> GroundRaster:
     """Writes the texture `ground` under the light and shadows of everything placed so far, and
-    returns the terrain's class raster. pattern_angles, hilly: as in `light.ground_texture`."""
-    texture = ground_texture(builder, canvas, pattern_angles, hilly)
+    returns the terrain's class raster. The other arguments are those of `light.ground_texture`."""
+    texture = ground_texture(builder, canvas, pattern_angles, hilly, slopes)
     raster = canvas.raster("terrain")
     if flood is not None:
         look = flood.draw_look(builder.rng)

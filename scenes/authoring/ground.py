@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import LAND_CLASSES, GroundRaster, Surface
+from touchdown.scenes.api import DETAILS, LAND_CLASSES, NO_DETAIL_ID, GroundRaster, Surface
 from touchdown.scenes.authoring.ground_cover import PAINT, cover_of
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 
@@ -59,6 +59,14 @@ class Ground(IntEnum):
     BEACH = 27
     MUD = 28
     ROOF_DECK = 29
+    SNOW = 30
+    PACKED_SNOW = 31
+    ICE = 32
+    DUNE = 33
+    SAND_FLAT = 34
+    RUTTED_SAND = 35
+    DRY_GRASS = 36
+    BEDROCK = 37
 
 
 class _Row(NamedTuple):
@@ -108,7 +116,34 @@ _TABLE: dict[Ground, _Row] = {
     Ground.BEACH: _Row("field", 0.42, (198, 182, 146), (0.07, 0.06, 0.08, 0.04), (4, 3, 1), 1),
     Ground.MUD: _Row("field", 0.16, (96, 84, 66), (0.14, 0.16, 0.06, 0.07), (3, 3, 1), 1),
     Ground.ROOF_DECK: _Row("path", 0.21, (134, 133, 130), (0.05, 0.05, 0.06, 0.06), (3, 2, -1), 0),
+    Ground.SNOW: _Row("field", 0.87, (206, 210, 217), (0.012, 0.010, 0.020, 0.016), (0, 0, -1), 0),
+    Ground.PACKED_SNOW: _Row("field", 0.78, (190, 196, 206), (0.022, 0.02, 0.03, 0.02),
+                             (2, 1, 0), 0),
+    Ground.ICE: _Row("water", 0.06, (118, 142, 156), (0.02, 0.05, 0.012, 0.08), (-6, 1, 5), 0),
+    Ground.DUNE: _Row("field", 0.44, (202, 168, 120), (0.015, 0.015, 0.035, 0.025), (3, 1, -1), 0),
+    Ground.SAND_FLAT: _Row("field", 0.38, (192, 162, 120), (0.05, 0.05, 0.07, 0.03),
+                           (3, 2, 0), 1),
+    Ground.RUTTED_SAND: _Row("field", 0.40, (192, 160, 114), (0.05, 0.05, 0.06, 0.03),
+                             (4, 2, 0), 0),
+    Ground.DRY_GRASS: _Row("lawn", 0.42, (176, 154, 106), (0.18, 0.10, 0.14, 0.05), (4, 3, 1), 1),
+    Ground.BEDROCK: _Row("field", 0.34, (150, 124, 98), (0.13, 0.13, 0.09, 0.08), (4, 3, 2), 0),
 }  # fmt: skip
+_DETAIL = {
+    "grass": (Ground.LAWN, Ground.FAIRWAY, Ground.GREEN, Ground.PITCH, Ground.WORN),
+    "meadow": (Ground.MEADOW, Ground.ROUGH, Ground.FERN, Ground.CROPS, Ground.DRY_GRASS),
+    "soil": (Ground.SOIL, Ground.MUD, Ground.CLAY, Ground.RUBBER),
+    "litter": (Ground.MULCH, Ground.LITTER),
+    "asphalt": (Ground.ASPHALT, Ground.NEW_ASPHALT, Ground.CAR_PARK, Ground.ROOF_DECK),
+    "gravel": (Ground.GRAVEL, Ground.LANE),
+    "concrete": (Ground.PAVEMENT, Ground.SIDE_PAVEMENT, Ground.PAVERS, Ground.DECK, Ground.COBBLES,
+                 Ground.PLANKS),
+    "sand": (Ground.SAND, Ground.BEACH, Ground.SAND_FLAT, Ground.RUTTED_SAND),
+    "dune": (Ground.DUNE,),
+    "snow": (Ground.SNOW, Ground.PACKED_SNOW),
+    "rock": (Ground.BEDROCK,),
+}  # fmt: skip
+"""Materials by the photograph of their grain; water has none."""
+_DETAIL_OF = {material: name for name, group in _DETAIL.items() for material in group}
 PAINT_REFLECTIVITY = 0.60
 
 
@@ -166,6 +201,7 @@ class Canvas:
         """Returns classes and reflectivities, sampled at cell centres."""
         ids = [LAND_CLASSES.index(_TABLE[material].land_class) for material in Ground]
         shine = np.array([_TABLE[material].reflectivity for material in Ground], np.float32)
+        grain = [DETAILS.index(_DETAIL_OF[m]) if m in _DETAIL_OF else NO_DETAIL_ID for m in Ground]
         middle = slice(RASTER_STRIDE // 2, None, RASTER_STRIDE)
         material = self.material[middle, middle]
         cover = self.paint[middle, middle].astype(np.float32) / 255.0
@@ -179,6 +215,7 @@ class Canvas:
             reflectivity=plain + cover * (PAINT_REFLECTIVITY - plain),
             material=kinds,
             materials=_materials(),
+            detail_id=np.array(grain, np.uint8)[material],
         )
 
 
@@ -197,12 +234,17 @@ def _materials() -> tuple[Surface, ...]:
 
 
 def shade_ground(
-    rng: np.random.Generator, canvas: Canvas, light: Float32, pattern_angles: dict[Ground, float]
+    rng: np.random.Generator,
+    canvas: Canvas,
+    light: Float32,
+    pattern_angles: dict[Ground, float],
+    slopes: Bytes | None = None,
 ) -> Bytes:
     """Returns the texture, (rows, cols, 3) uint8 as the canvas is, top row = y_max.
 
     light: (n, n) share of full light, row 0 at y_min (see `scenes.authoring.bake`). pattern_angles:
-    radians by which slabs, mowing stripes and furrows of a material are turned."""
+    radians by which slabs, mowing stripes and furrows of a material are turned. slopes: as the
+    canvas, tones of a relief finer than the terrain's (see `scenes.authoring.micro_relief`)."""
     count = len(Ground)
     base = np.array([_TABLE[m].rgb for m in Ground], np.float32)
     gains = np.array([_TABLE[m].gains for m in Ground], np.float32)
@@ -218,9 +260,10 @@ def shade_ground(
     glow = (light * 255.0).astype(np.uint8)
     bright = np.asarray(cv2.resize(glow, size, interpolation=cv2.INTER_LINEAR), np.uint8)
     image = np.empty((*size, 3), np.uint8)
+    level = np.zeros((0, 0), np.uint8) if slopes is None else slopes
     _shade(
-        image, canvas.material, canvas.paint, canvas.stain, bright, fine, coarse, patches, hue,
-        base, gains, hues, ragged, frames, canvas.texel_m, int(rng.integers(1, 2**31)),
+        image, canvas.material, canvas.paint, canvas.stain, bright, level, fine, coarse, patches,
+        hue, base, gains, hues, ragged, frames, canvas.texel_m, int(rng.integers(1, 2**31)),
     )  # fmt: skip
     return image
 
@@ -309,6 +352,7 @@ def _shade(
     paint: Bytes,
     stain: Bytes,
     bright: Bytes,
+    slopes: Bytes,
     fine: Float32,
     coarse: Float32,
     patches: Float32,
@@ -327,6 +371,7 @@ def _shade(
     tile = fine.shape[0] - 1
     to_patch = (patches.shape[0] - 1.001) / rows
     half = 0.5 * rows * texel_m
+    sloped = slopes.shape[0] > 0
     for row in range(rows):
         y = (row + 0.5) * texel_m - half
         out_row = rows - 1 - row
@@ -373,6 +418,8 @@ def _shade(
                 green += cover * (white - green)
                 blue += cover * (0.985 * white - blue)
             glow = bright[row, col] * (1.0 / 255.0)
+            if sloped:
+                glow *= slopes[row, col] * (1.0 / 128.0)
             # Skylight is bluer than sunlight.
             cool = 1.0 + 0.10 * (1.0 - glow)
             image[out_row, col, 0] = min(max(red * glow, 0.0), 255.0)

@@ -63,9 +63,15 @@ def lower_sun(light: Any, sun: LowSun, direction: Array) -> Array:
     return lowered
 
 
-def draw_sun(rng: np.random.Generator, spec: Any) -> Array:
-    """Turns and tints the light `sun`. Returns the direction in which it travels, (3,) unit."""
-    elevation, azimuth = np.deg2rad(rng.uniform(38.0, 62.0)), rng.uniform(0.0, 2.0 * np.pi)
+SUN_ELEVATIONS_DEG = (38.0, 62.0)
+
+
+def draw_sun(
+    rng: np.random.Generator, spec: Any, elevations_deg: tuple[float, float] = SUN_ELEVATIONS_DEG
+) -> Array:
+    """Turns and tints the light `sun`, between ``elevations_deg`` over the horizon. Returns the
+    direction in which it travels, (3,) unit."""
+    elevation, azimuth = np.deg2rad(rng.uniform(*elevations_deg)), rng.uniform(0.0, 2.0 * np.pi)
     flat = np.cos(elevation)
     direction = -np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
     warmth = rng.uniform(0.0, 1.0)
@@ -136,10 +142,11 @@ def ground_texture(
     canvas: Canvas,
     pattern_angles: dict[Ground, float],
     hilly: bool = False,
+    slopes: NDArray[np.uint8] | None = None,
 ) -> NDArray[np.uint8]:
     """Returns the ground under the light and shadows of everything placed so far, (rows, cols, 3),
-    top row = y_max. pattern_angles: as in `scenes.authoring.ground.shade_ground`; hilly: as in
-    `scenes.authoring.bake.bake_light`."""
+    top row = y_max. pattern_angles, slopes: as in `scenes.authoring.ground.shade_ground`; hilly: as
+    in `scenes.authoring.bake.bake_light`."""
     pixels = len(canvas.material) // 2
     light = bake_light(builder.casters, builder.terrain, builder.sun, pixels, 0.50, hilly)
-    return shade_ground(builder.rng, canvas, light, pattern_angles)
+    return shade_ground(builder.rng, canvas, light, pattern_angles, slopes)

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import LAND_CLASSES, GroundRaster
+from touchdown.scenes.api import LAND_CLASSES, NO_DETAIL_ID, GroundRaster
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.sky import sun_shines
 
@@ -186,8 +186,10 @@ def flood_raster(raster: GroundRaster, depth_m: Float32) -> GroundRaster:
     rows, cols = raster.class_id.shape
     blocks = depth_m.reshape(rows, len(depth_m) // rows, cols, len(depth_m) // cols)
     flooded = blocks.mean(axis=(1, 3)) > 0.0
+    detail = raster.detail_id
     return replace(
         raster,
         class_id=np.where(flooded, np.uint8(LAND_CLASSES.index("water")), raster.class_id),
         reflectivity=np.where(flooded, np.float32(WATER_REFLECTIVITY), raster.reflectivity),
+        detail_id=None if detail is None else np.where(flooded, np.uint8(NO_DETAIL_ID), detail),
     )

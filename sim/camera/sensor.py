@@ -19,6 +19,7 @@ import numpy as np
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams, LampParams
 from touchdown.sim.camera.degradations import CameraDegradations, ImageDefects
+from touchdown.sim.camera.detail import GroundDetail
 from touchdown.sim.camera.film import NoisePlace
 from touchdown.sim.camera.gl import SNAPSHOT_FIELDS, Snapshot, Stage
 from touchdown.sim.camera.optics import (
@@ -88,6 +89,7 @@ class CameraSensor:
                 faults, tick_hz, params, self._lens.raster, self._model, seed, camera_name
             )
             self._degradations = degradations if degradations.ever else None
+        self._detail = GroundDetail(scene, self._lens.raster) if params.detail else None
         self._stage: Stage | None = None
         self._thread: int | None = None
 
@@ -114,7 +116,7 @@ class CameraSensor:
         whole = len(instants) == 1 and self._lens.map_x is None and defects is None
         if whole:  # the common case: `develop` flips, so that nothing is copied twice
             stage, height = self._own_stage(), self._params.height
-            raw = stage.colour(instants[0], self._camera_id, 0, height)
+            raw = self._drawn(stage, instants[0], 0, height)
         else:
             raw = self._bands(instants, defects)
         if self._degradations is not None and defects is not None:
@@ -191,6 +193,14 @@ class CameraSensor:
             self._stage.close()
         self._stage, self._thread = None, None
 
+    def _drawn(self, stage: Stage, instant: Snapshot, first: int, last: int) -> Bytes:
+        """`Stage.colour` of rows ``first`` to ``last``, with the ground's grain."""
+        drawn = stage.colour(instant, self._camera_id, first, last)
+        if self._detail is not None and self._detail.needed(instant, self._camera_id):
+            depth = stage.inverse_depth_of_last(last - first)
+            self._detail.add(drawn, depth, instant, self._camera_id, last)
+        return drawn
+
     def _bands(self, instants: Sequence[Snapshot], defects: ImageDefects | None) -> Bytes:
         """(H, W, 3) image, top row first, of one band of rows for every instant, through the
         air."""
@@ -203,7 +213,7 @@ class CameraSensor:
             if rows.start == rows.stop:
                 continue
             first, last = raster_rows(self._lens, rows)
-            drawn = stage.colour(instant, self._camera_id, first, last)
+            drawn = self._drawn(stage, instant, first, last)
             if self._degradations is not None and defects is not None and defects.extinction > 0.0:
                 depth = stage.depth_of_last(last - first)
                 drawn = self._degradations.through_air(defects, drawn, depth, first)

@@ -1,0 +1,195 @@
+"""Relief too fine for the height field, seen by its shading: drifts, ripples, prints and ruts.
+
+The ground's geometry has nodes every 0.4 m; what is finer shows in the texture as the light on its
+slopes. A canvas holds heights of a few centimetres; `MicroRelief.shading` turns them into a tone,
+the light of a slope over that of level ground.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from touchdown.scenes.authoring.ground import TEXELS, Canvas
+from touchdown.scenes.authoring.height_field import HeightField
+from touchdown.scenes.authoring.noise import fractal_noise
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+
+NEUTRAL = 128
+"""Tone of level ground."""
+_FLAT = 128
+_TERRAIN_SHARE = 0.7
+_STEP_M = 0.001
+"""Height of one grey level of `MicroRelief.prints`."""
+_SINE = np.sin(2.0 * np.pi * np.arange(4096) / 4096).astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Ripples:
+    """Wind ripples: crests across the wind, in two trains whose beats make them end and fork."""
+
+    wave_m: float
+    height_m: float
+    """from trough to crest"""
+    wind_angle: float
+    """radians, the way the wind blows"""
+    cover: Float32
+    """(n, n) 0..1 of the full height over the square of the ground, row 0 at y_min"""
+
+
+@dataclass(kw_only=True, slots=True)
+class MicroRelief:
+    """Fine heights over the square of +-half_m, row 0 at y_min."""
+
+    half_m: float
+    drifts_m: Float32 = field(default_factory=lambda: np.zeros((TEXELS // 2,) * 2, np.float32))
+    """at half the canvas' resolution"""
+    prints: Bytes = field(default_factory=lambda: np.full((TEXELS, TEXELS), _FLAT, np.uint8))
+    """millimetres above 128"""
+    base_slopes: Float32 = field(default_factory=lambda: np.zeros((2, 2, 2), np.float32))
+    """(n, n, 2) rise to the east and to the north at nodes over the same square"""
+
+    def stand_on(self, terrain: HeightField) -> None:
+        """Adds a share of the terrain's own slopes. MuJoCo's light saturates on level ground: it
+        shades what is turned from the sun, and does not brighten what is turned to it."""
+        heights = cv2.GaussianBlur(terrain.heights_m, (3, 3), 0.6)
+        rise_y, rise_x = np.gradient(heights, terrain.cell_m)
+        slopes = _TERRAIN_SHARE * np.stack([rise_x, rise_y], axis=-1)
+        self.base_slopes = slopes.astype(np.float32)
+
+    @property
+    def canvas(self) -> Canvas:
+        """A canvas whose material are the prints: its shapes draw hollows and rims."""
+        return Canvas(half_m=self.half_m, material=self.prints, paint=self.prints[:0, :0],
+                      stain=self.prints[:0, :0])  # fmt: skip
+
+    def press(self, outline_m: Array, depth_m: float) -> None:
+        """Presses a polygon, (N, 2) world metres, into the ground; negative depths raise it."""
+        level = int(np.clip(round(_FLAT - depth_m / _STEP_M), 0, 255))
+        cv2.fillPoly(self.prints, [self.canvas.texels(outline_m)], level, cv2.LINE_AA, 4)
+
+    def groove(self, line_m: Array, width_m: float, depth_m: float) -> None:
+        """Draws a rut along a polyline, with the rim that it pushes up on both sides."""
+        canvas = self.canvas
+        points = [canvas.texels(line_m)]
+        for wide, level in ((1.7, -0.3 * depth_m), (1.0, depth_m)):
+            tone = int(np.clip(round(_FLAT - level / _STEP_M), 0, 255))
+            width = max(1, round(wide * width_m / canvas.texel_m))
+            cv2.polylines(self.prints, points, False, tone, width, cv2.LINE_AA, 4)
+
+    def shading(
+        self, rng: np.random.Generator, sun: Array, ripples: Ripples | None = None
+    ) -> Bytes:
+        """Returns the tone of every texel, (rows, cols) uint8, `NEUTRAL` where the ground is
+        level. sun: (3,) unit, the direction in which light travels; a share of the light, the
+        sky's, is the same for every slope."""
+        size = len(self.prints)
+        texel = 2.0 * self.half_m / size
+        prints = np.asarray(cv2.GaussianBlur(self.prints, (5, 5), 1.0), np.uint8)
+        tone = np.empty((size, size), np.uint8)
+        bend = np.stack([fractal_noise(rng, (1024, 1024), 30.0, 3, 0.4) for _ in range(2)], -1)
+        if ripples is None:
+            ripples = Ripples(wave_m=1.0, height_m=0.0, wind_angle=0.0,
+                              cover=np.zeros((4, 4), np.float32))  # fmt: skip
+        cover = np.asarray(
+            cv2.resize(ripples.cover, (1024, 1024), interpolation=cv2.INTER_LINEAR), np.float32
+        )
+        wind = np.array([np.cos(ripples.wind_angle), np.sin(ripples.wind_angle)])
+        _shade_slopes(
+            tone, self.drifts_m, self.base_slopes, prints, bend, cover, _SINE, wind, -sun, texel,
+            ripples.wave_m, ripples.height_m,
+        )  # fmt: skip
+        return tone
+
+
+@njit(cache=True)
+def _shade_slopes(
+    tone: Bytes,
+    drifts: Float32,
+    base: Float32,
+    prints: Bytes,
+    bend: Float32,
+    cover: Float32,
+    sine: Float32,
+    wind: Array,
+    to_sun: Array,
+    texel_m: float,
+    wave_m: float,
+    height_m: float,
+) -> None:
+    """Lambert's law on the slopes; the sun gives half of the light on level ground."""
+    size = tone.shape[0]
+    half = drifts.shape[0]
+    to_bend = (bend.shape[0] - 1.001) / size
+    to_base = (base.shape[0] - 1.001) / size
+    # Texels of either raster are compared with their neighbours.
+    print_gain = 0.001 / (2.0 * texel_m)
+    drift_gain = 1.0 / (4.0 * texel_m)
+    ripple_gain = np.pi * height_m / wave_m
+    to_cycle = sine.shape[0] / wave_m
+    mask = sine.shape[0] - 1
+    # The second train is turned by 7 degrees and 6 % shorter.
+    east, north = 0.9925 * wind[0] - 0.1219 * wind[1], 0.1219 * wind[0] + 0.9925 * wind[1]
+    sx, sy = to_sun[0] / to_sun[2], to_sun[1] / to_sun[2]
+    for row in range(size):
+        up, down = min(row + 1, size - 1), max(row - 1, 0)
+        drift_row = min(row >> 1, half - 1)
+        drift_up, drift_down = min(drift_row + 1, half - 1), max(drift_row - 1, 0)
+        y = row * texel_m
+        bend_row = row * to_bend
+        i = int(bend_row)
+        v = bend_row - i
+        base_row = row * to_base
+        k = int(base_row)
+        base_v = base_row - k
+        for col in range(size):
+            right, left = min(col + 1, size - 1), max(col - 1, 0)
+            drift_col = min(col >> 1, half - 1)
+            drift_right, drift_left = min(drift_col + 1, half - 1), max(drift_col - 1, 0)
+            gx = print_gain * (float(prints[row, right]) - float(prints[row, left]))
+            gy = print_gain * (float(prints[up, col]) - float(prints[down, col]))
+            base_col = col * to_base
+            m = int(base_col)
+            base_u = base_col - m
+            a = (1.0 - base_u) * (1.0 - base_v)
+            b, c, d = base_u * (1.0 - base_v), (1.0 - base_u) * base_v, base_u * base_v
+            gx += a * base[k, m, 0] + b * base[k, m + 1, 0]
+            gx += c * base[k + 1, m, 0] + d * base[k + 1, m + 1, 0]
+            gy += a * base[k, m, 1] + b * base[k, m + 1, 1]
+            gy += c * base[k + 1, m, 1] + d * base[k + 1, m + 1, 1]
+            gx += drift_gain * (drifts[drift_row, drift_right] - drifts[drift_row, drift_left])
+            gy += drift_gain * (drifts[drift_up, drift_col] - drifts[drift_down, drift_col])
+            if height_m > 0.0:
+                bend_col = col * to_bend
+                j = int(bend_col)
+                u = bend_col - j
+                full = cover[i, j]
+                if full > 0.02:
+                    a = (1.0 - u) * (1.0 - v)
+                    b, c, d = u * (1.0 - v), (1.0 - u) * v, u * v
+                    warp = a * bend[i, j, 0] + b * bend[i, j + 1, 0]
+                    warp += c * bend[i + 1, j, 0] + d * bend[i + 1, j + 1, 0]
+                    slow = a * bend[i, j, 1] + b * bend[i, j + 1, 1]
+                    slow += c * bend[i + 1, j, 1] + d * bend[i + 1, j + 1, 1]
+                    x = col * texel_m
+                    first = wind[0] * x + wind[1] * y + 0.20 * warp
+                    second = 1.06 * (east * x + north * y) + 0.20 * warp + 0.08 * slow
+                    p, q = int(first * to_cycle) & mask, int(second * to_cycle) & mask
+                    # Steeper on the lee side: the second harmonic sharpens the fall.
+                    wave = 0.62 * sine[p] + 0.5 * sine[q] + 0.22 * sine[(2 * p + 600) & mask]
+                    wave *= full * (0.75 + 0.25 * min(max(slow, -1.0), 1.0)) * ripple_gain
+                    gx += wave * wind[0]
+                    gy += wave * wind[1]
+            facing = 1.0 - (gx * sx + gy * sy)
+            facing = max(facing, 0.0) / np.sqrt(1.0 + gx * gx + gy * gy)
+            # A camera's curve is flatter in the highlights.
+            facing = facing if facing < 1.0 else 1.0 + 0.5 * (facing - 1.0)
+            value = 128.0 * (0.5 + 0.5 * facing) + 0.5
+            tone[row, col] = int(min(max(value, 20.0), 255.0))

@@ -1,0 +1,1 @@
+"""Sand dunes and the flats between them, with scrub and rock outcrops."""

@@ -1,0 +1,84 @@
+"""What shows in the sand's texture: materials, ruts, prints and wind ripples."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
+from touchdown.scenes.authoring.micro_relief import MicroRelief, Ripples
+from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.tracks import footprints, sidled, vehicle_track, wander
+from touchdown.scenes.authoring.water import upsample
+from touchdown.scenes.places.dunes.layout import HALF_M, Plan, Relief
+
+Array = NDArray[np.float64]
+
+_SMALL = 1280
+
+
+def paint_sand(rng: np.random.Generator, canvas: Canvas, relief: Relief) -> None:
+    """Dunes over flats of coarser sand; dry grass in bunches on the flats, bare rock."""
+    size = _SMALL
+    dune, rock = upsample(relief.dune, size), upsample(relief.rock, size)
+    cell = 2.0 * HALF_M / size
+    ragged = fractal_noise(rng, (size, size), 1.6 / cell, 3, 0.6)
+    patches = fractal_noise(rng, (size, size), 11.0 / cell, 3, 0.6)
+    bunches = fractal_noise(rng, (size, size), 0.5 / cell, 2, 0.7)
+    layer = np.full((size, size), int(Ground.SAND_FLAT), np.uint8)
+    grown = np.clip(patches - 0.6, 0.0, 0.8) - 0.5 * np.clip(dune, 0.0, 1.0)
+    layer[0.9 * bunches + 1.6 * grown > 1.75] = int(Ground.DRY_GRASS)
+    layer[(dune + 0.05 * ragged > 0.14) & (layer != int(Ground.DRY_GRASS))] = int(Ground.DUNE)
+    layer[(rock + 0.15 * ragged > 0.5) & (rock > 0.15)] = int(Ground.BEDROCK)
+    canvas.material[:] = cv2.resize(layer, (TEXELS, TEXELS), interpolation=cv2.INTER_NEAREST)
+
+
+def fine_relief(rng: np.random.Generator, relief: Relief) -> MicroRelief:
+    """Returns lumps of the coarse flats, joints of the rock and runnels of slip faces."""
+    fine = MicroRelief(half_m=HALF_M)
+    size = TEXELS // 2
+    rock = upsample(relief.rock, size)
+    joints = np.abs(fractal_noise(rng, (size, size), 16.0, 3, 0.55))
+    fine.drifts_m += np.float32(0.0012) * fractal_noise(rng, (size, size), 4.0, 2, 0.6)
+    fine.drifts_m += np.float32(0.06) * np.minimum(joints, np.float32(0.5)) * rock
+    fine.stand_on(relief.terrain)
+    return fine
+
+
+def draw_ripples(rng: np.random.Generator, plan: Plan, relief: Relief) -> Ripples:
+    """Ripples over the dunes' windward sides and part of the flats, none on slip faces, rock or
+    where the sand is too coarse."""
+    size = 640
+    slip, rock = upsample(relief.slip, size), upsample(relief.rock, size)
+    dune = upsample(relief.dune, size)
+    patches = fractal_noise(rng, (size, size), 40.0, 3, 0.6)
+    cover = np.clip(0.55 + 0.5 * patches, 0.12, 1.0) * np.where(dune > 0.1, 1.0, 0.6)
+    cover *= np.clip(1.0 - 1.6 * cv2.GaussianBlur(slip, (0, 0), 1.0), 0.0, 1.0) * (1.0 - rock)
+    wave = float(rng.uniform(0.10, 0.15))
+    return Ripples(
+        wave_m=wave,
+        height_m=wave / 15.0,
+        wind_angle=plan.wind_angle,
+        cover=cover.astype(np.float32),
+    )
+
+
+def paint_traces(rng: np.random.Generator, canvas: Canvas, fine: MicroRelief, plan: Plan) -> None:
+    """A track of vehicles across the field, driven a few times, and walkers from it."""
+    lot = plan.middle
+    turn = rng.uniform(-0.35, 0.35)
+    middle = rng.uniform(-8.0, 14.0)
+    slant = 85.0 * np.tan(turn)
+    line = wander(rng, lot.points(np.array([[-85.0, middle - slant], [85.0, middle + slant]])), 5.0)
+    for _ in range(3):
+        shift = rng.normal(0.0, 0.35, 2)
+        vehicle_track(rng, canvas, fine, sidled(rng, line + shift, 0.5), Ground.RUTTED_SAND)
+    for _ in range(2):
+        start = line[int(rng.uniform(0.3, 0.7) * len(line))]
+        end = start + rng.uniform(18.0, 30.0) * _unit(rng.uniform(0.0, 2.0 * np.pi))
+        footprints(rng, canvas, fine, wander(rng, np.array([start, end]), 1.5), None)
+
+
+def _unit(angle: float) -> Array:
+    return np.array([np.cos(angle), np.sin(angle)])

@@ -1,0 +1,1 @@
+"""Fresh snow over gentle relief, with drifts, tracks, a hut and a frozen pond."""

@@ -1,0 +1,161 @@
+"""Objects in the snow: conifers, hut, fences, boulders, poles, and the ice of the pond."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import Surface
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder
+from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.textures import to_texture
+from touchdown.scenes.places.snow.layout import HALF_M, Plan, Relief
+from touchdown.scenes.props.houses import House, HouseLooks, add_house
+from touchdown.scenes.props.stonework import add_log_pile
+from touchdown.scenes.props.street import add_bench, add_fence
+from touchdown.scenes.props.winter import (
+    SNOW_RGB,
+    add_snow_pole,
+    add_snowman,
+    add_snowy_rock,
+    grow_winter_wood,
+)
+from touchdown.scenes.props.woods import Wood, add_conifer, add_sapling, add_shrub
+
+Array = NDArray[np.float64]
+
+SNOW = Surface(land_class="field", reflectivity=0.87)
+ICE = Surface(land_class="water", reflectivity=0.06, water=True)
+ICE_FRICTION = 0.08
+_ICE_RISE_M = 0.004
+_HIDDEN_GROUP = 3
+_GREY_WOOD = [0.40, 0.34, 0.29, 1.0]
+
+
+def place_objects(builder: SceneBuilder, plan: Plan, relief: Relief) -> None:
+    """Adds everything that stands in the snow."""
+    rng = builder.rng
+    lot = plan.middle
+    builder.claim(plan.takeoff_xy_m, 7.0)
+    builder.claim(plan.pond_xy_m, 1.25 * plan.pond_radius_m)
+    builder.claim(plan.hill_xy_m, 9.0)
+    _place_hut(builder, plan)
+    for start, end in plan.fences_m:
+        add_fence(builder, start, end, _GREY_WOOD)
+    for spot, radius in plan.rocks:
+        if builder.is_free(spot, radius + 0.5):
+            add_snowy_rock(builder, spot, radius)
+            builder.claim(spot, radius + 0.8)
+    for along in np.arange(-55.0, 56.0, 13.0):
+        spot = lot.points(np.array([along + rng.uniform(-1.0, 1.0), 22.5 + rng.uniform(-1.0, 1.0)]))
+        if np.abs(spot).max() < HALF_M - 2.0 and builder.is_free(spot, 0.5):
+            add_snow_pole(builder, spot)
+    turn = rng.uniform(0.0, 2.0 * np.pi)
+    spot = plan.hut_xy_m + 7.0 * np.array([np.cos(turn), np.sin(turn)])
+    if builder.is_free(spot, 1.0):
+        add_snowman(builder, spot)
+    bank = plan.pond_xy_m + (plan.pond_radius_m + 3.0) * np.array([-plan.wind[1], plan.wind[0]])
+    heading = float(np.arctan2(*(plan.pond_xy_m - bank)[::-1]))
+    add_bench(builder, bank, heading)
+    _place_trees(builder, plan, grow_winter_wood(builder))
+
+
+def _place_hut(builder: SceneBuilder, plan: Plan) -> None:
+    """A hut of dark logs under a thick roof of snow."""
+    rng = builder.rng
+    looks = HouseLooks(
+        wall=builder.material("building_wall_0", _log_wall(rng)),
+        roof=builder.material("building_roof_0", _snow_roof(rng)),
+    )
+    size = (6.0, 4.4, 2.3)
+    hut = House(centre_xy_m=plan.hut_xy_m, angle=plan.hut_angle, size_m=size, ridge_m=1.9)
+    add_house(builder, hut, looks)
+    c, s = np.cos(plan.hut_angle), np.sin(plan.hut_angle)
+    side = np.array([[c, s], [-s, c]])
+    add_log_pile(builder, plan.hut_xy_m + np.array([4.6, 0.8]) @ side, plan.hut_angle + 0.5 * np.pi)
+
+
+def _log_wall(rng: np.random.Generator) -> NDArray[np.uint8]:
+    """(448, 480, 3): round logs, a window with white frames, snow on the sill."""
+    height, width = 448, 480
+    rows, _ = np.mgrid[0:height, 0:width].astype(np.float32)
+    log = rows / 26.0
+    round_ = np.sqrt(np.clip(1.0 - (2.0 * (log - np.floor(log)) - 1.0) ** 2, 0.02, 1.0))
+    tone = (0.35 + 0.65 * round_) * (1.0 + 0.10 * fractal_noise(rng, (height, width), 40.0, 3))
+    tone *= rng.uniform(0.85, 1.1, 40).astype(np.float32)[np.floor(log).astype(int)]
+    image = tone[..., None] * np.array([112.0, 80.0, 56.0], np.float32)
+    image[130:300, 150:330] = (214, 208, 196)
+    image[140:290, 160:320] = (50, 60, 74)
+    image[140:200, 160:320] = (92, 108, 126)
+    image[140:290, 236:244] = (214, 208, 196)
+    image[296:312, 140:340] = SNOW_RGB
+    image[418:448] = SNOW_RGB * 0.93
+    return to_texture(image.astype(np.float32))
+
+
+def _snow_roof(rng: np.random.Generator) -> NDArray[np.uint8]:
+    """(512, 512, 3): both slopes under snow, icicles and planks at the eaves."""
+    tone = 0.97 + 0.020 * fractal_noise(rng, (512, 512), 60.0, 4)
+    image = tone[..., None] * SNOW_RGB
+    for first in (0, 256):
+        eaves = first + 236 + 5.0 * fractal_noise(rng, (1, 512), 40.0, 2)[0]
+        rows = np.arange(512)[:, None]
+        shade = (rows > eaves) & (rows < first + 256)
+        image[shade] = SNOW_RGB * 0.82
+    return to_texture(image.astype(np.float32))
+
+
+def _place_trees(builder: SceneBuilder, plan: Plan, wood: Wood) -> None:
+    """Clumps of conifers, most of them around the survey, a few single ones in it."""
+    rng = builder.rng
+    lot = plan.middle
+
+    def plant(spot: Array) -> None:
+        if np.abs(spot).max() > HALF_M - 2.5 or not builder.is_free(spot, 1.6):
+            return
+        if rng.random() < 0.24:
+            add_sapling(builder, wood, spot)
+            builder.claim(spot, 1.2)
+            return
+        crown = wood.conifers[int(rng.integers(len(wood.conifers)))]
+        add_conifer(builder, wood, spot, crown, wood.needles[int(rng.integers(len(wood.needles)))])
+        builder.claim(spot, 0.75 * crown.radius_m)
+
+    for _ in range(15):
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        reach = rng.uniform([38.0, 31.0], [52.0, 48.0])
+        middle = lot.points(reach * [np.cos(angle), np.sin(angle)])
+        for _ in range(int(rng.integers(4, 10))):
+            plant(middle + rng.normal(0.0, 4.0, 2))
+    for _ in range(int(rng.integers(4, 7))):
+        plant(lot.points(rng.uniform([-24.0, -20.0], [26.0, 20.0])))
+    for _ in range(14):
+        spot = lot.points(rng.uniform([-45.0, -40.0], [45.0, 40.0]))
+        if np.abs(spot).max() < HALF_M - 2.0 and builder.is_free(spot, 1.0):
+            add_shrub(builder, wood, spot)
+            builder.claim(spot, 1.0)
+
+
+def lay_ice(builder: SceneBuilder, plan: Plan, relief: Relief) -> None:
+    """Covers the pond with slabs that are touched and not seen: the terrain shows the ice, and one
+    geom has one friction. They are strips, for MuJoCo touches a mesh's convex hull."""
+    nodes = relief.pond_m
+    axis = np.linspace(-HALF_M, HALF_M, len(nodes))
+    cell = axis[1] - axis[0]
+    wet = nodes < 0.0
+    step = 2
+    for row in range(0, len(axis) - step, step):
+        cols = np.flatnonzero(wet[row : row + step + 1].any(axis=0))
+        if len(cols) == 0:
+            continue
+        first, last = axis[cols[0]], axis[cols[-1]]
+        half = np.array([0.5 * (last - first) + 0.1 * cell, 0.5 * step * cell, 0.1])
+        centre = [0.5 * (first + last), axis[row] + half[1], relief_top(relief) - half[2]]
+        builder.geom("water_ice", ICE, type=GEOM.mjGEOM_BOX, size=half, pos=centre,
+                     group=_HIDDEN_GROUP, friction=[ICE_FRICTION, 0.005, 0.0001], priority=2,
+                     rgba=[0.6, 0.7, 0.75, 1])  # fmt: skip
+
+
+def relief_top(relief: Relief) -> float:
+    """World height of the slabs, a few millimetres over the ice that is seen."""
+    return relief.ice_m + _ICE_RISE_M

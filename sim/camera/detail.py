@@ -1,0 +1,415 @@
+"""Grain of the ground near the camera: photographs multiplied into the drawn raster.
+
+A scene's ground has one texture with a texel of 2.5 cm, ten pixels of a camera 1.5 m up. Where the
+camera is nearer to the ground than `_FAR_M`, each pixel's place follows from its depth and the
+camera's pose; the photograph of that place's material, divided by its own local mean, multiplies
+the pixel. The colour, its patterns and its light stay the scene's own.
+
+Photographs lie periodically on the world's x and y, in two layers turned against each other that
+give way to one another in patches of a metre, so that no tile is seen. Each pixel takes the texel
+as large as itself (a mip level), blended between neighbours where the texel is larger.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+from zlib import crc32
+
+import cv2
+import mujoco
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import DETAILS, LAND_CLASSES, NO_DETAIL_ID, OTHER_CLASS_ID, Scene
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.camera.gl import InverseDepth, Snapshot
+from touchdown.sim.typing import Array, Bytes, Float32
+
+PHOTOGRAPHS = Path(__file__).parent / "photographs"
+_SIDE_BITS = 10
+SIDE_PX = 1 << _SIDE_BITS
+_FAR_M = 10.0
+"""Depth beyond which no grain is added; it fades in over the next `_FADE_M` towards the camera."""
+_FADE_M = 4.0
+_HEIGHT_CELL_M = 0.25
+_KIND_CELL_M = 0.1
+_TOLERANCE_M = 0.16
+"""What lies nearer to the ground's height than this is ground: a cell's corner lies 0.11 m off its
+middle on a slope of 32 degrees."""
+_MOST_CELLS = 2048
+_MARGIN_M = 8.0
+_HIGH_M = 1e3
+_FIRST_HIDDEN_GROUP = 3
+_NOISE_PX = 256
+_NOISE_CELL_M = 0.0625
+_LEVELS = 6
+_OF_CLASS = {"lawn": "grass", "field": "soil", "path": "concrete", "road": "asphalt"}
+"""Photographs of geoms of a class."""
+_GROUND_TYPES = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
+
+
+class _Look(NamedTuple):
+    """Use of a photograph."""
+
+    side_m: float
+    """of the ground that it shows"""
+    gain: float
+    """of its contrast"""
+    colour: float
+    """share of its colour's own contrast: the scene's ground has its own colour"""
+    smooth_px: float
+    """structures wider than this are the scene's own texture's"""
+
+
+LOOKS: dict[str, _Look] = {
+    "grass": _Look(1.5, 1.0, 0.6, 50.0),
+    "meadow": _Look(1.2, 1.0, 0.35, 60.0),
+    "soil": _Look(1.5, 1.6, 0.5, 50.0),
+    "litter": _Look(1.5, 0.7, 0.5, 40.0),
+    "asphalt": _Look(1.2, 1.0, 0.6, 50.0),
+    "gravel": _Look(1.0, 0.6, 0.6, 60.0),
+    "concrete": _Look(2.0, 0.6, 0.5, 40.0),
+    "sand": _Look(1.2, 1.0, 0.4, 40.0),
+    "dune": _Look(1.0, 2.2, 0.1, 40.0),
+    "snow": _Look(2.0, 1.3, 0.3, 25.0),
+    "rock": _Look(2.0, 1.4, 0.5, 50.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class GroundLookup:
+    """Height and photograph of the ground by place, world frame, rows along y. Cell (0, 0) of both
+    begins at ``origin_xy_m``; ``kind`` counts the photographs in ``names``, 255 for none."""
+
+    origin_xy_m: Array
+    height_cell_m: float
+    height_m: Float32
+    kind_cell_m: float
+    kind: Bytes
+    names: tuple[str, ...]
+
+
+class Pyramid(NamedTuple):
+    """Grains at several sizes, each half as wide as the one before."""
+
+    texels: NDArray[np.uint32]
+    """red | green << 8 | blue << 16; level by level, photograph by photograph, row by row"""
+    starts: NDArray[np.int64]
+    """of the levels"""
+
+
+class GroundDetail:
+    """Adds the grain of a scene's ground to rasters of ``pinhole``."""
+
+    def __init__(self, scene: Scene, pinhole: CameraIntrinsics) -> None:
+        self._ground = ground_lookup(scene)
+        self._pinhole = pinhole
+        self._pyramid = pyramid(self._ground.names)
+        looks = [LOOKS[name] for name in self._ground.names]
+        self._texels_per_m = np.array([SIDE_PX / look.side_m for look in looks], np.float32)
+        self._noise = blend_noise()
+
+    def needed(self, snapshot: Snapshot, camera_id: int) -> bool:
+        """True where ground may be near enough: most images of a flight need none, nor their
+        depth."""
+        ground = self._ground
+        eye = snapshot.cam_xpos[camera_id]
+        cell = np.floor((eye[:2] - ground.origin_xy_m) / ground.height_cell_m).astype(int)
+        reach = int(np.ceil(_FAR_M / ground.height_cell_m))
+        low = np.clip(cell - reach, 0, np.array(ground.height_m.shape)[::-1])
+        high = np.clip(cell + reach + 1, 0, np.array(ground.height_m.shape)[::-1])
+        near = ground.height_m[low[1] : high[1] : 4, low[0] : high[0] : 4]
+        return bool(ground.names) and bool((near > eye[2] - _FAR_M).any())
+
+    def add(
+        self, drawn: Bytes, depth: InverseDepth, snapshot: Snapshot, camera_id: int, last_row: int
+    ) -> None:
+        """Multiplies the grain into ``drawn`` (rows, W, 3), in place. It and ``depth`` come bottom
+        row first, as `Stage` draws them; the bottom one is row ``last_row`` - 1 of the raster."""
+        axes = snapshot.cam_xmat[camera_id].reshape(3, 3)
+        k, ground = self._pinhole, self._ground
+        # MuJoCo's cameras look along -z, with x to the right and y up.
+        right, down, ahead = axes[:, 0] / k.fx, -axes[:, 1] / k.fy, -axes[:, 2]
+        corner = ahead - k.cx * right + (last_row - 1 - k.cy) * down
+        rays = np.stack([corner, right, -down]).astype(np.float32)
+        frame = np.array(
+            [*ground.origin_xy_m, 1.0 / ground.height_cell_m, 1.0 / ground.kind_cell_m]
+        )
+        multiply_grain(
+            drawn, depth.levels, np.float32(depth.far), np.float32(depth.per_level),
+            snapshot.cam_xpos[camera_id], rays, frame, ground.height_m, ground.kind,
+            self._pyramid.texels, self._pyramid.starts, self._texels_per_m, self._noise,
+            np.float32(1.0 / k.fx),
+        )  # fmt: skip
+
+
+def ground_lookup(scene: Scene) -> GroundLookup:
+    """Casts rays down on what is ground: planes, height fields, and geoms of the classes lawn,
+    field, path and road that do not move."""
+    model = scene.model
+    low, high = scene.bounds_xy_m[0] - _MARGIN_M, scene.bounds_xy_m[1] + _MARGIN_M
+    cell = max(_HEIGHT_CELL_M, float((high - low).max()) / _MOST_CELLS)
+    cols, rows = np.ceil((high - low) / cell).astype(int)
+    geoms = _ground_geoms(scene)
+    heights = np.full((rows, cols), -np.inf, np.float32)
+    owner = np.full((rows, cols), -1, np.int32)
+    if geoms:
+        x = low[0] + (np.arange(cols) + 0.5) * cell
+        y = low[1] + (np.arange(rows) + 0.5) * cell
+        xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        rays = np.zeros((len(xy), 6), np.float32)
+        rays[:, :2], rays[:, 2], rays[:, 5] = xy, _HIGH_M, -1.0
+        hits = _target(model, geoms).cast(rays)
+        met = hits.geom >= 0
+        heights.ravel()[met] = _HIGH_M - hits.distance[met]
+        owner.ravel()[:] = hits.geom
+    kind_cell = max(_KIND_CELL_M, float((high - low).max()) / _MOST_CELLS)
+    kinds = _kinds(scene, owner, low, cell, kind_cell)
+    used = np.unique(kinds)
+    used = used[used != NO_DETAIL_ID]
+    number = np.full(256, NO_DETAIL_ID, np.uint8)
+    number[used] = np.arange(len(used))
+    names = tuple(DETAILS[kind] for kind in used)
+    return GroundLookup(low, cell, heights, kind_cell, number[kinds], names)
+
+
+def _ground_geoms(scene: Scene) -> list[int]:
+    model = scene.model
+    found = []
+    for geom in range(model.ngeom):
+        surface = scene.surfaces.get(model.geom(geom).name)
+        body = int(model.geom_bodyid[geom])
+        ground = int(model.geom_type[geom]) in _GROUND_TYPES
+        ground = ground or (surface is not None and surface.land_class in _OF_CLASS)
+        seen = model.geom_group[geom] < _FIRST_HIDDEN_GROUP
+        if ground and seen and model.body_weldid[body] == 0 and model.body_mocapid[body] < 0:
+            found.append(geom)
+    return found
+
+
+def _target(model: Any, geoms: list[int]) -> Any:
+    """A `RayTarget` of static geoms."""
+    # Open3D loads slowly, and nobody else in this folder needs it.
+    from touchdown.sim.geometry.quadrics import ShapeTable
+    from touchdown.sim.geometry.ray_target import RayTarget, geom_pose
+    from touchdown.sim.geometry.tessellation import geom_mesh
+
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    shapes, vertices, triangles, owners = ShapeTable.empty(model.ngeom), [], [], []
+    for geom in geoms:
+        mesh = geom_mesh(model, geom, 2.0 * _HIGH_M)
+        if mesh is None:
+            continue
+        pose = geom_pose(data, geom)
+        vertices.append(pose.apply(mesh[0]))
+        triangles.append(mesh[1])
+        owners.append(geom)
+        shapes.add(model, geom, pose)
+    return RayTarget(vertices, triangles, owners, shapes)
+
+
+def _kinds(
+    scene: Scene, owner: NDArray[np.int32], low: Array, cell_m: float, kind_cell_m: float
+) -> Bytes:
+    """Indices into DETAILS on cells of ``kind_cell_m``."""
+    of_geom = np.full(scene.model.ngeom + 1, NO_DETAIL_ID, np.uint8)
+    for geom in np.unique(owner[owner >= 0]):
+        surface = scene.surfaces.get(scene.model.geom(int(geom)).name)
+        land_class = surface.land_class if surface is not None else "other"
+        if land_class not in ("water", "building", "trees"):
+            of_geom[geom] = DETAILS.index(_OF_CLASS.get(land_class, "soil"))
+    size = np.floor(np.array(owner.shape) * cell_m / kind_cell_m).astype(int)
+    y, x = (low[axis] + (np.arange(count) + 0.5) * kind_cell_m for axis, count in
+            ((1, size[0]), (0, size[1])))  # fmt: skip
+    rows = ((y - low[1]) / cell_m).astype(int)
+    cols = ((x - low[0]) / cell_m).astype(int)
+    below = owner[np.ix_(rows, cols)]
+    kinds = of_geom[below]
+    ground = scene.ground
+    if ground is None:
+        return kinds
+    detail = ground.detail_id
+    if detail is None:
+        table = np.full(256, NO_DETAIL_ID, np.uint8)
+        for name, photograph in _OF_CLASS.items():
+            table[LAND_CLASSES.index(name)] = DETAILS.index(photograph)
+        table[OTHER_CLASS_ID] = DETAILS.index("soil")
+        detail = table[ground.class_id]
+    row = ((y - ground.origin_xy_m[1]) / ground.cell_m).astype(int)
+    col = ((x - ground.origin_xy_m[0]) / ground.cell_m).astype(int)
+    raster = detail[np.ix_(np.clip(row, 0, len(detail) - 1), np.clip(col, 0, detail.shape[1] - 1))]
+    return np.where(below == scene.model.geom(ground.geom_name).id, raster, kinds)
+
+
+def grain(name: str) -> Bytes:
+    """The photograph ``name`` over its local mean, (1024, 1024, 3) RGB: 128 where it is 1."""
+    look = LOOKS[name]
+    image = cv2.imread(str(PHOTOGRAPHS / f"{name}.jpg"), cv2.IMREAD_COLOR)
+    if image is None:
+        raise RuntimeError(f"the photograph {name}.jpg is missing from the installed package")
+    image = cv2.resize(image, (SIDE_PX, SIDE_PX), interpolation=cv2.INTER_AREA)
+    picture = image[..., ::-1].astype(np.float32)
+    edge = int(3 * look.smooth_px)
+    wide = cv2.copyMakeBorder(picture, edge, edge, edge, edge, cv2.BORDER_WRAP)
+    mean = cv2.GaussianBlur(wide, (0, 0), look.smooth_px)[edge:-edge, edge:-edge]
+    ratio = picture / np.maximum(mean, 1.0)
+    tone = ratio.mean(axis=2, keepdims=True)
+    ratio = tone + look.colour * (ratio - tone)
+    ratio = 1.0 + look.gain * (ratio - ratio.mean(axis=(0, 1)))
+    return np.clip(np.rint(128.0 * ratio), 0, 255).astype(np.uint8)
+
+
+def pyramid(names: tuple[str, ...]) -> Pyramid:
+    """Mip levels of the grains of ``names``."""
+    level = [grain(name) for name in names]
+    texels, starts, start = [], [], 0
+    for step in range(_LEVELS):
+        starts.append(start)
+        for image in level:
+            wide = image.astype(np.uint32)
+            texels.append((wide[..., 0] | wide[..., 1] << 8 | wide[..., 2] << 16).ravel())
+        start += len(level) * (SIDE_PX >> step) ** 2
+        half = (SIDE_PX >> step + 1,) * 2
+        level = [np.asarray(cv2.resize(i, half, interpolation=cv2.INTER_AREA)) for i in level]
+    joined = np.concatenate(texels) if texels else np.zeros(0, np.uint32)
+    return Pyramid(joined, np.array(starts, np.int64))
+
+
+def blend_noise() -> Float32:
+    """(256, 256) periodic, about 0.5: the share of the first layer, mostly 0 or 1, in patches of
+    about a metre."""
+    rng = np.random.default_rng(crc32(b"sim.camera.detail"))
+    rows = np.fft.fftfreq(_NOISE_PX, 1.0 / _NOISE_PX)[:, None]
+    cols = np.fft.rfftfreq(_NOISE_PX, 1.0 / _NOISE_PX)[None, :]
+    band = np.exp(-(((np.hypot(rows, cols) - 12.0) / 5.0) ** 2))
+    field = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((_NOISE_PX,) * 2)) * band)
+    return np.clip(0.5 + 1.2 * field / field.std(), 0.0, 1.0).astype(np.float32)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def multiply_grain(
+    image: Bytes,
+    depth: Float32,
+    inverse_far: np.float32,
+    per_level: np.float32,
+    eye: Array,
+    rays: Float32,
+    frame: Array,
+    height: Float32,
+    kind: Bytes,
+    texels: NDArray[np.uint32],
+    starts: NDArray[np.int64],
+    texels_per_m: Float32,
+    noise: Float32,
+    metres_per_pixel: np.float32,
+) -> None:
+    """Multiplies grain into ``image`` (rows, W, 3). depth: (rows, W), 1 / metres along the axis is
+    ``inverse_far`` + ``per_level`` times it; rays: (3, 3) direction of pixel (0, 0), its change per
+    column and per row; frame: origin and cells per metre of ``height`` and of ``kind``; texels,
+    starts: as `Pyramid`; metres_per_pixel: at 1 m."""
+    rows, cols = depth.shape
+    high_rows, high_cols = height.shape
+    kind_rows, kind_cols = kind.shape
+    eye_x, eye_y = np.float32(eye[0] - frame[0]), np.float32(eye[1] - frame[1])
+    eye_z = np.float32(eye[2])
+    to_high, to_kind = np.float32(frame[2]), np.float32(frame[3])
+    to_noise = np.float32(1.0 / _NOISE_CELL_M)
+    wrap = noise.shape[0] - 1
+    far, near = np.float32(_FAR_M), np.float32(_FAR_M - _FADE_M)
+    zero, one, half, full = np.float32(0.0), np.float32(1.0), np.float32(0.5), np.float32(255.0)
+    coarse, tolerance, middle = np.float32(1.4), np.float32(_TOLERANCE_M), np.float32(128.0)
+    turn_c, turn_s = np.float32(0.7986 * 0.91), np.float32(0.6018 * 0.91)
+    # Texel numbers stay positive, so that cutting off decimals rounds down.
+    beyond = np.float32(turn_s * high_cols / to_high + 1.0)
+    least = (one / far - inverse_far) / per_level
+    for i in range(rows):
+        up = np.float32(i)
+        ray_x = rays[0, 0] + up * rays[2, 0]
+        ray_y = rays[0, 1] + up * rays[2, 1]
+        ray_z = rays[0, 2] + up * rays[2, 2]
+        for j in range(cols):
+            if depth[i, j] <= least:
+                continue
+            d = one / (inverse_far + per_level * depth[i, j])
+            right = np.float32(j)
+            x = eye_x + d * (ray_x + right * rays[1, 0])
+            y = eye_y + d * (ray_y + right * rays[1, 1])
+            if x < zero or y < zero:
+                continue
+            row, col = np.int32(y * to_high), np.int32(x * to_high)
+            if row >= high_rows or col >= high_cols:
+                continue
+            z = eye_z + d * (ray_z + right * rays[1, 2])
+            if abs(z - height[row, col]) > tolerance:
+                continue
+            row, col = np.int32(y * to_kind), np.int32(x * to_kind)
+            if row >= kind_rows or col >= kind_cols:
+                continue
+            layer = kind[row, col]
+            if layer == 255:
+                continue
+            share = noise[np.int32(y * to_noise) & wrap, np.int32(x * to_noise) & wrap]
+            size = d * metres_per_pixel * texels_per_m[layer]
+            level = 0
+            scale = texels_per_m[layer]
+            while size > coarse and level < _LEVELS - 1:
+                size *= half
+                scale *= half
+                level += 1
+            shift = _SIDE_BITS - level
+            start = starts[level] + (np.int64(layer) << 2 * shift)
+            strength = min(one, (far - d) / (far - near)) / middle
+            red, green, blue = zero, zero, zero
+            if share > zero:
+                r, g, b = _texel(texels, start, shift, y * scale, x * scale, size)
+                red, green, blue = share * r, share * g, share * b
+            if share < one:
+                rest = one - share
+                u = turn_c * x + turn_s * y
+                v = turn_c * y - turn_s * x + beyond
+                r, g, b = _texel(texels, start, shift, v * scale, u * scale, size)
+                red, green, blue = red + rest * r, green + rest * g, blue + rest * b
+            base = one - middle * strength
+            image[i, j, 0] = np.uint8(min(image[i, j, 0] * (base + strength * red) + half, full))
+            image[i, j, 1] = np.uint8(min(image[i, j, 1] * (base + strength * green) + half, full))
+            image[i, j, 2] = np.uint8(min(image[i, j, 2] * (base + strength * blue) + half, full))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _channel(packed: np.uint32, bit: int) -> np.float32:
+    return np.float32(np.uint8(packed >> bit))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _texel(
+    texels: NDArray[np.uint32],
+    start: int,
+    shift: int,
+    row: np.float32,
+    col: np.float32,
+    size: np.float32,
+) -> tuple[np.float32, np.float32, np.float32]:
+    """Colour of the periodic image of 1 << ``shift`` texels a side there: of the texel, or between
+    neighbours where a pixel's ``size`` in texels is small."""
+    mask = (1 << shift) - 1
+    if size > 0.7:
+        packed = texels[start + ((np.int32(row) & mask) << shift) + (np.int32(col) & mask)]
+        return _channel(packed, 0), _channel(packed, 8), _channel(packed, 16)
+    row, col = row + np.float32(mask + 0.5), col + np.float32(mask + 0.5)
+    top, left = np.int32(row), np.int32(col)
+    v, u = row - np.float32(top), col - np.float32(left)
+    i, j = (top & mask) << shift, left & mask
+    k, m = (top + 1 & mask) << shift, left + 1 & mask
+    one = np.float32(1.0)
+    a, b, c, d = (one - v) * (one - u), (one - v) * u, v * (one - u), v * u
+    p, q = texels[start + i + j], texels[start + i + m]
+    r, s = texels[start + k + j], texels[start + k + m]
+    return (
+        a * _channel(p, 0) + b * _channel(q, 0) + c * _channel(r, 0) + d * _channel(s, 0),
+        a * _channel(p, 8) + b * _channel(q, 8) + c * _channel(r, 8) + d * _channel(s, 8),
+        a * _channel(p, 16) + b * _channel(q, 16) + c * _channel(r, 16) + d * _channel(s, 16),
+    )
