@@ -73,7 +73,7 @@ def windy_run(
     """Yields time, view and reference of a landing over flat ground, every control step."""
     rig = dataclasses.replace(make_rig(), vehicle=draggy_vehicle())
     survey = dataclasses.replace(QUICK, min_height_m=10.0)
-    lander = SiteLander(rig, dataclasses.replace(PARAMS, **params), survey)
+    lander = SiteLander(rig, dataclasses.replace(PARAMS, slow_in_wind=True, **params), survey)
     position, velocity = np.array([0.0, 0.0, LEG_HEIGHT]), np.zeros(3)
     acceleration, motors = np.zeros(3), False
     hover = np.sqrt(rig.vehicle.mass_kg * GRAVITY_MPS2 / (4 * rig.vehicle.thrust_coefficient))

@@ -29,12 +29,13 @@ from support.windy_flight import balance, draggy_vehicle, windy_run
 Array = NDArray[np.float64]
 STEP_S = 0.005
 VEHICLE = draggy_vehicle()
+SLOWING = LandingParams(slow_in_wind=True)
 SURVEY = survey_trajectory(np.array([0.0, 0.0, 30.0]), 0.4, SurveyParams())
 
 
 def _flown(wind: Array, seconds: float, behind_m: float = 0.0) -> tuple[Array, ...]:
     """Times, rates, their derivatives and the reference along the survey in a steady wind."""
-    pace = Pace(VEHICLE, LandingParams())
+    pace = Pace(VEHICLE, SLOWING)
     pace.begin(SURVEY, wind)
     rows = []
     for step in range(round(seconds / STEP_S)):
@@ -150,7 +151,7 @@ def test_slowed_velocity_and_acceleration_belong_to_the_positions() -> None:
 
 
 def test_slowed_survey_needs_no_more_than_the_margin() -> None:
-    wind, params = np.array([-11.0, 5.0, 0.0]), LandingParams()
+    wind, params = np.array([-11.0, 5.0, 0.0]), SLOWING
     _, _, _, _, velocities, accelerations = _flown(wind, 200.0)
     unslowed = max(
         need(VEHICLE, v - wind, a).speed_share
@@ -164,6 +165,14 @@ def test_slowed_survey_needs_no_more_than_the_margin() -> None:
     assert max(shares) < params.wind_thrust_share + 0.02
 
 
+def test_slowing_is_off_by_default() -> None:
+    pace, gale = Pace(VEHICLE, LandingParams()), np.array([-16.0, 0.0, 0.0])
+    pace.begin(SURVEY, gale)
+    for _ in range(1000):
+        pace.advance(SURVEY, 5.0, STEP_S, gale, 5.0)
+    assert (pace.rate, pace.lost_s) == (1.0, 0.0)
+
+
 def test_clock_waits_for_a_vehicle_that_falls_behind() -> None:
     assert (_flown(np.zeros(3), 10.0, behind_m=0.5)[1] == 1.0).all()
     assert _flown(np.zeros(3), 20.0, behind_m=2.5)[1][-1] == 0.0
@@ -172,7 +181,7 @@ def test_clock_waits_for_a_vehicle_that_falls_behind() -> None:
 def test_weak_rotors_slow_the_clock_earlier() -> None:
     wind = np.array([-7.0, 0.0, 0.0])
     leg = through([State(np.zeros(3)), State(np.array([60.0, 0.0, 0.0]))], [15.0])
-    nominal, weak = Pace(VEHICLE, LandingParams()), Pace(VEHICLE, LandingParams())
+    nominal, weak = Pace(VEHICLE, SLOWING), Pace(VEHICLE, SLOWING)
     share = need(VEHICLE, -wind, np.zeros(3)).speed_share
     for _ in range(200):
         weak.learn(-wind, np.zeros(3), 1.12 * share * VEHICLE.rotor_speed_max, 0.1)
@@ -235,10 +244,10 @@ def test_wind_beyond_reach_ends_the_mission_on_the_ground() -> None:
         return np.array([-6.0 if t < 12.0 else -17.5, 0.0, 0.0])
 
     events: list[str] = []
-    for _, view, reference in windy_run(front, 300.0):
+    for _, view, reached in windy_run(front, 300.0):
         events += view.events
         if view.phase is Phase.TOUCHDOWN:
             break
     assert any("leaves no way to fly this leg" in text for text in events)
     assert any("SURVEY broken off" in text for text in events)
-    assert reference[2] < 1.0
+    assert reached[2] < 1.0
