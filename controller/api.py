@@ -78,6 +78,9 @@ class ControlParams:
     acceleration_feedback: NotNegative = 0.0
     """D term of the velocity loops: share of the acceleration error that is fed back"""
     disturbance_radps: NotNegative = 6.0
-    """bandwidth of the observer of the wind's horizontal force"""
+    """bandwidth of the observer of the wind's force"""
+    wind_feed_forward: bool = False
+    """feed the thrust that the felt wind takes forward too, and give height priority over place
+    where the rotors' thrust does not last for both; off, the force across is fed forward alone"""
     max_correction_mps: Positive = 3.0
     """bound on the velocity that the position loop may add to the reference's"""

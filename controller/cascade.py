@@ -21,6 +21,8 @@ _MAX_JERK_MPS3 = 12.0
 _MIN_VERTICAL_FORCE = 0.3
 _MAX_VERTICAL_FORCE = 1.8
 """fractions of the weight; below the lower one, tilting has no control authority"""
+_THRUST_SHARE = 0.98
+"""of the rotors' largest thrust, that the wanted force may take; the rest is left to the torques"""
 
 
 class CascadeController:
@@ -28,7 +30,9 @@ class CascadeController:
 
     Position P -> velocity PID with the reference's velocity and acceleration fed forward -> thrust
     vector, bounded in tilt -> attitude P, yaw apart -> body rate PID -> mixer -> motor lead. The
-    derivative of the velocity loop is the estimated acceleration.
+    derivative of the velocity loop is the estimated acceleration. With ``wind_feed_forward`` the
+    thrust that the wind takes is fed forward too, and the horizontal force is bounded by what the
+    rotors have left beside the vertical one.
     """
 
     def __init__(self, vehicle: VehicleModel, params: ControlParams) -> None:
@@ -43,7 +47,11 @@ class CascadeController:
         self._rate_pid = VectorPid(gains.rate, step_s)
         self._mixer = Mixer(vehicle)
         self._lead = MotorLead(vehicle, params.motor_response_s, step_s)
-        self._observer = DisturbanceObserver(vehicle, params.disturbance_radps, step_s)
+        self._observer = DisturbanceObserver(
+            vehicle, params.disturbance_radps, step_s, vertical=params.wind_feed_forward
+        )
+        full = 4.0 * vehicle.thrust_coefficient * vehicle.rotor_speed_max**2
+        self._most_force = _THRUST_SHARE * full if params.wind_feed_forward else np.inf
         self._max_correction = params.max_correction_mps
         self._max_slope = float(np.tan(np.radians(params.max_tilt_deg)))
         self._weight = vehicle.mass_kg * GRAVITY_MPS2
@@ -124,6 +132,7 @@ class CascadeController:
             self._vehicle.mass_kg,
             self._weight,
             self._max_slope,
+            self._most_force,
         )
         return limited
 
@@ -196,17 +205,20 @@ def _forces(
     mass: float,
     weight: float,
     max_slope: float,
+    most: float,
 ) -> tuple[Array, Array]:
     """(3,) N, odom frame: the demanded force, and the same within the limits: the vertical share
-    first, then as much of the horizontal as the tilt limit allows."""
+    first, then as much of the horizontal as the tilt limit, and the force ``most`` of all rotors,
+    allow."""
     force = mass * (feedback + feed_forward - drag - unexpected)
     force[2] += weight
     limited = force.copy()
-    low, high = _MIN_VERTICAL_FORCE * weight, _MAX_VERTICAL_FORCE * weight
+    low, high = _MIN_VERTICAL_FORCE * weight, min(_MAX_VERTICAL_FORCE * weight, most)
     limited[2] = min(max(force[2], low), high)
     horizontal = np.sqrt(force[0] ** 2 + force[1] ** 2)
-    if horizontal > max_slope * limited[2]:
-        limited[:2] *= max_slope * limited[2] / horizontal
+    reach = min(max_slope * limited[2], np.sqrt(max(most * most - limited[2] * limited[2], 0.0)))
+    if horizontal > reach:
+        limited[:2] *= reach / horizontal
     return force, limited
 
 

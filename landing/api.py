@@ -127,6 +127,10 @@ class LanderView:
     """predicted class of the ground at the site; None without ground classification"""
     site_class_probability: float = float("nan")
     """of ``site_class``"""
+    events: tuple[str, ...] = ()
+    """messages of this control step, for the result"""
+    slowed_s: float = 0.0
+    """time by which wind has made trajectories longer than they were set, so far"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -185,7 +189,11 @@ class SurveyParams:
     leg_spacing_m: Positive = 20.0
     """distance between neighbouring legs"""
     duration_s: Positive = 36.0
-    """time from the start of the first leg to the end of the last"""
+    """time from the start of the first leg to the end of the last, where the wind lets the vehicle
+    keep it"""
+    min_height_m: Positive = 20.0
+    """lowest height of the survey where the wind at ``height_m`` is too strong; above all
+    obstacles"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -276,6 +284,16 @@ class LandingParams:
     """duration of an unhealthy estimate after which the vehicle holds its position"""
     unhealthy_abort_s: NotNegative = 8.0
     """duration of an unhealthy estimate after which the vehicle descends where it is"""
+    slow_in_wind: bool = False
+    """slow the reference down where its motion through the felt wind would need more than the next
+    three keys allow, and fly the survey lower where the wind leaves a hover no margin; where it
+    does not, the reference keeps its time, to the bit"""
+    wind_thrust_share: Annotated[float, Interval(gt=0.0, le=1.0)] = 0.94
+    """largest mean rotor speed, over the fastest one, that the reference may need"""
+    wind_tilt_deg: Annotated[float, Interval(gt=0.0, lt=60.0)] = 31.0
+    """largest tilt that the reference may need, below control.max_tilt_deg"""
+    wind_gust_share: NotNegative = 0.1
+    """gusts that the reference leaves room for, over the felt wind"""
     climb_speed_mps: Positive = 3.0
     """vertical speed of the climb"""
     cruise_speed_mps: Positive = 7.0

@@ -93,6 +93,10 @@ class WindParams:
     """roughness length of the logarithmic profile"""
     turbulence: bool = True
     """add Dryden turbulence to the mean wind"""
+    rotational: bool = False
+    """add the rotational gusts of the Dryden model, which turn the vehicle"""
+    wakes: bool = False
+    """slow the wind and make it more turbulent behind buildings and trees"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -199,6 +203,10 @@ class VehicleModel:
     """From the underside of the legs to the body origin."""
     footprint_radius_m: float
     """Horizontal radius of the circle that holds rotors and legs."""
+    rotor_inflow: float = 0.0
+    """N / ((rad/s)(m/s)): thrust that one rotor loses to flow along its axis; 0: unknown."""
+    quadratic_drag: float = 0.0
+    """N / (m/s)^2 of everything but the rotors; 0: unknown."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -10,6 +10,13 @@ Turbulence after MIL-F-8785C, section 3.7.2 and 3.7.3.4, below 1000 ft. With h t
 
 u is along the mean wind, v to its left, w up. The filters run on states of unit variance, so that
 height and airspeed may change from step to step, and are discretised exactly for the step's length.
+
+Rotational gusts after section 3.7.3.2 of the same, with b the span: a rotation of the air about the
+vehicle, whose rolling share has a noise of its own, and whose others follow w and v,
+
+    H_p(s) = sigma_w sqrt(0.8 / V) (pi / 4 b)^(1/6) / (L_w^(1/3) (1 + 4 b / (pi V) s))
+    H_q(s) = (s / V) / (1 + 4 b / (pi V) s) H_w(s)
+    H_r(s) = (s / V) / (1 + 3 b / (pi V) s) H_v(s)
 """
 
 from __future__ import annotations
@@ -33,9 +40,10 @@ _SQRT3 = np.sqrt(3.0)
 
 
 class Wind:
-    """The air's velocity at the vehicle. ``mean_direction`` (3,) is horizontal and of unit norm."""
+    """The air's velocity at the vehicle. ``mean_direction`` (3,) is horizontal and of unit norm.
+    ``span_m`` is the vehicle's, for rotational gusts."""
 
-    def __init__(self, params: WindParams, seed: int) -> None:
+    def __init__(self, params: WindParams, seed: int, span_m: float = 1.0) -> None:
         if not (np.isfinite(params.mean_kmh) and params.mean_kmh >= 0.0):
             raise ValueError(f"wind.mean_kmh must be 0 or more, not {params.mean_kmh}")
         if not 0.0 < params.roughness_length_m < REFERENCE_HEIGHT_M:
@@ -57,6 +65,17 @@ class Wind:
         self._noise = np.empty(5)
         self._state = _stationary_state(self._rng.standard_normal(5))
         self._velocity = np.zeros(3)
+        self._span = span_m
+        self.rotational = params.rotational and self._turbulent
+        if self.rotational:
+            self._rotation_rng = np.random.default_rng([seed, crc32(b"wind.rotational")])
+            self._rotation_state = np.array([self._rotation_rng.standard_normal(), 0.0, 0.0])
+            self._rates = np.zeros(3)
+
+    @property
+    def friction(self) -> float:
+        """Speed of the mean wind over the logarithm of height / roughness length, m/s."""
+        return float(self._w20 / np.log(REFERENCE_HEIGHT_M / self._roughness))
 
     def mean_speed(self, height_m: float) -> float:
         """Mean wind speed in m/s at a height over the ground; 0 at the roughness length."""
@@ -87,6 +106,23 @@ class Wind:
             self._velocity,
         )
         return self._velocity
+
+    def rotation(self, dt_s: float, height_m: float, airspeed_mps: float) -> Array:
+        """Angular velocity of the air about the vehicle, (3,) rad/s in the world frame (valid until
+        the next call); called once after each ``step``, where ``rotational`` is true."""
+        _advance_rotation(
+            self._rotation_state,
+            self._state,
+            float(self._rotation_rng.standard_normal()),
+            dt_s,
+            height_m / FOOT_M,
+            max(airspeed_mps, MIN_AIRSPEED_MPS),
+            self._w20,
+            self._span,
+            self.mean_direction,
+            self._rates,
+        )
+        return self._rates
 
 
 @njit(cache=True)
@@ -141,6 +177,45 @@ def _advance(
     velocity[0] = u * direction[0] - v * direction[1]
     velocity[1] = u * direction[1] + v * direction[0]
     velocity[2] = sigma_w * (_SQRT3 * state[3] + (1.0 - _SQRT3) * state[4])
+
+
+@njit(cache=True)
+def rolling_gust_sigma(sigma_w: float, scale_w: float, span: float) -> float:
+    """Standard deviation of p, rad/s: that of H_p driven by white noise of unit one-sided density.
+    Independent of the airspeed, as turbulence is frozen."""
+    corner = np.pi / (4.0 * span)
+    density = 0.8 * sigma_w**2 * corner ** (1.0 / 3.0) / scale_w ** (2.0 / 3.0)
+    return np.sqrt(density * corner * np.pi / 2.0)
+
+
+@njit(cache=True)
+def _advance_rotation(
+    state: Array,
+    turbulence: Array,
+    noise: float,
+    dt: float,
+    height_ft: float,
+    airspeed: float,
+    w20: float,
+    span: float,
+    direction: Array,
+    rates: Array,
+) -> None:
+    """``state``: p of unit variance, and w and v behind the filters' lags."""
+    sigma_uv, sigma_w, _, scale_w = dryden_scales(height_ft, w20)
+    w = sigma_w * (_SQRT3 * turbulence[3] + (1.0 - _SQRT3) * turbulence[4])
+    v = sigma_uv * (_SQRT3 * turbulence[1] + (1.0 - _SQRT3) * turbulence[2])
+    corner_q, corner_r = np.pi / (4.0 * span), np.pi / (3.0 * span)
+    decay = np.exp(-dt * airspeed * corner_q)
+    state[0] = decay * state[0] + np.sqrt(1.0 - decay * decay) * noise
+    state[1] += (1.0 - decay) * (w - state[1])
+    state[2] += (1.0 - np.exp(-dt * airspeed * corner_r)) * (v - state[2])
+    # (s / V) / (1 + T s) with T = 1 / (corner V) is corner (1 - 1 / (1 + T s)).
+    p = rolling_gust_sigma(sigma_w, scale_w, span) * state[0]
+    q = corner_q * (w - state[1])
+    rates[0] = p * direction[0] - q * direction[1]
+    rates[1] = p * direction[1] + q * direction[0]
+    rates[2] = corner_r * (v - state[2])
 
 
 @njit(cache=True)

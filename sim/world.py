@@ -41,6 +41,7 @@ from touchdown.sim.imu import ImuSensor
 from touchdown.sim.moving import MovingBodies
 from touchdown.sim.navigation.channels import NavSensors
 from touchdown.sim.typing import Array
+from touchdown.sim.wakes import Wakes, obstacles
 from touchdown.sim.wind import Wind
 
 _NOTHING = SensorNeeds()
@@ -154,7 +155,7 @@ class MujocoWorld:
         self._imaging.clear()
         state = mujoco.mjtState.mjSTATE_INTEGRATION
         mujoco.mj_setState(self._model, self._data, self._start_state, state)
-        self._wind = Wind(self._params.wind, self._seed)
+        self._wind = Wind(self._params.wind, self._seed, 2.0 * self._vehicle.footprint_radius_m)
         self._air[:] = self._wind.step(self._step_s, self._vehicle.leg_height_m, 0.0)
         mujoco.mj_forward(self._model, self._data)
         self._tick = 0
@@ -175,6 +176,11 @@ class MujocoWorld:
         self.faults = FaultInjector(faults, tick_hz)
         self.disturbances = Disturbances(faults, tick_hz, self._params.wind.mean_kmh, self._seed)
         self._ground_z = float(self._position[2]) - self._vehicle.leg_height_m
+        self._wakes: Wakes | None = None
+        if self._params.wind.wakes:
+            direction, found = self._wind.mean_direction, obstacles(self._scene)
+            self._wakes = Wakes(found, direction, self._ground_z, self._seed)
+        self._air_rotation: Array | None = None
         self._mark_start()
         self._acceleration = np.zeros(3)
         self._peak_acceleration = 0.0
@@ -194,6 +200,7 @@ class MujocoWorld:
         height = float(self._position[2]) - self._ground_z
         airspeed = math.dist(self._velocity.tolist(), self._air.tolist())
         self._air[:] = self._wind.step(self._step_s, height, airspeed)
+        self._stir(height, airspeed)
         self.disturbances.add_gust(self._tick, self._wind.mean_direction, self._air)
         clearance = self._ground.clearance(self._data, self._position)
         velocity_before = self._velocity.copy()
@@ -208,6 +215,15 @@ class MujocoWorld:
         self._battery.draw(self._rotors.shaft_power(), self._step_s)
         self._check_finite()
         return self._observation(tuple(imu))
+
+    def _stir(self, height: float, airspeed: float) -> None:
+        """Adds wakes and rotational gusts to the air at the vehicle, where they are switched on."""
+        if self._wakes is not None:
+            wind = self._wind
+            roughness = self._params.wind.roughness_length_m
+            self._wakes.add(self._air, self._position, self._step_s, wind.friction, roughness)
+        if self._wind.rotational:
+            self._air_rotation = self._wind.rotation(self._step_s, height, airspeed)
 
     def start_in_air(self, position_world: Array, yaw: float) -> Observation:
         """Resets to a start in the air: level and at rest at (3,) ``position_world``, rotors at
@@ -275,8 +291,11 @@ class MujocoWorld:
 
     def _advance_tick(self, clearance_m: float) -> None:
         before = self._velocity.tolist()
+        turning = self._angular_velocity
+        if self._air_rotation is not None:  # relative to the air
+            turning = turning - matrix_from_quat_wxyz(self._quat).T @ self._air_rotation
         self._wrench[:] = self._rotors.step(
-            self._quat, self._velocity, self._angular_velocity, self._air, clearance_m
+            self._quat, self._velocity, turning, self._air, clearance_m
         )
         mujoco.mj_step(self._model, self._data)
         self._tick += 1

@@ -19,7 +19,7 @@ _PROGRESS_PERIOD_S = 0.5
 
 
 class EventLog:
-    """Messages of the estimator: the first ``_MAX_EVENTS`` in full, all of them counted."""
+    """Messages of estimator and lander: the first ``_MAX_EVENTS`` in full, all of them counted."""
 
     def __init__(self) -> None:
         self.kept: list[Event] = []
@@ -53,6 +53,8 @@ class StepObserver:
     def __init__(self, recorder: Recorder, progress: Progress | None) -> None:
         self.events = EventLog()
         self.phases = PhaseLog()
+        self.slowed_s = 0.0
+        """time by which wind has made the lander's trajectories longer than they were set"""
         self._recorder = recorder
         self._progress = progress
         self._next_s = 0.0
@@ -63,6 +65,8 @@ class StepObserver:
         """Takes one control step."""
         time_s, phase = step.truth.time_s, str(step.lander_view.phase)
         self.events.add(step.estimate.time_s, step.estimate.events)
+        self.events.add(time_s, step.lander_view.events)
+        self.slowed_s = step.lander_view.slowed_s
         self.phases.add(time_s, phase)
         self._latest_map = step.map_view.coarse
         if self._progress is not None and time_s >= self._next_s:

@@ -52,6 +52,7 @@ def make_result(
         trajectory_error_m=judgement.deviation.mean_m,
         trajectory_error_max_m=judgement.deviation.max_m,
         trajectory_variance_m2=judgement.deviation.variance_m2,
+        slowed_s=observer.slowed_s,
         nees=judgement.nees,
         landing=judgement.landing,
         classifier=stack.network or "off",

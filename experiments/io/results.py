@@ -138,7 +138,7 @@ class Timing(_Part):
 
 
 class Event(_Part):
-    """A message of the estimator."""
+    """A message of estimator or lander."""
 
     time_s: float
     text: str
@@ -177,6 +177,8 @@ class RunResult(_Part):
     trajectory_error_m: Figure = None
     trajectory_error_max_m: Figure = None
     trajectory_variance_m2: Figure = None
+    slowed_s: Figure = None
+    """time by which wind has made the flight's trajectories longer than they were set"""
     nees: Nees | None = None
     landing: Landing | None = None
     """None where nothing was touched"""

@@ -64,4 +64,6 @@ class SiteLander:
             aborted=mission.aborted,
             site_class=None if site_class is None else site_class.name,
             site_class_probability=float("nan") if site_class is None else site_class.probability,
+            events=tuple(mission.events),
+            slowed_s=mission.slowed_s,
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,9 @@ from touchdown.landing.mission.energy import (
     return_time_s,
     search_leg_time_s,
 )
+from touchdown.landing.mission.pace import Pace, paced
 from touchdown.landing.mission.trajectory import PiecewiseTrajectory, State, through
-from touchdown.landing.mission.wind import WindEstimator
+from touchdown.landing.mission.wind import FeltWind, WindEstimator
 from touchdown.sim.api import Observation, SensorRig
 from touchdown.sim.frames import wrap_angle, yaw_from_rotation
 
@@ -27,6 +28,13 @@ Array = NDArray[np.float64]
 Steps = Generator[Setpoint, None, None]
 
 _RAMP_S = RAMP_S
+_TOLD_RATE = 0.9
+"""rate of the reference's clock below which a leg is said to be slowed"""
+_LEARN_PERIOD_S = 0.1
+
+
+class LegBlockedError(Exception):
+    """The wind leaves no way along a trajectory. The reference has stopped."""
 
 
 class Mission:
@@ -69,6 +77,13 @@ class Mission:
         self.reference_world: Array = self.start_world.copy()
         self.takeoff_s: float | None = None
         self.wind = WindEstimator(rig.vehicle)
+        self.felt_wind = FeltWind(rig.vehicle)
+        self.pace = Pace(rig.vehicle, params)
+        self.events: list[str] = []
+        """messages of this control step"""
+        self.slowed_s = 0.0
+        """time by which all trajectories so far took longer than they were set"""
+        self._next_learning_s = 0.0
         self.final = False
         """in the final descent, which nothing interrupts"""
         self.deadline_s: float | None = None
@@ -82,10 +97,24 @@ class Mission:
         """Takes over the inputs of a control step."""
         self._last_s = obs.time_s if self.takeoff_s is None else self.obs.time_s
         self.obs, self.estimate, self.map_view = obs, estimate, map_view
+        self.events = []
         if self.class_check is not None:
             self.class_check.update(obs, estimate)
         if self.takeoff_s is not None and self.phase is not Phase.TOUCHDOWN:
             self.wind.update(obs, estimate)
+            self._feel_wind()
+
+    def _feel_wind(self) -> None:
+        self.felt_wind.update(self.obs, self.estimate)
+        time_s = self.obs.time_s
+        if time_s >= self._next_learning_s and not self.final:
+            self._next_learning_s = time_s + _LEARN_PERIOD_S
+            self.pace.learn(
+                self.estimate.velocity_odom - self.felt_wind.wind_odom,
+                self.estimate.acceleration_odom,
+                float(np.mean(self.obs.rotor_speed_radps)),
+                _LEARN_PERIOD_S,
+            )
 
     @property
     def now(self) -> float:
@@ -207,14 +236,60 @@ class Mission:
         )
 
     def follow(
-        self, trajectory: PiecewiseTrajectory, *, in_world: bool = False, hold_s: float = 0.0
+        self,
+        trajectory: PiecewiseTrajectory,
+        *,
+        in_world: bool = False,
+        hold_s: float = 0.0,
+        until: Callable[[], bool] | None = None,
+        least_rate: float = 0.0,
     ) -> Steps:
-        """Follows a trajectory that ends at rest, and stays at its end for ``hold_s``."""
-        start = self.now
-        while (t := self.now - start) < trajectory.duration_s + hold_s:
-            yield self.setpoint(
-                *trajectory.sample(min(t, trajectory.duration_s)), in_world=in_world
+        """Follows a trajectory that ends at rest, and stays at its end for ``hold_s``.
+
+        In a wind that leaves too little margin the trajectory takes longer, see `pace`; raises
+        LegBlockedError where it stands. Once ``until`` is true it comes to rest where it is.
+        ``least_rate`` is a rate that the clock keeps in any wind."""
+        pace, start, before, told, stop = self.pace, self.now, self.now, False, False
+        pace.begin(trajectory, self._wind_for(in_world))
+        while (t := self.now - start - pace.lost_s) < trajectory.duration_s + hold_s:
+            sample = trajectory.sample(min(t, trajectory.duration_s))
+            yield self.setpoint(*paced(sample, pace.rate, pace.change), in_world=in_world)
+            stop = stop or (until is not None and until())
+            late = pace.lost_s
+            pace.advance(
+                trajectory,
+                t,
+                self.now - before,
+                self._wind_for(in_world),
+                float(
+                    np.linalg.norm(self.estimate.world_from_body.translation - self.reference_world)
+                ),
+                stop=stop,
+                least=least_rate,
             )
+            before = self.now
+            self.slowed_s += pace.lost_s - late
+            if pace.rate < _TOLD_RATE and not told and not stop:
+                told = True
+                self.tell(f"{self.phase}: slowed by a wind of {self.felt_wind.speed_mps:.1f} m/s")
+            if stop and pace.rate == 0.0:
+                return
+            if pace.stands and not stop:
+                wind = self.felt_wind.speed_mps
+                self.tell(f"{self.phase}: a wind of {wind:.1f} m/s leaves no way to fly this leg")
+                raise LegBlockedError
+        if told:
+            set_s = trajectory.duration_s
+            self.tell(f"{self.phase}: {set_s + pace.lost_s:.1f} s instead of {set_s:.1f} s")
+
+    def tell(self, text: str) -> None:
+        """States ``text`` as the last decision and among the events."""
+        self.note = text
+        self.events.append(text)
+
+    def _wind_for(self, in_world: bool) -> Array:
+        wind = self.felt_wind.wind_odom
+        return self.estimate.world_from_odom.rotation @ wind if in_world else wind
 
     def hover(self, seconds: float) -> Steps:
         """Stays at the reference for ``seconds``."""

@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from touchdown.controller.api import Setpoint
 from touchdown.landing.api import Candidate, Phase
 from touchdown.landing.mission.descent import descend_to, final_descent
-from touchdown.landing.mission.mission_state import Mission, Steps, vertical_move
+from touchdown.landing.mission.mission_state import (
+    LegBlockedError,
+    Mission,
+    Steps,
+    vertical_move,
+)
 from touchdown.landing.mission.second_look import ground_under
 from touchdown.landing.mission.trajectory import straight_trajectory, survey_trajectory
 from touchdown.landing.selection.choice import choose_commanded, choose_sites
@@ -26,19 +31,33 @@ _SETTLE_S = 0.5
 """hover before a decision, so that delayed scans and images arrive"""
 _ACCEL_MPS2 = 1.5
 _CORRIDOR_M = 3.0
+_FEEL_ABOVE_M = 3.0
+"""height from which on the felt wind has settled after the take-off"""
+_GUSTS_UP_THERE = 0.25
+"""gusts over the mean wind that a survey at a height must leave room for: two standard deviations
+of the turbulence of MIL-F-8785C at 30 m over the mean wind there"""
+_ROUGHNESS_M = 0.1
+_DESCENT_RATE = 0.3
+"""slowest rate of the clock in a descent that nothing may stop"""
+_BLOWN_OFF_M = 2.0
 
 
 def run_phases(mission: Mission) -> Steps:
     """Runs the whole mission; never ends."""
     yield from initialise(mission)
-    yield from take_off(mission)
-    yield from survey(mission)
-    if not mission.params.survey_only:
-        landed = yield from land_somewhere(mission)
-        if not landed and mission.deadline_s is not None:
+    try:
+        yield from take_off(mission)
+        yield from survey(mission)
+        if not mission.params.survey_only:
+            landed = yield from land_somewhere(mission)
+            if not landed and mission.deadline_s is not None:
+                yield from come_down_here(mission)
+            elif not landed:
+                yield from return_home(mission)
+    except LegBlockedError:
+        mission.aborted = True
+        if not mission.params.survey_only:
             yield from come_down_here(mission)
-        elif not landed:
-            yield from return_home(mission)
     yield from rest(mission)
 
 
@@ -61,7 +80,52 @@ def take_off(mission: Mission) -> Steps:
     height = mission.ground_world + mission.survey.height_m
     mission.note = f"climbing to {mission.survey.height_m:.0f} m"
     climb = vertical_move(mission.start_world, height, mission.params.climb_speed_mps)
-    yield from mission.follow(climb, in_world=True, hold_s=_HOVER_AFTER_CLIMB_S)
+    ceiling = _Ceiling(mission)
+    yield from mission.follow(
+        climb, in_world=True, hold_s=_HOVER_AFTER_CLIMB_S, until=ceiling.reached
+    )
+    if ceiling.found:
+        yield from _lower_survey(mission)
+
+
+def _lower_survey(mission: Mission) -> Steps:
+    """Chooses the lowest height for the survey, where the wind is weaker, and goes there."""
+    lowest, wind = mission.survey.min_height_m, mission.felt_wind.speed_mps
+    mission.tell(f"TAKEOFF: a wind of {wind:.1f} m/s, so that the survey is flown at {lowest:g} m")
+    mission.survey = dataclasses.replace(mission.survey, height_m=lowest)
+    height = mission.ground_world + lowest
+    if mission.reference_world[2] > height + 0.5:
+        here = mission.reference_world.copy()
+        sink = vertical_move(here, height, mission.params.descent_speed_mps)
+        yield from mission.follow(sink, in_world=True, least_rate=_DESCENT_RATE)
+
+
+class _Ceiling:
+    """Finds during the climb whether the wind would leave a hover at survey height no margin.
+
+    The mean of the wind felt so far is taken to survey height by the logarithmic profile of open
+    country. Below ``survey.min_height_m`` the climb goes on in any wind."""
+
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
+        self._sum: Array = np.zeros(3)
+        self._samples = 0
+        self.found = False
+
+    def reached(self) -> bool:
+        """True once it would; called once a control step."""
+        mission = self._mission
+        height = float(mission.reference_world[2]) - mission.ground_world
+        goal = mission.survey.height_m
+        if not mission.params.slow_in_wind or height < _FEEL_ABOVE_M:
+            return False
+        self._sum += mission.felt_wind.wind_odom / np.log(height / _ROUGHNESS_M)
+        self._samples += 1
+        if mission.survey.min_height_m <= height < goal - 1.0:
+            mean = self._sum / self._samples * np.log(goal / _ROUGHNESS_M)
+            load = mission.pace.hover_load((1.0 + _GUSTS_UP_THERE) * mean, gusts=False)
+            self.found = self.found or load > 1.0
+        return self.found
 
 
 def survey(mission: Mission) -> Steps:
@@ -70,7 +134,12 @@ def survey(mission: Mission) -> Steps:
     params = mission.survey
     mission.note = f"surveying {params.legs} legs of {params.leg_length_m:.0f} m"
     path = survey_trajectory(mission.reference_world.copy(), mission.start_yaw, params)
-    yield from mission.follow(path, in_world=True)
+    try:
+        yield from mission.follow(path, in_world=True)
+    except LegBlockedError:
+        if mission.params.survey_only:
+            raise
+        mission.tell("SURVEY broken off: landing on what is mapped")
 
 
 def land_somewhere(mission: Mission) -> Generator[Setpoint, None, bool]:
@@ -252,13 +321,16 @@ def come_down_here(mission: Mission) -> Steps:
     """Descends from the reference without looks."""
     mission.phase, mission.final = Phase.DESCEND, True
     here = mission.odom(mission.reference_world)
+    if np.linalg.norm(mission.position_odom - here) > _BLOWN_OFF_M:
+        here = mission.position_odom.copy()
     ground = ground_under(mission.map_view, here[:2])
     if not np.isfinite(ground):
         ground = float(mission.odom(mission.start_world)[2]) - mission.leg_height
     mission.site_odom, mission.site_class = np.array([here[0], here[1], ground]), None
     low = ground + mission.params.commit_height_m + mission.leg_height
     if low < here[2]:
-        yield from mission.follow(vertical_move(here, low, mission.params.descent_speed_mps))
+        sink = vertical_move(here, low, mission.params.descent_speed_mps)
+        yield from mission.follow(sink, least_rate=_DESCENT_RATE)
     mission.committed_site_world = mission.world(mission.site_odom)
     yield from final_descent(mission)
 

@@ -77,9 +77,14 @@ class PiecewiseTrajectory:
         """(n + 1,) times at which segments meet, from 0 to ``duration_s``."""
         return self._starts.copy()
 
+    @property
+    def coefficients(self) -> Array:
+        """(n, 6, 3) ascending powers of each segment's own time, s."""
+        return self._coefficients
+
     def sample(self, t: float) -> Sample:
         """As ``Trajectory.sample``."""
-        return _sample(self._starts, self._coefficients, t)
+        return sample_quintics(self._starts, self._coefficients, t)
 
     def then(self, following: PiecewiseTrajectory) -> PiecewiseTrajectory:
         """Returns this trajectory followed by ``following``; the caller makes the states match."""
@@ -90,7 +95,8 @@ class PiecewiseTrajectory:
 
 
 @njit(cache=True)
-def _sample(starts: Array, coefficients: Array, t: float) -> Sample:
+def sample_quintics(starts: Array, coefficients: Array, t: float) -> Sample:
+    """`PiecewiseTrajectory.sample` for compiled callers."""
     position, velocity, acceleration = np.zeros(3), np.zeros(3), np.zeros(3)
     last = starts.size - 2
     index = min(max(int(np.searchsorted(starts, t, side="right")) - 1, 0), last)

@@ -76,6 +76,8 @@ def vehicle_model(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> Vehicl
         footprint_radius_m=float(
             np.linalg.norm(geometry.positions_body[:, :2], axis=1).max() + geometry.radius_m
         ),
+        rotor_inflow=geometry.inflow,
+        quadratic_drag=_optional_number(model, prefix, "fuselage_drag"),
     )
 
 
@@ -135,6 +137,12 @@ def _site_pose(model: mujoco.MjModel, prefix: str, name: str) -> Pose:
 
 def _number(model: mujoco.MjModel, prefix: str, name: str) -> float:
     return float(_numbers(model, prefix, name, 1)[0])
+
+
+def _optional_number(model: mujoco.MjModel, prefix: str, name: str) -> float:
+    """The entry's value; 0 where the MJCF has none."""
+    known = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, prefix + name) >= 0
+    return _number(model, prefix, name) if known else 0.0
 
 
 def _numbers(model: mujoco.MjModel, prefix: str, name: str, count: int) -> Array:

@@ -1,0 +1,95 @@
+"""The tilt and the rotor speed that a motion through moving air needs.
+
+The model is the vehicle's nominal one: thrust that inflow along the rotors' axis lowers, drag in
+the rotors' plane that grows with their speed, and the quadratic drag of the fuselage,
+
+    m (a + g) = T z + D,    T = k_T W2 - k_i W1 v.z,    D = -k_D W1 (v - (v.z) z) - c |v| v
+
+with v the velocity through the air, z the thrust axis, and W1, W2 the sums of the rotors' speeds
+and of their squares. In a steady wind of the speed that a vehicle just holds against, inflow takes
+half of the thrust: tilt alone does not say what is left.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from touchdown.sim.api import GRAVITY_MPS2, VehicleModel
+
+Array = NDArray[np.float64]
+
+_ITERATIONS = 25
+_RELAXATION = 0.4
+"""share of a step of the fixed point that is taken: inflow and tilt drive each other"""
+ROTORS = 4
+
+MASS, THRUST, INFLOW, ROTOR_DRAG, BODY_DRAG, FASTEST = range(6)
+"""indices into the coefficients of `air_coefficients`"""
+
+
+class Need(NamedTuple):
+    """What a motion needs in steady state."""
+
+    speed_share: float
+    """mean rotor speed over the largest; above 1 the motion cannot be flown"""
+    tilt_rad: float
+
+
+def air_coefficients(vehicle: VehicleModel) -> Array:
+    """(6,) mass, thrust, inflow, drag of one rotor, drag of the fuselage, largest rotor speed."""
+    hover = np.sqrt(vehicle.mass_kg * GRAVITY_MPS2 / (ROTORS * vehicle.thrust_coefficient))
+    return np.array(
+        [
+            vehicle.mass_kg,
+            vehicle.thrust_coefficient,
+            vehicle.rotor_inflow,
+            vehicle.linear_drag / (ROTORS * hover),
+            vehicle.quadratic_drag,
+            vehicle.rotor_speed_max,
+        ]
+    )
+
+
+def need(vehicle: VehicleModel, through_air: Array, acceleration: Array) -> Need:
+    """Returns the need of a velocity through the air (3,) m/s and an acceleration (3,) m/s^2, both
+    with z up."""
+    velocity = np.ascontiguousarray(through_air, dtype=np.float64)
+    wanted = np.ascontiguousarray(acceleration, dtype=np.float64)
+    share, tilt = rotor_need(velocity, wanted, air_coefficients(vehicle))
+    return Need(float(share), float(tilt))
+
+
+@njit(cache=True)
+def rotor_need(through_air: Array, acceleration: Array, coefficients: Array) -> tuple[float, float]:
+    """Speed share and tilt (rad), as `Need`, by a relaxed fixed point."""
+    mass, thrust = coefficients[MASS], coefficients[THRUST]
+    fastest = coefficients[FASTEST]
+    vx, vy, vz = through_air[0], through_air[1], through_air[2]
+    airspeed = np.sqrt(vx * vx + vy * vy + vz * vz)
+    body = coefficients[BODY_DRAG] * airspeed
+    fx = mass * acceleration[0] + body * vx
+    fy = mass * acceleration[1] + body * vy
+    fz = mass * (acceleration[2] + GRAVITY_MPS2) + body * vz
+    zx, zy, zz = 0.0, 0.0, 1.0
+    speed = np.sqrt(mass * GRAVITY_MPS2 / (ROTORS * thrust))
+    for _ in range(_ITERATIONS):
+        along = vx * zx + vy * zy + vz * zz
+        drag = ROTORS * coefficients[ROTOR_DRAG] * speed
+        tx = fx + drag * (vx - along * zx)
+        ty = fy + drag * (vy - along * zy)
+        tz = fz + drag * (vz - along * zz)
+        size = max(np.sqrt(tx * tx + ty * ty + tz * tz), 1e-9)
+        zx += _RELAXATION * (tx / size - zx)
+        zy += _RELAXATION * (ty / size - zy)
+        zz += _RELAXATION * (tz / size - zz)
+        norm = max(np.sqrt(zx * zx + zy * zy + zz * zz), 1e-9)
+        zx, zy, zz = zx / norm, zy / norm, zz / norm
+        lost = ROTORS * coefficients[INFLOW] * along
+        root = np.sqrt(max(lost * lost + 4.0 * ROTORS * thrust * size, 0.0))
+        wanted = (lost + root) / (2.0 * ROTORS * thrust)
+        speed += _RELAXATION * (min(max(wanted, 0.0), 2.0 * fastest) - speed)
+    return speed / fastest, np.arccos(min(max(zz, -1.0), 1.0))

@@ -1,0 +1,253 @@
+"""The slowed clock of the reference: its bounds, its derivatives, and what it makes of wind."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.landing.api import LandingParams, Phase, SurveyParams
+from touchdown.landing.mission.pace import (
+    BRAKE_PER_S,
+    JERK_PER_S2,
+    SPEED_UP_PER_S,
+    Pace,
+    next_rate,
+    paced,
+)
+from touchdown.landing.mission.thrust_need import need
+from touchdown.landing.mission.trajectory import State, survey_trajectory, through
+from touchdown.landing.mission.wind import FeltWind
+from touchdown.sim.api import GRAVITY_MPS2
+from touchdown.sim.frames import Pose
+
+from support.landing_support import make_estimate, make_obs
+from support.windy_flight import balance, draggy_vehicle, windy_run
+
+Array = NDArray[np.float64]
+STEP_S = 0.005
+VEHICLE = draggy_vehicle()
+SLOWING = LandingParams(slow_in_wind=True)
+SURVEY = survey_trajectory(np.array([0.0, 0.0, 30.0]), 0.4, SurveyParams())
+
+
+def _flown(wind: Array, seconds: float, behind_m: float = 0.0) -> tuple[Array, ...]:
+    """Times, rates, their derivatives and the reference along the survey in a steady wind."""
+    pace = Pace(VEHICLE, SLOWING)
+    pace.begin(SURVEY, wind)
+    rows = []
+    for step in range(round(seconds / STEP_S)):
+        now = step * STEP_S
+        at_s = now - pace.lost_s
+        if at_s > SURVEY.duration_s:
+            break
+        rows.append(
+            (now, pace.rate, pace.change, *paced(SURVEY.sample(at_s), pace.rate, pace.change))
+        )
+        pace.advance(SURVEY, at_s, STEP_S, wind, behind_m)
+    return tuple(np.array(column) for column in zip(*rows, strict=True))
+
+
+# ---------------------------------------------------------------------------- what motion needs
+
+
+def test_hover_in_still_air_needs_its_hover_speed() -> None:
+    found = need(VEHICLE, np.zeros(3), np.zeros(3))
+    hover = np.sqrt(VEHICLE.mass_kg * GRAVITY_MPS2 / (4.0 * VEHICLE.thrust_coefficient))
+    assert found.speed_share == pytest.approx(hover / VEHICLE.rotor_speed_max, rel=1e-4)
+    assert found.tilt_rad == pytest.approx(0.0, abs=1e-6)
+
+
+def test_climbing_needs_the_thrust_that_inflow_takes() -> None:
+    # k_T w^2 - k_i w v = m g / 4 for v = 3 m/s, with the drag 0.05 * 3 * 3 N of the fuselage.
+    found = need(VEHICLE, np.array([0.0, 0.0, 3.0]), np.zeros(3))
+    force = (VEHICLE.mass_kg * GRAVITY_MPS2 + 0.05 * 9.0) / 4.0
+    lost = VEHICLE.rotor_inflow * 3.0
+    speed = (lost + np.sqrt(lost**2 + 4 * VEHICLE.thrust_coefficient * force)) / (
+        2 * VEHICLE.thrust_coefficient
+    )
+    assert found.speed_share * VEHICLE.rotor_speed_max == pytest.approx(speed, rel=1e-3)
+
+
+@pytest.mark.parametrize("speed", [3.0, 8.0, 13.0, 16.0])
+def test_need_is_the_balance_of_forces(speed: float) -> None:
+    through_air, acceleration = np.array([speed, -2.0, 0.5]), np.array([0.8, 0.3, -0.2])
+    solved = balance(VEHICLE, through_air, acceleration)
+    found = need(VEHICLE, through_air, acceleration)
+    assert found.speed_share * VEHICLE.rotor_speed_max == pytest.approx(solved.speed, rel=2e-3)
+    assert found.tilt_rad == pytest.approx(np.arccos(solved.rotation[2, 2]), abs=2e-3)
+
+
+@pytest.mark.parametrize("wind", [(4.0, 0.0), (-9.0, 6.0), (2.0, -14.0)])
+def test_felt_wind_is_the_wind(wind: tuple[float, float]) -> None:
+    blowing, velocity = np.array([*wind, 0.0]), np.array([2.0, -1.0, 1.5])
+    acceleration = np.array([0.5, -0.4, 0.2])
+    balanced = balance(VEHICLE, velocity - blowing, acceleration)
+    felt = FeltWind(VEHICLE)
+    for step in range(1500):
+        estimate = dataclasses.replace(
+            make_estimate(3 * step, Pose(balanced.rotation, np.zeros(3)), velocity),
+            acceleration_odom=acceleration,
+        )
+        felt.update(make_obs(3 * step, rotor_speed_radps=np.full(4, balanced.speed)), estimate)
+    np.testing.assert_allclose(felt.wind_odom, blowing, atol=0.05)
+
+
+def test_friction_on_the_ground_is_no_wind() -> None:
+    felt, estimate = FeltWind(VEHICLE), make_estimate(0, Pose.identity())
+    leaning = dataclasses.replace(estimate, acceleration_odom=np.array([3.0, 0.0, 0.0]))
+    for step in range(100):
+        felt.update(make_obs(3 * step, rotor_speed_radps=np.full(4, 100.0)), leaning)
+    assert felt.speed_mps == 0.0
+
+
+# ------------------------------------------------------------------------------- the clock itself
+
+
+def test_gentle_wind_leaves_the_trajectory_as_it_was_set() -> None:
+    times, rates, changes, positions, *_ = _flown(np.array([3.6, -2.0, 0.0]), 100.0)
+    assert (rates == 1.0).all()
+    assert (changes == 0.0).all()
+    assert times[-1] == pytest.approx(SURVEY.duration_s, abs=2 * STEP_S)
+    for time_s, position in zip(times[::50], positions[::50], strict=True):
+        assert (position == SURVEY.sample(time_s)[0]).all()
+
+
+def test_rate_and_its_derivatives_keep_their_bounds() -> None:
+    rng, rate, change = np.random.default_rng(4), 1.0, 0.0
+    rates, changes = [], []
+    for step in range(20_000):
+        if step % 150 == 0:
+            target = float(rng.choice([0.0, 1.0, rng.uniform()]))
+        rate, change = next_rate(rate, change, target, STEP_S)
+        rates.append(rate)
+        changes.append(change)
+    assert min(rates) >= 0.0
+    assert max(rates) <= 1.0
+    assert min(changes) >= -BRAKE_PER_S - 1e-12
+    assert max(changes) <= SPEED_UP_PER_S + 1e-12
+    inside = (np.array(rates[1:]) > 0.02) & (np.array(rates[1:]) < 0.98)
+    assert np.abs(np.diff(changes))[inside].max() <= JERK_PER_S2 * STEP_S + 1e-12
+
+
+@pytest.mark.parametrize("target", [0.0, 1.0])
+def test_rest_and_full_pace_are_reached_exactly(target: float) -> None:
+    rate, change = 0.5, 0.0
+    for _ in range(6_000):
+        rate, change = next_rate(rate, change, target, STEP_S)
+    assert (rate, change) == (target, 0.0)
+
+
+def test_slowed_velocity_and_acceleration_belong_to_the_positions() -> None:
+    _, rates, _, positions, velocities, accelerations = _flown(np.array([-11.0, 5.0, 0.0]), 200.0)
+    assert rates.min() < 0.8
+    moved = (positions[2:] - positions[:-2]) / (2.0 * STEP_S)
+    np.testing.assert_allclose(moved, velocities[1:-1], atol=0.01)
+    sped = (velocities[2:] - velocities[:-2]) / (2.0 * STEP_S)
+    # The clock's bounded jerk at 8 m/s changes the acceleration by 0.08 m/s^2 over two steps.
+    np.testing.assert_allclose(sped, accelerations[1:-1], atol=0.08)
+
+
+def test_slowed_survey_needs_no_more_than_the_margin() -> None:
+    wind, params = np.array([-11.0, 5.0, 0.0]), SLOWING
+    _, _, _, _, velocities, accelerations = _flown(wind, 200.0)
+    unslowed = max(
+        need(VEHICLE, v - wind, a).speed_share
+        for _, v, a in (SURVEY.sample(t) for t in np.linspace(0.0, 36.0, 300))
+    )
+    shares = [
+        need(VEHICLE, v - wind, a).speed_share
+        for v, a in zip(velocities[::20], accelerations[::20], strict=True)
+    ]
+    assert unslowed > 1.0
+    assert max(shares) < params.wind_thrust_share + 0.02
+
+
+def test_slowing_is_off_by_default() -> None:
+    pace, gale = Pace(VEHICLE, LandingParams()), np.array([-16.0, 0.0, 0.0])
+    pace.begin(SURVEY, gale)
+    for _ in range(1000):
+        pace.advance(SURVEY, 5.0, STEP_S, gale, 5.0)
+    assert (pace.rate, pace.lost_s) == (1.0, 0.0)
+
+
+def test_clock_waits_for_a_vehicle_that_falls_behind() -> None:
+    assert (_flown(np.zeros(3), 10.0, behind_m=0.5)[1] == 1.0).all()
+    assert _flown(np.zeros(3), 20.0, behind_m=2.5)[1][-1] == 0.0
+
+
+def test_weak_rotors_slow_the_clock_earlier() -> None:
+    wind = np.array([-7.0, 0.0, 0.0])
+    leg = through([State(np.zeros(3)), State(np.array([60.0, 0.0, 0.0]))], [15.0])
+    nominal, weak = Pace(VEHICLE, SLOWING), Pace(VEHICLE, SLOWING)
+    share = need(VEHICLE, -wind, np.zeros(3)).speed_share
+    for _ in range(200):
+        weak.learn(-wind, np.zeros(3), 1.12 * share * VEHICLE.rotor_speed_max, 0.1)
+    rates = {}
+    for name, pace in (("nominal", nominal), ("weak", weak)):
+        pace.begin(leg, wind)
+        slowest = 1.0
+        for _ in range(2000):
+            pace.advance(leg, 7.5, STEP_S, wind, 0.0)
+            slowest = min(slowest, pace.rate)
+        rates[name] = slowest
+    assert rates["weak"] < rates["nominal"] - 0.1
+
+
+# ------------------------------------------------------------------------------- the whole mission
+
+
+def test_strong_wind_slows_the_flight_and_says_so() -> None:
+    events: list[str] = []
+    slowed_s = 0.0
+    for _, view, _ in windy_run(lambda t: np.array([-11.0, 0.0, 0.0]), 200.0, survey_only=True):
+        events += view.events
+        slowed_s = view.slowed_s
+        if view.phase is Phase.DONE:
+            break
+    assert view.phase is Phase.DONE
+    assert not view.aborted
+    assert any("slowed by a wind of 1" in text for text in events)
+    assert any("instead of 14.0 s" in text for text in events)
+    assert slowed_s > 1.0
+
+
+def test_gentle_wind_is_not_spoken_of() -> None:
+    gentle = windy_run(
+        lambda t: np.array([4.0, 0.0, 0.0]), 60.0, survey_only=True, climb_speed_mps=3.0
+    )
+    for _, view, _ in gentle:
+        assert not view.events
+        if view.phase is Phase.DONE:
+            break
+    assert view.phase is Phase.DONE
+    assert view.slowed_s == 0.0
+
+
+def test_wind_too_strong_for_the_height_lowers_the_survey() -> None:
+    heights, events = [], []
+    for _, view, reference in windy_run(lambda t: np.array([14.5, 0.0, 0.0]), 120.0):
+        events += view.events
+        heights.append(reference[2])
+        if view.phase is Phase.SURVEY:
+            break
+    assert any("the survey is flown at 10 m" in text for text in events)
+    assert heights[-1] == pytest.approx(10.0 + 0.3, abs=0.4)
+
+
+def test_wind_beyond_reach_ends_the_mission_on_the_ground() -> None:
+    """A gust front: the survey can no longer be flown, so that the vehicle lands where it is."""
+
+    def front(t: float) -> Array:
+        return np.array([-6.0 if t < 12.0 else -17.5, 0.0, 0.0])
+
+    events: list[str] = []
+    for _, view, reached in windy_run(front, 300.0):
+        events += view.events
+        if view.phase is Phase.TOUCHDOWN:
+            break
+    assert any("leaves no way to fly this leg" in text for text in events)
+    assert any("SURVEY broken off" in text for text in events)
+    assert reached[2] < 1.0

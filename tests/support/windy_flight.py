@@ -1,0 +1,102 @@
+"""A vehicle that follows the lander exactly in a wind, with the tilt and the rotor speed that the
+balance of forces needs: what a lander feels of the wind."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import fsolve
+
+from touchdown.landing.api import LanderView
+from touchdown.landing.mission.lander import SiteLander
+from touchdown.sim.api import GRAVITY_MPS2, VehicleModel
+from touchdown.sim.frames import Pose
+
+from support.lander_support import PARAMS, QUICK, flat_map
+from support.landing_support import LEG_HEIGHT, make_estimate, make_imu, make_obs, make_rig, view_of
+
+Array = NDArray[np.float64]
+
+STEP_TICKS = 12
+
+
+def draggy_vehicle() -> VehicleModel:
+    """A 4 kg quadrotor that holds against a wind of 15 m/s, and not against one of 18 m/s."""
+    return dataclasses.replace(
+        make_rig().vehicle,
+        thrust_coefficient=6e-5,
+        linear_drag=0.6,
+        rotor_speed_max=560.0,
+        rotor_inflow=1.8e-3,
+        quadratic_drag=0.05,
+    )
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Balance:
+    """Attitude (world_from_body) and mean rotor speed (rad/s) of a motion."""
+
+    rotation: Array
+    speed: float
+
+
+def balance(vehicle: VehicleModel, through_air: Array, acceleration: Array) -> Balance:
+    """Solves Newton's second law for thrust axis and rotor speed: three equations, three unknown
+    (the axis by its horizontal components)."""
+    mass, weight = vehicle.mass_kg, vehicle.mass_kg * GRAVITY_MPS2
+    hover = np.sqrt(weight / (4.0 * vehicle.thrust_coefficient))
+    per_rotor = vehicle.linear_drag / (4.0 * hover)
+
+    def excess(unknown: Array) -> Array:
+        x, y, share = unknown
+        axis = np.array([x, y, np.sqrt(max(1.0 - x * x - y * y, 1e-6))])
+        speed, along = share * hover, through_air @ axis
+        thrust = vehicle.thrust_coefficient * speed**2 - vehicle.rotor_inflow * speed * along
+        drag = 4.0 * per_rotor * speed * (through_air - along * axis)
+        drag = drag + vehicle.quadratic_drag * np.linalg.norm(through_air) * through_air
+        force = 4.0 * thrust * axis - drag
+        return (force - mass * acceleration - np.array([0.0, 0.0, weight])) / weight
+
+    x, y, share = fsolve(excess, np.array([0.02 * through_air[0], 0.02 * through_air[1], 1.0]))
+    z = np.array([x, y, np.sqrt(1.0 - x * x - y * y)])
+    left = np.cross(z, [1.0, 0.0, 0.0])
+    left /= np.linalg.norm(left)
+    return Balance(np.column_stack([np.cross(left, z), left, z]), float(share * hover))
+
+
+def windy_run(
+    wind: Callable[[float], Array], seconds: float, **params: object
+) -> Iterator[tuple[float, LanderView, Array]]:
+    """Yields time, view and reference of a landing over flat ground, every control step."""
+    rig = dataclasses.replace(make_rig(), vehicle=draggy_vehicle())
+    survey = dataclasses.replace(QUICK, min_height_m=10.0)
+    lander = SiteLander(rig, dataclasses.replace(PARAMS, slow_in_wind=True, **params), survey)
+    position, velocity = np.array([0.0, 0.0, LEG_HEIGHT]), np.zeros(3)
+    acceleration, motors = np.zeros(3), False
+    hover = np.sqrt(rig.vehicle.mass_kg * GRAVITY_MPS2 / (4 * rig.vehicle.thrust_coefficient))
+    map_view = view_of(flat_map(), None)
+    for tick in range(0, round(seconds * 600), STEP_TICKS):
+        time_s = tick / 600.0
+        airborne = position[2] > LEG_HEIGHT + 1e-9
+        balanced = Balance(np.eye(3), hover if motors else 0.0)
+        if airborne:
+            balanced = balance(rig.vehicle, velocity - wind(time_s), acceleration)
+        obs = make_obs(
+            tick,
+            imu=(make_imu(tick, GRAVITY_MPS2),),
+            rotor_speed_radps=np.full(4, balanced.speed),
+        )
+        estimate = dataclasses.replace(
+            make_estimate(tick, Pose(balanced.rotation, position.copy()), velocity),
+            acceleration_odom=acceleration,
+        )
+        setpoint = lander.update(obs, estimate, map_view)
+        yield time_s, lander.view(), setpoint.position_odom
+        motors = setpoint.motors_on
+        if motors:
+            position = setpoint.position_odom.copy()
+            position[2] = max(position[2], LEG_HEIGHT)
+            velocity, acceleration = setpoint.velocity_odom, setpoint.acceleration_odom
