@@ -191,6 +191,9 @@ class SurveyParams:
     duration_s: Positive = 36.0
     """time from the start of the first leg to the end of the last, where the wind lets the vehicle
     keep it"""
+    climb_turn_deg: Annotated[float, Interval(ge=-360.0, le=360.0)] = 0.0
+    """turn of the heading during the climb, which the survey keeps; 180 separates the
+    accelerometer's bias from errors of roll and pitch"""
     min_height_m: Positive = 20.0
     """lowest height of the survey where the wind at ``height_m`` is too strong; above all
     obstacles"""

@@ -19,6 +19,7 @@ from touchdown.landing.mission.energy import (
     search_leg_time_s,
 )
 from touchdown.landing.mission.pace import Pace, paced
+from touchdown.landing.mission.heading import HeadingTurn
 from touchdown.landing.mission.trajectory import PiecewiseTrajectory, State, through
 from touchdown.landing.mission.wind import FeltWind, WindEstimator
 from touchdown.sim.api import Observation, SensorRig
@@ -58,6 +59,7 @@ class Mission:
         start = rig.world_from_body_start
         self.start_world: Array = start.translation.copy()
         self.start_yaw = yaw_from_rotation(start.rotation)
+        self.turn: HeadingTurn | None = None
         self.leg_height = rig.vehicle.leg_height_m
         self.ground_world = float(self.start_world[2]) - self.leg_height
         self.phase = Phase.INIT
@@ -219,6 +221,8 @@ class Mission:
         velocity = np.zeros(3) if velocity is None else velocity
         acceleration = np.zeros(3) if acceleration is None else acceleration
         world_from_odom = self.estimate.world_from_odom
+        turned, rate = (0.0, 0.0) if self.turn is None else self.turn.sample(self.now)
+        heading = self.start_yaw + turned
         if in_world:
             self.reference_world = position
             position = self.odom(position)
@@ -230,7 +234,8 @@ class Mission:
             position_odom=position,
             velocity_odom=velocity,
             acceleration_odom=acceleration,
-            yaw_odom=wrap_angle(self.start_yaw - yaw_from_rotation(world_from_odom.rotation)),
+            yaw_odom=wrap_angle(heading - yaw_from_rotation(world_from_odom.rotation)),
+            yaw_rate=rate,
             motors_on=motors_on,
             thrust_limit=thrust_limit,
         )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from touchdown.controller.api import Setpoint
 from touchdown.landing.api import Candidate, Phase
 from touchdown.landing.mission.descent import descend_to, final_descent
+from touchdown.landing.mission.heading import turn_in_climb
 from touchdown.landing.mission.mission_state import (
     LegBlockedError,
     Mission,
@@ -80,6 +81,7 @@ def take_off(mission: Mission) -> Steps:
     height = mission.ground_world + mission.survey.height_m
     mission.note = f"climbing to {mission.survey.height_m:.0f} m"
     climb = vertical_move(mission.start_world, height, mission.params.climb_speed_mps)
+    mission.turn = turn_in_climb(climb, mission.now, mission.survey.climb_turn_deg)
     ceiling = _Ceiling(mission)
     yield from mission.follow(
         climb, in_world=True, hold_s=_HOVER_AFTER_CLIMB_S, until=ceiling.reached
