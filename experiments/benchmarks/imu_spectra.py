@@ -91,7 +91,7 @@ def _read(file: Path) -> Array:
 
 
 def recorded_vibration(
-    seconds: float = _SECONDS, seed: int = 0, levels: tuple[Array, Array] = vibration.LEVELS
+    seconds: float, seed: int = 0, levels: tuple[Array, Array] = vibration.LEVELS
 ) -> Array:
     """(N, 6) samples of the model at the recorded vehicle's rotor speeds, as its sensor samples."""
     rng = np.random.default_rng(seed)
@@ -102,7 +102,7 @@ def recorded_vibration(
     return np.array([model.sample(row) for row in speeds])
 
 
-def hover_vibration(params: ImuParams, seconds: float = _SECONDS, seed: int = 0) -> Array:
+def hover_vibration(params: ImuParams, seconds: float, seed: int = 0) -> Array:
     """(N, 6) samples of the simulated vehicle's IMU in hover, 200 a second."""
     rng = np.random.default_rng(seed)
     speeds = _wander(rng, round(seconds * _SIMULATED_HZ), _SIMULATED_HZ, _SIMULATED_HOVER, 0.01)
@@ -146,7 +146,9 @@ def fit(recordings: dict[str, Array]) -> dict[str, Array]:
     levels = np.zeros((len(parts), 6))
     for axis in range(6):
         relative = (parts / recorded[axis] ** 2).T
-        line = min(turns[axis] ** 2, 0.6 / float(relative[:, 0].max()))
+        # of the power of any band at most 0.6; where no line stands out, next to nothing
+        most_line = 0.6 / float(relative[:, 0].max())
+        line = float(np.clip(turns[axis] ** 2, 1e-6 * most_line, most_line))
         least, most = np.zeros(len(parts) - 1), np.full(len(parts) - 1, np.inf)
         least[0], most[0] = 0.25 * line, 9.0 * line
         found = lsq_linear(relative[:, 1:], 1.0 - relative[:, 0] * line, bounds=(least, most))
@@ -175,7 +177,7 @@ def _unit_parts() -> Array:
     for part in range(2 + len(vibration.MODE_HZ)):
         lines, modes = np.zeros((2, 6)), np.zeros((len(vibration.MODE_HZ), 6))
         (lines if part < 2 else modes)[part if part < 2 else part - 2] = 1.0
-        samples = recorded_vibration(levels=(lines, modes))
+        samples = recorded_vibration(_SECONDS, levels=(lines, modes))
         rows.append(np.sqrt((band_rms(samples, RECORDED_HZ) ** 2).mean(axis=0)))
     return np.array(rows)
 
@@ -188,7 +190,7 @@ def measure(folder: Path, out: Path | None = None) -> dict[str, Any]:
     the ``recorded`` ones, and the figure ``imu_spectra.png`` in ``out``. Raises UsageError."""
     recordings = read_recordings(folder)
     found: dict[str, Any] = dict(fit(recordings))
-    found["simulated"] = band_rms(recorded_vibration(), RECORDED_HZ)
+    found["simulated"] = band_rms(recorded_vibration(_SECONDS), RECORDED_HZ)
     if out is not None:
         try:
             out.mkdir(parents=True, exist_ok=True)
@@ -216,9 +218,11 @@ def draw(recordings: dict[str, Array], path: Path) -> None:
 
     recorded = [density(r[:, 1:], RECORDED_HZ) for r in recordings.values()]
     powers = np.array([power for _, power in recorded])
-    as_recorded = density(recorded_vibration(), RECORDED_HZ)
-    harsh = density(hover_vibration(_AS_RECORDED), _SIMULATED_HZ)
-    field = density(hover_vibration(replace(_AS_RECORDED, vibration_isolation=0.2)), _SIMULATED_HZ)
+    as_recorded = density(recorded_vibration(_SECONDS), RECORDED_HZ)
+    harsh = density(hover_vibration(_AS_RECORDED, _SECONDS), _SIMULATED_HZ)
+    field = density(
+        hover_vibration(replace(_AS_RECORDED, vibration_isolation=0.2), _SECONDS), _SIMULATED_HZ
+    )
     with matplotlib.rc_context({"font.size": 9}):
         figure = Figure(figsize=(10.0, 5.8), dpi=90, layout="constrained")
         for axis, plot in enumerate(figure.subplots(2, 3, sharex=True).flat):

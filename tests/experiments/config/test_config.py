@@ -153,6 +153,7 @@ WITHOUT_RANGE = {
     "faults.gps_jump_m",
     "faults.gps_spoof_mps",
     "gps.antenna_body_m",
+    "imu.offset_m",
     "landing.risk_weights",
     "landing.site_xy_m",
     "rangefinder.position_body_m",

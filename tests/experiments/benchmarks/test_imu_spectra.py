@@ -1,0 +1,113 @@
+"""``touchdown bench imu``: reading recordings, and the fit of the vibration's levels."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.experiments.benchmarks import imu_spectra
+from touchdown.experiments.benchmarks.imu_spectra import (
+    RECORDED_HZ,
+    band_rms,
+    fit,
+    read_recordings,
+    recorded_vibration,
+)
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.errors import UsageError
+from touchdown.sim.vibration import HARMONIC_RMS, PropellerVibration
+
+HEADER = "time,Euler_X,Euler_Y,Euler_Z,Acc_X,Acc_Y,Acc_Z,Gyr_X,Gyr_Y,Gyr_Z"
+
+
+def write(folder: Path, samples: NDArray[np.float64], header: str = HEADER) -> None:
+    """(N, 6) rad/s and m/s^2 as a recording of the steady flight."""
+    time = np.arange(len(samples)) / RECORDED_HZ
+    turn, force = np.degrees(samples[:, :3]), samples[:, 3:]
+    table = np.column_stack([time, np.zeros((len(samples), 3)), force, turn])
+    path = folder / "StraightLine" / "path_2"
+    path.mkdir(parents=True)
+    np.savetxt(path / "IMU_1.csv", table, delimiter=",", header=header, comments="")
+
+
+def test_power_is_counted_in_its_band() -> None:
+    time = np.arange(4000) / RECORDED_HZ
+    tone = np.sqrt(2.0) * np.sin(2.0 * np.pi * 35.0 * time)
+    found = band_rms(np.tile(tone[:, None], (1, 6)), RECORDED_HZ)
+    np.testing.assert_allclose(found[:, 2], 1.0, rtol=0.02)
+    assert found[:, [0, 1, 3, 4]].max() < 0.02
+
+
+def test_columns_and_units_of_a_recording(tmp_path: Path) -> None:
+    samples = np.random.default_rng(0).standard_normal((300, 6))
+    write(tmp_path, samples)
+    found = read_recordings(tmp_path)["StraightLine/path_2/IMU_1"]
+    np.testing.assert_allclose(found[:, 1:], samples, atol=1e-9)
+    np.testing.assert_allclose(found[:, 0], np.arange(300) / RECORDED_HZ, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("count", "header", "text"),
+    [
+        (300, HEADER.replace("Gyr_Y", "Gyro"), "has no column Gyr_Y"),
+        (20, HEADER, "has 20 samples; a spectrum needs 256"),
+    ],
+)
+def test_unusable_recordings_are_named(tmp_path: Path, count: int, header: str, text: str) -> None:
+    write(tmp_path, np.zeros((count, 6)), header)
+    with pytest.raises(UsageError, match=text):
+        read_recordings(tmp_path)
+
+
+def test_a_folder_without_recordings_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert cli.main(["bench", "imu", "--data", str(tmp_path), "--out", str(out)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and "holds no recording" in lines[0]
+    assert not out.exists()
+
+
+def test_the_line_of_a_steady_flight_has_its_level() -> None:
+    """Rotors at 82 Hz appear at 38 Hz, weakened by the mean; the level is that in hover."""
+    hover = 2.0 * np.pi * imu_spectra.RECORDED_HOVER_HZ
+    model = PropellerVibration(imu_spectra._AS_RECORDED, 1.0 / RECORDED_HZ, hover, 5)
+    rotors = 2.0 * np.pi * np.array([81.0, 81.7, 82.4, 83.0])
+    samples = np.array([model.sample(rotors) for _ in range(6000)])
+    found = imu_spectra._line(np.column_stack([10.0 + np.arange(6000) / RECORDED_HZ, samples]))
+    # about the vertical the line is lost on the flank of the resonance at 57 Hz
+    clear = [0, 1, 3, 4, 5]
+    np.testing.assert_allclose(found[clear], HARMONIC_RMS[0, clear], rtol=0.25)
+
+
+def test_a_fit_reproduces_the_bands_of_what_it_is_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Recordings that the model made: the fitted levels give the same band levels again."""
+    monkeypatch.setattr(imu_spectra, "_SECONDS", 40.0)
+    write(tmp_path, recorded_vibration(seconds=60.0, seed=9))
+    found = fit(read_recordings(tmp_path))
+    levels = found["harmonics"], found["modes"]
+    again = band_rms(recorded_vibration(seconds=60.0, seed=3, levels=levels), RECORDED_HZ)
+    np.testing.assert_allclose(again, found["recorded"], rtol=0.25)
+
+
+def test_the_command_prints_a_table_or_json_and_draws(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(imu_spectra, "_SECONDS", 10.0)
+    write(tmp_path, recorded_vibration(seconds=10.0))
+    out = tmp_path / "figures"
+    assert cli.main(["bench", "imu", "--data", str(tmp_path), "--out", str(out)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split("  ")[0] for line in lines[1:]] == list(imu_spectra.AXES)
+    assert (out / "imu_spectra.png").stat().st_size < 150_000
+    assert cli.main(["bench", "imu", "--data", str(tmp_path), "--json"]) == 0
+    assert set(json.loads(capsys.readouterr().out)) == {
+        "recorded", "simulated", "harmonics", "modes",
+    }  # fmt: skip
