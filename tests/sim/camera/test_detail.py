@@ -189,7 +189,7 @@ def test_grain_is_seen_and_keeps_the_colour() -> None:
 
 
 def test_grain_lies_still_on_the_ground(place: Scene) -> None:
-    """A camera that moves by whole pixels sees the same, shifted; on a slab at the slab's height."""
+    """A camera that moves by whole pixels sees the same, shifted; also on top of a slab."""
     for middle, level in (((0.0, 0.0), 0.0), ((5.0, 0.0), 1.0)):
         here = picture(place, middle, level + 1.5, detail=True)
         step = 1.5 * 2.0 * np.tan(np.deg2rad(0.5 * 69.0)) / SIZE[0]
