@@ -147,8 +147,8 @@ class GroundDetail:
 
 
 def ground_lookup(scene: Scene) -> GroundLookup:
-    """Casts rays down on what is ground: planes, height fields, and geoms of the classes lawn,
-    field, path and road that do not move."""
+    """Casts rays down on what is ground or water: planes, height fields, and geoms of the classes
+    lawn, field, path, road and water that do not move."""
     model = scene.model
     low, high = scene.bounds_xy_m[0] - _MARGIN_M, scene.bounds_xy_m[1] + _MARGIN_M
     cell = max(_HEIGHT_CELL_M, float((high - low).max()) / _MOST_CELLS)
@@ -183,7 +183,7 @@ def _ground_geoms(scene: Scene) -> list[int]:
         surface = scene.surfaces.get(model.geom(geom).name)
         body = int(model.geom_bodyid[geom])
         ground = int(model.geom_type[geom]) in _GROUND_TYPES
-        ground = ground or (surface is not None and surface.land_class in _OF_CLASS)
+        ground = ground or (surface is not None and surface.land_class in (*_OF_CLASS, "water"))
         seen = model.geom_group[geom] < _FIRST_HIDDEN_GROUP
         if ground and seen and model.body_weldid[body] == 0 and model.body_mocapid[body] < 0:
             found.append(geom)

@@ -1,0 +1,262 @@
+"""`snow` and `dunes`: relief, safe ground, ice, reflectivity, and the light on fine relief."""
+
+from __future__ import annotations
+
+import functools
+import os
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import mujoco
+import numpy as np
+import pytest
+
+from touchdown.scenes.api import LAND_CLASSES, LowSun, Scene
+from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.authoring.height_field import HeightField
+from touchdown.scenes.authoring.light import sun_at
+from touchdown.scenes.authoring.micro_relief import NEUTRAL, MicroRelief, Ripples
+from touchdown.scenes.authoring.tracks import SKIS, footprints, parallel, runners, wander
+from touchdown.scenes.compose import load_scene
+from touchdown.scenes.places.dunes import layout as dunes
+from touchdown.scenes.places.snow import layout as snow
+from touchdown.scenes.props.tree_shapes import needles
+from touchdown.scenes.props.winter import laden
+from touchdown.scenes.truth.maps import judge_touchdown
+from touchdown.scenes.truth.survey_facts import survey_facts
+
+FIELD, WATER = LAND_CLASSES.index("field"), LAND_CLASSES.index("water")
+SURVEY_M = (50.0, 40.0)
+SUN = np.array([0.6, 0.0, -0.8])
+"""Light that travels to the east."""
+
+
+@functools.cache
+def cached_scene(name: str, seed: int) -> Scene:
+    return load_scene(name, seed)
+
+
+CASES = [
+    ("snow", 0),
+    ("dunes", 0),
+    *(pytest.param(n, s, marks=pytest.mark.slow) for n in ("snow", "dunes") for s in (1, 2)),
+]
+
+
+@pytest.mark.parametrize(("name", "seed"), CASES)
+def test_a_tenth_of_the_survey_is_safe_and_not_all(name: str, seed: int) -> None:
+    facts = survey_facts(cached_scene(name, seed), *SURVEY_M, 17.0, 10.0)
+    assert 0.10 < facts.safe_share < 0.75
+    assert facts.takeoff_safe
+
+
+@pytest.mark.parametrize(("name", "seed"), CASES)
+def test_survey_is_inside_and_its_height_is_free(name: str, seed: int) -> None:
+    scene = cached_scene(name, seed)
+    c, s = np.cos(scene.takeoff_yaw), np.sin(scene.takeoff_yaw)
+    corners = np.array([[u, v] for u in (-16.0, 66.0) for v in (0.0, 40.0)])
+    world = scene.takeoff_xy_m + corners @ np.array([[c, s], [-s, c]])
+    assert (world > scene.bounds_xy_m[0]).all() and (world < scene.bounds_xy_m[1]).all()
+    model, data = scene.model, mujoco.MjData(scene.model)
+    mujoco.mj_kinematics(model, data)
+    names = [model.geom(g).name for g in range(model.ngeom)]
+    own = {n for n in names if not n.startswith("vehicle/")}
+    assert own == set(scene.surfaces) and len(own) <= 620
+    for geom in range(model.ngeom):
+        rotation = data.geom_xmat[geom].reshape(3, 3)
+        centre = data.geom_xpos[geom] + rotation @ model.geom_aabb[geom, :3]
+        assert centre[2] + np.abs(rotation[2]) @ model.geom_aabb[geom, 3:] < 18.0
+
+
+@pytest.mark.parametrize("name", ["snow", "dunes"])
+def test_same_seed_same_bytes(name: str) -> None:
+    first, again = cached_scene(name, 0).model, load_scene(name, 0).model
+    for part in ("tex_data", "geom_pos", "hfield_data", "mesh_vert"):
+        assert getattr(first, part).tobytes() == getattr(again, part).tobytes()
+
+
+def test_open_snow_and_sand_are_fields_of_their_reflectivity() -> None:
+    for name, low, high in (("snow", 0.80, 0.90), ("dunes", 0.35, 0.48)):
+        ground = cached_scene(name, 0).ground
+        assert ground is not None
+        open_ground = ground.class_id == FIELD
+        assert open_ground.mean() > 0.85
+        assert low < np.median(ground.reflectivity[open_ground]) < high
+
+
+# ------------------------------------------------------------------------------------------- pond
+
+
+def pond_middle(scene: Scene) -> np.ndarray:
+    ground = scene.ground
+    assert ground is not None
+    rows, cols = np.nonzero(ground.class_id == WATER)
+    return ground.origin_xy_m + (np.array([np.median(cols), np.median(rows)]) + 0.5) * ground.cell_m
+
+
+def test_frozen_pond_is_level_water_and_never_safe() -> None:
+    scene = cached_scene("snow", 0)
+    ground = scene.ground
+    assert ground is not None
+    assert 80.0 < (ground.class_id == WATER).sum() * ground.cell_m**2 < 350.0
+    verdict = judge_touchdown(scene, pond_middle(scene))
+    assert verdict.slope_deg < 0.5
+    assert not verdict.safe_geometry
+
+
+def slid_m(scene: Scene, geom_name: str) -> float:
+    """Way of a block with the friction of rubber, pushed at 1 m/s over the surface of a geom."""
+    spec = mujoco.MjSpec()
+    ice = scene.model.geom(geom_name)
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[9, 9, 1], friction=ice.friction,
+                            priority=int(ice.priority[0]))  # fmt: skip
+    body = spec.worldbody.add_body(pos=[0, 0, 0.05])
+    body.add_freejoint()
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.1, 0.05], mass=1.0,
+                  friction=[0.9, 0.01, 0.001])  # fmt: skip
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qvel[0] = 1.0
+    for _ in range(2000):
+        mujoco.mj_step(model, data)
+    return float(data.qpos[0])
+
+
+def test_ice_is_slippery_and_covers_the_pond() -> None:
+    """v^2 / 2 mu g: 0.64 m on ice, 0.13 m on snow, although the feet are of rubber."""
+    scene = cached_scene("snow", 0)
+    slabs = [n for n in scene.surfaces if n.startswith("water_ice")]
+    middle = pond_middle(scene)
+    over = [
+        n for n in slabs
+        if (np.abs(middle - scene.model.geom(n).pos[:2]) <= scene.model.geom(n).size[:2]).all()
+    ]  # fmt: skip
+    assert len(over) == 1
+    assert slid_m(scene, over[0]) == pytest.approx(0.637, rel=0.1)
+    assert slid_m(scene, "terrain") == pytest.approx(0.127, rel=0.15)
+    # The slab's top is what feet meet, millimetres over what is seen.
+    slab, terrain = scene.model.geom(over[0]), scene.model.geom("terrain")
+    field = scene.model.hfield_data.reshape(snow.NODES, snow.NODES) * scene.model.hfield_size[0, 2]
+    seen = HeightField(heights_m=field + terrain.pos[2], half_m=snow.HALF_M).point(*middle)
+    assert 0.001 < slab.pos[2] + slab.size[2] - seen < 0.008
+
+
+def test_slabs_lie_below_the_snow_around_the_pond() -> None:
+    rng = np.random.default_rng(4)
+    plan = snow.draw_plan(rng)
+    relief = snow.shape_snow(rng, plan)
+    heights = relief.terrain.heights_m
+    assert np.ptp(heights[relief.pond_m <= 0.0]) < 1e-9
+    around = (relief.pond_m > 0.4) & (relief.pond_m < 2.0)
+    assert (heights[around] > relief.ice_m + 0.05).mean() > 0.99
+
+
+# ------------------------------------------------------------------------------------------ relief
+
+
+def test_drifts_lie_behind_rocks_and_fences() -> None:
+    rng = np.random.default_rng(1)
+    plan = snow.draw_plan(rng)
+    lone = [rock for rock in plan.rocks if all(
+        np.hypot(*(rock[0] - other)) > 9.0 for other, _ in plan.rocks if other is not rock[0]
+    ) and np.hypot(*(rock[0] - plan.hut_xy_m)) > 15.0]  # fmt: skip
+    for centre, radius in lone[:3]:
+        ahead = snow.drifts(plan, (centre - 2.0 * radius * plan.wind)[None])[0]
+        behind = snow.drifts(plan, (centre + 2.0 * radius * plan.wind)[None])[0]
+        assert behind > ahead + 0.1 * radius
+
+
+def test_dune_profile_has_the_angle_of_repose_and_a_flat() -> None:
+    phase = np.linspace(0.0, 1.0, 4001)
+    height, slip = dunes.dune_profile(phase, np.full(4001, 2.5), 30.0)
+    slope = np.gradient(height, 30.0 * phase)
+    assert height.max() == pytest.approx(2.5, rel=1e-3)
+    assert (height[phase < 0.29] == 0.0).all()
+    np.testing.assert_allclose(slope[slip > 0.0][2:-2], -np.tan(np.deg2rad(32.0)), rtol=1e-6)
+    assert slope.max() < np.tan(np.deg2rad(18.0))
+
+
+def test_sand_is_nowhere_steeper_than_it_can_lie() -> None:
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        plan = dunes.draw_plan(rng)
+        relief = dunes.shape_dunes(rng, plan)
+        rise = np.gradient(relief.terrain.heights_m, relief.terrain.cell_m)
+        steep = np.rad2deg(np.arctan(np.hypot(*rise)))[relief.rock < 0.01]
+        # Steeper than 32 degrees where crests turn and two edges of a cell both lie at repose.
+        assert np.percentile(steep, 99) < 40.0
+        assert 28.0 < np.percentile(steep, 97) < 38.0
+        assert (relief.slip > 0.5).mean() > 0.02
+
+
+# ------------------------------------------------------------------------------- light, fine relief
+
+
+def test_light_on_slopes_follows_lambert() -> None:
+    """A plane of 20 % that rises to the east is turned to a sun in the west by 1 + 0.2 * 0.75,
+    over the length of its normal; half of the light is the sky's, highlights count half."""
+    rng = np.random.default_rng(0)
+    bright, dark = 1.0 + 0.5 * (1.15 / np.sqrt(1.04) - 1.0), 0.85 / np.sqrt(1.04)
+    for slope, facing in ((0.2, bright), (-0.2, dark)):
+        fine = MicroRelief(half_m=64.0)
+        size = len(fine.drifts_m)
+        fine.drifts_m[:] = slope * 128.0 / size * np.arange(size, dtype=np.float32)
+        tone = fine.shading(rng, SUN)
+        assert tone[2000, 2000] == pytest.approx(NEUTRAL * (0.5 + 0.5 * facing), abs=1.0)
+    level = MicroRelief(half_m=64.0).shading(rng, SUN)
+    assert (level == NEUTRAL).all()
+
+
+def test_terrain_s_own_slope_counts_in_part() -> None:
+    axis = np.linspace(-64.0, 64.0, 65)
+    fine = MicroRelief(half_m=64.0)
+    fine.stand_on(HeightField(heights_m=np.tile(-0.2 * axis, (65, 1)), half_m=64.0))
+    tone = fine.shading(np.random.default_rng(0), SUN)
+    facing = (1.0 - 0.14 * 0.75) / np.sqrt(1.0 + 0.14**2)
+    assert tone[2560, 2560] == pytest.approx(NEUTRAL * (0.5 + 0.5 * facing), abs=1.0)
+
+
+def test_ripples_have_their_wave_length_across_the_wind() -> None:
+    cover = np.ones((8, 8), np.float32)
+    ripples = Ripples(wave_m=0.12, height_m=0.008, wind_angle=0.0, cover=cover)
+    tone = MicroRelief(half_m=64.0).shading(np.random.default_rng(0), SUN, ripples)
+    window = tone[1000:1400, 1000:2024].astype(float) - tone.mean()
+    power = (np.abs(np.fft.rfft(window, axis=1)) ** 2).mean(axis=0)
+    texel = 128.0 / len(tone)
+    wave = 1024 * texel / np.arange(1, len(power))
+    strong = np.average(wave, weights=power[1:] * (wave < 1.0))
+    assert strong == pytest.approx(0.12, rel=0.2)
+    across = (np.abs(np.fft.rfft(window[:, :400], axis=0)) ** 2).mean(axis=1)
+    assert across[:20].sum() > 0.5 * across.sum()  # crests run on along y
+
+
+def test_tracks_press_hollows_with_rims() -> None:
+    rng = np.random.default_rng(0)
+    fine, canvas = MicroRelief(half_m=64.0), Canvas(half_m=64.0)
+    line = wander(rng, np.array([[-10.0, 0.0], [10.0, 0.0]]), 0.0)
+    runners(canvas, fine, line, SKIS, Ground.PACKED_SNOW)
+    column = fine.prints[:, 2560].astype(int) - 128
+    assert column.min() == pytest.approx(-30, abs=3) and column.max() > 2
+    deep = np.flatnonzero(column < -20)
+    gauge = (deep[deep > 2560].mean() - deep[deep < 2560].mean()) * canvas.texel_m
+    assert gauge == pytest.approx(SKIS.apart_m, abs=0.03)
+    footprints(rng, canvas, fine, line + [0.0, 5.0], Ground.PACKED_SNOW)
+    strip = fine.prints[2700:2820].astype(int) - 128
+    assert strip.min() < -55 and strip.max() > 8
+    np.testing.assert_allclose(parallel(line, 0.5)[:, 1], 0.5, atol=1e-9)
+
+
+def test_snow_lies_on_the_share_of_needles_asked_for() -> None:
+    rng = np.random.default_rng(0)
+    green = needles(rng, (50.0, 70.0, 54.0))
+    shares = [(laden(rng, green, share).min(axis=2) > 150).mean() for share in (0.3, 0.7)]
+    assert shares[0] == pytest.approx(0.25, abs=0.12)
+    assert shares[1] == pytest.approx(0.65, abs=0.12)
+
+
+def test_a_low_sun_lights_the_fine_relief_too() -> None:
+    """The direction given to `sun_at` reaches the texture of the new scenes."""
+    with sun_at(LowSun(elevation_deg=12.0, azimuth_deg=90.0)):
+        low = load_scene("snow", 0).model
+    own = cached_scene("snow", 0).model
+    assert low.tex_data.tobytes() != own.tex_data.tobytes()
