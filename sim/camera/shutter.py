@@ -11,15 +11,17 @@ readout: a row that is exposed dt later shows it too far back by its speed times
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera.gl import Snapshot
 from touchdown.sim.frames import Pose, matrices_from_quats_wxyz, so3_log
 from touchdown.sim.moving import BodyTrack
-from touchdown.sim.typing import Array, Bytes, Float32
+from touchdown.sim.typing import Array, Float32
 
 SHUTTER_MARGIN_PX = 16
 """The raster is wider by this at each side, so that shifted rows find pixels."""
@@ -190,7 +192,9 @@ def _turned(c: Array, x: float, y: float) -> tuple[np.float32, np.float32]:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def sample_row(raw: Bytes, sx: Float32, sy: Float32, weights: Float32, levels: Float32) -> None:
+def sample_row(
+    raw: NDArray[Any], sx: Float32, sy: Float32, weights: Float32, levels: Float32
+) -> None:
     """Writes (3 W) ``levels`` of (h, w, 3) ``raw``, bottom row first, interpolated at the places
     (sx, sy). ``weights``: room for (2, 3 W) numbers."""
     rows, width = raw.shape[0], len(sx)
