@@ -110,7 +110,7 @@ def test_the_sun_of_each_light() -> None:
 def test_shadows_are_those_of_the_light() -> None:
     """A wall 4 m high: by day its shadow keeps half of the light, at dusk three quarters and is
     longer; under clouds and at night only its foot is dimmed, and the ground beyond is even."""
-    terrain = HeightField(half_m=32.0, heights=np.zeros((65, 65)))
+    terrain = HeightField(heights_m=np.zeros((65, 65)), half_m=32.0)
     corners = [(x, y, z) for x in (-1.0, 1.0) for y in (-8.0, 8.0) for z in (0.0, 4.0)]
     wall = Caster(points=np.array(corners), opacity=1.0)
     sun = np.array([np.cos(0.8), 0.0, -np.sin(0.8)])
