@@ -129,7 +129,7 @@ def test_shadows_are_those_of_the_light() -> None:
     for light in ("overcast", "night"):
         even = baked(light, sun)  # type: ignore[arg-type]
         assert even[place[3]] == pytest.approx(1.0, abs=0.02)
-        assert even[128] == pytest.approx(0.45, abs=0.05)
+        assert even[128] == pytest.approx(0.45 + 0.55 * 0.45, abs=0.02)
 
 
 def test_scenes_from_files_have_every_light(tmp_path: Path) -> None:
