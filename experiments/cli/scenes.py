@@ -86,8 +86,7 @@ def scenes_render(
     seed: int,
     view: str,
     light: Light,
-    as_json: bool,
-    quiet: bool,
+    **flags: bool,
 ) -> int:
     """Write an image of a scene, or all images of one or of every scene.
 
@@ -101,7 +100,7 @@ def scenes_render(
 
     if every_scene:
         folder = out or Path(f"scenes-{seed}")
-        notes = make_notes(quiet)
+        notes = make_notes(flags["quiet"])
         sheet = scene_tools.render_every_scene(seed, folder, notes, light)
         done = {"directory": str(folder), "contact_sheet": str(sheet)}
     elif scene is not None and all_views:
@@ -112,7 +111,7 @@ def scenes_render(
         target = out or Path(f"{Path(scene or '').stem}-{view}.png")
         scene_tools.render_view(scene or "", seed, view, target, light)
         done = {"picture": str(target)}
-    say(json.dumps(done) if as_json else "\n".join(done.values()))
+    say(json.dumps(done) if flags["as_json"] else "\n".join(done.values()))
     return EXIT_DONE
 
 

@@ -63,6 +63,10 @@ def check_faults(config: Config, sources: Mapping[str, str]) -> None:
         config.faults.check(config.wind.mean_kmh)
     except ValueError as error:
         raise UsageError(str(error)) from None
+    if config.light != "day" and any(f.kind == "low_sun" for f in config.faults.schedule()):
+        raise UsageError(
+            f"fault 'low_sun' needs light = 'day', not {config.light!r}: it is the sun that is low"
+        )
 
 
 def check_survey(config: Config, sources: Mapping[str, str]) -> None:

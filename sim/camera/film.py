@@ -1,8 +1,8 @@
 """What the sensor's rows collect: shutter, motion blur, light, electrons, noise, grey levels.
 
 One pass over the image: for every row and every instant of its exposure the drawn places that it
-shows, interpolated levels, their mean in linear light, electrons with shot and read noise, display
-levels.
+shows, the mean of their linear light, electrons with shot and read noise, grey levels. Where an
+exposure is one instant in even and sufficient light, tables of the grey level do the rest.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _NOISE_UNIT = 1.0 / 32.0
 """a step of the noise tile, in standard deviations"""
 _ROOTS = 4096
 
-LIGHT: Float32 = ((np.arange(_LEVELS) / (_LEVELS - 1.0)) ** GAMMA).astype(np.float32)
-"""linear light of a level, 1 for white"""
+_LIGHT: Float32 = ((np.arange(256) / 255.0) ** GAMMA).astype(np.float32)
+"""linear light of a grey level, 1 for white"""
 _DISPLAY: Bytes = np.rint(255.0 * (np.arange(_ROOTS) / (_ROOTS - 1.0)) ** (2.0 / GAMMA)).astype(
     np.uint8
 )
@@ -126,12 +126,14 @@ class Film:
                 image,
             )  # fmt: skip
             return image
+        lit = np.empty(drawn.shape, dtype=np.float32)
+        _light_up(drawn, _LIGHT, lit)
         lamp = light.lamp or LampField(np.zeros((1, 1), np.float32), 1.0, 1.0, 0.0, 0.0)
         share = light.electrons_per_lux / light.electrons if light.lamp else 0.0
         _expose(
-            drawn, depth.levels, depth.far, depth.per_level, shifts, self._x, self._y, self._bent,
+            lit, depth.levels, depth.far, depth.per_level, shifts, self._x, self._y, self._bent,
             noise, place.row, 3 * place.col, place.sign * _NOISE_UNIT,
-            LIGHT, _DISPLAY, light.electrons, light.full_well, light.read_noise**2, light.gain,
+            _DISPLAY, light.electrons, light.full_well, light.read_noise**2, light.gain,
             lamp.beam, lamp.fx, lamp.fy, lamp.cx, lamp.cy, share, image,
         )  # fmt: skip
         return image
@@ -142,7 +144,7 @@ def mean_light(drawn: Bytes, depth: InverseDepth, lamp: LampField | None, ambien
     field = lamp or LampField(np.zeros((1, 1), np.float32), 1.0, 1.0, 0.0, 0.0)
     return float(
         _meter(
-            drawn, depth.levels, depth.far, depth.per_level, LIGHT, ambient, lamp is not None,
+            drawn, depth.levels, depth.far, depth.per_level, _LIGHT, ambient, lamp is not None,
             field.beam, field.fx, field.fy, field.cx, field.cy,
         )
     )  # fmt: skip
@@ -150,7 +152,8 @@ def mean_light(drawn: Bytes, depth: InverseDepth, lamp: LampField | None, ambien
 
 def _quiet_tables(light: Exposed) -> tuple[Float32, Float32]:
     """Grey level of every drawn level, and the standard deviation of its noise."""
-    collected = np.minimum(light.electrons * LIGHT.astype(np.float64), light.full_well)
+    lit = (np.arange(_LEVELS) / (_LEVELS - 1.0)) ** GAMMA
+    collected = np.minimum(light.electrons * lit, light.full_well)
     noise = np.sqrt(collected + light.read_noise**2)
     scale = light.gain / light.full_well
 
@@ -160,6 +163,13 @@ def _quiet_tables(light: Exposed) -> tuple[Float32, Float32]:
 
     spread = 0.5 * (shown(collected + noise) - shown(collected - noise))
     return shown(collected).astype(np.float32), spread.astype(np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _light_up(drawn: Bytes, light: Float32, lit: Float32) -> None:
+    source, target = drawn.reshape(drawn.size), lit.reshape(lit.size)
+    for j in range(len(source)):
+        target[j] = light[source[j]]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -192,10 +202,10 @@ def _show(
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _expose(
-    drawn: Bytes, depth: Float32, far: float, per_level: float, shifts: Array,
+    lit: Float32, depth: Float32, far: float, per_level: float, shifts: Array,
     x: Float32, y: Float32, bent: bool,
     noise: NDArray[np.int8], first_row: int, first: int, unit: float,
-    light: Float32, display: Bytes, electrons: float, full_well: float, read_variance: float,
+    display: Bytes, electrons: float, full_well: float, read_variance: float,
     gain: float,
     beam: Float32, fx: float, fy: float, cx: float, cy: float, lamp_share: float, out: Bytes,
 ) -> None:  # fmt: skip
@@ -203,11 +213,11 @@ def _expose(
     instants = shifts.shape[1]
     lines = out.reshape(height, 3 * width)
     sx, sy = np.empty(width, np.float32), np.empty(width, np.float32)
-    weights, levels = np.empty((2, 3 * width), np.float32), np.empty(3 * width, np.float32)
+    weights, light = np.empty((2, 3 * width), np.float32), np.empty(3 * width, np.float32)
     total = np.empty(3 * width, np.float32)
     ys = y[0].copy()
     well, variance = np.float32(full_well), np.float32(read_variance)
-    scale, step, steps = np.float32(gain / full_well), np.float32(unit), np.float32(_STEPS)
+    scale, step = np.float32(gain / full_well), np.float32(unit)
     top = np.float32(len(display) - 1)
     zero, one, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
     per_instant = np.float32(electrons / instants)
@@ -220,16 +230,16 @@ def _expose(
                 shifts[i, k], x[i if bent else 0], y[i] if bent else ys, depth, far, per_level,
                 sx, sy,
             )  # fmt: skip
-            sample_row(drawn, sx, sy, weights, levels)
+            sample_row(lit, sx, sy, weights, light)
             if lamp_share > 0.0:
                 for j in range(width):
                     lux = lamp_lux(depth, far, per_level, beam, fx, fy, cx, cy, sx[j], sy[j])
                     share = per_instant * np.float32(1.0 + lamp_share * lux)
                     for channel in range(3 * j, 3 * j + 3):
-                        total[channel] += share * light[np.uintp(levels[channel] * steps + half)]
+                        total[channel] += share * light[channel]
             else:
                 for j in range(3 * width):
-                    total[j] += per_instant * light[np.uintp(levels[j] * steps + half)]
+                    total[j] += per_instant * light[j]
         grain, target = noise[first_row + i, first : first + 3 * width], lines[i]
         for j in range(3 * width):
             collected = min(total[j], well)
@@ -248,7 +258,7 @@ def _meter(
     for row in range(4, rows, 8):
         for col in range(4, cols, 8):
             pixel = drawn[rows - 1 - row, col]
-            mean = light[_STEPS * pixel[0]] + light[_STEPS * pixel[1]] + light[_STEPS * pixel[2]]
+            mean = light[pixel[0]] + light[pixel[1]] + light[pixel[2]]
             lux = ambient
             if lit:
                 lux += lamp_lux(depth, far, per_level, beam, fx, fy, cx, cy, col, row)

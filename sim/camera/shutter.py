@@ -11,15 +11,17 @@ readout: a row that is exposed dt later shows it too far back by its speed times
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera.gl import Snapshot
-from touchdown.sim.frames import Pose, matrices_from_quats_wxyz, so3_log
+from touchdown.sim.frames import Pose, matrices_from_quats_wxyz
 from touchdown.sim.moving import BodyTrack
-from touchdown.sim.typing import Array, Bytes, Float32
+from touchdown.sim.typing import Array, Float32
 
 SHUTTER_MARGIN_PX = 16
 """The raster is wider by this at each side, so that shifted rows find pixels."""
@@ -54,11 +56,20 @@ def camera_motion(
     )
     mount = Pose(world_from_body[node], track.positions[node]).inverse() @ camera
     from_world = camera.inverse()
-    turns, shifts = np.empty((len(world_from_body), 3)), np.empty((len(world_from_body), 3))
-    for k, (rotation, position) in enumerate(zip(world_from_body, track.positions, strict=True)):
-        moved = from_world @ Pose(rotation, position) @ mount
-        turns[k], shifts[k] = so3_log(moved.rotation), moved.translation
+    rotations = from_world.rotation @ world_from_body @ mount.rotation
+    carried = world_from_body @ mount.translation + track.positions
+    turns, shifts = _small_turns(rotations), from_world.apply(carried)
     return CameraMotion(offsets_s=track.times_s - at_s, turns=turns, shifts=shifts)
+
+
+def _small_turns(rotations: Array) -> Array:
+    """(M, 3) rotation vectors of (M, 3, 3) rotations by less than a quarter turn."""
+    skew = 0.5 * (rotations - np.swapaxes(rotations, 1, 2))
+    axes = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
+    sines = np.linalg.norm(axes, axis=1, keepdims=True)
+    safe = np.clip(sines, 1e-12, 1.0)
+    turns: Array = axes * (np.arcsin(safe) / safe)
+    return turns
 
 
 def row_shifts(motion: CameraMotion, raster: CameraIntrinsics, offsets_s: Array) -> Array:
@@ -150,7 +161,9 @@ def trace_row(
     right, low = np.float32(cols - 1.01), np.float32(rows - 1.01)
     half, zero = np.float32(0.5), np.float32(0.0)
     lines = depth.reshape(rows * cols)
-    bottom = np.int32(rows - 1)
+    bottom, wide = np.float32(rows - 1), np.float32(cols)
+    place, near = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    count = np.arange(_BLOCK).astype(np.float32)
     start = 0
     while start < width:
         stop = min(start + _BLOCK, width)
@@ -167,17 +180,24 @@ def trace_row(
         for _ in range(2):
             col = np.uintp(min(max(mx + gx + half, zero), right))
             row = np.uintp(min(max(my + gy + half, zero), low))
-            rho = flat + slope * lines[np.uintp(bottom - row) * np.uintp(cols) + col]
+            rho = flat + slope * lines[(np.uintp(rows - 1) - row) * np.uintp(cols) + col]
             gx, gy = rho * (kx - pz * mx), rho * (ky - pz * my)
         gx, gy = gx + half, gy + half
-        for j in range(start, stop):
-            step = np.float32(j - start)
-            px, py = xs[j] + u0 + du * step, ys[j] + v0 + dv * step
-            col32 = np.int32(min(max(px + gx, zero), right))
-            row32 = np.int32(min(max(py + gy, zero), low))
-            rho = flat + slope * lines[np.uintp((bottom - row32) * cols + col32)]
-            sx[j] = min(max(px + rho * (kx - pz * px), zero), right)
-            sy[j] = min(max(py + rho * (ky - pz * py), zero), low)
+        # three loops, so that all but the middle one become vector instructions
+        size = stop - start
+        bx, by, tx, ty = xs[start:stop], ys[start:stop], sx[start:stop], sy[start:stop]
+        for j in range(size):
+            px, py = bx[j] + u0 + du * count[j], by[j] + v0 + dv * count[j]
+            tx[j], ty[j] = px, py
+            col_f = np.floor(min(max(px + gx, zero), right))
+            row_f = np.floor(min(max(py + gy, zero), low))
+            place[j] = (bottom - row_f) * wide + col_f
+        for j in range(size):
+            near[j] = lines[np.uintp(place[j])]
+        for j in range(size):
+            rho = flat + slope * near[j]
+            tx[j] = min(max(tx[j] + rho * (kx - pz * tx[j]), zero), right)
+            ty[j] = min(max(ty[j] + rho * (ky - pz * ty[j]), zero), low)
         start = stop
 
 
@@ -190,7 +210,9 @@ def _turned(c: Array, x: float, y: float) -> tuple[np.float32, np.float32]:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def sample_row(raw: Bytes, sx: Float32, sy: Float32, weights: Float32, levels: Float32) -> None:
+def sample_row(
+    raw: NDArray[Any], sx: Float32, sy: Float32, weights: Float32, levels: Float32
+) -> None:
     """Writes (3 W) ``levels`` of (h, w, 3) ``raw``, bottom row first, interpolated at the places
     (sx, sy). ``weights``: room for (2, 3 W) numbers."""
     rows, width = raw.shape[0], len(sx)

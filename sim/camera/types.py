@@ -46,7 +46,7 @@ class CameraParams:
     phase_s: NotNegative = 0.0
     """the camera's own clock: its pulses come later than the LIDAR's by a time up to this, drawn
     from the seed, in whole ticks; less than one period of the clock. 0: a shared trigger"""
-    stamp_delay_s: float = 0.0
+    stamp_delay_s: Annotated[float, Interval(ge=-1.0, le=1.0)] = 0.0
     """stamps of images are late by this"""
     stamp_jitter_s: NotNegative = 0.0
     """standard deviation of the stamps"""

@@ -21,6 +21,7 @@ from support.docs_support import FOLDERS, PAGES, ROOT, inline_of, name_of, rows_
 SENSOR_KEYS = (
     "lidar",
     "camera",
+    "lamp",
     "imu",
     "gps",
     "barometer",

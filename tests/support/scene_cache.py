@@ -10,23 +10,23 @@ from collections.abc import Iterator
 import pytest
 
 from touchdown.scenes import compose
-from touchdown.scenes.api import LowSun, Scene
+from touchdown.scenes.api import Light, LowSun, Scene
 
 
 @functools.lru_cache(maxsize=3)
-def _built(name: str, seed: int, sun: LowSun | None) -> Scene:
-    return _LOAD_SCENE(name, seed, sun)
+def _built(name: str, seed: int, sun: LowSun | None, light: Light) -> Scene:
+    return _LOAD_SCENE(name, seed, sun, light)
 
 
 _LOAD_SCENE = compose.load_scene
 
 
-def load_scene_once(name: str, seed: int, sun: LowSun | None = None) -> Scene:
+def load_scene_once(name: str, seed: int, sun: LowSun | None = None, light: Light = "day") -> Scene:
     """As `scenes.compose.load_scene`; a shipped scene has a compiled model of its own each time, as
     a world sets physics options there, and shares all else."""
     if "/" in name or name.endswith(".xml"):
-        return _LOAD_SCENE(name, seed, sun)
-    scene = _built(name, seed, sun)
+        return _LOAD_SCENE(name, seed, sun, light)
+    scene = _built(name, seed, sun, light)
     return dataclasses.replace(scene, model=copy.copy(scene.model))
 
 

@@ -15,6 +15,7 @@ from mcap.writer import Writer
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
 from touchdown.experiments.io.dataclass_json import from_plain, to_plain
+from touchdown.experiments.io.ros2_messages import stamp_ns, tick_ns
 from touchdown.experiments.io.sensor_log import FILE_NAME, SensorLog
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds
@@ -106,15 +107,23 @@ def test_faulty_messages_are_read_back_unchanged(tmp_path: Path) -> None:
         time_offsets=np.array([0.0, -1.0], np.float32), intensity=np.array([0, 255], np.uint8),
     )  # fmt: skip
     black = CameraImage(tick=60, time_s=0.1, rgb=np.zeros((4, 6, 3), np.uint8))
+    beside = dataclasses.replace(black, tick=62, time_s=0.10312345678901234)
     stream = [
         Observation(
-            tick=156, time_s=0.26, scans=(empty, bad), images=(black, black),
+            tick=156, time_s=0.26, scans=(empty, bad), images=(black, beside),
             rotor_speed_radps=np.array([0.1, np.nan, 1 / 3, 1e-300]), battery_fraction=0.1 + 0.2,
         ),
         Observation(tick=159, time_s=0.265, rotor_speed_radps=np.zeros(4), battery_fraction=0.3),
     ]  # fmt: skip
     back = list(SensorLogReader(write_log(tmp_path / FILE_NAME, stream)))
     assert all(same(one, other) for one, other in zip(back, stream, strict=True))
+
+
+def test_other_tools_read_the_stamp_of_an_image() -> None:
+    """Nanoseconds of the tick where it is exact, else those of the stamp."""
+    assert stamp_ns(61, 61 / 600, 600) == tick_ns(61, 600) == 101666667
+    assert stamp_ns(62, 0.10312345678901234, 600) == 103123457
+    assert stamp_ns(0, -0.001, 600) == 0
 
 
 def test_plain_json_keeps_every_digit() -> None:
