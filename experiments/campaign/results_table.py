@@ -42,8 +42,8 @@ _RUN_COLUMNS: Mapping[str, str] = {
 """Columns of a run beside its result. ``success``: see `RunResult.is_success`; ``ground_safe``: the
 ground at the touchdown was safe by what the flight is judged on, null without a touchdown."""
 _FIRST_COLUMNS = (
-    "run_id", "scene", "estimator", "seed", "wind_kmh", "outcome", "success", "reason", "mode",
-    "wall_s", "cpu_s", "git_revision", "config_sha", "started_utc",
+    "run_id", "scene", "estimator", "seed", "profile", "wind_kmh", "outcome", "success", "reason",
+    "mode", "wall_s", "cpu_s", "git_revision", "config_sha", "started_utc",
 )  # fmt: skip
 
 

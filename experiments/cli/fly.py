@@ -46,6 +46,11 @@ _FLIGHT_OPTIONS = (
         help="livo, paper, gps, optical_flow, hybrid_flow, stereo, oracle, or MODULE:FUNCTION.",
     ),
     click.option("--seed", type=int, help="Varies the scene, the wind and all noise.  [0]"),
+    click.option(
+        "--profile",
+        type=click.Choice(["ideal", "field", "harsh"]),
+        help="How kind the world is.  [ideal]",
+    ),
     click.option("--wind-kmh", type=float, help="Mean wind speed at 6 m.  [12]"),
     click.option(
         "--calibration",
@@ -94,7 +99,9 @@ _FLIGHT_OPTIONS = (
 )
 
 
-_CONFIG_OPTIONS = ("scene", "estimator", "seed", "wind_kmh", "record", "calibration", "log_sensors")
+_CONFIG_OPTIONS = (
+    "scene", "estimator", "seed", "profile", "wind_kmh", "record", "calibration", "log_sensors",
+)  # fmt: skip
 """The options that `experiments.config.loading.load_config` takes."""
 
 

@@ -15,6 +15,7 @@ from touchdown.experiments.terminal import say
 
 _FLOWN = {
     "seed": "--seed",
+    "profile": "--profile",
     "wind_kmh": "--wind-kmh",
     "calibration": "--calibration",
     "config_file": "--config",

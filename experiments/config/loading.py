@@ -1,7 +1,8 @@
 """Loading of configurations from files and options.
 
 Order of precedence, lowest first: the defaults of the ``*Params`` dataclasses in the ``api.py``
-files, a TOML file (or the ``config.json`` of an earlier run), ``--set a.b=c``, explicit options.
+files, the profile, a TOML file (or the ``config.json`` of an earlier run), ``--set a.b=c``,
+explicit options.
 Every mistake is a ``UsageError`` with one line: what is wrong, where, what would be right.
 """
 
@@ -26,9 +27,20 @@ from touchdown.experiments.config.checks import (
     check_survey,
 )
 from touchdown.experiments.config.external_table import wrong_external_key
-from touchdown.experiments.config.files import LARGEST, check_named_code, wrong_value
+from touchdown.experiments.config.files import (
+    LARGEST,
+    came_with_results,
+    check_named_code,
+    wrong_value,
+)
 from touchdown.experiments.config.files import read_tree as read_tree
 from touchdown.experiments.config.keys import flatten, is_external_key
+from touchdown.experiments.config.profiles import (
+    KEY,
+    chosen_by_hand,
+    name_in,
+    profile_values,
+)
 from touchdown.experiments.config.ranges import rule_of
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
@@ -37,6 +49,7 @@ OPTION_KEYS: Mapping[str, str] = {
     "scene": "scene",
     "seed": "seed",
     "estimator": "estimator",
+    "profile": "profile",
     "calibration": "calibration",
     "record": "record",
     "log_sensors": "log.sensors",
@@ -71,22 +84,33 @@ def load_config(
         for key, value in flatten(read_tree(file)):
             if take(key):
                 values[key], sources[key] = value, str(file)
+    given: dict[str, Any] = {}
     for text in overrides:
         key, value = _parse_override(text)
-        values[key], sources[key] = value, f"--set {text}"
+        given[key], sources[key] = value, f"--set {text}"
     for name, value in options.items():
         if value is not None:
             key = OPTION_KEYS[name]
-            values[key] = list(value) if isinstance(value, tuple) else value
+            given[key] = list(value) if isinstance(value, tuple) else value
             sources[key] = f"--{name.replace('_', '-')}"
+    if file is not None and came_with_results(file):
+        values = _of_earlier_run(values, given)
+    values |= given
     if file is not None and not allow_code and sources.get("estimator") == str(file):
-        check_named_code(file, [values["estimator"]])
+        check_named_code(file, [values.get("estimator")])
     return config_of(values, sources)
 
 
+def _of_earlier_run(values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """The values that a run's ``config.json`` contributes beside those of the command line."""
+    if KEY in given and given[KEY] != name_in(values):
+        return chosen_by_hand(values, dict(_defaults()))
+    return values
+
+
 def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
-    """The configuration with ``values`` by dotted key. ``sources`` holds the source of each value,
-    for error messages. Raises ``UsageError``."""
+    """The configuration with ``values`` by dotted key over those of their profile. ``sources``
+    holds the source of each value, for error messages. Raises ``UsageError``."""
     for key, value in values.items():
         if reason := wrong_value([key, value]):
             raise UsageError(f"{key[:80]} in {sources[key]} {reason}")
@@ -95,7 +119,10 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
     if found := wrong_external_key(values, values.get("estimator", "livo")):
         key, reason = found
         raise UsageError(f"{key} in {sources.get(key, 'the configuration')} {reason}")
-    config = _validate(values, sources)
+    name = name_in(values)
+    base = profile_values(name)
+    sources = {**dict.fromkeys(base, f"profile {name}"), **sources}
+    config = _validate({**base, **values}, sources)
     check_rates(config)
     check_map(config)
     check_faults(config, sources)
@@ -109,9 +136,15 @@ def dump_config(config: Config) -> str:
 
 
 @functools.cache
+def _defaults() -> tuple[tuple[str, Any], ...]:
+    """Every dotted key of the schema, in its order, and its default as JSON has it."""
+    return tuple(flatten(json.loads(Config().model_dump_json())))
+
+
+@functools.cache
 def known_keys() -> tuple[str, ...]:
     """Every dotted key of the schema, in its order."""
-    return tuple(key for key, _ in flatten(json.loads(Config().model_dump_json())))
+    return tuple(key for key, _ in _defaults())
 
 
 def is_key(key: str) -> bool:

@@ -1,14 +1,15 @@
 """The schema of the configuration; files and options override its defaults.
 
 Order of precedence, lowest first: the defaults of the ``*Params`` dataclasses in the ``api.py``
-files, a TOML file (or the ``config.json`` of an earlier run), ``--set a.b=c``, explicit options.
+files, the profile, a TOML file (or the ``config.json`` of an earlier run), ``--set a.b=c``,
+explicit options.
 Every mistake is a ``UsageError`` with one line: what is wrong, where, what would be right.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from annotated_types import Interval
 from pydantic import BaseModel, ConfigDict, Field
@@ -73,6 +74,8 @@ class Config(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
+    profile: Literal["ideal", "field", "harsh"] = "ideal"
+    """how kind the world is: the set of keys that all other sources of a key override"""
     scene: str = "crossroad"
     """name of a scene, or path of an MJCF file"""
     seed: CountOrZero = 0

@@ -39,9 +39,9 @@ Array = NDArray[np.float64]
 
 _LIFT_OFF_HEIGHT_M = 0.1
 _FLOWN = (
-    "scene", "seed", "calibration", "record", "sim", "wind", "lidar", "camera", "imu", "gps",
-    "barometer", "magnetometer", "rangefinder", "faults", "mapper", "control", "survey", "landing",
-    "calibration_error", "referee",
+    "profile", "scene", "seed", "calibration", "record", "sim", "wind", "lidar", "camera", "imu",
+    "gps", "barometer", "magnetometer", "rangefinder", "faults", "mapper", "control", "survey",
+    "landing", "calibration_error", "referee",
 )  # fmt: skip
 """Configuration keys of the flight, which a replay cannot change."""
 

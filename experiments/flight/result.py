@@ -44,6 +44,7 @@ def make_result(
         seed=config.seed,
         estimator=config.estimator,
         **code,
+        profile=config.profile,
         wind_kmh=config.wind.mean_kmh,
         **moved,
         position_error_m=judgement.position_error,

@@ -162,6 +162,8 @@ class RunResult(_Part):
     estimator: str
     estimator_sha: str | None = None
     """hash of the code of an external estimator"""
+    profile: str | None = None
+    """how kind the world was"""
     wind_kmh: Figure = None
     origin_m: PointXYZ = None
     """of the world's origin in the coordinates of the scene's file, where it was moved"""

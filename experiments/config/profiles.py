@@ -1,0 +1,53 @@
+"""Profiles: named sets of keys that say how kind the simulated world is.
+
+``ideal`` is the defaults of the schema. ``field`` and ``harsh`` are files beside this module, in
+the form of a user's configuration file. Any other source of a key takes precedence over the
+profile.
+"""
+
+from __future__ import annotations
+
+import functools
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
+from typing import Any
+
+from touchdown.experiments.config.keys import flatten
+
+KEY = "profile"
+"""The key that names the profile."""
+DEFAULT = "ideal"
+_LAYERS: Mapping[str, tuple[str, ...]] = {
+    "ideal": (),
+    "field": ("field",),
+    "harsh": ("field", "harsh"),
+}
+"""Files of each profile, later ones over earlier ones."""
+PROFILES = tuple(_LAYERS)
+
+
+@functools.cache
+def profile_values(name: str) -> Mapping[str, Any]:
+    """The values by dotted key of the profile ``name``; none for a name that is no profile."""
+    values: dict[str, Any] = {}
+    for layer in _LAYERS.get(name, ()):
+        file = resources.files(__package__).joinpath("profiles", f"{layer}.toml")
+        values |= flatten(tomllib.loads(file.read_text(encoding="utf-8")))
+    return values
+
+
+def name_in(values: Mapping[str, Any]) -> str:
+    """The profile that ``values`` by dotted key name; the default where they name none."""
+    name = values.get(KEY, DEFAULT)
+    return name if isinstance(name, str) else DEFAULT
+
+
+def chosen_by_hand(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """``values`` of a whole configuration without those that its own profile sets.
+
+    A ``config.json`` holds every key. Where a command names another profile, only what departs from
+    the profile of the file was chosen by its author and stays. ``defaults`` are those of all keys.
+    """
+    own = {**defaults, **profile_values(name_in(values))}
+    return {key: value for key, value in values.items() if key not in own or own[key] != value}

@@ -1,0 +1,84 @@
+"""Profiles: their place in the order of sources, and in the config.json of an earlier run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from touchdown.experiments.config import loading, profiles
+from touchdown.experiments.config.loading import config_of, dump_config, known_keys, load_config
+from touchdown.experiments.config.profiles import PROFILES, profile_values
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.errors import UsageError
+
+KIND = {"camera.noise_sigma": 3.0, "wind.mean_kmh": 14.0}
+UNKIND = {**KIND, "wind.mean_kmh": 18.0, "camera.gain": 0.5}
+
+
+@pytest.fixture
+def two(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A field of two keys, and a harsh that changes one of them and adds a third."""
+    values = {"field": KIND, "harsh": UNKIND}
+    for module in (loading, profiles):
+        monkeypatch.setattr(module, "profile_values", lambda name: values.get(name, {}))
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_every_profile_makes_a_configuration(name: str) -> None:
+    values = profile_values(name)
+    assert set(values) <= set(known_keys())
+    config = config_of({"profile": name}, {"profile": "test"})
+    assert config.profile == name
+
+
+def test_ideal_is_the_schema_itself() -> None:
+    assert load_config(profile="ideal") == Config(profile="ideal")
+
+
+def test_harsh_lies_on_top_of_field() -> None:
+
+    assert set(profile_values("field")) <= set(profile_values("harsh"))
+
+
+@pytest.mark.usefixtures("two")
+def test_any_other_source_takes_precedence(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text('profile = "harsh"\n[wind]\nmean_kmh = 5.0\n')
+    config = load_config(file, ["camera.gain=0.8"])
+    assert (config.wind.mean_kmh, config.camera.gain, config.camera.noise_sigma) == (5.0, 0.8, 3.0)
+    # a profile given by hand does not undo what the user's file sets
+    config = load_config(file, profile="field")
+    assert (config.profile, config.wind.mean_kmh, config.camera.gain) == ("field", 5.0, 1.0)
+
+
+@pytest.mark.usefixtures("two")
+def test_a_run_is_repeated_and_moved_to_another_profile(tmp_path: Path) -> None:
+    flown = load_config(None, ["camera.noise_sigma=9"], profile="harsh", wind_kmh=3.0)
+    file = tmp_path / "config.json"
+    file.write_text(dump_config(flown))
+    assert load_config(file) == flown
+    moved = load_config(file, profile="field")
+    # what its user had chosen stays; what its profile had set goes
+    assert (moved.camera.noise_sigma, moved.wind.mean_kmh, moved.camera.gain) == (9.0, 3.0, 1.0)
+    assert load_config(file, ["profile=ideal"]).camera.noise_sigma == 9.0
+
+
+@pytest.mark.usefixtures("two")
+def test_a_wrong_value_of_a_profile_names_the_profile(monkeypatch: pytest.MonkeyPatch) -> None:
+    wrong = {"field": {"camera.gain": -1.0}}
+    monkeypatch.setattr(loading, "profile_values", lambda name: wrong.get(name, {}))
+    with pytest.raises(UsageError, match=r"camera\.gain = -1 in profile field"):
+        load_config(profile="field")
+
+
+def test_an_unknown_profile_is_refused_in_one_line() -> None:
+    with pytest.raises(UsageError, match=r"profile = .*'ideal', 'field' or 'harsh'"):
+        config_of({"profile": "kind"}, {"profile": "test"})
+    with pytest.raises(UsageError, match="profile"):
+        config_of({"profile": ["field"]}, {"profile": "test"})
+
+
+def test_the_profile_is_in_the_dump() -> None:
+    assert json.loads(dump_config(load_config(profile="harsh")))["profile"] == "harsh"
