@@ -89,7 +89,7 @@ def _surface(surfaces: Mapping[str, Surface], model: Any, geom: int) -> Surface 
 
 
 class Wakes:
-    """What wakes add to the wind. ``direction`` (3,) is that of the mean wind, which must not
+    """The share of wakes in the wind. ``direction`` (3,) is that of the mean wind, which must not
     change; ``ground_m`` is the world z that heights count from."""
 
     def __init__(self, found: Obstacles, direction: Array, ground_m: float, seed: int) -> None:
