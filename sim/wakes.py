@@ -89,7 +89,7 @@ def _surface(surfaces: Mapping[str, Surface], model: Any, geom: int) -> Surface 
 
 
 class Wakes:
-    """What wakes add to the wind. ``direction`` (3,) is that of the mean wind, which must not
+    """The share of wakes in the wind. ``direction`` (3,) is that of the mean wind, which must not
     change; ``ground_m`` is the world z that heights count from."""
 
     def __init__(self, found: Obstacles, direction: Array, ground_m: float, seed: int) -> None:
@@ -170,12 +170,15 @@ def mean_in_wake(
     slowest, behind = free, 0.0
     for i in range(table.shape[0]):
         top = table[i, _HEIGHT]
-        y = (left - table[i, _Y]) / table[i, _HALF_WIDTH]
-        z = height / top
-        x = along - table[i, _X] - table[i, _HALF_LENGTH]
-        if x <= 0.0 or x >= 3.0 * table[i, _CAVITY] or abs(y) >= 1.0 or z >= 1.0:
+        if height >= top:
             continue
-        z = max(z, 0.0)
+        x = along - table[i, _X] - table[i, _HALF_LENGTH]
+        if x <= 0.0 or x >= 3.0 * table[i, _CAVITY]:
+            continue
+        aside = left - table[i, _Y]
+        if abs(aside) >= table[i, _HALF_WIDTH]:
+            continue
+        y, z = aside / table[i, _HALF_WIDTH], max(height, 0.0) / top
         reach = table[i, _CAVITY] * np.sqrt((1.0 - z * z) * (1.0 - y * y))
         if x >= 3.0 * reach:
             continue

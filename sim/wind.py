@@ -208,14 +208,16 @@ def _advance_rotation(
     corner_q, corner_r = np.pi / (4.0 * span), np.pi / (3.0 * span)
     decay = np.exp(-dt * airspeed * corner_q)
     state[0] = decay * state[0] + np.sqrt(1.0 - decay * decay) * noise
+    # (s / V) / (1 + T s) with T = 1 / (corner V) is corner (1 - 1 / (1 + T s)). The lagged value of
+    # the middle of the step makes it exact to second order.
+    lagged_w, lagged_v = state[1], state[2]
     state[1] += (1.0 - decay) * (w - state[1])
     state[2] += (1.0 - np.exp(-dt * airspeed * corner_r)) * (v - state[2])
-    # (s / V) / (1 + T s) with T = 1 / (corner V) is corner (1 - 1 / (1 + T s)).
     p = rolling_gust_sigma(sigma_w, scale_w, span) * state[0]
-    q = corner_q * (w - state[1])
+    q = corner_q * (w - 0.5 * (lagged_w + state[1]))
     rates[0] = p * direction[0] - q * direction[1]
     rates[1] = p * direction[1] + q * direction[0]
-    rates[2] = corner_r * (v - state[2])
+    rates[2] = corner_r * (v - 0.5 * (lagged_v + state[2]))
 
 
 @njit(cache=True)

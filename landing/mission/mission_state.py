@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator
 
 import numpy as np
@@ -104,7 +105,8 @@ class Mission:
             self.class_check.update(obs, estimate)
         if self.takeoff_s is not None and self.phase is not Phase.TOUCHDOWN:
             self.wind.update(obs, estimate)
-            self._feel_wind()
+            if self.params.slow_in_wind:
+                self._feel_wind()
 
     def _feel_wind(self) -> None:
         self.felt_wind.update(self.obs, self.estimate)
@@ -266,9 +268,7 @@ class Mission:
                 t,
                 self.now - before,
                 self._wind_for(in_world),
-                float(
-                    np.linalg.norm(self.estimate.world_from_body.translation - self.reference_world)
-                ),
+                self._behind_m(),
                 stop=stop,
                 least=least_rate,
             )
@@ -291,6 +291,11 @@ class Mission:
         """States ``text`` as the last decision and among the events."""
         self.note = text
         self.events.append(text)
+
+    def _behind_m(self) -> float:
+        """Distance of the vehicle from the reference, as estimated."""
+        here = self.estimate.world_from_body.translation
+        return math.dist(here.tolist(), self.reference_world.tolist())
 
     def _wind_for(self, in_world: bool) -> Array:
         wind = self.felt_wind.wind_odom

@@ -32,7 +32,7 @@ MASS, THRUST, INFLOW, ROTOR_DRAG, BODY_DRAG, FASTEST = range(6)
 
 
 class Need(NamedTuple):
-    """What a motion needs in steady state."""
+    """Rotor speed and tilt of a motion in steady state."""
 
     speed_share: float
     """mean rotor speed over the largest; above 1 the motion cannot be flown"""

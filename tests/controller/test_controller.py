@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.controller.api import ControlParams, Setpoint
-from touchdown.controller.cascade import CascadeController
+from touchdown.controller.cascade import CascadeController, _forces
 from touchdown.controller.disturbance import DisturbanceObserver
 from touchdown.controller.mixer import Mixer, MotorLead, allocation_matrix
 from touchdown.controller.pid import PidGains, VectorPid
@@ -307,3 +307,64 @@ def test_observer_finds_the_force_of_the_air_and_not_the_ground() -> None:
     for _ in range(400):  # standing on a slope with idle rotors
         observer.update(np.zeros(3), tilt, 0.2 * rotors, np.zeros(3))
     np.testing.assert_allclose(observer.acceleration, 0.0, atol=1e-4)
+
+
+def test_observer_finds_lost_thrust_but_no_lift() -> None:
+    observer = DisturbanceObserver(VEHICLE, bandwidth_radps=6.0, step_s=STEP_S, vertical=True)
+    rotors = np.full(4, np.sqrt(WEIGHT / (4 * VEHICLE.thrust_coefficient)))
+    for _ in range(400):
+        observer.update(np.array([0.3, 0.0, -2.0]), np.eye(3), rotors, np.zeros(3))
+    np.testing.assert_allclose(observer.acceleration, [0.3, 0.0, -2.0], atol=1e-4)
+    for _ in range(400):  # ground effect, or legs that begin to carry
+        observer.update(np.array([0.0, 0.0, 1.0]), np.eye(3), rotors, np.zeros(3))
+    np.testing.assert_allclose(observer.acceleration, 0.0, atol=1e-4)
+
+
+def _storm(t: float) -> Array:
+    """Rises to 11 m/s within two seconds, in which the rotors lose a third of their thrust."""
+    return np.array([min(5.5 * t, 11.0), 0.0, 0.0])
+
+
+def _held(vehicle_scale: float, thrust_scale: float, *, feed_forward: bool) -> Array:
+    """(steps, 3) error of a hover in `_storm`, of a vehicle other than the nominal one."""
+    true = dataclasses.replace(
+        VEHICLE,
+        mass_kg=vehicle_scale * VEHICLE.mass_kg,
+        thrust_coefficient=thrust_scale * VEHICLE.thrust_coefficient,
+    )
+    params = ControlParams(wind_feed_forward=feed_forward)
+    controller, _ = flying_controller(params)
+    flyer = Flyer(true, _storm)
+    return fly(flyer, controller, hold(np.zeros(3)), 25.0)
+
+
+def test_feed_forward_holds_the_height_in_a_storm() -> None:
+    without = _held(1.0, 1.0, feed_forward=False)
+    with_it = _held(1.0, 1.0, feed_forward=True)
+    assert np.abs(with_it[:, 2]).max() < 0.5 * np.abs(without[:, 2]).max()
+    assert np.linalg.norm(with_it[-200:], axis=1).max() < 0.02
+
+
+@pytest.mark.parametrize(("mass", "thrust"), [(0.95, 1.05), (1.05, 0.95), (1.05, 1.05)])
+def test_feed_forward_is_stable_with_a_vehicle_other_than_modelled(
+    mass: float, thrust: float
+) -> None:
+    errors = _held(mass, thrust, feed_forward=True)
+    assert np.linalg.norm(errors[-400:], axis=1).max() < 0.03
+
+
+def test_height_goes_before_place_where_thrust_does_not_last_for_both() -> None:
+    # 5 N of lift beyond the weight of 40 N, 60 N asked for across, rotors that give 55 N.
+    zero, across = np.zeros(3), np.array([15.0, 0.0, 1.25])
+    _, limited = _forces(zero, across, zero, zero, 4.0, 40.0, np.tan(np.radians(60.0)), 55.0)
+    np.testing.assert_allclose(limited, [np.sqrt(55.0**2 - 45.0**2), 0.0, 45.0])
+    _, unbounded = _forces(zero, across, zero, zero, 4.0, 40.0, np.tan(np.radians(60.0)), np.inf)
+    np.testing.assert_allclose(unbounded, [60.0, 0.0, 45.0])
+
+
+def test_feed_forward_off_is_the_default_and_takes_no_vertical_share() -> None:
+    controller, flyer = CascadeController(VEHICLE, ControlParams()), Flyer(VEHICLE)
+    sinking = dataclasses.replace(flyer.estimate(), acceleration_odom=np.array([0.0, 0.0, -2.0]))
+    for _ in range(300):
+        controller.update(sinking, hold(np.zeros(3))(0.0))
+    assert controller._observer.acceleration[2] == 0.0

@@ -19,6 +19,7 @@ from touchdown.experiments.io.results import columns
 from support.docs_support import FOLDERS, PAGES, ROOT, inline_of, name_of, rows_of
 
 SENSOR_KEYS = (
+    "wind",
     "lidar",
     "camera",
     "lamp",

@@ -8,7 +8,14 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from touchdown.sim.api import WindParams
-from touchdown.sim.wind import REFERENCE_HEIGHT_M, Wind, _advance_pair, dryden_psd, dryden_scales
+from touchdown.sim.wind import (
+    REFERENCE_HEIGHT_M,
+    Wind,
+    _advance_pair,
+    dryden_psd,
+    dryden_scales,
+    rolling_gust_sigma,
+)
 
 Array = NDArray[np.float64]
 HEIGHT_M = 30.0
@@ -142,3 +149,61 @@ def test_invalid_parameters_name_the_remedy() -> None:
         Wind(WindParams(mean_kmh=-3.0), 0)
     with pytest.raises(ValueError, match=r"wind.roughness_length_m"):
         Wind(WindParams(roughness_length_m=0.0), 0)
+
+
+# ------------------------------------------------------------------------------- rotational gusts
+
+
+def _rotations(dt_s: float, count: int, *, span_m: float = 1.0, seed: int = 2) -> Array:
+    """(count, 3) rates p, q, r of the air, in a wind to the east: about its axes."""
+    params = WindParams(mean_kmh=36.0, direction_deg=0.0, rotational=True)
+    wind = Wind(params, seed, span_m)
+    rates = np.empty((count, 3))
+    for i in range(count):
+        wind.step(dt_s, HEIGHT_M, AIRSPEED_MPS)
+        rates[i] = wind.rotation(dt_s, HEIGHT_M, AIRSPEED_MPS)
+    return rates
+
+
+def test_rotational_gusts_have_the_spectra_of_the_specification() -> None:
+    dt, span = 0.02, 1.0
+    rates = _rotations(dt, 200_000, span_m=span)
+    frequency, density = signal.welch(rates, fs=1.0 / dt, nperseg=4096, axis=0)
+    omega = 2.0 * np.pi * frequency
+    sigma_uv, sigma_w, scale_uv, scale_w = dryden_scales(HEIGHT_M / 0.3048, 10.0)
+    lag = 4.0 * span / (np.pi * AIRSPEED_MPS)
+    expected = np.empty_like(density)
+    corner = np.pi / (4.0 * span)
+    roll = sigma_w**2 * 0.8 / AIRSPEED_MPS * corner ** (1 / 3) / scale_w ** (2 / 3)
+    expected[:, 0] = roll / (1.0 + (lag * omega) ** 2)
+    rising = (omega / AIRSPEED_MPS) ** 2
+    w = dryden_psd(omega, sigma_w, scale_w / AIRSPEED_MPS, longitudinal=False)
+    v = dryden_psd(omega, sigma_uv, scale_uv / AIRSPEED_MPS, longitudinal=False)
+    expected[:, 1] = rising / (1.0 + (lag * omega) ** 2) * w
+    expected[:, 2] = rising / (1.0 + (0.75 * lag * omega) ** 2) * v
+    band = (omega > 0.3) & (omega < 8.0)
+    for axis in range(3):
+        # Over angular frequency, one-sided: a density over hertz is 2 pi times that.
+        ratio = density[band, axis] / (2.0 * np.pi * expected[band, axis])
+        assert np.median(ratio) == pytest.approx(1.0, abs=0.06), "pqr"[axis]
+        assert ratio.min() > 0.5
+        assert ratio.max() < 1.7
+
+
+def test_rolling_gusts_have_the_variance_of_their_density() -> None:
+    sigma = rolling_gust_sigma(1.0, 30.0, 1.0)
+    # Integral of 0.8 (pi / 4b)^(1/3) / L^(2/3) / (1 + (4b W / pi)^2) over W.
+    assert sigma**2 == pytest.approx(0.8 * (np.pi / 4) ** (4 / 3) / 30 ** (2 / 3) * np.pi / 2)
+    rates = _rotations(0.05, 40_000)
+    expected = rolling_gust_sigma(1.0, HEIGHT_M, 1.0)
+    assert rates[:, 0].std() == pytest.approx(expected, rel=0.08)
+
+
+def test_rotational_gusts_leave_the_wind_as_it_is() -> None:
+    plain, turning = (Wind(WindParams(rotational=on), 4) for on in (False, True))
+    for _ in range(200):
+        expected = plain.step(0.005, 12.0, 6.0).tobytes()
+        assert turning.step(0.005, 12.0, 6.0).tobytes() == expected
+        turning.rotation(0.005, 12.0, 6.0)
+    assert not plain.rotational
+    assert not Wind(WindParams(rotational=True, turbulence=False), 4).rotational

@@ -244,7 +244,7 @@ def test_wind_beyond_reach_ends_the_mission_on_the_ground() -> None:
         return np.array([-6.0 if t < 12.0 else -17.5, 0.0, 0.0])
 
     events: list[str] = []
-    for _, view, reached in windy_run(front, 300.0):
+    for _, view, reached in windy_run(front, 300.0):  # noqa: B007 (read after the loop)
         events += view.events
         if view.phase is Phase.TOUCHDOWN:
             break
