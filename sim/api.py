@@ -156,6 +156,16 @@ class CameraParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class DustParams:
+    """Dust that the rotors' downwash raises from bare, loose ground."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    density: NotNegative = 0.0
+    """dust in the air, over that of dry, bare soil; 0: none"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class ImuParams:
     """Bosch BMI088 (data sheet): noise densities, in-run bias walk, turn-on bias."""
 
@@ -192,6 +202,7 @@ class WorldParams:
     imu: ImuParams = field(default_factory=ImuParams)
     nav: NavParams = field(default_factory=NavParams)
     faults: FaultParams = field(default_factory=FaultParams)
+    dust: DustParams = field(default_factory=DustParams)
 
 
 # -------------------------------------------------------------- the vehicle's model and calibration

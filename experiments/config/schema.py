@@ -32,6 +32,7 @@ from touchdown.sim.api import (
     CameraParams,
     Count,
     CountOrZero,
+    DustParams,
     FaultParams,
     GpsParams,
     ImuParams,
@@ -102,6 +103,7 @@ class Config(BaseModel):
     magnetometer: MagnetometerParams = Field(default_factory=MagnetometerParams)
     rangefinder: RangefinderParams = Field(default_factory=RangefinderParams)
     faults: FaultParams = Field(default_factory=FaultParams)
+    dust: DustParams = Field(default_factory=DustParams)
     mapper: MapperParams = Field(default_factory=MapperParams)
     livo: LivoParams = Field(default_factory=LivoParams)
     paper: PaperParams = Field(default_factory=PaperParams)

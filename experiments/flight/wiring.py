@@ -174,6 +174,7 @@ def world_params(config: Config) -> WorldParams:
         imu=config.imu,
         nav=config.nav,
         faults=config.faults,
+        dust=config.dust,
     )
 
 

@@ -29,6 +29,7 @@ from touchdown.sim.camera.optics import (
     raster_rows,
     through_lens,
 )
+from touchdown.sim.dust import DustCloud
 from touchdown.sim.typing import Bytes, Float32, Int32
 
 CAMERA_NAME = "vehicle/camera"
@@ -43,7 +44,7 @@ class CameraSensor:
     ``render``, ``render_depth`` and ``render_segmentation`` show one instant through the same lens;
     they may run in any one thread: the GL context is made at the first image and belongs to the
     thread that asked for it. Grey noise depends on (seed, camera, tick) alone. ``faults`` of the
-    clock ``tick_hz`` degrade the images of ``render``.
+    clock ``tick_hz`` and ``dust`` degrade the images of ``render``.
 
     Raises ValueError when the model has no such camera or the parameters are impossible; rendering
     raises RuntimeError when there is no way to render on this machine, or when called from a second
@@ -58,6 +59,8 @@ class CameraSensor:
         camera_name: str = CAMERA_NAME,
         faults: FaultParams | None = None,
         tick_hz: int = 600,
+        *,
+        dust: DustCloud | None = None,
     ) -> None:
         self._model = scene.model
         self._params = params
@@ -72,10 +75,11 @@ class CameraSensor:
         self._noise_key = [seed, crc32(camera_name.encode())]
         self._noise = noise_tile(params, self._noise_key)
         self._degradations: CameraDegradations | None = None
-        if faults is not None and faults.events:
+        if (faults is not None and faults.events) or dust is not None:
             degradations = CameraDegradations(
-                faults, tick_hz, params, self._lens.raster, self._model, seed, camera_name
-            )
+                faults or FaultParams(), tick_hz, params, self._lens.raster, self._model, seed,
+                camera_name, dust=dust,
+            )  # fmt: skip
             self._degradations = degradations if degradations.ever else None
         self._stage: Stage | None = None
         self._thread: int | None = None
