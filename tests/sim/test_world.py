@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import MovingBody, Scene
+from touchdown.scenes.api import MovingBody, Scene, Surface
 from touchdown.scenes.compose import load_scene
 from touchdown.sim.airframe.contacts import ContactSensor
 from touchdown.sim.airframe.ground_probe import GroundProbe
@@ -18,7 +19,9 @@ from touchdown.sim.api import (
     GRAVITY_MPS2,
     CameraParams,
     Command,
+    DustParams,
     ImuParams,
+    LidarParams,
     Observation,
     SensorNeeds,
     SimParams,
@@ -248,6 +251,32 @@ def test_same_seed_same_flight_whatever_the_threads(make_world: MakeWorld) -> No
     assert _digest(two) == expected
     assert _digest(one) == expected, "reset starts the same flight again"
     assert _digest(make_world(needs=needs, seed=4)) != expected
+
+
+def test_an_unkind_world_is_the_same_whatever_the_threads(scene: Scene) -> None:
+    """Latency, range errors, texture, plants, sway and dust are all functions of seed and tick."""
+    unkind = LidarParams(
+        range_bias_m=0.02, range_noise_growth=0.2, texture=1.0, vegetation=1.0, sway=1.0
+    )
+    grassy = Surface(land_class="lawn", reflectivity=0.4, canopy_m=0.05, leaf_area=1.7, dust=1.0)
+    planted = replace(scene, surfaces={**scene.surfaces, "lawn_floor": grassy})
+
+    def digest(threads: int, lidar: LidarParams, seed: int = 3) -> str:
+        params = WorldParams(
+            sim=SimParams(threads=threads, latency_sigma=0.3),
+            camera=SMALL_IMAGE,
+            lidar=lidar,
+            dust=DustParams(density=1.0),
+        )
+        world = MujocoWorld(planted, params, seed, SensorNeeds(camera_hz=10, lidar=True))
+        found = _digest(world)
+        world.close()
+        return found
+
+    expected = digest(1, unkind)
+    assert digest(2, unkind) == expected
+    assert digest(1, LidarParams()) != expected
+    assert digest(1, unkind, seed=4) != expected
 
 
 # ------------------------------------------------------------------------------------ truth
