@@ -20,6 +20,7 @@ from support.docs_support import FOLDERS, PAGES, ROOT, inline_of, name_of, rows_
 
 SENSOR_KEYS = (
     "lidar",
+    "dust",
     "camera",
     "imu",
     "gps",
