@@ -140,6 +140,16 @@ class LidarParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class DustParams:
+    """Dust that the rotors' downwash raises from bare, loose ground."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    density: NotNegative = 0.0
+    """dust in the air, over that of dry, bare soil; 0: none"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class WorldParams:
     """Every parameter of the simulated world but its scene and its seed."""
 
@@ -152,6 +162,7 @@ class WorldParams:
     nav: NavParams = field(default_factory=NavParams)
     faults: FaultParams = field(default_factory=FaultParams)
     vehicle_error: VehicleErrorParams = field(default_factory=VehicleErrorParams)
+    dust: DustParams = field(default_factory=DustParams)
 
 
 # -------------------------------------------------------------- the vehicle's model and calibration

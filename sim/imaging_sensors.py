@@ -19,6 +19,7 @@ from touchdown.sim.camera.sensor import CAMERA_NAME, CameraSensor
 from touchdown.sim.camera.stamps import ShutterClock, Stamp
 from touchdown.sim.clock import image_period_ticks
 from touchdown.sim.delivery import DeliveryQueue, Latency, make_executor
+from touchdown.sim.dust import DustCloud
 from touchdown.sim.faults.disturbances import Disturbances
 from touchdown.sim.faults.weather import Weather
 from touchdown.sim.lidar.patterns.livox import pattern
@@ -46,6 +47,8 @@ class ImagingSensors:
         ticks = self._sim.lidar_scan_ticks
         self._positions, self._quats = np.empty((ticks + 1, 3)), np.empty((ticks + 1, 4))
         pattern(params.lidar.preset)  # an unknown one is an error even where no LIDAR is needed
+        dusty = params.dust.density > 0.0
+        self._dust = DustCloud(scene, params.dust) if dusty else None
         self.camera = self._make_camera(CAMERA_NAME)
         self._right: CameraSensor | None = None
         self._lidar: LidarSensor | None = None
@@ -68,6 +71,7 @@ class ImagingSensors:
             params.faults,
             self._sim.tick_hz,
             params.lamp,
+            dust=self._dust,
         )
 
     def add(self, needs: SensorNeeds) -> None:
@@ -77,7 +81,9 @@ class ImagingSensors:
             air = Weather(self._params.faults, self._sim.tick_hz)
             wind = self._params.wind
             speed = wind.mean_kmh / 3.6 * Wind(wind, self._seed).mean_direction[:2]
-            self._lidar = LidarSensor(self._scene, self._params.lidar, self._seed, air, speed)
+            self._lidar = LidarSensor(
+                self._scene, self._params.lidar, self._seed, air, speed, self._dust
+            )
         if needs.stereo and self._right is None:
             self._right = self._make_camera(RIGHT_CAMERA)
 
@@ -90,6 +96,8 @@ class ImagingSensors:
         """Drops everything in transit."""
         self.scans.clear()
         self.images.clear()
+        if self._dust is not None:
+            self._dust.clear()
         self._scan_latency.restart()
         self._image_latency.restart()
         self._drawn = None
@@ -107,6 +115,8 @@ class ImagingSensors:
     def sense(self, tick: int, data: mujoco.MjData, position: Array, quat_wxyz: Array) -> None:
         """Records the pose of ``tick`` for the scan, and the instant of an exposure that it is part
         of; submits what is complete."""
+        if self._dust is not None:
+            self._dust.observe(tick, data, position)
         if self._lidar is not None:
             self._record_pose(tick, position, quat_wxyz)
         if self._image_period:

@@ -38,6 +38,7 @@ from touchdown.sim.api import (
     CameraParams,
     Count,
     CountOrZero,
+    DustParams,
     FaultParams,
     GpsParams,
     ImuParams,
@@ -115,6 +116,7 @@ class Config(BaseModel):
     vehicle_error: VehicleErrorParams = Field(default_factory=VehicleErrorParams)
     start: StartParams = Field(default_factory=StartParams)
     faults: FaultParams = Field(default_factory=FaultParams)
+    dust: DustParams = Field(default_factory=DustParams)
     mapper: MapperParams = Field(default_factory=MapperParams)
     livo: LivoParams = Field(default_factory=LivoParams)
     paper: PaperParams = Field(default_factory=PaperParams)

@@ -176,6 +176,7 @@ def world_params(config: Config) -> WorldParams:
         nav=config.nav,
         faults=config.faults,
         vehicle_error=config.vehicle_error,
+        dust=config.dust,
     )
 
 

@@ -19,7 +19,7 @@ _GRASS, _CROP = 1.7, 3.6
 """leaf area index of grassland and of crops, global means (Asner, Scurlock and Hicke 2003)"""
 
 COVERS: dict[str, Cover] = {
-    "LAWN": Cover(0.10, 0.045, _GRASS),
+    "LAWN": Cover(0.08, 0.045, _GRASS),
     "MEADOW": Cover(0.12, 0.25, _GRASS),
     "SOIL": Cover(0.14, dust=1.0),
     "PAVEMENT": Cover(0.08),
@@ -34,13 +34,13 @@ COVERS: dict[str, Cover] = {
     "LITTER": Cover(0.20),
     "FERN": Cover(0.20, 0.35, _CROP),
     "SAND": Cover(0.06, dust=0.6),
-    "FAIRWAY": Cover(0.08, 0.015, _GRASS),
+    "FAIRWAY": Cover(0.07, 0.015, _GRASS),
     "GREEN": Cover(0.05),
     "ROUGH": Cover(0.12, 0.10, _GRASS),
     "PUDDLE": Cover(0.0),
     "DECK": Cover(0.06),
     "PLANKS": Cover(0.12),
-    "PITCH": Cover(0.10, 0.03, _GRASS),
+    "PITCH": Cover(0.08, 0.03, _GRASS),
     "CLAY": Cover(0.10, dust=0.8),
     "LANE": Cover(0.15, dust=0.4),
     "COBBLES": Cover(0.12),

@@ -1,4 +1,4 @@
-"""Degradations of camera images: fog, rain, dirt on the lens, a low sun.
+"""Degradations of camera images: fog, rain, dust, dirt on the lens, a low sun.
 
 - air: the light of a pixel at the distance d is L exp(-e d) + A (1 - exp(-e d)), with the
   extinction e of ``sim.faults.weather`` and the airlight A of an evenly lit, bright sky
@@ -28,6 +28,7 @@ from numba import njit
 
 from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams
 from touchdown.sim.camera.gl import Snapshot
+from touchdown.sim.dust import DustCloud
 from touchdown.sim.faults.disturbances import Happening
 from touchdown.sim.faults.weather import Weather
 from touchdown.sim.typing import Array, Bytes, Float32
@@ -69,7 +70,10 @@ class CameraDegradations:
         model: Any,
         seed: int,
         camera_name: str,
+        *,
+        dust: DustCloud | None = None,
     ) -> None:
+        self._dust = dust
         self._faults, self._model, self._raster = faults, model, raster
         self._camera_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera_name)
         self._weather = Weather(faults, tick_hz)
@@ -79,21 +83,29 @@ class CameraDegradations:
         if self._dirty.faults:
             key = [seed, crc32(b"dirt of " + camera_name.encode())]
             self._blobs = dirt_map(params, faults.dirt_share, faults.dirt_size, key)
-        if self._weather.ever:
+        if self._weather.ever or dust is not None:
             self._stretch = ray_stretch(raster)
 
     @property
     def ever(self) -> bool:
         """True if an image of the schedule is not clear."""
-        return self._weather.ever or bool(self._dirty.faults) or self._low_sun
+        return (
+            self._weather.ever
+            or self._dust is not None
+            or bool(self._dirty.faults)
+            or self._low_sun
+        )
 
     def at(self, tick: int) -> ImageDefects | None:
         """Degradations at ``tick``; None: a clear image."""
         air = self._weather.at(tick)
         dirty = self._dirty.since(tick) is not None
-        if air is None and not dirty and not self._low_sun:
+        extinction = 0.0 if air is None else air.extinction()
+        if self._dust is not None:
+            extinction += self._dust.at(tick).extinction
+        if extinction <= 0.0 and not dirty and not self._low_sun:
             return None
-        return ImageDefects(0.0 if air is None else air.extinction(), dirty, self._low_sun)
+        return ImageDefects(extinction, dirty, self._low_sun)
 
     def through_air(self, defects: ImageDefects, drawn: Bytes, depth: Float32, first: int) -> Bytes:
         """(h, W, 3) raster rows from ``first`` on through fog and rain, bottom row first, like

@@ -34,6 +34,7 @@ from touchdown.sim.camera.optics import (
 )
 from touchdown.sim.camera.row_exposures import RowExposures, exposes_rows
 from touchdown.sim.camera.shutter import SHUTTER_MARGIN_PX, CameraMotion, camera_motion
+from touchdown.sim.dust import DustCloud
 from touchdown.sim.moving import BodyTrack
 from touchdown.sim.typing import Bytes, Float32, Int32
 
@@ -49,7 +50,7 @@ class CameraSensor:
     ``render``, ``render_depth`` and ``render_segmentation`` show one instant through the same lens;
     they may run in any one thread: the GL context is made at the first image and belongs to the
     thread that asked for it. Grey noise depends on (seed, camera, tick) alone. ``faults`` of the
-    clock ``tick_hz`` degrade the images of ``render``.
+    clock ``tick_hz`` and ``dust`` degrade the images of ``render``.
 
     Raises ValueError when the model has no such camera or the parameters are impossible; rendering
     raises RuntimeError when there is no way to render on this machine, or when called from a second
@@ -65,6 +66,8 @@ class CameraSensor:
         faults: FaultParams | None = None,
         tick_hz: int = 600,
         lamp: LampParams | None = None,
+        *,
+        dust: DustCloud | None = None,
     ) -> None:
         self._model = scene.model
         self._params = params
@@ -84,10 +87,11 @@ class CameraSensor:
         self._noise_key = [seed, crc32(camera_name.encode())]
         self._noise = noise_tile(params, self._noise_key)
         self._degradations: CameraDegradations | None = None
-        if faults is not None and faults.events:
+        if (faults is not None and faults.events) or dust is not None:
             degradations = CameraDegradations(
-                faults, tick_hz, params, self._lens.raster, self._model, seed, camera_name
-            )
+                faults or FaultParams(), tick_hz, params, self._lens.raster, self._model, seed,
+                camera_name, dust=dust,
+            )  # fmt: skip
             self._degradations = degradations if degradations.ever else None
         self._detail = GroundDetail(scene, self._lens.raster) if params.detail else None
         self._stage: Stage | None = None
@@ -162,7 +166,7 @@ class CameraSensor:
     ) -> Bytes:
         assert self._rows is not None
         stage, raster = self._own_stage(), self._lens.raster
-        drawn = stage.colour(snapshot, self._camera_id, 0, raster.height)
+        drawn = self._drawn(stage, snapshot, 0, raster.height)
         depth = stage.inverse_depth_of_last(raster.height)
         defects = self._degradations.at(tick) if self._degradations is not None else None
         if self._degradations is not None and defects is not None and defects.extinction > 0.0:

@@ -15,6 +15,7 @@ import numpy as np
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import LidarParams, LidarScan
+from touchdown.sim.dust import DustCloud
 from touchdown.sim.faults.weather import Weather
 from touchdown.sim.frames import Pose
 from touchdown.sim.geometry.ray_target import Hits, rays_behind
@@ -48,8 +49,8 @@ class LidarSensor:
 
     ``scan`` is a pure function of its arguments, the scene and the seed: it may run in any thread
     beside the physics. Without ``weather`` the air is clear; ``wind_mps``, (2,) the mean wind at
-    20 ft, moves crowns. Raises ValueError for an unknown
-    preset or return mode.
+    20 ft, moves crowns. ``dust`` is noted up to a scan's end before the scan. Raises ValueError for
+    an unknown preset or return mode.
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class LidarSensor:
         seed: int,
         weather: Weather | None = None,
         wind_mps: Array = _CALM,
+        dust: DustCloud | None = None,
     ) -> None:
         if params.return_mode not in ("first", "strongest"):
             raise ValueError(
@@ -82,8 +84,8 @@ class LidarSensor:
         )
         self._sway = Sway.of(params, self._scene, wind_mps, seed)
         self._range_errors = RangeErrors.of(params, self._pattern, seed)
-        self._weather = None
-        if weather is not None and weather.ever:
+        self._weather, self._dust = None, dust
+        if dust is not None or (weather is not None and weather.ever):
             self._weather = LidarWeather(
                 weather, self._pattern, params, self._budget, self._quantiles
             )
@@ -119,8 +121,8 @@ class LidarSensor:
         track = Track.of(body).mounted(body_from_lidar)
         pulses = self._aim(first, nominal, np.arange(count), _ON_AXIS, track)
         movers = self._in_view(track, self._movers(body.times_s, moving))
-        clutter = self._weather.at(end_tick) if self._weather is not None else None
-        ranges, intensity = self._measure(first, nominal, pulses, track, movers, clutter)
+        air = self._air(end_tick)
+        ranges, intensity = self._measure(first, nominal, pulses, track, movers, air)
         return LidarScan(
             start_tick=start_tick,
             end_tick=end_tick,
@@ -131,6 +133,15 @@ class LidarSensor:
             time_offsets=_frozen((pulses.times - start_s).astype(np.float32)),
             intensity=_frozen(intensity),
         )
+
+    def _air(self, tick: int) -> list[Clutter]:
+        """What is in the air at ``tick``: nothing, rain or fog, dust."""
+        if self._weather is None:
+            return []
+        found: list[Clutter | None] = [self._weather.at(tick)]
+        if self._dust is not None and (dust := self._dust.at(tick)).extinction > 0.0:
+            found.append(self._weather.dust(dust.extinction, dust.depth_m))
+        return [clutter for clutter in found if clutter is not None]
 
     # ---------------------------------------------------------------------------- beams
 
@@ -260,7 +271,7 @@ class LidarSensor:
         pulses: Rays,
         track: Track,
         movers: Movers,
-        clutter: Clutter | None,
+        air: list[Clutter],
     ) -> tuple[Float32, Bytes]:
         """Ranges and intensities of all pulses."""
         hits, others = self._cast(pulses.rays, pulses.times, movers, open_ground=True)
@@ -269,14 +280,9 @@ class LidarSensor:
             split, parts, part_hits = self._split(first, nominal, hits, others, track, movers)
             pulses, hits = Rays.joined(pulses, *parts), Hits.joined(hits, *part_hits)
         self._penetrate(pulses, hits, movers)
-        if self._sway is not None:
-            self._sway.move(pulses.rays, pulses.times, hits)
-        gain = _NO_GAIN
-        if self._detail is not None:
-            gain = self._detail.gains(pulses, hits, movers)
-            self._detail.enter_plants(pulses, hits)
+        gain = self._refine(pulses, hits, movers)
         strengths, ranges, intensity = self._receive(pulses, hits, gain)
-        if clutter is not None:
+        for clutter in air:
             clutter.weaken(hits.distance, pulses.bits, strengths, ranges, intensity)
         count = len(nominal)
         ranges, intensity = ranges[:count], intensity[:count]
@@ -298,9 +304,20 @@ class LidarSensor:
             )
         if self._range_errors is not None:
             self._range_errors.apply(pulses.range_noise, hits.cosine, ranges, intensity)
-        if clutter is not None:
+        for clutter in air:
             clutter.scatter(pulses.bits[:count], ranges, intensity)
         return ranges, intensity
+
+    def _refine(self, pulses: Rays, hits: Hits, movers: Movers) -> Float32:
+        """Moves ``hits`` by the sway of crowns and into plants; factors (N,) of the reflectivities
+        there, or empty."""
+        if self._sway is not None:
+            self._sway.move(pulses.rays, pulses.times, hits)
+        if self._detail is None:
+            return _NO_GAIN
+        gain = self._detail.gains(pulses, hits, movers)
+        self._detail.enter_plants(pulses, hits)
+        return gain
 
     def _split(
         self,

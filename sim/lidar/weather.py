@@ -33,6 +33,8 @@ from touchdown.sim.typing import Array, Bytes, Float32, Uint32
 
 LIDAR_NM = 905.0
 LIDAR_RATIO_SR = 18.8
+DUST_RATIO_SR = 60.0
+"""of mineral dust: 50 at 532 nm and 63 at 1064 nm (Haarig et al., Atmos. Chem. Phys. 22, 2022)"""
 LEAST_STRENGTH = 0.01
 """Least strength of an echo of the air that is reported at short range"""
 
@@ -144,12 +146,33 @@ class Clutter:
         return np.exp(-2.0 * self.extinction * grid_m())
 
 
+@dataclass(frozen=True)
+class DustClutter(Clutter):
+    """False returns of a cloud of dust, which ends ``depth_m`` below the LIDAR. Like fog it is a
+    soft target, of the lidar ratio of mineral dust."""
+
+    dust_extinction: float = 0.0
+    depth_m: float = 0.0
+
+    @cached_property
+    def extinction(self) -> float:
+        return self.dust_extinction
+
+    def fog_per_metre(self) -> Array:
+        from scipy.special import gammaincc  # takes a while to load
+
+        length = self.beam.pulse_length_m
+        strength = math.pi * length * self.extinction / DUST_RATIO_SR * self._both_ways()
+        share: Array = gammaincc(_SPECKLES, _SPECKLES * self.threshold / strength)
+        return share / length * (grid_m() <= self.depth_m)
+
+
 class LidarWeather:
     """The clutter of every tick, for one LIDAR."""
 
     def __init__(
         self,
-        weather: Weather,
+        weather: Weather | None,
         pattern: ScanPattern,
         params: LidarParams,
         budget: returns.LinkBudget,
@@ -167,9 +190,13 @@ class LidarWeather:
         )
         self._known: dict[Air, Clutter] = {}
 
+    def dust(self, extinction: float, depth_m: float) -> DustClutter:
+        """Clutter of a cloud of dust of this extinction in 1/m."""
+        return DustClutter(Air(), self._beam, extinction, depth_m)
+
     def at(self, tick: int) -> Clutter | None:
         """Clutter at ``tick``; None where the air is clear."""
-        air = self._weather.at(tick)
+        air = None if self._weather is None else self._weather.at(tick)
         if air is None:
             return None
         return self._known.setdefault(air, Clutter(air, self._beam))

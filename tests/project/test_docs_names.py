@@ -21,6 +21,7 @@ from support.docs_support import FOLDERS, PAGES, ROOT, inline_of, name_of, rows_
 SENSOR_KEYS = (
     "wind",
     "lidar",
+    "dust",
     "camera",
     "lamp",
     "imu",

@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import MovingBody, Scene
+from touchdown.scenes.api import MovingBody, Scene, Surface
 from touchdown.scenes.compose import load_scene
 from touchdown.sim.airframe.contacts import ContactSensor
 from touchdown.sim.airframe.ground_probe import GroundProbe
@@ -20,7 +21,9 @@ from touchdown.sim.api import (
     CameraImage,
     CameraParams,
     Command,
+    DustParams,
     ImuParams,
+    LidarParams,
     Observation,
     SensorNeeds,
     SimParams,
@@ -302,6 +305,38 @@ def test_same_seed_same_flight_whatever_the_threads(make_world: MakeWorld) -> No
     assert _digest(two) == expected
     assert _digest(one) == expected, "reset starts the same flight again"
     assert _digest(make_world(needs=needs, seed=4)) != expected
+
+
+def test_an_unkind_world_is_the_same_whatever_the_threads(scene: Scene) -> None:
+    """Latency, range errors, texture, plants, sway and dust are all functions of seed and tick."""
+    unkind = LidarParams(
+        range_bias_m=0.02, range_noise_growth=0.2, texture=1.0, vegetation=1.0, sway=1.0
+    )
+    grassy = Surface(land_class="lawn", reflectivity=0.4, canopy_m=0.05, leaf_area=1.7, dust=1.0)
+    planted = replace(scene, surfaces={**scene.surfaces, "lawn_floor": grassy})
+
+    def digest(threads: int, lidar: LidarParams, seed: int = 3) -> str:
+        params = WorldParams(
+            sim=SimParams(threads=threads, latency_sigma=0.3),
+            camera=SMALL_IMAGE,
+            lidar=lidar,
+            dust=DustParams(density=1.0),
+        )
+        world = MujocoWorld(planted, params, seed, SensorNeeds(camera_hz=10, lidar=True))
+        world.start_in_air(np.array([1.0, 2.0, 1.5]), 0.0)
+        vehicle, found = world.rig.vehicle, hashlib.sha256()
+        for _ in range(60):
+            obs = world.step(_climb(vehicle, world.truth()))
+            for array in (*(s.points for s in obs.scans), *(i.rgb for i in obs.images)):
+                found.update(obs.tick.to_bytes(4, "little"))
+                found.update(np.ascontiguousarray(array).tobytes())
+        world.close()
+        return found.hexdigest()
+
+    expected = digest(1, unkind)
+    assert digest(2, unkind) == expected
+    assert digest(1, LidarParams()) != expected
+    assert digest(1, unkind, seed=4) != expected
 
 
 # ------------------------------------------------------------------------------------ truth
