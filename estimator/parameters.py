@@ -99,6 +99,14 @@ class LivoParams:
     """prior of the offset of the LIDAR's clock from the IMU's"""
     imu_scale_sigma: NotNegative = 0.0
     """prior of the relative scale errors of gyroscope and accelerometer"""
+    gyro_density: NotNegative = 0.0
+    """rad/s/sqrt(Hz) of the gyroscope on the flying vehicle, where above that of the data sheet"""
+    accel_density: NotNegative = 0.0
+    """m/s^2/sqrt(Hz), likewise of the accelerometer"""
+    gyro_bias_walk: NotNegative = 0.0
+    """rad/s^2/sqrt(Hz), likewise; what scale, alignment and g-sensitivity add to the bias"""
+    accel_bias_walk: NotNegative = 0.0
+    """m/s^3/sqrt(Hz), likewise"""
     use_degeneracy: bool = True
     """scans do not correct degenerate directions, such as lateral motion over level ground"""
     weak_sigma_m: NotNegative = 0.1

@@ -17,7 +17,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from touchdown.estimator.filtering.imu_noise import MeasuredNoise
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import Pose
 
@@ -161,9 +160,8 @@ def transition(
     """Error-state transition (15, 15), accumulated noise (15, 15) and derivative by the scale
     errors (15, 6) over N samples.
 
-    ``rotations`` as from ``integrate``; ``densities`` (4, 3), by axis of the IMU: gyroscope
-    rad/s/sqrt(Hz), accelerometer m/s^2/sqrt(Hz), gyroscope bias walk rad/s^2/sqrt(Hz),
-    accelerometer bias walk m/s^3/sqrt(Hz).
+    ``rotations`` as from ``integrate``; ``densities``: gyroscope rad/s/sqrt(Hz), accelerometer
+    m/s^2/sqrt(Hz), gyroscope bias walk rad/s^2/sqrt(Hz), accelerometer bias walk m/s^3/sqrt(Hz).
     """
     total = np.eye(15)
     noise = np.zeros((15, 15))
@@ -186,15 +184,13 @@ def transition(
         by_scale = step @ by_scale
         for k in range(3):
             by_scale[k, k] -= step_s * gyro[i, k]
-            noise[k, k] += step_s * densities[0, k] ** 2
             for a in range(3):
                 by_scale[6 + a, 3 + k] -= step_s * middle[a, k] * force[i, k]
                 by_scale[3 + a, 3 + k] -= 0.5 * step_s * step_s * middle[a, k] * force[i, k]
-                for b in range(3):
-                    spread = middle[a, k] * middle[b, k] * densities[1, k] ** 2
-                    noise[6 + a, 6 + b] += step_s * spread
-            noise[9 + k, 9 + k] += step_s * densities[2, k] ** 2
-            noise[12 + k, 12 + k] += step_s * densities[3, k] ** 2
+            noise[k, k] += step_s * densities[0] ** 2
+            noise[6 + k, 6 + k] += step_s * densities[1] ** 2
+            noise[9 + k, 9 + k] += step_s * densities[2] ** 2
+            noise[12 + k, 12 + k] += step_s * densities[3] ** 2
     return total, noise, by_scale
 
 
@@ -207,7 +203,9 @@ class ImuBuffer:
 
     def __init__(self, imu: ImuParams, step_s: float, capacity: int = 512) -> None:
         self.step_s = step_s
-        self._noise = MeasuredNoise(imu, step_s)
+        densities = [imu.gyro_density, imu.accel_density, imu.gyro_bias_walk, imu.accel_bias_walk]
+        self.densities: Array = np.array(densities)
+        """(4,) as ``transition`` takes them"""
         self.count = 0
         self._ticks = np.zeros(capacity, dtype=np.int64)
         self._gyro = np.zeros((capacity, 3))
@@ -219,15 +217,9 @@ class ImuBuffer:
         if self.count == len(self._ticks):
             raise RuntimeError("the IMU buffer is full: the filter was not advanced")
         i = self.count
-        self._noise.add(gyro, force)
         self._ticks[i], self._resting[i] = tick, resting
         self._gyro[i], self._force[i] = gyro, force
         self.count += 1
-
-    @property
-    def densities(self) -> Array:
-        """(4, 3) as ``transition`` takes them."""
-        return self._noise.densities
 
     def until(self, tick: int) -> int:
         """Returns the number of buffered samples at or before ``tick``."""

@@ -22,13 +22,13 @@ from touchdown.estimator.filtering.information import (
 )
 from touchdown.estimator.filtering.plane_map import PlaneMap, PlaneMatches
 from touchdown.estimator.livo.anchors import Anchors
-from touchdown.estimator.livo.online_calibration import LIDAR_CLOCK
 from touchdown.estimator.livo.lidar_update import (
     LidarReport,
     normal_noise_information,
     weak_directions,
     without_directions,
 )
+from touchdown.estimator.livo.online_calibration import LIDAR_CLOCK
 
 Array = NDArray[np.float64]
 

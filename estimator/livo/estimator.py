@@ -13,6 +13,8 @@ propagated over the buffered IMU samples to the present.
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,6 +53,7 @@ from touchdown.estimator.livo.visual import VisualFrontEnd, VisualParams, Visual
 from touchdown.sim.api import (
     GRAVITY_MPS2,
     CameraImage,
+    ImuParams,
     LidarScan,
     Observation,
     SensorNeeds,
@@ -103,7 +106,7 @@ class Livo:
         self._order = MessageOrder(rig, periods, patience)
         self._events: list[str] = []
         step_s = rig.imu_ticks / rig.tick_hz
-        self._buffer = ImuBuffer(rig.imu, step_s)
+        self._buffer = ImuBuffer(_flown_imu(rig.imu, params), step_s)
         self._imu_from_body = rig.body_from_imu.inverse()
         self._imu_from_lidar = self._imu_from_body @ rig.body_from_lidar
         start = rig.world_from_body_start @ rig.body_from_imu
@@ -122,7 +125,7 @@ class Livo:
         self._anchors = Anchors()
         self._head = state
         self._head_covariance = self._eskf.covariance[:STATE_DIM, :STATE_DIM].copy()
-        self._zero_velocity = ZeroVelocityUpdate(rig.imu.gyro_density, step_s)
+        self._zero_velocity = ZeroVelocityUpdate(rig.imu.gyro_density, step_s, self._levelled)
         self._map = PlaneMap(params.voxel_m, params.map_voxels, params.voxel_points)
         self._recent = RecentReturns()
         self._vision = VisualFrontEnd(
@@ -217,7 +220,9 @@ class Livo:
             return
         _, gyro, force, resting = self._buffer.samples(count)
         if not self._levelled and resting.all():
-            sigma = _LEVEL_SIGMA + self._rig.imu.accel_density / np.sqrt(count * self._buffer.step_s)
+            sigma = _LEVEL_SIGMA + self._rig.imu.accel_density / np.sqrt(
+                count * self._buffer.step_s
+            )
             align_with_gravity(self._eskf, force.mean(axis=0), sigma)
             self._levelled = True
             self._history_rotations[-1] = self._eskf.state.rotation
@@ -432,6 +437,14 @@ class Livo:
 
 def _name_of(message: Message) -> str:
     return "scan" if isinstance(message, LidarScan) else "image"
+
+
+def _flown_imu(imu: ImuParams, params: LivoParams) -> ImuParams:
+    """The IMU with the noise that it has on the flying vehicle."""
+    names = ("gyro_density", "accel_density", "gyro_bias_walk", "accel_bias_walk")
+    return dataclasses.replace(
+        imu, **{name: max(getattr(imu, name), getattr(params, name)) for name in names}
+    )
 
 
 def _scan_errors(rig: SensorRig, params: LivoParams) -> ScanErrors:

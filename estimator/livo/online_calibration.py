@@ -93,9 +93,7 @@ def corrected_camera(imu_from_camera: Pose, calibration: Array) -> Pose:
 def _moved(mount: Pose, calibration: Array, turn: slice, shift: slice) -> Pose:
     if not len(calibration):
         return mount
-    return Pose(
-        so3_exp(calibration[turn]) @ mount.rotation, mount.translation + calibration[shift]
-    )
+    return Pose(so3_exp(calibration[turn]) @ mount.rotation, mount.translation + calibration[shift])
 
 
 def corrected_intrinsics(camera: CameraIntrinsics, calibration: Array) -> Array:
@@ -157,9 +155,10 @@ def landmark_jacobians(
     # so does one that turns about the camera, or starts beside it: axes of the IMU
     unit = rotation[None]
     turned = np.cross(unit, reach[:, None, :]).swapaxes(1, 2)
-    for part, moves in ((CAMERA_TURN, turned), (CAMERA_SHIFT, np.broadcast_to(
-        rotation.T, (len(rays), 3, 3)
-    ))):
+    for part, moves in (
+        (CAMERA_TURN, turned),
+        (CAMERA_SHIFT, np.broadcast_to(rotation.T, (len(rays), 3, 3))),
+    ):
         off = np.einsum("ij,ijk->ik", planes, moves)
         out[:, :, part] = moves - reach[:, :, None] * off[:, None, :]
     out[:] = rotation @ out

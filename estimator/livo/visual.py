@@ -31,9 +31,9 @@ from touchdown.estimator.livo.online_calibration import (
     exposed,
     landmark_jacobians,
 )
-from touchdown.estimator.livo.shutter import Shutter, rows_of_keyframe
 from touchdown.estimator.livo.patch_tracker import Grey, track
 from touchdown.estimator.livo.plane_extension import extend_plane
+from touchdown.estimator.livo.shutter import Shutter, rows_of_keyframe
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]

@@ -19,8 +19,8 @@ from touchdown.landing.mission.energy import (
     return_time_s,
     search_leg_time_s,
 )
-from touchdown.landing.mission.pace import Pace, paced
 from touchdown.landing.mission.heading import HeadingTurn
+from touchdown.landing.mission.pace import Pace, paced
 from touchdown.landing.mission.trajectory import PiecewiseTrajectory, State, through
 from touchdown.landing.mission.wind import FeltWind, WindEstimator
 from touchdown.sim.api import Observation, SensorRig
