@@ -13,8 +13,6 @@ propagated over the buffered IMU samples to the present.
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,8 +35,9 @@ from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
 from touchdown.estimator.guard import InputGuard
-from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
+from touchdown.estimator.livo.anchored_update import update_with_scan
 from touchdown.estimator.livo.anchors import Anchors
+from touchdown.estimator.livo.error_model import flown_imu, scan_errors, visual_diagnostics
 from touchdown.estimator.livo.lidar_update import DegeneracyWatch, LidarReport
 from touchdown.estimator.livo.online_calibration import (
     CLOCK,
@@ -49,11 +48,10 @@ from touchdown.estimator.livo.online_calibration import (
 )
 from touchdown.estimator.livo.patch_tracker import grey_levels
 from touchdown.estimator.livo.shutter import Shutter
-from touchdown.estimator.livo.visual import VisualFrontEnd, VisualParams, VisualReport
+from touchdown.estimator.livo.visual import VisualFrontEnd, VisualParams
 from touchdown.sim.api import (
     GRAVITY_MPS2,
     CameraImage,
-    ImuParams,
     LidarScan,
     Observation,
     SensorNeeds,
@@ -106,7 +104,7 @@ class Livo:
         self._order = MessageOrder(rig, periods, patience)
         self._events: list[str] = []
         step_s = rig.imu_ticks / rig.tick_hz
-        self._buffer = ImuBuffer(_flown_imu(rig.imu, params), step_s)
+        self._buffer = ImuBuffer(flown_imu(rig.imu, params), step_s)
         self._imu_from_body = rig.body_from_imu.inverse()
         self._imu_from_lidar = self._imu_from_body @ rig.body_from_lidar
         start = rig.world_from_body_start @ rig.body_from_imu
@@ -144,7 +142,7 @@ class Livo:
             lidar_in_camera=(rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
             on_change=self._follow_clones,
         )
-        self._scan_errors = _scan_errors(rig, params)
+        self._scan_errors = scan_errors(rig, params)
         self._degeneracy = DegeneracyWatch()
         self._undistort = Undistorter(rig)
         self._history_ticks = np.zeros(1, dtype=np.int64)
@@ -352,7 +350,7 @@ class Livo:
             self._vision.add_keyframe(
                 self._eskf, levels, self._recent, image.tick, delay_s=delay_s, extend=fresh
             )
-        self._diagnostics |= _visual_diagnostics(report, len(self._vision.keyframes))
+        self._diagnostics |= visual_diagnostics(report, len(self._vision.keyframes))
         self._diagnostics |= calibration_diagnostics(self._eskf.state.calibration)
 
     def _enable_calibration(self, mount_and_lens: bool) -> None:
@@ -437,33 +435,3 @@ class Livo:
 
 def _name_of(message: Message) -> str:
     return "scan" if isinstance(message, LidarScan) else "image"
-
-
-def _flown_imu(imu: ImuParams, params: LivoParams) -> ImuParams:
-    """The IMU with the noise that it has on the flying vehicle."""
-    names = ("gyro_density", "accel_density", "gyro_bias_walk", "accel_bias_walk")
-    return dataclasses.replace(
-        imu, **{name: max(getattr(imu, name), getattr(params, name)) for name in names}
-    )
-
-
-def _scan_errors(rig: SensorRig, params: LivoParams) -> ScanErrors:
-    tilt, yaw = np.radians([params.scan_tilt_sigma_deg, params.scan_yaw_sigma_deg])
-    aside, height = params.scan_lateral_sigma_m, params.scan_height_sigma_m
-    weak = float(np.radians(params.weak_sigma_deg)), params.weak_sigma_m
-    return ScanErrors(
-        range_sigma_m=rig.lidar.range_sigma_m,
-        angle_sigma_rad=float(np.radians(rig.lidar.angle_sigma_deg)),
-        floor_sigmas=np.array([tilt, tilt, yaw, aside, aside, height]),
-        weak_sigmas=weak if params.use_degeneracy else None,
-    )
-
-
-def _visual_diagnostics(report: VisualReport, keyframes: int) -> dict[str, float]:
-    return {
-        "features_tracked": float(report.used),
-        "visual_rms_px": report.rms_px,
-        "keyframes_tracked": float(report.keyframes_tracked),
-        "overlap": report.best_share,
-        "keyframes": float(keyframes),
-    }

@@ -3,8 +3,8 @@
 Twenty-four errors of the given calibration: a small rotation (rad) and translation (m) of the LIDAR
 in the IMU frame, the relative error of either focal length, the shift of the principal point
 (pixels), the offset by which the camera's clock is ahead of the IMU's (s), rotation and translation
-of the camera in the IMU frame, the offset of the LIDAR's clock (s), and the relative scale errors of
-gyroscope and accelerometer.
+of the camera in the IMU frame, the offset of the LIDAR's clock (s), and the relative scale errors
+of gyroscope and accelerometer.
 
 A rotation of the LIDAR is observable in the map: the same ground, seen once ahead and once below,
 must have one height. Both the present returns and those of the map move with it, as in the

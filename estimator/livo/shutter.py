@@ -1,8 +1,9 @@
 """Rolling shutter: the instants of an image's rows, and rays from where the camera was at each.
 
-The pose at a row is that at the image's stamp, moved on by the row's offset in time at constant turn
-rate and velocity. Within a readout of 15 ms a quadrotor's rates change little (Hedborg, Forssen,
-Felsberg and Ringaby, "Rolling shutter bundle adjustment", CVPR 2012, interpolate poses likewise).
+The pose at a row is that at the image's stamp, moved on by the row's offset in time at constant
+turn rate and velocity. Within a readout of 15 ms a quadrotor's rates change little (Hedborg,
+Forssen, Felsberg and Ringaby, "Rolling shutter bundle adjustment", CVPR 2012, interpolate poses
+likewise).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +92,7 @@ class VisualParams:
     """of a landmark along its ray"""
     height_sigma_m: float = 0.0
     """height error that all landmarks and planes of a keyframe share"""
-    shutter: Shutter = Shutter()
+    shutter: Shutter = field(default_factory=Shutter)
 
 
 class VisualFrontEnd:
@@ -152,8 +152,8 @@ class VisualFrontEnd:
         extend: bool = True,
     ) -> bool:
         """Makes the present image a keyframe if enough of its features have a plane; returns True
-        if so. ``delay_s``: its stamp less the instant of the filter's state; ``extend``: features without returns may take the common plane of the returns
-        around."""
+        if so. ``delay_s``: its stamp less the instant of the filter's state; ``extend``:
+        features without returns may take the common plane of the returns around."""
         pixels = detect_features(levels[0], self._params.features)
         keyframe = self._keyframe(eskf, levels, pixels, tick, delay_s)
         camera_from_odom = self._camera_at(eskf.state.pose, keyframe).inverse()

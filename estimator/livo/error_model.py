@@ -1,0 +1,42 @@
+"""Error model of the sensors as `livo` assumes it, and figures of its updates for the recording."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from touchdown.estimator.api import LivoParams
+from touchdown.estimator.livo.anchored_update import ScanErrors
+from touchdown.estimator.livo.visual import VisualReport
+from touchdown.sim.api import ImuParams, SensorRig
+
+
+def flown_imu(imu: ImuParams, params: LivoParams) -> ImuParams:
+    """The IMU with the noise that it has on the flying vehicle."""
+    names = ("gyro_density", "accel_density", "gyro_bias_walk", "accel_bias_walk")
+    return dataclasses.replace(
+        imu, **{name: max(getattr(imu, name), getattr(params, name)) for name in names}
+    )
+
+
+def scan_errors(rig: SensorRig, params: LivoParams) -> ScanErrors:
+    tilt, yaw = np.radians([params.scan_tilt_sigma_deg, params.scan_yaw_sigma_deg])
+    aside, height = params.scan_lateral_sigma_m, params.scan_height_sigma_m
+    weak = float(np.radians(params.weak_sigma_deg)), params.weak_sigma_m
+    return ScanErrors(
+        range_sigma_m=rig.lidar.range_sigma_m,
+        angle_sigma_rad=float(np.radians(rig.lidar.angle_sigma_deg)),
+        floor_sigmas=np.array([tilt, tilt, yaw, aside, aside, height]),
+        weak_sigmas=weak if params.use_degeneracy else None,
+    )
+
+
+def visual_diagnostics(report: VisualReport, keyframes: int) -> dict[str, float]:
+    return {
+        "features_tracked": float(report.used),
+        "visual_rms_px": report.rms_px,
+        "keyframes_tracked": float(report.keyframes_tracked),
+        "overlap": report.best_share,
+        "keyframes": float(keyframes),
+    }
