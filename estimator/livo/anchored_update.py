@@ -140,12 +140,10 @@ def anchored_information(
             row[7] = beam[2] * bx - beam[0] * bz - from_map[1]
             row[8] = beam[0] * by - beam[1] * bx - from_map[2]
             row[9], row[10], row[11] = bx - mx, by - my, bz - mz
-            # a scan from an earlier pose; its map was made from an earlier one as well
+            # a scan from an earlier pose; its map was made from an earlier one as well, below
             row[12] = 0.0
-            for a in range(3):
-                row[12] -= row[a] * motion[a] + n[a] * motion[3 + a]
-                if k >= 0:
-                    row[12] += from_map[a] * clone_motions[k, a] + n[a] * clone_motions[k, 3 + a]
+            for a in range(6):
+                row[12] -= row[a] * motion[a]
         width = count
         if k >= 0:
             # the plane turns and moves with its clone
@@ -161,6 +159,8 @@ def anchored_information(
             row[count + 3], row[count + 4], row[count + 5] = -n[0], -n[1], -n[2]
             for a in range(6):
                 columns[count + a] = 6 + shared + 6 * k + a
+                if shared > 0:
+                    row[12] -= row[count + a] * clone_motions[k, a]
             width = count + 6
         for a in range(width):
             u = columns[a]

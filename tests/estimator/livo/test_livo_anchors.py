@@ -18,7 +18,13 @@ from touchdown.estimator.livo.anchored_update import (
 from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.online_calibration import (
     CALIBRATION_DIM,
+    CAMERA_SHIFT,
+    CAMERA_TURN,
     CLOCK,
+    LIDAR_CLOCK,
+    MOUNT_DIM,
+    SHARED_DIM,
+    corrected_camera,
     corrected_intrinsics,
     corrected_mount,
     exposed,
@@ -40,17 +46,21 @@ def random_pose(rng: np.random.Generator, turn: float = 0.3) -> Pose:
 
 def test_anchored_jacobian_matches_finite_differences() -> None:
     """One return now, one that made the plane from a clone with the same attitude as at that
-    time; pose, calibration and clone are moved in turn."""
+    time; pose, calibration and clone are moved in turn. By the LIDAR's clock either return is
+    measured from an earlier pose."""
     rng = np.random.default_rng(1)
     now, clone = random_pose(rng), random_pose(rng)
     beam_now, beam_then, lever = rng.normal(0, 5, 3), rng.normal(0, 5, 3), rng.normal(0, 0.1, 3)
     normal = np.linalg.qr(rng.normal(size=(3, 3)))[0][0]
     in_clone = clone.rotation.T @ normal
+    motions = rng.normal(0.0, 1.0, (2, 6))
 
     def height(delta: np.ndarray) -> float:
         turn, shift = so3_exp(delta[6:9]), delta[9:12]
         pose = Pose(now.rotation @ so3_exp(delta[:3]), now.translation + delta[3:6])
         owner = Pose(clone.rotation @ so3_exp(delta[-6:-3]), clone.translation + delta[-3:])
+        early = -delta[6 + LIDAR_CLOCK]
+        pose, owner = exposed([pose, owner], motions, np.full(2, early), np.zeros(0))
         point = owner.inverse().apply(pose.apply(turn @ beam_now + lever + shift))
         return float((turn @ in_clone) @ (point - (turn @ beam_then + lever + shift)))
 
@@ -61,10 +71,11 @@ def test_anchored_jacobian_matches_finite_differences() -> None:
     )  # fmt: skip
     information, vector, used, _ = anchored_information(
         (beam_now + lever)[None], beam_now[None], now.rotation, now.translation, planes,
-        clone.rotation[None], clone.translation[None], np.zeros((1, 6)), CALIBRATION_DIM,
-        0.02, 1e-3, 0.0, 1e9,
+        clone.rotation[None], clone.translation[None], np.zeros((1, 6)),
+        motions[0], motions[1:], SHARED_DIM, 0.02, 1e-3, 0.0, 1e9,
     )  # fmt: skip
-    size = 12 + CALIBRATION_DIM
+    size = 12 + SHARED_DIM
+    assert information[6 + LIDAR_CLOCK, 6 + LIDAR_CLOCK] > 0.1
     gradient = np.array([(height(1e-6 * e) - height(-1e-6 * e)) / 2e-6 for e in np.eye(size)])
     assert used == 1
     np.testing.assert_allclose(information, np.outer(gradient, gradient), atol=1e-5)
@@ -81,10 +92,13 @@ def test_landmarks_move_with_the_rig_as_predicted() -> None:
     motion = np.array([0.3, -0.6, 0.4, 7.0, 2.0, -1.0])
 
     def landmarks(calibration: np.ndarray) -> np.ndarray:
-        """The plane through three returns around each landmark, met by a ray of a lens."""
+        """The plane through three returns around each landmark, met by a ray of a lens that is
+        mounted a little differently."""
         fx, fy, cx, cy = corrected_intrinsics(CAMERA, calibration)
         given = CameraIntrinsics(width=848, height=480, fx=fx, fy=fy, cx=cx, cy=cy)
-        rays = bearing_rays(pixels, given)
+        mount = corrected_camera(IMU_FROM_CAMERA, calibration)
+        start = rotation.T @ (mount.translation - IMU_FROM_CAMERA.translation)
+        rays = bearing_rays(pixels, given) @ (rotation.T @ mount.rotation).T
         turn = rotation.T @ so3_exp(calibration[:3]) @ rotation
         shift = rotation.T @ calibration[3:6]
         base = bearing_rays(pixels, CAMERA)
@@ -94,53 +108,60 @@ def test_landmarks_move_with_the_rig_as_predicted() -> None:
             moved_n = turn @ n
             through = turn @ (centre[i] - sensor) + sensor + shift
             # the same plane, from the camera's position at the exposure
-            (taken,) = exposed([Pose.identity()], motion[None], calibration)
+            (taken,) = exposed([Pose.identity()], motion[None], np.zeros(1), calibration)
             early = IMU_FROM_CAMERA.inverse() @ taken.inverse() @ IMU_FROM_CAMERA
             moved_n, through = early.rotation @ moved_n, early.apply(through)
-            out[i] = rays[i] * (moved_n @ through) / (moved_n @ rays[i])
+            out[i] = start + rays[i] * (moved_n @ (through - start)) / (moved_n @ rays[i])
         return out @ rotation.T
 
     jacobians = landmark_jacobians(
         bearing_rays(pixels, CAMERA), planes, sensor, IMU_FROM_CAMERA, motion, CAMERA
     )
-    for k in range(CALIBRATION_DIM):
+    assert jacobians.shape == (5, 3, SHARED_DIM)
+    assert np.abs(jacobians[:, :, CAMERA_TURN]).max(axis=(0, 1)).min() > 1.0
+    assert np.abs(jacobians[:, :, CAMERA_SHIFT]).max(axis=(0, 1)).min() > 0.01
+    for k in range(SHARED_DIM):
         if k < 3:
             continue  # a turn about the sensor also turns the plane: below
-        step = 1e-5 * np.eye(CALIBRATION_DIM)[k]
+        step = 1e-5 * np.eye(SHARED_DIM)[k]
         moved = (landmarks(step) - landmarks(-step)) / 2e-5
         np.testing.assert_allclose(jacobians[:, :, k], moved, rtol=1e-4, atol=1e-4)
     for k in range(3):
-        step = 1e-5 * np.eye(CALIBRATION_DIM)[k]
+        step = 1e-5 * np.eye(SHARED_DIM)[k]
         moved = (landmarks(step) - landmarks(-step)) / 2e-5
         np.testing.assert_allclose(jacobians[:, :, k], moved, rtol=1e-4, atol=2e-3)
 
 
-def test_calibrated_reprojection_matches_finite_differences() -> None:
+@pytest.mark.parametrize("late_s", [0.0, -0.012, 0.15])
+def test_calibrated_reprojection_matches_finite_differences(late_s: float) -> None:
+    """``late_s``: instant of the row; at 0.15 s its turn is no longer small."""
     rng = np.random.default_rng(3)
     key, now = (
         Pose(so3_exp(rng.normal(0, 0.1, 3)), np.array([0.0, 0.0, 20.0])),
         Pose(so3_exp(rng.normal(0, 0.1, 3)), np.array([1.0, 2.0, 19.0])),
     )
     camera_from_imu = IMU_FROM_CAMERA.inverse()
-    landmark, jacobian = np.array([1.5, -1.0, -19.0]), rng.normal(size=(3, CALIBRATION_DIM))
+    landmark, jacobian = np.array([1.5, -1.0, -19.0]), rng.normal(size=(3, SHARED_DIM))
     motions = rng.normal(0, 1, (2, 6))
-    size = 12 + CALIBRATION_DIM
+    size = 12 + SHARED_DIM
 
     def pixel(delta: np.ndarray) -> np.ndarray:
         pose = Pose(now.rotation @ so3_exp(delta[:3]), now.translation + delta[3:6])
         owner = Pose(key.rotation @ so3_exp(delta[6:9]), key.translation + delta[9:12])
         point = landmark + jacobian @ delta[12:]
         fx, fy, cx, cy = corrected_intrinsics(CAMERA, delta[12:])
-        pose, owner = exposed([pose, owner], motions, delta[12:])
-        x, y, z = (camera_from_imu @ pose.inverse() @ owner).apply(point)
+        pose, owner = exposed([pose, owner], motions, np.zeros(2), delta[12:])
+        (at_row,) = exposed([pose], motions[:1], np.array([late_s]), np.zeros(0))
+        camera = corrected_camera(IMU_FROM_CAMERA, delta[12:])
+        x, y, z = (camera.inverse() @ at_row.inverse() @ owner).apply(point)
         return np.array([fx * x / z + cx, fy * y / z + cy])
 
     residual = np.array([0.05, -0.1])
     information, vector, used, _ = calibrated_information(
-        (pixel(np.zeros(size)) + residual)[None], landmark[None], jacobian[None], np.zeros((1, 3)),
-        now.rotation, now.translation, key.rotation, key.translation, motions.ravel(),
+        (pixel(np.zeros(size)) + residual)[None], np.array([late_s]), landmark[None],
+        jacobian[None], np.zeros((1, 3)), now.rotation, now.translation, key.rotation, key.translation, motions.ravel(),
         camera_from_imu.rotation, camera_from_imu.translation,
-        corrected_intrinsics(CAMERA, np.zeros(CALIBRATION_DIM)), 1.0, 1e6,
+        corrected_intrinsics(CAMERA, np.zeros(SHARED_DIM)), 1.0, 1e6,
     )  # fmt: skip
     steps = 1e-6 * np.eye(size)
     gradient = np.column_stack([(pixel(step) - pixel(-step)) / 2e-6 for step in steps])
@@ -158,6 +179,7 @@ def test_an_uncertain_depth_gives_no_information_along_its_epipolar_line() -> No
     spread = 1e3 * landmark / np.linalg.norm(landmark)
     information, *_ = calibrated_information(
         pixels,
+        np.zeros(1),
         landmark,
         np.zeros((1, 3, 0)),
         spread,
@@ -180,14 +202,14 @@ def test_calibration_is_carried_and_corrected() -> None:
         np.zeros(CALIBRATION_DIM),
     )  # fmt: skip
     base = STATE_DIM + CALIBRATION_DIM
-    with pytest.raises(ValueError, match="give 26"):
+    with pytest.raises(ValueError, match="give 39"):
         Eskf(state, np.ones(STATE_DIM))
     eskf = Eskf(state, np.full(base, 0.01))
     eskf.add_clone()
     eskf.propagate(filled_buffer(rng, 20), 20)
     np.testing.assert_allclose(np.diag(eskf.covariance)[STATE_DIM:base], 0.01)
     touched = eskf.touched([0])
-    assert len(touched) == 6 + CALIBRATION_DIM + 6
+    assert len(touched) == 6 + SHARED_DIM + 6
     row = rng.normal(size=len(touched))
     information, prior = np.outer(row, row), eskf.covariance.copy()
     delta = eskf.correction(touched, information, row)
@@ -230,7 +252,7 @@ def anchored_map(
 ) -> tuple[PlaneMap, np.ndarray]:
     plane_map = PlaneMap(1.0, capacity=1 << 14)
     surfaces = room_points(rng, walls=True)
-    anchors.add(clone, np.zeros(0))
+    anchors.add(clone, np.zeros(0), np.zeros(6))
     terms = anchors.kept_from_now([clone], np.zeros(0), np.eye(3))
     plane_map.insert(surfaces + rng.normal(0, 0.01, surfaces.shape), clone.translation, 0, terms)
     return plane_map, room_points(rng, walls=True)[::7]
@@ -270,7 +292,7 @@ def test_the_map_follows_its_clone_and_the_successor() -> None:
     first, second = (Pose(np.eye(3), np.array([x, 0.0, 10.0])) for x in (0.0, 3.0))
     anchors = Anchors()
     plane_map, _ = anchored_map(rng, first, anchors)
-    anchors.add(second, np.zeros(0))
+    anchors.add(second, np.zeros(0), np.zeros(6))
     moved = Pose(so3_exp(np.array([0.0, 0.0, 1e-3])), first.translation + [0.01, 0.02, -0.03])
     clones = [moved, Pose(second.rotation, second.translation + [0.0, 0.0, 0.02])]
     probes = np.column_stack([rng.uniform(-9, 9, (200, 2)), np.zeros(200)])
@@ -302,7 +324,7 @@ def flown(seed: int, walls: bool, drift_m: float) -> tuple[Eskf, np.ndarray, np.
     x, then along y, by an odometry with errors of ``drift_m`` a step, adding to its map as it goes.
     Returns the filter, the calibration error, and the true position."""
     rng = np.random.default_rng(seed)
-    sigmas = np.repeat([5e-3, 0.01, 0.0, 0.0, 0.0], [3, 3, 2, 2, 1])
+    sigmas = np.repeat([5e-3, 0.01, 0.0], [3, 3, CALIBRATION_DIM - MOUNT_DIM])
     error = sigmas * rng.standard_normal(CALIBRATION_DIM)
     given = Pose(np.eye(3), np.array([0.0, 0.0, -0.1]))
     true = corrected_mount(given, error)
@@ -326,7 +348,7 @@ def flown(seed: int, walls: bool, drift_m: float) -> tuple[Eskf, np.ndarray, np.
             mount = corrected_mount(given, eskf.state.calibration)
         state = eskf.state
         eskf.add_clone()
-        anchors.add(state.pose, state.calibration)
+        anchors.add(state.pose, state.calibration, np.zeros(6))
         terms = anchors.kept_from_now(eskf.clones, state.calibration, state.rotation)
         odom = mount.apply(beams) @ state.rotation.T + state.position
         sensor = state.position + state.rotation @ mount.translation

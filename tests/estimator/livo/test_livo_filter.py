@@ -7,17 +7,22 @@ import pytest
 
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import (
+    SCALE_DIM,
     STATE_DIM,
     ImuBuffer,
+    NavState,
     exp_so3,
     integrate,
     propagate_nominal,
     transition,
 )
+from touchdown.estimator.livo.online_calibration import CALIBRATION_DIM
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 from support.livo_filter_support import STEP_S, filled_buffer, random_state
+
+SCALE = slice(STATE_DIM + CALIBRATION_DIM - SCALE_DIM, STATE_DIM + CALIBRATION_DIM)
 
 
 def test_exp_matches_the_reference_formula() -> None:
@@ -82,7 +87,7 @@ def test_transition_matches_finite_differences() -> None:
         STEP_S,
         GRAVITY_MPS2,
     )
-    total, _ = transition(
+    total, _, _ = transition(
         rotations, gyro - state.gyro_bias, force - state.accel_bias, STEP_S, np.zeros(4)
     )
     eskf = Eskf(state, np.ones(STATE_DIM))
@@ -105,6 +110,90 @@ def test_transition_matches_finite_differences() -> None:
         np.testing.assert_allclose(difference / epsilon, total[:, k], atol=4e-3)
 
 
+def calibrated_state(rng: np.random.Generator) -> NavState:
+    """A random state with scale errors of a few hundredths; the rest of the calibration is zero."""
+    state = random_state(rng)
+    state.calibration = np.zeros(CALIBRATION_DIM)
+    state.calibration[-SCALE_DIM:] = rng.normal(0.0, 0.03, SCALE_DIM)
+    return state
+
+
+def test_samples_are_corrected_by_bias_then_scale() -> None:
+    """A gyroscope that shows 2 % too much, an accelerometer 3 %: to first order the truth."""
+    rng = np.random.default_rng(21)
+    state = random_state(rng)
+    rate, force = rng.normal(0.0, 1.0, (2, 5, 3))
+    same = state.corrected(rate + state.gyro_bias, force + state.accel_bias)
+    np.testing.assert_allclose(same, (rate, force), atol=1e-12)
+    scale = np.array([0.02, 0.0, 0.0, 0.0, 0.03, 0.0])
+    state.calibration = np.concatenate([np.ones(CALIBRATION_DIM - SCALE_DIM), scale])
+    shown = rate * (1.0 + scale[:3]) + state.gyro_bias, force * (1.0 + scale[3:]) + state.accel_bias
+    found = state.corrected(*shown)
+    np.testing.assert_allclose(found[0], rate, atol=5e-4 * np.abs(rate).max())
+    np.testing.assert_allclose(found[1], force, atol=1e-3 * np.abs(force).max())
+    assert np.abs(found[0] - same[0]).max() < 0.1 * np.abs(shown[0] - rate).max()
+
+
+def test_derivative_by_the_scale_errors_matches_finite_differences() -> None:
+    rng = np.random.default_rng(22)
+    state = calibrated_state(rng)
+    ticks, gyro, force, _ = filled_buffer(rng, 20).samples(20)
+    rate, pull = state.corrected(gyro, force)
+    rotations, _, _ = integrate(
+        state.rotation, state.position, state.velocity, rate, pull, STEP_S, GRAVITY_MPS2
+    )
+    _, _, by_scale = transition(rotations, rate, pull, STEP_S, np.zeros(4))
+    eskf = Eskf(state, np.ones(STATE_DIM + CALIBRATION_DIM))
+    epsilon = 1e-5
+    for k in range(SCALE_DIM):
+        ends = []
+        for sign in (1.0, -1.0):
+            delta = np.zeros(eskf.base)
+            delta[SCALE.start + k] = sign * epsilon
+            moved, _ = eskf.boxplus(state, [], delta)
+            ends.append(propagate_nominal(moved, ticks, gyro, force, STEP_S))
+        plus, minus = ends
+        difference = np.concatenate(
+            [
+                so3_log(minus.rotation.T @ plus.rotation),
+                plus.position - minus.position,
+                plus.velocity - minus.velocity,
+                np.zeros(6),
+            ]
+        ) / (2.0 * epsilon)  # fmt: skip
+        assert np.abs(difference).max() > 0.01
+        # the derivative is by the corrected sample, a scale error of 3 % from the raw one
+        np.testing.assert_allclose(by_scale[:, k], difference, rtol=0.12, atol=6e-3)
+
+
+def test_covariance_with_scale_errors_follows_the_dense_formula() -> None:
+    """``F P F^T + Q`` over navigation state, calibration and a clone."""
+    rng = np.random.default_rng(23)
+    state = calibrated_state(rng)
+    base = STATE_DIM + CALIBRATION_DIM
+    eskf = Eskf(state, np.ones(base))
+    eskf.add_clone()
+    root = rng.normal(size=(base + 6, base + 6))
+    prior = 0.01 * root @ root.T
+    eskf.covariance = prior.copy()
+    buffer = filled_buffer(rng, 20)
+    _, gyro, force, _ = buffer.samples(20)
+    rate, pull = state.corrected(gyro, force)
+    rotations, positions, _ = integrate(
+        state.rotation, state.position, state.velocity, rate, pull, STEP_S, GRAVITY_MPS2
+    )
+    total, noise, by_scale = transition(rotations, rate, pull, STEP_S, buffer.densities)
+    eskf.propagate(buffer, 20)
+    dense, added = np.eye(base + 6), np.zeros((base + 6, base + 6))
+    dense[:STATE_DIM, :STATE_DIM], dense[:STATE_DIM, SCALE] = total, by_scale
+    added[:STATE_DIM, :STATE_DIM] = noise
+    np.testing.assert_allclose(eskf.covariance, dense @ prior @ dense.T + added, atol=1e-12)
+    np.testing.assert_array_equal(eskf.covariance, eskf.covariance.T)
+    np.testing.assert_allclose(eskf.state.position, positions[-1], atol=1e-12)
+    np.testing.assert_allclose(eskf.rate, rate[-3:].mean(axis=0), atol=1e-12)
+    np.testing.assert_array_equal(eskf.state.calibration, state.calibration)
+
+
 def test_noise_at_rest_grows_as_white_noise_does() -> None:
     """Over T seconds at rest: angle variance d^2 T, velocity variance d^2 T, position d^2 T^3 / 3
     (plus the tilt's share, tiny over 0.1 s)."""
@@ -112,7 +201,7 @@ def test_noise_at_rest_grows_as_white_noise_does() -> None:
     rotations = np.tile(np.eye(3), (count + 1, 1, 1))
     force = np.tile([0.0, 0.0, GRAVITY_MPS2], (count, 1))
     densities = np.array([2e-4, 2e-3, 0.0, 0.0])
-    _, noise = transition(rotations, np.zeros((count, 3)), force, STEP_S, densities)
+    _, noise, _ = transition(rotations, np.zeros((count, 3)), force, STEP_S, densities)
     assert noise[2, 2] == pytest.approx(4e-8 * duration)
     assert noise[8, 8] == pytest.approx(4e-6 * duration)
     assert noise[5, 5] == pytest.approx(4e-6 * duration**3 / 3.0, rel=0.1)
