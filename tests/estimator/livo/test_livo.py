@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.api import LivoParams
+from touchdown.estimator.filtering.message_order import stamp_of
 from touchdown.estimator.livo.estimator import Livo
 from touchdown.estimator.livo.visual import VisualFrontEnd
 from touchdown.estimator.oracle import Oracle
@@ -89,6 +90,32 @@ def test_biases_and_level_are_estimated_on_the_ground() -> None:
     np.testing.assert_allclose(estimate.acceleration_odom, 0.0, atol=2e-3)
     # three times the standard deviation of the attitude on the pad
     np.testing.assert_allclose(estimate.odom_from_body.rotation, np.eye(3), atol=6e-4)
+
+
+def test_scans_and_images_that_overtake_one_another_are_all_used() -> None:
+    """Images arrive 66 ticks after the scans of their instant, after the scan of the next one."""
+    arrivals: dict[int, dict[str, list[Any]]] = {}
+    for obs in FLIGHT:
+        for name, later in (("scans", 0), ("images", 66)):
+            for message in getattr(obs, name):
+                due = arrivals.setdefault(obs.tick + later, {"scans": [], "images": []})
+                due[name].append(message)
+    nothing: dict[str, list[Any]] = {"scans": [], "images": []}
+    flight = [
+        dataclasses.replace(o, **{k: tuple(m) for k, m in arrivals.get(o.tick, nothing).items()})
+        for o in FLIGHT
+    ]
+    stamps = [stamp_of(m) for o in flight for m in (*o.scans, *o.images)]
+    assert sum(b < a for a, b in itertools.pairwise(stamps)) > 8
+    estimates = fly(flight)
+    last = estimates[-1]
+    np.testing.assert_allclose(
+        last.world_from_body.translation, position_at(last.time_s), atol=0.02
+    )
+    # one image is lost: before the first has come, nothing tells that they are late
+    assert last.diagnostics["skipped"] <= fly(FLIGHT)[-1].diagnostics["skipped"] + 1.0
+    assert sum("came too late" in event for e in estimates for event in e.events) <= 1
+    assert last.diagnostics["features_tracked"] > 30
 
 
 def test_same_input_same_output_to_the_bit() -> None:
@@ -173,7 +200,8 @@ def test_returns_of_long_ago_are_not_extended(monkeypatch: pytest.MonkeyPatch) -
     """The LIDAR drops out from the scan at 0.6 s on; that of 0.5 s is fresh for three periods."""
     asked: list[tuple[int, bool]] = []
 
-    def note(self: VisualFrontEnd, *args: Any, extend: bool = True) -> bool:
+    def note(self: VisualFrontEnd, *args: Any, delay_s: float = 0.0, extend: bool = True) -> bool:
+        assert delay_s == 0.0  # the images lie on the ticks of the IMU
         asked.append((args[3], extend))
         return False
 

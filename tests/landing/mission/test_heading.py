@@ -40,7 +40,7 @@ def test_it_begins_four_metres_up_and_is_never_fast(
     path, now = climb(height, duration), 5.0
     turn = turn_in_climb(path, now, angle_deg)
     assert turn is not None
-    times = np.linspace(0.0, turn.duration_s + duration, 2001)
+    times = np.linspace(0.0, turn.duration_s + duration + 1.0, 2001)
     samples = np.array([turn.sample(now + float(t)) for t in times])
     heights = np.array([path.sample(float(t))[0][2] for t in times]) - 2.0
     assert np.abs(samples[:, 1]).max() <= LIMIT * (1.0 + 1e-9)
