@@ -159,7 +159,8 @@ def test_calibrated_reprojection_matches_finite_differences(late_s: float) -> No
     residual = np.array([0.05, -0.1])
     information, vector, used, _ = calibrated_information(
         (pixel(np.zeros(size)) + residual)[None], np.array([late_s]), landmark[None],
-        jacobian[None], np.zeros((1, 3)), now.rotation, now.translation, key.rotation, key.translation, motions.ravel(),
+        jacobian[None], np.zeros((1, 3)), now.rotation, now.translation,
+        key.rotation, key.translation, motions.ravel(),
         camera_from_imu.rotation, camera_from_imu.translation,
         corrected_intrinsics(CAMERA, np.zeros(SHARED_DIM)), 1.0, 1e6,
     )  # fmt: skip

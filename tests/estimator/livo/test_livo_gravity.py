@@ -1,4 +1,4 @@
-"""Gravity alignment: a known tilt, its correlation with the bias, and their separation by a turn."""
+"""Gravity alignment: a known tilt, its correlation with the bias, and what a turn adds."""
 
 from __future__ import annotations
 
