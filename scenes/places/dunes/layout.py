@@ -58,7 +58,7 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     """Returns a plan whose wind blows anywhere, with outcrops on the flats."""
     frame = draw_frame(rng)
     middle = frame.from_middle
-    outcrops: list[Any] = []
+    outcrops: list[tuple[Array, float]] = []
     for _ in range(60):
         spot = rng.uniform([-40.0, -36.0], [40.0, 36.0])
         radius = float(rng.uniform(2.2, 4.2))
