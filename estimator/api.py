@@ -109,8 +109,9 @@ class Estimate:
     """(3, 3) rad^2, body frame"""
     healthy: bool = True
     scan_track: PoseTrack | None = None
-    """Best poses that span the scans in this observation, if the estimator provides them; otherwise
-    the mapper interpolates the causal estimates."""
+    """Best poses that span the scans used in this update, if the estimator provides them; an
+    estimator may use a scan later than it arrives. The mapper waits 0.3 s for them, otherwise it
+    interpolates the causal estimates."""
     diagnostics: Mapping[str, float] = field(default_factory=dict)
     """Named scalars for the recording (features tracked, residuals, degenerate directions...)."""
     events: tuple[str, ...] = ()

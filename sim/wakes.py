@@ -9,6 +9,9 @@ distance from the lee face, y from the middle and z over the ground:
     u = -U(H) (1 - x / d)^2                 in the cavity, x < d
     u = U(z) (1 - (d / x)^1.5)              in the wake, d <= x < 3 d
 
+The cavity's (1 - x / d)^2, with U(H), and the wake's local U(z) are as in the sources of QUIC-URB
+and QES-Winds; the manual of QES-Winds prints -(1 - (x / d)^2) and U(H) instead.
+
 A crown lets part of the flow through: its wake is 1 - porosity of that of a cuboid, and no flow
 turns back. Where wakes overlap, the slowest flow holds. What is not modelled: the displaced flow
 in front of obstacles, above and beside them. The added turbulence is a third of the deficit, with

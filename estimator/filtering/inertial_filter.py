@@ -188,10 +188,16 @@ class InertialFilter:
             quats_wxyz=np.array([quat_wxyz_from_matrix(rotation) for rotation in bodies]),
         )
 
-    def track_of(self, scan: LidarScan) -> PoseTrack | None:
-        """Returns the body's poses over a scan, after its corrections."""
+    def track_of(self, scan: LidarScan, earlier: PoseTrack | None = None) -> PoseTrack | None:
+        """Returns the body's poses over a scan, after its corrections; from the start of the
+        ``earlier`` track, if there is one."""
         first = self._trail.start_of(scan)
-        return None if first is None else self._track(first)
+        if first is None:
+            return earlier
+        if earlier is not None:
+            start = round(earlier.times_s[0] * self.rig.tick_hz)
+            first = min(first, int(np.searchsorted(self._trail.ticks, start)))
+        return self._track(first)
 
     def pose_information(self) -> Array:
         """(6, 6) inverse covariance of the present pose, all else marginalised."""

@@ -270,6 +270,9 @@ class Livo:
         self._correct_history()
         self._extend_map(placed.points, mount.translation, scan.end_tick)
         self._scan_tick = scan.end_tick
+        if self._scan_track is not None:  # over all scans of this update
+            start = round(self._scan_track.times_s[0] * self._rig.tick_hz)
+            first = min(first, int(np.searchsorted(self._history_ticks, start)))
         self._scan_track = self._track_over(first)
         self._diagnostics |= {
             "scan_returns": float(len(placed)),

@@ -30,6 +30,8 @@ _TRACK_LENGTH = 256
 _GROUND_BLOCK_M = 4.0
 _CAMERA_HZ = 10
 _IMAGES_KEPT = 3
+_PATIENCE_S = 0.3
+"""longest time after its end that a scan waits for the estimator's track"""
 
 
 class _TimedPose(NamedTuple):
@@ -94,6 +96,13 @@ class _PosedImage:
     camera_from_odom: Pose
 
 
+class _WaitingScan(NamedTuple):
+    """A scan, the images known at its arrival and those that have come since."""
+
+    scan: LidarScan
+    images: list[_PosedImage]
+
+
 class GridMapper:
     """Implements ``estimator.api.Mapper`` on two elevation grids: a coarse one around the take-off
     spot, and a fine one under the vehicle once it is low."""
@@ -116,6 +125,10 @@ class GridMapper:
         self._fine_active = False
         self._track: deque[_TimedPose] = deque(maxlen=_TRACK_LENGTH)
         self._images: deque[_PosedImage] = deque(maxlen=_IMAGES_KEPT)
+        self._waiting: deque[_WaitingScan] = deque()
+        self._gives_tracks = False
+        patience = round(_PATIENCE_S * rig.tick_hz)
+        self._patience_ticks = max(rig.compute_latency_ticks, patience)
         camera = rig.camera
         self._intrinsics = np.concatenate(
             [[camera.fx, camera.fy, camera.cx, camera.cy], np.asarray(camera.distortion, float)]
@@ -124,23 +137,45 @@ class GridMapper:
         self._view = MapView(version=0, coarse=self._coarse.view(), fine=None)
 
     def update(self, obs: Observation, estimate: Estimate) -> MapView:
-        """Integrates the scans of ``obs`` and returns the map; without scans it costs nothing."""
+        """Integrates the scans that are due and returns the map; without scans it costs nothing.
+
+        An estimator may hold a scan back for an older image and give its track later: the scan
+        waits for the track, or for the end of its patience. One whose estimator has given no track
+        yet is integrated at its arrival."""
         obs = self._guard.screen(obs)
         self._remember(estimate)
         for image in obs.images:
             odom_from_body = self._pose_at(image.time_s, estimate)
             odom_from_camera = odom_from_body @ self._rig.body_from_camera
-            self._images.append(_PosedImage(image, odom_from_camera.inverse()))
-        if obs.scans:
+            posed = _PosedImage(image, odom_from_camera.inverse())
+            self._images.append(posed)
+            for waiting in self._waiting:
+                waiting.images.append(posed)
+        self._waiting.extend(_WaitingScan(scan, list(self._images)) for scan in obs.scans)
+        self._gives_tracks |= estimate.scan_track is not None
+        due = self._due(obs.tick, estimate)
+        if due:
             self._place_fine_grid(estimate)
-            for scan in obs.scans:
-                self._integrate(scan, estimate)
+            for _ in range(due):
+                self._integrate(self._waiting.popleft(), estimate)
             self._view = MapView(
-                version=self._view.version + len(obs.scans),
+                version=self._view.version + due,
                 coarse=self._view.coarse,
                 fine=self._fine.view() if self._fine is not None and self._fine_active else None,
             )
         return self._view
+
+    def _due(self, tick: int, estimate: Estimate) -> int:
+        """Number of waiting scans, from the oldest, to integrate now. Scans are used in order: one
+        that is older than a scan with a track will get none."""
+        if not self._gives_tracks:
+            return len(self._waiting)
+        due = 0
+        for number, (scan, _) in enumerate(self._waiting, start=1):
+            late = tick - scan.end_tick >= self._patience_ticks
+            if late or self._own_track(scan.start_time_s, scan.end_time_s, estimate) is not None:
+                due = number
+        return due
 
     def _remember(self, estimate: Estimate) -> None:
         if self._track and estimate.time_s <= self._track[-1].time_s:
@@ -150,9 +185,7 @@ class GridMapper:
         if math.isfinite(sum(pose.translation.tolist()) + sum(quat.tolist())):
             self._track.append(_TimedPose(estimate.time_s, pose.translation.copy(), quat))
 
-    def _track_spanning(self, start_s: float, end_s: float, estimate: Estimate) -> PoseTrack | None:
-        """Returns the estimator's own track if it spans the interval, else the causal poses around
-        it."""
+    def _own_track(self, start_s: float, end_s: float, estimate: Estimate) -> PoseTrack | None:
         slack = 1.5 / self._rig.tick_hz
         track = estimate.scan_track
         if (
@@ -161,6 +194,14 @@ class GridMapper:
             and track.times_s[0] <= start_s + slack
             and track.times_s[-1] >= end_s - slack
         ):
+            return track
+        return None
+
+    def _track_spanning(self, start_s: float, end_s: float, estimate: Estimate) -> PoseTrack | None:
+        """Returns the estimator's own track if it spans the interval, else the causal poses around
+        it."""
+        track = self._own_track(start_s, end_s, estimate)
+        if track is not None:
             return track
         if len(self._track) < 2:
             return None
@@ -214,7 +255,8 @@ class GridMapper:
         if np.max(np.abs(position[:2] - centre)) > params.fine_recentre_m:
             self._fine = self._fine.moved_to(corner)
 
-    def _integrate(self, scan: LidarScan, estimate: Estimate) -> None:
+    def _integrate(self, waiting: _WaitingScan, estimate: Estimate) -> None:
+        scan, images = waiting
         track = self._track_spanning(scan.start_time_s, scan.end_time_s, estimate)
         if track is None:
             return
@@ -232,19 +274,21 @@ class GridMapper:
             origins,
             beams,
         )
-        colours = self._colour(scan, origins, beams)
+        colours = self._colour(scan, images, origins, beams)
         spots = self._missing_spots(scan, origins, beams)
         self._accumulate(self._coarse, scan, origins, beams, colours, spots)
         if self._fine is not None and self._fine_active:
             self._accumulate(self._fine, scan, origins, beams, colours, spots)
 
-    def _colour(self, scan: LidarScan, origins: Float32, beams: Float32) -> Float32:
+    def _colour(
+        self, scan: LidarScan, images: list[_PosedImage], origins: Float32, beams: Float32
+    ) -> Float32:
         """(N, 3) float32, from the image nearest in time, then from the others in reach."""
         colours = np.full((scan.ranges.shape[0], 3), np.nan, np.float32)
         duration = scan.end_time_s - scan.start_time_s
         near = [
             posed
-            for posed in self._images
+            for posed in images
             if scan.start_time_s - duration - 1e-6
             <= posed.image.time_s
             <= scan.end_time_s + duration + 1e-6

@@ -102,7 +102,7 @@ class PaperEstimator:
                 energy = self._energy_of(image)
             done = self._lidar.take(message, energy)
             self._skipped += not done
-            self._scan_track = self._filter.track_of(message)
+            self._scan_track = self._filter.track_of(message, self._scan_track)
         elif self._camera.due(message.tick):
             self._camera.take(message, self._energy_of(message))
 

@@ -211,7 +211,9 @@ class RerunLog:
             )
 
     def _log_scan(self, scan: LidarScan, estimate: Estimate) -> None:
-        track = estimate.scan_track or self._track.around(scan)
+        track = estimate.scan_track
+        if track is None or not (track.times_s[0] <= scan.start_time_s < track.times_s[-1]):
+            track = self._track.around(scan)  # none, or one of an older scan
         points = scan_points_odom(scan, track, self._rig.body_from_lidar, self._params.scan_points)
         pose = estimate.world_from_odom
         points = points @ pose.rotation.T + pose.translation

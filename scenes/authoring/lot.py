@@ -1,4 +1,4 @@
-"""Plots of ground with coordinates of their own."""
+"""Plots of ground with coordinates of their own; position and heading of the survey."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.relief import Pad
 
 Array = NDArray[np.float64]
+
+SURVEY_MIDDLE_M = np.array([25.0, 20.0])
+"""Middle of the survey's 50 x 40 m: ahead of the take-off spot, to the left of it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -96,3 +99,29 @@ def claim_area(
     for along in np.linspace(*u, int((u[1] - u[0]) / 3.0) + 2):
         for across in np.linspace(*v, int((v[1] - v[0]) / 3.0) + 2):
             builder.claim(lot.at(float(along), float(across)), 2.2)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SurveyFrame:
+    """Coordinates of the survey: u along the take-off heading, v to its left."""
+
+    takeoff_xy_m: Array
+    takeoff_yaw: float
+
+    @property
+    def from_takeoff(self) -> Lot:
+        """Coordinates from the take-off spot."""
+        return Lot(origin_xy_m=self.takeoff_xy_m, angle=self.takeoff_yaw)
+
+    @property
+    def from_middle(self) -> Lot:
+        """Coordinates from the survey's middle."""
+        return Lot(origin_xy_m=self.from_takeoff.points(SURVEY_MIDDLE_M), angle=self.takeoff_yaw)
+
+
+def draw_frame(rng: np.random.Generator) -> SurveyFrame:
+    """A frame whose survey's middle is within 2 m of the scene's along each axis: the survey
+    lies in a square of 128 m for every heading."""
+    yaw = float(rng.uniform(-np.pi, np.pi))
+    middle = Lot(origin_xy_m=rng.uniform(-2.0, 2.0, 2), angle=yaw)
+    return SurveyFrame(takeoff_xy_m=middle.points(-SURVEY_MIDDLE_M), takeoff_yaw=yaw)

@@ -215,3 +215,62 @@ def test_not_a_number_in_pose_or_range_leaves_the_map_clean() -> None:
     seen = view.coarse.count > 0
     assert seen.any()
     assert np.isfinite(view.coarse.height_m[seen]).all()
+
+
+def raised_track(start_s: float, end_s: float, by_m: float = 1.0) -> PoseTrack:
+    """The true motion, ``by_m`` too high: what it places can be told from the causal poses."""
+    times = np.arange(round(start_s * 200), round(end_s * 200) + 1) / 200.0
+    poses = [motion(t) for t in times]
+    return PoseTrack(
+        times_s=times,
+        positions_odom=np.array([p.translation for p in poses]) + np.array([0.0, 0.0, by_m]),
+        quats_wxyz=np.array([quat_wxyz_from_matrix(p.rotation) for p in poses]),
+    )
+
+
+def fly_with_tracks(
+    scans: dict[int, LidarScan], tracks: dict[int, PoseTrack], ticks: int
+) -> list[MapView]:
+    """The map after every update; scans and tracks by the tick of their arrival."""
+    mapper = GridMapper(make_rig(), PARAMS)
+    views = []
+    for tick in range(0, ticks, 3):
+        estimate = make_estimate(tick, motion(tick / 600.0))
+        estimate = dataclasses.replace(estimate, scan_track=tracks.get(tick))
+        scan = scans.get(tick)
+        views.append(mapper.update(make_obs(tick, scans=(scan,) if scan else ()), estimate))
+    return views
+
+
+def mean_height(view: MapView) -> float:
+    return float(np.nanmean(view.coarse.height_m))
+
+
+def test_a_scan_waits_for_a_track_that_comes_later() -> None:
+    """Held back by the estimator for 60 ms, the scan is placed by its track, not by the causal
+    poses."""
+    tracks = {30: raised_track(0.0, 0.05), 192: raised_track(0.1, 0.2)}
+    views = fly_with_tracks({156: moving_scan(4000)}, tracks, 210)
+    assert [view.version for view in views[:64]] == [0] * 64
+    assert views[64].version == 1
+    assert mean_height(views[-1]) == pytest.approx(1.0, abs=2e-3)
+
+
+def test_a_scan_without_a_track_is_placed_by_the_causal_poses_in_the_end() -> None:
+    """0.3 s after its end; an estimator that never gives tracks makes no scan wait."""
+    views = fly_with_tracks({156: moving_scan(4000)}, {30: raised_track(0.0, 0.05)}, 330)
+    first = next(n for n, view in enumerate(views) if view.version == 1)
+    assert 3 * first == 120 + 180
+    assert mean_height(views[-1]) == pytest.approx(0.0, abs=2e-3)
+    assert fly_with_tracks({156: moving_scan(4000)}, {}, 160)[156 // 3].version == 1
+
+
+def test_a_scan_older_than_one_with_a_track_waits_no_longer() -> None:
+    """The order of the scans is kept: the estimator has refused the older one."""
+    later = dataclasses.replace(
+        moving_scan(4000, seed=1), start_tick=120, end_tick=180, start_time_s=0.2, end_time_s=0.3
+    )
+    tracks = {30: raised_track(0.0, 0.05), 216: raised_track(0.2, 0.3)}
+    views = fly_with_tracks({156: moving_scan(4000), 216: later}, tracks, 220)
+    assert views[213 // 3].version == 0
+    assert views[216 // 3].version == 2

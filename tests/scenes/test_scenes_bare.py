@@ -14,7 +14,6 @@ import pytest
 from touchdown.scenes.api import LAND_CLASSES, LowSun, Scene
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.authoring.light import sun_at
 from touchdown.scenes.authoring.micro_relief import NEUTRAL, MicroRelief, Ripples
 from touchdown.scenes.authoring.tracks import SKIS, footprints, parallel, runners, wander
 from touchdown.scenes.compose import load_scene
@@ -255,8 +254,7 @@ def test_snow_lies_on_the_share_of_needles_asked_for() -> None:
 
 
 def test_a_low_sun_lights_the_fine_relief_too() -> None:
-    """The direction given to `sun_at` reaches the texture of the new scenes."""
-    with sun_at(LowSun(elevation_deg=12.0, azimuth_deg=90.0)):
-        low = load_scene("snow", 0).model
+    """The direction of the low sun reaches the texture."""
+    low = load_scene("snow", 0, LowSun(elevation_deg=12.0, azimuth_deg=90.0)).model
     own = cached_scene("snow", 0).model
     assert low.tex_data.tobytes() != own.tex_data.tobytes()

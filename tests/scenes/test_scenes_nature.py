@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from touchdown.scenes.api import LAND_CLASSES, Scene
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.authoring.survey_frame import draw_frame
+from touchdown.scenes.authoring.lot import draw_frame
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.places.forest.layout import draw_plan
 from touchdown.scenes.places.forest.relief import (

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.authoring.lot import Lot
+from touchdown.scenes.authoring.lot import Lot, draw_frame
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.relief import level_takeoff, smoothstep
-from touchdown.scenes.authoring.survey_frame import draw_frame
 
 Array = NDArray[np.float64]
 
@@ -58,7 +57,7 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     """Returns a plan whose wind blows anywhere, with outcrops on the flats."""
     frame = draw_frame(rng)
     middle = frame.from_middle
-    outcrops: list[Any] = []
+    outcrops: list[tuple[Array, float]] = []
     for _ in range(60):
         spot = rng.uniform([-40.0, -36.0], [40.0, 36.0])
         radius = float(rng.uniform(2.2, 4.2))

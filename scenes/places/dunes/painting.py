@@ -1,4 +1,4 @@
-"""What shows in the sand's texture: materials, ruts, prints and wind ripples."""
+"""Texture of the sand: materials, ruts, prints and wind ripples."""
 
 from __future__ import annotations
 

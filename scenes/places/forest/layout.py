@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from touchdown.scenes.authoring.lot import Lot
-from touchdown.scenes.authoring.survey_frame import SurveyFrame, draw_frame
+from touchdown.scenes.authoring.lot import Lot, SurveyFrame, draw_frame
 
 Array = NDArray[np.float64]
 

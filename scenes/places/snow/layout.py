@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.authoring.lot import Lot
+from touchdown.scenes.authoring.lot import Lot, draw_frame
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.relief import level_takeoff, smoothstep
-from touchdown.scenes.authoring.survey_frame import draw_frame
 
 Array = NDArray[np.float64]
 

@@ -76,8 +76,8 @@ def paint_tracks(
         plan.pond_radius_m / np.hypot(*(plan.hut_xy_m - plan.pond_xy_m))
     )
     door = plan.hut_xy_m + placed(np.zeros(2), plan.hut_angle, np.array([0.0, -3.0]))
-    away = rng.uniform(-0.2, 0.2) + plan.takeoff_yaw
-    beside = plan.takeoff_xy_m + 5.0 * np.array([np.cos(away), np.sin(away)])
+    bearing = rng.uniform(-0.2, 0.2) + plan.takeoff_yaw
+    beside = plan.takeoff_xy_m + 5.0 * np.array([np.cos(bearing), np.sin(bearing)])
     for start, end, sway in (
         (door, shore, 1.2), (door, shore, 2.0), (door, plan.hill_xy_m, 2.5), (shore, beside, 2.0),
         (door, lot.points(np.array([-5.0, 60.0])), 2.0),

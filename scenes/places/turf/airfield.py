@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.lot import Lot
+from touchdown.scenes.authoring.lot import Lot, SurveyFrame
 from touchdown.scenes.authoring.relief import (
     Ditch,
     dig_ditches,
@@ -18,7 +18,6 @@ from touchdown.scenes.authoring.relief import (
     segment_distance,
     smoothstep,
 )
-from touchdown.scenes.authoring.survey_frame import SurveyFrame
 from touchdown.scenes.places.turf.layout import HALF_M, furnish_path, stroke
 from touchdown.scenes.props.garden import add_table
 from touchdown.scenes.props.houses import House, add_house

@@ -12,8 +12,8 @@ from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import Flood, finish, paint_terrain, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.height_field import HeightField
+from touchdown.scenes.authoring.lot import SurveyFrame, draw_frame
 from touchdown.scenes.authoring.relief import level_takeoff, smoothstep
-from touchdown.scenes.authoring.survey_frame import SurveyFrame, draw_frame
 from touchdown.scenes.authoring.water import WaterLook, upsample
 from touchdown.scenes.places.turf.airfield import Airfield
 from touchdown.scenes.places.turf.golf import Golf

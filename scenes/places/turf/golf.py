@@ -8,9 +8,8 @@ from scipy.spatial import cKDTree
 
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.lot import Lot
+from touchdown.scenes.authoring.lot import Lot, SurveyFrame
 from touchdown.scenes.authoring.relief import smoothstep
-from touchdown.scenes.authoring.survey_frame import SurveyFrame
 from touchdown.scenes.places.turf.layout import HALF_M, furnish_path, plant_one
 from touchdown.scenes.props.garden import place_mesh
 from touchdown.scenes.props.meshes import box
