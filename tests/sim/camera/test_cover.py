@@ -1,4 +1,4 @@
-"""Plants in the picture: known heights, agreement with the LIDAR, and no trace where there are none."""
+"""Plants in the picture: known heights, agreement with the LIDAR, no trace where there are none."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ from touchdown.sim.api import (
     CameraParams,
     Command,
     LidarParams,
+    RangefinderParams,
     SensorNeeds,
     SimParams,
     WorldParams,
 )
 from touchdown.sim.camera.cover import Cover
-from touchdown.sim.camera.detail import GroundDetail
 from touchdown.sim.camera.sensor import CameraSensor
-from touchdown.sim.frames import Pose
+from touchdown.sim.frames import Pose, so3_exp
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.moving import BodyTrack
+from touchdown.sim.navigation.rangefinder import RangefinderSensor
 from touchdown.sim.posed_sensors import PosedSensors
 from touchdown.sim.world import MujocoWorld
 
@@ -241,8 +242,6 @@ def test_grain_lies_on_the_plants() -> None:
     changed = (images[0] != images[1]).any(axis=2)
     with_grain.close(), without.close()
     assert changed.mean() > 0.8
-    pinhole = with_grain.intrinsics
-    assert np.isfinite(GroundDetail(place(), pinhole, cover())._covered_m).any()
 
 
 def test_only_a_level_height_field_is_raised() -> None:
@@ -260,7 +259,30 @@ def test_only_a_level_height_field_is_raised() -> None:
     assert Cover.of(scene, dataclasses.replace(found, optics=box)) is None
 
 
-# ------------------------------------------------------------------------------- the world
+# ------------------------------------------------------------------- rangefinder and world
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.5])
+def test_the_rangefinder_s_echo_comes_from_the_plants(tilt: float) -> None:
+    params = RangefinderParams(sigma_m=0.0, resolution_m=1e-6, position_body_m=(0.0, 0.0, 0.0))
+    data = mujoco.MjData(place().model)
+    mujoco.mj_forward(place().model, data)
+
+    def nearer(xy: tuple[float, float], height: float) -> float:
+        turned = so3_exp(np.array([0.0, tilt, 0.0]))
+        pose = turned, np.array([*xy, GROUND_M + height])
+        plain, seen = (
+            RangefinderSensor(place(), params, 600, 1, found).sample(0, data, *pose).range_m
+            for found in (None, plants())
+        )
+        assert plain == pytest.approx(height / math.cos(tilt), abs=1e-5)
+        return plain - seen
+
+    x = np.array([MEADOW[0] - 5.0 * math.tan(tilt)])
+    visible = plants().visible_height_m(x, np.array([MEADOW[1]]))[0]
+    assert nearer(MEADOW, 5.0) == pytest.approx(visible / math.cos(tilt), abs=1e-5)
+    assert nearer(ROAD, 5.0) == 0.0
+    assert 0.0 < nearer(MEADOW, 0.12) < 0.05  # from within the plants
 
 
 def test_the_world_s_camera_and_rangefinder_see_the_plants() -> None:
