@@ -14,6 +14,7 @@ import numpy as np
 from touchdown.scenes.api import Scene
 from touchdown.sim.airframe.vehicle import sensor_mounts
 from touchdown.sim.api import CameraImage, LidarScan, SensorNeeds, WorldParams
+from touchdown.sim.camera.cover import Cover
 from touchdown.sim.camera.gl import Snapshot
 from touchdown.sim.camera.sensor import CAMERA_NAME, CameraSensor
 from touchdown.sim.camera.stamps import ShutterClock, Stamp
@@ -24,6 +25,7 @@ from touchdown.sim.faults.disturbances import Disturbances
 from touchdown.sim.faults.weather import Weather
 from touchdown.sim.lidar.patterns.livox import pattern
 from touchdown.sim.lidar.sensor import LidarSensor
+from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.moving import BodyTrack, MovingBodies
 from touchdown.sim.typing import Array, Bytes
 from touchdown.sim.wind import Wind
@@ -49,6 +51,9 @@ class ImagingSensors:
         pattern(params.lidar.preset)  # an unknown one is an error even where no LIDAR is needed
         dusty = params.dust.density > 0.0
         self._dust = DustCloud(scene, params.dust) if dusty else None
+        self.plants = SurfaceDetail.plants_of(params.lidar, scene)
+        """Grass and crops that every sensor sees above the ground; None: there are none"""
+        self._cover = Cover.of(scene, self.plants)
         self.camera = self._make_camera(CAMERA_NAME)
         self._right: CameraSensor | None = None
         self._lidar: LidarSensor | None = None
@@ -72,6 +77,7 @@ class ImagingSensors:
             self._sim.tick_hz,
             params.lamp,
             dust=self._dust,
+            cover=self._cover,
         )
 
     def add(self, needs: SensorNeeds) -> None:

@@ -107,7 +107,8 @@ class MujocoWorld:
         self._ground = GroundProbe(self._model)
 
     def _make_nav(self) -> NavSensors:
-        return NavSensors(self._scene, self._params.nav, self._sim, self._needs, self._seed)
+        nav, plants = self._params.nav, self._imaging.plants
+        return NavSensors(self._scene, nav, self._sim, self._needs, self._seed, plants)
 
     def _make_imu(self) -> ImuSensor:
         hover = math.sqrt(self._hover_square / len(self._vehicle.rotor_spin))

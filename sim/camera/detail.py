@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import DETAILS, LAND_CLASSES, NO_DETAIL_ID, OTHER_CLASS_ID, Scene
 from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.camera.cover import Cover
 from touchdown.sim.camera.gl import InverseDepth, Snapshot
 from touchdown.sim.typing import Array, Bytes, Float32
 
@@ -102,10 +103,14 @@ class Pyramid(NamedTuple):
 
 
 class GroundDetail:
-    """Adds the grain of a scene's ground to rasters of ``pinhole``."""
+    """Adds the grain of a scene's ground, and of the ``cover`` on it, to rasters of ``pinhole``."""
 
-    def __init__(self, scene: Scene, pinhole: CameraIntrinsics) -> None:
+    def __init__(self, scene: Scene, pinhole: CameraIntrinsics, cover: Cover | None = None) -> None:
         self._ground = ground_lookup(scene)
+        self._cover = cover
+        self._covered_m = self._ground.height_m
+        if cover is not None:
+            self._covered_m = _covered_heights(self._ground, cover)
         self._pinhole = pinhole
         self._pyramid = pyramid(self._ground.names)
         looks = [LOOKS[name] for name in self._ground.names]
@@ -131,6 +136,8 @@ class GroundDetail:
         row first, as `Stage` draws them; the bottom one is row ``last_row`` - 1 of the raster."""
         axes = snapshot.cam_xmat[camera_id].reshape(3, 3)
         k, ground = self._pinhole, self._ground
+        bare = self._cover is not None and self._cover.hides(snapshot.cam_xpos[camera_id])
+        heights = ground.height_m if bare else self._covered_m
         # MuJoCo's cameras look along -z, with x to the right and y up.
         right, down, ahead = axes[:, 0] / k.fx, -axes[:, 1] / k.fy, -axes[:, 2]
         corner = ahead - k.cx * right + (last_row - 1 - k.cy) * down
@@ -140,7 +147,7 @@ class GroundDetail:
         )
         multiply_grain(
             drawn, depth.levels, np.float32(depth.far), np.float32(depth.per_level),
-            snapshot.cam_xpos[camera_id], rays, frame, ground.height_m, ground.kind,
+            snapshot.cam_xpos[camera_id], rays, frame, heights, ground.kind,
             self._pyramid.texels, self._pyramid.starts, self._texels_per_m, self._noise,
             np.float32(1.0 / k.fx),
         )  # fmt: skip
@@ -174,6 +181,18 @@ def ground_lookup(scene: Scene) -> GroundLookup:
     number[used] = np.arange(len(used))
     names = tuple(DETAILS[kind] for kind in used)
     return GroundLookup(low, cell, heights, kind_cell, number[kinds], names)
+
+
+def _covered_heights(ground: GroundLookup, cover: Cover) -> Float32:
+    """Heights of ``ground`` with the plants of ``cover``."""
+    rows, cols = ground.height_m.shape
+    x, y = (low + (np.arange(count) + 0.5) * ground.height_cell_m for low, count in
+            zip(ground.origin_xy_m, (cols, rows), strict=True))  # fmt: skip
+    places = [axis.ravel() for axis in np.meshgrid(x, y)]
+    raised = cover.raised_at(*places).reshape(rows, cols)
+    bare = cover.ground_at(*places).reshape(rows, cols)
+    open_ground = np.abs(ground.height_m - bare) < _TOLERANCE_M
+    return np.where(open_ground, ground.height_m + raised, ground.height_m).astype(np.float32)
 
 
 def _ground_geoms(scene: Scene) -> list[int]:

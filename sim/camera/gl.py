@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.camera.cover import Cover
 from touchdown.sim.typing import Array, Bytes, Float32, Int32
 
 BACKENDS = ("egl", "osmesa", "glfw")
@@ -54,13 +55,22 @@ SNAPSHOT_FIELDS = ("geom_xpos", "geom_xmat", "light_xpos", "light_xdir", "cam_xp
 
 class Stage:
     """GL context, MuJoCo scene and buffers of one rendering thread, for rasters of ``pinhole`` or
-    bands of their rows. ``samples``: of multisampling, in colour images only.
+    bands of their rows. ``samples``: of multisampling, in colour images only. ``cover``: plants on
+    the ground, seen by cameras that do not stand in them.
 
     Everything comes bottom row first.
     """
 
-    def __init__(self, model: mujoco.MjModel, pinhole: CameraIntrinsics, samples: int) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        pinhole: CameraIntrinsics,
+        samples: int,
+        cover: Cover | None = None,
+    ) -> None:
         self._model = model
+        self._cover = cover
+        self._covered: dict[int, bool] = {}  # by the context's id
         self._data = mujoco.MjData(model)
         self._pinhole = pinhole
         self._samples = samples
@@ -85,6 +95,7 @@ class Stage:
         of the raster; the buffer is reused by the next call."""
         viewport = self._look(snapshot, camera_id, first, last)
         _select(self._context)
+        self._lay_cover(self._context, snapshot.cam_xpos[camera_id])
         mujoco.mjr_render(viewport, self._scene, self._context)
         pixels = self._pixels[: last - first]
         mujoco.mjr_readPixels(pixels, None, viewport, self._context)
@@ -152,6 +163,16 @@ class Stage:
         self._set_frustum(first, last)
         return mujoco.MjrRect(0, 0, self._pinhole.width, last - first)
 
+    def _lay_cover(self, context: mujoco.MjrContext, eye: Array) -> None:
+        """Uploads the ground with or without plants where it is not as ``eye`` (3,) sees it."""
+        if self._cover is None:
+            return
+        covered = not self._cover.hides(eye)
+        if covered != self._covered.get(id(context), False):
+            model = self._cover.model if covered else self._model
+            mujoco.mjr_uploadHField(model, context, self._cover.field)
+            self._covered[id(context)] = covered
+
     def _set_frustum(self, first: int, last: int) -> None:
         """Sets the frustum's width, which MuJoCo would derive from its height (square pixels)."""
         k = self._pinhole
@@ -168,6 +189,7 @@ class Stage:
         if self._samples and self._plain is self._context:
             self._plain = _mujoco_context(self._model, self._pinhole, 0)
         _select(self._plain)
+        self._lay_cover(self._plain, snapshot.cam_xpos[camera_id])
         for flag in _SEGMENT_FLAGS:
             self._scene.flags[flag] = 1
         mujoco.mjr_render(viewport, self._scene, self._plain)

@@ -18,6 +18,7 @@ import numpy as np
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams, LampParams
+from touchdown.sim.camera.cover import Cover
 from touchdown.sim.camera.degradations import CameraDegradations, ImageDefects
 from touchdown.sim.camera.detail import GroundDetail
 from touchdown.sim.camera.film import NoisePlace
@@ -50,7 +51,7 @@ class CameraSensor:
     ``render``, ``render_depth`` and ``render_segmentation`` show one instant through the same lens;
     they may run in any one thread: the GL context is made at the first image and belongs to the
     thread that asked for it. Grey noise depends on (seed, camera, tick) alone. ``faults`` of the
-    clock ``tick_hz`` and ``dust`` degrade the images of ``render``.
+    clock ``tick_hz`` and ``dust`` degrade the images of ``render``. ``cover``: plants that it sees.
 
     Raises ValueError when the model has no such camera or the parameters are impossible; rendering
     raises RuntimeError when there is no way to render on this machine, or when called from a second
@@ -68,6 +69,7 @@ class CameraSensor:
         lamp: LampParams | None = None,
         *,
         dust: DustCloud | None = None,
+        cover: Cover | None = None,
     ) -> None:
         self._model = scene.model
         self._params = params
@@ -93,7 +95,8 @@ class CameraSensor:
                 camera_name, dust=dust,
             )  # fmt: skip
             self._degradations = degradations if degradations.ever else None
-        self._detail = GroundDetail(scene, self._lens.raster) if params.detail else None
+        self._cover = cover
+        self._detail = GroundDetail(scene, self._lens.raster, cover) if params.detail else None
         self._stage: Stage | None = None
         self._thread: int | None = None
 
@@ -233,7 +236,7 @@ class CameraSensor:
     def _own_stage(self) -> Stage:
         thread = threading.get_ident()
         if self._stage is None:
-            self._stage = Stage(self._model, self._lens.raster, self._params.samples)
+            self._stage = Stage(self._model, self._lens.raster, self._params.samples, self._cover)
             self._thread = thread
         if self._thread != thread:
             raise RuntimeError(

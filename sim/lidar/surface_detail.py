@@ -25,8 +25,8 @@ from touchdown.sim.api import LidarParams
 from touchdown.sim.geometry.ray_target import Hits
 from touchdown.sim.lidar.beams import hashed
 from touchdown.sim.lidar.lattice_noise import add_plane_noise, add_space_noise
-from touchdown.sim.lidar.patterns.livox import ScanPattern
-from touchdown.sim.lidar.raycast_scene import OpticalTable
+from touchdown.sim.lidar.patterns.livox import ScanPattern, pattern
+from touchdown.sim.lidar.raycast_scene import OpticalTable, optical_table
 from touchdown.sim.lidar.rays import Movers, Rays
 from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32, Uint32
 
@@ -63,16 +63,24 @@ class SurfaceDetail:
 
     @staticmethod
     def of(
-        params: LidarParams, pattern: ScanPattern, scene: Scene, optics: OpticalTable, moving: Bools
+        params: LidarParams, scanner: ScanPattern, scene: Scene, optics: OpticalTable, moving: Bools
     ) -> SurfaceDetail | None:
         """None where ``params`` ask for neither. The detail is a function of the scene's seed."""
         if params.texture <= 0.0 and params.vegetation <= 0.0:
             return None
         salt = np.random.default_rng([scene.seed, crc32(b"lidar texture")]).integers(2**32)
-        width_x, width_y = np.deg2rad(pattern.divergence_deg).tolist()
+        width_x, width_y = np.deg2rad(scanner.divergence_deg).tolist()
         return SurfaceDetail(
             optics, params.texture, params.vegetation, np.uint32(salt), (width_x, width_y), moving
         )
+
+    @staticmethod
+    def plants_of(params: LidarParams, scene: Scene) -> SurfaceDetail | None:
+        """The plants that the LIDAR meets, for the other sensors; None without vegetation."""
+        if params.vegetation <= 0.0:
+            return None
+        optics, moving = optical_table(scene.model, scene), np.zeros(scene.model.ngeom, np.bool_)
+        return SurfaceDetail.of(params, pattern(params.preset), scene, optics, moving)
 
     def gains(self, pulses: Rays, hits: Hits, movers: Movers) -> Float32:
         """(N,) factors of the reflectivity where the rays hit; empty: 1 everywhere."""
@@ -169,6 +177,29 @@ class SurfaceDetail:
         x, y, mean, leaf_area = np.ascontiguousarray(table[:, :found])
         height = self.plant_height_m(x, y, mean)
         _shorten(rows[:found], height, leaf_area, hits.cosine, pulses.bits, hits.distance)
+
+    def visible_height_m(self, x: Array, y: Array, under_m: float = math.inf) -> Array:
+        """Mean heights (N,) above the ground, at places (N,) in the world, from which pulses and
+        light come back at the vertical: h - (1 - exp(-L / 2)) h / (L / 2), and 0 where no plants
+        stand. ``under_m``: height of a sensor that may look from within them."""
+        optics = self.optics
+        if optics.ground_geom < 0:
+            return np.zeros(len(x))
+        mean = np.full(len(x), optics.canopy_m[optics.ground_geom])
+        leaves = np.full(len(x), optics.leaf_area[optics.ground_geom])
+        rows, cols = optics.ground_material.shape
+        left, low, per_m = optics.ground_frame
+        col, row = np.floor((x - left) * per_m).astype(int), np.floor((y - low) * per_m).astype(int)
+        inside = (col >= 0) & (row >= 0) & (col < cols) & (row < rows)
+        kind = optics.ground_material[row[inside], col[inside]]
+        mean[inside] = optics.material_canopy_m[kind]
+        leaves[inside] = optics.material_leaf_area[kind]
+        places = [np.ascontiguousarray(axis, dtype=np.float32) for axis in (x, y)]
+        height = self.plant_height_m(*places, mean).astype(np.float64)
+        grown = (mean > 0.0) & (leaves > 0.0)
+        free = np.where(grown, height, 1.0) / np.where(grown, _LEAF_PROJECTION * leaves, 1.0)
+        top = np.minimum(height, under_m)
+        return np.where(grown, top + free * np.expm1(-top / free), 0.0)
 
     def plant_height_m(self, x: Float32, y: Float32, mean_m: Float32) -> Float32:
         """Heights (N,) of plants of these mean heights (N,) at places (N,) in the world."""

@@ -18,6 +18,7 @@ from touchdown.sim.api import (
 )
 from touchdown.sim.delivery import DeliveryQueue, InlineExecutor
 from touchdown.sim.frames import matrix_from_quat_wxyz
+from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.navigation.barometer import BarometerSensor
 from touchdown.sim.navigation.gps import GpsSensor
 from touchdown.sim.navigation.magnetometer import MagnetometerSensor
@@ -71,13 +72,19 @@ class NavSensors:
     """
 
     def __init__(
-        self, scene: Scene, params: NavParams, sim: SimParams, needs: SensorNeeds, seed: int
+        self,
+        scene: Scene,
+        params: NavParams,
+        sim: SimParams,
+        needs: SensorNeeds,
+        seed: int,
+        plants: SurfaceDetail | None = None,
     ) -> None:
         hz = sim.tick_hz
         self._gps = GpsSensor(params.gps, hz, seed)
         self._barometer = BarometerSensor(params.barometer, hz, seed)
         self._magnetometer = MagnetometerSensor(params.magnetometer, hz, seed)
-        self._rangefinder = RangefinderSensor(scene, params.rangefinder, hz, seed)
+        self._rangefinder = RangefinderSensor(scene, params.rangefinder, hz, seed, plants)
         heard = needs.gps and self._gps.receives
         self.gps: Channel[GpsFix] = Channel("gps", params.gps, hz, heard)
         self.barometer: Channel[BarometerSample] = Channel(

@@ -10,6 +10,7 @@ import numpy as np
 from touchdown.scenes.api import LAND_CLASSES, Scene, Surface
 from touchdown.sim.airframe.vehicle import vehicle_body_id
 from touchdown.sim.api import RangefinderParams, RangefinderSample
+from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.noise import random_stream
 from touchdown.sim.typing import Array
 
@@ -27,15 +28,24 @@ class RangefinderSensor:
     """Slant range of one ray. The echo fades with reflectivity, incidence and the square of the
     distance: a surface of diffuse reflectivity rho under the incidence angle i is seen up to
     ``max_range_m`` sqrt(rho cos i / 0.7). Porous things (crowns, reeds) let the beam through at
-    random, water sends it back near the vertical only."""
+    random, water sends it back near the vertical only. Over ``plants`` the echo comes from the mean
+    height of the LIDAR's."""
 
-    def __init__(self, scene: Scene, params: RangefinderParams, tick_hz: int, seed: int) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        params: RangefinderParams,
+        tick_hz: int,
+        seed: int,
+        plants: SurfaceDetail | None = None,
+    ) -> None:
         if not 0.0 <= params.min_range_m < params.max_range_m:
             raise ValueError(
                 f"rangefinder.min_range_m ({params.min_range_m:g}) must lie between 0 and "
                 f"rangefinder.max_range_m ({params.max_range_m:g})"
             )
         self._scene, self._params, self._tick_hz = scene, params, tick_hz
+        self._plants = plants
         self._mount = np.array(params.position_body_m)
         self._vehicle = vehicle_body_id(scene.model)
         self._rng = random_stream(seed, "rangefinder")
@@ -77,9 +87,18 @@ class RangefinderSensor:
             surface = self._surface(start + travelled * direction)
             if surface.porosity <= 0.0 or self._rng.random() >= surface.porosity:
                 cosine = abs(float(self._normal @ direction))
+                travelled -= self._in_plants(start + travelled * direction, travelled, cosine)
                 return travelled if self._echoes(surface, travelled, cosine) else 0.0
             travelled += _SKIP_M
         return 0.0
+
+    def _in_plants(self, point: Array, distance: float, cosine: float) -> float:
+        """Metres of the way to ``point`` (3,), world frame, that lie behind the plants' echo."""
+        plants = self._plants
+        if plants is None or int(self._geom_id[0]) != plants.optics.ground_geom or cosine <= 0.0:
+            return 0.0
+        height = plants.visible_height_m(point[:1], point[1:2], distance * cosine)
+        return float(height[0]) / cosine
 
     def _echoes(self, surface: Surface, distance: float, cosine: float) -> bool:
         rho = surface.reflectivity
