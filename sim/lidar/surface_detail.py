@@ -194,8 +194,8 @@ class SurfaceDetail:
         kind = optics.ground_material[row[inside], col[inside]]
         mean[inside] = optics.material_canopy_m[kind]
         leaves[inside] = optics.material_leaf_area[kind]
-        places = [np.ascontiguousarray(axis, dtype=np.float32) for axis in (x, y)]
-        height = self.plant_height_m(*places, mean).astype(np.float64)
+        east, north = (np.ascontiguousarray(axis, dtype=np.float32) for axis in (x, y))
+        height = self.plant_height_m(east, north, mean).astype(np.float64)
         grown = (mean > 0.0) & (leaves > 0.0)
         free = np.where(grown, height, 1.0) / np.where(grown, _LEAF_PROJECTION * leaves, 1.0)
         top = np.minimum(height, under_m)
