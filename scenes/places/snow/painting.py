@@ -1,4 +1,4 @@
-"""What shows in the snow's texture: ice, tracks and the fine relief that wind and feet leave."""
+"""Texture of the snow: ice, tracks and the fine relief that wind and feet leave."""
 
 from __future__ import annotations
 
