@@ -1,4 +1,4 @@
-"""What shows in the snow's texture: ice, tracks and the fine relief that wind and feet leave."""
+"""Texture of the snow: ice, tracks and the fine relief that wind and feet leave."""
 
 from __future__ import annotations
 
@@ -78,11 +78,11 @@ def paint_tracks(
     door = plan.hut_xy_m + placed(np.zeros(2), plan.hut_angle, np.array([0.0, -3.0]))
     bearing = rng.uniform(-0.2, 0.2) + plan.takeoff_yaw
     beside = plan.takeoff_xy_m + 5.0 * np.array([np.cos(bearing), np.sin(bearing)])
-    for origin, goal, sway in (
+    for origin, end, sway in (
         (door, shore, 1.2), (door, shore, 2.0), (door, plan.hill_xy_m, 2.5), (shore, beside, 2.0),
         (door, lot.points(np.array([-5.0, 60.0])), 2.0),
     ):  # fmt: skip
-        line = wander(rng, np.array([origin, goal]), sway)
+        line = wander(rng, np.array([origin, end]), sway)
         footprints(rng, canvas, fine, line, Ground.PACKED_SNOW)
 
 
