@@ -264,7 +264,9 @@ def test_only_a_level_height_field_is_raised() -> None:
 
 @pytest.mark.parametrize("tilt", [0.0, 0.5])
 def test_the_rangefinder_s_echo_comes_from_the_plants(tilt: float) -> None:
-    params = RangefinderParams(sigma_m=0.0, resolution_m=1e-6, position_body_m=(0.0, 0.0, 0.0))
+    params = RangefinderParams(
+        sigma_m=0.0, resolution_m=1e-6, position_body_m=(0.0, 0.0, 0.0), min_range_m=0.0
+    )
     data = mujoco.MjData(place().model)
     mujoco.mj_forward(place().model, data)
 
