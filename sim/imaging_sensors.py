@@ -16,7 +16,7 @@ from touchdown.sim.airframe.vehicle import sensor_mounts
 from touchdown.sim.api import CameraImage, LidarScan, SensorNeeds, WorldParams
 from touchdown.sim.camera.cover import Cover
 from touchdown.sim.camera.gl import Snapshot
-from touchdown.sim.camera.sensor import CAMERA_NAME, CameraSensor
+from touchdown.sim.camera.sensor import CAMERA_NAME, CameraSensor, GroundEffects
 from touchdown.sim.camera.stamps import ShutterClock, Stamp
 from touchdown.sim.clock import image_period_ticks
 from touchdown.sim.delivery import DeliveryQueue, Latency, make_executor
@@ -76,8 +76,7 @@ class ImagingSensors:
             params.faults,
             self._sim.tick_hz,
             params.lamp,
-            dust=self._dust,
-            cover=self._cover,
+            GroundEffects(self._dust, self._cover),
         )
 
     def add(self, needs: SensorNeeds) -> None:

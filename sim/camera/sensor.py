@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 from zlib import crc32
 
@@ -44,6 +45,19 @@ VEHICLE_GROUP = 4
 """Geom group of the vehicle's own geoms, which its camera does not see."""
 
 
+@dataclass(frozen=True, slots=True)
+class GroundEffects:
+    """What a camera sees of the ground beside its geometry."""
+
+    dust: DustCloud | None = None
+    """raised by the rotors"""
+    cover: Cover | None = None
+    """of plants"""
+
+
+_BARE = GroundEffects()
+
+
 class CameraSensor:
     """The camera ``camera_name`` of ``scene``, with the resolution, field of view and lens of
     ``params`` (the model's own are not looked at).
@@ -67,9 +81,7 @@ class CameraSensor:
         faults: FaultParams | None = None,
         tick_hz: int = 600,
         lamp: LampParams | None = None,
-        *,
-        dust: DustCloud | None = None,
-        cover: Cover | None = None,
+        ground: GroundEffects = _BARE,
     ) -> None:
         self._model = scene.model
         self._params = params
@@ -89,14 +101,16 @@ class CameraSensor:
         self._noise_key = [seed, crc32(camera_name.encode())]
         self._noise = noise_tile(params, self._noise_key)
         self._degradations: CameraDegradations | None = None
-        if (faults is not None and faults.events) or dust is not None:
+        if (faults is not None and faults.events) or ground.dust is not None:
             degradations = CameraDegradations(
                 faults or FaultParams(), tick_hz, params, self._lens.raster, self._model, seed,
-                camera_name, dust=dust,
+                camera_name, dust=ground.dust,
             )  # fmt: skip
             self._degradations = degradations if degradations.ever else None
-        self._cover = cover
-        self._detail = GroundDetail(scene, self._lens.raster, cover) if params.detail else None
+        self._cover = ground.cover
+        self._detail = (
+            GroundDetail(scene, self._lens.raster, ground.cover) if params.detail else None
+        )
         self._stage: Stage | None = None
         self._thread: int | None = None
 
