@@ -41,6 +41,7 @@ from touchdown.estimator.livo.error_model import flown_imu, scan_errors, visual_
 from touchdown.estimator.livo.lidar_update import DegeneracyWatch, LidarReport
 from touchdown.estimator.livo.online_calibration import (
     CLOCK,
+    LIDAR_CLOCK,
     SHARED_DIM,
     calibration_diagnostics,
     corrected_mount,
@@ -358,8 +359,10 @@ class Livo:
 
     def _enable_calibration(self, mount_and_lens: bool) -> None:
         """Sets whether the next measurement corrects mounts and lens; the camera's clock, which no
-        other error resembles, and the IMU's scale are always corrected."""
+        other error resembles, and the IMU's scale are always corrected, the LIDAR's clock never: it
+        only widens the covariance."""
         self._eskf.calibration_enabled[:] = mount_and_lens
+        self._eskf.calibration_enabled[LIDAR_CLOCK : LIDAR_CLOCK + 1] = False
         self._eskf.calibration_enabled[CLOCK : CLOCK + 1] = True
         self._eskf.calibration_enabled[SHARED_DIM:] = True
 
