@@ -50,6 +50,7 @@ OPTION_KEYS: Mapping[str, str] = {
     "seed": "seed",
     "estimator": "estimator",
     "profile": "profile",
+    "light": "light",
     "calibration": "calibration",
     "record": "record",
     "log_sensors": "log.sensors",

@@ -47,7 +47,7 @@ VEHICLE_GROUP = 4
 
 @dataclass(frozen=True, slots=True)
 class GroundEffects:
-    """What a camera sees of the ground beside its geometry."""
+    """Appearance of the ground beside its geometry."""
 
     dust: DustCloud | None = None
     """raised by the rotors"""
