@@ -4,7 +4,7 @@ At rest the specific force is gravity's reaction plus the accelerometer's bias. 
 from the other: a levelled attitude errs by the bias over gravity, and the errors of attitude and
 bias are correlated from then on. The update keeps that correlation, so that a later turn about the
 vertical, which separates the two, corrects both (Titterton and Weston, "Strapdown inertial
-navigation technology", 2004, section 10.2).
+navigation technology", 2004, on alignment).
 """
 
 from __future__ import annotations

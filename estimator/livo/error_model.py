@@ -21,6 +21,7 @@ def flown_imu(imu: ImuParams, params: LivoParams) -> ImuParams:
 
 
 def scan_errors(rig: SensorRig, params: LivoParams) -> ScanErrors:
+    """The errors of a scan by the LIDAR's data and the parameters."""
     tilt, yaw = np.radians([params.scan_tilt_sigma_deg, params.scan_yaw_sigma_deg])
     aside, height = params.scan_lateral_sigma_m, params.scan_height_sigma_m
     weak = float(np.radians(params.weak_sigma_deg)), params.weak_sigma_m
@@ -33,6 +34,7 @@ def scan_errors(rig: SensorRig, params: LivoParams) -> ScanErrors:
 
 
 def visual_diagnostics(report: VisualReport, keyframes: int) -> dict[str, float]:
+    """Figures of an update by one image, by the name of their plot."""
     return {
         "features_tracked": float(report.used),
         "visual_rms_px": report.rms_px,
