@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from touchdown.estimator.filtering.imu_propagation import (
     ACCEL_BIAS,
     GYRO_BIAS,
+    IMU_DIM,
     POSITION,
     ROTATION,
-    SCALE_DIM,
     STATE_DIM,
     VELOCITY,
     ImuBuffer,
@@ -52,8 +52,8 @@ class Eskf:
         parameters (Schmidt): their covariance counts, their estimate stays"""
         self.rate = np.zeros(3)
         """(3,) rad/s, turn rate in the IMU's frame over the last hundredth of a second"""
-        self.shared = max(0, len(state.calibration) - SCALE_DIM)
-        """number of calibration parameters that measurements depend on directly: all but the scale
+        self.shared = max(0, len(state.calibration) - IMU_DIM)
+        """number of calibration parameters that measurements depend on directly: all but the
         errors of the IMU, which act through the propagation"""
         if len(state.calibration) != self.base - STATE_DIM:
             raise ValueError(
@@ -79,8 +79,8 @@ class Eskf:
         rotations, positions, velocities = integrate(
             state.rotation, state.position, state.velocity, gyro, force, buffer.step_s, GRAVITY_MPS2
         )
-        total, noise, by_scale = transition(rotations, gyro, force, buffer.step_s, buffer.densities)
-        self._propagate_covariance(total, noise, by_scale)
+        total, noise, by_errors = transition(rotations, gyro, force, buffer.step_s, buffer.densities)
+        self._propagate_covariance(total, noise, by_errors)
         if count:
             self.rate = gyro[-_RATE_SAMPLES:].mean(axis=0)
         all_ticks = np.concatenate(([state.tick], ticks))
@@ -95,14 +95,14 @@ class Eskf:
         )
         return all_ticks, rotations, positions
 
-    def _propagate_covariance(self, total: Array, noise: Array, by_scale: Array) -> None:
+    def _propagate_covariance(self, total: Array, noise: Array, by_errors: Array) -> None:
         cov, nav = self.covariance, slice(0, STATE_DIM)
         moved = total @ cov[nav]
         if self.shared:
-            moved += by_scale @ cov[self.base - SCALE_DIM : self.base]
+            moved += by_errors @ cov[self.base - IMU_DIM : self.base]
         own = moved[:, nav] @ total.T + noise
         if self.shared:
-            own += moved[:, self.base - SCALE_DIM : self.base] @ by_scale.T
+            own += moved[:, self.base - IMU_DIM : self.base] @ by_errors.T
         cov[nav] = moved
         cov[STATE_DIM:, nav] = moved[:, STATE_DIM:].T
         cov[nav, nav] = 0.5 * (own + own.T)

@@ -30,6 +30,11 @@ ACCEL_BIAS = slice(12, 15)
 STATE_DIM = 15
 SCALE_DIM = 6
 """relative scale errors of gyroscope and accelerometer, three each"""
+IMU_DIM = 12
+"""the same, and the responses of each axis of the gyroscope to rates about the two others, in the
+order of ``CROSS_AXES``"""
+CROSS_AXES = np.array([[0, 1], [0, 2], [1, 0], [1, 2], [2, 0], [2, 1]])
+"""(6, 2): axis of the gyroscope, axis of the rate"""
 
 
 @dataclass(slots=True)
@@ -49,7 +54,7 @@ class NavState:
     """(3,) m/s^2"""
     calibration: Array = field(default_factory=lambda: np.zeros(0))
     """estimated errors of the given calibration, if any
-    (``estimator/livo/online_calibration.py``); the last six are ``imu_scale``"""
+    (``estimator/livo/online_calibration.py``); the last twelve are ``imu_errors``"""
 
     @property
     def pose(self) -> Pose:
@@ -57,16 +62,18 @@ class NavState:
         return Pose(self.rotation, self.position)
 
     @property
-    def imu_scale(self) -> Array:
-        """(6,) relative scale errors of gyroscope and accelerometer, by axis; zero without a
-        calibration."""
-        return self.calibration[-SCALE_DIM:] if len(self.calibration) else np.zeros(SCALE_DIM)
+    def imu_errors(self) -> Array:
+        """(12,) relative scale errors of gyroscope and accelerometer, by axis, and the gyroscope's
+        misalignment, rad; zero without a calibration."""
+        return self.calibration[-IMU_DIM:] if len(self.calibration) else np.zeros(IMU_DIM)
 
     def corrected(self, gyro: Array, force: Array) -> tuple[Array, Array]:
-        """Returns (N, 3) samples less bias and scale error."""
-        scale = self.imu_scale
-        rate = (gyro - self.gyro_bias) * (1.0 - scale[:3])
-        return rate, (force - self.accel_bias) * (1.0 - scale[3:])
+        """Returns (N, 3) samples less bias, scale error and misalignment."""
+        errors = self.imu_errors
+        response = np.diag(1.0 - errors[:3])
+        response[CROSS_AXES[:, 0], CROSS_AXES[:, 1]] = -errors[SCALE_DIM:]
+        rate = (gyro - self.gyro_bias) @ response.T
+        return rate, (force - self.accel_bias) * (1.0 - errors[3:SCALE_DIM])
 
     def copy(self) -> NavState:
         """Returns a deep copy."""
@@ -158,14 +165,14 @@ def transition(
     rotations: Array, gyro: Array, force: Array, step_s: float, densities: Array
 ) -> tuple[Array, Array, Array]:
     """Error-state transition (15, 15), accumulated noise (15, 15) and derivative by the scale
-    errors (15, 6) over N samples.
+    and misalignment errors (15, 12) of the IMU over N samples.
 
     ``rotations`` as from ``integrate``; ``densities``: gyroscope rad/s/sqrt(Hz), accelerometer
     m/s^2/sqrt(Hz), gyroscope bias walk rad/s^2/sqrt(Hz), accelerometer bias walk m/s^3/sqrt(Hz).
     """
     total = np.eye(15)
     noise = np.zeros((15, 15))
-    by_scale = np.zeros((15, 6))
+    by_errors = np.zeros((15, 12))
     step = np.eye(15)
     for i in range(gyro.shape[0]):
         middle = rotations[i] @ exp_so3(0.5 * step_s * gyro[i])
@@ -181,17 +188,19 @@ def transition(
         step[3:6, 12:15] = -0.5 * step_s * step_s * middle
         total = step @ total
         noise = step @ noise @ step.T
-        by_scale = step @ by_scale
+        by_errors = step @ by_errors
+        for k in range(6):
+            by_errors[CROSS_AXES[k, 0], 6 + k] -= step_s * gyro[i, CROSS_AXES[k, 1]]
         for k in range(3):
-            by_scale[k, k] -= step_s * gyro[i, k]
+            by_errors[k, k] -= step_s * gyro[i, k]
             for a in range(3):
-                by_scale[6 + a, 3 + k] -= step_s * middle[a, k] * force[i, k]
-                by_scale[3 + a, 3 + k] -= 0.5 * step_s * step_s * middle[a, k] * force[i, k]
+                by_errors[6 + a, 3 + k] -= step_s * middle[a, k] * force[i, k]
+                by_errors[3 + a, 3 + k] -= 0.5 * step_s * step_s * middle[a, k] * force[i, k]
             noise[k, k] += step_s * densities[0] ** 2
             noise[6 + k, 6 + k] += step_s * densities[1] ** 2
             noise[9 + k, 9 + k] += step_s * densities[2] ** 2
             noise[12 + k, 12 + k] += step_s * densities[3] ** 2
-    return total, noise, by_scale
+    return total, noise, by_errors
 
 
 class ImuBuffer:

@@ -1,10 +1,10 @@
 """Online calibration: errors of the mounts, the lens, the clocks and the scale of the IMU.
 
-Twenty-four errors of the given calibration: a small rotation (rad) and translation (m) of the LIDAR
+Thirty errors of the given calibration: a small rotation (rad) and translation (m) of the LIDAR
 in the IMU frame, the relative error of either focal length, the shift of the principal point
 (pixels), the offset by which the camera's clock is ahead of the IMU's (s), rotation and translation
-of the camera in the IMU frame, the offset of the LIDAR's clock (s), and the relative scale errors
-of gyroscope and accelerometer.
+of the camera in the IMU frame, the offset of the LIDAR's clock (s), the relative scale errors of
+gyroscope and accelerometer, and the misalignment of the gyroscope's axes.
 
 A rotation of the LIDAR is observable in the map: the same ground, seen once ahead and once below,
 must have one height. Both the present returns and those of the map move with it, as in the
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import LivoParams
-from touchdown.estimator.filtering.imu_propagation import SCALE_DIM, exp_so3_each
+from touchdown.estimator.filtering.imu_propagation import IMU_DIM, SCALE_DIM, exp_so3_each
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp
 
@@ -38,13 +38,14 @@ CAMERA_SHIFT = slice(14, 17)
 LIDAR_CLOCK = 17
 SHARED_DIM = 18
 """parameters that scans and images depend on directly"""
-CALIBRATION_DIM = SHARED_DIM + SCALE_DIM
+CALIBRATION_DIM = SHARED_DIM + IMU_DIM
 MOUNT_DIM = 6
 """rotation and translation of the LIDAR's mount"""
 
 
 def prior_sigmas(params: LivoParams) -> Array:
-    """Standard deviations (24,), or (0,) without online calibration; rad, m, 1, pixels, s, 1."""
+    """Standard deviations (30,), or (0,) without online calibration; rad, m, 1, pixels, s, 1,
+    rad."""
     if not params.use_calibration:
         return np.zeros(0)
     sigmas = [
@@ -57,8 +58,9 @@ def prior_sigmas(params: LivoParams) -> Array:
         params.camera_shift_sigma_m,
         params.lidar_clock_sigma_s,
         params.imu_scale_sigma,
+        np.radians(params.gyro_misalignment_sigma_deg),
     ]
-    return np.repeat(sigmas, [3, 3, 2, 2, 1, 3, 3, 1, SCALE_DIM])
+    return np.repeat(sigmas, [3, 3, 2, 2, 1, 3, 3, 1, SCALE_DIM, IMU_DIM - SCALE_DIM])
 
 
 def calibration_diagnostics(calibration: Array) -> dict[str, float]:
@@ -81,12 +83,12 @@ def calibration_diagnostics(calibration: Array) -> dict[str, float]:
 
 
 def corrected_mount(imu_from_lidar: Pose, calibration: Array) -> Pose:
-    """Returns the LIDAR's given mount corrected by ``calibration`` (24,) or (0,)."""
+    """Returns the LIDAR's given mount corrected by ``calibration`` (30,) or (0,)."""
     return _moved(imu_from_lidar, calibration, TURN, SHIFT)
 
 
 def corrected_camera(imu_from_camera: Pose, calibration: Array) -> Pose:
-    """Returns the camera's given mount corrected by ``calibration`` (24,) or (0,)."""
+    """Returns the camera's given mount corrected by ``calibration`` (30,) or (0,)."""
     return _moved(imu_from_camera, calibration, CAMERA_TURN, CAMERA_SHIFT)
 
 
@@ -97,7 +99,7 @@ def _moved(mount: Pose, calibration: Array, turn: slice, shift: slice) -> Pose:
 
 
 def corrected_intrinsics(camera: CameraIntrinsics, calibration: Array) -> Array:
-    """Returns fx, fy, cx, cy (4,) corrected by ``calibration`` (24,)."""
+    """Returns fx, fy, cx, cy (4,) corrected by ``calibration`` (30,)."""
     focal = np.array([camera.fx, camera.fy]) * (1.0 + calibration[FOCAL])
     center = np.array([camera.cx, camera.cy]) + calibration[CENTER]
     return np.concatenate([focal, center])

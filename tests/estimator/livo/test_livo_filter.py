@@ -7,6 +7,7 @@ import pytest
 
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import (
+    IMU_DIM,
     SCALE_DIM,
     STATE_DIM,
     ImuBuffer,
@@ -22,7 +23,7 @@ from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 from support.livo_filter_support import STEP_S, filled_buffer, random_state
 
-SCALE = slice(STATE_DIM + CALIBRATION_DIM - SCALE_DIM, STATE_DIM + CALIBRATION_DIM)
+IMU_ERRORS = slice(STATE_DIM + CALIBRATION_DIM - IMU_DIM, STATE_DIM + CALIBRATION_DIM)
 
 
 def test_exp_matches_the_reference_formula() -> None:
@@ -111,10 +112,10 @@ def test_transition_matches_finite_differences() -> None:
 
 
 def calibrated_state(rng: np.random.Generator) -> NavState:
-    """A random state with scale errors of a few hundredths; the rest of the calibration is zero."""
+    """A random state with IMU errors of a few hundredths; the rest of the calibration is zero."""
     state = random_state(rng)
     state.calibration = np.zeros(CALIBRATION_DIM)
-    state.calibration[-SCALE_DIM:] = rng.normal(0.0, 0.03, SCALE_DIM)
+    state.calibration[-IMU_DIM:] = rng.normal(0.0, 0.03, IMU_DIM)
     return state
 
 
@@ -126,7 +127,7 @@ def test_samples_are_corrected_by_bias_then_scale() -> None:
     same = state.corrected(rate + state.gyro_bias, force + state.accel_bias)
     np.testing.assert_allclose(same, (rate, force), atol=1e-12)
     scale = np.array([0.02, 0.0, 0.0, 0.0, 0.03, 0.0])
-    state.calibration = np.concatenate([np.ones(CALIBRATION_DIM - SCALE_DIM), scale])
+    state.calibration = np.concatenate([np.ones(CALIBRATION_DIM - IMU_DIM), scale, np.zeros(6)])
     shown = rate * (1.0 + scale[:3]) + state.gyro_bias, force * (1.0 + scale[3:]) + state.accel_bias
     found = state.corrected(*shown)
     np.testing.assert_allclose(found[0], rate, atol=5e-4 * np.abs(rate).max())
@@ -134,7 +135,17 @@ def test_samples_are_corrected_by_bias_then_scale() -> None:
     assert np.abs(found[0] - same[0]).max() < 0.1 * np.abs(shown[0] - rate).max()
 
 
-def test_derivative_by_the_scale_errors_matches_finite_differences() -> None:
+def test_misalignment_takes_a_turn_out_of_the_axes_across() -> None:
+    """A turn about z of which 1 % shows in x and 2 % in y."""
+    state = random_state(np.random.default_rng(24))
+    bends = np.array([0.0, 0.01, 0.0, 0.02, 0.0, 0.0])
+    state.calibration = np.concatenate([np.zeros(CALIBRATION_DIM - 6), bends])
+    shown = np.array([[0.01, 0.02, 1.0]]) + state.gyro_bias
+    rate, _ = state.corrected(shown, np.zeros((1, 3)))
+    np.testing.assert_allclose(rate, [[0.0, 0.0, 1.0]], atol=1e-12)
+
+
+def test_derivative_by_the_imu_errors_matches_finite_differences() -> None:
     rng = np.random.default_rng(22)
     state = calibrated_state(rng)
     ticks, gyro, force, _ = filled_buffer(rng, 20).samples(20)
@@ -143,14 +154,14 @@ def test_derivative_by_the_scale_errors_matches_finite_differences() -> None:
     rotations, _, _ = integrate(
         state.rotation, state.position, state.velocity, rate, pull, STEP_S, GRAVITY_MPS2
     )
-    _, _, by_scale = transition(rotations, rate, pull, STEP_S, np.zeros(4))
+    _, _, by_errors = transition(rotations, rate, pull, STEP_S, np.zeros(4))
     eskf = Eskf(state, np.ones(STATE_DIM + CALIBRATION_DIM))
     epsilon = 1e-5
-    for k in range(SCALE_DIM):
+    for k in range(IMU_DIM):
         ends = []
         for sign in (1.0, -1.0):
             delta = np.zeros(eskf.base)
-            delta[SCALE.start + k] = sign * epsilon
+            delta[IMU_ERRORS.start + k] = sign * epsilon
             moved, _ = eskf.boxplus(state, [], delta)
             ends.append(propagate_nominal(moved, ticks, gyro, force, STEP_S))
         plus, minus = ends
@@ -164,7 +175,7 @@ def test_derivative_by_the_scale_errors_matches_finite_differences() -> None:
         ) / (2.0 * epsilon)  # fmt: skip
         assert np.abs(difference).max() > 0.01
         # the derivative is by the corrected sample, a scale error of 3 % from the raw one
-        np.testing.assert_allclose(by_scale[:, k], difference, rtol=0.12, atol=6e-3)
+        np.testing.assert_allclose(by_errors[:, k], difference, rtol=0.12, atol=6e-3)
 
 
 def test_covariance_with_scale_errors_follows_the_dense_formula() -> None:
@@ -183,10 +194,10 @@ def test_covariance_with_scale_errors_follows_the_dense_formula() -> None:
     rotations, positions, _ = integrate(
         state.rotation, state.position, state.velocity, rate, pull, STEP_S, GRAVITY_MPS2
     )
-    total, noise, by_scale = transition(rotations, rate, pull, STEP_S, buffer.densities)
+    total, noise, by_errors = transition(rotations, rate, pull, STEP_S, buffer.densities)
     eskf.propagate(buffer, 20)
     dense, added = np.eye(base + 6), np.zeros((base + 6, base + 6))
-    dense[:STATE_DIM, :STATE_DIM], dense[:STATE_DIM, SCALE] = total, by_scale
+    dense[:STATE_DIM, :STATE_DIM], dense[:STATE_DIM, SCALE] = total, by_errors
     added[:STATE_DIM, :STATE_DIM] = noise
     np.testing.assert_allclose(eskf.covariance, dense @ prior @ dense.T + added, atol=1e-12)
     nav = eskf.covariance[:STATE_DIM]
