@@ -13,11 +13,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.campaign.plan import Plan, PlannedRun, config_for, config_sha
+from touchdown.experiments.campaign.plan import (
+    Plan,
+    PlannedRun,
+    config_for,
+    config_sha,
+    of_version_before_profiles,
+)
 from touchdown.experiments.campaign.results_table import FAILED, RESULTS_FILE, RUNS, refresh
 from touchdown.experiments.campaign.run_names import is_run_name
 from touchdown.experiments.campaign.worker import PARTIAL, Task
 from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.config.profiles import BEFORE_PROFILES
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.external.loading import code_now, is_external
 from touchdown.experiments.io.foreign import inside, is_plain_name, read_object, refuse_links, shown
@@ -186,6 +193,8 @@ def settle_plan(plan: Plan, directory: Path, git_revision: str | None) -> Plan:
     }
     if (directory / PLAN_FILE).is_file():
         before = read_plan_file(directory)
+        if not any("profile" in run["values"] for run in before["runs"]):
+            plan = of_version_before_profiles(plan)
         plan = replace(plan, runs=_merged(plan.runs, before["runs"], directory))
         document |= {key: before[key] for key in ("git_revision", "created_utc", "sessions")}
     document |= {
@@ -223,6 +232,8 @@ def _merged(
     """``runs`` under the names that they had, which lengthen when an axis gets a second value."""
     # Compared as today's program understands them: defaults may have changed since.
     source = str(directory / PLAN_FILE)
+    unnamed = {"profile": BEFORE_PROFILES}
+    before = [{**old, "values": {**unnamed, **old["values"]}} for old in before]
     for old in before:
         if not is_run_name(old["run_id"], old["values"]):
             raise UsageError(

@@ -8,7 +8,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,6 +23,7 @@ from touchdown.experiments.config.loading import (
     is_key,
     known_keys,
 )
+from touchdown.experiments.config.profiles import BEFORE_PROFILES, DEFAULT
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
@@ -129,6 +130,8 @@ class Plan:
     """the file as given"""
     expect: tuple[Mapping[str, Any], ...] = ()
     """what runs are to come to: the keys of ``Expect``, ``when`` by dotted keys of runs' values"""
+    names_profile: bool = False
+    """True if the file says which profile is flown"""
 
 
 def load_plan(file: Path, *, allow_code: bool = False) -> Plan:
@@ -161,7 +164,20 @@ def load_plan(file: Path, *, allow_code: bool = False) -> Plan:
         runs=tuple(runs),
         text=file.read_text(encoding="utf-8"),
         expect=tuple(expect),
+        names_profile=any("profile" in keys for keys in (axes, base, *(s for _, s in overrides))),
     )
+
+
+def of_version_before_profiles(plan: Plan) -> Plan:
+    """``plan`` as a program without profiles made it; the same where its file names one."""
+    if plan.names_profile:
+        return plan
+    runs = []
+    for run in plan.runs:
+        values = {**run.values, "profile": BEFORE_PROFILES}
+        sha = config_sha(config_for(values, f"run {run.run_id}"))
+        runs.append(replace(run, values=values, config_sha=sha))
+    return replace(plan, runs=tuple(runs))
 
 
 def config_for(values: Mapping[str, Any], source: str) -> Config:
@@ -324,7 +340,7 @@ def _runs(
         place = dict(zip(axes, point, strict=True))
         if any(all(place[axis] in wanted for axis, wanted in when.items()) for when in skipped):
             continue
-        values: dict[str, Any] = {"sim.threads": 1, **base}
+        values: dict[str, Any] = {"sim.threads": 1, "profile": DEFAULT, **base}
         for when, settings in overrides:
             if all(place[axis] in wanted for axis, wanted in when.items()):
                 values |= settings

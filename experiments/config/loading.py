@@ -36,6 +36,8 @@ from touchdown.experiments.config.files import (
 from touchdown.experiments.config.files import read_tree as read_tree
 from touchdown.experiments.config.keys import flatten, is_external_key
 from touchdown.experiments.config.profiles import (
+    BEFORE_PROFILES,
+    DEFAULT,
     KEY,
     chosen_by_hand,
     name_in,
@@ -69,6 +71,7 @@ def load_config(
     take: Callable[[str], bool] = lambda _key: True,
     *,
     allow_code: bool = False,
+    profile_default: str = DEFAULT,
     **options: Any,
 ) -> Config:
     """Builds the configuration of a flight.
@@ -77,12 +80,13 @@ def load_config(
     are TOML (bare words count as text); ``options`` are the names in ``OPTION_KEYS``, where None
     means not given. Keys of the file for which ``take`` is false are left out. Without
     ``allow_code`` a file that came with results must not name an external estimator, unless an
-    override or an option names one too. Raises ``UsageError``.
+    override or an option names one too. ``profile_default`` is the profile where no source names
+    one. Raises ``UsageError``.
     """
     values: dict[str, Any] = {}
     sources: dict[str, str] = {}
     if file is not None:
-        for key, value in flatten(read_tree(file)):
+        for key, value in read_values(file).items():
             if take(key):
                 values[key], sources[key] = value, str(file)
     given: dict[str, Any] = {}
@@ -94,17 +98,27 @@ def load_config(
             key = OPTION_KEYS[name]
             given[key] = list(value) if isinstance(value, tuple) else value
             sources[key] = f"--{name.replace('_', '-')}"
-    if file is not None and came_with_results(file):
-        values = _of_earlier_run(values, given)
+    if file is not None:
+        values = under_profile(file, values, given)
     values |= given
+    if KEY not in values:
+        values[KEY], sources[KEY] = profile_default, "the defaults"
     if file is not None and not allow_code and sources.get("estimator") == str(file):
         check_named_code(file, [values.get("estimator")])
     return config_of(values, sources)
 
 
-def _of_earlier_run(values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """The values that a run's ``config.json`` contributes beside those of the command line."""
-    if KEY in given and given[KEY] != name_in(values):
+def read_values(file: Path) -> dict[str, Any]:
+    """The values by dotted key of a configuration file. A JSON file is the ``config.json`` of a
+    run: without a profile it is of a version that had none. Raises ``UsageError``."""
+    values = dict(flatten(read_tree(file)))
+    return {KEY: BEFORE_PROFILES, **values} if file.suffix == ".json" else values
+
+
+def under_profile(file: Path, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """The ``values`` that ``file`` contributes beside those ``given`` by hand: of a whole
+    configuration under another profile, only what its author had chosen."""
+    if came_with_results(file) and KEY in given and given[KEY] != name_in(values):
         return chosen_by_hand(values, dict(_defaults()))
     return values
 

@@ -1,8 +1,8 @@
 """Profiles: named sets of keys that say how kind the simulated world is.
 
-``ideal`` is the defaults of the schema. ``field`` and ``harsh`` are files beside this module, in
-the form of a user's configuration file. Any other source of a key takes precedence over the
-profile.
+``ideal`` is the defaults of the schema. ``field``, which is flown where nothing else is named, and
+``harsh`` are files beside this module, in the form of a user's configuration file. Any other source
+of a key takes precedence over the profile.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ from touchdown.experiments.config.keys import flatten
 
 KEY = "profile"
 """The key that names the profile."""
-DEFAULT = "ideal"
+DEFAULT = "field"
+"""The profile of a flight that names none."""
+BEFORE_PROFILES = "ideal"
+"""The profile of files that the program wrote before there were profiles."""
 _LAYERS: Mapping[str, tuple[str, ...]] = {
     "ideal": (),
     "field": ("field",),
