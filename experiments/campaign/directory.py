@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.campaign.plan import (
+    BOUNDS,
     Plan,
     PlannedRun,
     config_for,
@@ -173,9 +174,19 @@ def _is_expectation(tree: object) -> bool:
         and isinstance(tree.get("name"), str)
         and isinstance(tree.get("outcome"), list)
         and all(isinstance(outcome, str) for outcome in tree["outcome"])
-        and (limit is None or (isinstance(limit, float | int) and not isinstance(limit, bool)))
+        and (limit is None or _is_number(limit))
+        and (tree.get("success_at_least") is None or _is_number(tree["success_at_least"]))
+        and all(_are_bounds(tree.get(name, {})) for name in BOUNDS)
         and isinstance(tree.get("unsafe"), bool)
     )
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, float | int) and not isinstance(value, bool)
+
+
+def _are_bounds(tree: object) -> bool:
+    return isinstance(tree, dict) and all(map(_is_number, tree.values()))
 
 
 def settle_plan(plan: Plan, directory: Path, git_revision: str | None) -> Plan:
@@ -193,7 +204,8 @@ def settle_plan(plan: Plan, directory: Path, git_revision: str | None) -> Plan:
     }
     if (directory / PLAN_FILE).is_file():
         before = read_plan_file(directory)
-        if not any("profile" in run["values"] for run in before["runs"]):
+        flown = {run["values"].get("profile", BEFORE_PROFILES) for run in before["runs"]}
+        if flown == {BEFORE_PROFILES}:
             plan = of_version_before_profiles(plan)
         plan = replace(plan, runs=_merged(plan.runs, before["runs"], directory))
         document |= {key: before[key] for key in ("git_revision", "created_utc", "sessions")}

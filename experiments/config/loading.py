@@ -39,9 +39,9 @@ from touchdown.experiments.config.profiles import (
     BEFORE_PROFILES,
     DEFAULT,
     KEY,
+    base_values,
     chosen_by_hand,
     name_in,
-    profile_values,
 )
 from touchdown.experiments.config.ranges import rule_of
 from touchdown.experiments.config.schema import Config
@@ -134,9 +134,8 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
     if found := wrong_external_key(values, values.get("estimator", "livo")):
         key, reason = found
         raise UsageError(f"{key} in {sources.get(key, 'the configuration')} {reason}")
-    name = name_in(values)
-    base = profile_values(name)
-    sources = {**dict.fromkeys(base, f"profile {name}"), **sources}
+    base = base_values(values)
+    sources = {**dict.fromkeys(base, f"profile {name_in(values)}"), **sources}
     config = _validate({**base, **values}, sources)
     check_rates(config)
     check_map(config)
