@@ -63,6 +63,8 @@ OPTION_KEYS: Mapping[str, str] = {
     "fault": "faults.events",
 }
 """Explicit options of ``load_config`` and the keys that they set."""
+BY_DEFAULT = "the defaults"
+"""Source of the profile that nothing names."""
 
 
 def load_config(
@@ -102,7 +104,7 @@ def load_config(
         values = under_profile(file, values, given)
     values |= given
     if KEY not in values:
-        values[KEY], sources[KEY] = profile_default, "the defaults"
+        values[KEY], sources[KEY] = profile_default, BY_DEFAULT
     if file is not None and not allow_code and sources.get("estimator") == str(file):
         check_named_code(file, [values.get("estimator")])
     return config_of(values, sources)
@@ -136,7 +138,7 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
         raise UsageError(f"{key} in {sources.get(key, 'the configuration')} {reason}")
     base = base_values(values)
     sources = {**dict.fromkeys(base, f"profile {name_in(values)}"), **sources}
-    config = _validate({**base, **values}, sources)
+    config = _validate({KEY: name_in(values), **base, **values}, sources)
     check_rates(config)
     check_map(config)
     check_faults(config, sources)
@@ -244,7 +246,8 @@ def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping
     message = plain_fault(first["msg"])
     location = [str(part) for part in first["loc"] if not str(part).isdigit()]
     if not location:  # of the configuration as a whole
-        files = ", ".join(dict.fromkeys(sources.values()))
+        given = (s for s in sources.values() if s != BY_DEFAULT and not s.startswith("profile "))
+        files = ", ".join(dict.fromkeys(given))
         return f"the configuration of {files or 'this flight'} is wrong: {message}"
     prefixes = [".".join(location[:n]) for n in range(len(location), 0, -1)]
     key = next((prefix for prefix in prefixes if prefix in values), prefixes[0])
