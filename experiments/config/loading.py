@@ -246,8 +246,8 @@ def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping
     message = plain_fault(first["msg"])
     location = [str(part) for part in first["loc"] if not str(part).isdigit()]
     if not location:  # of the configuration as a whole
-        given = (s for s in sources.values() if s != BY_DEFAULT and not s.startswith("profile "))
-        files = ", ".join(dict.fromkeys(given))
+        named = (s for s in sources.values() if s != BY_DEFAULT and not s.startswith("profile "))
+        files = ", ".join(dict.fromkeys(named))
         return f"the configuration of {files or 'this flight'} is wrong: {message}"
     prefixes = [".".join(location[:n]) for n in range(len(location), 0, -1)]
     key = next((prefix for prefix in prefixes if prefix in values), prefixes[0])
