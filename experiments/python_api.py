@@ -14,9 +14,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from touchdown.experiments.config.files import check_named_code, read_tree
+from touchdown.experiments.config.files import check_named_code
 from touchdown.experiments.config.keys import flatten
-from touchdown.experiments.config.loading import OPTION_KEYS, config_of, dump_config
+from touchdown.experiments.config.loading import (
+    OPTION_KEYS,
+    config_of,
+    dump_config,
+    read_values,
+    under_profile,
+)
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, usage_errors
 
@@ -52,7 +58,8 @@ def load_config(
     values: dict[str, Any] = {}
     sources: dict[str, str] = {}
     if file is not None:
-        for key, value in flatten(read_tree(Path(file))):
+        path = Path(file)
+        for key, value in under_profile(path, read_values(path), overrides or {}).items():
             values[key], sources[key] = value, str(file)
         named_here = estimator is not None or "estimator" in (overrides or {})
         if not (allow_code or named_here):

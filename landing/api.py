@@ -239,6 +239,8 @@ class LandingParams:
     methods whose maps are no better than their positions"""
     survey_only: bool = False
     """stop after the survey (the positioning experiment)"""
+    return_home: bool = False
+    """after the survey back to the take-off spot, and down there, without choosing a site"""
     second_look: bool = True
     """look at the site again from ``look_height_m`` before landing on it"""
     decision_latency_s: NotNegative = 0.3

@@ -42,8 +42,9 @@ def endurance_config(
         "sim.threads=1",
     )
     return load_config(
-        None, (*survey, *overrides), scene=scene, estimator=estimator, seed=seed, record=False
-    )
+        None, (*survey, *overrides), profile_default="ideal",
+        scene=scene, estimator=estimator, seed=seed, record=False,
+    )  # fmt: skip
 
 
 class _Minutes(NullRecorder):

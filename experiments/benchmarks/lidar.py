@@ -32,8 +32,9 @@ def bench_lidar(
     `build_scene`.
     """
     config = load_config(
-        None, [f"lidar.preset={preset}"], scene=scene, estimator="oracle", seed=seed, record=False
-    )
+        None, [f"lidar.preset={preset}"], profile_default="ideal",
+        scene=scene, estimator="oracle", seed=seed, record=False,
+    )  # fmt: skip
     built = build_scene(config)
     references = ReferenceCasters(built, config.lidar, config.seed)
     middle = np.append(built.takeoff_xy_m, _HEIGHT_M)

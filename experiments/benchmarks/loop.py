@@ -33,7 +33,23 @@ def overhead_config(*, scene: str, seed: int, full: bool) -> Config:
     alone, and a short one unless ``full``. Raises UsageError."""
     overrides = ["sim.threads=1", "landing.survey_only=true"]
     overrides += [] if full else list(SHORT_SURVEY)
-    return load_config(None, overrides, scene=scene, estimator="oracle", seed=seed, record=True)
+    return load_config(
+        None, overrides, profile_default="ideal",  # what the bare computation does
+        scene=scene, estimator="oracle", seed=seed, record=True,
+    )  # fmt: skip
+
+
+def profile_configs(*, scene: str, estimator: str, seed: int, full: bool) -> dict[str, Config]:
+    """Configurations of the flights of `profile_cost.measure_profile_cost`: one thread, the survey
+    alone, and a short one unless ``full``. Raises UsageError."""
+    overrides = ["sim.threads=1", *(() if full else SHORT_SURVEY)]
+    return {
+        profile: load_config(
+            None, overrides, scene=scene, estimator=estimator, seed=seed, profile=profile,
+            record=False, survey_only=True,
+        )
+        for profile in ("field", "ideal")
+    }  # fmt: skip
 
 
 def measure_loop_overhead(config: Config) -> dict[str, Any]:

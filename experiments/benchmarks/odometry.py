@@ -67,7 +67,7 @@ def flight_config(scene: str, seed: int, overrides: Sequence[str] = ()) -> Confi
     """Configuration of the logged survey. Raises UsageError."""
     return load_config(
         None, list(overrides), scene=scene, seed=seed, estimator="livo", record=False,
-        survey_only=True, log_sensors=True,
+        survey_only=True, log_sensors=True, profile_default="ideal",
     )  # fmt: skip
 
 

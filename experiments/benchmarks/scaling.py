@@ -31,6 +31,7 @@ def scaling_plan(folder: Path, *, scene: str, estimator: str, runs: int) -> Plan
     """Plan of landings after a short survey, seeds from 0, whose file is written to ``folder``.
     Raises UsageError."""
     lines = [_PLAN.format(scene=scene, estimator=estimator, last=runs - 1), "[base]\n"]
+    lines += ['profile = "ideal"\n']
     lines += [f"{setting}\n" for setting in SHORT_SURVEY]
     file = folder / "scaling.toml"
     file.write_text("".join(lines), encoding="utf-8")

@@ -233,7 +233,15 @@ def run(
         check_scene_name(name)
     given = ["sim.threads=1", *overrides, *([f"landing.scorer={scorer}"] if scorer else [])]
     configs = [
-        load_config(None, given, scene=scene, seed=seed, estimator="oracle", record=False)
+        load_config(
+            None,
+            given,
+            profile_default="ideal",
+            scene=scene,
+            seed=seed,
+            estimator="oracle",
+            record=False,
+        )
         for scene in scenes
         for seed in parse_seeds(seeds, "--seeds")
     ]

@@ -55,7 +55,10 @@ def bench_landing(
     overrides = ["sim.threads=1", f"landing.classifier_threads={threads}"]
     if network is not None:
         overrides.append(f"landing.classifier={json.dumps(str(network))}")
-    config = load_config(None, overrides, scene=scene, seed=seed, estimator="oracle", record=False)
+    config = load_config(
+        None, overrides, profile_default="ideal",
+        scene=scene, seed=seed, estimator="oracle", record=False,
+    )  # fmt: skip
     classifier = build_classifier(config)
     checks: list[SiteClassCheck] = []
 

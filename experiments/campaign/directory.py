@@ -13,11 +13,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.campaign.plan import Plan, PlannedRun, config_for, config_sha
+from touchdown.experiments.campaign.plan import (
+    BOUNDS,
+    Plan,
+    PlannedRun,
+    config_for,
+    config_sha,
+    of_version_before_profiles,
+)
 from touchdown.experiments.campaign.results_table import FAILED, RESULTS_FILE, RUNS, refresh
 from touchdown.experiments.campaign.run_names import is_run_name
 from touchdown.experiments.campaign.worker import PARTIAL, Task
 from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.config.profiles import BEFORE_PROFILES
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.external.loading import code_now, is_external
 from touchdown.experiments.io.foreign import inside, is_plain_name, read_object, refuse_links, shown
@@ -166,9 +174,19 @@ def _is_expectation(tree: object) -> bool:
         and isinstance(tree.get("name"), str)
         and isinstance(tree.get("outcome"), list)
         and all(isinstance(outcome, str) for outcome in tree["outcome"])
-        and (limit is None or (isinstance(limit, float | int) and not isinstance(limit, bool)))
+        and (limit is None or _is_number(limit))
+        and (tree.get("success_at_least") is None or _is_number(tree["success_at_least"]))
+        and all(_are_bounds(tree.get(name, {})) for name in BOUNDS)
         and isinstance(tree.get("unsafe"), bool)
     )
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, float | int) and not isinstance(value, bool)
+
+
+def _are_bounds(tree: object) -> bool:
+    return isinstance(tree, dict) and all(map(_is_number, tree.values()))
 
 
 def settle_plan(plan: Plan, directory: Path, git_revision: str | None) -> Plan:
@@ -186,6 +204,9 @@ def settle_plan(plan: Plan, directory: Path, git_revision: str | None) -> Plan:
     }
     if (directory / PLAN_FILE).is_file():
         before = read_plan_file(directory)
+        flown = {run["values"].get("profile", BEFORE_PROFILES) for run in before["runs"]}
+        if flown == {BEFORE_PROFILES}:
+            plan = of_version_before_profiles(plan)
         plan = replace(plan, runs=_merged(plan.runs, before["runs"], directory))
         document |= {key: before[key] for key in ("git_revision", "created_utc", "sessions")}
     document |= {
@@ -223,6 +244,8 @@ def _merged(
     """``runs`` under the names that they had, which lengthen when an axis gets a second value."""
     # Compared as today's program understands them: defaults may have changed since.
     source = str(directory / PLAN_FILE)
+    unnamed = {"profile": BEFORE_PROFILES}
+    before = [{**old, "values": {**unnamed, **old["values"]}} for old in before]
     for old in before:
         if not is_run_name(old["run_id"], old["values"]):
             raise UsageError(

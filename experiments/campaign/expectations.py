@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -53,6 +54,7 @@ def judge(
 ) -> Verdict:
     """Returns the verdict on one expectation; ``runs`` as in ``campaign.json``, ``rows`` by run."""
     when = expectation["when"]
+    found: list[Mapping[str, Any]] = []
     verdict = Verdict(expectation["name"] or _label(when), expected=expected_text(expectation))
     for run in runs:
         if not all(run["values"].get(key) in wanted for key, wanted in when.items()):
@@ -67,9 +69,36 @@ def judge(
         error = row.get("position_error_m.max")
         if error is not None:
             verdict.largest_error_m = max(error, verdict.largest_error_m or 0.0)
+        found.append(row)
         if reason := unexpected(expectation, row):
             verdict.failures[run["run_id"]] = reason
+    if verdict.finished == verdict.runs:
+        verdict.failures |= _unexpected_means(expectation, found)
     return verdict
+
+
+def _unexpected_means(
+    expectation: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]
+) -> dict[str, str]:
+    """Means beyond their bounds, by scene and method. A column without a number in a group is one:
+    what was not measured was not shown."""
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault(f"{row.get('scene')}, {row.get('estimator')}", []).append(row)
+    found: dict[str, str] = {}
+    least = expectation.get("success_at_least")
+    successful = sum(row.get("success") is True for row in rows)
+    if least is not None and not successful >= least * len(rows):
+        found["all"] = f"{successful} of {len(rows)} successful, at least {least:.0%} expected"
+    for name, word, sign in (("mean_at_most", "most", 1.0), ("mean_at_least", "least", -1.0)):
+        for key, bound in (expectation.get(name) or {}).items():
+            for group, members in groups.items():
+                numbers = [float(row[key]) for row in members if row.get(key) is not None]
+                mean = sum(numbers) / len(numbers) if numbers else math.nan
+                if not sign * mean <= sign * bound:
+                    text = f"mean of {key} {mean:.3g}, at {word} {bound:g} expected"
+                    found[group] = ", ".join(filter(None, (found.get(group), text)))
+    return found
 
 
 def unexpected(expectation: Mapping[str, Any], row: Mapping[str, Any]) -> str:
@@ -86,6 +115,11 @@ def unexpected(expectation: Mapping[str, Any], row: Mapping[str, Any]) -> str:
     if limit is not None and (error is None or error > limit):
         found = "unknown" if error is None else f"{error:.2f} m"
         reasons.append(f"position error {found}, at most {limit:g} m expected")
+    for key, bound in (expectation.get("at_most") or {}).items():
+        value = row.get(key)
+        if value is None or not value <= bound:
+            text = "unknown" if value is None else f"{value:.3g}"
+            reasons.append(f"{key} {text}, at most {bound:g} expected")
     return ", ".join(reasons)
 
 
@@ -101,6 +135,12 @@ def expected_text(expectation: Mapping[str, Any]) -> str:
     parts = [" or ".join(expectation["outcome"]) or "any outcome"]
     if expectation["position_error_m_max"] is not None:
         parts.append(f"error at most {expectation['position_error_m_max']:g} m")
+    for name, word in (("at_most", ""), ("mean_at_most", "mean "), ("mean_at_least", "mean ")):
+        side = "least" if name == "mean_at_least" else "most"
+        for key, bound in (expectation.get(name) or {}).items():
+            parts.append(f"{word}{key} at {side} {bound:g}")
+    if expectation.get("success_at_least") is not None:
+        parts.append(f"{expectation['success_at_least']:.0%} successful")
     if not expectation["unsafe"]:
         parts.append("no unsafe touchdown")
     return ", ".join(parts)

@@ -8,7 +8,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,10 +23,12 @@ from touchdown.experiments.config.loading import (
     is_key,
     known_keys,
 )
+from touchdown.experiments.config.profiles import BEFORE_PROFILES, DEFAULT
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
 from touchdown.experiments.io.foreign import LONGEST_NAME, is_plain_name, shown
+from touchdown.experiments.io.results import columns
 
 _OWN_KEYS = {
     "scene": "an axis: [axes] scene",
@@ -84,8 +86,20 @@ class Expect(BaseModel):
     """any of these; none: any outcome but a crash of the program"""
     position_error_m_max: float | None = Field(default=None, gt=0)
     """largest position error up to the end of the survey"""
+    at_most: dict[str, Any] = Field(default_factory=dict)
+    """bounds by column of the results, for each run"""
+    mean_at_most: dict[str, Any] = Field(default_factory=dict)
+    """bounds by column, for the mean over the runs of each scene with each method"""
+    mean_at_least: dict[str, Any] = Field(default_factory=dict)
+    """the same from below"""
+    success_at_least: float | None = Field(default=None, ge=0, le=1)
+    """share of the runs that land on safe ground, or complete the survey"""
     unsafe: bool = False
     """whether touching down on unsafe ground, or not on the legs, is as expected"""
+
+
+BOUNDS = ("at_most", "mean_at_most", "mean_at_least")
+"""Fields of ``Expect`` that bound columns of the results."""
 
 
 class CampaignFile(BaseModel):
@@ -129,6 +143,8 @@ class Plan:
     """the file as given"""
     expect: tuple[Mapping[str, Any], ...] = ()
     """what runs are to come to: the keys of ``Expect``, ``when`` by dotted keys of runs' values"""
+    names_profile: bool = False
+    """True if the file says which profile is flown"""
 
 
 def load_plan(file: Path, *, allow_code: bool = False) -> Plan:
@@ -161,7 +177,20 @@ def load_plan(file: Path, *, allow_code: bool = False) -> Plan:
         runs=tuple(runs),
         text=file.read_text(encoding="utf-8"),
         expect=tuple(expect),
+        names_profile=any("profile" in keys for keys in (axes, base, *(s for _, s in overrides))),
     )
+
+
+def of_version_before_profiles(plan: Plan) -> Plan:
+    """``plan`` as a program without profiles made it; the same where its file names one."""
+    if plan.names_profile:
+        return plan
+    runs = []
+    for run in plan.runs:
+        values = {**run.values, "profile": BEFORE_PROFILES}
+        sha = config_sha(config_for(values, f"run {run.run_id}"))
+        runs.append(replace(run, values=values, config_sha=sha))
+    return replace(plan, runs=tuple(runs))
 
 
 def config_for(values: Mapping[str, Any], source: str) -> Config:
@@ -273,9 +302,23 @@ def _expectation(entry: Expect, axes: Mapping[str, list[Any]], source: str) -> d
         if outcome not in list(Outcome):
             hint = nearest(outcome, list(Outcome)) or "; known: " + ", ".join(Outcome)
             raise UsageError(f"unknown outcome '{outcome}' in {source}{hint}")
+    bounds = {name: _bounds(getattr(entry, name), name, source) for name in BOUNDS}
     return entry.model_dump(mode="json") | {
-        "when": {AXES.get(axis, axis): wanted for axis, wanted in when.items()}
+        "when": {AXES.get(axis, axis): wanted for axis, wanted in when.items()},
+        **{name: found for name, found in bounds.items() if found},
     }
+
+
+def _bounds(tree: Mapping[str, Any], name: str, source: str) -> dict[str, float]:
+    """Bounds by column of the results."""
+    known = [*columns(), "success"]
+    found = dict(flatten(tree))
+    for key, bound in found.items():
+        if key not in known:
+            raise UsageError(f"unknown column '{key}' in {name} of {source}{nearest(key, known)}")
+        if isinstance(bound, bool) or not isinstance(bound, int | float):
+            raise UsageError(f"{name} of {source}: the bound of {key} must be a number")
+    return found
 
 
 def _check_settable(values: Iterable[str], axes: Iterable[str], source: str) -> None:
@@ -324,7 +367,7 @@ def _runs(
         place = dict(zip(axes, point, strict=True))
         if any(all(place[axis] in wanted for axis, wanted in when.items()) for when in skipped):
             continue
-        values: dict[str, Any] = {"sim.threads": 1, **base}
+        values: dict[str, Any] = {"sim.threads": 1, "profile": DEFAULT, **base}
         for when, settings in overrides:
             if all(place[axis] in wanted for axis, wanted in when.items()):
                 values |= settings

@@ -86,7 +86,10 @@ def scene_patches(
     ``new_colours`` of the images the materials have random colours. There are fewer patches where
     the scene does not show enough unambiguous ground. Raises UsageError for an unknown scene.
     """
-    config = load_config(None, ("camera.noise_sigma=0", "camera.samples=4"), scene=name, seed=seed)
+    config = load_config(
+        None, ("camera.noise_sigma=0", "camera.samples=4"), profile_default="ideal",
+        scene=name, seed=seed,
+    )  # fmt: skip
     scene = build_scene(config)
     rng = np.random.default_rng([seed, variation, crc32(b"patches"), crc32(name.encode())])
     colours = np.random.default_rng([seed, variation, crc32(b"colours"), crc32(name.encode())])

@@ -54,8 +54,10 @@ def calibrate(
     from touchdown.experiments.calibration.evaluate import run_calibration
     from touchdown.experiments.config.loading import load_config
 
-    # No estimator is built.
-    config = load_config(config_file, overrides, allow_code=True, seed=seed)
+    # No estimator is built. Calibration is done in a workshop, on a rig at rest in even light.
+    config = load_config(
+        config_file, overrides, allow_code=True, profile_default="ideal", seed=seed
+    )
     report = usage_errors(lambda: run_calibration(config, poses, out, pictures, make_notes(quiet)))
     if as_json:
         click.echo(json.dumps(report, indent=2))

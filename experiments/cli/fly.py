@@ -49,7 +49,7 @@ _FLIGHT_OPTIONS = (
     click.option(
         "--profile",
         type=click.Choice(["ideal", "field", "harsh"]),
-        help="How kind the world is.  [ideal]",
+        help="How kind the world is.  [field]",
     ),
     click.option("--wind-kmh", type=float, help="Mean wind speed at 6 m.  [12]"),
     click.option(

@@ -61,8 +61,9 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
     from touchdown.experiments.campaign.expectations import all_as_expected, judge_campaign, lines
     from touchdown.experiments.campaign.results_table import is_campaign
     from touchdown.experiments.errors import UsageError
+    from touchdown.experiments.reporting.conditions import first_condition
     from touchdown.experiments.reporting.document import as_json as figures
-    from touchdown.experiments.reporting.document import make_report, write_report
+    from touchdown.experiments.reporting.document import make_report, markdown_table, write_report
     from touchdown.experiments.reporting.flights import campaign_text, load_flights
 
     rows = load_flights(directory)
@@ -72,6 +73,7 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
         title=f"Touchdown: {directory.resolve().name}",
         configuration=campaign_text(directory),
         verdicts=verdicts,
+        first=first_condition(directory),
     )
     try:
         written = write_report(made, rows, out)
@@ -84,6 +86,9 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
     for section in made.sections[:2]:
         say(f"{section.title}\n")
         say("\n".join(f"- {visible(line)}" for line in section.words) + "\n")
+    for section in made.sections:
+        if section.key == "flights":
+            say("\n".join(map(visible, markdown_table(section.tables[0]))) + "\n")
     if verdicts:
         say("\n".join(map(visible, lines(verdicts))) + "\n")
     for path in written.values():

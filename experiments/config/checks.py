@@ -74,7 +74,11 @@ def check_survey(config: Config, sources: Mapping[str, str]) -> None:
     path = dataclasses.replace(config.survey, height_m=SurveyParams().height_m)
     problem = "" if path == SurveyParams() else survey_problem(path)
     if problem:
-        given = {source: None for key, source in sources.items() if key.startswith("survey.")}
+        given = {
+            source: None
+            for key, source in sources.items()
+            if key.startswith("survey.") and not source.startswith("profile ")
+        }
         raise UsageError(f"{problem} (survey as set in {', '.join(given)})")
 
 

@@ -36,10 +36,12 @@ from touchdown.experiments.config.files import (
 from touchdown.experiments.config.files import read_tree as read_tree
 from touchdown.experiments.config.keys import flatten, is_external_key
 from touchdown.experiments.config.profiles import (
+    BEFORE_PROFILES,
+    DEFAULT,
     KEY,
+    base_values,
     chosen_by_hand,
     name_in,
-    profile_values,
 )
 from touchdown.experiments.config.ranges import rule_of
 from touchdown.experiments.config.schema import Config
@@ -61,6 +63,8 @@ OPTION_KEYS: Mapping[str, str] = {
     "fault": "faults.events",
 }
 """Explicit options of ``load_config`` and the keys that they set."""
+BY_DEFAULT = "the defaults"
+"""Source of the profile that nothing names."""
 
 
 def load_config(
@@ -69,6 +73,7 @@ def load_config(
     take: Callable[[str], bool] = lambda _key: True,
     *,
     allow_code: bool = False,
+    profile_default: str = DEFAULT,
     **options: Any,
 ) -> Config:
     """Builds the configuration of a flight.
@@ -77,12 +82,13 @@ def load_config(
     are TOML (bare words count as text); ``options`` are the names in ``OPTION_KEYS``, where None
     means not given. Keys of the file for which ``take`` is false are left out. Without
     ``allow_code`` a file that came with results must not name an external estimator, unless an
-    override or an option names one too. Raises ``UsageError``.
+    override or an option names one too. ``profile_default`` is the profile where no source names
+    one. Raises ``UsageError``.
     """
     values: dict[str, Any] = {}
     sources: dict[str, str] = {}
     if file is not None:
-        for key, value in flatten(read_tree(file)):
+        for key, value in read_values(file).items():
             if take(key):
                 values[key], sources[key] = value, str(file)
     given: dict[str, Any] = {}
@@ -94,17 +100,27 @@ def load_config(
             key = OPTION_KEYS[name]
             given[key] = list(value) if isinstance(value, tuple) else value
             sources[key] = f"--{name.replace('_', '-')}"
-    if file is not None and came_with_results(file):
-        values = _of_earlier_run(values, given)
+    if file is not None:
+        values = under_profile(file, values, given)
     values |= given
+    if KEY not in values:
+        values[KEY], sources[KEY] = profile_default, BY_DEFAULT
     if file is not None and not allow_code and sources.get("estimator") == str(file):
         check_named_code(file, [values.get("estimator")])
     return config_of(values, sources)
 
 
-def _of_earlier_run(values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """The values that a run's ``config.json`` contributes beside those of the command line."""
-    if KEY in given and given[KEY] != name_in(values):
+def read_values(file: Path) -> dict[str, Any]:
+    """The values by dotted key of a configuration file. A JSON file is the ``config.json`` of a
+    run: without a profile it is of a version that had none. Raises ``UsageError``."""
+    values = dict(flatten(read_tree(file)))
+    return {KEY: BEFORE_PROFILES, **values} if file.suffix == ".json" else values
+
+
+def under_profile(file: Path, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """The ``values`` that ``file`` contributes beside those ``given`` by hand: of a whole
+    configuration under another profile, only what its author had chosen."""
+    if came_with_results(file) and KEY in given and given[KEY] != name_in(values):
         return chosen_by_hand(values, dict(_defaults()))
     return values
 
@@ -120,10 +136,9 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
     if found := wrong_external_key(values, values.get("estimator", "livo")):
         key, reason = found
         raise UsageError(f"{key} in {sources.get(key, 'the configuration')} {reason}")
-    name = name_in(values)
-    base = profile_values(name)
-    sources = {**dict.fromkeys(base, f"profile {name}"), **sources}
-    config = _validate({**base, **values}, sources)
+    base = base_values(values)
+    sources = {**dict.fromkeys(base, f"profile {name_in(values)}"), **sources}
+    config = _validate({KEY: name_in(values), **base, **values}, sources)
     check_rates(config)
     check_map(config)
     check_faults(config, sources)
@@ -231,7 +246,8 @@ def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping
     message = plain_fault(first["msg"])
     location = [str(part) for part in first["loc"] if not str(part).isdigit()]
     if not location:  # of the configuration as a whole
-        files = ", ".join(dict.fromkeys(sources.values()))
+        named = (s for s in sources.values() if s != BY_DEFAULT and not s.startswith("profile "))
+        files = ", ".join(dict.fromkeys(named))
         return f"the configuration of {files or 'this flight'} is wrong: {message}"
     prefixes = [".".join(location[:n]) for n in range(len(location), 0, -1)]
     key = next((prefix for prefix in prefixes if prefix in values), prefixes[0])

@@ -1,12 +1,13 @@
 """Profiles: named sets of keys that say how kind the simulated world is.
 
-``ideal`` is the defaults of the schema. ``field`` and ``harsh`` are files beside this module, in
-the form of a user's configuration file. Any other source of a key takes precedence over the
-profile.
+``ideal`` is the defaults of the schema. ``field``, which is flown where nothing else is named, and
+``harsh`` are files beside this module, in the form of a user's configuration file. Any other source
+of a key takes precedence over the profile.
 """
 
 from __future__ import annotations
 
+import fnmatch
 import functools
 import tomllib
 from collections.abc import Mapping
@@ -14,10 +15,16 @@ from importlib import resources
 from typing import Any
 
 from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.errors import UsageError, nearest
 
 KEY = "profile"
 """The key that names the profile."""
-DEFAULT = "ideal"
+EFFECTS_KEY = "harsh_effects"
+"""The key that names effects at the level of `harsh`."""
+DEFAULT = "field"
+"""The profile of a flight that names none."""
+BEFORE_PROFILES = "ideal"
+"""The profile of files that the program wrote before there were profiles."""
 _LAYERS: Mapping[str, tuple[str, ...]] = {
     "ideal": (),
     "field": ("field",),
@@ -37,6 +44,46 @@ def profile_values(name: str) -> Mapping[str, Any]:
     return values
 
 
+@functools.cache
+def effects() -> Mapping[str, Mapping[str, Any]]:
+    """The groups of keys that `harsh` changes, by the name of the effect, with the values of
+    `harsh`. Raises ValueError for a pattern without a key, and a key in no or two groups."""
+    file = resources.files(__package__).joinpath("profiles", "effects.toml")
+    harsh = resources.files(__package__).joinpath("profiles", "harsh.toml")
+    values = dict(flatten(tomllib.loads(harsh.read_text(encoding="utf-8"))))
+    groups: dict[str, dict[str, Any]] = {}
+    left = dict(values)
+    for name, patterns in tomllib.loads(file.read_text(encoding="utf-8")).items():
+        groups[name] = {}
+        for pattern in patterns:
+            found = fnmatch.filter(left, pattern)
+            if not found:
+                raise ValueError(f"effect {name}: no key left for '{pattern}'")
+            groups[name] |= {key: left.pop(key) for key in found}
+    if left:
+        raise ValueError(f"no effect has {', '.join(left)}")
+    return groups
+
+
+def effect_values(names: Any) -> dict[str, Any]:
+    """The values by dotted key of effects at the level of `harsh`. Raises UsageError for a name
+    that is none."""
+    values: dict[str, Any] = {}
+    for name in names if isinstance(names, list | tuple) else ():
+        if name not in effects():
+            raise UsageError(
+                f"harsh_effects: unknown effect '{str(name)[:40]}'{nearest(str(name), effects())}; "
+                f"known: {', '.join(effects())}"
+            )
+        values |= effects()[name]
+    return values
+
+
+def base_values(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values that the profile and the effects of ``values`` set."""
+    return {**profile_values(name_in(values)), **effect_values(values.get(EFFECTS_KEY))}
+
+
 def name_in(values: Mapping[str, Any]) -> str:
     """The profile that ``values`` by dotted key name; the default where they name none."""
     name = values.get(KEY, DEFAULT)
@@ -49,5 +96,5 @@ def chosen_by_hand(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> di
     A ``config.json`` holds every key. Where a command names another profile, only what departs from
     the profile of the file was chosen by its author and stays. ``defaults`` are those of all keys.
     """
-    own = {**defaults, **profile_values(name_in(values))}
+    own = {**defaults, **base_values(values)}
     return {key: value for key, value in values.items() if key not in own or own[key] != value}

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from types import NoneType, UnionType
 from typing import Any
 
+from touchdown.experiments.config.profiles import DEFAULT, KEY
 from touchdown.experiments.config.ranges import bounds_of, range_text, types_of_keys
 from touchdown.experiments.config.schema import Config
 
@@ -28,10 +29,12 @@ _KINDS = {bool: "true or false", str: "text", int: "whole number", float: "numbe
 
 INTRODUCTION = """# Configuration keys
 
-Every key of a flight with its unit, default and meaning, made from the schema. A key is set in a
-TOML file (`--config`), by `--set KEY=VALUE`, or in Python by `overrides={"KEY": VALUE}`; see
-[Flying](flying.md) for files and their order. An unknown key, a value outside its range and a wrong
-type are refused in one line. `ticks` are periods of `sim.tick_hz`.
+Every key of a flight with its unit, default and meaning, made from the schema. The defaults are
+those of profile `ideal`; the profile that is flown, `field`, sets others
+([Flying](flying.md#profiles)). A key is set in a TOML file (`--config`), by `--set KEY=VALUE`, or
+in Python by `overrides={"KEY": VALUE}`; see [Flying](flying.md) for files and their order. An
+unknown key, a value outside its range and a wrong type are refused in one line. `ticks` are
+periods of `sim.tick_hz`.
 """
 
 
@@ -92,6 +95,8 @@ def _kind_texts(kind: Any) -> Iterator[str]:
 
 def default_of(key: str) -> str:
     """The default as TOML, or ``none``."""
+    if key == KEY:
+        return f"`{json.dumps(DEFAULT)}`"
     group, _, name = key.partition(".")
     value = getattr(Config(), group)
     value = getattr(value, name) if name else value

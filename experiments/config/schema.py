@@ -84,7 +84,10 @@ class Config(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     profile: Literal["ideal", "field", "harsh"] = "ideal"
-    """how kind the world is: the set of keys that all other sources of a key override"""
+    """how kind the world is: the set of keys that all other sources of a key override; ``ideal`` is
+    the defaults of all keys, ``field`` is flown where nothing else is named"""
+    harsh_effects: tuple[str, ...] = ()
+    """effects at the level of ``harsh`` on top of the profile, such as ``vibration``"""
     scene: str = "crossroad"
     """name of a scene, or path of an MJCF file"""
     seed: CountOrZero = 0

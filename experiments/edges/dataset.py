@@ -71,7 +71,7 @@ def edge_views(
     """
     for name in scenes:
         for seed in seeds:
-            config = load_config(None, (), scene=name, seed=seed)
+            config = load_config(scene=name, seed=seed, profile_default="ideal")
             scene = build_scene(config)
             progress(f"{name}, seed {seed}")
             yield from _scene_views(config, scene, views)

@@ -87,7 +87,10 @@ def comparison_image(detector: Callable[[Image], Float32], views: Sequence[EdgeV
 
 def smoothness_image(shown: EdgeView, model: str) -> Image:
     """Image, energy, f_c of the returns of one scan, and the points chosen by it."""
-    config = load_config(None, (f"paper.edge_model={model}",), scene=shown.scene, seed=shown.seed)
+    config = load_config(
+        None, (f"paper.edge_model={model}",),
+        scene=shown.scene, seed=shown.seed, profile_default="ideal",
+    )  # fmt: skip
     scene = build_scene(config)
     view, found = still_features(config, scene, shown.world_from_body, shown.time_s)
     energy = np.asarray(cv2.resize(energy_colours(found.energy), view.rgb.shape[1::-1]), np.uint8)

@@ -48,6 +48,7 @@ from scipy import ndimage
 
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.config.profiles import DEFAULT, PROFILES
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.environments.action_modes import ACTION_MODES, ActionMode
 from touchdown.experiments.environments.observations import SENSORS, ObservationBuffer, sensor_needs
@@ -94,6 +95,8 @@ class TaskOptions:
     time_limit_s: float = 60.0
     action_hz: int = 50
     wind_kmh: float = 12.0
+    profile: str = DEFAULT
+    """how kind the world is: ``field``, ``ideal`` or ``harsh``"""
     camera_pixels: tuple[int, int] = (84, 84)
     """width, height; the field of view is 69 degrees along the longer side"""
     view_pixels: tuple[int, int] = (424, 240)
@@ -109,6 +112,9 @@ class TaskOptions:
             raise ValueError(f"sensors holds {given}: give some of {', '.join(SENSORS)}")
         if not self.start_height_m >= 2.0 or not self.start_spread_m >= 0.0:
             raise ValueError("start_height_m must be 2 or more, start_spread_m 0 or more")
+        if self.profile not in PROFILES:
+            known = ", ".join(PROFILES)
+            raise ValueError(f"profile '{self.profile}' is unknown: give one of {known}")
         if not self.time_limit_s > 0.0:
             raise ValueError(f"time_limit_s is {self.time_limit_s:g}: give a positive time")
 
@@ -330,6 +336,7 @@ def _configuration(options: TaskOptions) -> Config:
         ],
         scene=options.scene,
         estimator="oracle",
+        profile=options.profile,
     )
 
 

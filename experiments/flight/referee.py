@@ -105,6 +105,8 @@ class Referee:
         self._survey_from_s: float | None = None
         self._survey_to_s: float | None = None
         self._rest_since_s: float | None = None
+        self._error_at_commit: float | None = None
+        self._error_at_contact: float | None = None
         self._reason = ""
         self._last: tuple[Truth, LanderView] | None = None
 
@@ -123,6 +125,7 @@ class Referee:
                     estimate.position_covariance,
                 )
         self._follow_touchdown(truth, view)
+        self._follow_estimate(truth, believed, view)
         return (
             self._judge_estimate(truth, believed)
             or self._judge_attitude(truth)
@@ -180,6 +183,19 @@ class Referee:
             touchdown.add_after(truth)
         else:
             touchdown.add_before(truth)
+
+    def _follow_estimate(self, truth: Truth, believed: Pose, view: LanderView) -> None:
+        """Keeps the error of the estimate where the descent is committed, and where it ends."""
+        committed = view.committed_site_world is not None and self._error_at_commit is None
+        touched = self._touchdown.contact_xy is not None and self._error_at_contact is None
+        if not (committed or touched):
+            return
+        true = truth.world_from_body.translation
+        error = math.dist(believed.translation.tolist(), true.tolist())
+        if committed:
+            self._error_at_commit = error
+        if touched:
+            self._error_at_contact = error
 
     def _judge_estimate(self, truth: Truth, believed: Pose) -> Outcome | None:
         true = truth.world_from_body
@@ -251,6 +267,8 @@ class Referee:
             touchdown_xy_m=(float(contact_xy[0]), float(contact_xy[1])),
             touchdown_time_s=self._touchdown.contact_time_s,
             target_offset_m=offset,
+            estimate_error_at_commit_m=self._error_at_commit,
+            estimate_error_at_contact_m=self._error_at_contact,
             slope_deg=verdict.slope_deg,
             vertical_speed_mps=touchdown.vertical_speed_mps,
             horizontal_speed_mps=touchdown.horizontal_speed_mps,

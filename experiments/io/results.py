@@ -74,6 +74,10 @@ class Landing(_Part):
     touchdown_xy_m: PointXY = None
     touchdown_time_s: Figure = None
     target_offset_m: Figure = None
+    estimate_error_at_commit_m: Figure = None
+    """distance of the estimate from the truth when the descent to the site is committed, 4 m up"""
+    estimate_error_at_contact_m: Figure = None
+    """the same at the first contact"""
     slope_deg: Figure = None
     vertical_speed_mps: Figure = None
     horizontal_speed_mps: Figure = None

@@ -17,6 +17,7 @@ from touchdown.experiments.errors import visible
 from touchdown.experiments.io.provenance import UNRECORDED_REMEDY
 from touchdown.experiments.io.run_directory import run_directory, write_text
 from touchdown.experiments.reporting import published
+from touchdown.experiments.reporting.conditions import condition_table
 from touchdown.experiments.reporting.drift import add_errors_by_distance, distance_tables
 from touchdown.experiments.reporting.figures import Picture, all_pictures
 from touchdown.experiments.reporting.flights import (
@@ -72,9 +73,10 @@ def make_report(
     title: str,
     configuration: str = "",
     verdicts: Sequence[Verdict] = (),
+    first: str = "",
 ) -> Report:
     """Returns the report of the flights ``rows`` (see `flights.load_flights`); ``verdicts``: on the
-    expectations of the campaign."""
+    expectations of the campaign; ``first``: its first condition (see `condition_table`)."""
     add_path_deviations(rows)
     add_errors_by_distance(rows)
     drawn = [*all_pictures(rows), *landing_pictures(rows)]
@@ -87,6 +89,7 @@ def make_report(
     sections = [
         Section("summary", "Summary", summary_sentences(rows) + leading_sentences(rows), [], []),
         Section("published", "Beside the paper", published_sentences(rows), [], []),
+        Section("flights", "Flights by condition", [], [condition_table(rows, first)], []),
         Section("accuracy", "Accuracy", [], trajectory_tables(rows) + distance_tables(rows), []),
         Section(
             "axes",
@@ -220,13 +223,13 @@ def markdown(report: Report, pictures_at: str = "figures") -> str:
             lines += [f"![{title}]({pictures_at}/{picture.name}.svg)", ""]
             lines += [f"*{title}.* {markdown_text(picture.caption)}", ""]
         for table in section.tables:
-            lines += [*_markdown_table(table), ""]
+            lines += [*markdown_table(table), ""]
     if report.configuration:
         lines += ["## Configuration", "", *fenced(report.configuration), ""]
     return "\n".join(lines)
 
 
-def _markdown_table(table: Table) -> list[str]:
+def markdown_table(table: Table) -> list[str]:
     header = " | ".join(map(markdown_cell, table.header))
     lines = [f"**{markdown_text(table.title)}**", "", f"| {header} |"]
     lines.append("|" + "---|" * len(table.header))

@@ -92,6 +92,17 @@ def difference_interval(new: Array, old: Array) -> Estimate:
     return _interval(float(new.mean() - old.mean()), drawn, min(len(new), len(old)))
 
 
+def ratio_interval(pairs: Sequence[tuple[float, float]]) -> Estimate | None:
+    """Ratio of the means of paired values, the first over the second, pairs resampled together;
+    None without a pair or with a second mean that is not positive."""
+    sample = np.asarray(pairs, dtype=np.float64).reshape(-1, 2)
+    if not len(sample) or not (sample[:, 1] > 0.0).all():
+        return None
+    drawn = bootstrap_weights(len(sample)) @ sample
+    mean = sample.mean(axis=0)
+    return _interval(float(mean[0] / mean[1]), drawn[:, 0] / drawn[:, 1], len(sample))
+
+
 def variance_interval(means: Sequence[float], variances: Sequence[float]) -> Estimate | None:
     """Pooled variance with equal weights of flights: mean of their variances plus variance of their
     means."""

@@ -88,7 +88,7 @@ def _calibration(job: Job) -> Done:
 
     with run_directory(job.folder / PICTURES) as partial_folder:
         report = run_calibration(
-            load_config(seed=0),
+            load_config(seed=0, profile_default="ideal"),
             job.edition.poses,
             partial_folder / "calibration.json",
             partial_folder,
@@ -116,7 +116,7 @@ def _world(job: Job) -> Done:
     )
     from touchdown.experiments.scene_tools.views import write_image
 
-    config = load_config(scene=PAPER_SCENES[0], seed=0)
+    config = load_config(scene=PAPER_SCENES[0], seed=0, profile_default="ideal")
     with run_directory(job.folder / PICTURES) as partial_folder:
         job.notes("drawing the vehicle")
         picture, vehicle = vehicle_portrait(load_configured_scene(config))

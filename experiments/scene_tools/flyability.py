@@ -29,7 +29,7 @@ def check_scene_file(file: str, overrides: Sequence[str] = ()) -> dict[str, Any]
     ground of `scenes.truth.survey_facts.SurveyFacts`. Raises UsageError for a file that cannot be
     read.
     """
-    config = load_config(None, list(overrides), scene=file)
+    config = load_config(None, list(overrides), scene=file, profile_default="ideal")
     scene = load_configured_scene(config)
     facts = {
         **dataclasses.asdict(scene_facts(config, scene)),

@@ -65,7 +65,7 @@ def export_scene_files(name: str, seed: int, out: Path) -> Path:
     Raises UsageError before anything is written."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError(f"--out {out} exists; name a new directory")
-    scene = load_configured_scene(load_config(scene=name, seed=seed))
+    scene = load_configured_scene(load_config(scene=name, seed=seed, profile_default="ideal"))
     _make_folder(out)
     return export_scene(scene, out)
 
@@ -87,7 +87,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def _views(name: str, seed: int, light: Light) -> SceneViews:
-    config = load_config(scene=name, seed=seed, light=light)
+    config = load_config(scene=name, seed=seed, light=light, profile_default="ideal")
     return SceneViews(load_configured_scene(config), config)
 
 

@@ -42,7 +42,7 @@ def check_scene(name: str, seeds: int, progress: Callable[[str], None]) -> dict[
     layouts: dict[int, Any] = {}
     for seed in range(seeds):
         progress(f"{name} seed {seed}")
-        config = load_config(scene=name, seed=seed)
+        config = load_config(scene=name, seed=seed, profile_default="ideal")
         try:
             scene = build_scene(config)
         except (ValueError, OSError) as error:

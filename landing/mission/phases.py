@@ -49,7 +49,9 @@ def run_phases(mission: Mission) -> Steps:
     try:
         yield from take_off(mission)
         yield from survey(mission)
-        if not mission.params.survey_only:
+        if mission.params.return_home:
+            yield from return_home(mission)
+        elif not mission.params.survey_only:
             landed = yield from land_somewhere(mission)
             if not landed and mission.deadline_s is not None:
                 yield from come_down_here(mission)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.run import fly
 
 from support.baselines_support import tiny
+from support.worlds import load_ideal_config as load_config
 
 
 @pytest.mark.parametrize(

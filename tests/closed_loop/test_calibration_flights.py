@@ -14,13 +14,14 @@ import pytest
 from touchdown.experiments.api import CalibrationErrorParams
 from touchdown.experiments.calibration.evaluate import run_calibration
 from touchdown.experiments.cli import main as cli
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.estimator_calibration import believed_rig, erring_rig
 from touchdown.experiments.flight.wiring import build_flight_stack, build_scene
 from touchdown.experiments.io.calibration_file import read_calibration
 from touchdown.sim.api import SensorRig
 from touchdown.sim.frames import so3_log
+
+from support.worlds import load_ideal_config as load_config
 
 
 @pytest.fixture(scope="module")

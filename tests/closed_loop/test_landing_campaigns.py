@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.campaign.plan import Plan, config_for, load_plan
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.wiring import build_scene
+
+from support.worlds import load_ideal_config as load_config
 
 ROOT = Path(__file__).parents[2]
 

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.loop import run_flight
 from touchdown.experiments.flight.platform import limit_threads
 from touchdown.experiments.flight.run import make_referee
 from touchdown.experiments.flight.wiring import build_flight_stack, build_scene
+
+from support.worlds import load_ideal_config as load_config
 
 CONFIG = Path(__file__).parents[2] / "configs" / "open_water.toml"
 SPAN_S = 5.0

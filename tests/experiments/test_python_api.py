@@ -70,7 +70,7 @@ def test_arguments_win_over_overrides_over_the_file(tmp_path: Path) -> None:
     file.write_text("seed = 1\n[wind]\nmean_kmh = 1\n[survey]\nlegs = 2\n")
     config = touchdown.load_config(file, seed=3, overrides={"wind.mean_kmh": 2, "seed": 2})
     assert (config.seed, config.wind.mean_kmh, config.survey.legs) == (3, 2.0, 2)
-    assert touchdown.load_config() == Config()
+    assert touchdown.load_config(overrides={"profile": "ideal"}) == Config()
 
 
 def test_numpy_values_tuples_and_paths_are_taken() -> None:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.run import fly
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.experiments.scene_tools.flyability import check_scene_file
@@ -19,6 +18,7 @@ from touchdown.scenes.truth.maps import truth_maps
 from touchdown.sim.lidar.raycast_scene import LidarScene
 
 from support.truth_rays import SingleRays
+from support.worlds import load_ideal_config as load_config
 
 MAP = (500_000.0, 5_300_000.0)
 TAKEOFF = "<site name='takeoff' pos='{x} {y} 0.1' euler='0 0 30'/>"

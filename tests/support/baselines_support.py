@@ -5,10 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.sim.api import CameraIntrinsics, ImuParams, LidarParams, SensorRig, VehicleModel
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
+
+from support.worlds import load_ideal_config as load_config
 
 HZ = 600
 

@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from touchdown.experiments.config.loading import dump_config, load_config
+from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
 from touchdown.experiments.io.sensor_log import FILE_NAME, SensorLog
 from touchdown.experiments.io.tum import TumWriter
 from touchdown.sim.api import SensorNeeds
 from touchdown.sim.frames import Pose
+
+from support.worlds import load_ideal_config as load_config
 
 LIVO = SensorNeeds(camera_hz=10, lidar=True)
 LIFT_OFF_S = 0.9

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.experiments.benchmarks.posed_survey import Surveyed, observe, posed_survey
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.landing.mission.trajectory import PiecewiseTrajectory, State, through
+
+from support.worlds import load_ideal_config as load_config
 
 Array = NDArray[np.float64]
 

@@ -28,7 +28,6 @@ from touchdown.experiments.benchmarks.loop_overhead import (
 )
 from touchdown.experiments.campaign.plan import Plan
 from touchdown.experiments.cli import main as cli
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
 from touchdown.experiments.flight.wiring import build_scene
@@ -36,6 +35,8 @@ from touchdown.experiments.io.results import RunResult
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraParams, LidarScan, Truth, WorldParams
 from touchdown.sim.frames import Pose, rotation_from_yaw
+
+from support.worlds import load_ideal_config as load_config
 
 LAWN = """<mujoco><worldbody>
 <light pos="0 0 50" dir="0 0 -1"/>

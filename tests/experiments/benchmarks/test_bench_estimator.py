@@ -35,12 +35,12 @@ from touchdown.experiments.benchmarks.odometry_baselines import (
     settings,
 )
 from touchdown.experiments.cli import main as cli
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.metrics import PositioningError
 from touchdown.experiments.flight.replay import open_run, replay_config
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
 
 from support.replay_support import LIFT_OFF_S, make_run, shifted
+from support.worlds import load_ideal_config as load_config
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 needs_evo = pytest.mark.skipif(

@@ -20,7 +20,6 @@ from touchdown.experiments.benchmarks.site_selection_figures import (
     write_steps,
 )
 from touchdown.experiments.cli import main as cli
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.landing.api import LandingParams, Selection
@@ -28,6 +27,7 @@ from touchdown.landing.selection.selector import NOTHING_MAPPED, select_sites
 from touchdown.sim.frames import Pose
 
 from support.landing_support import make_estimate, make_grid, view_of
+from support.worlds import load_ideal_config as load_config
 
 PARAMS = LandingParams()
 ABOVE = make_estimate(0, Pose(np.eye(3), np.array([9.0, 9.0, 30.0])))

@@ -26,6 +26,7 @@ def test_plan_is_the_product_of_the_axes_seed_by_seed(tmp_path: Path) -> None:
     assert names[-1] == "lake-oracle-s8-w20.5"
     assert plan.runs[1].values == {
         "sim.threads": 1,
+        "profile": "field",
         "scene": "flat",
         "estimator": "livo",
         "seed": 3,

@@ -72,6 +72,9 @@ def landed(outcome: str = "LANDED", safe: bool | None = True, error: float = 0.1
         (landed("COLLIDED") | {"landing.touchdown_xy_m": None}, {}, "unsafe touchdown"),
         (landed("DIVERGED") | {"landing.touchdown_xy_m": None}, {}, ""),
         (landed("TIPPED", safe=False), {"unsafe": True}, ""),
+        (landed(), {"at_most": {"position_error_m.max": 0.1}}, ""),
+        (landed(), {"at_most": {"position_error_m.max": 0.09}}, "max 0.1, at most 0.09 expected"),
+        (landed(), {"at_most": {"slowed_s": 1.0}}, "slowed_s unknown"),
         (landed("CRASHED"), {"unsafe": True}, "crashed: why"),
     ],
 )
@@ -94,6 +97,30 @@ def test_runs_are_found_by_their_values_and_counted() -> None:
     assert verdict.failures == {"b": "NO_SITE (why)"} and verdict.word == "1 not as expected"
     assert verdict.outcomes == {"LANDED": 1, "NO_SITE": 1}
     assert judge(fog, runs, {"a": landed(), "b": landed()}).word == "as expected"
+
+
+def test_means_are_judged_by_scene_once_all_runs_are_there() -> None:
+    runs = [{"run_id": name, "values": {}} for name in "abcd"]
+    rows = {
+        name: landed(outcome, error=error)
+        | {"scene": scene, "estimator": "livo", "success": outcome == "LANDED"}
+        for name, scene, error, outcome in (
+            ("a", "lake", 0.1, "LANDED"), ("b", "lake", 0.3, "LANDED"),
+            ("c", "forest", 0.1, "LANDED"), ("d", "forest", 0.2, "NO_SITE"),
+        )
+    }  # fmt: skip
+    bound = {"position_error_m.max": 0.18}
+    at_most, at_least = expectation(mean_at_most=bound), expectation(mean_at_least=bound)
+    assert judge(at_most, runs, {k: rows[k] for k in "abc"}).failures == {}
+    assert judge(at_most, runs, rows).failures == {
+        "lake, livo": "mean of position_error_m.max 0.2, at most 0.18 expected"
+    }
+    assert list(judge(at_least, runs, rows).failures) == ["forest, livo"]
+    unmeasured = judge(expectation(mean_at_most={"slowed_s": 1.0}), runs, rows)
+    assert set(unmeasured.failures) == {"lake, livo", "forest, livo"}
+    assert not judge(expectation(success_at_least=0.75), runs, rows).failures
+    few = judge(expectation(success_at_least=0.76), runs, rows)
+    assert few.failures == {"all": "3 of 4 successful, at least 76% expected"}
 
 
 def test_a_campaign_is_judged_row_by_row(
@@ -127,6 +154,9 @@ def test_a_campaign_is_judged_row_by_row(
         ('name = "lost ones"', "limit = 3", "unknown key 'expect.1.limit'"),
         ("position_error_m_max = 2.0", "position_error_m_max = -1.0", "position_error_m_max"),
         ("when = { estimator", "when = { estimater", "did you mean 'estimator'"),
+        ('name = "lost', 'at_most = { slowed = 1 }\nname = "lost', "column 'slowed' in at_most"),
+        ('name = "lost', 'at_most = { slowed_s = "a" }\nname = "lost', "must be a number"),
+        ('name = "lost', 'success_at_least = 2\nname = "lost', "success_at_least"),
         ('[["fog@0"]] }\noutcome', '[["fog@1"]] }\noutcome', "no value of the axis"),
     ],
 )

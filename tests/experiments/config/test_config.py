@@ -17,7 +17,7 @@ CONFIGS = Path(__file__).parents[3] / "configs"
 
 
 def test_defaults_are_those_of_the_parameter_classes() -> None:
-    config = load_config()
+    config = load_config(profile="ideal")
     assert config == Config()
     assert config.scene == "crossroad"
     assert config.survey.height_m == 30.0

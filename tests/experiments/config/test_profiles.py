@@ -7,11 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from touchdown.experiments.config import loading, profiles
+from touchdown.experiments import python_api
+from touchdown.experiments.config import profiles
 from touchdown.experiments.config.loading import config_of, dump_config, known_keys, load_config
-from touchdown.experiments.config.profiles import PROFILES, profile_values
+from touchdown.experiments.config.profiles import PROFILES, effects, profile_values
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.flight.replay import replay_config
 
 KIND = {"camera.noise_sigma": 3.0, "wind.mean_kmh": 14.0}
 UNKIND = {**KIND, "wind.mean_kmh": 18.0, "camera.gain": 0.5}
@@ -21,8 +23,7 @@ UNKIND = {**KIND, "wind.mean_kmh": 18.0, "camera.gain": 0.5}
 def two(monkeypatch: pytest.MonkeyPatch) -> None:
     """A field of two keys, and a harsh that changes one of them and adds a third."""
     values = {"field": KIND, "harsh": UNKIND}
-    for module in (loading, profiles):
-        monkeypatch.setattr(module, "profile_values", lambda name: values.get(name, {}))
+    monkeypatch.setattr(profiles, "profile_values", lambda name: values.get(name, {}))
 
 
 @pytest.mark.parametrize("name", PROFILES)
@@ -68,7 +69,7 @@ def test_a_run_is_repeated_and_moved_to_another_profile(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("two")
 def test_a_wrong_value_of_a_profile_names_the_profile(monkeypatch: pytest.MonkeyPatch) -> None:
     wrong = {"field": {"camera.gain": -1.0}}
-    monkeypatch.setattr(loading, "profile_values", lambda name: wrong.get(name, {}))
+    monkeypatch.setattr(profiles, "profile_values", lambda name: wrong.get(name, {}))
     with pytest.raises(UsageError, match=r"camera\.gain = -1 in profile field"):
         load_config(profile="field")
 
@@ -82,3 +83,49 @@ def test_an_unknown_profile_is_refused_in_one_line() -> None:
 
 def test_the_profile_is_in_the_dump() -> None:
     assert json.loads(dump_config(load_config(profile="harsh")))["profile"] == "harsh"
+
+
+@pytest.mark.usefixtures("two")
+def test_field_is_flown_where_nothing_names_a_profile(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text("[camera]\ngain = 0.8\n")
+    for config in (load_config(), load_config(file), python_api.load_config(file)):
+        assert (config.profile, config.wind.mean_kmh) == ("field", KIND["wind.mean_kmh"])
+    assert load_config(profile_default="ideal").wind == Config().wind
+    assert load_config(file, ["profile=harsh"], profile_default="ideal").wind.mean_kmh == 18.0
+
+
+@pytest.mark.usefixtures("two")
+def test_a_run_of_a_version_before_profiles_stays_ideal(tmp_path: Path) -> None:
+    old = json.loads(dump_config(Config(seed=3)))
+    del old["profile"], old["harsh_effects"], old["camera"]["noise_sigma"]
+    file = tmp_path / "config.json"
+    file.write_text(json.dumps(old))
+    ideal = Config(seed=3)
+    assert load_config(file) == python_api.load_config(file) == ideal
+    assert replay_config(tmp_path) == ideal
+    assert replay_config(tmp_path, fresh=True) == ideal
+    moved = load_config(file, profile="field")
+    assert moved.wind.mean_kmh == KIND["wind.mean_kmh"]
+    assert python_api.load_config(file, overrides={"profile": "field"}) == moved
+
+
+def test_every_key_of_harsh_is_of_one_effect() -> None:
+    field, harsh = profile_values("field"), profile_values("harsh")
+    changed = {key: value for key, value in harsh.items() if field.get(key) != value}
+    grouped = [key for group in effects().values() for key in group]
+    assert len(grouped) == len(set(grouped)) and set(changed) <= set(grouped)
+    everything = load_config(None, [f"harsh_effects={json.dumps(list(effects()))}"])
+    update = {"profile": "harsh", "harsh_effects": ()}
+    assert everything.model_copy(update=update) == load_config(profile="harsh")
+
+
+def test_one_effect_is_added_to_a_profile() -> None:
+    config = load_config(None, ['harsh_effects=["shutter"]'])
+    plain = load_config()
+    assert config.camera.readout_s == profile_values("harsh")["camera.readout_s"]
+    assert config.camera.readout_s > plain.camera.readout_s and config.imu == plain.imu
+    by_hand = load_config(None, ['harsh_effects=["shutter"]', "camera.readout_s=0.001"])
+    assert by_hand.camera.readout_s == 0.001
+    with pytest.raises(UsageError, match=r"unknown effect 'shuter'.*'shutter'"):
+        load_config(None, ['harsh_effects=["shuter"]'])

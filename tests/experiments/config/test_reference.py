@@ -12,6 +12,7 @@ from touchdown.experiments.config.reference import (
     unit_of,
     values_of,
 )
+from touchdown.experiments.config.schema import Config
 
 
 def test_the_page_has_every_key_once_with_a_meaning() -> None:
@@ -66,4 +67,4 @@ def test_defaults_and_values(key: str, default: str, values: str) -> None:
 def test_defaults_can_be_given_back() -> None:
     pairs = [(key, default_of(key).strip("`")) for key in known_keys()]
     texts = [f"{key}={text}" for key, text in pairs if text != "none"]
-    assert load_config(None, texts) == load_config()
+    assert load_config(None, texts) == Config(profile="field")

@@ -256,7 +256,7 @@ def test_moving_towards_safe_ground_is_rewarded(road: str, make_task: MakeTask) 
 def test_failures_are_penalized(
     lawn: str, make_task: MakeTask, action: list[float], outcome: str
 ) -> None:
-    task = make_task(lawn, start_height_m=12.0)
+    task = make_task(lawn, start_height_m=12.0, profile="ideal")
     task.reset(0, np.random.default_rng(1))
     for _ in range(600):
         last = task.step(np.array(action))

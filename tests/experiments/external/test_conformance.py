@@ -16,12 +16,13 @@ import pytest
 from touchdown.estimator.api import Estimate
 from touchdown.estimator.livo.estimator import Livo
 from touchdown.experiments.cli import main as cli
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.external.conformance import RULES, Violation, check_estimator
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
 from touchdown.experiments.flight.run import fly
 from touchdown.sim.api import GRAVITY_MPS2, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, rotation_from_yaw
+
+from support.worlds import load_ideal_config as load_config
 
 PAGE = Path(__file__).parents[3] / "docs" / "writing-an-estimator.md"
 

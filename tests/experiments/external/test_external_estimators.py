@@ -17,7 +17,7 @@ from touchdown.estimator.api import Estimate
 from touchdown.experiments.campaign.directory import check_external_code
 from touchdown.experiments.campaign.results_table import make_row, write_table
 from touchdown.experiments.cli import main as cli
-from touchdown.experiments.config.loading import dump_config, load_config
+from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.conformance import TURN_RAD, check_estimator
 from touchdown.experiments.external.conformance_motion import MotionCheck
@@ -32,6 +32,7 @@ from touchdown.sim.frames import Pose
 
 from support.campaign_fakes import started
 from support.campaign_flights import axes, is_alive, make_plan
+from support.worlds import load_ideal_config as load_config
 
 TESTS = os.getpid()
 

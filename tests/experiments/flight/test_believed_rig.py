@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.experiments.api import CalibrationErrorParams, StartParams
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.estimator_calibration import (
     believed_rig,
     corner_displacement_px,
@@ -29,6 +28,7 @@ from touchdown.sim.frames import (
 )
 
 from support.livo_flight import make_rig
+from support.worlds import load_ideal_config as load_config
 
 Array = NDArray[np.float64]
 

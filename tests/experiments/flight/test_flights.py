@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.run import fly
 from touchdown.scenes.compose import load_scene
+
+from support.worlds import load_ideal_config as load_config
 
 SHORT = (
     "survey.height_m=12.0",

@@ -59,6 +59,21 @@ def fly_to_descent(referee: Referee) -> None:
     assert judge(referee, 60.0, [5, 6, 1.0], Phase.DESCEND) is None
 
 
+def test_the_error_of_the_estimate_is_kept_at_commit_and_at_contact() -> None:
+    referee = make_referee()
+    fly_to_descent(referee)
+    site = {"committed_site_world": np.array([5.0, 6.0, 0.0])}
+    steps = ((61.0, 0.9, 0.4, ()), (62.0, 0.5, 0.7, ()),
+             (63.0, 0.3, 0.2, LEG_ON_LAWN), (64.0, 0.3, 0.6, LEG_ON_LAWN))  # fmt: skip
+    for time_s, height, error, contacts in steps:
+        judge(referee, time_s, [5, 6, height], Phase.DESCEND, estimate=[5 + error, 6, height],
+              contacts=contacts, view=site)  # fmt: skip
+    landing = referee.result(Outcome.LANDED).landing
+    assert landing is not None
+    assert landing.estimate_error_at_commit_m == pytest.approx(0.4)
+    assert landing.estimate_error_at_contact_m == pytest.approx(0.2)
+
+
 def test_a_safe_landing() -> None:
     ended = []
     referee = make_referee(on_survey_end=lambda: ended.append(True))

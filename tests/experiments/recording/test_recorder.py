@@ -10,7 +10,6 @@ import pytest
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import GridMap, MapView, PoseTrack
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.drawing.map_images import map_points
 from touchdown.experiments.io.sensor_log import FILE_NAME, SensorLog
 from touchdown.experiments.io.tum import TumWriter, read_tum
@@ -42,6 +41,7 @@ from touchdown.sim.api import (
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
 from support.flight_fakes import make_estimate, make_truth, make_view
+from support.worlds import load_ideal_config as load_config
 
 MJCF = """
 <mujoco>

@@ -15,7 +15,6 @@ import pytest
 
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.cli.scenes import VIEW_NAMES
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.drawing.contact_sheet import SHEET_VIEWS, contact_sheet, thumbnails
 from touchdown.experiments.drawing.map_axes import tick_step
 from touchdown.experiments.scene_tools.flyability import check_scene_file
@@ -32,6 +31,8 @@ from touchdown.scenes.truth.survey_facts import (
     layout_rasters,
     survey_facts,
 )
+
+from support.worlds import load_ideal_config as load_config
 
 PLACE = """
 <mujoco>

@@ -318,9 +318,10 @@ def test_unusable_network_is_refused_in_one_line(
 
 def test_classifier_off_and_auto(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("onnx")
-    from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.flight.wiring import build_classifier
     from touchdown.landing.classification import onboard as in_flight
+
+    from support.worlds import load_ideal_config as load_config
 
     shipped = tmp_path / "shipped.onnx"
     monkeypatch.setattr(in_flight, "SHIPPED", shipped)

@@ -84,6 +84,15 @@ def test_no_site_searches_another_leg_then_returns_home() -> None:
     assert puppet.position[:2] == pytest.approx([0.0, 0.0], abs=0.02)
 
 
+def test_return_home_lands_where_it_took_off() -> None:
+    puppet = Puppet(make_lander(return_home=True), flat_map())
+    phases, view = fly(puppet)
+    assert phases[3:] == [Phase.RETURN, Phase.DESCEND, Phase.TOUCHDOWN, Phase.DONE]
+    assert not view.no_site and not view.aborted
+    assert puppet.position[:2] == pytest.approx([0.0, 0.0], abs=0.02)
+    assert view.committed_site_world == pytest.approx([0.0, 0.0, 0.0], abs=0.02)
+
+
 def test_commanded_site_is_flown_to() -> None:
     puppet = Puppet(make_lander(site_xy_m=(7.0, 5.0)), flat_map())
     phases, view = fly(puppet)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.wiring import low_sun
 from touchdown.scenes.api import LowSun, Scene
 from touchdown.scenes.authoring.light import air_mass, lower_sun, sun_colour
@@ -33,6 +32,7 @@ from support.camera_support import make_scene as camera_scene
 from support.fault_air_support import look_down
 from support.fault_support import HZ
 from support.lidar_support import BUDGET, PLANE
+from support.worlds import load_ideal_config as load_config
 
 # ------------------------------------------------------------------------------------ air: numbers
 

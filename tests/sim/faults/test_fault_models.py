@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
 from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import load_scene
@@ -31,6 +30,7 @@ from touchdown.sim.world import MujocoWorld
 
 from support.fault_support import HZ, STEP, delivered
 from support.lidar_support import DOWN
+from support.worlds import load_ideal_config as load_config
 
 Array = NDArray[np.float64]
 

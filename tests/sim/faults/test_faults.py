@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.cli.main import main
-from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.inactive_faults import inactive_faults
 from touchdown.experiments.flight.run import fly
@@ -29,6 +28,7 @@ from support.fault_support import (
     scan,
     world,
 )
+from support.worlds import load_ideal_config as load_config
 
 
 def arrivals(*events: str, **more: Any) -> list[int]:
