@@ -15,16 +15,28 @@ from touchdown.estimator.baselines.aiding import BaroHeight, heading_of, update_
 from touchdown.estimator.baselines.alignment import Alignment, field_azimuth
 from touchdown.estimator.baselines.epochs import Epoch, EpochQueue
 from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
 from touchdown.estimator.filtering.imu_propagation import ROTATION
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
+from touchdown.estimator.filtering.rolling_shutter import at_middle_row
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.guard import InputGuard
-from touchdown.sim.api import MagnetometerSample, Observation, SensorNeeds, SensorRig
+from touchdown.sim.api import (
+    GRAVITY_MPS2,
+    MagnetometerSample,
+    Observation,
+    SensorNeeds,
+    SensorRig,
+)
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
+_LOOSE_TILT = math.radians(10.0)
+"""before the alignment"""
+_CREEP_SIGMA = 1e-3
+"""rad: wind and slow rotors shake a vehicle on its legs"""
 _UNKNOWN_M2 = 1e4
 """position variance before the first measurement"""
 
@@ -91,6 +103,8 @@ class Navigator:
         reach the present."""
         obs = self._guard.screen(self._wanted(obs))
         self.skipped += self._guard.refused
+        middles = tuple(at_middle_row(image, self.rig) for image in obs.images)
+        obs = dataclasses.replace(obs, images=middles)
         epochs = self._queue.take(obs)
         if self._filter is None:
             start = self._alignment.take(obs)
@@ -128,8 +142,11 @@ class Navigator:
         rig = dataclasses.replace(self.rig, world_from_body_start=world_from_body)
         inertial = InertialFilter(rig, self._correction_time_s, attitude_known=False)
         to_imu = self._imu_from_body.rotation
-        spread = np.diag(self._alignment.sigmas() ** 2)
+        spread = np.diag([_LOOSE_TILT, _LOOSE_TILT, self._alignment.heading_sigma()]) ** 2
         inertial.eskf.covariance[ROTATION, ROTATION] = to_imu @ spread @ to_imu.T
+        # the attitude is level already: this relates its error to the accelerometer's bias
+        force = to_imu @ self._alignment.mean_force()
+        align_with_gravity(inertial.eskf, force, GRAVITY_MPS2 * _CREEP_SIGMA)
         return inertial
 
     def _take_heading(self, samples: tuple[MagnetometerSample, ...]) -> None:
