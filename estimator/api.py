@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.estimator.parameters import FlownImuParams as FlownImuParams
 from touchdown.estimator.parameters import GpsEstimatorParams as GpsEstimatorParams
 from touchdown.estimator.parameters import HybridFlowParams as HybridFlowParams
 from touchdown.estimator.parameters import LivoParams as LivoParams

@@ -128,6 +128,23 @@ class LivoParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class FlownImuParams:
+    """Noise of the IMU on the flying vehicle, where above that of the data sheet, as `paper` and
+    the baselines assume it. ``livo`` has its own."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    gyro_density: NotNegative = 0.0
+    """rad/s/sqrt(Hz) of the gyroscope"""
+    accel_density: NotNegative = 0.0
+    """m/s^2/sqrt(Hz) of the accelerometer"""
+    gyro_bias_walk: NotNegative = 0.0
+    """rad/s^2/sqrt(Hz): what scale, alignment and g-sensitivity add to the bias"""
+    accel_bias_walk: NotNegative = 0.0
+    """m/s^3/sqrt(Hz), likewise"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class PaperParams:
     """LIDAR-camera positioning of Zou, Sun and Kong 2024 (``estimator/paper``)."""
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.sim.api import GRAVITY_MPS2, MagnetometerParams, Observation, SensorRig
+from touchdown.sim.api import MagnetometerParams, Observation, SensorRig
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ class Alignment:
     def __init__(self, rig: SensorRig) -> None:
         self._rig = rig
         self._force, self._field = np.zeros(3), np.zeros(3)
-        self._fields = 0
+        self._forces = self._fields = 0
 
     def take(self, obs: Observation) -> Pose | None:
         """Returns world_from_body: the attitude found, at the origin of the odometry frame, which
@@ -50,6 +50,7 @@ class Alignment:
             force = self._rig.body_from_imu.rotation @ sample.specific_force
             if np.isfinite(force).all():
                 self._force = self._force + force
+                self._forces += 1
         for reading in obs.magnetometer:
             if np.isfinite(reading.field_body_ut).all():
                 self._field = self._field + reading.field_body_ut
@@ -60,10 +61,13 @@ class Alignment:
         attitude = level_attitude(self._force, self._field, azimuth)
         return Pose(attitude, self._rig.world_from_body_start.translation)
 
-    def sigmas(self) -> Array:
-        """(3,) rad, body axes: errors of roll and pitch from the accelerometer's turn-on bias, and
-        of the heading from the remaining error of the magnetometer's calibration."""
-        magnetometer, imu = self._rig.nav.magnetometer, self._rig.imu
+    def mean_force(self) -> Array:
+        """(3,) m/s^2, body axes."""
+        mean: Array = self._force / max(self._forces, 1)
+        return mean
+
+    def heading_sigma(self) -> float:
+        """rad: error of the heading from what remains of the magnetometer's calibration."""
+        magnetometer = self._rig.nav.magnetometer
         level_ut = magnetometer.strength_ut * math.cos(math.radians(magnetometer.inclination_deg))
-        tilt = imu.accel_bias_sigma / GRAVITY_MPS2 + 1e-3
-        return np.array([tilt, tilt, magnetometer.hard_iron_sigma_ut / level_ut + 2e-3])
+        return magnetometer.hard_iron_sigma_ut / level_ut + 2e-3

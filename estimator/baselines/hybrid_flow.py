@@ -17,6 +17,7 @@ from touchdown.estimator.baselines.gps import SatelliteAiding
 from touchdown.estimator.baselines.ground_below import GroundBelow
 from touchdown.estimator.baselines.ground_flow import (
     Displacement,
+    level_directions,
     pixels_of,
     solve_displacement,
     update_with_displacement,
@@ -24,8 +25,14 @@ from touchdown.estimator.baselines.ground_flow import (
 from touchdown.estimator.baselines.navigator import Grey, Navigator
 from touchdown.estimator.baselines.phase_correlation import Shift, phase_shift
 from touchdown.estimator.baselines.world_anchor import WanderingAnchor
+from touchdown.estimator.filtering.rolling_shutter import (
+    AT_REST,
+    CameraMotion,
+    ShutterModel,
+    ground_depths,
+)
 from touchdown.sim.api import CameraImage, CameraIntrinsics, Observation, SensorNeeds, SensorRig
-from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL
+from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
 
 Array = NDArray[np.float64]
 
@@ -108,7 +115,10 @@ class HybridFlowEstimator:
         self._imu_from_camera = rig.body_from_imu.inverse() @ rig.body_from_camera
         self._ground = GroundBelow(rig, params.ground_memory_s)
         self._view = LevelView(rig.camera, params.side_pixels)
+        self._shutter = ShutterModel(rig)
+        self._camera = rig.camera
         self._before: Grey | None = None
+        self._motion = self._motion_before = AT_REST
         self._attitude_before = np.eye(3)
         self._height_before = 0.0
         self._diagnostics = {"flow_used": 0.0, "flow_rms_m": 0.0, "phase_response": 0.0}
@@ -127,12 +137,14 @@ class HybridFlowEstimator:
         eskf = self._nav.eskf
         attitude = (eskf.state.pose @ self._imu_from_camera).rotation
         level = self._view.draw(self._nav.grey(image.rgb), attitude)
+        self._motion = self._nav.filter.camera_motion(image)
         if self._before is not None and not self._nav.standing:
             self._measure(self._before, level, attitude)
         if eskf.clones:
             eskf.remove_clone(0)
         eskf.add_clone()
         self._before, self._attitude_before = level, attitude
+        self._motion_before = self._motion
         camera = eskf.state.pose @ self._imu_from_camera
         self._height_before = float(camera.translation[2]) - self._ground.height_m
 
@@ -147,7 +159,7 @@ class HybridFlowEstimator:
         shift = phase_shift(before, now)
         measured = self._dense(before, now, attitude, turn, shift, expected)
         if measured is None:
-            measured = self._coarse(turn, shift, expected)
+            measured = self._coarse(attitude, turn, shift, expected)
         if measured is None:
             return
         update_with_displacement(
@@ -183,21 +195,48 @@ class HybridFlowEstimator:
         reached = pixels + flow[view.rows, view.cols]
         seen = view.seen(pixels, self._attitude_before) & view.seen(reached, attitude)
         return solve_displacement(
-            _turned(view.directions(pixels[seen]), turn),
-            view.directions(reached[seen]),
+            _turned(self._directions_before(pixels[seen]), turn),
+            self._directions_now(reached[seen], attitude),
             height,
             self._params.pixel_sigma / view.focal,
             min_used=20,
         )
 
-    def _coarse(self, turn: Array, shift: Shift, expected: Array) -> Displacement | None:
+    def _directions_before(self, pixels: Array) -> Array:
+        return self._directions(
+            pixels, self._attitude_before, self._motion_before, self._height_before
+        )
+
+    def _directions_now(self, pixels: Array, attitude: Array) -> Array:
+        camera = self._nav.eskf.state.pose @ self._imu_from_camera
+        height = float(camera.translation[2]) - self._ground.height_m
+        return self._directions(pixels, attitude, self._motion, height)
+
+    def _directions(
+        self, pixels: Array, attitude: Array, motion: CameraMotion, height_m: float
+    ) -> Array:
+        """(N, 2) level directions at the filter's time of pixels (N, 2) of the levelled image."""
+        directions = self._view.directions(pixels)
+        if self._shutter.idle(motion):
+            return directions
+        real = pixels_of(directions, self._camera, attitude)
+        depths = ground_depths(
+            real, self._camera, Pose(attitude, np.array([0.0, 0.0, height_m])), 0.0
+        )
+        real = self._shutter.to_instant(real, depths, motion)
+        return level_directions(real, self._camera, attitude)
+
+    def _coarse(
+        self, attitude: Array, turn: Array, shift: Shift, expected: Array
+    ) -> Displacement | None:
         """Returns the displacement by phase correlation alone; its vertical part is the
         filter's."""
         if shift.response == 0.0:
             return None
         view, height = self._view, self._height_before
         middle = np.full((1, 2), 0.5 * (view.offsets.shape[0] - 1))
-        moved = view.directions(middle + shift.pixels) - _turned(view.directions(middle), turn)
+        start = _turned(self._directions_before(middle), turn)
+        moved = self._directions_now(middle + shift.pixels, attitude) - start
         sigma = _PHASE_SIGMA_PX * height / view.focal
         lever = height * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
         return Displacement(

@@ -15,16 +15,30 @@ from touchdown.estimator.baselines.aiding import BaroHeight, heading_of, update_
 from touchdown.estimator.baselines.alignment import Alignment, field_azimuth
 from touchdown.estimator.baselines.epochs import Epoch, EpochQueue
 from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
 from touchdown.estimator.filtering.imu_propagation import ROTATION
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
+from touchdown.estimator.filtering.rolling_shutter import at_middle_row
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.guard import InputGuard
-from touchdown.sim.api import MagnetometerSample, Observation, SensorNeeds, SensorRig
-from touchdown.sim.frames import Pose
+from touchdown.sim.api import (
+    GRAVITY_MPS2,
+    MagnetometerSample,
+    Observation,
+    SensorNeeds,
+    SensorRig,
+)
+from touchdown.sim.frames import Pose, yaw_from_rotation
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
+_LOOSE_TILT = math.radians(10.0)
+"""before the alignment"""
+_CREEP_SIGMA = 1e-3
+"""rad: wind and slow rotors shake a vehicle on its legs"""
+_LASTING = math.sqrt(600.0)
+"""readings of a minute: an error shared by all of them, taken as one of each"""
 _UNKNOWN_M2 = 1e4
 """position variance before the first measurement"""
 
@@ -64,6 +78,7 @@ class Navigator:
         self._imu_from_body = rig.body_from_imu.inverse()
         self._azimuth: float | None = None if known_start else field_azimuth(rig.nav.magnetometer)
         self._readings = np.zeros(2)
+        self._pad_yaw = 0.0
         self._undistort = Undistorter(rig)
         self.skipped = 0
         self.rate_imu: Array = np.zeros(3)
@@ -91,6 +106,8 @@ class Navigator:
         reach the present."""
         obs = self._guard.screen(self._wanted(obs))
         self.skipped += self._guard.refused
+        middles = tuple(at_middle_row(image, self.rig) for image in obs.images)
+        obs = dataclasses.replace(obs, images=middles)
         epochs = self._queue.take(obs)
         if self._filter is None:
             start = self._alignment.take(obs)
@@ -128,8 +145,11 @@ class Navigator:
         rig = dataclasses.replace(self.rig, world_from_body_start=world_from_body)
         inertial = InertialFilter(rig, self._correction_time_s, attitude_known=False)
         to_imu = self._imu_from_body.rotation
-        spread = np.diag(self._alignment.sigmas() ** 2)
+        spread = np.diag([_LOOSE_TILT, _LOOSE_TILT, self._alignment.heading_sigma()]) ** 2
         inertial.eskf.covariance[ROTATION, ROTATION] = to_imu @ spread @ to_imu.T
+        # the attitude is level already: this relates its error to the accelerometer's bias
+        force = to_imu @ self._alignment.mean_force()
+        align_with_gravity(inertial.eskf, force, GRAVITY_MPS2 * _CREEP_SIGMA)
         return inertial
 
     def _take_heading(self, samples: tuple[MagnetometerSample, ...]) -> None:
@@ -140,8 +160,21 @@ class Navigator:
             azimuth = heading_of(self.eskf.state.rotation, field_imu)
             self._readings = self._readings + [math.cos(azimuth), math.sin(azimuth)]
             self._azimuth = math.atan2(self._readings[1], self._readings[0])
+            self._pad_yaw = self._yaw()
         elif self._azimuth is not None:
-            update_heading(self.eskf, field_imu, self._azimuth, self._heading_sigma)
+            update_heading(self.eskf, field_imu, self._azimuth, self._reading_sigma())
+
+    def _yaw(self) -> float:
+        return yaw_from_rotation(self.eskf.state.rotation @ self._imu_from_body.rotation)
+
+    def _reading_sigma(self) -> float:
+        """rad, of one reading of the heading. The reading on the pad cancels the magnetometer's
+        offset at the heading of the pad alone; what a turn leaves of it does not average out."""
+        if not self._known_start:
+            return self._heading_sigma
+        left = 2.0 * abs(math.sin(0.5 * (self._yaw() - self._pad_yaw)))
+        lasting = left * self._alignment.heading_sigma()
+        return math.hypot(self._heading_sigma, _LASTING * lasting)
 
     def grey(self, rgb: NDArray[np.uint8]) -> Grey:
         """Returns the undistorted grey image (H, W) uint8."""

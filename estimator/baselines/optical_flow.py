@@ -21,6 +21,12 @@ from touchdown.estimator.baselines.ground_flow import (
 )
 from touchdown.estimator.baselines.navigator import Grey, Navigator
 from touchdown.estimator.filtering.keyframes import detect_features
+from touchdown.estimator.filtering.rolling_shutter import (
+    AT_REST,
+    CameraMotion,
+    ShutterModel,
+    ground_depths,
+)
 from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
@@ -51,7 +57,9 @@ class OpticalFlowEstimator:
         )
         self._imu_from_camera = rig.body_from_imu.inverse() @ rig.body_from_camera
         self._ground = GroundBelow(rig, params.ground_memory_s)
+        self._shutter = ShutterModel(rig)
         self._before: Grey | None = None
+        self._motion_before = AT_REST
         self._height_before = 0.0
         self._distance = 0.0
         self._seen_s = 0.0
@@ -74,28 +82,32 @@ class OpticalFlowEstimator:
 
     def _take_image(self, image: CameraImage) -> None:
         grey, eskf = self._nav.grey(image.rgb), self._nav.eskf
+        motion = self._nav.filter.camera_motion(image)
         if self._nav.standing:
             self._seen_s = image.time_s
         elif self._before is not None:
-            self._measure(self._before, grey, image.time_s)
+            self._measure(self._before, grey, image.time_s, motion)
         if eskf.clones:
             eskf.remove_clone(0)
         eskf.add_clone()
         camera = eskf.state.pose @ self._imu_from_camera
-        self._before = grey
+        self._before, self._motion_before = grey, motion
         self._height_before = float(camera.translation[2]) - self._ground.height_m
 
-    def _measure(self, before: Grey, now: Grey, time_s: float) -> None:
+    def _measure(self, before: Grey, now: Grey, time_s: float, motion: CameraMotion) -> None:
         params, eskf, camera = self._params, self._nav.eskf, self._rig.camera
         pose = eskf.state.pose @ self._imu_from_camera
         pose_before = eskf.clones[0] @ self._imu_from_camera
         pixels = self._corners(before)
         if len(pixels) < 8:
             return
-        guess = self._expected(pixels, pose_before, pose)
+        start = self._at_one_instant(pixels, pose_before, self._motion_before)
+        guess = self._expected(start, pose_before, pose)
+        guess = self._shutter.to_rows(guess, self._depths(guess, pose), motion)
         found, reached = follow(before, now, pixels, guess)
+        reached = self._at_one_instant(reached, pose, motion)
         measured = solve_displacement(
-            level_directions(pixels[found], camera, pose_before.rotation),
+            level_directions(start[found], camera, pose_before.rotation),
             level_directions(reached, camera, pose.rotation),
             self._height_before,
             params.pixel_sigma / camera.fx,
@@ -117,6 +129,12 @@ class OpticalFlowEstimator:
             "flow_rms_m": measured.rms,
             "flow_innovation": innovation,
         }
+
+    def _depths(self, pixels: Array, pose: Pose) -> Array:
+        return ground_depths(pixels, self._rig.camera, pose, self._ground.height_m)
+
+    def _at_one_instant(self, pixels: Array, pose: Pose, motion: CameraMotion) -> Array:
+        return self._shutter.to_instant(pixels, self._depths(pixels, pose), motion)
 
     def _corners(self, grey: Grey) -> Array:
         """(N, 2) corners of the central part of the image, where the rangefinder points."""

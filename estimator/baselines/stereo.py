@@ -20,6 +20,11 @@ from touchdown.estimator.baselines.navigator import Grey, Navigator
 from touchdown.estimator.filtering.imu_propagation import STATE_DIM
 from touchdown.estimator.filtering.keyframes import bearing_rays, detect_features
 from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
+from touchdown.estimator.filtering.rolling_shutter import (
+    AT_REST,
+    ShutterModel,
+    ground_depths,
+)
 from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
@@ -63,6 +68,8 @@ class StereoEstimator:
         self._baseline = -float(right_from_left.translation[0])
         start = rig.world_from_body_start.translation
         self._ground = GroundHeight(float(start[2]) - rig.vehicle.leg_height_m, params)
+        self._shutter = ShutterModel(rig)
+        self._motion = AT_REST
         self._keyframe: _Keyframe | None = None
         self._distance, self._position = 0.0, start
         self._seen_s = 0.0
@@ -85,6 +92,7 @@ class StereoEstimator:
     def _take_pair(self, image: CameraImage, right_rgb: NDArray[np.uint8]) -> None:
         eskf = self._nav.eskf
         left, right = self._nav.grey(image.rgb), self._nav.grey(right_rgb)
+        self._motion = self._nav.filter.camera_motion(image)
         share = 0.0
         if self._nav.standing:
             self._seen_s = image.time_s
@@ -99,8 +107,10 @@ class StereoEstimator:
         """Updates the filter; returns the share of the keyframe's corners that were used."""
         landmarks = keyframe.landmarks(self._imu_from_camera)
         expected = self._project(landmarks)
-        guess = np.where(np.isfinite(expected), expected, keyframe.pixels)
+        appear = self._shutter.to_rows(expected, self._depths(expected), self._motion)
+        guess = np.where(np.isfinite(appear), appear, keyframe.pixels)
         found, reached = follow(keyframe.grey, left, keyframe.pixels, guess)
+        reached = self._at_one_instant(reached)
         used, rms = self._iterate(reached, landmarks[found])
         self._diagnostics = {"features_tracked": float(used), "visual_rms_px": rms}
         if used:
@@ -128,6 +138,14 @@ class StereoEstimator:
         inverse = inverse + gain * (slopes * residuals).sum(axis=1)
         keyframe.inverse[found] = np.maximum(inverse, 1e-4)
         keyframe.variance[found] = np.where(near, variance * noise / (power + noise), variance)
+
+    def _depths(self, pixels: Array) -> Array:
+        """(N,) of level ground along the optical axis at the filter's time."""
+        pose = self._nav.eskf.state.pose @ self._imu_from_camera
+        return ground_depths(pixels, self._rig.camera, pose, self._ground.height_m)
+
+    def _at_one_instant(self, pixels: Array) -> Array:
+        return self._shutter.to_instant(pixels, self._depths(pixels), self._motion)
 
     def _project(self, landmarks: Array) -> Array:
         """(N, 2) pixels of landmarks (N, 3) of the clone's IMU frame, NaN where behind."""
@@ -181,4 +199,5 @@ class StereoEstimator:
         if eskf.clones:
             eskf.remove_clone(0)
         eskf.add_clone()
-        self._keyframe = _Keyframe(left, pixels[good], rays[good], inverse[good], variance[good])
+        seen = bearing_rays(self._at_one_instant(pixels[good]), camera)
+        self._keyframe = _Keyframe(left, pixels[good], seen, inverse[good], variance[good])

@@ -7,6 +7,7 @@ IMU samples to the present.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,28 +16,37 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import Estimate, PoseTrack
 from touchdown.estimator.filtering.deskew import PlacedScan, place_scan, screen_scan
 from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
 from touchdown.estimator.filtering.imu_propagation import (
-    ROTATION,
     ImuBuffer,
     NavState,
     propagate_nominal,
 )
-from touchdown.estimator.filtering.levelling import level_from_rest, level_sigmas
+from touchdown.estimator.filtering.rolling_shutter import CameraMotion
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
-from touchdown.sim.api import GRAVITY_MPS2, ImuSample, LidarScan, Observation, SensorRig
+from touchdown.sim.api import (
+    GRAVITY_MPS2,
+    CameraImage,
+    ImuParams,
+    ImuSample,
+    LidarScan,
+    Observation,
+    SensorRig,
+)
 from touchdown.sim.frames import (
     Pose,
     cross,
     quat_wxyz_from_matrix,
     so3_exp,
     so3_log,
-    yaw_from_rotation,
 )
 
 Array = NDArray[np.float64]
 
 _START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)
 """rad, m, m/s: the take-off pose is known, but the legs settle"""
+_LEVEL_SIGMA = 5e-3
+"""m/s^2, of the mean specific force at rest, beside the accelerometer's bias"""
 _TRAIL_STEPS = 128
 _LIFTING_THRUST = 0.85
 """of the weight: with less static thrust before the first lift-off the vehicle is on the ground"""
@@ -71,6 +81,16 @@ class _Trail:
         return first if spans and self.ticks[-1] == scan.end_tick else None
 
 
+def bias_sigmas(imu: ImuParams) -> Array:
+    """(6,) rad/s and m/s^2: errors of gyroscope and accelerometer that stay in level flight as they
+    are: turn-on biases, and gravity along misaligned and wrongly scaled axes."""
+    bend, scale = math.radians(imu.misalignment_sigma_deg), imu.scale_sigma
+    gyro = math.hypot(imu.gyro_bias_sigma, GRAVITY_MPS2 * imu.gyro_g_sensitivity)
+    across = math.hypot(imu.accel_bias_sigma, GRAVITY_MPS2 * bend)
+    along = math.hypot(imu.accel_bias_sigma, GRAVITY_MPS2 * scale)
+    return np.array([gyro, gyro, gyro, across, across, along])
+
+
 class InertialFilter:
     """An error-state filter at measurement time, its recent poses (trail), and the state propagated
     to the present."""
@@ -87,10 +107,12 @@ class InertialFilter:
         start = rig.world_from_body_start @ rig.body_from_imu
         zero = np.zeros(3)
         state = NavState(0, start.rotation, start.translation, zero, zero, zero)
-        biases = np.repeat([rig.imu.gyro_bias_sigma, rig.imu.accel_bias_sigma], 3)
-        self.eskf = Eskf(state, np.concatenate([_START_SIGMAS, biases]) ** 2)
-        self._buffer = ImuBuffer(rig.imu, self.step_s)
         self._unlevelled = attitude_known and rig.start_tilt_sigma_rad > 0.0
+        sigmas = np.concatenate([_START_SIGMAS, bias_sigmas(rig.imu)])
+        if self._unlevelled:
+            sigmas[:2] = np.hypot(sigmas[:2], rig.start_tilt_sigma_rad)
+        self.eskf = Eskf(state, sigmas**2)
+        self._buffer = ImuBuffer(rig.imu, self.step_s)
         self._zero_velocity = ZeroVelocityUpdate(
             rig.imu.gyro_density, self.step_s, attitude_known and not self._unlevelled
         )
@@ -150,22 +172,19 @@ class InertialFilter:
             self._trail.follow(self.eskf.state)
 
     def _level(self) -> None:
-        """Sets roll and pitch from the samples so far, all taken at rest; the given heading stays.
+        """Finds roll and pitch from the samples so far, all taken at rest; the given heading stays.
         Sensors are late, so that a sixth of a second has passed before the first of them."""
         self._unlevelled = False
-        state = self.eskf.state
         _, _, force, _ = self._buffer.samples(self._buffer.count)
-        mount, start = self.rig.body_from_imu, self.rig.world_from_body_start
-        body = level_from_rest(force @ mount.rotation.T, yaw_from_rotation(start.rotation))
-        levelled = Pose(body, start.translation) @ mount
-        self.eskf.state = replace(state, rotation=levelled.rotation, position=levelled.translation)
-        to_imu = mount.rotation.T
-        spread = np.diag(level_sigmas(self.rig.imu) ** 2)
-        self.eskf.covariance[ROTATION, ROTATION] = to_imu @ spread @ to_imu.T
-        self._trail = _Trail(
-            np.array([state.tick]), levelled.rotation[None], levelled.translation[None]
-        )
-        self._head = self.eskf.state
+        spread = self.rig.imu.accel_density / np.sqrt(len(force) * self.step_s)
+        align_with_gravity(self.eskf, force.mean(axis=0), _LEVEL_SIGMA + spread)
+        # the start is that of the body, about which the IMU was turned
+        turned = self.eskf.state.rotation @ self.imu_from_body.rotation
+        lever = self.rig.body_from_imu.translation
+        position = self.rig.world_from_body_start.translation + turned @ lever
+        state = self.eskf.state = replace(self.eskf.state, position=position)
+        self._trail = _Trail(np.array([state.tick]), state.rotation[None], position[None])
+        self._head = state
 
     # ------------------------------------------------------------------------ measurements
 
@@ -198,6 +217,26 @@ class InertialFilter:
             start = round(earlier.times_s[0] * self.rig.tick_hz)
             first = min(first, int(np.searchsorted(self._trail.ticks, start)))
         return self._track(first)
+
+    def pose_at(self, tick: int) -> Pose:
+        """odom_from_imu at ``tick``: of the trail, as far as it reaches."""
+        trail = self._trail
+        at = float(np.interp(tick, trail.ticks, np.arange(len(trail.ticks))))
+        first = min(int(at), max(len(trail.ticks) - 2, 0))
+        last = min(first + 1, len(trail.ticks) - 1)
+        share = at - first
+        turn = so3_log(trail.rotations[first].T @ trail.rotations[last])
+        shift = trail.positions[last] - trail.positions[first]
+        return Pose(
+            trail.rotations[first] @ so3_exp(share * turn), trail.positions[first] + share * shift
+        )
+
+    def camera_motion(self, image: CameraImage) -> CameraMotion:
+        """Motion of the camera at the filter's time, and the delay of ``image`` after it."""
+        state = self.eskf.state
+        velocity = state.rotation.T @ state.velocity
+        late_s = image.time_s - state.tick / self.rig.tick_hz
+        return CameraMotion.of_imu(self.eskf.rate, velocity, self.imu_from_camera, late_s)
 
     def pose_information(self) -> Array:
         """(6, 6) inverse covariance of the present pose, all else marginalised."""

@@ -42,6 +42,14 @@ class RecentReturns:
         self._counts[self._next] = len(part)
         self._next = (self._next + 1) % len(self._counts)
 
+    def median_height(self) -> float | None:
+        """Median height of the newest scan, m; None without returns."""
+        newest = (self._next - 1) % len(self._counts)
+        start, count = newest * self._per_scan, int(self._counts[newest])
+        if count == 0:
+            return None
+        return float(np.median(self._points[start : start + count : 8, 2]))
+
     def view(self) -> tuple[Float32, NDArray[np.int64], int]:
         """All slots (S * per_scan, 3), the number filled in each, and ``per_scan``."""
         return self._points, self._counts, self._per_scan

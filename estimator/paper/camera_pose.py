@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,11 @@ from touchdown.estimator.filtering.information import limit_information
 from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera
+from touchdown.estimator.filtering.rolling_shutter import (
+    CameraMotion,
+    ShutterModel,
+    ground_depths,
+)
 from touchdown.estimator.paper.closures import Closures
 from touchdown.estimator.paper.depth_field import DepthField
 from touchdown.estimator.paper.landmarks import Features, LandmarkDetector
@@ -77,6 +84,7 @@ class CameraPositioning:
         self._recent = recent
         self._imu_from_camera = inertial.imu_from_camera
         self._detector = LandmarkDetector(params.sift_features, params.brisk_features)
+        self._shutter = ShutterModel(rig)
         self._map = VisualMap(rig.camera, inertial.imu_from_camera)
         rate = float(np.radians(params.closure_rate_deg_s))
         self._closures = Closures(params.closure_speed_mps, rate)
@@ -99,7 +107,9 @@ class CameraPositioning:
         filter was corrected."""
         self._last_tick = image.tick
         grey = np.asarray(cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
-        features = self._detector(grey)
+        found = self._detector(grey)
+        motion = self._filter.camera_motion(image)
+        features = self._at_one_instant(found[0], motion), self._at_one_instant(found[1], motion)
         sightings, behind, solved = self._localise(features)
         corrected = False
         if solved is not None:
@@ -121,6 +131,17 @@ class CameraPositioning:
         self.diagnostics["keyframes"] = float(len(self._map.keyframes))
         self.diagnostics["closures"] = float(self._closures.closed)
         return corrected
+
+    def _at_one_instant(self, found: Features, motion: CameraMotion) -> Features:
+        """The features as a camera without rolling shutter sees them at the filter's time."""
+        if self._shutter.idle(motion):
+            return found
+        camera = self._filter.eskf.state.pose @ self._imu_from_camera
+        ground = self._recent.median_height()
+        if ground is None:
+            ground = float(self._rig.world_from_body_start.translation[2])
+        depths = ground_depths(found.pixels, self._rig.camera, camera, ground)
+        return replace(found, pixels=self._shutter.to_instant(found.pixels, depths, motion))
 
     def _worth_keeping(self, sightings: Sightings) -> bool:
         """True if the image shows enough that the newest keyframe does not."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import deque
 
 import numpy as np
@@ -11,6 +12,7 @@ from touchdown.estimator.api import Estimate, PaperParams, PoseTrack
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.message_order import MessageOrder, stamp_of
+from touchdown.estimator.filtering.rolling_shutter import at_middle_row
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.paper.camera_pose import CameraPositioning
@@ -53,6 +55,8 @@ class PaperEstimator:
         """Processes the arrived messages and returns the estimate at ``obs.tick``."""
         self._scan_track = None
         obs = self._guard.screen(obs)
+        middles = tuple(at_middle_row(image, self._rig) for image in obs.images)
+        obs = dataclasses.replace(obs, images=middles)
         self._events = list(self._guard.events)
         self._skipped += self._guard.refused
         self._filter.take_imu(obs)
@@ -84,8 +88,7 @@ class PaperEstimator:
         """The image without the lens's distortion."""
         if self._undistort.is_identity:
             return image
-        rgb = self._undistort(image.rgb)
-        return CameraImage(tick=image.tick, time_s=image.time_s, rgb=rgb)
+        return dataclasses.replace(image, rgb=self._undistort(image.rgb), right_rgb=None)
 
     def _take(self, message: LidarScan | CameraImage) -> None:
         tick = stamp_of(message)
@@ -100,7 +103,10 @@ class PaperEstimator:
             energy = None
             if image is not None and self._params.use_colour_smoothness:
                 energy = self._energy_of(image)
-            done = self._lidar.take(message, energy)
+            seen_from = None
+            if image is not None and image.tick < tick:
+                seen_from = self._filter.pose_at(image.tick)
+            done = self._lidar.take(message, energy, seen_from)
             self._skipped += not done
             self._scan_track = self._filter.track_of(message, self._scan_track)
         elif self._camera.due(message.tick):

@@ -27,6 +27,7 @@ from touchdown.estimator.paper.smoothness import (
     sort_out_features,
 )
 from touchdown.sim.api import CameraIntrinsics, LidarScan, SensorRig
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -93,16 +94,17 @@ class LidarPositioning:
         self._camera_from_imu = inertial.imu_from_camera.inverse()
         self.diagnostics: dict[str, float] = {}
 
-    def take(self, scan: LidarScan, energy: Float32 | None) -> bool:
+    def take(self, scan: LidarScan, energy: Float32 | None, seen_from: Pose | None = None) -> bool:
         """Registers a scan that ends at the filter's time; ``energy``: of the image nearest in time
-        or None. False if the scan could not be used."""
+        or None; ``seen_from``: odom_from_imu of that image, None for that of the scan. False if the
+        scan could not be used."""
         placed = self._filter.place_scan(scan)
         if placed is None:
             return False
         points = placed.points
         self.diagnostics = {"scan_returns": float(len(points))}
         if len(points) >= _LEAST_RETURNS:
-            chosen = self._features(placed, energy)
+            chosen = self._features(placed, energy, seen_from)
             if self._params.use_lidar_pose:
                 self._correct(ScanFeatures(points[chosen.edges], points[chosen.planes]))
             pose = self._filter.eskf.state.pose
@@ -111,8 +113,14 @@ class LidarPositioning:
         self._recent.add(self._filter.eskf.state.pose.apply(points))
         return True
 
-    def _features(self, scan: PlacedScan, energy: Float32 | None) -> FeaturePoints:
-        in_camera = lidar_to_camera(scan.points, self._camera_from_imu)
+    def _features(
+        self, scan: PlacedScan, energy: Float32 | None, seen_from: Pose | None
+    ) -> FeaturePoints:
+        camera_from_imu = self._camera_from_imu
+        if seen_from is not None:
+            pose = self._filter.eskf.state.pose
+            camera_from_imu = camera_from_imu @ seen_from.inverse() @ pose
+        in_camera = lidar_to_camera(scan.points, camera_from_imu)
         in_lidar = scan.beams @ self._imu_from_lidar.rotation
         return scan_features(
             scan.beams, in_lidar, in_camera, scan.pulses, energy, self._rig.camera, self._params

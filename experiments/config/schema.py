@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from touchdown.controller.api import ControlParams
 from touchdown.estimator.api import (
+    FlownImuParams,
     GpsEstimatorParams,
     HybridFlowParams,
     LivoParams,
@@ -122,6 +123,7 @@ class Config(BaseModel):
     dust: DustParams = Field(default_factory=DustParams)
     mapper: MapperParams = Field(default_factory=MapperParams)
     livo: LivoParams = Field(default_factory=LivoParams)
+    flown_imu: FlownImuParams = Field(default_factory=FlownImuParams)
     paper: PaperParams = Field(default_factory=PaperParams)
     gps_estimator: GpsEstimatorParams = Field(default_factory=GpsEstimatorParams)
     optical_flow: OpticalFlowParams = Field(default_factory=OpticalFlowParams)

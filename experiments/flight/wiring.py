@@ -210,34 +210,40 @@ def _livo(config: Config) -> _EstimatorFactory:
     return lambda rig, _truth: Livo(rig, config.livo, seed=config.seed)
 
 
+def _as_flown(rig: SensorRig, config: Config) -> SensorRig:
+    from touchdown.estimator.filtering.flown_noise import with_flown_noise
+
+    return with_flown_noise(rig, config.flown_imu)
+
+
 def _paper(config: Config) -> _EstimatorFactory:
     from touchdown.estimator.paper.estimator import PaperEstimator
 
-    return lambda rig, _truth: PaperEstimator(rig, config.paper)
+    return lambda rig, _truth: PaperEstimator(_as_flown(rig, config), config.paper)
 
 
 def _gps(config: Config) -> _EstimatorFactory:
     from touchdown.estimator.baselines.gps import GpsEstimator
 
-    return lambda rig, _truth: GpsEstimator(rig, config.gps_estimator)
+    return lambda rig, _truth: GpsEstimator(_as_flown(rig, config), config.gps_estimator)
 
 
 def _optical_flow(config: Config) -> _EstimatorFactory:
     from touchdown.estimator.baselines.optical_flow import OpticalFlowEstimator
 
-    return lambda rig, _truth: OpticalFlowEstimator(rig, config.optical_flow)
+    return lambda rig, _truth: OpticalFlowEstimator(_as_flown(rig, config), config.optical_flow)
 
 
 def _hybrid_flow(config: Config) -> _EstimatorFactory:
     from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
 
-    return lambda rig, _truth: HybridFlowEstimator(rig, config.hybrid_flow)
+    return lambda rig, _truth: HybridFlowEstimator(_as_flown(rig, config), config.hybrid_flow)
 
 
 def _stereo(config: Config) -> _EstimatorFactory:
     from touchdown.estimator.baselines.stereo import StereoEstimator
 
-    return lambda rig, _truth: StereoEstimator(rig, config.stereo_vo)
+    return lambda rig, _truth: StereoEstimator(_as_flown(rig, config), config.stereo_vo)
 
 
 def _oracle(config: Config) -> _EstimatorFactory:

@@ -18,7 +18,7 @@ from touchdown.estimator.baselines.gps import GpsEstimator
 from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
 from touchdown.estimator.baselines.optical_flow import OpticalFlowEstimator
 from touchdown.estimator.baselines.stereo import StereoEstimator
-from touchdown.estimator.filtering.levelling import level_from_rest, level_sigmas
+from touchdown.estimator.filtering.inertial_filter import InertialFilter, bias_sigmas
 from touchdown.estimator.livo.estimator import Livo
 from touchdown.estimator.oracle import Oracle
 from touchdown.estimator.paper.estimator import PaperEstimator
@@ -28,6 +28,7 @@ from touchdown.sim.api import (
     Command,
     GpsParams,
     ImuParams,
+    ImuSample,
     MagnetometerParams,
     NavParams,
     Observation,
@@ -40,6 +41,8 @@ from touchdown.sim.api import (
 )
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log, yaw_from_rotation
 from touchdown.sim.world import MujocoWorld
+
+from support.baselines_support import make_rig
 
 SLOPE = """<mujoco><worldbody>
   <geom name="lawn_floor" type="plane" size="60 60 0.1" euler="4 0 0"/>
@@ -144,21 +147,42 @@ def test_roll_and_pitch_are_found_at_rest(name: str, log: Log) -> None:
     np.testing.assert_allclose(found.translation, truth.world_from_body.translation, atol=0.03)
 
 
-def test_level_from_rest_finds_roll_and_pitch_and_keeps_the_heading() -> None:
-    rng = np.random.default_rng(1)
-    for yaw, roll, pitch in ((0.3, 0.1, -0.2), (-2.0, -0.25, 0.05), (3.0, 0.0, 0.0)):
-        true = (
-            rotation_from_yaw(yaw)
-            @ so3_exp(np.array([0.0, pitch, 0.0]))
-            @ so3_exp(np.array([roll, 0.0, 0.0]))
+def test_level_flight_hides_gravity_along_bent_and_stretched_axes() -> None:
+    """0.5 degrees of misalignment look like 0.0856 m/s^2 across, a scale of 1 % like 0.0981 along
+    the vertical."""
+    imu = ImuParams(
+        gyro_bias_sigma=3e-3, accel_bias_sigma=0.05, misalignment_sigma_deg=0.5,
+        scale_sigma=0.01, gyro_g_sensitivity=4e-4,
+    )  # fmt: skip
+    sigmas = bias_sigmas(imu)
+    np.testing.assert_allclose(sigmas[:3], np.hypot(3e-3, 3.9227e-3), rtol=1e-3)
+    np.testing.assert_allclose(sigmas[3:5], np.hypot(0.05, 0.08558), rtol=1e-3)
+    assert sigmas[5] == pytest.approx(np.hypot(0.05, 0.0980665), rel=1e-3)
+
+
+def test_the_tilt_found_at_rest_is_tied_to_the_bias() -> None:
+    """A levelled attitude errs by the accelerometer's bias over gravity: the filter knows it."""
+    rig = replace(make_rig(), start_tilt_sigma_rad=0.05)
+    inertial = InertialFilter(rig, 0.15)
+    tilt = np.array([0.03, -0.02, 0.0])
+    force = so3_exp(tilt).T @ [0.0, 0.0, 9.80665]
+    for tick in range(3, 303, 3):
+        sample = ImuSample(
+            tick=tick, time_s=tick / 600, angular_velocity=np.zeros(3), specific_force=force
         )
-        forces = 9.81 * true[2] + 1e-3 * rng.standard_normal((400, 3))
-        np.testing.assert_allclose(level_from_rest(forces, yaw), true, atol=2e-5)
-    with pytest.raises(ValueError, match="at rest"):
-        level_from_rest(np.zeros((0, 3)), 0.0)
-
-
-def test_tilt_is_as_uncertain_as_the_accelerometer() -> None:
-    sigmas = level_sigmas(ImuParams(accel_bias_sigma=0.0981, misalignment_sigma_deg=0.5))
-    np.testing.assert_allclose(sigmas[:2], np.hypot(np.hypot(0.01, np.radians(0.5)), 1e-3))
-    assert sigmas[2] < 1e-3
+        inertial.take_imu(
+            Observation(
+                tick=tick,
+                time_s=tick / 600,
+                imu=(sample,),
+                rotor_speed_radps=np.zeros(4),
+                battery_fraction=1.0,
+            )
+        )
+    inertial.carry_to(300)
+    np.testing.assert_allclose(inertial.eskf.state.rotation[2], so3_exp(tilt)[2], atol=2e-4)
+    covariance = inertial.eskf.covariance
+    sigmas = np.sqrt(np.diag(covariance))
+    assert sigmas[0] == pytest.approx(rig.imu.accel_bias_sigma / 9.80665, rel=0.2)
+    assert covariance[0, 13] / (sigmas[0] * sigmas[13]) < -0.9
+    assert covariance[1, 12] / (sigmas[1] * sigmas[12]) > 0.9

@@ -270,3 +270,16 @@ def test_a_corner_keeps_what_its_own_disparity_adds() -> None:
     )
     np.testing.assert_allclose(inverse, [1 / 30.0, 0.5 * (1 / 30.0 + 1.2 / 30.0)])
     np.testing.assert_allclose(variance, [1 / 300.0**2, 0.5 / 300.0**2])
+
+
+def test_a_reading_far_from_the_pads_heading_counts_less() -> None:
+    """The reading on the pad cancels the offset of a magnetometer at that heading alone."""
+    nav = Navigator(
+        make_rig(), SensorNeeds(magnetometer=True), known_start=True, correction_time_s=0.15,
+        heading_sigma_deg=2.0,
+    )  # fmt: skip
+    assert nav._reading_sigma() == pytest.approx(np.radians(2.0))
+    nav._pad_yaw = np.pi
+    offset = 2.0 * nav._alignment.heading_sigma()
+    expected = np.hypot(np.radians(2.0), np.sqrt(600.0) * offset)
+    assert nav._reading_sigma() == pytest.approx(expected)

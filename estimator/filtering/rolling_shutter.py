@@ -1,0 +1,114 @@
+"""Rolling shutter: an image's features as a camera that exposes all rows at once would see them.
+
+The rows of an image are exposed one after the other. Within a readout of 15 ms a quadrotor's rates
+change little, so that the pose at a row is that at one instant moved on at constant turn rate and
+velocity (Hedborg, Forssen, Felsberg and Ringaby, "Rolling shutter bundle adjustment", CVPR 2012,
+interpolate poses likewise). The pixels found are moved to that instant, and whatever uses them
+afterwards needs no model of the shutter. The instant also takes up the part of an IMU step between
+the filter's state and the image.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.filtering.imu_propagation import exp_so3_each
+from touchdown.sim.api import CameraImage, CameraIntrinsics, SensorRig
+from touchdown.sim.frames import Pose, cross
+
+Array = NDArray[np.float64]
+
+_NEAREST_M = 0.05
+_FARTHEST_HEIGHTS = 5.0
+"""of the camera's height: a ray that meets level ground farther off, or not at all, counts so"""
+
+
+def at_middle_row(image: CameraImage, rig: SensorRig) -> CameraImage:
+    """The image stamped with the exposure of its middle row, not of its last."""
+    early_s = 0.5 * rig.camera_readout_s
+    if early_s == 0.0:
+        return image
+    time_s = max(image.time_s - early_s, 0.0)
+    return dataclasses.replace(image, tick=round(time_s * rig.tick_hz), time_s=time_s)
+
+
+def ground_depths(pixels: Array, camera: CameraIntrinsics, pose: Pose, ground_m: float) -> Array:
+    """Depths (N,) along the optical axis of level ground of height ``ground_m`` at ``pixels``
+    (N, 2). ``pose``: of the camera, z up."""
+    height = max(float(pose.translation[2]) - ground_m, _NEAREST_M)
+    rays = np.column_stack(
+        [(pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(len(pixels))]
+    )
+    down = -rays @ pose.rotation[2]
+    depths: Array = height / np.maximum(down, 1.0 / _FARTHEST_HEIGHTS)
+    return depths
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class CameraMotion:
+    """Motion of a camera in its own frame at the instant that pixels are moved to, and the delay of
+    an image's middle row after that instant."""
+
+    rate: Array
+    """(3,) rad/s"""
+    velocity: Array
+    """(3,) m/s"""
+    late_s: float
+
+    @staticmethod
+    def of_imu(rate: Array, velocity: Array, imu_from_camera: Pose, late_s: float) -> CameraMotion:
+        """The motion of a camera from turn rate and velocity (3,) of the IMU, in its frame."""
+        turn = imu_from_camera.rotation.T
+        lever = imu_from_camera.translation
+        return CameraMotion(turn @ rate, turn @ (velocity + cross(rate, lever)), late_s)
+
+
+AT_REST = CameraMotion(np.zeros(3), np.zeros(3), 0.0)
+
+
+class ShutterModel:
+    """Moves the pixels of a rolling shutter to one instant."""
+
+    def __init__(self, rig: SensorRig) -> None:
+        self._camera = rig.camera
+        self._readout_s = rig.camera_readout_s
+
+    def idle(self, motion: CameraMotion) -> bool:
+        """True if no pixel moves: all rows are exposed at the instant itself."""
+        return self._readout_s == 0.0 and motion.late_s == 0.0
+
+    def row_delays(self, pixels: Array, late_s: float) -> Array:
+        """Delays (N,) s of the rows of ``pixels`` (N, 2) after the instant."""
+        share = pixels[:, 1] / max(self._camera.height - 1, 1) - 0.5
+        delays: Array = late_s + self._readout_s * np.clip(share, -0.5, 0.5)
+        return delays
+
+    def to_instant(self, pixels: Array, depths: Array, motion: CameraMotion) -> Array:
+        """Pixels (N, 2) at the instant, of ``pixels`` (N, 2) found in the image. ``depths`` (N,)
+        along the optical axis, of which only the part of the motion that is no turn depends."""
+        if self.idle(motion) or len(pixels) == 0:
+            return pixels
+        delays = self.row_delays(pixels, motion.late_s)
+        camera = self._camera
+        focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+        rays = np.column_stack([(pixels - centre) / focal, np.ones(len(pixels))])
+        turns = exp_so3_each(delays[:, None] * motion.rate)
+        points = np.einsum("nij,nj->ni", turns, rays) * depths[:, None]
+        points += delays[:, None] * motion.velocity
+        front = points[:, 2] > _NEAREST_M
+        scale = np.where(front, points[:, 2], 1.0)
+        moved = points[:, :2] / scale[:, None] * focal + centre
+        return np.where(front[:, None], moved, pixels)
+
+    def to_rows(self, pixels: Array, depths: Array, motion: CameraMotion) -> Array:
+        """The inverse of ``to_instant``: where points expected at ``pixels`` (N, 2) at the instant
+        appear in the image."""
+        if self.idle(motion) or len(pixels) == 0:
+            return pixels
+        found = pixels
+        for _ in range(2):
+            found = found + pixels - self.to_instant(found, depths, motion)
+        return found

@@ -1,0 +1,183 @@
+"""Pixels of a rolling shutter moved to one instant, the middle row's stamp, and poses of the trail.
+
+Points are projected into a camera that turns and flies while its rows are exposed, each from the
+pose of its own row, by iteration; no function under test takes part in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.api import FlownImuParams
+from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
+from touchdown.estimator.filtering.flown_noise import with_flown_noise
+from touchdown.estimator.filtering.inertial_filter import InertialFilter
+from touchdown.estimator.filtering.rolling_shutter import (
+    CameraMotion,
+    ShutterModel,
+    at_middle_row,
+    ground_depths,
+)
+from touchdown.sim.api import CameraImage, ImuSample, Observation
+from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
+
+from support.paper_flight import make_rig
+
+READOUT_S = 0.015
+RIG = replace(make_rig(), camera_readout_s=READOUT_S)
+RATE, VELOCITY = np.array([0.6, -0.5, 0.7]), np.array([6.0, -4.0, 2.0])
+HEIGHT_M = 20.0
+CAMERA = Pose(
+    so3_exp(np.array([0.1, -0.05, 0.4])) @ BODY_FROM_DOWNWARD_OPTICAL,
+    np.array([0.0, 0.0, HEIGHT_M + 3.0]),
+)
+
+
+def pixel_of(point: np.ndarray) -> np.ndarray:
+    camera = RIG.camera
+    return point[:2] / point[2] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+
+
+def seen_by_row(point: np.ndarray, late_s: float) -> np.ndarray:
+    """Where a point of the camera's frame at the instant appears in the rolling image."""
+    pixel = pixel_of(point)
+    for _ in range(20):
+        delay = late_s + READOUT_S * (pixel[1] / (RIG.camera.height - 1) - 0.5)
+        turn = so3_exp(delay * RATE)
+        pixel = pixel_of(turn.T @ (point - delay * VELOCITY))
+    return pixel
+
+
+def ground_points() -> np.ndarray:
+    """(N, 3) of the ground 20 m below in the camera's frame."""
+    x, y = np.meshgrid(np.linspace(-5.0, 5.0, 7), np.linspace(-2.0, 2.0, 7))
+    world = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 3.0)])
+    return CAMERA.inverse().apply(world)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.004, -0.002])
+def test_pixels_of_rows_are_those_of_one_instant(late_s: float) -> None:
+    points = ground_points()
+    true = np.array([pixel_of(p) for p in points])
+    rolling = np.array([seen_by_row(p, late_s) for p in points])
+    assert np.abs(rolling - true).max() > 1.0
+    model, motion = ShutterModel(RIG), CameraMotion(RATE, VELOCITY, late_s)
+    depths = ground_depths(rolling, RIG.camera, CAMERA, 3.0)
+    np.testing.assert_allclose(model.to_instant(rolling, depths, motion), true, atol=0.03)
+    np.testing.assert_allclose(model.to_rows(true, points[:, 2], motion), rolling, atol=0.03)
+
+
+def test_ground_is_as_deep_as_it_lies() -> None:
+    points = ground_points()
+    pixels = np.array([pixel_of(p) for p in points])
+    np.testing.assert_allclose(ground_depths(pixels, RIG.camera, CAMERA, 3.0), points[:, 2])
+    level = Pose(np.eye(3), np.array([0.0, 0.0, 4.0]))  # looks up
+    assert np.isfinite(ground_depths(pixels, RIG.camera, level, 0.0)).all()
+
+
+def test_a_global_shutter_on_time_changes_nothing() -> None:
+    pixels = np.array([[10.0, 20.0]])
+    model = ShutterModel(make_rig())
+    motion = CameraMotion(RATE, VELOCITY, 0.0)
+    assert model.idle(motion)
+    assert model.to_instant(pixels, np.ones(1), motion) is pixels
+    assert model.to_rows(pixels, np.ones(1), motion) is pixels
+    image = CameraImage(tick=60, time_s=0.1, rgb=np.zeros((2, 2, 3), np.uint8))
+    assert at_middle_row(image, make_rig()) is image
+
+
+def test_the_stamp_moves_to_the_middle_row() -> None:
+    image = CameraImage(tick=60, time_s=0.1004, rgb=np.zeros((2, 2, 3), np.uint8))
+    moved = at_middle_row(image, RIG)
+    assert moved.time_s == pytest.approx(0.0929)
+    assert moved.tick == 56  # 55.74
+
+
+def test_a_camera_off_the_imu_swings_with_the_turn() -> None:
+    mount = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.1, 0.0, 0.0]))
+    motion = CameraMotion.of_imu(np.array([0.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0]), mount, 0.0)
+    inverse = BODY_FROM_DOWNWARD_OPTICAL.T
+    np.testing.assert_allclose(motion.velocity, inverse @ [1.0, 0.2, 0.0])
+    np.testing.assert_allclose(motion.rate, inverse @ [0.0, 0.0, 2.0])
+
+
+def flown(rate: np.ndarray, ticks: int) -> InertialFilter:
+    """A filter after samples of constant turn rate, free of load but for gravity's reaction."""
+    inertial = InertialFilter(RIG, 0.15)
+    rotation = inertial.eskf.state.rotation
+    for tick in range(3, ticks + 1, 3):
+        up = rotation @ so3_exp((tick - 1.5) / 600 * rate)
+        sample = ImuSample(
+            tick=tick, time_s=tick / 600, angular_velocity=rate,
+            specific_force=up.T @ [3.0, 0.0, 9.80665],
+        )  # fmt: skip
+        speed = np.full(4, 400.0)
+        inertial.take_imu(
+            Observation(
+                tick=tick,
+                time_s=tick / 600,
+                imu=(sample,),
+                rotor_speed_radps=speed,
+                battery_fraction=1.0,
+            )
+        )
+    inertial.carry_to(ticks)
+    return inertial
+
+
+def test_poses_of_the_trail_lie_between_its_steps() -> None:
+    rate = np.array([0.0, 0.0, 0.5])
+    inertial = flown(rate, 240)
+    start = inertial.rig.world_from_body_start @ inertial.rig.body_from_imu
+    for tick in (181, 200, 238, 240):
+        pose = inertial.pose_at(tick)
+        turned = so3_log(start.rotation.T @ pose.rotation)
+        np.testing.assert_allclose(turned, tick / 600 * rate, atol=1e-9)
+        travelled = pose.translation - start.translation
+        np.testing.assert_allclose(travelled, [1.5 * (tick / 600) ** 2, 0.0, 0.0], atol=1e-3)
+    now = inertial.eskf.state.pose
+    np.testing.assert_allclose(inertial.pose_at(300).translation, now.translation)
+
+
+def test_the_motion_is_that_at_the_filter_time() -> None:
+    inertial = flown(np.array([0.0, 0.0, 0.5]), 240)
+    image = CameraImage(tick=242, time_s=242.2 / 600, rgb=np.zeros((2, 2, 3), np.uint8))
+    motion = inertial.camera_motion(image)
+    assert motion.late_s == pytest.approx(2.2 / 600)
+    to_camera = inertial.imu_from_camera.rotation.T
+    np.testing.assert_allclose(motion.rate, to_camera @ [0.0, 0.0, 0.5], atol=1e-9)
+    state = inertial.eskf.state
+    swing = np.cross([0.0, 0.0, 0.5], inertial.imu_from_camera.translation)
+    expected = to_camera @ (state.rotation.T @ state.velocity + swing)
+    np.testing.assert_allclose(motion.velocity, expected, atol=1e-9)
+
+
+def test_the_levelled_image_gives_directions_of_one_instant() -> None:
+    estimator = HybridFlowEstimator(RIG)
+    attitude = CAMERA.rotation
+    motion = CameraMotion(RATE, VELOCITY, 0.002)
+    world = np.array([[4.0, 2.0, 3.0], [-3.0, 1.0, 3.0]])
+    rolling = np.array([seen_by_row(p, 0.002) for p in CAMERA.inverse().apply(world)])
+    camera = RIG.camera
+    rays = np.column_stack(
+        [(rolling - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(2)]
+    )
+    level = rays @ attitude.T
+    turn = BODY_FROM_DOWNWARD_OPTICAL[:2, :2]
+    pixels = (level[:, :2] / -level[:, 2:]) @ turn * estimator._view.focal + 127.5
+    found = estimator._directions(pixels, attitude, motion, HEIGHT_M)
+    plain = estimator._view.directions(pixels)
+    true = world[:, :2] / HEIGHT_M
+    assert np.abs(plain - true).max() > 2e-3
+    np.testing.assert_allclose(found, true, atol=2e-4)
+
+
+def test_the_noise_of_flight_is_never_below_the_data_sheet() -> None:
+    rig = make_rig()
+    imu = with_flown_noise(rig, FlownImuParams(gyro_density=1e-6, accel_density=0.5)).imu
+    assert imu.gyro_density == rig.imu.gyro_density
+    assert imu.accel_density == 0.5
+    assert with_flown_noise(rig, FlownImuParams()) == rig
