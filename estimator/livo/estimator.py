@@ -38,6 +38,8 @@ from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.livo.anchored_update import update_with_scan
 from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.error_model import flown_imu, scan_errors, visual_diagnostics
+from touchdown.estimator.livo.intensity_image import brightness
+from touchdown.estimator.livo.intensity_update import PhotometricUpdate
 from touchdown.estimator.livo.lidar_update import DegeneracyWatch, LidarReport
 from touchdown.estimator.livo.online_calibration import (
     CLOCK,
@@ -144,6 +146,7 @@ class Livo:
             on_change=self._follow_clones,
         )
         self._scan_errors = scan_errors(rig, params)
+        self._photometric = PhotometricUpdate(self._imu_from_lidar.translation)
         self._degeneracy = DegeneracyWatch()
         self._undistort = Undistorter(rig)
         self._history_ticks = np.zeros(1, dtype=np.int64)
@@ -268,8 +271,12 @@ class Livo:
         if len(placed) >= _FEWEST_RETURNS:
             report = self._update_with_scan(placed)
             self._events += self._degeneracy.events(report)
+            self._update_with_intensities(placed, brightness(scan.intensity[placed.pulses]))
         self._correct_history()
         self._extend_map(placed.points, mount.translation, scan.end_tick)
+        self._photometric.extend(
+            self._eskf, placed.points, brightness(scan.intensity[placed.pulses])
+        )
         self._scan_tick = scan.end_tick
         if self._scan_track is not None:  # over all scans of this update
             start = round(self._scan_track.times_s[0] * self._rig.tick_hz)
@@ -300,6 +307,19 @@ class Livo:
             self._eskf, self._map, self._anchors, scan.select(chosen), self._scan_errors
         )
 
+    def _update_with_intensities(self, scan: PlacedScan, values: Array) -> None:
+        chosen = slice(None, None, max(1, len(scan) // 4000))
+        report = self._photometric.update(
+            self._eskf, scan.points[chosen], scan.beams[chosen], values[chosen]
+        )
+        self._diagnostics |= {
+            "intensity_used": float(report.used),
+            "intensity_images": float(report.images),
+            "intensity_sigma": report.sigma,
+            "intensity_clear": getattr(self._photometric,"_clear",0.0),
+            "intensity_aside_m": report.aside_m,
+        }
+
     def _extend_map(self, points: Array, lidar_position: Array, tick: int) -> None:
         """Adds (N, 3) points of the scan just used, IMU frame, to the map."""
         state = self._eskf.state
@@ -329,6 +349,7 @@ class Livo:
     def _follow_clones(self, gone: int | None) -> None:
         """Keeps the map's anchors in step with the filter's clones."""
         eskf = self._eskf
+        self._photometric.follow(gone, eskf, self._last_height)
         if gone is None:
             self._anchors.add(eskf.clones[-1], eskf.state.calibration, eskf.motion)
             return
