@@ -24,7 +24,7 @@ _CELL_SHARE = 0.006
 _LEAST_CELL_M = 0.02
 _FAINTEST = 4.0
 """weaker intensities count as this: the logarithm of single digits is mostly rounding"""
-_MOST_RETURNS = 60.0
+_MOST_RETURNS = 8.0
 """a cell takes no further ones: the oldest carry the least drift"""
 FEWEST = 1.5
 """returns that a smoothed cell needs (weighted mean over its neighbourhood)"""
@@ -87,31 +87,27 @@ class IntensityImage:
     """(6,) turn rate and velocity at its creation"""
     sums: Float32
     counts: Float32
-    means: Float32
-    weights: Float32
-    stale: bool = False
+    _smoothed: tuple[Float32, Float32] | None = None
 
     @staticmethod
-    def of(
-        rotation: Array, height_m: float, calibration: Array, motion: Array
-    ) -> IntensityImage:
+    def of(rotation: Array, height_m: float, calibration: Array, motion: Array) -> IntensityImage:
         """An empty image of a clone, with ``rotation`` odom_from_imu, ``height_m`` above the
         ground."""
-        empty = [np.zeros((SIDE, SIDE), dtype=np.float32) for _ in range(4)]
+        empty = [np.zeros((SIDE, SIDE), dtype=np.float32) for _ in range(2)]
         cell = max(_CELL_SHARE * height_m, _LEAST_CELL_M)
         return IntensityImage(rotation[:2].copy(), cell, calibration.copy(), motion, *empty)
 
     def add(self, points: Array, values: Array) -> None:
         """Adds ``points`` (N, 3), the clone's frame, of the brightness ``values`` (N,)."""
         add_returns(self.sums, self.counts, points, values, self.axes, self.cell_m)
-        self.stale = True
+        self._smoothed = None
 
     def smoothed(self) -> tuple[Float32, Float32]:
         """Smoothed means and numbers of returns (SIDE, SIDE)."""
-        if self.stale:
-            smooth(self.sums, self.counts, self.means, self.weights)
-            self.stale = False
-        return self.means, self.weights
+        if self._smoothed is None:
+            self._smoothed = np.zeros_like(self.sums), np.zeros_like(self.sums)
+            smooth(self.sums, self.counts, *self._smoothed)
+        return self._smoothed
 
     def share_known(self, points: Array) -> float:
         """Share of ``points`` (N, 3), the clone's frame, that lie on known cells."""

@@ -10,20 +10,31 @@ what the noise of an image adds to its gradients is taken off the information.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.deskew import PlacedScan
 from touchdown.estimator.filtering.eskf import CLONE_DIM, Eskf
 from touchdown.estimator.filtering.information import limit_information
-from touchdown.estimator.livo.intensity_image import FEWEST, Float32, IntensityImage
+from touchdown.estimator.livo.anchored_update import ScanErrors
+from touchdown.estimator.livo.intensity_image import (
+    FEWEST,
+    Float32,
+    IntensityImage,
+    brightness,
+)
 from touchdown.estimator.livo.online_calibration import LIDAR_CLOCK, MOUNT_DIM, SHIFT, TURN
 
 Array = NDArray[np.float64]
 
+_RETURNS = 4000
+"""returns of a scan that are compared with images"""
+_PLANE_TILT = float(np.radians(0.05))
+"""rad, information floor of roll and pitch by planes where intensities measure"""
 _ITERATIONS = 4
 _LEAST_USED = 300
 _LEAST_OVERLAP = 0.3
@@ -163,10 +174,13 @@ def photometry(
 class IntensityErrors:
     """Errors of a photometric measurement as a whole."""
 
-    aside_m: float = 0.01
+    aside_m: float = 0.02
     """that do not average out over its returns: the noise of an image is the same for all scans
     compared with it"""
-    turn_rad: float = 1e-3
+    turn_rad: float = 5e-4
+    image_aside_m: float = 0.03
+    """of an image as a whole: the drift while it was made"""
+    image_turn_rad: float = 5e-4
     least_sigma: float = 0.1
     """of a brightness"""
 
@@ -185,16 +199,35 @@ class IntensityReport:
 class PhotometricUpdate:
     """Images of all clones and the update by a scan; image k is of clone k."""
 
-    def __init__(self, lever: Array, errors: IntensityErrors | None = None) -> None:
-        """``lever`` (3,): the LIDAR in the IMU frame."""
+    def __init__(
+        self, lever: Array, dark_ticks: int | None = 0, errors: IntensityErrors | None = None
+    ) -> None:
+        """``lever`` (3,): the LIDAR in the IMU frame; ``dark_ticks``: scans measure only when for
+        longer than this no image has; None: never, and no images are made."""
         self._lever = lever
+        self._dark_ticks = dark_ticks
         self._errors = errors or IntensityErrors()
         self._sigma = _FIRST_SIGMA
         self.images: list[IntensityImage] = []
 
-    def follow(self, gone: int | None, eskf: Eskf, height_m: float) -> None:
+    def _needed(self, dark_ticks: int) -> bool:
+        return self._dark_ticks is not None and dark_ticks > self._dark_ticks
+
+    def errors_of_planes(self, errors: ScanErrors, dark_ticks: int) -> ScanErrors:
+        """Error model of the planes after ``dark_ticks`` without an image: intensities see the
+        ground, at which a tilt and a shift look the same, so that planes must tell them apart."""
+        if not self._needed(dark_ticks):
+            return errors
+        floor = errors.floor_sigmas.copy()
+        floor[:2] = np.minimum(floor[:2], _PLANE_TILT)
+        return replace(errors, floor_sigmas=floor)
+
+    def follow(self, gone: int | None, eskf: Eskf, height_m: float, dark_ticks: int) -> None:
         """Keeps the images in step with the clones: removes that of clone ``gone``, or starts one
-        of the newest clone."""
+        of the newest clone. Where intensities alone hold the position, the clone gets the error of
+        an image as a whole."""
+        if self._dark_ticks is None:
+            return
         if gone is not None:
             del self.images[gone]
             return
@@ -202,14 +235,34 @@ class PhotometricUpdate:
         self.images.append(
             IntensityImage.of(eskf.clones[-1].rotation, height_m, shared, eskf.motion)
         )
+        if self._needed(dark_ticks):
+            errors, at = self._errors, eskf.clone_indices(len(eskf.clones) - 1)
+            eskf.covariance[at[2], at[2]] += errors.image_turn_rad**2
+            eskf.covariance[at[3:5], at[3:5]] += errors.image_aside_m**2
 
-    def extend(self, eskf: Eskf, points: Array, values: Array) -> None:
+    def extend(self, eskf: Eskf, points: Array, intensity: NDArray[np.uint8]) -> None:
         """Adds the returns of the scan just used, ``points`` (N, 3) in the IMU frame, to the newest
         image."""
-        if not self.images:
-            return
-        move = eskf.clones[-1].inverse() @ eskf.state.pose
-        self.images[-1].add(move.apply(points), values)
+        if self.images:
+            move = eskf.clones[-1].inverse() @ eskf.state.pose
+            self.images[-1].add(move.apply(points), brightness(intensity))
+
+    def measure(
+        self, eskf: Eskf, scan: PlacedScan, intensity: NDArray[np.uint8], dark_ticks: int
+    ) -> dict[str, float]:
+        """Updates the filter by a scan and its ``intensity`` (N,) after ``dark_ticks`` without an
+        image; returns the figures for the recording."""
+        if not self._needed(dark_ticks):
+            return {}
+        chosen = np.arange(0, len(scan), max(1, len(scan) // _RETURNS))
+        part = scan.select(chosen)
+        report = self.update(eskf, part.points, part.beams, brightness(intensity[chosen]))
+        return {
+            "intensity_used": float(report.used),
+            "intensity_images": float(report.images),
+            "intensity_sigma": report.sigma,
+            "intensity_aside_m": report.aside_m,
+        }
 
     def choose(self, eskf: Eskf, points: Array) -> list[int]:
         """Images to compare ``points`` (N, 3), IMU frame, with: the newest that covers them, then
@@ -243,13 +296,14 @@ class PhotometricUpdate:
             return IntensityReport()
         prior, clones = eskf.state, eskf.clones
         touched = eskf.touched(keys)
-        sigma = self._sigma
+        sigmas = np.full(len(keys), self._sigma)
         information = np.zeros((len(touched), len(touched)))
-        used, images = 0, 0
+        used, images, sigma = 0, 0, self._sigma
         for _ in range(_ITERATIONS):
-            information, vector, used, images, sigma = self._accumulate(
-                eskf, keys, points, beams, values, sigma
+            information, vector, used, images = self._accumulate(
+                eskf, keys, points, beams, values, sigmas
             )
+            sigma = float(sigmas.min())
             if used < _LEAST_USED:
                 eskf.state, eskf.clones = prior, clones
                 return IntensityReport(used=used, images=images, sigma=sigma)
@@ -260,7 +314,7 @@ class PhotometricUpdate:
             offset = eskf.deviation(prior, clones, keys)
             delta = eskf.correction(touched, information, vector + information @ offset)
             eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)
-        self._sigma = max(sigma, self._errors.least_sigma)
+        self._sigma = sigma
         eskf.update_covariance(touched, information)
         weakest = float(np.linalg.eigvalsh(information[3:5, 3:5])[0])
         return IntensityReport(
@@ -274,12 +328,14 @@ class PhotometricUpdate:
         points: Array,
         beams: Array,
         values: Array,
-        sigma: float,
-    ) -> tuple[Array, Array, int, int, float]:
+        sigmas: Array,
+    ) -> tuple[Array, Array, int, int]:
+        """Sums over all images; ``sigmas`` (K,) become those of the residuals on each: an image
+        that does not fit counts little."""
         shared = eskf.shared
         size = CLONE_DIM * (1 + len(keys)) + shared
         information, vector = np.zeros((size, size)), np.zeros(size)
-        used, images, spread = 0, 0, 0.0
+        used, images = 0, 0
         calibration = eskf.state.calibration[:shared]
         for slot, k in enumerate(keys):
             image, clone = self.images[k], eskf.clones[k]
@@ -290,10 +346,11 @@ class PhotometricUpdate:
             part = photometry(
                 points, beams, values, *image.smoothed(), image.axes, image.cell_m,
                 move.rotation, move.translation, clone.rotation, change, self._lever,
-                np.concatenate([eskf.motion, image.motion]), sigma,
+                np.concatenate([eskf.motion, image.motion]), float(sigmas[slot]),
             )  # fmt: skip
+            if part.used:
+                sigmas[slot] = max(part.spread, self._errors.least_sigma)
             clear = 1.0 - part.noise_share
-            self._clear = clear
             if part.used < _LEAST_USED or clear < _LEAST_CLEAR:
                 continue
             start = CLONE_DIM * (1 + slot) + shared
@@ -308,5 +365,4 @@ class PhotometricUpdate:
             vector[where] += part.vector[own]
             used += part.used
             images += 1
-            spread += part.used * part.spread
-        return information, vector, used, images, spread / used if used else sigma
+        return information, vector, used, images
