@@ -115,6 +115,8 @@ class LivoParams:
     """a direction with a larger standard deviation than this counts as degenerate"""
     weak_sigma_deg: NotNegative = 0.3
     """the same for rotation"""
+    use_intensity: bool = False
+    """where no image measures the pose, the intensities of scans do"""
     keyframes: Count = 40
     """capacity; beyond it the most redundant one is marginalised"""
     track_keyframes: Count = 3

@@ -38,6 +38,7 @@ from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.livo.anchored_update import update_with_scan
 from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.error_model import flown_imu, scan_errors, visual_diagnostics
+from touchdown.estimator.livo.intensity_update import PhotometricUpdate
 from touchdown.estimator.livo.lidar_update import DegeneracyWatch, LidarReport
 from touchdown.estimator.livo.online_calibration import (
     CLOCK,
@@ -144,6 +145,8 @@ class Livo:
             on_change=self._follow_clones,
         )
         self._scan_errors = scan_errors(rig, params)
+        dark_ticks = rig.tick_hz // 2 if params.use_intensity else None
+        self._photometric = PhotometricUpdate(self._imu_from_lidar.translation, dark_ticks)
         self._degeneracy = DegeneracyWatch()
         self._undistort = Undistorter(rig)
         self._history_ticks = np.zeros(1, dtype=np.int64)
@@ -170,12 +173,9 @@ class Livo:
             self._gyro, self._force = sample.angular_velocity, sample.specific_force
             self._buffer.push(sample.tick, self._gyro, self._force, resting)
             self._head = propagate_nominal(
-                self._head,
-                np.array([sample.tick]),
-                self._gyro[None],
-                self._force[None],
+                self._head, np.array([sample.tick]), self._gyro[None], self._force[None],
                 self._buffer.step_s,
-            )
+            )  # fmt: skip
         measured = False
         for message in self._order.push(obs):
             measured |= self._take(message)
@@ -203,7 +203,8 @@ class Livo:
         tick = stamp_of(message)
         if tick < self._eskf.state.tick or tick > self._head.tick:
             self._diagnostics["skipped"] += 1.0
-            self._events.append(f"{_name_of(message)} {tick} refused: it came too late")
+            name = "scan" if isinstance(message, LidarScan) else "image"
+            self._events.append(f"{name} {tick} refused: it came too late")
             return False
         self._advance(tick)
         if isinstance(message, LidarScan):
@@ -268,8 +269,12 @@ class Livo:
         if len(placed) >= _FEWEST_RETURNS:
             report = self._update_with_scan(placed)
             self._events += self._degeneracy.events(report)
+            self._diagnostics |= self._photometric.measure(
+                self._eskf, placed, scan.intensity[pulses], self._dark_ticks
+            )
         self._correct_history()
         self._extend_map(placed.points, mount.translation, scan.end_tick)
+        self._photometric.extend(self._eskf, placed.points, scan.intensity[pulses])
         self._scan_tick = scan.end_tick
         if self._scan_track is not None:  # over all scans of this update
             start = round(self._scan_track.times_s[0] * self._rig.tick_hz)
@@ -297,8 +302,14 @@ class Livo:
         cell = np.sqrt(1.75 * 0.5 / params.scan_points) * reach
         chosen = thin_out(scan.points, float(cell), 15)[: 2 * params.scan_points]
         return update_with_scan(
-            self._eskf, self._map, self._anchors, scan.select(chosen), self._scan_errors
-        )
+            self._eskf, self._map, self._anchors, scan.select(chosen),
+            self._photometric.errors_of_planes(self._scan_errors, self._dark_ticks),
+        )  # fmt: skip
+
+    @property
+    def _dark_ticks(self) -> int:
+        """Time since an image last measured the pose."""
+        return self._eskf.state.tick - self._vision_tick
 
     def _extend_map(self, points: Array, lidar_position: Array, tick: int) -> None:
         """Adds (N, 3) points of the scan just used, IMU frame, to the map."""
@@ -307,11 +318,9 @@ class Livo:
             self._vision.add_anchor(self._eskf, self._last_height, tick)
         odom_points = points @ state.rotation.T + state.position
         sensor = state.rotation @ lidar_position + state.position
-        terms = None
+        terms, clones = None, self._eskf.clones
         if len(self._anchors):
-            terms = self._anchors.kept_from_now(
-                self._eskf.clones, state.calibration, state.rotation
-            )
+            terms = self._anchors.kept_from_now(clones, state.calibration, state.rotation)
         # close to the ground a scan would fill a voxel from one corner of it: spread its points
         spread = thin_out(points, 0.12 * self._params.voxel_m, 16)
         self._map.insert(odom_points[spread], sensor, len(self._anchors) - 1, terms)
@@ -323,12 +332,13 @@ class Livo:
             return True
         if tick - self._vision_tick <= self._rig.tick_hz // 2:
             return False
-        gap = self._eskf.state.position - self._eskf.clones[-1].translation
-        return float(np.linalg.norm(gap)) > _ANCHOR_REACH * max(self._last_height, 2.0)
+        gap = np.linalg.norm(self._eskf.state.position - self._eskf.clones[-1].translation)
+        return float(gap) > _ANCHOR_REACH * max(self._last_height, 2.0)
 
     def _follow_clones(self, gone: int | None) -> None:
         """Keeps the map's anchors in step with the filter's clones."""
         eskf = self._eskf
+        self._photometric.follow(gone, eskf, self._last_height, self._dark_ticks)
         if gone is None:
             self._anchors.add(eskf.clones[-1], eskf.state.calibration, eskf.motion)
             return
@@ -437,7 +447,3 @@ class Livo:
             diagnostics=dict(self._diagnostics),
             events=tuple(self._events),
         )
-
-
-def _name_of(message: Message) -> str:
-    return "scan" if isinstance(message, LidarScan) else "image"

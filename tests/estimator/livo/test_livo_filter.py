@@ -197,7 +197,7 @@ def test_covariance_with_scale_errors_follows_the_dense_formula() -> None:
     total, noise, by_errors = transition(rotations, rate, pull, STEP_S, buffer.densities)
     eskf.propagate(buffer, 20)
     dense, added = np.eye(base + 6), np.zeros((base + 6, base + 6))
-    dense[:STATE_DIM, :STATE_DIM], dense[:STATE_DIM, SCALE] = total, by_errors
+    dense[:STATE_DIM, :STATE_DIM], dense[:STATE_DIM, IMU_ERRORS] = total, by_errors
     added[:STATE_DIM, :STATE_DIM] = noise
     np.testing.assert_allclose(eskf.covariance, dense @ prior @ dense.T + added, atol=1e-12)
     nav = eskf.covariance[:STATE_DIM]

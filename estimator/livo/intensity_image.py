@@ -1,0 +1,117 @@
+"""Images of the LIDAR's intensity from above, one for each clone of the filter.
+
+A pulse's intensity is a property of the place that it hits, calibrated by the sensor to
+reflectivity, so that returns of many scans form an orthographic image of the ground: without
+perspective, shadows or darkness. An image lies in the horizontal plane of its clone and moves with
+it. Values are logarithms: texture scales the reflectivity of what it is on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+SIDE = 384
+"""cells of a row"""
+_CELL_SHARE = 0.006
+"""side of a cell relative to the height: a few returns of a second fall into each"""
+_LEAST_CELL_M = 0.02
+_FAINTEST = 4.0
+"""weaker intensities count as this: the logarithm of single digits is mostly rounding"""
+_MOST_RETURNS = 8.0
+"""a cell takes no further ones: the oldest carry the least drift"""
+FEWEST = 1.5
+"""returns that a smoothed cell needs (weighted mean over its neighbourhood)"""
+
+
+def brightness(intensity: NDArray[np.uint8]) -> Array:
+    """Returns the logarithm of intensities (N,)."""
+    return np.log(np.maximum(intensity.astype(np.float64), _FAINTEST))
+
+
+@njit(cache=True)
+def add_returns(
+    sums: Float32, counts: Float32, points: Array, values: Array, axes: Array, cell: float
+) -> None:
+    """Adds returns to an image (rows, columns): ``points`` (N, 3) in the clone's frame, ``axes``
+    (2, 3) of the image in that frame. Returns beside the image are left out."""
+    rows, columns = sums.shape
+    for i in range(points.shape[0]):
+        u, v = 0.0, 0.0
+        for a in range(3):
+            u += axes[0, a] * points[i, a]
+            v += axes[1, a] * points[i, a]
+        column, row = int(np.floor(u / cell)) + columns // 2, int(np.floor(v / cell)) + rows // 2
+        if 0 <= row < rows and 0 <= column < columns and counts[row, column] < _MOST_RETURNS:
+            sums[row, column] += values[i]
+            counts[row, column] += 1.0
+
+
+@njit(cache=True)
+def smooth(sums: Float32, counts: Float32, means: Float32, weights: Float32) -> None:
+    """Writes mean and number of returns of each cell and its neighbours, weighted 1, 2, 1 along
+    either axis; mean 0 where there is none."""
+    rows, columns = sums.shape
+    for r in range(1, rows - 1):
+        for c in range(1, columns - 1):
+            n = 4.0 * counts[r, c]
+            n += 2.0 * (counts[r - 1, c] + counts[r + 1, c] + counts[r, c - 1] + counts[r, c + 1])
+            n += counts[r - 1, c - 1] + counts[r - 1, c + 1]
+            n += counts[r + 1, c - 1] + counts[r + 1, c + 1]
+            weights[r, c] = n / 16.0
+            if n == 0.0:
+                means[r, c] = 0.0
+                continue
+            s = 4.0 * sums[r, c]
+            s += 2.0 * (sums[r - 1, c] + sums[r + 1, c] + sums[r, c - 1] + sums[r, c + 1])
+            s += sums[r - 1, c - 1] + sums[r - 1, c + 1] + sums[r + 1, c - 1] + sums[r + 1, c + 1]
+            means[r, c] = s / n
+
+
+@dataclass(eq=False)
+class IntensityImage:
+    """The image of one clone."""
+
+    axes: Array
+    """(2, 3) horizontal axes of the image in the clone's IMU frame"""
+    cell_m: float
+    calibration: Array
+    """(C,) shared calibration that its returns were placed with"""
+    motion: Array
+    """(6,) turn rate and velocity at its creation"""
+    sums: Float32
+    counts: Float32
+    _smoothed: tuple[Float32, Float32] | None = None
+
+    @staticmethod
+    def of(rotation: Array, height_m: float, calibration: Array, motion: Array) -> IntensityImage:
+        """An empty image of a clone, with ``rotation`` odom_from_imu, ``height_m`` above the
+        ground."""
+        empty = [np.zeros((SIDE, SIDE), dtype=np.float32) for _ in range(2)]
+        cell = max(_CELL_SHARE * height_m, _LEAST_CELL_M)
+        return IntensityImage(rotation[:2].copy(), cell, calibration.copy(), motion, *empty)
+
+    def add(self, points: Array, values: Array) -> None:
+        """Adds ``points`` (N, 3), the clone's frame, of the brightness ``values`` (N,)."""
+        add_returns(self.sums, self.counts, points, values, self.axes, self.cell_m)
+        self._smoothed = None
+
+    def smoothed(self) -> tuple[Float32, Float32]:
+        """Smoothed means and numbers of returns (SIDE, SIDE)."""
+        if self._smoothed is None:
+            self._smoothed = np.zeros_like(self.sums), np.zeros_like(self.sums)
+            smooth(self.sums, self.counts, *self._smoothed)
+        return self._smoothed
+
+    def share_known(self, points: Array) -> float:
+        """Share of ``points`` (N, 3), the clone's frame, that lie on known cells."""
+        at = np.floor(points @ self.axes.T / self.cell_m).astype(np.int64) + SIDE // 2
+        inside = ((at >= 0) & (at < SIDE)).all(axis=1)
+        known = self.counts[at[inside, 1], at[inside, 0]] > 0
+        return float(known.sum()) / max(len(points), 1)

@@ -1,0 +1,368 @@
+"""Photometric update of the filter by the intensities of one scan.
+
+Over ground whose shape does not show sideways motion, its reflectivity still does: the returns of a
+scan are compared with the intensity images (``intensity_image``) of a few clones, and the images'
+gradients turn differences of brightness into shifts (COIN-LIO, Pfreundschuh et al., ICRA 2024,
+which projects onto the sensor's sphere; from above, an orthographic image needs no projection and
+knows no occlusion). The variance of a difference is measured from the scan's own residuals, and
+what the noise of an image adds to its gradients is taken off the information.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from touchdown.estimator.filtering.deskew import PlacedScan
+from touchdown.estimator.filtering.eskf import CLONE_DIM, Eskf
+from touchdown.estimator.filtering.information import limit_information
+from touchdown.estimator.livo.anchored_update import ScanErrors
+from touchdown.estimator.livo.intensity_image import (
+    FEWEST,
+    Float32,
+    IntensityImage,
+    brightness,
+)
+from touchdown.estimator.livo.online_calibration import LIDAR_CLOCK, MOUNT_DIM, SHIFT, TURN
+
+Array = NDArray[np.float64]
+
+_RETURNS = 4000
+"""returns of a scan that are compared with images"""
+_PLANE_TILT = float(np.radians(0.05))
+"""rad, information floor of roll and pitch by planes where intensities measure"""
+_ITERATIONS = 4
+_LEAST_USED = 300
+_LEAST_OVERLAP = 0.3
+_MOST_IMAGES = 3
+_LEAST_CLEAR = 0.3
+"""share of an image's squared gradients that is not noise; below, it has no texture"""
+_FIRST_SIGMA = 0.25
+_GRADIENT_NOISE = 0.094
+"""variance of a gradient by noise, in that of one return over their number and the cell's area: two
+neighbours of an image smoothed by 1, 2, 1"""
+
+
+class Photometry(NamedTuple):
+    """Sums over the returns on one image. Error order: present pose, mount (rotation,
+    translation), the LIDAR's clock, the clone: 19 coordinates."""
+
+    information: Array
+    vector: Array
+    used: int
+    spread: float
+    """robust standard deviation of the residuals"""
+    noise_share: float
+    """of the squared gradients"""
+
+
+@njit(cache=True)
+def photometry(
+    points: Array,
+    beams: Array,
+    values: Array,
+    means: Float32,
+    weights: Float32,
+    axes: Array,
+    cell: float,
+    turn: Array,
+    shift: Array,
+    clone_turn: Array,
+    mount_change: Array,
+    lever: Array,
+    motions: Array,
+    sigma: float,
+) -> Photometry:
+    """Returns the normal equations of the brightness of N returns on one image.
+
+    ``points``, ``beams`` (N, 3): IMU frame; ``turn``, ``shift``: clone_from_imu; ``clone_turn``:
+    odom_from_clone; ``mount_change`` (6,): mount now less the mount when the image was made;
+    ``lever`` (3,): the LIDAR in the IMU frame; ``motions`` (12,): turn rate and velocity now, then
+    those of the clone; ``sigma``: of a residual. Cauchy weights. The mean of the residuals, the
+    scan's own brightness, is marginalised.
+    """
+    rows, columns = means.shape
+    information, vector = np.zeros((19, 19)), np.zeros(19)
+    mean_row, row = np.zeros(19), np.zeros(19)
+    total_weight, mean_residual = 0.0, 0.0
+    g, q, seen = np.zeros(3), np.zeros(3), np.zeros(3)
+    now, to_odom = np.zeros(3), np.zeros(3)
+    squares, noise, absolute = 0.0, 0.0, 0.0
+    used = 0
+    for i in range(points.shape[0]):
+        p, beam = points[i], beams[i]
+        for a in range(3):
+            q[a] = shift[a]
+            for b in range(3):
+                q[a] += turn[a, b] * p[b]
+            seen[a] = q[a] - lever[a]
+        u, v = 0.0, 0.0
+        w = mount_change
+        dx = w[1] * seen[2] - w[2] * seen[1] + w[3]
+        dy = w[2] * seen[0] - w[0] * seen[2] + w[4]
+        dz = w[0] * seen[1] - w[1] * seen[0] + w[5]
+        for a in range(3):
+            moved = q[a] - (dx if a == 0 else (dy if a == 1 else dz))
+            u += axes[0, a] * moved
+            v += axes[1, a] * moved
+        u, v = u / cell + 0.5 * columns - 0.5, v / cell + 0.5 * rows - 0.5
+        c, r = int(np.floor(u)), int(np.floor(v))
+        if c < 1 or r < 1 or c >= columns - 2 or r >= rows - 2:
+            continue
+        n = min(
+            min(weights[r, c], weights[r, c + 1]), min(weights[r + 1, c], weights[r + 1, c + 1])
+        )
+        if n < FEWEST:
+            continue
+        fu, fv = u - c, v - r
+        low = means[r, c] + fu * (means[r, c + 1] - means[r, c])
+        high = means[r + 1, c] + fu * (means[r + 1, c + 1] - means[r + 1, c])
+        below, above = means[r, c + 1] - means[r, c], means[r + 1, c + 1] - means[r + 1, c]
+        gu = (below + fv * (above - below)) / cell
+        gv = (high - low) / cell
+        residual = values[i] - (low + fv * (high - low))
+        scaled = residual / sigma
+        weight = 1.0 / ((1.0 + 0.25 * scaled * scaled) * sigma * sigma)
+        absolute += abs(residual)
+        for a in range(3):
+            g[a] = gu * axes[0, a] + gv * axes[1, a]
+        for b in range(3):
+            now[b] = turn[0, b] * g[0] + turn[1, b] * g[1] + turn[2, b] * g[2]
+            to_odom[b] = clone_turn[b, 0] * g[0] + clone_turn[b, 1] * g[1] + clone_turn[b, 2] * g[2]
+        row[0] = p[1] * now[2] - p[2] * now[1]
+        row[1] = p[2] * now[0] - p[0] * now[2]
+        row[2] = p[0] * now[1] - p[1] * now[0]
+        row[13] = -(q[1] * g[2] - q[2] * g[1])
+        row[14] = -(q[2] * g[0] - q[0] * g[2])
+        row[15] = -(q[0] * g[1] - q[1] * g[0])
+        row[6] = beam[1] * now[2] - beam[2] * now[1] - (seen[1] * g[2] - seen[2] * g[1])
+        row[7] = beam[2] * now[0] - beam[0] * now[2] - (seen[2] * g[0] - seen[0] * g[2])
+        row[8] = beam[0] * now[1] - beam[1] * now[0] - (seen[0] * g[1] - seen[1] * g[0])
+        row[12] = 0.0
+        for a in range(3):
+            row[3 + a], row[16 + a] = to_odom[a], -to_odom[a]
+            row[9 + a] = now[a] - g[a]
+        for a in range(6):
+            row[12] -= row[a] * motions[a] + row[13 + a] * motions[6 + a]
+        for a in range(19):
+            vector[a] += weight * row[a] * residual
+            mean_row[a] += weight * row[a]
+            for b in range(a + 1):
+                information[a, b] += weight * row[a] * row[b]
+        total_weight += weight
+        mean_residual += weight * residual
+        squares += weight * (gu * gu + gv * gv)
+        noise += weight * 2.0 * _GRADIENT_NOISE / (n * cell * cell)
+        used += 1
+    if used == 0:
+        return Photometry(information, vector, 0, sigma, 1.0)
+    for a in range(19):
+        vector[a] -= mean_row[a] * mean_residual / total_weight
+        for b in range(a + 1):
+            information[a, b] -= mean_row[a] * mean_row[b] / total_weight
+            information[b, a] = information[a, b]
+    spread = 1.2533 * absolute / used
+    noise *= spread * spread
+    return Photometry(information, vector, used, spread, noise / max(squares, 1e-12))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class IntensityErrors:
+    """Errors of a photometric measurement as a whole."""
+
+    aside_m: float = 0.02
+    """that do not average out over its returns: the noise of an image is the same for all scans
+    compared with it"""
+    turn_rad: float = 5e-4
+    image_aside_m: float = 0.03
+    """of an image as a whole: the drift while it was made"""
+    image_turn_rad: float = 5e-4
+    least_sigma: float = 0.1
+    """of a brightness"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class IntensityReport:
+    """Result of an update, for the recording."""
+
+    used: int = 0
+    images: int = 0
+    sigma: float = 0.0
+    aside_m: float = 0.0
+    """standard deviation of the weaker horizontal direction by this scan alone"""
+
+
+class PhotometricUpdate:
+    """Images of all clones and the update by a scan; image k is of clone k."""
+
+    def __init__(
+        self, lever: Array, dark_ticks: int | None = 0, errors: IntensityErrors | None = None
+    ) -> None:
+        """``lever`` (3,): the LIDAR in the IMU frame; ``dark_ticks``: scans measure only when for
+        longer than this no image has; None: never, and no images are made."""
+        self._lever = lever
+        self._dark_ticks = dark_ticks
+        self._errors = errors or IntensityErrors()
+        self._sigma = _FIRST_SIGMA
+        self.images: list[IntensityImage] = []
+
+    def _needed(self, dark_ticks: int) -> bool:
+        return self._dark_ticks is not None and dark_ticks > self._dark_ticks
+
+    def errors_of_planes(self, errors: ScanErrors, dark_ticks: int) -> ScanErrors:
+        """Error model of the planes after ``dark_ticks`` without an image: intensities see the
+        ground, at which a tilt and a shift look the same, so that planes must tell them apart."""
+        if not self._needed(dark_ticks):
+            return errors
+        floor = errors.floor_sigmas.copy()
+        floor[:2] = np.minimum(floor[:2], _PLANE_TILT)
+        return replace(errors, floor_sigmas=floor)
+
+    def follow(self, gone: int | None, eskf: Eskf, height_m: float, dark_ticks: int) -> None:
+        """Keeps the images in step with the clones: removes that of clone ``gone``, or starts one
+        of the newest clone. Where intensities alone hold the position, the clone gets the error of
+        an image as a whole."""
+        if self._dark_ticks is None:
+            return
+        if gone is not None:
+            del self.images[gone]
+            return
+        shared = eskf.state.calibration[: eskf.shared]
+        self.images.append(
+            IntensityImage.of(eskf.clones[-1].rotation, height_m, shared, eskf.motion)
+        )
+        if self._needed(dark_ticks):
+            errors, at = self._errors, eskf.clone_indices(len(eskf.clones) - 1)
+            eskf.covariance[at[2], at[2]] += errors.image_turn_rad**2
+            eskf.covariance[at[3:5], at[3:5]] += errors.image_aside_m**2
+
+    def extend(self, eskf: Eskf, points: Array, intensity: NDArray[np.uint8]) -> None:
+        """Adds the returns of the scan just used, ``points`` (N, 3) in the IMU frame, to the newest
+        image."""
+        if self.images:
+            move = eskf.clones[-1].inverse() @ eskf.state.pose
+            self.images[-1].add(move.apply(points), brightness(intensity))
+
+    def measure(
+        self, eskf: Eskf, scan: PlacedScan, intensity: NDArray[np.uint8], dark_ticks: int
+    ) -> dict[str, float]:
+        """Updates the filter by a scan and its ``intensity`` (N,) after ``dark_ticks`` without an
+        image; returns the figures for the recording."""
+        if not self._needed(dark_ticks):
+            return {}
+        chosen = np.arange(0, len(scan), max(1, len(scan) // _RETURNS))
+        part = scan.select(chosen)
+        report = self.update(eskf, part.points, part.beams, brightness(intensity[chosen]))
+        return {
+            "intensity_used": float(report.used),
+            "intensity_images": float(report.images),
+            "intensity_sigma": report.sigma,
+            "intensity_aside_m": report.aside_m,
+        }
+
+    def choose(self, eskf: Eskf, points: Array) -> list[int]:
+        """Images to compare ``points`` (N, 3), IMU frame, with: the newest that covers them, then
+        those best known, ascending."""
+        overlaps: list[tuple[int, float]] = []
+        for k, (clone, image) in enumerate(zip(eskf.clones, self.images, strict=True)):
+            move = clone.inverse() @ eskf.state.pose
+            far = float(np.hypot(*(image.axes @ move.translation)))
+            if far > 0.5 * image.cell_m * image.sums.shape[0]:
+                continue
+            share = image.share_known(move.apply(points[::8]))
+            if share >= _LEAST_OVERLAP:
+                overlaps.append((k, share))
+        if len(overlaps) <= _MOST_IMAGES:
+            return [k for k, _ in overlaps]
+        newest = overlaps.pop()[0]
+        variances = np.diag(eskf.covariance)
+
+        def worth(entry: tuple[int, float]) -> float:
+            k, share = entry
+            return float(variances[eskf.clone_indices(k)[3:5]].sum()) / share
+
+        best = sorted(overlaps, key=worth)[: _MOST_IMAGES - 1]
+        return sorted([newest, *(k for k, _ in best)])
+
+    def update(self, eskf: Eskf, points: Array, beams: Array, values: Array) -> IntensityReport:
+        """Iterated update by (N, 3) ``points`` and ``beams``, IMU frame, of brightness ``values``
+        (N,). Nothing is changed where too few returns lie on images with texture."""
+        keys = self.choose(eskf, points)
+        if not keys:
+            return IntensityReport()
+        prior, clones = eskf.state, eskf.clones
+        touched = eskf.touched(keys)
+        sigmas = np.full(len(keys), self._sigma)
+        information = np.zeros((len(touched), len(touched)))
+        used, images, sigma = 0, 0, self._sigma
+        for _ in range(_ITERATIONS):
+            information, vector, used, images = self._accumulate(
+                eskf, keys, points, beams, values, sigmas
+            )
+            sigma = float(sigmas.min())
+            if used < _LEAST_USED:
+                eskf.state, eskf.clones = prior, clones
+                return IntensityReport(used=used, images=images, sigma=sigma)
+            turn, aside = self._errors.turn_rad, self._errors.aside_m
+            floor = np.array([turn, turn, turn, aside, aside, 0.0])
+            floors = np.concatenate([floor, np.zeros(eskf.shared), np.zeros(6 * len(keys))])
+            information, vector = limit_information(*eskf.coupled(information, vector), floors)
+            offset = eskf.deviation(prior, clones, keys)
+            delta = eskf.correction(touched, information, vector + information @ offset)
+            eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)
+        self._sigma = sigma
+        eskf.update_covariance(touched, information)
+        weakest = float(np.linalg.eigvalsh(information[3:5, 3:5])[0])
+        return IntensityReport(
+            used=used, images=images, sigma=sigma, aside_m=1.0 / np.sqrt(max(weakest, 1e-12))
+        )
+
+    def _accumulate(
+        self,
+        eskf: Eskf,
+        keys: list[int],
+        points: Array,
+        beams: Array,
+        values: Array,
+        sigmas: Array,
+    ) -> tuple[Array, Array, int, int]:
+        """Sums over all images; ``sigmas`` (K,) become those of the residuals on each: an image
+        that does not fit counts little."""
+        shared = eskf.shared
+        size = CLONE_DIM * (1 + len(keys)) + shared
+        information, vector = np.zeros((size, size)), np.zeros(size)
+        used, images = 0, 0
+        calibration = eskf.state.calibration[:shared]
+        for slot, k in enumerate(keys):
+            image, clone = self.images[k], eskf.clones[k]
+            move = clone.inverse() @ eskf.state.pose
+            change = np.zeros(MOUNT_DIM)
+            if shared:
+                change = (calibration - image.calibration)[:MOUNT_DIM]
+            part = photometry(
+                points, beams, values, *image.smoothed(), image.axes, image.cell_m,
+                move.rotation, move.translation, clone.rotation, change, self._lever,
+                np.concatenate([eskf.motion, image.motion]), float(sigmas[slot]),
+            )  # fmt: skip
+            if part.used:
+                sigmas[slot] = max(part.spread, self._errors.least_sigma)
+            clear = 1.0 - part.noise_share
+            if part.used < _LEAST_USED or clear < _LEAST_CLEAR:
+                continue
+            start = CLONE_DIM * (1 + slot) + shared
+            where = np.r_[np.arange(CLONE_DIM), np.arange(start, start + CLONE_DIM)]
+            own = np.r_[np.arange(CLONE_DIM), np.arange(13, 19)]
+            if shared:
+                mount = np.r_[TURN, SHIFT, LIDAR_CLOCK]
+                where = np.r_[where, CLONE_DIM + mount]
+                own = np.r_[own, np.arange(6, 13)]
+            # the noise of the gradients adds to the squares, not to the vector
+            information[np.ix_(where, where)] += clear * part.information[np.ix_(own, own)]
+            vector[where] += part.vector[own]
+            used += part.used
+            images += 1
+        return information, vector, used, images

@@ -1,0 +1,162 @@
+"""Intensity images and the photometric update, over ground of known reflectivity."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.filtering.deskew import PlacedScan
+from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.imu_propagation import NavState
+from touchdown.estimator.livo.anchored_update import ScanErrors
+from touchdown.estimator.livo.intensity_image import IntensityImage, brightness
+from touchdown.estimator.livo.intensity_update import PhotometricUpdate, photometry
+from touchdown.sim.frames import Pose, so3_exp
+
+LEVER = np.array([0.1, 0.0, 0.05])
+TRUE = Pose(so3_exp(np.array([-0.04, 0.06, 0.3])), np.array([2.0, 1.0, 30.0]))
+DARK = 10_000
+"""ticks without an image"""
+
+
+def reflectivity(places, texture=1.0):
+    """Logarithm of the intensity of (N, 3) places."""
+    wave = np.sin(1.3 * places[:, 0] + 0.3) + np.cos(0.9 * places[:, 1] - 0.2 * places[:, 0])
+    return 3.5 + 0.4 * texture * wave
+
+
+def ground(count, seed):
+    rng = np.random.default_rng(seed)
+    return np.column_stack([rng.uniform(-15.0, 18.0, (count, 2)), np.zeros(count)])
+
+
+def scan_from(pose, places):
+    points = pose.inverse().apply(places)
+    return PlacedScan(points, points - LEVER, np.arange(len(points)))
+
+
+def image_of(clone, texture=1.0, seed=0):
+    image = IntensityImage.of(clone.rotation, 30.0, np.zeros(0), np.zeros(6))
+    places = ground(300_000, seed)
+    image.add(clone.inverse().apply(places), reflectivity(places, texture))
+    return image
+
+
+def levels(places, texture=1.0):
+    return np.exp(reflectivity(places, texture)).round().astype(np.uint8)
+
+
+def filter_at(pose, update, texture=1.0, sigma_m=0.3):
+    """A filter whose first clone is exactly at the true pose and carries an image, and whose state
+    is at ``pose``."""
+    eskf = Eskf(NavState(0, TRUE.rotation, TRUE.translation, *np.zeros((3, 3))), np.full(15, 1e-12))
+    eskf.add_clone()
+    update.follow(None, eskf, 30.0, 0)
+    places = ground(300_000, 1)
+    update.extend(eskf, TRUE.inverse().apply(places), levels(places, texture))
+    eskf.state = NavState(0, pose.rotation, pose.translation, *np.zeros((3, 3)))
+    eskf.covariance[2, 2] += 0.01**2
+    eskf.covariance[3:5, 3:5] += sigma_m**2 * np.eye(2)
+    return eskf
+
+
+def test_image_holds_the_reflectivity_of_places():
+    image = image_of(TRUE)
+    means, weights = image.smoothed()
+    centre = TRUE.inverse().apply(np.array([[3.0, 4.0, 0.0]]))[0]
+    at = np.floor(image.axes @ centre / image.cell_m).astype(int) + means.shape[0] // 2
+    assert weights[at[1], at[0]] > 5.0
+    assert means[at[1], at[0]] == pytest.approx(
+        reflectivity(np.array([[3.0, 4.0, 0.0]]))[0], abs=0.06
+    )
+    assert image.share_known(TRUE.inverse().apply(ground(500, 5))) > 0.98
+    assert image.share_known(TRUE.inverse().apply(ground(500, 5) + [200.0, 0, 0])) == 0.0
+
+
+def test_faint_intensities_count_alike():
+    assert brightness(np.array([0, 4, 8], dtype=np.uint8)).tolist() == pytest.approx(
+        [np.log(4), np.log(4), np.log(8)]
+    )
+
+
+@pytest.mark.parametrize("coordinate", [*range(5), *range(6, 12), *range(13, 18)])
+def test_derivatives_agree_with_differences(coordinate):
+    clone = Pose(so3_exp(np.array([0.05, -0.03, 0.4])), np.array([1.0, 2.0, 28.0]))
+    image, places = image_of(clone), ground(4000, 2)
+    points = TRUE.inverse().apply(places)
+
+    def at(error):
+        now = Pose(TRUE.rotation @ so3_exp(error[:3]), TRUE.translation + error[3:6])
+        key = Pose(clone.rotation @ so3_exp(error[13:16]), clone.translation + error[16:])
+        turned = so3_exp(error[6:9]) @ (points - LEVER).T
+        seen = turned.T + LEVER + error[9:12]
+        move = key.inverse() @ now
+        return photometry(
+            seen, points - LEVER, reflectivity(places), *image.smoothed(), image.axes,
+            image.cell_m, move.rotation, move.translation, key.rotation, error[6:12], LEVER,
+            np.zeros(12), 0.3,
+        )  # fmt: skip
+
+    start = at(np.zeros(19))
+    error = np.zeros(19)
+    error[coordinate] = 2e-2 if coordinate in (3, 4, 9, 10, 11, 16, 17) else 1e-3
+    change = at(error).vector - start.vector
+    predicted = -start.information @ error
+    scale = np.sqrt(np.diag(start.information))
+    scale = np.maximum(scale, 0.01 * scale.max())
+    assert (
+        np.linalg.norm((change - predicted) / scale)
+        < 0.06 * np.linalg.norm(predicted / scale) + 0.02 * abs(error[coordinate]) * scale.max()
+    )
+
+
+def test_update_finds_the_true_position_over_flat_ground():
+    update = PhotometricUpdate(LEVER)
+    eskf = filter_at(Pose(TRUE.rotation, TRUE.translation + [0.25, -0.2, 0.0]), update)
+    places = ground(4000, 3)
+    figures = update.measure(eskf, scan_from(TRUE, places), levels(places), DARK)
+    assert figures["intensity_used"] > 3500
+    assert np.abs(eskf.state.position - TRUE.translation).max() < 0.02
+    assert np.sqrt(eskf.covariance[3, 3]) < 0.04
+
+
+def test_update_leaves_ground_without_texture_alone():
+    update = PhotometricUpdate(LEVER)
+    pose = Pose(TRUE.rotation, TRUE.translation + [0.25, -0.2, 0.0])
+    eskf = filter_at(pose, update, texture=0.0)
+    places = ground(4000, 3)
+    noisy = np.random.default_rng(1).integers(28, 38, 4000).astype(np.uint8)
+    before = eskf.covariance.copy()
+    figures = update.measure(eskf, scan_from(TRUE, places), noisy, DARK)
+    assert figures["intensity_images"] == 0.0
+    assert np.array_equal(eskf.state.position, pose.translation)
+    assert np.array_equal(eskf.covariance, before)
+
+
+def test_scans_measure_in_the_dark_only():
+    update = PhotometricUpdate(LEVER, 300)
+    pose = Pose(TRUE.rotation, TRUE.translation + [0.25, -0.2, 0.0])
+    eskf = filter_at(pose, update)
+    places = ground(4000, 3)
+    assert update.measure(eskf, scan_from(TRUE, places), levels(places), 300) == {}
+    assert np.array_equal(eskf.state.position, pose.translation)
+    errors = ScanErrors(range_sigma_m=0.02, angle_sigma_rad=1e-3, floor_sigmas=np.full(6, 0.1))
+    assert update.errors_of_planes(errors, 300) is errors
+    assert update.errors_of_planes(errors, 301).floor_sigmas[:2].max() < 1e-3
+    assert update.errors_of_planes(errors, 301).floor_sigmas[2:].tolist() == [0.1] * 4
+    off = PhotometricUpdate(LEVER, None)
+    off.follow(None, eskf, 30.0, DARK)
+    assert off.images == []
+
+
+def test_images_follow_the_clones():
+    update = PhotometricUpdate(LEVER)
+    eskf = filter_at(TRUE, update)
+    variance = eskf.covariance[3, 3]
+    eskf.add_clone()
+    update.follow(None, eskf, 20.0, DARK)
+    first, second = update.images
+    assert (first.cell_m, second.cell_m) == pytest.approx((0.18, 0.12))
+    assert eskf.covariance[-3, -3] == pytest.approx(variance + 0.03**2)
+    update.follow(0, eskf, 20.0, DARK)
+    assert update.images == [second]
