@@ -93,9 +93,9 @@ class IntensityImage:
     def of(rotation: Array, height_m: float, calibration: Array, motion: Array) -> IntensityImage:
         """An empty image of a clone, with ``rotation`` odom_from_imu, ``height_m`` above the
         ground."""
-        empty = [np.zeros((SIDE, SIDE), dtype=np.float32) for _ in range(2)]
+        sums, counts = np.zeros((2, SIDE, SIDE), dtype=np.float32)
         cell = max(_CELL_SHARE * height_m, _LEAST_CELL_M)
-        return IntensityImage(rotation[:2].copy(), cell, calibration.copy(), motion, *empty)
+        return IntensityImage(rotation[:2].copy(), cell, calibration.copy(), motion, sums, counts)
 
     def add(self, points: Array, values: Array) -> None:
         """Adds ``points`` (N, 3), the clone's frame, of the brightness ``values`` (N,)."""
