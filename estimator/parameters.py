@@ -101,6 +101,8 @@ class LivoParams:
     """prior of the relative scale errors of gyroscope and accelerometer"""
     gyro_misalignment_sigma_deg: NotNegative = 0.0
     """prior of the misalignment of each axis of the gyroscope towards each of the two others"""
+    gyro_g_sigma: NotNegative = 0.0
+    """prior of the gyroscope's response to specific force, rad/s per m/s^2"""
     gyro_density: NotNegative = 0.0
     """rad/s/sqrt(Hz) of the gyroscope on the flying vehicle, where above that of the data sheet"""
     accel_density: NotNegative = 0.0

@@ -30,9 +30,12 @@ ACCEL_BIAS = slice(12, 15)
 STATE_DIM = 15
 SCALE_DIM = 6
 """relative scale errors of gyroscope and accelerometer, three each"""
-IMU_DIM = 12
-"""the same, and the responses of each axis of the gyroscope to rates about the two others, in the
-order of ``CROSS_AXES``"""
+CROSS_DIM = 6
+"""responses of each axis of the gyroscope to rates about the two others, in the order of
+``CROSS_AXES``"""
+IMU_DIM = SCALE_DIM + CROSS_DIM + 9
+"""the two before, and the responses of each axis of the gyroscope to specific force along x, y, z,
+rad/s per m/s^2"""
 CROSS_AXES = np.array([[0, 1], [0, 2], [1, 0], [1, 2], [2, 0], [2, 1]])
 """(6, 2): axis of the gyroscope, axis of the rate"""
 
@@ -54,7 +57,7 @@ class NavState:
     """(3,) m/s^2"""
     calibration: Array = field(default_factory=lambda: np.zeros(0))
     """estimated errors of the given calibration, if any
-    (``estimator/livo/online_calibration.py``); the last twelve are ``imu_errors``"""
+    (``estimator/livo/online_calibration.py``); the last 21 are ``imu_errors``"""
 
     @property
     def pose(self) -> Pose:
@@ -63,17 +66,18 @@ class NavState:
 
     @property
     def imu_errors(self) -> Array:
-        """(12,) relative scale errors of gyroscope and accelerometer, by axis, and the gyroscope's
-        misalignment, rad; zero without a calibration."""
+        """(21,) relative scale errors of gyroscope and accelerometer, by axis, the gyroscope's
+        misalignment, rad, and its g-sensitivity; zero without a calibration."""
         return self.calibration[-IMU_DIM:] if len(self.calibration) else np.zeros(IMU_DIM)
 
     def corrected(self, gyro: Array, force: Array) -> tuple[Array, Array]:
-        """Returns (N, 3) samples less bias, scale error and misalignment."""
+        """Returns (N, 3) samples less bias, scale error, misalignment and g-sensitivity."""
         errors = self.imu_errors
         response = np.diag(1.0 - errors[:3])
-        response[CROSS_AXES[:, 0], CROSS_AXES[:, 1]] = -errors[SCALE_DIM:]
-        rate = (gyro - self.gyro_bias) @ response.T
-        return rate, (force - self.accel_bias) * (1.0 - errors[3:SCALE_DIM])
+        response[CROSS_AXES[:, 0], CROSS_AXES[:, 1]] = -errors[SCALE_DIM:][:CROSS_DIM]
+        by_force = errors[SCALE_DIM + CROSS_DIM :].reshape(3, 3)
+        pull = (force - self.accel_bias) * (1.0 - errors[3:SCALE_DIM])
+        return (gyro - self.gyro_bias) @ response.T - pull @ by_force.T, pull
 
     def copy(self) -> NavState:
         """Returns a deep copy."""
@@ -165,14 +169,14 @@ def transition(
     rotations: Array, gyro: Array, force: Array, step_s: float, densities: Array
 ) -> tuple[Array, Array, Array]:
     """Error-state transition (15, 15), accumulated noise (15, 15) and derivative by the scale
-    and misalignment errors (15, 12) of the IMU over N samples.
+    and other ``imu_errors`` (15, 21) over N samples.
 
     ``rotations`` as from ``integrate``; ``densities``: gyroscope rad/s/sqrt(Hz), accelerometer
     m/s^2/sqrt(Hz), gyroscope bias walk rad/s^2/sqrt(Hz), accelerometer bias walk m/s^3/sqrt(Hz).
     """
     total = np.eye(15)
     noise = np.zeros((15, 15))
-    by_errors = np.zeros((15, 12))
+    by_errors = np.zeros((15, 21))
     step = np.eye(15)
     for i in range(gyro.shape[0]):
         middle = rotations[i] @ exp_so3(0.5 * step_s * gyro[i])
@@ -191,6 +195,9 @@ def transition(
         by_errors = step @ by_errors
         for k in range(6):
             by_errors[CROSS_AXES[k, 0], 6 + k] -= step_s * gyro[i, CROSS_AXES[k, 1]]
+        for a in range(3):
+            for b in range(3):
+                by_errors[a, 12 + 3 * a + b] -= step_s * force[i, b]
         for k in range(3):
             by_errors[k, k] -= step_s * gyro[i, k]
             for a in range(3):

@@ -29,7 +29,7 @@ class Anchors:
         return len(self._poses)
 
     def add(self, pose: Pose, calibration: Array, motion: Array) -> None:
-        """Adds the anchor of a new clone; ``calibration`` (C,), C = 0 or 30; ``motion`` (6,): turn
+        """Adds the anchor of a new clone; ``calibration`` (C,), C = 0 or 39; ``motion`` (6,): turn
         rate and velocity."""
         self._poses.append(pose)
         self._motions.append(motion)

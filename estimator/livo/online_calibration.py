@@ -1,10 +1,11 @@
 """Online calibration: errors of the mounts, the lens, the clocks and the scale of the IMU.
 
-Thirty errors of the given calibration: a small rotation (rad) and translation (m) of the LIDAR
+Thirty-nine errors of the given calibration: a small rotation (rad) and translation (m) of the LIDAR
 in the IMU frame, the relative error of either focal length, the shift of the principal point
 (pixels), the offset by which the camera's clock is ahead of the IMU's (s), rotation and translation
 of the camera in the IMU frame, the offset of the LIDAR's clock (s), the relative scale errors of
-gyroscope and accelerometer, and the misalignment of the gyroscope's axes.
+gyroscope and accelerometer, the misalignment of the gyroscope's axes
+and their response to specific force.
 
 A rotation of the LIDAR is observable in the map: the same ground, seen once ahead and once below,
 must have one height. Both the present returns and those of the map move with it, as in the
@@ -22,7 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import LivoParams
-from touchdown.estimator.filtering.imu_propagation import IMU_DIM, SCALE_DIM, exp_so3_each
+from touchdown.estimator.filtering.imu_propagation import (
+    CROSS_DIM,
+    IMU_DIM,
+    SCALE_DIM,
+    exp_so3_each,
+)
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp
 
@@ -44,8 +50,8 @@ MOUNT_DIM = 6
 
 
 def prior_sigmas(params: LivoParams) -> Array:
-    """Standard deviations (30,), or (0,) without online calibration; rad, m, 1, pixels, s, 1,
-    rad."""
+    """Standard deviations (39,), or (0,) without online calibration; rad, m, 1, pixels, s, 1,
+    rad, rad/s per m/s^2."""
     if not params.use_calibration:
         return np.zeros(0)
     sigmas = [
@@ -59,8 +65,9 @@ def prior_sigmas(params: LivoParams) -> Array:
         params.lidar_clock_sigma_s,
         params.imu_scale_sigma,
         np.radians(params.gyro_misalignment_sigma_deg),
+        params.gyro_g_sigma,
     ]
-    return np.repeat(sigmas, [3, 3, 2, 2, 1, 3, 3, 1, SCALE_DIM, IMU_DIM - SCALE_DIM])
+    return np.repeat(sigmas, [3, 3, 2, 2, 1, 3, 3, 1, SCALE_DIM, CROSS_DIM, 9])
 
 
 def calibration_diagnostics(calibration: Array) -> dict[str, float]:
@@ -83,12 +90,12 @@ def calibration_diagnostics(calibration: Array) -> dict[str, float]:
 
 
 def corrected_mount(imu_from_lidar: Pose, calibration: Array) -> Pose:
-    """Returns the LIDAR's given mount corrected by ``calibration`` (30,) or (0,)."""
+    """Returns the LIDAR's given mount corrected by ``calibration`` (39,) or (0,)."""
     return _moved(imu_from_lidar, calibration, TURN, SHIFT)
 
 
 def corrected_camera(imu_from_camera: Pose, calibration: Array) -> Pose:
-    """Returns the camera's given mount corrected by ``calibration`` (30,) or (0,)."""
+    """Returns the camera's given mount corrected by ``calibration`` (39,) or (0,)."""
     return _moved(imu_from_camera, calibration, CAMERA_TURN, CAMERA_SHIFT)
 
 
@@ -99,7 +106,7 @@ def _moved(mount: Pose, calibration: Array, turn: slice, shift: slice) -> Pose:
 
 
 def corrected_intrinsics(camera: CameraIntrinsics, calibration: Array) -> Array:
-    """Returns fx, fy, cx, cy (4,) corrected by ``calibration`` (30,)."""
+    """Returns fx, fy, cx, cy (4,) corrected by ``calibration`` (39,)."""
     focal = np.array([camera.fx, camera.fy]) * (1.0 + calibration[FOCAL])
     center = np.array([camera.cx, camera.cy]) + calibration[CENTER]
     return np.concatenate([focal, center])

@@ -116,6 +116,7 @@ def calibrated_state(rng: np.random.Generator) -> NavState:
     state = random_state(rng)
     state.calibration = np.zeros(CALIBRATION_DIM)
     state.calibration[-IMU_DIM:] = rng.normal(0.0, 0.03, IMU_DIM)
+    state.calibration[-9:] *= 1e-2  # rad/s per m/s^2
     return state
 
 
@@ -127,7 +128,7 @@ def test_samples_are_corrected_by_bias_then_scale() -> None:
     same = state.corrected(rate + state.gyro_bias, force + state.accel_bias)
     np.testing.assert_allclose(same, (rate, force), atol=1e-12)
     scale = np.array([0.02, 0.0, 0.0, 0.0, 0.03, 0.0])
-    state.calibration = np.concatenate([np.ones(CALIBRATION_DIM - IMU_DIM), scale, np.zeros(6)])
+    state.calibration = np.concatenate([np.ones(CALIBRATION_DIM - IMU_DIM), scale, np.zeros(IMU_DIM - 6)])
     shown = rate * (1.0 + scale[:3]) + state.gyro_bias, force * (1.0 + scale[3:]) + state.accel_bias
     found = state.corrected(*shown)
     np.testing.assert_allclose(found[0], rate, atol=5e-4 * np.abs(rate).max())
@@ -139,10 +140,22 @@ def test_misalignment_takes_a_turn_out_of_the_axes_across() -> None:
     """A turn about z of which 1 % shows in x and 2 % in y."""
     state = random_state(np.random.default_rng(24))
     bends = np.array([0.0, 0.01, 0.0, 0.02, 0.0, 0.0])
-    state.calibration = np.concatenate([np.zeros(CALIBRATION_DIM - 6), bends])
+    state.calibration = np.concatenate([np.zeros(CALIBRATION_DIM - 15), bends, np.zeros(9)])
     shown = np.array([[0.01, 0.02, 1.0]]) + state.gyro_bias
     rate, _ = state.corrected(shown, np.zeros((1, 3)))
     np.testing.assert_allclose(rate, [[0.0, 0.0, 1.0]], atol=1e-12)
+
+
+def test_response_to_specific_force_is_taken_out_of_the_rates() -> None:
+    """2e-3 rad/s per m/s^2 of the y axis of the gyroscope to forces along x."""
+    state = random_state(np.random.default_rng(25))
+    response = np.zeros(9)
+    response[3] = 2e-3
+    state.calibration = np.concatenate([np.zeros(CALIBRATION_DIM - 9), response])
+    gyro = np.array([[0.0, 0.02, 0.3]]) + state.gyro_bias
+    force = np.array([[10.0, 4.0, 9.8]]) + state.accel_bias
+    rate, _ = state.corrected(gyro, force)
+    np.testing.assert_allclose(rate, [[0.0, 0.0, 0.3]], atol=1e-12)
 
 
 def test_derivative_by_the_imu_errors_matches_finite_differences() -> None:
