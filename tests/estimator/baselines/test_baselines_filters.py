@@ -19,6 +19,7 @@ from touchdown.estimator.baselines.disparity import (
 )
 from touchdown.estimator.baselines.epochs import EpochQueue
 from touchdown.estimator.baselines.ground_below import GroundBelow
+from touchdown.estimator.baselines.navigator import Navigator
 from touchdown.estimator.baselines.world_anchor import FollowingAnchor, WanderingAnchor
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
