@@ -79,7 +79,9 @@ class Eskf:
         rotations, positions, velocities = integrate(
             state.rotation, state.position, state.velocity, gyro, force, buffer.step_s, GRAVITY_MPS2
         )
-        total, noise, by_errors = transition(rotations, gyro, force, buffer.step_s, buffer.densities)
+        total, noise, by_errors = transition(
+            rotations, gyro, force, buffer.step_s, buffer.densities
+        )
         self._propagate_covariance(total, noise, by_errors)
         if count:
             self.rate = gyro[-_RATE_SAMPLES:].mean(axis=0)

@@ -203,7 +203,7 @@ def test_calibration_is_carried_and_corrected() -> None:
         np.zeros(CALIBRATION_DIM),
     )  # fmt: skip
     base = STATE_DIM + CALIBRATION_DIM
-    with pytest.raises(ValueError, match="give 39"):
+    with pytest.raises(ValueError, match="give 54"):
         Eskf(state, np.ones(STATE_DIM))
     eskf = Eskf(state, np.full(base, 0.01))
     eskf.add_clone()

@@ -128,7 +128,9 @@ def test_samples_are_corrected_by_bias_then_scale() -> None:
     same = state.corrected(rate + state.gyro_bias, force + state.accel_bias)
     np.testing.assert_allclose(same, (rate, force), atol=1e-12)
     scale = np.array([0.02, 0.0, 0.0, 0.0, 0.03, 0.0])
-    state.calibration = np.concatenate([np.ones(CALIBRATION_DIM - IMU_DIM), scale, np.zeros(IMU_DIM - 6)])
+    state.calibration = np.concatenate(
+        [np.ones(CALIBRATION_DIM - IMU_DIM), scale, np.zeros(IMU_DIM - 6)]
+    )
     shown = rate * (1.0 + scale[:3]) + state.gyro_bias, force * (1.0 + scale[3:]) + state.accel_bias
     found = state.corrected(*shown)
     np.testing.assert_allclose(found[0], rate, atol=5e-4 * np.abs(rate).max())
