@@ -8,7 +8,6 @@ import pytest
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import (
     IMU_DIM,
-    SCALE_DIM,
     STATE_DIM,
     ImuBuffer,
     NavState,
