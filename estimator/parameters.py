@@ -64,6 +64,9 @@ class LivoParams:
     """the same of its heading"""
     anchor_height_m: NotNegative = 0.004
     """height error shared by all planes and landmarks of a keyframe"""
+    ground_sigma_m: NotNegative = 0.0
+    """error that all ranges to the ground share, by plants and range bias, in the reported height:
+    no measurement shows it"""
     depth_sigma_m: NotNegative = 0.02
     """of a landmark along its ray"""
     use_lidar: bool = True

@@ -83,7 +83,7 @@ _LIFTING_THRUST = 0.85
 """of the weight: with less static thrust the vehicle has not left the ground"""
 _IDLE_MARGIN = 1.2
 """of the idle speed: below it the rotors give no lift"""
-_INFLATION, _FLOOR = 1.8, 0.005**2 * np.eye(3)
+_INFLATION, _FLOOR = 1.8, 0.005
 """inflation and floor of the reported covariance: errors of a landmark or a voxel repeat from image
 to image and scan to scan, while the filter takes them for white noise"""
 _GRAVITY: Array = np.array([0.0, 0.0, GRAVITY_MPS2])
@@ -145,6 +145,7 @@ class Livo:
             on_change=self._follow_clones,
         )
         self._scan_errors = scan_errors(rig, params)
+        self._floor = np.array([_FLOOR, _FLOOR, np.hypot(_FLOOR, params.ground_sigma_m)]) ** 2
         dark_ticks = rig.tick_hz // 2 if params.use_intensity else None
         self._photometric = PhotometricUpdate(self._imu_from_lidar.translation, dark_ticks)
         self._degeneracy = DegeneracyWatch()
@@ -429,7 +430,7 @@ class Livo:
         acceleration = rotation @ (self._force - head.accel_bias) - _GRAVITY
         cov = self._head_covariance
         # the reported pose differs from the best estimate by the decaying offset
-        shown = _INFLATION * cov[3:6, 3:6] + _FLOOR
+        shown = _INFLATION * cov[3:6, 3:6] + np.diag(self._floor)
         shown += np.outer(self._offset[3:6], self._offset[3:6])
         body_from_imu = self._rig.body_from_imu.rotation
         return Estimate(
