@@ -29,7 +29,7 @@ KINDS: Mapping[str, Kind] = {
     "mjcf": Kind(scene_kinds.mjcf_case, 14),
     "asset": Kind(scene_kinds.asset_case, 14),
     "toml": Kind(config_kinds.toml_case, 30),
-    "campaign": Kind(config_kinds.campaign_case, 14),
+    "campaign": Kind(config_kinds.campaign_case, 24),
     "argv": Kind(config_kinds.argv_case, 14),
     "json": Kind(run_kinds.json_case, 24),
     "tum": Kind(data_kinds.tum_case, 14),
