@@ -158,7 +158,7 @@ def campaign_case(rng: Rng, folder: Path, _shared: Path) -> Case:
     file = put(rng, folder / name, text, 0.15)
     out = folder / pick(rng, ("out", "out", "tief/er/out", "c.toml"))
     if chance(rng, 0.15):
-        if not out.is_file():
+        if not (out.is_file() or out.is_symlink()):
             out.mkdir(parents=True, exist_ok=True)
         if out.is_dir():
             inner = pick(rng, ("campaign.json", "thesis.tex", ".lock", "campaign.toml"))
