@@ -84,6 +84,11 @@ class LivoParams:
     calibrate_above_m: NotNegative = 15.0
     """height above ground from which mount and lens are estimated; lower, the range noise is a
     large share of a depth, and its effect on a keyframe would be attributed to the calibration"""
+    scan_calibration_gain: Fraction = 1.0
+    """share of its correction that a scan applies to mounts and lens (partial-update Schmidt-Kalman
+    filter, Brink 2017); 0: they only widen the covariance"""
+    image_calibration_gain: Fraction = 0.0
+    """the same of an image"""
     mount_turn_sigma_deg: NotNegative = 0.03
     """prior of the calibration errors: LIDAR relative to camera and IMU"""
     mount_shift_sigma_m: NotNegative = 0.003

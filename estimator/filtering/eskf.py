@@ -47,9 +47,9 @@ class Eskf:
     def __init__(self, state: NavState, variances: Array) -> None:
         self.state = state
         self.base = len(variances)
-        self.calibration_enabled = np.ones(len(state.calibration), np.bool_)
-        """(C,) calibration parameters that measurements correct; the others are "consider"
-        parameters (Schmidt): their covariance counts, their estimate stays"""
+        self.calibration_gain = np.ones(len(state.calibration))
+        """(C,) share of a measurement's correction that each calibration parameter takes; with 0 it
+        is a "consider" parameter (Schmidt): its covariance counts, its estimate stays"""
         self.rate = np.zeros(3)
         """(3,) rad/s, turn rate in the IMU's frame over the last hundredth of a second"""
         self.shared = max(0, len(state.calibration) - IMU_DIM)
@@ -162,7 +162,7 @@ class Eskf:
         local = self.covariance[np.ix_(touched, touched)]
         solved = np.linalg.solve(np.eye(len(touched)) + information @ local, vector)
         delta: Array = self.covariance[:, touched] @ solved
-        delta[STATE_DIM : self.base] *= self.calibration_enabled
+        delta[STATE_DIM : self.base] *= self.calibration_gain
         return delta
 
     def update_covariance(self, touched: NDArray[np.int64], information: Array) -> None:
@@ -172,11 +172,11 @@ class Eskf:
         middle = np.linalg.solve(np.eye(len(touched)) + information @ local, information)
         middle = 0.5 * (middle + middle.T)
         # the same product from both sides keeps the matrix symmetric to rounding
-        held = np.flatnonzero(~self.calibration_enabled) + STATE_DIM
-        kept = self.covariance[np.ix_(held, held)]
-        self.covariance = self.covariance - (columns @ middle) @ columns.T
-        self.covariance = 0.5 * (self.covariance + self.covariance.T)
-        self.covariance[np.ix_(held, held)] = kept
+        lost = (columns @ middle) @ columns.T
+        held = slice(STATE_DIM, self.base)
+        left = 1.0 - self.calibration_gain
+        lost[held, held] *= 1.0 - np.outer(left, left)
+        self.covariance = self.covariance - 0.5 * (lost + lost.T)
 
     def boxplus(
         self, state: NavState, clones: list[Pose], delta: Array

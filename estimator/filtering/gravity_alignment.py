@@ -1,6 +1,6 @@
 """Gravity alignment: roll and pitch of a vehicle at rest, from its accelerometer.
 
-At rest the specific force is gravity's reaction plus the accelerometer's bias. One cannot be told
+At rest the specific force is gravity's reaction, scaled, plus the accelerometer's bias. One cannot be told
 from the other: a levelled attitude errs by the bias over gravity, and the errors of attitude and
 bias are correlated from then on. The update keeps that correlation, so that a later turn about the
 vertical, which separates the two, corrects both (Titterton and Weston, "Strapdown inertial
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.imu_propagation import ACCEL_BIAS, ROTATION
+from touchdown.estimator.filtering.imu_propagation import ACCEL_BIAS, IMU_DIM, ROTATION, SCALE_DIM
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import skew, so3_log
 
@@ -30,17 +30,24 @@ def align_with_gravity(eskf: Eskf, force: Array, sigma_mps2: float) -> None:
     """
     prior, clones = eskf.state, eskf.clones
     touched = np.r_[ROTATION, ACCEL_BIAS]
-    information = np.zeros((6, 6))
+    if eskf.shared:  # the accelerometer's scale
+        start = eskf.base - IMU_DIM
+        touched = np.r_[touched, start + 3 : start + SCALE_DIM]
+    information = np.zeros((len(touched), len(touched)))
     for _ in range(_ITERATIONS):
         state = eskf.state
         reaction = state.rotation.T @ _UP
-        by_error = np.hstack([skew(reaction), np.eye(3)])
-        residual = force - reaction - state.accel_bias
+        scale = state.imu_errors[3:SCALE_DIM]
+        by_error = np.hstack([skew(reaction), np.eye(3), np.diag(reaction)])[:, : len(touched)]
+        residual = force - (1.0 + scale) * reaction - state.accel_bias
         information = by_error.T @ by_error / sigma_mps2**2
         vector = by_error.T @ residual / sigma_mps2**2
-        offset = np.concatenate(
-            [so3_log(prior.rotation.T @ state.rotation), state.accel_bias - prior.accel_bias]
-        )
+        moved = [
+            so3_log(prior.rotation.T @ state.rotation),
+            state.accel_bias - prior.accel_bias,
+            scale - prior.imu_errors[3:SCALE_DIM],
+        ]
+        offset = np.concatenate(moved)[: len(touched)]
         delta = eskf.correction(touched, information, vector + information @ offset)
         eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)
     eskf.update_covariance(touched, information)

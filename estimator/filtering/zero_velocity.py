@@ -8,9 +8,12 @@ from numpy.typing import NDArray
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import (
     ACCEL_BIAS,
+    CROSS_DIM,
     GYRO_BIAS,
+    IMU_DIM,
     POSITION,
     ROTATION,
+    SCALE_DIM,
     VELOCITY,
     NavState,
 )
@@ -39,7 +42,8 @@ class ZeroVelocityUpdate:
     stationary."""
 
     def __init__(self, gyro_density: float, step_s: float, attitude_known: bool = True) -> None:
-        """``attitude_known``: hold the attitude of the first stationary moment."""
+        """``attitude_known``: hold the attitude of the first stationary moment, else the heading
+        alone."""
         self._attitude_known = attitude_known
         self._gyro_density = gyro_density
         self._step_s = step_s
@@ -51,8 +55,7 @@ class ZeroVelocityUpdate:
         if len(gyro) < 6 or not bool(resting.all()):
             return False
         state, variances = eskf.state, np.diag(eskf.covariance)
-        rate = gyro.mean(axis=0) - state.gyro_bias
-        pull = force.mean(axis=0) - state.accel_bias
+        rate, pull = (part.mean(axis=0) for part in state.corrected(gyro, force))
         pull = pull - GRAVITY_MPS2 * state.rotation[2]
         rate_limit = _RATE_LIMIT + 4.0 * np.sqrt(variances[GYRO_BIAS].max())
         force_sigma2 = variances[ACCEL_BIAS].max() + GRAVITY_MPS2**2 * variances[ROTATION].max()
@@ -72,23 +75,40 @@ class ZeroVelocityUpdate:
             self._anchor = eskf.state
         anchor, state = self._anchor, eskf.state
         duration = len(gyro) * self._step_s
+        rates, pulls = state.corrected(gyro, force)
         residual = np.concatenate(
             [
                 so3_log(state.rotation.T @ anchor.rotation),
                 anchor.position - state.position,
                 -state.velocity,
-                gyro.mean(axis=0) - state.gyro_bias,
+                rates.mean(axis=0),
             ]
         )
         gyro_variance = self._gyro_density**2 / duration + _RATE_SIGMA**2
         variances = np.repeat(
             [_ROTATION_SIGMA**2, _POSITION_SIGMA**2, _VELOCITY_SIGMA**2, gyro_variance], 3
         )
-        touched = np.r_[ROTATION, POSITION, VELOCITY, GYRO_BIAS]
         if not self._attitude_known:
-            variances[ROTATION] = np.inf
-        information = np.diag(1.0 / variances)
-        delta = eskf.correction(touched, information, residual / variances)
+            variances[:2] = np.inf
+        by_errors, touched = _derivatives(pulls.mean(axis=0), eskf)
+        weighted = by_errors.T / variances
+        information = weighted @ by_errors
+        delta = eskf.correction(touched, information, weighted @ residual)
         eskf.state, eskf.clones = eskf.boxplus(state, eskf.clones, delta)
         eskf.update_covariance(touched, information)
         return True
+
+
+def _derivatives(pull: Array, eskf: Eskf) -> tuple[Array, NDArray[np.int64]]:
+    """Derivatives (12, D) of the residuals by the error coordinates (D,) that are returned beside.
+
+    At rest the gyroscope shows its bias and its response to gravity. Which of the two it is shows
+    only in flight; their sum is what the measurement corrects.
+    """
+    touched = np.r_[ROTATION, POSITION, VELOCITY, GYRO_BIAS]
+    if not eskf.shared:
+        return np.eye(12), touched
+    response = np.zeros((12, 9))
+    response[9:] = np.kron(np.eye(3), pull)
+    start = eskf.base - IMU_DIM + SCALE_DIM + CROSS_DIM
+    return np.hstack([np.eye(12), response]), np.r_[touched, start : eskf.base]

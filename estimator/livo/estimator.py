@@ -121,7 +121,7 @@ class Livo:
         self._eskf = Eskf(state, sigmas**2)
         self._levelled = rig.start_tilt_sigma_rad == 0.0
         self._eskf.loosely_coupled = params.loose
-        self._enable_calibration(False)
+        self._calibrate_by(0.0)
         self._anchors = Anchors()
         self._head = state
         self._head_covariance = self._eskf.covariance[:STATE_DIM, :STATE_DIM].copy()
@@ -296,7 +296,7 @@ class Livo:
         params = self._params
         reach = float(np.median(np.linalg.norm(scan.beams, axis=1)))
         self._last_height = reach
-        self._enable_calibration(reach >= params.calibrate_above_m)
+        self._calibrate_by(params.scan_calibration_gain * (reach >= params.calibrate_above_m))
         if not params.use_lidar:
             return LidarReport(matched=0, rms_m=0.0, lateral_strength=np.zeros(3))
         # the footprint is about 1.75 x 0.5 of the height: so many even cells cover it
@@ -351,8 +351,7 @@ class Livo:
         levels = grey_levels(self._undistort(image.rgb))
         delay_s = image.time_s - self._eskf.state.tick / self._rig.tick_hz
         self._vision.measure_open_keyframes(self._eskf, self._recent, image.tick)
-        # errors of a keyframe repeat from image to image and would be attributed to the calibration
-        self._enable_calibration(False)
+        self._calibrate_by(self._params.image_calibration_gain)
         report = self._vision.update(self._eskf, levels, delay_s)
         if report.used:
             self._vision_tick = image.tick
@@ -368,14 +367,15 @@ class Livo:
         self._diagnostics |= visual_diagnostics(report, len(self._vision.keyframes))
         self._diagnostics |= calibration_diagnostics(self._eskf.state.calibration)
 
-    def _enable_calibration(self, mount_and_lens: bool) -> None:
-        """Sets whether the next measurement corrects mounts and lens; the camera's clock, which no
-        other error resembles, and the IMU's scale are always corrected, the LIDAR's clock never: it
-        only widens the covariance."""
-        self._eskf.calibration_enabled[:] = mount_and_lens
-        self._eskf.calibration_enabled[LIDAR_CLOCK : LIDAR_CLOCK + 1] = False
-        self._eskf.calibration_enabled[CLOCK : CLOCK + 1] = True
-        self._eskf.calibration_enabled[SHARED_DIM:] = True
+    def _calibrate_by(self, gain: float) -> None:
+        """Sets the share of the next measurement's correction that mounts and lens take; the
+        camera's clock, which no other error resembles, and the errors of the IMU take all of it,
+        the LIDAR's clock none: it only widens the covariance."""
+        gains = self._eskf.calibration_gain
+        gains[:] = gain
+        gains[LIDAR_CLOCK : LIDAR_CLOCK + 1] = 0.0
+        gains[CLOCK : CLOCK + 1] = 1.0
+        gains[SHARED_DIM:] = 1.0
 
     def _track_over(self, first: int) -> PoseTrack:
         imu_from_body = self._imu_from_body

@@ -1,0 +1,77 @@
+"""At rest: what the gyroscope and the accelerometer show is shared between bias and response."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
+from touchdown.estimator.filtering.imu_propagation import (
+    GYRO_BIAS,
+    IMU_DIM,
+    STATE_DIM,
+    ImuBuffer,
+    NavState,
+)
+from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
+from touchdown.estimator.livo.online_calibration import CALIBRATION_DIM
+from touchdown.sim.api import GRAVITY_MPS2, ImuParams
+
+STEP_S = 0.005
+UP = np.array([0.0, 0.0, GRAVITY_MPS2])
+G_SIGMA = 1.8e-4
+
+
+def filter_at_rest(tilt_sigma: float = 1e-4) -> Eskf:
+    zero = np.zeros(3)
+    state = NavState(0, np.eye(3), zero, zero, zero, zero, np.zeros(CALIBRATION_DIM))
+    variances = np.zeros(STATE_DIM + CALIBRATION_DIM)
+    variances[:2], variances[2] = tilt_sigma**2, 1e-8
+    variances[GYRO_BIAS], variances[12:15] = 0.003**2, 0.03**2
+    variances[-9:] = G_SIGMA**2
+    variances[-IMU_DIM + 3 : -IMU_DIM + 6] = 0.003**2
+    return Eskf(state, variances)
+
+
+def rest(eskf: Eskf, known: bool, rate: np.ndarray, seconds: float = 2.0) -> None:
+    update = ZeroVelocityUpdate(2.4e-4, STEP_S, known)
+    imu = ImuParams(gyro_density=2.4e-4, accel_density=1.7e-3)
+    buffer, resting = ImuBuffer(imu, STEP_S), np.ones(20, np.bool_)
+    for k in range(round(seconds / STEP_S / 20)):
+        gyro, force = np.tile(rate, (20, 1)), np.tile(UP, (20, 1))
+        for i in range(20):
+            buffer.push(3 * (20 * k + i + 1), gyro[i], force[i], True)
+        eskf.propagate(buffer, 20)
+        assert update.update(eskf, gyro, force, resting)
+        buffer.drop(20)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_heading_stays_known_at_rest_whatever_responds_to_gravity(known: bool) -> None:
+    eskf, rate = filter_at_rest(), np.array([0.002, -0.001, 0.0025])
+    rest(eskf, known, rate)
+    # the sum of bias and response is known, neither of them is
+    shown = eskf.state.gyro_bias + GRAVITY_MPS2 * eskf.state.imu_errors[-9:].reshape(3, 3)[:, 2]
+    np.testing.assert_allclose(shown, rate, atol=2e-4)
+    sigmas = np.sqrt(np.diag(eskf.covariance))
+    assert sigmas[11] > 0.8 * G_SIGMA * GRAVITY_MPS2
+    # heading: no longer uncertain by the response times gravity times two seconds (0.2 deg)
+    assert np.degrees(sigmas[2]) < 0.05
+    # and propagation without updates does not make it so
+    imu = ImuParams(gyro_density=2.4e-4, accel_density=1.7e-3)
+    buffer = ImuBuffer(imu, STEP_S)
+    start = eskf.state.tick
+    for i in range(200):
+        buffer.push(start + 3 * (i + 1), rate, UP, False)
+    eskf.propagate(buffer, 200)
+    assert np.degrees(np.sqrt(eskf.covariance[2, 2])) < 0.06
+
+
+def test_alignment_shares_the_vertical_force_between_bias_and_scale() -> None:
+    eskf = filter_at_rest(0.05)
+    align_with_gravity(eskf, UP * 1.004, 1e-3)
+    bias, scale = eskf.state.accel_bias[2], eskf.state.imu_errors[5]
+    assert bias + scale * GRAVITY_MPS2 == pytest.approx(0.004 * GRAVITY_MPS2, abs=1e-4)
+    # as their variances: 0.03^2 and (0.003 g)^2
+    assert bias / (scale * GRAVITY_MPS2) == pytest.approx((0.03 / (0.003 * GRAVITY_MPS2)) ** 2)
