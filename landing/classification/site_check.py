@@ -2,7 +2,7 @@
 
 Patches of ground around the sites are classified in batches, best site first, until one is safe.
 The prediction is combined with LIDAR evidence: missing pulses indicate water, motion on the same
-surface indicates a road. A site counts as unsafe where the probability of a safe class is too low,
+surface indicates a road, wide ground as bright as snow is snow. A site counts as unsafe where the probability of a safe class is too low,
 where the image lies far from the training data, and where no image shows the site.
 """
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import Candidate, GroundClassifier, LandingParams, Selection
+from touchdown.landing.classification.snow import as_snow, is_snow
 from touchdown.landing.classification.survey_images import SurveyImages
 from touchdown.scenes.api import LAND_CLASSES, RISKY_CLASSES, SAFE_CLASSES
 from touchdown.sim.api import Observation, SensorRig
@@ -175,9 +176,10 @@ class SiteClassCheck:
         for row, number in enumerate(seen):
             missing, hits = pulses_around(map_view, sites[number], 0.5 * side)
             traffic_zone = selection is not None and in_traffic_zone(selection, sites[number])
-            probabilities = fuse_lidar_evidence(
-                prediction.probabilities[row], missing, hits, traffic_zone
-            )
+            predicted = prediction.probabilities[row]
+            if is_snow(map_view, sites[number], 0.5 * side):
+                predicted = as_snow(predicted)
+            probabilities = fuse_lidar_evidence(predicted, missing, hits, traffic_zone)
             found[number] = SiteClass(probabilities, bool(prediction.in_distribution[row]))
         return found
 
