@@ -83,7 +83,8 @@ class SiteClassCheck:
         """Returns ``candidates`` in their order, best first; those on unsafe ground are refused.
 
         Candidates after the batch with the first safe one are not classified. ``selection`` gives
-        the traffic zone."""
+        the traffic zone. In the dark a site that no image shows is left to the second look, under
+        the lamp."""
         checked = list(candidates)
         self._class_by_position.clear()
         queue = [number for number, site in enumerate(checked) if site.accepted]
@@ -144,6 +145,9 @@ class SiteClassCheck:
         self, site: Candidate, site_class: SiteClass | None, allow_risky: bool
     ) -> Candidate:
         why = self.refusal(site_class, allow_risky)
+        if site_class is None and self.images.dark and self._params.second_look:
+            later = f"{site.reason}, too dark to see what it is"
+            return dataclasses.replace(site, reason=later)
         if site_class is None:
             return dataclasses.replace(site, accepted=False, reason=f"refused: {why}")
         self._class_by_position[site.position_odom.tobytes()] = site_class
