@@ -2,8 +2,9 @@
 
 Patches of ground around the sites are classified in batches, best site first, until one is safe.
 The prediction is combined with LIDAR evidence: missing pulses indicate water, motion on the same
-surface indicates a road, wide ground as bright as snow is snow. A site counts as unsafe where the probability of a safe class is too low,
-where the image lies far from the training data, and where no image shows the site.
+surface indicates a road, wide ground as bright as snow is snow. A site counts as unsafe where the
+probability of a safe class is too low, where the image lies far from the training data, and where
+no image shows the site. At night the last is left to the second look, under the lamp.
 """
 
 from __future__ import annotations

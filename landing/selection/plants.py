@@ -42,7 +42,7 @@ def standing_plants(raster: ElevationRaster, *, fill_gaps: bool = False) -> Mask
 
     ``fill_gaps``: a clump may have cells of bare ground in it. Seen from near, where clumps have
     several cells, that adds their thin parts; from far it would join what stands apart."""
-    found = np.zeros(raster.shape, np.uint8)
+    found = np.zeros(raster.shape, np.bool_)
     around = np.ones((3, 3), np.uint8)
     with np.errstate(invalid="ignore"):
         lowest = cv2.erode(np.where(raster.known, raster.low, np.float32(1e6)), around)
@@ -58,8 +58,8 @@ def standing_plants(raster: ElevationRaster, *, fill_gaps: bool = False) -> Mask
             cells = max(round(side_m / raster.cell_m), 3)
             core = cv2.morphologyEx(filled, cv2.MORPH_OPEN, np.ones((cells, cells), np.uint8))
             edge = cv2.dilate(core, np.ones((2 * _RAGGED_CELLS + 1,) * 2, np.uint8))
-            found |= core | (edge & some)
-    return np.asarray((found > 0) & raster.known)
+            found |= (core > 0) | ((edge > 0) & (some > 0))
+    return found & raster.known
 
 
 def without_plants(raster: ElevationRaster, plants: Mask) -> ElevationRaster:
