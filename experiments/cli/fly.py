@@ -51,6 +51,11 @@ _FLIGHT_OPTIONS = (
         type=click.Choice(["ideal", "field", "harsh"]),
         help="How kind the world is.  [field]",
     ),
+    click.option(
+        "--light",
+        type=click.Choice(["day", "overcast", "dusk", "night"]),
+        help="Light of the scene; a lamp lights the ground where lamp.below_m says so.  [day]",
+    ),
     click.option("--wind-kmh", type=float, help="Mean wind speed at 6 m.  [12]"),
     click.option(
         "--calibration",
@@ -100,7 +105,8 @@ _FLIGHT_OPTIONS = (
 
 
 _CONFIG_OPTIONS = (
-    "scene", "estimator", "seed", "profile", "wind_kmh", "record", "calibration", "log_sensors",
+    "scene", "estimator", "seed", "profile", "light", "wind_kmh", "record", "calibration",
+    "log_sensors",
 )  # fmt: skip
 """The options that `experiments.config.loading.load_config` takes."""
 

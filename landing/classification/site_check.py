@@ -2,8 +2,9 @@
 
 Patches of ground around the sites are classified in batches, best site first, until one is safe.
 The prediction is combined with LIDAR evidence: missing pulses indicate water, motion on the same
-surface indicates a road. A site counts as unsafe where the probability of a safe class is too low,
-where the image lies far from the training data, and where no image shows the site.
+surface indicates a road, wide ground as bright as snow is snow. A site counts as unsafe where the
+probability of a safe class is too low, where the image lies far from the training data, and where
+no image shows the site. At night the last is left to the second look, under the lamp.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import Candidate, GroundClassifier, LandingParams, Selection
+from touchdown.landing.classification.snow import as_snow, is_snow
 from touchdown.landing.classification.survey_images import SurveyImages
 from touchdown.scenes.api import LAND_CLASSES, RISKY_CLASSES, SAFE_CLASSES
 from touchdown.sim.api import Observation, SensorRig
@@ -82,7 +84,8 @@ class SiteClassCheck:
         """Returns ``candidates`` in their order, best first; those on unsafe ground are refused.
 
         Candidates after the batch with the first safe one are not classified. ``selection`` gives
-        the traffic zone."""
+        the traffic zone. In the dark a site that no image shows is left to the second look, under
+        the lamp."""
         checked = list(candidates)
         self._class_by_position.clear()
         queue = [number for number, site in enumerate(checked) if site.accepted]
@@ -143,6 +146,9 @@ class SiteClassCheck:
         self, site: Candidate, site_class: SiteClass | None, allow_risky: bool
     ) -> Candidate:
         why = self.refusal(site_class, allow_risky)
+        if site_class is None and self.images.dark and self._params.second_look:
+            later = f"{site.reason}, too dark to see what it is"
+            return dataclasses.replace(site, reason=later)
         if site_class is None:
             return dataclasses.replace(site, accepted=False, reason=f"refused: {why}")
         self._class_by_position[site.position_odom.tobytes()] = site_class
@@ -175,9 +181,10 @@ class SiteClassCheck:
         for row, number in enumerate(seen):
             missing, hits = pulses_around(map_view, sites[number], 0.5 * side)
             traffic_zone = selection is not None and in_traffic_zone(selection, sites[number])
-            probabilities = fuse_lidar_evidence(
-                prediction.probabilities[row], missing, hits, traffic_zone
-            )
+            predicted = prediction.probabilities[row]
+            if is_snow(map_view, sites[number], 0.5 * side):
+                predicted = as_snow(predicted)
+            probabilities = fuse_lidar_evidence(predicted, missing, hits, traffic_zone)
             found[number] = SiteClass(probabilities, bool(prediction.in_distribution[row]))
         return found
 

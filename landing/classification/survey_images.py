@@ -3,7 +3,9 @@
 The classifier is trained on patches of camera images and gets the same in flight, not the coloured
 map, whose cells are far coarser. A patch is a level square through the ground at a site, along the
 axes of the image: this removes tilt and lens distortion and keeps the resolution. Haze that the
-images so far show is removed as well.
+images so far show is removed as well. Images at night show nothing but noise, or dim ground under
+the vehicle's lamp: the former are not used, the latter are smoothed and brightened to the level of
+daylight, which is what the classifier knows.
 """
 
 from __future__ import annotations
@@ -33,6 +35,16 @@ _LOWEST_M = 3.0
 _MOST_PX = 480
 _SIDE_FACTORS = (1.0, 0.7, 0.5)
 """sides of the patch, relative to the wanted one, that are tried in this order"""
+_DIM = 60.0
+"""grey level that at most a twentieth of a dim image's pixels exceed"""
+_BLOCK_PX = 16
+_LEAST_STRUCTURE = 2.0
+"""scatter of the means of blocks of a dim image, over what independent noise of its pixels gives,
+up to which it shows nothing"""
+_DAYLIGHT = (110.0 / 255.0) ** 2.2
+"""mean linear light of a patch by day"""
+_SMOOTHING_PX = 1.0
+"""of a dim patch"""
 _HEIGHT_WEIGHT = 0.01
 """weight of a metre of height relative to the tangent of the viewing angle"""
 
@@ -46,6 +58,8 @@ class _KeptImage:
     odom_from_camera: Pose
     height_m: float
     """above the ground of the take-off"""
+    dim: bool = False
+    """taken in too little light for the camera"""
     darkest: float = 0.0
     """``landing.classification.haze.darkest_light``; 0 for images that are not kept"""
 
@@ -66,6 +80,8 @@ class SurveyImages:
         """time stamp of the newest usable image"""
         self._pixels: Image = np.zeros(0, np.uint8)
         """sample of its pixels"""
+        self.dark = False
+        """True where the newest image shows nothing for want of light"""
         self._haze: Haze | None = None
         """of the kept images; None: to be estimated"""
 
@@ -83,14 +99,15 @@ class SurveyImages:
                 continue
             camera = pose @ self._rig.body_from_camera
             height = float(estimate.world_from_odom.apply(camera.translation)[2])
-            kept = _KeptImage(image.rgb, image.time_s, camera, height - self._ground_world)
+            dim = is_dim(some_pixels(image.rgb))
+            kept = _KeptImage(image.rgb, image.time_s, camera, height - self._ground_world, dim)
             self._newest = kept
             low = kept.height_m < _LOWEST_M
             if not low and (not self._kept or self._far_enough(self._kept[-1], kept)):
                 self._keep(kept)
 
     def _usable(self, images: tuple[CameraImage, ...]) -> list[CameraImage]:
-        """Returns the images without a defect, none where they are out of order: black and frozen
+        """Returns the images without a defect, none where they are out of order: dark and frozen
         images show no ground, and the pose of swapped ones is unknown."""
         times = [image.time_s for image in images]
         if times != sorted(times):
@@ -101,7 +118,9 @@ class SurveyImages:
             if image.time_s <= self._newest_s or image_defect(pixels, self._pixels):
                 continue
             self._newest_s, self._pixels = image.time_s, pixels
-            found.append(image)
+            self.dark = is_dim(pixels) and not shows_structure(image.rgb)
+            if not self.dark:
+                found.append(image)
         return found
 
     def _pose_at(self, time_s: float) -> Pose | None:
@@ -126,7 +145,7 @@ class SurveyImages:
         """Keeps a copy, since the caller owns the image; above the limit the spacing grows."""
         self._kept.append(
             _KeptImage(
-                image.rgb.copy(), image.time_s, image.odom_from_camera, image.height_m,
+                image.rgb.copy(), image.time_s, image.odom_from_camera, image.height_m, image.dim,
                 darkest_light(image.rgb),
             )
         )  # fmt: skip
@@ -199,7 +218,28 @@ class SurveyImages:
             found = self.haze.removed(np.asarray(found, np.uint8), away)
         if count != pixels:
             found = cv2.resize(found, (pixels, pixels), interpolation=cv2.INTER_AREA)
-        return np.asarray(found, np.uint8)
+        return brightened(np.asarray(found, np.uint8)) if kept.dim else np.asarray(found, np.uint8)
+
+
+def is_dim(rgb: Image) -> bool:
+    """True for an image (H, W, 3), or a sample of its pixels, taken in too little light."""
+    return bool(np.quantile(rgb, 0.95) < _DIM)
+
+
+def shows_structure(rgb: Image) -> bool:
+    """True where the means of blocks of an image (H, W, 3) scatter more than noise makes them."""
+    grey = rgb.mean(axis=2, dtype=np.float32)
+    size = (max(grey.shape[1] // _BLOCK_PX, 1), max(grey.shape[0] // _BLOCK_PX, 1))
+    blocks = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    return float(blocks.std()) * _BLOCK_PX > _LEAST_STRUCTURE * float(grey.std())
+
+
+def brightened(patch: Image) -> Image:
+    """Returns a dim patch (H, W, 3), smoothed, at the mean light of a patch by day."""
+    smooth = cv2.GaussianBlur(patch, (0, 0), _SMOOTHING_PX)
+    linear = (smooth.astype(np.float32) / 255.0) ** 2.2
+    linear *= np.float32(_DAYLIGHT / max(float(linear.mean()), 1e-5))
+    return np.asarray(np.rint(255.0 * np.minimum(linear, 1.0) ** (1.0 / 2.2)), np.uint8)
 
 
 def _ground_points(odom_from_camera: Pose, site: Array, side_m: float, steps: Array) -> Array:

@@ -22,6 +22,7 @@ from touchdown.landing.selection.landable import (
     fit_footprint,
     ground_planes,
 )
+from touchdown.landing.selection.plants import standing_plants, without_plants
 
 Array = NDArray[np.float64]
 
@@ -108,7 +109,8 @@ def _fine_window(
     window = raster.window(site, half)
     if min(window.shape) < 4 * _POOL:
         return None
-    return pooled(window, _POOL)
+    seen = pooled(window, _POOL)
+    return without_plants(seen, standing_plants(seen, fill_gaps=True))
 
 
 def _checked_plane(raster: ElevationRaster, xy: Array, params: LandingParams, how: str) -> Look:

@@ -16,6 +16,7 @@ from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import LandingParams
 from touchdown.landing.selection.elevation_raster import ElevationRaster, observed_raster
 from touchdown.landing.selection.landable import LandableMap, assess, ground_planes
+from touchdown.landing.selection.plants import standing_plants, without_plants
 from touchdown.landing.selection.risk_features import NAMES, RiskFeatures, risk_features
 
 Array = NDArray[np.float64]
@@ -99,9 +100,10 @@ def safe_probability(
 def features_of(map_view: MapView, estimate: Estimate, params: LandingParams) -> RiskFeatures:
     """Returns the features that ``landing.selection.selector.select_sites`` uses. Raises ValueError
     for an empty map."""
-    raster = observed_raster(map_view.coarse)
-    if raster is None:
+    mapped = observed_raster(map_view.coarse)
+    if mapped is None:
         raise ValueError("the map is empty: it has no features")
+    raster = without_plants(mapped, standing_plants(mapped))
     planes = ground_planes(raster, params)
     landable = assess(
         raster, planes, params, margin_m=params.map_margin_m, min_returns=params.min_returns

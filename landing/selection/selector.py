@@ -14,16 +14,19 @@ from touchdown.landing.selection.clustering import Clusters, bandwidths, quick_s
 from touchdown.landing.selection.costmap import compute_costmap
 from touchdown.landing.selection.elevation_raster import (
     ElevationRaster,
+    dilated,
     distance_to,
     observed_raster,
 )
 from touchdown.landing.selection.landable import (
+    FOOTPRINT_M,
     LandableMap,
     assess,
     explain,
     fit_footprint,
     ground_planes,
 )
+from touchdown.landing.selection.plants import standing_plants, without_plants
 from touchdown.landing.selection.risk import safe_probability
 from touchdown.landing.selection.traffic import surfaces_of_sites, traffic_penalty, traffic_zone
 
@@ -39,6 +42,8 @@ _PLENTY_M = 3.0
 """room from which the rank by risk no longer rises"""
 _APART_M = 3.0
 """least distance between candidates"""
+_PLANTS_PENALTY = 0.15
+"""off the value of a site among low plants: bare ground is seen, theirs is inferred"""
 
 
 NOTHING_MAPPED = Selection(
@@ -97,9 +102,11 @@ def select_sites(
 
     Raises ValueError for an unknown scorer.
     """
-    raster = observed_raster(map_view.coarse)
-    if raster is None:
+    mapped = observed_raster(map_view.coarse)
+    if mapped is None:
         return NOTHING_MAPPED
+    plants = standing_plants(mapped)
+    raster = without_plants(mapped, plants)
     drift_m = params.gust_drift_s * limits.wind_mps
     assessed = _assess(raster, estimate, limits.reach_m, params, params.map_margin_m, drift_m)
     for avoid in limits.avoid_odom:
@@ -112,6 +119,7 @@ def select_sites(
     if limits.unsafe_ground_odom:
         worse = zone | surfaces_of_sites(raster, limits.unsafe_ground_odom)
     value = _value_map(assessed, params) - traffic_penalty(worse, params)
+    value -= np.float32(_PLANTS_PENALTY) * dilated(plants, FOOTPRINT_M / raster.cell_m)
     if limits.least_bad and not assessed.allowed.any() and np.isfinite(value).any():
         assessed.allowed.flat[int(np.nanargmax(value))] = True
     bandwidth, radius = bandwidths(footprint_radius_m / raster.cell_m)
@@ -161,9 +169,10 @@ def check_site(
 
     Its margin is smaller than that of selected sites, since an operator chose it.
     """
-    raster = observed_raster(map_view.coarse)
-    if raster is None:
+    mapped = observed_raster(map_view.coarse)
+    if mapped is None:
         return _unmapped(xy_odom), None
+    raster = without_plants(mapped, standing_plants(mapped))
     assessed = _assess(raster, estimate, np.inf, params, params.low_margin_m, 0.0)
     spot = raster.cell_of(xy_odom)
     if not raster.contains(*spot):

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from touchdown.experiments.cli import main as cli
+from touchdown.experiments.config.schema import Config
 from touchdown.experiments.io.results import RunResult
 
 ROOT = Path(__file__).parents[3]
@@ -63,6 +64,8 @@ def test_importing_the_command_line_imports_nothing_heavy() -> None:
         (("land", "crossroad", "--estimator", "no_lab.vio:build"), ["no_lab.vio:build"]),
         (("land", "crossroad", "--wind-kmh", "-3"), ["wind.mean_kmh = -3", "not be negative"]),
         (("fly", "crossroad", "--wind-kmh", "nan"), ["finite"]),
+        (("land", "crossroad", "--light", "noon"), ["--light", "day", "overcast", "dusk", "night"]),
+        (("fly", "crossroad", "--light", "nigth"), ["--light", "nigth", "night"]),
         (("land", "crossroad", "--site", "3"), ["X,Y"]),
         (("land", "crossroad", "--site", "nan,1"), ["finite"]),
         (("land", "crossroad", "--set", "wind.mean_kph=3"), ["did you mean 'wind.mean_kmh'"]),
@@ -92,6 +95,24 @@ def test_invalid_input_is_one_line_and_nothing_is_written(
     for fragment in fragments:
         assert fragment in err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["land", "fly"])
+def test_the_light_of_an_option_is_that_of_the_flight(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lights: list[str] = []
+
+    def flown(config: Config, *_: Any) -> RunResult:
+        lights.append(config.light)
+        return _result("COMPLETED")
+
+    monkeypatch.setattr("touchdown.experiments.flight.run.fly_with_usage_errors", flown)
+    for light in ("day", "overcast", "dusk", "night"):
+        cli.main([command, "flat", "--light", light, "--out", str(tmp_path / light), "--quiet"])
+    cli.main([command, "flat", "--set", "light=dusk", "--out", str(tmp_path / "set"), "--quiet"])
+    cli.main([command, "flat", "--out", str(tmp_path / "none"), "--quiet"])
+    assert lights == ["day", "overcast", "dusk", "night", "dusk", "day"]
 
 
 def test_an_out_directory_with_other_files_is_unchanged(

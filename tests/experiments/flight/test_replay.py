@@ -194,6 +194,7 @@ def test_estimates_come_with_their_observations(run: Path) -> None:
         (["--estimator", "livvo"], "did you mean 'livo'"),
         (["--seed", "4"], "--seed does not go with --replay"),
         (["--wind-kmh", "4"], "--wind-kmh does not go with --replay"),
+        (["--light", "night"], "--light does not go with --replay"),
         (["--log-sensors"], "--log-sensors does not go with --replay"),
         (["--set", "wind.mean_kmh=3"], "the flight is over"),
     ],

@@ -241,6 +241,62 @@ def test_uncertain_site_with_missing_pulses_is_refused() -> None:
     assert dry.accepted and not wet.accepted and wet.class_predicted == "water"
 
 
+def _snowy(level: float = 125.0) -> Any:
+    grid = make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0))
+    grid.intensity[:] = level
+    return grid
+
+
+def test_wide_ground_as_bright_as_snow_is_a_field() -> None:
+    """An image of snow looks like a roof or a road to a network that never saw any."""
+    site = _sites((-9, 0))
+    for level, accepted in ((125.0, True), (95.0, True), (70.0, False)):
+        (judged,) = _check(ByColour(), plain("road")).judge(site, view_of(_snowy(level)))
+        assert judged.accepted is accepted, judged.reason
+    (judged,) = _check(ByColour(), plain("road")).judge(site, view_of(_snowy()))
+    assert judged.class_predicted == "field"
+    assert judged.class_probability == pytest.approx(1.0 - 0.03 / 6.0)
+
+
+def test_ice_that_the_image_shows_stays_water() -> None:
+    (judged,) = _check(ByColour(), plain("water")).judge(_sites((-9, 0)), view_of(_snowy()))
+    assert not judged.accepted and judged.class_predicted == "water"
+
+
+def test_bright_things_that_are_small_or_end_in_steps_are_no_snow() -> None:
+    sites = _sites((0, 0))
+    patch, roof, mixed = _snowy(60.0), _snowy(60.0), _snowy()
+    patch.intensity[70:130, 70:130] = 125.0  # 12 x 12 m of fleece
+    roof.intensity[:] = 125.0  # a hall of 16 x 20 m under snow
+    for layer in (roof.height_m, roof.min_height_m, roof.max_height_m):
+        layer[50:150, 70:150] += 6.0
+    mixed.intensity[100:, :] = 60.0  # half of the square is something else
+    for grid in (patch, roof, mixed):
+        (judged,) = _check(ByColour(), plain("road")).judge(sites, view_of(grid))
+        assert not judged.accepted
+    (beside,) = _check(ByColour(), plain("road")).judge(_sites((-11, 0)), view_of(roof))
+    assert beside.accepted
+
+
+def test_in_the_dark_the_class_is_left_to_the_second_look() -> None:
+    def black(x: Array, y: Array) -> Array:
+        return np.zeros((*x.shape, 3))
+
+    (judged,) = _check(ByColour(), black).judge(_sites((-9, 0)), FLAT)
+    assert not judged.accepted  # without noise the image is a defect, not a night
+    rig = small_rig()
+    pose = Pose(np.eye(3), np.array([0, 0, 40.0]))
+    night = photograph(rig, pose, black, 1.0, noise=10.0)
+    for second_look in (True, False):
+        check = SiteClassCheck(ByColour(), rig, LandingParams(second_look=second_look))
+        check.update(make_obs(600, images=(night,)), make_estimate(600, pose))
+        (judged,) = check.judge(_sites((-9, 0)), FLAT)
+        assert judged.accepted is second_look
+        assert judged.class_predicted is None
+        assert ("too dark" in judged.reason) is second_look
+    assert check.refusal(None, False) is not None  # and from close by it must be seen
+
+
 def test_traffic_zone_is_read_at_the_site() -> None:
     view = view_of(make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0)))
     selection = select_sites(view, make_estimate(0, ABOVE), LandingParams(), footprint_radius_m=0.5)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.landing.classification.survey_images import SurveyImages, project
+from touchdown.landing.classification.survey_images import SurveyImages, brightened, project
 from touchdown.sim.api import CameraImage
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
 
@@ -133,3 +133,44 @@ def test_pose_of_an_image_is_that_of_its_exposure() -> None:
             images = (photograph(rig, there, _by_place, 0.0025),)
         survey_images.update(make_obs(3 * step, images=images), make_estimate(3 * step, pose))
     assert survey_images._kept[0].odom_from_camera.translation[0] == pytest.approx(0.0125)
+
+
+def _dim_grass(x: Array, y: Array) -> Array:
+    """20 levels, as under the lamp at 10 m; mottled by a quarter."""
+    level = 20.0 + 5.0 * np.sin(2.1 * x + 1.7 * y)
+    return np.stack([0.6 * level, level, 0.4 * level], -1)
+
+
+def test_images_of_a_dark_night_show_nothing() -> None:
+    """Noise about a black level, without structure; under the lamp the ground shows through it."""
+    rig, pose = small_rig(), Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
+    survey_images = SurveyImages(rig, 8)
+
+    def see(paint: Any, time_s: float) -> None:
+        tick = round(600 * time_s)
+        image = photograph(rig, pose, paint, time_s, noise=10.0)
+        survey_images.update(make_obs(tick, images=(image,)), make_estimate(tick, pose))
+
+    see(lambda x, y: np.zeros((*x.shape, 3)), 1.0)
+    assert survey_images.dark and len(survey_images) == 0
+    assert survey_images.patch(np.zeros(3), 6.4, 32) is None
+    see(_dim_grass, 2.0)
+    assert not survey_images.dark
+    assert survey_images.patch(np.zeros(3), 6.4, 32) is not None
+    see(lambda x, y: np.zeros((*x.shape, 3)), 3.0)
+    assert survey_images.dark
+
+
+def test_a_dim_patch_is_as_bright_as_by_day_and_keeps_its_hue() -> None:
+    pose = Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
+    patch = _kept(pose, _dim_grass).patch(np.zeros(3), 6.4, 32)
+    assert patch is not None
+    assert 90.0 < patch.mean() < 125.0
+    red, green, blue = patch.mean(axis=(0, 1))
+    assert red / green == pytest.approx(0.6, abs=0.05)
+    assert blue / green == pytest.approx(0.4, abs=0.05)
+    bright = _kept(pose, lambda x, y: 4.0 * _dim_grass(x, y)).patch(np.zeros(3), 6.4, 32)
+    assert bright is not None and bright.mean() == pytest.approx(80.0 * 2.0 / 3.0, abs=2.0)
+    noisy = np.random.default_rng(3).integers(0, 30, (64, 64, 3)).astype(np.uint8)
+    ratio = brightened(noisy).std() / brightened(noisy).mean()
+    assert ratio < 0.6 * noisy.std() / noisy.mean()

@@ -1,0 +1,89 @@
+"""Ground under low plants: grass and crops that stand wide and that pulses pass to the ground.
+
+Over a meadow some pulses return from the grass and some from the ground beneath it: the returns of
+a cell spread, their mean lies centimetres above the ground, and the highest ones look like objects.
+A vehicle stands on the ground all the same. Low plants are taken for what they are where they form
+a stand: the spread fills an area of a metre, the highest returns are low, and in every cell some
+returns come from the ground. A post, a kerb, a rope or a tuft by itself is narrower, a rock or a
+log lets no pulse through, so that the lowest returns over it make a step; both stay what they were.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.landing.selection.elevation_raster import ElevationRaster
+
+Float32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+_SPREAD_M = 0.14
+"""between the lowest and the highest return, from which a cell is taken to hold more than noise"""
+_CLUMPS = ((0.3, 0.33, 0.12), (1.0, 0.42, 0.19))
+"""of clumps and of wide stands: side of the least square that plants fill; greatest spread, that is
+noise of 0.1 m and a height of 0.23 or 0.32 m; greatest height of the mean over the lowest return,
+noise of 0.05 m included: most pulses reach the ground"""
+_LEVEL_M = 0.06
+"""between the lowest returns of a gap in a clump and of the cells around it: bare ground, no solid
+top"""
+_RAGGED_CELLS = 2
+"""width of the ragged edge of a clump"""
+_NOISE_M = 0.05
+"""of the lowest and the highest of many returns of bare ground; used where the map has no such
+ground"""
+
+
+def standing_plants(raster: ElevationRaster, *, fill_gaps: bool = False) -> Mask:
+    """Returns the mask of cells (rows, cols) in clumps and stands of low plants.
+
+    ``fill_gaps``: a clump may have cells of bare ground in it. Seen from near, where clumps have
+    several cells, that adds their thin parts; from far it would join what stands apart."""
+    found = np.zeros(raster.shape, np.bool_)
+    around = np.ones((3, 3), np.uint8)
+    with np.errstate(invalid="ignore"):
+        lowest = cv2.erode(np.where(raster.known, raster.low, np.float32(1e6)), around)
+        level = raster.low - lowest <= _LEVEL_M
+        spread = raster.high - raster.low
+        for side_m, most_m, mean_m in _CLUMPS:
+            low = (spread <= most_m) & (raster.height - raster.low <= mean_m)
+            some = (low & (spread > _SPREAD_M)).astype(np.uint8)
+            filled = some
+            if fill_gaps:
+                closed = cv2.morphologyEx(some, cv2.MORPH_CLOSE, around) > 0
+                filled = some | (closed & low & level)
+            cells = max(round(side_m / raster.cell_m), 3)
+            core = cv2.morphologyEx(filled, cv2.MORPH_OPEN, np.ones((cells, cells), np.uint8))
+            edge = cv2.dilate(core, np.ones((2 * _RAGGED_CELLS + 1,) * 2, np.uint8))
+            found |= (core > 0) | ((edge > 0) & (some > 0))
+    return found & raster.known
+
+
+def without_plants(raster: ElevationRaster, plants: Mask) -> ElevationRaster:
+    """Returns the raster with the ground under ``plants`` (rows, cols) in their place.
+
+    The ground is that of the lowest returns, raised by what separates lowest and mean returns on
+    the map's bare ground; spread and highest returns become those of bare ground. Without plants
+    the raster itself is returned."""
+    if not plants.any():
+        return raster
+    with np.errstate(invalid="ignore"):
+        bare = raster.known & ~plants & (raster.high - raster.low <= _SPREAD_M)
+    noise = _NOISE_M
+    if bare.any() and 10 * bare.sum() >= plants.sum():
+        noise = float(np.median((raster.height - raster.low)[bare]))
+    ground = np.where(plants, _smoothed(raster.low, plants) + np.float32(noise), raster.height)
+    top = np.where(plants, ground + np.float32(noise), raster.high)
+    std = np.where(plants, np.minimum(raster.std, np.float32(0.5 * noise)), raster.std)
+    return dataclasses.replace(raster, height=ground, high=top, std=std)
+
+
+def _smoothed(layer: Float32, cells: Mask) -> Float32:
+    """Returns the mean of the ``cells`` among the 3 x 3 around every cell: an extreme of few
+    returns scatters more than their mean."""
+    weight = cells.astype(np.float32)
+    total = cv2.blur(np.where(cells, layer, np.float32(0.0)), (3, 3))
+    return np.asarray(total / np.maximum(cv2.blur(weight, (3, 3)), np.float32(1e-6)), np.float32)

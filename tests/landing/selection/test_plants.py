@@ -1,0 +1,138 @@
+"""Ground under low plants: taken where plants are wide and let pulses through, nowhere else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import GridMap
+from touchdown.landing.api import LandingParams
+from touchdown.landing.mission.second_look import look_again
+from touchdown.landing.selection.elevation_raster import observed_raster
+from touchdown.landing.selection.plants import standing_plants, without_plants
+from touchdown.landing.selection.selector import select_sites
+from touchdown.sim.frames import Pose
+
+from support.landing_support import make_estimate, make_grid, view_of
+
+Array = NDArray[np.float64]
+
+PARAMS = LandingParams()
+ABOVE = make_estimate(0, Pose(np.eye(3), np.array([8.0, 8.0, 30.0])))
+RETURNS = 40
+
+
+def _map(ground: Array, cover: Array, through: float = 0.5, cell_m: float = 0.2) -> GridMap:
+    """A map of ``ground`` (rows, cols) under plants as high as ``cover``, of whose pulses the share
+    ``through`` reaches the ground and the rest comes from anywhere in them; noise of 2 cm."""
+    rng = np.random.default_rng(5)
+    shape = (RETURNS, *ground.shape)
+    up = np.where(rng.random(shape) < through, 0.0, rng.random(shape)) * cover
+    up[:2] = 0.0  # of so many pulses some reach the ground
+    samples = ground + up + 0.02 * rng.standard_normal(shape)
+    grid = make_grid(ground, cell_m, returns=RETURNS)
+    grid.height_m[:] = samples.mean(axis=0)
+    grid.height_std_m[:] = samples.std(axis=0)
+    grid.min_height_m[:] = samples.min(axis=0)
+    grid.max_height_m[:] = samples.max(axis=0)
+    return grid
+
+
+def _flat(value: float = 0.0) -> Array:
+    """16 x 16 m."""
+    return np.full((80, 80), value)
+
+
+def _allowed(grid: GridMap) -> NDArray[np.bool_]:
+    chosen = select_sites(view_of(grid), ABOVE, PARAMS, footprint_radius_m=0.5)
+    return chosen.allowed
+
+
+def test_meadow_is_landed_in_and_its_ground_is_known_to_two_centimetres() -> None:
+    _, x = np.mgrid[0:80, 0:80] * 0.2
+    slope = np.tan(np.deg2rad(2.0)) * x
+    grid = _map(slope, _flat(0.25))
+    raster = observed_raster(grid)
+    assert raster is not None
+    assert np.median(grid.height_m - slope) > 0.05
+    bare = without_plants(raster, standing_plants(raster))
+    error = bare.height - slope
+    assert abs(np.median(error)) < 0.02
+    assert (np.abs(error) < 0.03).mean() > 0.98
+    assert _allowed(grid)[15:65, 15:65].mean() > 0.95
+
+
+def test_bare_ground_stays_to_the_bit() -> None:
+    raster = observed_raster(make_grid(_flat()))
+    assert raster is not None
+    assert without_plants(raster, standing_plants(raster)) is raster
+
+
+@pytest.mark.parametrize(
+    ("height", "through"),
+    [
+        (0.6, 0.5),  # tall grass: what stands in it is hidden
+        (0.36, 0.05),  # a hedge that is nearly closed
+    ],
+)
+def test_tall_or_closed_plants_stay_objects(height: float, through: float) -> None:
+    assert not _allowed(_map(_flat(), _flat(height), through)).any()
+
+
+@pytest.mark.parametrize("wide", [1, 2, 3])
+def test_solid_things_in_a_meadow_stay(wide: int) -> None:
+    """A rock of 20 cm lets no pulse through: the lowest returns show it, and it keeps its metre."""
+    ground, cover = _flat(), _flat(0.25)
+    rock = np.s_[40 : 40 + wide, 40 : 40 + wide]
+    ground[rock], cover[rock] = 0.2, 0.0
+    allowed = _allowed(_map(ground, cover))
+    assert allowed[20:30, 20:30].any()
+    assert not allowed[36 : 44 + wide, 36 : 44 + wide].any()
+
+
+@pytest.mark.parametrize("width", [1, 2])
+def test_narrow_things_on_bare_ground_stay(width: int) -> None:
+    """A row of stakes or a low fence of 25 cm: as permeable as grass, but narrow."""
+    cover = _flat()
+    cover[:, 40 : 40 + width] = 0.25
+    allowed = _allowed(_map(_flat(), cover))
+    assert allowed[20:60, 20:28].any()
+    assert not allowed[:, 36 : 44 + width].any()
+
+
+def test_low_wall_is_no_clump_although_its_edges_spread() -> None:
+    """20 cm high, 60 cm wide: mixed cells on both sides, and a solid top between them."""
+    ground, cover = _flat(), _flat()
+    ground[:, 41] = 0.2
+    cover[:, 40], cover[:, 42] = 0.2, 0.2
+    assert not _allowed(_map(ground, cover))[:, 37:46].any()
+    raster = observed_raster(_map(ground, cover))
+    assert raster is not None
+    for fill in (False, True):
+        assert not standing_plants(raster, fill_gaps=fill)[:, 41].any()
+
+
+def test_bare_ground_comes_first() -> None:
+    cover = _flat()
+    cover[:, :55] = 0.25
+    chosen = select_sites(view_of(_map(_flat(), cover)), ABOVE, PARAMS, footprint_radius_m=0.5)
+    assert chosen.allowed[20:60, 20:40].any()
+    assert chosen.candidates[0].accepted and chosen.candidates[0].position_odom[0] > 11.0
+
+
+def test_look_from_ten_metres_lands_between_and_on_clumps_of_grass() -> None:
+    """Clumps of 40 cm with gaps between them, 20 cm high, in fine cells of 5 cm."""
+    cover = np.zeros((320, 320))
+    for row in range(4, 316, 14):
+        for col in range(4, 316, 14):
+            cover[row : row + 8, col : col + 8] = 0.18
+    grid = _map(np.zeros((320, 320)), cover, 0.67, cell_m=0.05)
+    view = view_of(make_grid(_flat()), grid)
+    look = look_again(view, np.array([8.0, 8.0, 0.0]), 3.0, PARAMS)
+    assert look.position_odom is not None, look.reason
+    assert look.position_odom[2] == pytest.approx(0.0, abs=0.03)
+    grid.max_height_m[160, 160] = 0.5  # a stake
+    moved = look_again(view, np.array([8.0, 8.0, 0.0]), 3.0, PARAMS)
+    assert moved.position_odom is not None
+    assert np.hypot(*(moved.position_odom[:2] - 8.0)) > 1.0
