@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import dataclasses
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,14 +19,9 @@ from dm_env import test_utils  # noqa: E402
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 from touchdown.experiments import environments  # noqa: E402
-from touchdown.experiments.config.schema import Config  # noqa: E402
-from touchdown.experiments.environments import landing_task  # noqa: E402
 from touchdown.experiments.environments.dm_environment import TouchdownEnvironment  # noqa: E402
 from touchdown.experiments.environments.gymnasium_env import TouchdownEnv  # noqa: E402
 from touchdown.experiments.environments.landing_task import LandingTask, Step, TaskOptions  # noqa: E402
-from touchdown.experiments.flight.wiring import build_scene  # noqa: E402
-from touchdown.scenes.api import Scene, TruthMaps  # noqa: E402
-from touchdown.scenes.truth.maps import truth_maps  # noqa: E402
 
 Array = NDArray[Any]
 MakeTask = Callable[..., LandingTask]
@@ -47,31 +40,6 @@ def write_scene(folder: Path, x: float) -> str:
     path = folder / f"scene_{x:g}.xml"
     path.write_text(HALF_LAWN.format(x=x))
     return str(path)
-
-
-@pytest.fixture(autouse=True, scope="module")
-def layouts_built_once() -> Iterator[None]:
-    """Tasks share scenes and their truth maps; a scene has a compiled model of its own each time, as
-    a world sets physics options there."""
-    scenes: dict[tuple[str, int], Scene] = {}
-    maps: dict[tuple[str, int, float], TruthMaps] = {}
-
-    def scene(config: Config) -> Scene:
-        key = (config.scene, config.seed)
-        if key not in scenes:
-            scenes[key] = build_scene(config)
-        return dataclasses.replace(scenes[key], model=copy.copy(scenes[key].model))
-
-    def truth(scene: Scene, cell_m: float) -> TruthMaps:
-        key = (scene.source, scene.seed, cell_m)
-        if key not in maps:
-            maps[key] = truth_maps(scene, cell_m)
-        return maps[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(landing_task, "build_scene", scene)
-        patch.setattr(landing_task, "scene_truth_maps", truth)
-        yield
 
 
 @pytest.fixture(scope="module")
