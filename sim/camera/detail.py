@@ -12,6 +12,7 @@ as large as itself (a mip level), blended between neighbours where the texel is 
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -264,8 +265,10 @@ def _kinds(
     return np.where(below == scene.model.geom(ground.geom_name).id, raster, kinds)
 
 
+@functools.cache  # a second of blurring, the same for every world
 def grain(name: str) -> Bytes:
-    """The photograph ``name`` over its local mean, (1024, 1024, 3) RGB: 128 where it is 1."""
+    """The photograph ``name`` over its local mean, (1024, 1024, 3) RGB: 128 where it is 1; for
+    reading only."""
     look = LOOKS[name]
     image = cv2.imread(str(PHOTOGRAPHS / f"{name}.jpg"), cv2.IMREAD_COLOR)
     if image is None:
@@ -279,7 +282,9 @@ def grain(name: str) -> Bytes:
     tone = ratio.mean(axis=2, keepdims=True)
     ratio = tone + look.colour * (ratio - tone)
     ratio = 1.0 + look.gain * (ratio - ratio.mean(axis=(0, 1)))
-    return np.clip(np.rint(128.0 * ratio), 0, 255).astype(np.uint8)
+    found = np.clip(np.rint(128.0 * ratio), 0, 255).astype(np.uint8)
+    found.setflags(write=False)
+    return found
 
 
 def pyramid(names: tuple[str, ...]) -> Pyramid:

@@ -65,7 +65,7 @@ def start_campaign(file: Path, out: Path) -> subprocess.Popen[bytes]:
 
 
 def wait_for(condition: Any, what: str) -> None:
-    deadline = time.monotonic() + 120.0
+    deadline = time.monotonic() + 600.0  # of a machine that is busy
     while not condition():
         assert time.monotonic() < deadline, what
         time.sleep(0.02)

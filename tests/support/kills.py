@@ -39,7 +39,7 @@ def strike(command: subprocess.Popen[str], number: int, mark: dict[str, str]) ->
     """Sends a signal to a command and waits until none of its processes is left. Returns what it
     wrote to stderr; fails unless it ended as is usual after that signal."""
     command.send_signal(number)
-    _, err = command.communicate(timeout=60.0)
+    _, err = command.communicate(timeout=600.0)
     wanted = -9 if number == signal.SIGKILL else 128 + number
     assert command.returncode == wanted, f"exit code {command.returncode}: {err}"
     wait_for(lambda: not marked(mark), "processes outlive the command")

@@ -39,11 +39,16 @@ class Ended:
 _ERROR, _WARNING = "touchdown: error: ", "touchdown: warning: "
 
 
-def run_all(commands: Sequence[Sequence[str]], folder: Path) -> list[Ended]:
-    """Runs commands in ``folder``, one after another."""
+def run_all(
+    commands: Sequence[Sequence[str]], folder: Path, first: Sequence[Sequence[str]] = ()
+) -> list[Ended]:
+    """Runs commands in ``folder``, one after another. ``first``: sound commands that the process
+    runs itself before, so that those forked from it find all modules loaded and all kernels
+    compiled."""
+    given = [[list(command) for command in some] for some in (first, commands)]
     done = subprocess.run(
         [sys.executable, "-m", "support.limited_commands", str(folder)],
-        input=json.dumps([list(command) for command in commands]), text=True,
+        input=json.dumps(given), text=True,
         stdout=subprocess.PIPE, cwd=Path(__file__).parents[1], check=True,
     )  # fmt: skip
     return [Ended(code, err) for code, err in json.loads(done.stdout.splitlines()[-1])]
@@ -76,11 +81,15 @@ def _child(arguments: list[str], err: Path) -> None:
 def serve() -> None:
     import touchdown.experiments.flight.replay
     import touchdown.experiments.flight.wiring  # noqa: F401
+    from touchdown.experiments.cli.main import main
 
     folder = Path(sys.argv[1])
     os.chdir(folder)
+    first, commands = json.load(sys.stdin)
+    for arguments in first:
+        assert main(arguments) in (0, 1), arguments
     found = []
-    for arguments in json.load(sys.stdin):
+    for arguments in commands:
         err = folder / "stderr"
         if (pid := os.fork()) == 0:
             _child(arguments, err)

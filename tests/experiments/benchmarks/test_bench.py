@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 os.environ.setdefault("MUJOCO_GL", "egl")
@@ -17,9 +19,10 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.benchmarks import loop as bench
+from touchdown.experiments.benchmarks import profile_cost
 from touchdown.experiments.benchmarks.bare_world import BareWorld, _world_rays
 from touchdown.experiments.benchmarks.jit_warmup import compiled_before
-from touchdown.experiments.benchmarks.loop import bench_config, overhead_config
+from touchdown.experiments.benchmarks.loop import bench_config, overhead_config, profile_configs
 from touchdown.experiments.benchmarks.loop_overhead import (
     NOT_OVERHEAD,
     _compare,
@@ -43,6 +46,7 @@ LAWN = """<mujoco><worldbody>
 <geom name="lawn" type="plane" size="60 60 1" rgba="0.2 0.6 0.2 1"/>
 <geom name="road_box" type="box" pos="3 2 0.5" size="1 1 0.5" rgba="0.8 0.2 0.2 1"/>
 </worldbody></mujoco>"""
+PROFILES = {"field": "field", "ideal": "ideal"}
 SHORT_FLIGHT = (
     "sim.threads=1",
     "landing.survey_only=true",
@@ -211,20 +215,84 @@ def test_bench_loop_reports_the_agreed_keys(
         sums.count = dict.fromkeys(sums.seconds, 1)
         return {"outcome": "COMPLETED", "sim_s": 4.0, **_compare({"world": 16.0}, sums)}
 
+    def cost(configs: dict[str, Config]) -> dict[str, Any]:
+        assert {name: config.profile for name, config in configs.items()} == PROFILES
+        assert {config.estimator for config in configs.values()} == {"livo"}
+        return {"ms": {"field": 33.0, "ideal": 30.0}, "ratio": 1.1}
+
     monkeypatch.setattr("touchdown.experiments.flight.run.fly", fly)
     monkeypatch.setattr(bench, "measure_loop_overhead", overhead)
+    monkeypatch.setattr(profile_cost, "measure_profile_cost", cost)
     assert cli.main(["bench", "loop", "--json", "--quiet"]) == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["real_time_factor"] == 2.0
     assert figures["stage_ms"] == {"world": 30.0}
-    assert figures["ratio"]["bare"] == pytest.approx(1.6)
+    assert figures["ratio"] == {"bare": pytest.approx(1.6), "field": 1.1}
+    assert figures["profile_ms"] == {"field": 33.0, "ideal": 30.0}
     assert seen[0].estimator == "oracle"
     assert seen[0].sim.threads == 1
     assert seen[0].record
     assert cli.main(["bench", "loop", "--quiet"]) == 0
-    assert "1.60 x bare" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "1.60 x bare" in said
+    assert "ratio.field 1.10: 33.0 ms" in said
     assert cli.main(["bench", "loop", "--no-ratio", "--json", "--quiet"]) == 0
     assert "ratio" not in json.loads(capsys.readouterr().out)
+
+
+def test_profiles_are_compared_in_turns_of_one_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Flights of 6 s that take 2 ms a step in profile field and 1 ms in ideal, and a hundred times
+    as much while compiled code is loaded."""
+    now, at_work = [0.0], list[str]()
+
+    def fly(config: Config, stack: Any, recorder: Any, _progress: Any) -> None:
+        cost_s = 2e-3 if config.profile == "field" else 1e-3
+        for step in range(1, 301):  # of 0.02 s
+            at_work.append(config.profile)
+            loading = 0.02 * step < profile_cost.WARM_UP_S - 2.0 * profile_cost.TURN_S
+            now[0] += cost_s * (100.0 if loading else 1.0)
+            recorder.tick(SimpleNamespace(truth=SimpleNamespace(time_s=0.02 * step)))
+
+    clock = SimpleNamespace(process_time=lambda: now[0])
+    monkeypatch.setattr(profile_cost, "time", clock)
+    monkeypatch.setattr(profile_cost, "fly_and_judge", fly)
+    for name in ("build_scene", "build_flight_stack", "limit_threads"):
+        monkeypatch.setattr(profile_cost, name, lambda *_: None)
+    both = profile_configs(scene="crossroad", estimator="oracle", seed=0, full=False)
+    found = profile_cost.measure_profile_cost(both)
+    assert found["ratio"] == pytest.approx(2.0, rel=0.1)
+    assert found["ms"] == {"field": pytest.approx(10.0, rel=0.1), "ideal": pytest.approx(5.0, 0.1)}
+    turns = [(name, len(list(steps))) for name, steps in itertools.groupby(at_work)]
+    assert {name for name, _ in turns[::2]} == {"field"}
+    assert {name for name, _ in turns[1::2]} == {"ideal"}
+    assert {steps for _, steps in turns[:-1]} <= {4, 5, 6}
+
+
+def test_a_flight_that_fails_ends_the_other_and_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fly(config: Config, *_: Any) -> None:
+        if config.profile == "field":
+            raise RuntimeError("a wing came off")
+
+    monkeypatch.setattr(profile_cost, "fly_and_judge", fly)
+    for name in ("build_scene", "build_flight_stack", "limit_threads"):
+        monkeypatch.setattr(profile_cost, name, lambda *_: None)
+    both = profile_configs(scene="crossroad", estimator="oracle", seed=0, full=False)
+    with pytest.raises(RuntimeError, match="a wing came off"):
+        profile_cost.measure_profile_cost(both)
+
+
+@pytest.mark.slow
+def test_cost_of_the_profiles_of_a_short_flight(lawn_file: Path) -> None:
+    both = {
+        name: load_config(
+            None, SHORT_FLIGHT, scene=str(lawn_file), estimator="oracle", profile=name,
+            record=False,
+        )
+        for name in PROFILES
+    }  # fmt: skip
+    found = profile_cost.measure_profile_cost(both)
+    assert all(found["ms"][name] > 0.0 for name in PROFILES)
+    assert found["ratio"] == pytest.approx(found["ms"]["field"] / found["ms"]["ideal"])
 
 
 def test_bench_flights_keep_the_estimator_apart() -> None:

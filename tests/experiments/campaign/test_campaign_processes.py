@@ -22,7 +22,7 @@ from support.campaign_flights import (
     wait_for,
 )
 
-LIMITS = "[limits]\nrun_timeout_s = 60\nmemory_gb = 0.35\nretries = 0\n"
+LIMITS = "[limits]\nrun_timeout_s = 900\nmemory_gb = 0.35\nretries = 0\n"
 
 
 def flown(folder: Path, *behaviours: str, limits: str = LIMITS) -> dict[str, Any]:
@@ -49,11 +49,15 @@ def test_a_crash_leaves_no_process(tmp_path: Path) -> None:
 
 
 def test_a_run_that_hangs_leaves_no_process(tmp_path: Path) -> None:
-    limits = LIMITS.replace("60", "2")
-    found = flown(tmp_path, "starts_and_hangs", limits=limits)
-    assert found["starts_and_hangs"] == ("CRASHED", "took longer than 2 s")
-    assert len(started(tmp_path / "out")) == 3
-    assert not any(map(is_alive, started(tmp_path / "out")))
+    for seconds in ("2", "20"):  # a busy machine takes long to start them
+        folder = tmp_path / seconds
+        limits = LIMITS.replace("900", seconds)
+        found = flown(folder, "starts_and_hangs", limits=limits)
+        assert found["starts_and_hangs"] == ("CRASHED", f"took longer than {seconds} s")
+        assert not any(map(is_alive, started(folder / "out")))
+        if len(started(folder / "out")) == 3:
+            return
+    pytest.fail("none of them started")
 
 
 def test_processes_of_a_run_are_gone_before_the_next(tmp_path: Path) -> None:
@@ -76,7 +80,7 @@ def test_memory_that_processes_share_counts_once(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
 def test_no_process_outlives_the_campaign(tmp_path: Path, number: int) -> None:
-    text = axes(scene=["flat"], estimator=["fake:starts_and_hangs"]) + LIMITS.replace("60", "600")
+    text = axes(scene=["flat"], estimator=["fake:starts_and_hangs"]) + LIMITS
     make_plan(tmp_path, text)
     command = start_campaign(tmp_path / "campaign.toml", tmp_path / "out")
     wait_for(lambda: len(started(tmp_path / "out")) == 3, "three processes")

@@ -33,7 +33,7 @@ BEHAVIOURS = (
 def faulty(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     folder = tmp_path_factory.mktemp("faulty")
     text = axes(scene=["flat"], estimator=[f"fake:{name}" for name in BEHAVIOURS])
-    plan = make_plan(folder, text + "[limits]\nrun_timeout_s = 100\nmemory_gb = 0.3\n")
+    plan = make_plan(folder, text + "[limits]\nrun_timeout_s = 900\nmemory_gb = 0.3\n")
     return folder / "out", fly(plan, folder / "out", jobs=2)
 
 

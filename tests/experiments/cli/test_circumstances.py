@@ -196,7 +196,7 @@ def _command(*arguments: str, **changes: Any) -> subprocess.CompletedProcess[byt
     return subprocess.run(
         [sys.executable, "-m", "touchdown", *arguments],
         env=environment,
-        timeout=120,
+        timeout=600,
         check=False,
         **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **changes},
     )

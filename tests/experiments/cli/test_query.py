@@ -24,6 +24,7 @@ from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.sql import connect
 
+from support.campaign_flights import wait_for
 from support.report_support import write_run
 
 Query = Callable[..., Any]
@@ -248,21 +249,24 @@ def _interrupted(runs: Path, sql: str, number: signal.Signals) -> subprocess.Com
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        while process.poll() is None and not _maps(process.pid, "duckdb"):
-            time.sleep(0.05)
-        time.sleep(2.0)
+        wait_for(lambda: process.poll() is not None or _queries(process.pid), "the query runs")
         os.kill(process.pid, number)
         try:
-            out, err = process.communicate(timeout=60)
+            out, err = process.communicate(timeout=600)  # of a machine that is busy
         finally:
             process.kill()
     return subprocess.CompletedProcess(command, process.returncode, out, err)
 
 
-def _maps(pid: int, name: str) -> bool:
-    with contextlib.suppress(OSError):
-        return name in Path(f"/proc/{pid}/maps").read_text()
-    return False
+def _queries(pid: int) -> bool:
+    """True once a thread of its own, beside the one of the command, has computed for 0.3 s."""
+    times = []
+    for thread in Path(f"/proc/{pid}/task").iterdir():
+        if thread.name != str(pid):
+            with contextlib.suppress(OSError):
+                words = (thread / "stat").read_text().rpartition(")")[2].split()
+                times.append((int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK"))
+    return max(times, default=0.0) > 0.3
 
 
 @pytest.mark.parametrize(

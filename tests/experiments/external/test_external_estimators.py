@@ -62,6 +62,10 @@ class Still:
 def build(params, rig):
     return Still(params, rig)
 """
+LAWN = """<mujoco><worldbody>
+<light pos="0 0 50" dir="0 0 -1"/>
+<geom name="lawn" type="plane" size="60 60 1"/>
+</worldbody></mujoco>"""
 OBSERVATION = Observation(tick=600, time_s=1.0, rotor_speed_radps=np.zeros(4), battery_fraction=1.0)
 
 
@@ -232,8 +236,9 @@ def test_a_flight_that_it_ends_leaves_nothing(
     lab: Callable[..., str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     name = f"{lab(_spoilt('return None if obs.time_s > 0.05 else estimate'))}:build"
-    short = ["--no-record", "--quiet", "--out", "flown/one"]
-    assert cli.main(["fly", "flat", "--estimator", name, *short]) == 2
+    Path("lawn.xml").write_text(LAWN)
+    short = ["--profile", "ideal", "--no-record", "--quiet", "--out", "flown/one"]
+    assert cli.main(["fly", "lawn.xml", "--estimator", name, *short]) == 2
     output = capsys.readouterr().err
     assert output.count("\n") == 1 and "at 0.055 s update returned NoneType" in output
     assert list(Path("flown").iterdir()) == []

@@ -41,7 +41,12 @@ def check(run: Path, folder: Path, cases: range) -> None:
         ]  # fmt: skip
         names += [f"{case} {kind}: replay {estimator}", f"{case} {kind}: export {export[0]}"]
     findings = {}
-    for name, command, ended in zip(names, commands, run_all(commands, folder), strict=True):
+    first = [
+        ["fly", "--replay", str(run), "--estimator", name, "--quiet", "--out", f"whole-{name}"]
+        for name in ("gps", "livo", "hybrid_flow")
+    ] + [["export", str(run), "--format", *e, "--out", f"whole-{e[0]}"] for e in EXPORTS]
+    ends = run_all(commands, folder, first)
+    for name, command, ended in zip(names, commands, ends, strict=True):
         print(name, ended.code, ended.err.strip())
         whole = (folder / command[-1]).exists()
         findings[name] = ended.finding() or ("" if whole == (ended.code != 2) else "half-written")

@@ -320,7 +320,7 @@ def test_a_browser_without_a_network_shows_it(report: Report, tmp_path: Path) ->
         ],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
     )
     assert done.returncode == 0
     assert "CONSOLE" not in done.stderr

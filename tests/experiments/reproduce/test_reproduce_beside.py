@@ -55,7 +55,7 @@ def test_work_beside_has_its_own_process_and_one_slot(tmp_path: Path) -> None:
         beside.start(write_and_send, tmp_path / "pid")
         assert not slots.acquire(blocking=False), "one is ours, one the work's"
         beside.wait()
-        assert slots.acquire(timeout=5.0), "it is given back"
+        assert slots.acquire(timeout=60.0), "it is given back"
     assert notes == ["threads: 1"]
     assert int((tmp_path / "pid").read_text()) != os.getpid()
 
@@ -71,7 +71,7 @@ def test_errors_of_the_process_are_raised_in_the_caller(
         beside.start(work)
         with pytest.raises(UsageError, match=fragment):
             beside.wait()
-    assert slots.acquire(timeout=5.0)
+    assert slots.acquire(timeout=60.0)
 
 
 def test_the_process_ends_with_its_parent_and_leaves_no_partial_files(tmp_path: Path) -> None:

@@ -94,6 +94,20 @@ def test_grain_keeps_the_colour_and_has_no_large_structures(name: str) -> None:
     assert np.abs(quarters - 1.0).max() < 0.03
 
 
+def test_photographs_are_prepared_once_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every world has a pyramid of its own, of photographs that nothing writes to."""
+    first = detail.pyramid(("sand", "snow"))
+
+    def blur(*_: object, **__: object) -> None:
+        pytest.fail("blurred once more")
+
+    monkeypatch.setattr(cv2, "GaussianBlur", blur)
+    again = detail.pyramid(("sand", "snow"))
+    np.testing.assert_array_equal(again.texels, first.texels)
+    with pytest.raises(ValueError, match="read-only"):
+        detail.grain("sand")[0, 0, 0] = 1
+
+
 def test_pyramid_halves_the_photographs() -> None:
     pyramid = detail.pyramid(("sand", "snow"))
     side = detail.SIDE_PX
