@@ -1,10 +1,10 @@
 """Gravity alignment: roll and pitch of a vehicle at rest, from its accelerometer.
 
-At rest the specific force is gravity's reaction, scaled, plus the accelerometer's bias. One cannot be told
-from the other: a levelled attitude errs by the bias over gravity, and the errors of attitude and
-bias are correlated from then on. The update keeps that correlation, so that a later turn about the
-vertical, which separates the two, corrects both (Titterton and Weston, "Strapdown inertial
-navigation technology", 2004, on alignment).
+At rest the specific force is gravity's reaction, scaled, plus the accelerometer's bias. One cannot
+be told from the other: a levelled attitude errs by the bias over gravity, and the errors of
+attitude and bias are correlated from then on. The update keeps that correlation, so that a later
+turn about the vertical, which separates the two, corrects both (Titterton and Weston, "Strapdown
+inertial navigation technology", 2004, on alignment).
 """
 
 from __future__ import annotations
