@@ -12,7 +12,7 @@ from typing import Any
 
 from touchdown.experiments.campaign.executor import LocalEngine
 from touchdown.experiments.campaign.plan import Plan, load_plan
-from touchdown.experiments.campaign.results_table import TIMING_COLUMNS, load_rows
+from touchdown.experiments.campaign.results_table import TIMING_COLUMNS, finished_ids, load_rows
 from touchdown.experiments.campaign.session import fly_campaign
 
 ROOT = Path(__file__).parents[2]
@@ -74,6 +74,18 @@ def wait_for(condition: Any, what: str) -> None:
 def flying(out: Path) -> list[int]:
     """Process ids of the workers that fly."""
     return [int(path.name.rpartition(".")[2]) for path in out.glob(".partial/*")]
+
+
+def flying_after(out: Path, count: int) -> list[int]:
+    """Waits until ``count`` runs are finished and others are flown; returns `flying` of then."""
+    found: list[int] = []
+
+    def in_the_air() -> bool:
+        found[:] = flying(out)
+        return len(finished_ids(out)) >= count and bool(found)
+
+    wait_for(in_the_air, f"{count} runs")
+    return found
 
 
 def is_alive(pid: int) -> bool:

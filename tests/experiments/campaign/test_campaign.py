@@ -23,7 +23,7 @@ from support.campaign_flights import (
     axes,
     figures,
     fly,
-    flying,
+    flying_after,
     is_alive,
     make_plan,
     start_campaign,
@@ -44,8 +44,7 @@ def test_a_killed_and_resumed_campaign_gives_the_same_rows(
 ) -> None:
     plan, out = make_plan(tmp_path, MANY), tmp_path / "out"
     parent = start_campaign(tmp_path / "campaign.toml", out)
-    wait_for(lambda: len(finished_ids(out)) >= 4 and flying(out), "four runs")
-    workers = flying(out)
+    workers = flying_after(out, 4)
     parent.kill()
     parent.wait()
     wait_for(lambda: not any(map(is_alive, workers)), "workers outlive their parent")
@@ -70,8 +69,7 @@ def test_a_worker_that_is_killed_is_replaced(tmp_path: Path, undisturbed: Path) 
     out = tmp_path / "out"
     parent = start_campaign(tmp_path / "campaign.toml", out)
     for count in (2, 6):
-        wait_for(lambda n=count: len(finished_ids(out)) >= n and flying(out), "runs")  # type: ignore[misc]
-        os.kill(flying(out)[0], signal.SIGKILL)
+        os.kill(flying_after(out, count)[0], signal.SIGKILL)
     assert parent.wait() == 0
     assert figures(out) == figures(undisturbed)
     assert summary(out)["crashed"] == 0
@@ -94,8 +92,7 @@ def test_an_interrupt_keeps_finished_flights(tmp_path: Path) -> None:
     make_plan(tmp_path, MANY)
     out = tmp_path / "out"
     parent = start_campaign(tmp_path / "campaign.toml", out)
-    wait_for(lambda: len(finished_ids(out)) >= 2 and flying(out), "runs")
-    workers = flying(out)
+    workers = flying_after(out, 2)
     parent.send_signal(signal.SIGINT)
     assert parent.wait() != 0
     assert not any(map(is_alive, workers)) and not list(out.glob(".partial/*"))
