@@ -254,7 +254,10 @@ def levelness_error_deg(
         return np.zeros(0)
     for pick in rng.integers(0, rows.size, size=400):
         centre = grid.origin_xy_m + (np.array([cols[pick], rows[pick]]) + 0.5) * grid.cell_m
-        truth = fit_plane(true_points(centre, LEVELNESS_RADIUS_M))
+        true = true_points(centre, LEVELNESS_RADIUS_M)
+        if len(true) < 3:  # beyond the scene's edge
+            continue
+        truth = fit_plane(true)
         if truth.residual_m > LEVELNESS_RESIDUAL_M or truth.normal[2] < flattest:
             continue
         mapped = _map_points(grid, centre, LEVELNESS_RADIUS_M)

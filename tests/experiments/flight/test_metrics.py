@@ -91,6 +91,8 @@ def test_levelness_error_of_a_map_tilted_by_two_degrees() -> None:
         offsets = np.random.default_rng(1).uniform(-radius, radius, size=(60, 2))
         return np.column_stack([xy + offsets, np.zeros(60)])
 
+    # a vehicle that left the scene maps ground beyond its edge
+    assert levelness_error_deg(grid, lambda xy, radius: np.zeros((0, 3)), seed=3).shape == (0,)
     errors = levelness_error_deg(grid, level_ground, seed=3)
     assert errors.shape == (10,)
     np.testing.assert_allclose(errors, 2.0, atol=1e-3)
