@@ -32,7 +32,7 @@ class Block:
     lines: Callable[..., Sequence[str]]
 
     def text(self, record: Record) -> str:
-        """What stands between the markers."""
+        """The lines between the markers."""
         if any(key not in record for key in self.sets):
             command = next(found.command for found in SETS if found.key == self.sets[0])
             return (

@@ -46,7 +46,7 @@ def read_record(root: Path) -> Record:
 
 
 def record_of(found: FlightSet, directory: Path) -> dict[str, Any]:
-    """What the file holds of a set that is flown to its end. Raises UsageError for rows that are
+    """The part of the file for a set that is flown to its end. Raises UsageError for rows that are
     missing, of several revisions, or of a source tree with changes."""
     plan = found.plan()
     rows = load_rows(directory) if is_campaign(directory) else []
