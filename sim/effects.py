@@ -1,5 +1,4 @@
-"""What fog, rain, dust, dirt, glare and the lamp have changed in messages, counted where they are
-applied.
+"""Effects of fog, rain, dust, dirt, glare and the lamp on messages, counted where they are applied.
 
 Worker threads `note` the effects on the message that they make; those of a message count once it is
 delivered, so that the numbers of a flight do not depend on its threads.

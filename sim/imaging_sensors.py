@@ -113,7 +113,7 @@ class ImagingSensors:
         self._poses.clear()
 
     def effects(self) -> dict[str, Effects]:
-        """What has been changed in delivered scans and images: of the left camera."""
+        """Effects on delivered scans, and on images of the left camera."""
         found = {"images": self.camera.effects}
         return found if self._lidar is None else {"scans": self._lidar.effects, **found}
 

@@ -280,7 +280,7 @@ class MujocoWorld:
         return {name: effects.delivered for name, effects in self._imaging.effects().items()}
 
     def fault_records(self) -> list[dict[str, Any]]:
-        """What every scheduled fault has done so far."""
+        """Effects of every scheduled fault so far."""
         return [
             *self._faults.summary(),
             *self._disturbances.summary(self._step_s),
