@@ -41,7 +41,7 @@ ROOM_MAY_IMPORT = {
     "benchmarks": "campaign config drawing errors external flight io recording",
     "calibration": "config flight io scene_tools",
     "edges": "config errors flight scene_tools",
-    "reporting": "api campaign errors io",
+    "reporting": "api campaign config errors io",
     "classification": "config errors flight io reporting scene_tools",
     "results_book": "campaign errors io reporting",
     "reproduce": "benchmarks calibration campaign classification config edges errors external io "
