@@ -134,6 +134,11 @@ class Estimator(Protocol):
     def update(self, obs: Observation) -> Estimate: ...
 
 
+HEIGHT_BIN_M = 0.02
+"""width of a bin of `GridMap.histogram`"""
+HEIGHT_BINS = 32
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GridMap:
     """A square-celled elevation map in the ODOM frame. Cell (row, col) covers
@@ -159,6 +164,11 @@ class GridMap:
     """pulses without return that were expected to hit this cell, at the height of its
     surroundings"""
     last_seen_s: NDArray[np.float32]
+    histogram: NDArray[np.uint8] | None = None
+    """(rows, cols, HEIGHT_BINS) returns by their height above ``histogram_base_m`` in bins of
+    ``HEIGHT_BIN_M``, the last one with all that are higher; halved where a bin would overflow. For
+    `estimator.mapping.ground.ground_of`; a mapper may leave it out"""
+    histogram_base_m: NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
