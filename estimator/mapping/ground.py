@@ -22,14 +22,13 @@ Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 
-ONE_SURFACE_STD_M = 0.05
-"""spread of the returns of one surface: range noise of 2 to 3 cm, the slope within a cell, and a
-mown lawn of 5 cm"""
+ONE_SURFACE_STD_M = 0.04
+"""spread of the returns of one surface: range noise of 2 to 3 cm and the slope within a cell"""
 _FEW = 6.0
 """returns, up to which a cell says nothing by itself: those around it decide"""
 _OVERHANG_M = 0.5
 """above most of the cells around it, from which a cell shows what stands or hangs there alone"""
-_WINDOW_M = 0.06
+_WINDOW_M = 0.05
 """half width of the kernel of the mean shift: twice the noise of the ranges"""
 _LEAST_SHARE = 0.03
 _FEW_SHARE = 0.15
@@ -135,9 +134,7 @@ def _start(weights: Array, first: int, share: float) -> int:
 
 
 @numba.njit(cache=True)
-def _own_modes(
-    histogram: Bytes, base: Float32, spread: Float32, own: Float32, ends: Bytes
-) -> None:
+def _own_modes(histogram: Bytes, base: Float32, spread: Float32, own: Float32, ends: Bytes) -> None:
     """Writes the lowest mode of each cell of several surfaces into ``own``, and the first and one
     past the last bin with returns of every cell into ``ends`` (rows, cols, 2), without the outer
     ones, which hold all that is lower and higher."""

@@ -296,14 +296,14 @@ def accumulate_heights(
             continue
         col, row = np.uintp(across), np.uintp(along)
         if np.isnan(base[row, col]):
-            base[row, col] = z - _BINS_BELOW * bin_m
+            base[row, col] = z - (_BINS_BELOW + 0.5) * bin_m
         k = np.int64(np.floor((z - base[row, col]) * per_bin))
         if k < 1 - bins:
             histogram[row, col, 0] += np.uint8(1)
             if histogram[row, col, 0] < _LOW_RETURNS:
                 continue
             _raise_by(histogram, row, col, bins)
-            base[row, col] = z - _BINS_BELOW * bin_m
+            base[row, col] = z - (_BINS_BELOW + 0.5) * bin_m
             k = _BINS_BELOW
         elif k < 1:
             _raise_by(histogram, row, col, 1 - k)

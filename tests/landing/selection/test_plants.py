@@ -14,7 +14,7 @@ from touchdown.landing.selection.plants import standing_plants, without_plants
 from touchdown.landing.selection.selector import select_sites
 from touchdown.sim.frames import Pose
 
-from support.landing_support import make_estimate, make_grid, view_of
+from support.landing_support import grid_of_returns, make_estimate, make_grid, view_of
 
 Array = NDArray[np.float64]
 
@@ -31,12 +31,7 @@ def _map(ground: Array, cover: Array, through: float = 0.5, cell_m: float = 0.2)
     up = np.where(rng.random(shape) < through, 0.0, rng.random(shape)) * cover
     up[:2] = 0.0  # of so many pulses some reach the ground
     samples = ground + up + 0.02 * rng.standard_normal(shape)
-    grid = make_grid(ground, cell_m, returns=RETURNS)
-    grid.height_m[:] = samples.mean(axis=0)
-    grid.height_std_m[:] = samples.std(axis=0)
-    grid.min_height_m[:] = samples.min(axis=0)
-    grid.max_height_m[:] = samples.max(axis=0)
-    return grid
+    return grid_of_returns(samples, cell_m)
 
 
 def _flat(value: float = 0.0) -> Array:
