@@ -68,7 +68,8 @@ def ground_of(grid: GridMap, box: tuple[slice, slice] | None = None) -> Ground:
     shape = (max(bottom - top, 0), max(right - left, 0))
     count, mean, spread = grid.count[around], grid.height_m[around], grid.height_std_m[around]
     with np.errstate(invalid="ignore", divide="ignore"):
-        std = np.maximum(spread, np.float32(_LEAST_STD_M)) / np.sqrt(np.maximum(count, 1.0))
+        noise = np.maximum(spread, np.float32(_LEAST_STD_M))
+        std: Float32 = (noise / np.sqrt(np.maximum(count, 1.0))).astype(np.float32)
     height = mean.copy()
     if grid.histogram is not None and grid.histogram_base_m is not None:
         _find_ground(
@@ -76,7 +77,7 @@ def ground_of(grid: GridMap, box: tuple[slice, slice] | None = None) -> Ground:
             grid.cell_m,
             height, std,
         )  # fmt: skip
-    return Ground(*(layer[inner][: shape[0], : shape[1]] for layer in (height, std)))
+    return Ground(height[inner][: shape[0], : shape[1]], std[inner][: shape[0], : shape[1]])
 
 
 def _find_ground(

@@ -297,16 +297,16 @@ def accumulate_heights(
         col, row = np.uintp(across), np.uintp(along)
         if np.isnan(base[row, col]):
             base[row, col] = z - (_BINS_BELOW + 0.5) * bin_m
-        k = np.int64(np.floor((z - base[row, col]) * per_bin))
+        k = int(np.floor((z - base[row, col]) * per_bin))
         if k < 1 - bins:
             histogram[row, col, 0] += np.uint8(1)
             if histogram[row, col, 0] < _LOW_RETURNS:
                 continue
-            _raise_by(histogram, row, col, bins)
+            _raise_by(histogram[row, col], bins)
             base[row, col] = z - (_BINS_BELOW + 0.5) * bin_m
             k = _BINS_BELOW
         elif k < 1:
-            _raise_by(histogram, row, col, 1 - k)
+            _raise_by(histogram[row, col], 1 - k)
             base[row, col] -= (1 - k) * bin_m
             k = 1
         k = min(k, bins - 1)
@@ -317,17 +317,17 @@ def accumulate_heights(
 
 
 @numba.njit(cache=True)
-def _raise_by(histogram: NDArray[np.uint8], row: int, col: int, up: int) -> None:
-    """Moves the returns of a cell up by ``up`` bins, except those of the first one, which are
-    forgotten; the last bin keeps all that is higher."""
-    bins = histogram.shape[2]
+def _raise_by(counts: NDArray[np.uint8], up: int) -> None:
+    """Moves the returns of a histogram (bins,) up by ``up`` bins, except those of the first one,
+    which are forgotten; the last bin keeps all that is higher."""
+    bins = counts.shape[0]
     top = 0
     for k in range(max(bins - 1 - up, 1), bins):
-        top += histogram[row, col, k]
+        top += counts[k]
     for k in range(bins - 2, 0, -1):
-        histogram[row, col, k] = histogram[row, col, k - up] if k - up >= 1 else 0
-    histogram[row, col, bins - 1] = min(top, 255)
-    histogram[row, col, 0] = 0
+        counts[k] = counts[k - up] if k - up >= 1 else 0
+    counts[bins - 1] = min(top, 255)
+    counts[0] = 0
 
 
 @numba.njit(cache=True)
