@@ -21,7 +21,6 @@ from touchdown.sim.faults.types import Fault as Fault
 from touchdown.sim.faults.types import FaultParams as FaultParams
 from touchdown.sim.frames import Pose
 from touchdown.sim.imu_types import ImuParams as ImuParams
-from touchdown.sim.navigation.types import FORBID_EXTRA as FORBID_EXTRA
 from touchdown.sim.navigation.types import BarometerParams as BarometerParams
 from touchdown.sim.navigation.types import BarometerSample as BarometerSample
 from touchdown.sim.navigation.types import GpsFix as GpsFix
@@ -31,6 +30,7 @@ from touchdown.sim.navigation.types import MagnetometerSample as MagnetometerSam
 from touchdown.sim.navigation.types import NavParams as NavParams
 from touchdown.sim.navigation.types import RangefinderParams as RangefinderParams
 from touchdown.sim.navigation.types import RangefinderSample as RangefinderSample
+from touchdown.sim.ranges import FORBID_EXTRA as FORBID_EXTRA
 from touchdown.sim.ranges import Count as Count
 from touchdown.sim.ranges import CountOrZero as CountOrZero
 from touchdown.sim.ranges import Fraction as Fraction

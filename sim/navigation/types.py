@@ -9,12 +9,9 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from touchdown.sim.ranges import Count, CountOrZero, NotNegative, Positive
+from touchdown.sim.ranges import FORBID_EXTRA, Count, CountOrZero, NotNegative, Positive
 
 Array = NDArray[np.float64]
-
-FORBID_EXTRA = {"extra": "forbid"}
-"""Read by pydantic: an unknown configuration key is an error, not a silent default."""
 
 
 # ------------------------------------------------------------------------------- parameters
