@@ -25,6 +25,7 @@ from touchdown.sim.navigation.types import BarometerParams as BarometerParams
 from touchdown.sim.navigation.types import BarometerSample as BarometerSample
 from touchdown.sim.navigation.types import GpsFix as GpsFix
 from touchdown.sim.navigation.types import GpsParams as GpsParams
+from touchdown.sim.navigation.types import GpsPreset as GpsPreset
 from touchdown.sim.navigation.types import MagnetometerParams as MagnetometerParams
 from touchdown.sim.navigation.types import MagnetometerSample as MagnetometerSample
 from touchdown.sim.navigation.types import NavParams as NavParams
@@ -99,14 +100,17 @@ class WindParams:
     """slow the wind and make it more turbulent behind buildings and trees"""
 
 
+LidarPreset = Literal["horizon", "avia", "mid360"]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LidarParams:
     """A Livox-like scanning LIDAR. Defaults: Livox Horizon (manufacturer's data sheet)."""
 
     __pydantic_config__ = FORBID_EXTRA
 
-    preset: str = "horizon"
-    """``horizon``, ``avia`` or ``mid360``: pattern, point rate, range limits and beam."""
+    preset: LidarPreset = "horizon"
+    """pattern, point rate, range limits and beam"""
     range_sigma_m: NotNegative = 0.02
     """standard deviation of the range noise"""
     angle_sigma_deg: NotNegative = 0.05

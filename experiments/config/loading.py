@@ -43,7 +43,7 @@ from touchdown.experiments.config.profiles import (
     chosen_by_hand,
     name_in,
 )
-from touchdown.experiments.config.ranges import rule_of
+from touchdown.experiments.config.ranges import choices_of, rule_of, types_of_keys
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
 
@@ -256,4 +256,7 @@ def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping
     where = sources.get(key, "the configuration")
     if first["type"] in _OUT_OF_RANGE:
         return f"{key} = {given} in {where} {rule_of(key)}"
+    if names := choices_of(types_of_keys().get(key)):
+        hint = nearest(str(value), names)
+        return f"{key} = {given[:60]} in {where} is unknown{hint}; known: {', '.join(name or '""' for name in names)}"
     return f"{key} = {given} in {where} is wrong: {message}"

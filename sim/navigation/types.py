@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Interval
@@ -17,15 +17,17 @@ Array = NDArray[np.float64]
 # ------------------------------------------------------------------------------- parameters
 
 
+GpsPreset = Literal["paper", "ublox-m8", "rtk", "denied"]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GpsParams:
-    """A satellite receiver: ``paper``, ``ublox-m8``, ``rtk`` or ``denied`` (no fix ever). Fields
-    that are None come from the preset."""
+    """A satellite receiver; ``denied``: no fix ever. Fields that are None come from the preset."""
 
     __pydantic_config__ = FORBID_EXTRA
 
-    preset: str = "paper"
-    """receiver model: ``paper``, ``ublox-m8``, ``rtk`` or ``denied``"""
+    preset: GpsPreset = "paper"
+    """receiver model"""
     period_ticks: Count = 120
     """ticks between two fixes (5 Hz)"""
     latency_ticks: CountOrZero = 72
