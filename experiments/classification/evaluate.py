@@ -134,7 +134,7 @@ def measured_footprint(network: Path, engine: str) -> dict[str, float]:
     command = [
         sys.executable,
         "-m",
-        "touchdown.landing.classification.footprint",
+        "touchdown.landing.classification.learning.footprint",
         str(network),
         engine,
     ]
