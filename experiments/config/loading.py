@@ -257,6 +257,6 @@ def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping
     if first["type"] in _OUT_OF_RANGE:
         return f"{key} = {given} in {where} {rule_of(key)}"
     if names := choices_of(types_of_keys().get(key)):
-        hint = nearest(str(value), names)
-        return f"{key} = {given[:60]} in {where} is unknown{hint}; known: {', '.join(name or '""' for name in names)}"
+        hint, known = nearest(str(value), names), ", ".join(name or "''" for name in names)
+        return f"{key} = {given[:60]} in {where} is unknown{hint}; known: {known}"
     return f"{key} = {given} in {where} is wrong: {message}"

@@ -56,8 +56,6 @@ def _experiments_packages() -> dict[str, set[str]]:
 LIBRARY_PACKAGES = _library_packages()
 PACKAGE_MAY_IMPORT = _experiments_packages()
 ROOT_FILES = {"__init__", "errors", "terminal", "api", "python_api", "pytest_plugin"}
-UNORDERED = "landing"
-"""its packages are still in a circle"""
 
 SHARED = ("touchdown.sim.frames", "touchdown.sim.geometry.")
 """What all library folders may use beside the apis."""
@@ -188,7 +186,7 @@ def test_library_packages_import_only_packages_above_them() -> None:
     for module, path in MODULES.items():
         own = path.parent.relative_to(ROOT).as_posix()
         folder = own.partition("/")[0]
-        if folder in ("experiments", UNORDERED) or own == folder:
+        if folder == "experiments" or own == folder:
             continue
         for line, imported in _imports(path):
             other = _package(imported) if imported in MODULES else ""
@@ -243,8 +241,7 @@ def test_no_import_circle() -> None:
         used = {imported for _, imported in _imports(path) if imported in MODULES} - {module}
         modules[module] = used
         own = _package(module)
-        if not own.startswith(UNORDERED):
-            packages.setdefault(own, set()).update({_package(other) for other in used} - {own})
+        packages.setdefault(own, set()).update({_package(other) for other in used} - {own})
     assert not _in_circles(modules)
     assert not _in_circles(packages)
 
