@@ -103,8 +103,6 @@ class LivoParams:
     """prior of the calibration errors: camera relative to the IMU"""
     camera_shift_sigma_m: NotNegative = 0.0
     """the same of the translation"""
-    lidar_clock_sigma_s: NotNegative = 0.0
-    """prior of the offset of the LIDAR's clock from the IMU's"""
     imu_scale_sigma: NotNegative = 0.0
     """prior of the relative scale errors of gyroscope and accelerometer"""
     gyro_misalignment_sigma_deg: NotNegative = 0.0

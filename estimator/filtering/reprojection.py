@@ -78,7 +78,7 @@ def calibrated_information(
 
     ``pixels`` (N, 2): measured now; ``row_times`` (N,): instants of their rows less that of the
     exposure, s; ``landmarks`` (N, 3): in the keyframe's IMU frame, with their ``jacobians``
-    (N, 3, C) by the shared calibration, C = 0 or 18, and ``spreads`` (N, 3), one standard deviation
+    (N, 3, C) by the shared calibration, C = 0 or 17, and ``spreads`` (N, 3), one standard deviation
     along their rays; ``rotation``, ``position``: odom_from_imu at the exposure; ``key_*``: the same
     of the keyframe; ``motions`` (12,): turn rate and velocity now, then those of the keyframe;
     ``camera_*``: camera_from_imu; ``intrinsics``: fx, fy, cx, cy.

@@ -42,7 +42,6 @@ from touchdown.estimator.livo.intensity_update import PhotometricUpdate
 from touchdown.estimator.livo.lidar_update import DegeneracyWatch, LidarReport
 from touchdown.estimator.livo.online_calibration import (
     CLOCK,
-    LIDAR_CLOCK,
     SHARED_DIM,
     calibration_diagnostics,
     corrected_mount,
@@ -341,7 +340,7 @@ class Livo:
         eskf = self._eskf
         self._photometric.follow(gone, eskf, self._last_height, self._dark_ticks)
         if gone is None:
-            self._anchors.add(eskf.clones[-1], eskf.state.calibration, eskf.motion)
+            self._anchors.add(eskf.clones[-1], eskf.state.calibration)
             return
         successor, move = self._anchors.reassignment(gone, eskf.clones)
         self._map.reassign(gone, successor, move)
@@ -369,11 +368,9 @@ class Livo:
 
     def _calibrate_by(self, gain: float) -> None:
         """Sets the share of the next measurement's correction that mounts and lens take; the
-        camera's clock, which no other error resembles, and the errors of the IMU take all of it,
-        the LIDAR's clock none: it only widens the covariance."""
+        camera's clock, which no other error resembles, and the errors of the IMU take all."""
         gains = self._eskf.calibration_gain
         gains[:] = gain
-        gains[LIDAR_CLOCK : LIDAR_CLOCK + 1] = 0.0
         gains[CLOCK : CLOCK + 1] = 1.0
         gains[SHARED_DIM:] = 1.0
 

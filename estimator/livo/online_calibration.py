@@ -1,9 +1,9 @@
 """Online calibration: errors of the mounts, the lens, the clocks and the scale of the IMU.
 
-Thirty-nine errors of the given calibration: a small rotation (rad) and translation (m) of the LIDAR
+Thirty-eight errors of the given calibration: a small rotation (rad) and translation (m) of the LIDAR
 in the IMU frame, the relative error of either focal length, the shift of the principal point
 (pixels), the offset by which the camera's clock is ahead of the IMU's (s), rotation and translation
-of the camera in the IMU frame, the offset of the LIDAR's clock (s), the relative scale errors of
+of the camera in the IMU frame, the relative scale errors of
 gyroscope and accelerometer, the misalignment of the gyroscope's axes
 and their response to specific force.
 
@@ -41,8 +41,7 @@ CENTER = slice(8, 10)
 CLOCK = 10
 CAMERA_TURN = slice(11, 14)
 CAMERA_SHIFT = slice(14, 17)
-LIDAR_CLOCK = 17
-SHARED_DIM = 18
+SHARED_DIM = 17
 """parameters that scans and images depend on directly"""
 CALIBRATION_DIM = SHARED_DIM + IMU_DIM
 MOUNT_DIM = 6
@@ -50,7 +49,7 @@ MOUNT_DIM = 6
 
 
 def prior_sigmas(params: LivoParams) -> Array:
-    """Standard deviations (39,), or (0,) without online calibration; rad, m, 1, pixels, s, 1,
+    """Standard deviations (38,), or (0,) without online calibration; rad, m, 1, pixels, s, 1,
     rad, rad/s per m/s^2."""
     if not params.use_calibration:
         return np.zeros(0)
@@ -62,12 +61,11 @@ def prior_sigmas(params: LivoParams) -> Array:
         params.camera_clock_sigma_s,
         np.radians(params.camera_turn_sigma_deg),
         params.camera_shift_sigma_m,
-        params.lidar_clock_sigma_s,
         params.imu_scale_sigma,
         np.radians(params.gyro_misalignment_sigma_deg),
         params.gyro_g_sigma,
     ]
-    return np.repeat(sigmas, [3, 3, 2, 2, 1, 3, 3, 1, SCALE_DIM, CROSS_DIM, 9])
+    return np.repeat(sigmas, [3, 3, 2, 2, 1, 3, 3, SCALE_DIM, CROSS_DIM, 9])
 
 
 def calibration_diagnostics(calibration: Array) -> dict[str, float]:
@@ -85,17 +83,16 @@ def calibration_diagnostics(calibration: Array) -> dict[str, float]:
         "calibration_camera_yaw_deg": float(camera[2]),
         "calibration_focal": float(calibration[FOCAL].mean()),
         "calibration_clock_ms": 1e3 * float(calibration[CLOCK]),
-        "calibration_lidar_clock_ms": 1e3 * float(calibration[LIDAR_CLOCK]),
     }
 
 
 def corrected_mount(imu_from_lidar: Pose, calibration: Array) -> Pose:
-    """Returns the LIDAR's given mount corrected by ``calibration`` (39,) or (0,)."""
+    """Returns the LIDAR's given mount corrected by ``calibration`` (38,) or (0,)."""
     return _moved(imu_from_lidar, calibration, TURN, SHIFT)
 
 
 def corrected_camera(imu_from_camera: Pose, calibration: Array) -> Pose:
-    """Returns the camera's given mount corrected by ``calibration`` (39,) or (0,)."""
+    """Returns the camera's given mount corrected by ``calibration`` (38,) or (0,)."""
     return _moved(imu_from_camera, calibration, CAMERA_TURN, CAMERA_SHIFT)
 
 
@@ -106,7 +103,7 @@ def _moved(mount: Pose, calibration: Array, turn: slice, shift: slice) -> Pose:
 
 
 def corrected_intrinsics(camera: CameraIntrinsics, calibration: Array) -> Array:
-    """Returns fx, fy, cx, cy (4,) corrected by ``calibration`` (39,)."""
+    """Returns fx, fy, cx, cy (4,) corrected by ``calibration`` (38,)."""
     focal = np.array([camera.fx, camera.fy]) * (1.0 + calibration[FOCAL])
     center = np.array([camera.cx, camera.cy]) + calibration[CENTER]
     return np.concatenate([focal, center])
@@ -135,7 +132,7 @@ def landmark_jacobians(
     motion: Array,
     camera: CameraIntrinsics,
 ) -> Array:
-    """Derivatives of landmarks by the shared calibration, (N, 3, 18), in the IMU frame of their
+    """Derivatives of landmarks by the shared calibration, (N, 3, 17), in the IMU frame of their
     keyframe.
 
     ``rays`` (N, 3) with z = 1 and ``planes`` (N, 3), ``n . P = 1``: the landmark is their

@@ -21,7 +21,6 @@ from touchdown.estimator.livo.online_calibration import (
     CAMERA_SHIFT,
     CAMERA_TURN,
     CLOCK,
-    LIDAR_CLOCK,
     MOUNT_DIM,
     SHARED_DIM,
     corrected_camera,
@@ -46,21 +45,17 @@ def random_pose(rng: np.random.Generator, turn: float = 0.3) -> Pose:
 
 def test_anchored_jacobian_matches_finite_differences() -> None:
     """One return now, one that made the plane from a clone with the same attitude as at that
-    time; pose, calibration and clone are moved in turn. By the LIDAR's clock either return is
-    measured from an earlier pose."""
+    time; pose, calibration and clone are moved in turn."""
     rng = np.random.default_rng(1)
     now, clone = random_pose(rng), random_pose(rng)
     beam_now, beam_then, lever = rng.normal(0, 5, 3), rng.normal(0, 5, 3), rng.normal(0, 0.1, 3)
     normal = np.linalg.qr(rng.normal(size=(3, 3)))[0][0]
     in_clone = clone.rotation.T @ normal
-    motions = rng.normal(0.0, 1.0, (2, 6))
 
     def height(delta: np.ndarray) -> float:
         turn, shift = so3_exp(delta[6:9]), delta[9:12]
         pose = Pose(now.rotation @ so3_exp(delta[:3]), now.translation + delta[3:6])
         owner = Pose(clone.rotation @ so3_exp(delta[-6:-3]), clone.translation + delta[-3:])
-        early = -delta[6 + LIDAR_CLOCK]
-        pose, owner = exposed([pose, owner], motions, np.full(2, early), np.zeros(0))
         point = owner.inverse().apply(pose.apply(turn @ beam_now + lever + shift))
         return float((turn @ in_clone) @ (point - (turn @ beam_then + lever + shift)))
 
@@ -72,10 +67,9 @@ def test_anchored_jacobian_matches_finite_differences() -> None:
     information, vector, used, _ = anchored_information(
         (beam_now + lever)[None], beam_now[None], now.rotation, now.translation, planes,
         clone.rotation[None], clone.translation[None], np.zeros((1, 6)),
-        motions[0], motions[1:], SHARED_DIM, 0.02, 1e-3, 0.0, 1e9,
+        SHARED_DIM, 0.02, 1e-3, 0.0, 1e9,
     )  # fmt: skip
     size = 12 + SHARED_DIM
-    assert information[6 + LIDAR_CLOCK, 6 + LIDAR_CLOCK] > 0.1
     gradient = np.array([(height(1e-6 * e) - height(-1e-6 * e)) / 2e-6 for e in np.eye(size)])
     assert used == 1
     np.testing.assert_allclose(information, np.outer(gradient, gradient), atol=1e-5)
@@ -203,7 +197,7 @@ def test_calibration_is_carried_and_corrected() -> None:
         np.zeros(CALIBRATION_DIM),
     )  # fmt: skip
     base = STATE_DIM + CALIBRATION_DIM
-    with pytest.raises(ValueError, match="give 54"):
+    with pytest.raises(ValueError, match="give 53"):
         Eskf(state, np.ones(STATE_DIM))
     eskf = Eskf(state, np.full(base, 0.01))
     eskf.add_clone()
@@ -266,7 +260,7 @@ def anchored_map(
 ) -> tuple[PlaneMap, np.ndarray]:
     plane_map = PlaneMap(1.0, capacity=1 << 14)
     surfaces = room_points(rng, walls=True)
-    anchors.add(clone, np.zeros(0), np.zeros(6))
+    anchors.add(clone, np.zeros(0))
     terms = anchors.kept_from_now([clone], np.zeros(0), np.eye(3))
     plane_map.insert(surfaces + rng.normal(0, 0.01, surfaces.shape), clone.translation, 0, terms)
     return plane_map, room_points(rng, walls=True)[::7]
@@ -306,7 +300,7 @@ def test_the_map_follows_its_clone_and_the_successor() -> None:
     first, second = (Pose(np.eye(3), np.array([x, 0.0, 10.0])) for x in (0.0, 3.0))
     anchors = Anchors()
     plane_map, _ = anchored_map(rng, first, anchors)
-    anchors.add(second, np.zeros(0), np.zeros(6))
+    anchors.add(second, np.zeros(0))
     moved = Pose(so3_exp(np.array([0.0, 0.0, 1e-3])), first.translation + [0.01, 0.02, -0.03])
     clones = [moved, Pose(second.rotation, second.translation + [0.0, 0.0, 0.02])]
     probes = np.column_stack([rng.uniform(-9, 9, (200, 2)), np.zeros(200)])
@@ -362,7 +356,7 @@ def flown(seed: int, walls: bool, drift_m: float) -> tuple[Eskf, np.ndarray, np.
             mount = corrected_mount(given, eskf.state.calibration)
         state = eskf.state
         eskf.add_clone()
-        anchors.add(state.pose, state.calibration, np.zeros(6))
+        anchors.add(state.pose, state.calibration)
         terms = anchors.kept_from_now(eskf.clones, state.calibration, state.rotation)
         odom = mount.apply(beams) @ state.rotation.T + state.position
         sensor = state.position + state.rotation @ mount.translation
