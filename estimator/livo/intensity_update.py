@@ -27,7 +27,7 @@ from touchdown.estimator.livo.intensity_image import (
     IntensityImage,
     brightness,
 )
-from touchdown.estimator.livo.online_calibration import MOUNT_DIM, SHIFT, TURN
+from touchdown.estimator.livo.online_calibration import MOUNT_DIM, MOUNT_ROTATION, MOUNT_TRANSLATION
 
 Array = NDArray[np.float64]
 
@@ -69,19 +69,19 @@ def photometry(
     weights: Float32,
     axes: Array,
     cell: float,
-    turn: Array,
-    shift: Array,
-    clone_turn: Array,
+    rotation: Array,
+    translation: Array,
+    clone_rotation: Array,
     mount_change: Array,
     lever: Array,
     sigma: float,
 ) -> Photometry:
     """Returns the normal equations of the brightness of N returns on one image.
 
-    ``points``, ``beams`` (N, 3): IMU frame; ``turn``, ``shift``: clone_from_imu; ``clone_turn``:
-    odom_from_clone; ``mount_change`` (6,): mount now less the mount when the image was made;
-    ``lever`` (3,): the LIDAR in the IMU frame; ``sigma``: of a residual. Cauchy weights.
-    The mean of the residuals, the scan's own brightness, is marginalised.
+    ``points``, ``beams`` (N, 3): IMU frame; ``rotation``, ``translation``: clone_from_imu;
+    ``clone_rotation``: odom_from_clone; ``mount_change`` (6,): mount now less that
+    when the image was made; ``lever`` (3,): the LIDAR in the IMU frame; ``sigma``: of a residual.
+    Cauchy weights. The mean of the residuals, the scan's own brightness, is marginalised.
     """
     rows, columns = means.shape
     information, vector = np.zeros((18, 18)), np.zeros(18)
@@ -94,9 +94,9 @@ def photometry(
     for i in range(points.shape[0]):
         p, beam = points[i], beams[i]
         for a in range(3):
-            q[a] = shift[a]
+            q[a] = translation[a]
             for b in range(3):
-                q[a] += turn[a, b] * p[b]
+                q[a] += rotation[a, b] * p[b]
             seen[a] = q[a] - lever[a]
         u, v = 0.0, 0.0
         w = mount_change
@@ -129,8 +129,12 @@ def photometry(
         for a in range(3):
             g[a] = gu * axes[0, a] + gv * axes[1, a]
         for b in range(3):
-            now[b] = turn[0, b] * g[0] + turn[1, b] * g[1] + turn[2, b] * g[2]
-            to_odom[b] = clone_turn[b, 0] * g[0] + clone_turn[b, 1] * g[1] + clone_turn[b, 2] * g[2]
+            now[b] = rotation[0, b] * g[0] + rotation[1, b] * g[1] + rotation[2, b] * g[2]
+            to_odom[b] = (
+                clone_rotation[b, 0] * g[0]
+                + clone_rotation[b, 1] * g[1]
+                + clone_rotation[b, 2] * g[2]
+            )
         row[0] = p[1] * now[2] - p[2] * now[1]
         row[1] = p[2] * now[0] - p[0] * now[2]
         row[2] = p[0] * now[1] - p[1] * now[0]
@@ -172,10 +176,10 @@ class IntensityErrors:
     aside_m: float = 0.02
     """that do not average out over its returns: the noise of an image is the same for all scans
     compared with it"""
-    turn_rad: float = 5e-4
+    rotation_rad: float = 5e-4
     image_aside_m: float = 0.03
     """of an image as a whole: the drift while it was made"""
-    image_turn_rad: float = 5e-4
+    image_rotation_rad: float = 5e-4
     least_sigma: float = 0.1
     """of a brightness"""
 
@@ -210,7 +214,7 @@ class PhotometricUpdate:
 
     def errors_of_planes(self, errors: ScanErrors, dark_ticks: int) -> ScanErrors:
         """Error model of the planes after ``dark_ticks`` without an image: intensities see the
-        ground, at which a tilt and a shift look the same, so that planes must tell them apart."""
+        ground, at which tilt and translation look the same, so that planes must separate them."""
         if not self._needed(dark_ticks):
             return errors
         floor = errors.floor_sigmas.copy()
@@ -230,7 +234,7 @@ class PhotometricUpdate:
         self.images.append(IntensityImage.of(eskf.clones[-1].rotation, height_m, shared))
         if self._needed(dark_ticks):
             errors, at = self._errors, eskf.clone_indices(len(eskf.clones) - 1)
-            eskf.covariance[at[2], at[2]] += errors.image_turn_rad**2
+            eskf.covariance[at[2], at[2]] += errors.image_rotation_rad**2
             eskf.covariance[at[3:5], at[3:5]] += errors.image_aside_m**2
 
     def extend(self, eskf: Eskf, points: Array, intensity: NDArray[np.uint8]) -> None:
@@ -300,8 +304,8 @@ class PhotometricUpdate:
             if used < _LEAST_USED:
                 eskf.state, eskf.clones = prior, clones
                 return IntensityReport(used=used, images=images, sigma=sigma)
-            turn, aside = self._errors.turn_rad, self._errors.aside_m
-            floor = np.array([turn, turn, turn, aside, aside, 0.0])
+            own = self._errors
+            floor = np.array([*[own.rotation_rad] * 3, own.aside_m, own.aside_m, 0.0])
             floors = np.concatenate([floor, np.zeros(eskf.shared), np.zeros(6 * len(keys))])
             information, vector = limit_information(*eskf.coupled(information, vector), floors)
             offset = eskf.deviation(prior, clones, keys)
@@ -350,7 +354,7 @@ class PhotometricUpdate:
             where = np.r_[np.arange(CLONE_DIM), np.arange(start, start + CLONE_DIM)]
             own = np.r_[np.arange(CLONE_DIM), np.arange(12, 18)]
             if shared:
-                mount = np.r_[TURN, SHIFT]
+                mount = np.r_[MOUNT_ROTATION, MOUNT_TRANSLATION]
                 where = np.r_[where, CLONE_DIM + mount]
                 own = np.r_[own, np.arange(6, 12)]
             # the noise of the gradients adds to the squares, not to the vector

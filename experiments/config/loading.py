@@ -34,7 +34,7 @@ from touchdown.experiments.config.files import (
     wrong_value,
 )
 from touchdown.experiments.config.files import read_tree as read_tree
-from touchdown.experiments.config.keys import flatten, is_external_key
+from touchdown.experiments.config.keys import RENAMED, flatten, is_external_key
 from touchdown.experiments.config.profiles import (
     BEFORE_PROFILES,
     DEFAULT,
@@ -196,6 +196,8 @@ def _check_key(key: str, source: str) -> None:
     if rest and difflib.get_close_matches(group, ["external"], cutoff=0.7):
         keys = (*keys, f"external.{rest}")
     hint = nearest(key, keys) or _same_last_name(key, keys)
+    if key in RENAMED:
+        hint = f" (it is '{RENAMED[key]}' now)"
     raise UsageError(f"unknown key '{key}' in {source}{hint or f'; groups: {_groups()}'}")
 
 

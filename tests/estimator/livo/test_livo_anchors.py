@@ -18,8 +18,8 @@ from touchdown.estimator.livo.anchored_update import (
 from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.online_calibration import (
     CALIBRATION_DIM,
-    CAMERA_SHIFT,
-    CAMERA_TURN,
+    CAMERA_ROTATION,
+    CAMERA_TRANSLATION,
     CLOCK,
     MOUNT_DIM,
     SHARED_DIM,
@@ -83,7 +83,7 @@ def test_landmarks_move_with_the_rig_as_predicted() -> None:
     planes = normals / (20.0 * np.linalg.norm(normals, axis=1, keepdims=True))
     sensor = np.array([0.3, -0.5, 0.1])
     rotation = IMU_FROM_CAMERA.rotation
-    motion = np.array([0.3, -0.6, 0.4, 7.0, 2.0, -1.0])
+    twist = np.array([0.3, -0.6, 0.4, 7.0, 2.0, -1.0])
 
     def landmarks(calibration: np.ndarray) -> np.ndarray:
         """The plane through three returns around each landmark, met by a ray of a lens that is
@@ -102,18 +102,18 @@ def test_landmarks_move_with_the_rig_as_predicted() -> None:
             moved_n = turn @ n
             through = turn @ (centre[i] - sensor) + sensor + shift
             # the same plane, from the camera's position at the exposure
-            (taken,) = exposed([Pose.identity()], motion[None], np.zeros(1), calibration)
+            (taken,) = exposed([Pose.identity()], twist[None], np.zeros(1), calibration)
             early = IMU_FROM_CAMERA.inverse() @ taken.inverse() @ IMU_FROM_CAMERA
             moved_n, through = early.rotation @ moved_n, early.apply(through)
             out[i] = start + rays[i] * (moved_n @ (through - start)) / (moved_n @ rays[i])
         return out @ rotation.T
 
     jacobians = landmark_jacobians(
-        bearing_rays(pixels, CAMERA), planes, sensor, IMU_FROM_CAMERA, motion, CAMERA
+        bearing_rays(pixels, CAMERA), planes, sensor, IMU_FROM_CAMERA, twist, CAMERA
     )
     assert jacobians.shape == (5, 3, SHARED_DIM)
-    assert np.abs(jacobians[:, :, CAMERA_TURN]).max(axis=(0, 1)).min() > 1.0
-    assert np.abs(jacobians[:, :, CAMERA_SHIFT]).max(axis=(0, 1)).min() > 0.01
+    assert np.abs(jacobians[:, :, CAMERA_ROTATION]).max(axis=(0, 1)).min() > 1.0
+    assert np.abs(jacobians[:, :, CAMERA_TRANSLATION]).max(axis=(0, 1)).min() > 0.01
     for k in range(SHARED_DIM):
         if k < 3:
             continue  # a turn about the sensor also turns the plane: below
@@ -136,7 +136,7 @@ def test_calibrated_reprojection_matches_finite_differences(late_s: float) -> No
     )
     camera_from_imu = IMU_FROM_CAMERA.inverse()
     landmark, jacobian = np.array([1.5, -1.0, -19.0]), rng.normal(size=(3, SHARED_DIM))
-    motions = rng.normal(0, 1, (2, 6))
+    twists = rng.normal(0, 1, (2, 6))
     size = 12 + SHARED_DIM
 
     def pixel(delta: np.ndarray) -> np.ndarray:
@@ -144,8 +144,8 @@ def test_calibrated_reprojection_matches_finite_differences(late_s: float) -> No
         owner = Pose(key.rotation @ so3_exp(delta[6:9]), key.translation + delta[9:12])
         point = landmark + jacobian @ delta[12:]
         fx, fy, cx, cy = corrected_intrinsics(CAMERA, delta[12:])
-        pose, owner = exposed([pose, owner], motions, np.zeros(2), delta[12:])
-        (at_row,) = exposed([pose], motions[:1], np.array([late_s]), np.zeros(0))
+        pose, owner = exposed([pose, owner], twists, np.zeros(2), delta[12:])
+        (at_row,) = exposed([pose], twists[:1], np.array([late_s]), np.zeros(0))
         camera = corrected_camera(IMU_FROM_CAMERA, delta[12:])
         x, y, z = (camera.inverse() @ at_row.inverse() @ owner).apply(point)
         return np.array([fx * x / z + cx, fy * y / z + cy])
@@ -154,7 +154,7 @@ def test_calibrated_reprojection_matches_finite_differences(late_s: float) -> No
     information, vector, used, _ = calibrated_information(
         (pixel(np.zeros(size)) + residual)[None], np.array([late_s]), landmark[None],
         jacobian[None], np.zeros((1, 3)), now.rotation, now.translation,
-        key.rotation, key.translation, motions.ravel(),
+        key.rotation, key.translation, twists.ravel(),
         camera_from_imu.rotation, camera_from_imu.translation,
         corrected_intrinsics(CAMERA, np.zeros(SHARED_DIM)), 1.0, 1e6,
     )  # fmt: skip
@@ -251,8 +251,8 @@ def test_a_loosely_coupled_filter_takes_the_pose_only() -> None:
     information, vector = np.ones((12, 12)), np.ones(12)
     assert eskf.coupled(information, vector)[0] is information
     eskf.loosely_coupled = True
-    left, pull = eskf.coupled(information, vector)
-    assert left.sum() == 36.0 and pull.sum() == 6.0 and information.sum() == 144.0
+    left, gradient = eskf.coupled(information, vector)
+    assert left.sum() == 36.0 and gradient.sum() == 6.0 and information.sum() == 144.0
 
 
 def anchored_map(

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from touchdown.experiments.campaign.plan import load_plan
+from touchdown.experiments.config.keys import RENAMED
 from touchdown.experiments.config.loading import dump_config, known_keys, load_config, read_tree
 from touchdown.experiments.config.ranges import bounds_of, choices_of, range_text, types_of_keys
 from touchdown.experiments.config.schema import Config
@@ -203,6 +204,14 @@ def test_closed_sets_of_names_refuse_others_when_they_are_read() -> None:
         words = f'{key} = "nonsense" in --set {key}=nonsense is unknown'
         assert str(caught.value).startswith(words)
         assert str(caught.value).endswith(choices_of(types[key])[-1])
+
+
+def test_a_renamed_key_is_refused_with_its_new_name() -> None:
+    for old, new in RENAMED.items():
+        assert old not in known_keys() and new in known_keys()
+        with pytest.raises(UsageError) as caught:
+            load_config(None, [f"{old}=0.1"])
+        assert str(caught.value) == f"unknown key '{old}' in --set {old}=0.1 (it is '{new}' now)"
 
 
 def test_a_wrong_name_gets_the_nearest() -> None:
