@@ -192,7 +192,7 @@ class LidarSensor:
         middle = len(track.times_s) // 2
         eye, boresight = track.positions[middle], track.rotations[middle][:, 2]
         wander = float(np.abs(track.positions - eye).max())
-        turning = float(np.abs(track.rotations[:, :, 2] - boresight).max())
+        rotated = float(np.abs(track.rotations[:, :, 2] - boresight).max())
         seen = []
         for target, motion in movers:
             centers = motion.positions + motion.rotations @ target.center
@@ -201,7 +201,7 @@ class LidarSensor:
             reach = target.radius + 2.0 * (wander + float(np.abs(centers - centers[0]).max()))
             if reach < distance:
                 off_axis = np.arccos(np.clip(apart @ boresight / distance, -1.0, 1.0))
-                if off_axis - np.arcsin(reach / distance) - 2.0 * turning > self._cone_rad:
+                if off_axis - np.arcsin(reach / distance) - 2.0 * rotated > self._cone_rad:
                     continue
             seen.append((target, motion))
         return seen
