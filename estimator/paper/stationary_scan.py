@@ -1,4 +1,4 @@
-"""Edge energy and feature points of one scan and one image from a stationary vehicle, for figures."""
+"""Edge energy and feature points of one scan and one image of a stationary vehicle, for figures."""
 
 from __future__ import annotations
 
