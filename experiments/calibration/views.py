@@ -67,7 +67,7 @@ def calibration_views(
 ) -> tuple[list[CalibrationView], CameraAndLidar]:
     """``count`` views of the board in front of the configured sensors, with all noise, and the true
     calibration. ``progress`` is called with the number of finished views after each."""
-    from touchdown.scenes.authoring.calibration_room import BOARD_BODY, calibration_room
+    from touchdown.scenes.calibration_room import BOARD_BODY, calibration_room
 
     room = calibration_room(chessboard_image(board), *board.size_m, config.seed)
     sensors = posed_sensors(config, room)

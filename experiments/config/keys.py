@@ -7,6 +7,14 @@ from typing import Any
 
 from touchdown.experiments.config.external_table import PREFIX
 
+RENAMED: Mapping[str, str] = {
+    "livo.mount_turn_sigma_deg": "livo.mount_rotation_sigma_deg",
+    "livo.mount_shift_sigma_m": "livo.mount_translation_sigma_m",
+    "livo.camera_turn_sigma_deg": "livo.camera_rotation_sigma_deg",
+    "livo.camera_shift_sigma_m": "livo.camera_translation_sigma_m",
+}
+"""Keys of earlier versions and their names now."""
+
 
 def is_external_key(key: str) -> bool:
     """True for a key of the table ``external``, where any key is allowed."""

@@ -34,7 +34,7 @@ from touchdown.experiments.config.files import (
     wrong_value,
 )
 from touchdown.experiments.config.files import read_tree as read_tree
-from touchdown.experiments.config.keys import flatten, is_external_key
+from touchdown.experiments.config.keys import RENAMED, flatten, is_external_key
 from touchdown.experiments.config.profiles import (
     BEFORE_PROFILES,
     DEFAULT,
@@ -43,7 +43,7 @@ from touchdown.experiments.config.profiles import (
     chosen_by_hand,
     name_in,
 )
-from touchdown.experiments.config.ranges import rule_of
+from touchdown.experiments.config.ranges import choices_of, rule_of, types_of_keys
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
 
@@ -196,6 +196,8 @@ def _check_key(key: str, source: str) -> None:
     if rest and difflib.get_close_matches(group, ["external"], cutoff=0.7):
         keys = (*keys, f"external.{rest}")
     hint = nearest(key, keys) or _same_last_name(key, keys)
+    if key in RENAMED:
+        hint = f" (it is '{RENAMED[key]}' now)"
     raise UsageError(f"unknown key '{key}' in {source}{hint or f'; groups: {_groups()}'}")
 
 
@@ -256,4 +258,7 @@ def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping
     where = sources.get(key, "the configuration")
     if first["type"] in _OUT_OF_RANGE:
         return f"{key} = {given} in {where} {rule_of(key)}"
+    if names := choices_of(types_of_keys().get(key)):
+        hint, known = nearest(str(value), names), ", ".join(name or "''" for name in names)
+        return f"{key} = {given[:60]} in {where} is unknown{hint}; known: {known}"
     return f"{key} = {given} in {where} is wrong: {message}"

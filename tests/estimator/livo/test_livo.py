@@ -70,12 +70,12 @@ def test_the_offset_of_the_cameras_clock_is_estimated(sigma_s: float) -> None:
 def test_biases_and_level_are_estimated_on_the_ground() -> None:
     """Two seconds at rest with a biased IMU: the turn-on biases of 3 mrad/s and 30 mm/s^2 shrink to
     the limits set by noise and by the attitude prior, and gravity stays vertical."""
-    gyro, pull = np.array([2e-3, -3e-3, 1e-3]), np.array([0.02, -0.01, 0.03])
+    gyro, specific = np.array([2e-3, -3e-3, 1e-3]), np.array([0.02, -0.01, 0.03])
     livo = Livo(RIG, LivoParams())
     for tick in range(0, 1201, IMU_TICKS):
         imu = ImuSample(
             tick=tick, time_s=tick / HZ, angular_velocity=gyro,
-            specific_force=np.array([0.0, 0.0, GRAVITY_MPS2]) + pull,
+            specific_force=np.array([0.0, 0.0, GRAVITY_MPS2]) + specific,
         )  # fmt: skip
         estimate = livo.update(
             Observation(

@@ -20,7 +20,7 @@ from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.conformance import TURN_RAD, check_estimator
-from touchdown.experiments.external.conformance_motion import MotionCheck
+from touchdown.experiments.external.conformance_twist import TwistCheck
 from touchdown.experiments.external.loading import code_now, external_builder, flown_code
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
 from touchdown.experiments.external.wrapper import ExternalEstimator, ExternalEstimatorError
@@ -339,7 +339,7 @@ def test_a_campaign_is_not_gone_on_with_on_other_code(
     check_external_code(plan, out)
 
 
-# ------------------------------------------------------------------------------------------ motion
+# ------------------------------------------------------------------------------------------- twist
 
 
 class TruePath:
@@ -394,7 +394,7 @@ def test_velocities_of_another_unit_sign_or_frame_are_told(
     spoil: Callable[[Estimate], Estimate], words: str
 ) -> None:
     broken = check_estimator(lambda _params, rig: TruePath(rig, spoil))
-    assert [found.rule for found in broken] == ["motion"] and words in broken[0].reason
+    assert [found.rule for found in broken] == ["twist"] and words in broken[0].reason
 
 
 def test_true_velocities_and_a_correction_are_no_violation() -> None:
@@ -412,8 +412,8 @@ def test_true_velocities_and_a_correction_are_no_violation() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in ESTIMATORS if name != "oracle"])
 def test_velocities_of_every_built_in_estimator_are_those_of_its_poses(name: str) -> None:
-    rig, motion = synthetic_rig(), MotionCheck()
+    rig, twist = synthetic_rig(), TwistCheck()
     estimator = build_estimator(load_config(estimator=name), rig)
     for obs in SyntheticStream(rig, estimator.needs, 2.6, turn_rad=TURN_RAD):
-        motion.add(estimator.update(obs))
-    assert motion.reason() == ""
+        twist.add(estimator.update(obs))
+    assert twist.reason() == ""
