@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
-from touchdown.estimator.mapping.ground import ground_of
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.external.loading import flown_code
 from touchdown.experiments.flight.metrics import levelness_error_deg
@@ -83,7 +82,7 @@ def _map_figures(stack: FlightStack, judgement: Judgement, grid: GridMap, seed: 
     """``density_per_m2``: returns per square metre of the mapped area at the end of the survey."""
     seen = grid.count > 0
     area = float(seen.sum()) * grid.cell_m**2
-    ground = dataclasses.replace(grid, height_m=ground_of(grid).height_m)
+    ground = dataclasses.replace(grid, height_m=grid.ground().height_m)
     errors: NDArray[np.float64] = levelness_error_deg(
         ground, TruthLookup(stack.scene).surface_points, seed
     )

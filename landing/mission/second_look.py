@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import MapView
-from touchdown.estimator.mapping.ground import ground_of
 from touchdown.landing.api import LandingParams
 from touchdown.landing.selection.elevation_raster import (
     ElevationRaster,
@@ -87,7 +86,7 @@ def ground_under(map_view: MapView, xy_odom: Array, radius_m: float = 0.5) -> fl
         if not (reach <= row < rows - reach and reach <= col < cols - reach):
             continue
         near = np.s_[row - reach : row + reach + 1, col - reach : col + reach + 1]
-        patch = ground_of(grid, near).height_m
+        patch = grid.ground(near).height_m
         known = np.isfinite(patch)
         if known.mean() < 0.5:
             continue

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
-from touchdown.estimator.mapping.ground import ground_of
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -31,7 +30,7 @@ class ElevationRaster:
     height: Float32
     """mean of the returns"""
     ground: Float32
-    """height of the ground also under plants, see ``estimator.mapping.ground``; NaN where it was
+    """height of the ground also under plants, see ``GridMap.ground``; NaN where it was
     not seen"""
     ground_std: Float32
     """standard deviation of ``ground``"""
@@ -118,7 +117,7 @@ def observed_raster(
     if rows.size == 0:
         return None
     box = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-    ground = ground_of(grid, box)
+    ground = grid.ground(box)
     return ElevationRaster(
         origin_xy_m=grid.origin_xy_m + np.array([cols[0], rows[0]]) * grid.cell_m,
         cell_m=grid.cell_m,

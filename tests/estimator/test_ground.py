@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import HEIGHT_BIN_M, HEIGHT_BINS, GridMap
-from touchdown.estimator.mapping.ground import ground_of
 from touchdown.estimator.mapping.kernels import accumulate_heights
 
 from support.landing_support import grid_of_returns, make_grid
@@ -51,7 +50,7 @@ def test_flat_ground_under_plants_is_found(
     height: float, leaf_area: float, mean_m: float, error_m: float
 ) -> None:
     grid = grid_of_returns(grass(height, leaf_area))
-    error = ground_of(grid).height_m[INNER]
+    error = grid.ground().height_m[INNER]
     assert np.median(grid.height_m) > mean_m
     assert abs(np.median(error)) < error_m
     assert (np.abs(error - np.median(error)) < 0.02).mean() > 0.9
@@ -60,7 +59,7 @@ def test_flat_ground_under_plants_is_found(
 def test_tilt_of_a_meadow_is_recovered() -> None:
     rise_x, rise_y = np.tan(np.radians(6.0)), np.tan(np.radians(-3.0))
     ground = rise_x * X + rise_y * Y
-    found = slope_deg(ground_of(grid_of_returns(ground + grass(0.25))).height_m)
+    found = slope_deg(grid_of_returns(ground + grass(0.25)).ground().height_m)
     np.testing.assert_allclose(found, (6.0, -3.0), atol=0.25)
 
 
@@ -68,26 +67,26 @@ def test_edge_of_a_meadow_is_level() -> None:
     meadow = grass(np.where(X > 3.0, 0.25, 0.0))
     grid = grid_of_returns(meadow)
     assert slope_deg(grid.height_m)[0] > 3.0
-    assert np.hypot(*slope_deg(ground_of(grid).height_m)) < 0.4
+    assert np.hypot(*slope_deg(grid.ground().height_m)) < 0.4
 
 
 def test_road_is_level_where_cars_pass() -> None:
     lane = np.where((np.arange(30) % 5 == 0)[:, None, None] & (X > 3.0), 1.4, 0.0) + grass(0.0)
     grid = grid_of_returns(lane)
     assert slope_deg(grid.height_m)[0] > 5.0
-    assert np.hypot(*slope_deg(ground_of(grid).height_m)) < 0.3
+    assert np.hypot(*slope_deg(grid.ground().height_m)) < 0.3
 
 
 def test_bare_ground_with_its_steps_stays_to_the_bit() -> None:
     kerb = make_grid(np.where(X > 3.0, 0.12, 0.0))
-    np.testing.assert_array_equal(ground_of(kerb).height_m, kerb.height_m)
+    np.testing.assert_array_equal(kerb.ground().height_m, kerb.height_m)
 
 
 @pytest.mark.parametrize("wide", [1, 2, 3])
 def test_rock_in_a_meadow_keeps_its_height(wide: int) -> None:
     rock = np.zeros((ROWS, COLS), bool)
     rock[10 : 10 + wide, 10 : 10 + wide] = True
-    found = ground_of(grid_of_returns(np.where(rock, 0.2, 0.0) + grass(np.where(rock, 0.0, 0.25))))
+    found = grid_of_returns(np.where(rock, 0.2, 0.0) + grass(np.where(rock, 0.0, 0.25))).ground()
     np.testing.assert_allclose(found.height_m[rock], 0.2, atol=0.02)
     assert np.median(np.abs(found.height_m[INNER])) < 0.01
 
@@ -96,7 +95,7 @@ def test_top_of_a_post_is_no_ground_and_a_roof_is() -> None:
     ground = FLAT.copy()
     ground[10, 10] = 2.0
     ground[:, 20:] = 3.0
-    found = ground_of(make_grid(ground))
+    found = make_grid(ground).ground()
     assert np.isnan(found.height_m[10, 10]) and np.isnan(found.std_m[10, 10])
     assert np.isfinite(found.height_m[9:12, 9:12]).sum() == 8
     np.testing.assert_allclose(found.height_m[:, 20:], 3.0, atol=0.03)
@@ -104,7 +103,7 @@ def test_top_of_a_post_is_no_ground_and_a_roof_is() -> None:
 
 def test_uncertainty_grows_as_fewer_returns_come_from_the_ground() -> None:
     open_, dense, short = (
-        np.median(ground_of(grid_of_returns(returns)).std_m[INNER])
+        np.median(grid_of_returns(returns).ground().std_m[INNER])
         for returns in (grass(0.3, 1.0), grass(0.3, 3.6), grass(0.3, 1.0, returns=8))
     )
     assert open_ < 0.7 * dense and open_ < 0.7 * short
@@ -122,21 +121,21 @@ def test_few_returns_are_judged_with_those_around_them() -> None:
     layers = (grid.count, grid.height_m, grid.min_height_m, grid.max_height_m, grid.height_std_m)
     for layer, value in zip(layers, (2.0, 0.24, 0.24, 0.24, 0.0), strict=True):
         layer[12, 12] = value
-    assert abs(ground_of(grid).height_m[12, 12]) < 0.03
+    assert abs(grid.ground().height_m[12, 12]) < 0.03
 
 
 def test_ground_of_a_window_is_that_of_the_whole_map() -> None:
     grid = grid_of_returns(0.1 * X + grass(0.25))
-    whole = ground_of(grid)
+    whole = grid.ground()
     for window in (np.s_[5:15, 8:20], np.s_[0:4, 25:30], np.s_[20:40, 0:1]):
-        part = ground_of(grid, window)
+        part = grid.ground(window)
         np.testing.assert_array_equal(part.height_m, whole.height_m[window])
         np.testing.assert_array_equal(part.std_m, whole.std_m[window])
 
 
 def test_map_without_histograms_has_its_mean_heights() -> None:
     grid = dataclasses.replace(make_grid(FLAT), histogram=None, histogram_base_m=None)
-    found = ground_of(grid)
+    found = grid.ground()
     np.testing.assert_array_equal(found.height_m, grid.height_m)
     np.testing.assert_allclose(found.std_m, np.maximum(grid.height_std_m, 0.02) / np.sqrt(40.0))
 

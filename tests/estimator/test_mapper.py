@@ -9,7 +9,6 @@ import pytest
 
 from touchdown.estimator.api import MapperParams, MapView, PoseTrack
 from touchdown.estimator.mapping import kernels
-from touchdown.estimator.mapping.ground import ground_of
 from touchdown.estimator.mapping.mapper import GridMapper
 from touchdown.sim.api import CameraImage, LidarScan
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, so3_exp
@@ -292,4 +291,4 @@ def test_histograms_hold_every_return_of_the_coarse_and_the_fine_map() -> None:
         assert seen.any() and (grid.histogram_base_m < grid.min_height_m)[seen].all()
         with pytest.raises(ValueError, match="read-only"):
             grid.histogram[0, 0, 0] = 1
-        assert np.abs(ground_of(grid).height_m[seen]).max() < 0.02
+        assert np.abs(grid.ground().height_m[seen]).max() < 0.02

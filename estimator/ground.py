@@ -10,13 +10,11 @@ of the ranges shows one surface, and is left as it is: what is solid keeps its h
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import HEIGHT_BIN_M, GridMap
+from touchdown.estimator.parameters import HEIGHT_BIN_M
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -47,37 +45,30 @@ _STEPS = 30
 _CONVERGED_M = 1e-4
 
 
-class Ground(NamedTuple):
-    """The ground of a map's cells, (rows, cols) float32, NaN where nothing was seen."""
-
-    height_m: Float32
-    std_m: Float32
-    """standard deviation of the height: it grows as fewer returns come from the ground"""
-
-
-def ground_of(grid: GridMap, box: tuple[slice, slice] | None = None) -> Ground:
-    """Returns the ground of the cells ``box`` (rows, cols) of a map, by default of all.
-
-    Of a map without histograms it is the mean height of the returns."""
-    rows, cols = box if box is not None else (slice(None), slice(None))
-    top, bottom, _ = rows.indices(grid.count.shape[0])
-    left, right, _ = cols.indices(grid.count.shape[1])
-    edge = round((_REACH_M + _SLOPE_REACH_M) / grid.cell_m)
+def ground_of(
+    layers: tuple[Float32, Float32, Float32],
+    histogram: Bytes | None,
+    base: Float32 | None,
+    cell_m: float,
+    box: tuple[slice, slice],
+) -> tuple[Float32, Float32]:
+    """Implements ``GridMap.ground``: height and standard deviation. ``layers``: number, mean height
+    and standard deviation of the returns, (rows, cols)."""
+    (top, bottom, _), (left, right, _) = (
+        part.indices(size) for part, size in zip(box, layers[0].shape, strict=True)
+    )
+    edge = round((_REACH_M + _SLOPE_REACH_M) / cell_m)
     around = np.s_[max(top - edge, 0) : bottom + edge, max(left - edge, 0) : right + edge]
-    inner = np.s_[top - around[0].start :, left - around[1].start :]
-    shape = (max(bottom - top, 0), max(right - left, 0))
-    count, mean, spread = grid.count[around], grid.height_m[around], grid.height_std_m[around]
+    count, mean, spread = (layer[around] for layer in layers)
     with np.errstate(invalid="ignore", divide="ignore"):
         noise = np.maximum(spread, np.float32(_LEAST_STD_M))
         std: Float32 = (noise / np.sqrt(np.maximum(count, 1.0))).astype(np.float32)
     height = mean.copy()
-    if grid.histogram is not None and grid.histogram_base_m is not None:
-        _find_ground(
-            grid.histogram[around], grid.histogram_base_m[around], count, mean, spread,
-            grid.cell_m,
-            height, std,
-        )  # fmt: skip
-    return Ground(height[inner][: shape[0], : shape[1]], std[inner][: shape[0], : shape[1]])
+    if histogram is not None and base is not None:
+        _find_ground(histogram[around], base[around], count, mean, spread, cell_m, height, std)
+    above, beside = top - around[0].start, left - around[1].start
+    inner = np.s_[above : above + max(bottom - top, 0), beside : beside + max(right - left, 0)]
+    return height[inner], std[inner]
 
 
 def _find_ground(
