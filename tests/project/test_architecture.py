@@ -38,7 +38,7 @@ ROOM_MAY_IMPORT = {
     "campaign": "api config errors external flight io terminal",
     "scene_tools": "config drawing errors flight io",
     "environments": "api config flight",
-    "benchmarks": "campaign config drawing errors flight io recording",
+    "benchmarks": "campaign config drawing errors external flight io recording",
     "calibration": "config flight io scene_tools",
     "edges": "config errors flight scene_tools",
     "reporting": "api campaign errors io",
