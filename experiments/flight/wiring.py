@@ -43,7 +43,7 @@ class FlightStack:
     lander: Lander
     controller: Controller
     faults: Callable[[], list[dict[str, Any]]]
-    """effects of the scheduled faults so far, for the result"""
+    """what the scheduled faults have done so far, for the result"""
     believed_rig: SensorRig
     """the rig as the estimator knows it"""
     network: dict[str, Any] | None = None
@@ -110,7 +110,7 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         mapper=mapper,
         lander=lander,
         controller=controller,
-        faults=lambda: world.faults.summary() + world.disturbances.summary(),
+        faults=world.fault_records,
         believed_rig=rig,
         network=None if classifier is None else classifier.description(),
     )

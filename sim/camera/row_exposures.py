@@ -51,6 +51,10 @@ class RowExposures:
         self._control = AutoExposure(params)
         if self.takes_time:
             self._noise = sensor_noise(height, params.width, key)
+        self.exposure: Exposure | None = None
+        """of the latest image; None where exposures take no time"""
+        self.lamp_shines = False
+        """at the latest image"""
         self._field = lamp_field(lamp, lens.raster) if lamp.below_m > 0.0 else None
 
     def develop(
@@ -78,6 +82,7 @@ class RowExposures:
             exposure = self._control.follow(lux, time_s)
             count = self._instants(motion, end_s, exposure, depth)
             shifts = self._at(motion, end_s, exposure.time_s, count)
+        self.exposure, self.lamp_shines = exposure, lamp is not None
         light = self._exposed(exposure, lamp)
         image = self._film.exposed(drawn, depth, shifts, self._noise, place, light)
         return image, light.electrons * light.gain / light.full_well

@@ -16,6 +16,7 @@ import numpy as np
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import LidarParams, LidarScan
 from touchdown.sim.dust import DustCloud
+from touchdown.sim.effects import Effects, Returns
 from touchdown.sim.faults.weather import Weather
 from touchdown.sim.frames import Pose
 from touchdown.sim.geometry.ray_target import Hits, rays_behind
@@ -85,6 +86,8 @@ class LidarSensor:
         self._sway = Sway.of(params, self._scene, wind_mps, seed)
         self._range_errors = RangeErrors.of(params, self._pattern, seed)
         self._weather, self._dust = None, dust
+        self.effects = Effects()
+        """of rain, fog, dust and a moved mount on scans"""
         if dust is not None or (weather is not None and weather.ever):
             self._weather = LidarWeather(
                 weather, self._pattern, params, self._budget, self._quantiles
@@ -282,9 +285,12 @@ class LidarSensor:
         self._penetrate(pulses, hits, movers)
         gain = self._refine(pulses, hits, movers)
         strengths, ranges, intensity = self._receive(pulses, hits, gain)
+        count, weakened = len(nominal), []
         for clutter in air:
+            seen = Returns(ranges[:count], intensity[:count])
+            clear = seen.copy()
             clutter.weaken(hits.distance, pulses.bits, strengths, ranges, intensity)
-        count = len(nominal)
+            weakened.append(seen.changed_share(clear))
         ranges, intensity = ranges[:count], intensity[:count]
         if split.size:
             returns.receive_split(
@@ -304,8 +310,11 @@ class LidarSensor:
             )
         if self._range_errors is not None:
             self._range_errors.apply(pulses.range_noise, hits.cosine, ranges, intensity)
-        for clutter in air:
+        for clutter, lost in zip(air, weakened, strict=True):
+            seen = Returns(ranges, intensity)
+            clear = seen.copy()
             clutter.scatter(pulses.bits[:count], ranges, intensity)
+            self.effects.note(clutter.effects, min(lost + seen.changed_share(clear), 1.0))
         return ranges, intensity
 
     def _refine(self, pulses: Rays, hits: Hits, movers: Movers) -> Float32:
