@@ -160,7 +160,7 @@ def test_a_good_estimator_breaks_nothing() -> None:
         (_wants_scans, "missing data", "without scans"),
         (_jumps, "continuity", "jumped by 2.00 m"),
         (_is_elsewhere, "frames", "50.0 m from the take-off point"),
-        (_is_turned, "frames", "turned by 90 degrees"),
+        (_is_turned, "frames", "rotated by 90 degrees"),
         (_is_mirrored, "shapes", "odom_from_body.rotation is no rotation matrix"),
         (_is_a_row, "shapes", "velocity_odom has shape (1, 3), not (3,)"),
         (_is_negative, "shapes", "position_covariance has a negative eigenvalue"),
