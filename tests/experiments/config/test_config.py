@@ -206,7 +206,10 @@ def test_closed_sets_of_names_refuse_others_when_they_are_read() -> None:
         assert str(caught.value).endswith(choices_of(types[key])[-1])
 
 
-def test_a_renamed_key_is_refused_with_its_new_name() -> None:
+def test_a_renamed_key_is_refused_but_in_the_configuration_of_a_run(tmp_path: Path) -> None:
+    file = tmp_path / "config.json"
+    file.write_text('{"livo": {"mount_turn_sigma_deg": 0.7}}')
+    assert load_config(file).livo.mount_rotation_sigma_deg == 0.7
     for old, new in RENAMED.items():
         assert old not in known_keys() and new in known_keys()
         with pytest.raises(UsageError) as caught:
