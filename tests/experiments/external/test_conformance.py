@@ -1,4 +1,4 @@
-"""The contract check tells good estimators from bad ones, and the page's example is a good one."""
+"""The contract check separates good estimators from bad ones; the page's example is a good one."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def test_a_good_estimator_breaks_nothing() -> None:
         (lambda *_: None, "answers", "returned NoneType, not Estimate"),
     ],
 )
-def test_each_bad_habit_is_told_with_its_reason(
+def test_each_bad_habit_is_reported_with_its_reason(
     spoil: Callable[[Any, Observation, Estimate], Any], rule: str, words: str
 ) -> None:
     violations = _check(spoil)
@@ -176,14 +176,14 @@ def test_each_bad_habit_is_told_with_its_reason(
     assert rule in RULES
 
 
-def test_several_bad_habits_are_told_apart() -> None:
+def test_several_bad_habits_are_separated() -> None:
     def spoil(self: Any, obs: Observation, estimate: Estimate) -> Estimate:
         return _goes_back(self, obs, _is_nan(self, obs, _writes_scans(self, obs, estimate)))
 
     assert {v.rule for v in _check(spoil)} == {"inputs", "finite", "time"}
 
 
-def test_what_is_no_estimator_is_told() -> None:
+def test_what_is_no_estimator_is_reported() -> None:
     def raises(_params: Any, _rig: Any) -> Any:
         raise OSError("no file")
 
