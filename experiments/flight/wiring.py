@@ -20,7 +20,7 @@ from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.external.loading import check_external, is_external
 from touchdown.experiments.external.wrapper import ExternalEstimator
 from touchdown.experiments.flight.bias_injection import BiasedEstimator
-from touchdown.experiments.flight.estimator_calibration import believed_rig
+from touchdown.experiments.flight.estimator_calibration import nominal_rig
 from touchdown.landing.api import Lander
 from touchdown.scenes.api import LowSun, Scene
 from touchdown.scenes.registry import scene_names
@@ -44,7 +44,7 @@ class FlightStack:
     controller: Controller
     faults: Callable[[], list[dict[str, Any]]]
     """what the scheduled faults have done so far, for the result"""
-    believed_rig: SensorRig
+    nominal_rig: SensorRig
     """the rig as the estimator knows it"""
     network: dict[str, Any] | None = None
     """the network of the ground classifier, for the result; None without one"""
@@ -91,7 +91,7 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
     classifier = build_classifier(config)
     world = make_world(config, scene)
     try:
-        rig = believed_rig(world.rig, config)
+        rig = nominal_rig(world.rig, config)
         estimator = _biased(make_estimator(rig, world.truth), config)
     except ValueError:
         world.close()
@@ -111,7 +111,7 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         lander=lander,
         controller=controller,
         faults=world.fault_records,
-        believed_rig=rig,
+        nominal_rig=rig,
         network=None if classifier is None else classifier.description(),
     )
 
