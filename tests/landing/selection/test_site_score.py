@@ -143,6 +143,21 @@ def test_rules_name_what_refused_a_site() -> None:
     assert steep[0].rule == "least_bad" and {s.rule for s in steep[1:]} <= {"steep"}
 
 
+def test_bonus_for_room_chooses_the_cell_and_ranks_none() -> None:
+    """A strip 8 m wide between rough ground, ranked by distance alone: its near edge is nearest."""
+    strip = _ground()
+    rough = np.random.default_rng(2).uniform(0.0, 0.6, (SIDE, SIDE))
+    strip[:, :60], strip[:, 100:] = rough[:, :60], rough[:, 100:]
+    clearances = []
+    for weight in (0.0, 5.0):
+        site = _sites(make_grid(strip), scorer="paper", room_weight=weight, weight_flatness=0.0,
+                      weight_smoothness=0.0)[0]  # fmt: skip
+        assert site.accepted and site.value == pytest.approx(site.c_sum, abs=1e-6)
+        assert site.cluster_bonus == pytest.approx(weight * min(site.clearance_m, 1.0), abs=1e-5)
+        clearances.append(site.clearance_m)
+    assert clearances[0] < 0.5 and clearances[1] >= 1.0
+
+
 def test_candidates_keep_their_spacing() -> None:
     rough = _ground() + np.random.default_rng(1).normal(0.0, 0.02, (SIDE, SIDE))
     for spacing in (3.0, 5.0):
