@@ -95,7 +95,9 @@ def take_off(mission: Mission) -> Steps:
 def _lower_survey(mission: Mission) -> Steps:
     """Chooses the lowest height for the survey, where the wind is weaker, and goes there."""
     lowest, wind = mission.survey.min_height_m, mission.felt_wind.speed_mps
-    mission.tell(f"TAKEOFF: a wind of {wind:.1f} m/s, so that the survey is flown at {lowest:g} m")
+    mission.add_event(
+        f"TAKEOFF: a wind of {wind:.1f} m/s, so that the survey is flown at {lowest:g} m"
+    )
     mission.survey = dataclasses.replace(mission.survey, height_m=lowest)
     height = mission.ground_world + lowest
     if mission.reference_world[2] > height + 0.5:
@@ -127,7 +129,7 @@ class _Ceiling:
         self._samples += 1
         if mission.survey.min_height_m <= height < goal - 1.0:
             mean = self._sum / self._samples * np.log(goal / _ROUGHNESS_M)
-            load = mission.pace.hover_load((1.0 + _GUSTS_UP_THERE) * mean, gusts=False)
+            load = mission.time_scaling.hover_load((1.0 + _GUSTS_UP_THERE) * mean, gusts=False)
             self.found = self.found or load > 1.0
         return self.found
 
@@ -143,7 +145,7 @@ def survey(mission: Mission) -> Steps:
     except LegBlockedError:
         if mission.params.survey_only:
             raise
-        mission.tell("SURVEY broken off: landing on what is mapped")
+        mission.add_event("SURVEY broken off: landing on what is mapped")
 
 
 def land_somewhere(mission: Mission) -> Generator[Setpoint, None, bool]:
