@@ -51,11 +51,11 @@ the last two of both."""
 SiteRule = Literal[
     "highest_value", "lower_value", "least_bad", "commanded", "commanded_unchecked",
     "not_seen", "few_returns", "rough", "steep", "step", "object", "motion", "water",
-    "tall_neighbour", "map_edge", "no_colour", "out_of_reach", "near_refused_site",
+    "tall_neighbour", "map_edge", "out_of_reach", "near_refused_site",
     "low_probability", "footprint_slope", "footprint_roughness",
     "unsafe_ground", "uncertain_ground", "unfamiliar_ground", "no_image",
 ]  # fmt: skip
-"""What preferred a site (first line) or refused it: its map, its plane, the class of its ground."""
+"""Rules that prefer a site (first line) or refuse it: by the map, its plane, its class of ground."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -60,7 +60,7 @@ class Defect(IntEnum):
 
 
 class Refusal(NamedTuple):
-    """Why a site is refused."""
+    """Rule that refuses a site, and the reason as text."""
 
     rule: SiteRule
     text: str

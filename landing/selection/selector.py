@@ -329,6 +329,4 @@ def _refusal(assessed: Assessed, spot: tuple[int, int], params: LandingParams) -
         return found._replace(text=f"{found.text}; {chance}") if unlikely else found
     if unlikely:
         return Refusal("low_probability", chance)
-    if not np.isfinite(assessed.costmap.distance[spot]):
-        return Refusal("out_of_reach", "out of reach of the remaining energy")
-    return Refusal("no_colour", "no image shows its colour")
+    return Refusal("out_of_reach", "out of reach of the remaining energy")

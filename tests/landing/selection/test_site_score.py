@@ -135,12 +135,24 @@ def test_rules_name_what_refused_a_site() -> None:
     far = _sites(make_grid(_ground()), SelectionLimits(reach_m=2.0), max_candidates=40)
     assert {site.rule for site in far if site.accepted} <= {"highest_value", "lower_value"}
     assert all(np.hypot(*(s.position_odom[:2] - 8.0)) <= 2.2 for s in far if s.accepted)
-    grey = make_grid(_ground())
-    grey.rgb[:, 30:50] = np.nan
-    colourless = check_site(view_of(grey), ABOVE, LandingParams(scorer="paper"), middle)[0]
-    assert colourless.rule == "commanded"  # a command needs no colour
+    assert "out_of_reach" in {site.rule for site in far}
     steep = _sites(make_grid(_ground(7.0)), SelectionLimits(least_bad=True))
     assert steep[0].rule == "least_bad" and {s.rule for s in steep[1:]} <= {"steep"}
+
+
+def test_bonus_for_room_chooses_the_cell_and_ranks_none() -> None:
+    """A strip 8 m wide between rough ground, ranked by distance alone: its near edge is nearest."""
+    strip = _ground()
+    rough = np.random.default_rng(2).uniform(0.0, 0.6, (SIDE, SIDE))
+    strip[:, :60], strip[:, 100:] = rough[:, :60], rough[:, 100:]
+    clearances = []
+    for weight in (0.0, 5.0):
+        site = _sites(make_grid(strip), scorer="paper", room_weight=weight, weight_flatness=0.0,
+                      weight_smoothness=0.0)[0]  # fmt: skip
+        assert site.accepted and site.value == pytest.approx(site.c_sum, abs=1e-6)
+        assert site.cluster_bonus == pytest.approx(weight * min(site.clearance_m, 1.0), abs=1e-5)
+        clearances.append(site.clearance_m)
+    assert clearances[0] < 0.5 and clearances[1] >= 1.0
 
 
 def test_candidates_keep_their_spacing() -> None:
