@@ -55,7 +55,7 @@ SiteRule = Literal[
     "low_probability", "footprint_slope", "footprint_roughness",
     "unsafe_ground", "uncertain_ground", "unfamiliar_ground", "no_image",
 ]  # fmt: skip
-"""Rules that prefer a site (first line) or refuse it: by the map, the plane, the class of ground."""
+"""Rules that prefer a site (first line), or refuse it by map, plane or class of the ground."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
