@@ -236,7 +236,7 @@ class _Check:
         elif angle_deg > START_ANGLE_DEG:
             self._note(
                 "frames",
-                f"the first estimate is turned by {angle_deg:.0f} degrees from the take-off "
+                f"the first estimate is rotated by {angle_deg:.0f} degrees from the take-off "
                 "attitude; odom_from_body maps the body (x forward, y left, z up)",
             )
 

@@ -78,10 +78,10 @@ class TwistCheck:
             )
         found = _disagreement(windows[:, 6:9], windows[:, 9:], _ATTITUDE)
         if found is not None:
-            turned, summed = np.rad2deg(windows[found, 6:9]), np.rad2deg(windows[found, 9:])
+            rotated, summed = np.rad2deg(windows[found, 6:9]), np.rad2deg(windows[found, 9:])
             return (
-                f"in the second from {starts[found]:.1f} s odom_from_body turned by "
-                f"{_text(turned)} degrees, but angular_velocity_body adds up to {_text(summed)} "
+                f"in the second from {starts[found]:.1f} s odom_from_body rotated by "
+                f"{_text(rotated)} degrees, but angular_velocity_body adds up to {_text(summed)} "
                 "degrees; it is in rad/s, in the body frame"
             )
         return ""

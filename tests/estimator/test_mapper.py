@@ -218,7 +218,7 @@ def test_not_a_number_in_pose_or_range_leaves_the_map_clean() -> None:
 
 
 def raised_track(start_s: float, end_s: float, by_m: float = 1.0) -> PoseTrack:
-    """The true motion, ``by_m`` too high: what it places can be told from the causal poses."""
+    """The true motion, ``by_m`` too high: what it places differs from the causal poses."""
     times = np.arange(round(start_s * 200), round(end_s * 200) + 1) / 200.0
     poses = [motion(t) for t in times]
     return PoseTrack(

@@ -112,7 +112,7 @@ def test_scans_and_images_that_overtake_one_another_are_all_used() -> None:
     np.testing.assert_allclose(
         last.world_from_body.translation, position_at(last.time_s), atol=0.02
     )
-    # one image is lost: before the first has come, nothing tells that they are late
+    # one image is lost: before the first has come, nothing shows that they are late
     assert last.diagnostics["skipped"] <= fly(FLIGHT)[-1].diagnostics["skipped"] + 1.0
     assert sum("came too late" in event for e in estimates for event in e.events) <= 1
     assert last.diagnostics["features_tracked"] > 30

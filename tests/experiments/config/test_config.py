@@ -97,7 +97,7 @@ def test_every_parameter_of_every_group_has_a_key() -> None:
         ("survey.legs=40", ["40 legs of 50 m does not fit into 36 s", "to 414 or more"]),
     ],
 )
-def test_mistakes_are_told_in_one_line(override: str, words: list[str]) -> None:
+def test_mistakes_are_reported_in_one_line(override: str, words: list[str]) -> None:
     with pytest.raises(UsageError) as caught:
         load_config(None, [override])
     message = str(caught.value)
@@ -128,7 +128,7 @@ def test_a_date_is_no_number(tmp_path: Path) -> None:
         load_config(file)
 
 
-def test_a_number_for_a_group_is_told() -> None:
+def test_a_number_for_a_group_is_reported() -> None:
     with pytest.raises(UsageError, match="group"):
         load_config(None, ["sim=600"])
 
@@ -206,7 +206,10 @@ def test_closed_sets_of_names_refuse_others_when_they_are_read() -> None:
         assert str(caught.value).endswith(choices_of(types[key])[-1])
 
 
-def test_a_renamed_key_is_refused_with_its_new_name() -> None:
+def test_a_renamed_key_is_refused_but_in_the_configuration_of_a_run(tmp_path: Path) -> None:
+    file = tmp_path / "config.json"
+    file.write_text('{"livo": {"mount_turn_sigma_deg": 0.7}}')
+    assert load_config(file).livo.mount_rotation_sigma_deg == 0.7
     for old, new in RENAMED.items():
         assert old not in known_keys() and new in known_keys()
         with pytest.raises(UsageError) as caught:

@@ -155,7 +155,7 @@ def test_a_name_that_leads_nowhere_is_one_line_before_any_flight(
         (STILL.replace("def update", "def updat"), "no method update(obs) (did you mean 'updat'?)"),
     ],
 )
-def test_what_cannot_be_built_is_told_and_the_contract_says_the_same(
+def test_what_cannot_be_built_is_reported_and_the_contract_says_the_same(
     lab: Callable[..., str], text: str, words: str
 ) -> None:
     name = f"{lab(text)}:build"
@@ -194,7 +194,7 @@ def test_a_wrong_update_is_one_line(lab: Callable[..., str], body: str, words: s
     with pytest.raises(ExternalEstimatorError) as failure:
         estimator.update(OBSERVATION)
     output = str(failure.value)
-    assert words in output and output.endswith(f"`touchdown check-estimator {name}` tells more")
+    assert words in output and output.endswith(f"`touchdown check-estimator {name}` says more")
     assert ("vio.py:" in output) == ("raised" in output)
 
 
@@ -390,7 +390,7 @@ def _velocity(change: Callable[[Any], Any]) -> Callable[[Estimate], Estimate]:
         (_velocity(lambda v: v * [1.0, 1.0, -1.0]), "velocity_odom adds up to"),
     ],
 )
-def test_velocities_of_another_unit_sign_or_frame_are_told(
+def test_velocities_of_another_unit_sign_or_frame_are_reported(
     spoil: Callable[[Estimate], Estimate], words: str
 ) -> None:
     broken = check_estimator(lambda _params, rig: TruePath(rig, spoil))

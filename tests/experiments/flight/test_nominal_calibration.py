@@ -143,7 +143,7 @@ def test_calibration_file_says_the_pair_and_both_err_against_the_imu(tmp_path: P
     assert not np.allclose(nominal.body_from_camera.matrix(), rig.body_from_camera.matrix())
 
 
-def test_the_start_is_told_with_heading_only() -> None:
+def test_the_start_may_be_known_by_heading_only() -> None:
     tilted = so3_exp(np.array([0.0, 0.0, 0.8])) @ so3_exp(np.array([0.05, -0.03, 0.0]))
     start = Pose(tilted, np.array([1.0, 2.0, 3.0]))
     rig = replace(make_rig(), world_from_body_start=start)
