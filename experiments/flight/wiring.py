@@ -20,7 +20,7 @@ from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.external.loading import check_external, is_external
 from touchdown.experiments.external.wrapper import ExternalEstimator
 from touchdown.experiments.flight.bias_injection import BiasedEstimator
-from touchdown.experiments.flight.estimator_calibration import believed_rig
+from touchdown.experiments.flight.estimator_calibration import nominal_rig
 from touchdown.landing.api import Lander
 from touchdown.scenes.api import LowSun, Scene
 from touchdown.scenes.registry import scene_names
@@ -43,8 +43,8 @@ class FlightStack:
     lander: Lander
     controller: Controller
     faults: Callable[[], list[dict[str, Any]]]
-    """effects of the scheduled faults so far, for the result"""
-    believed_rig: SensorRig
+    """what the scheduled faults have done so far, for the result"""
+    nominal_rig: SensorRig
     """the rig as the estimator knows it"""
     network: dict[str, Any] | None = None
     """the network of the ground classifier, for the result; None without one"""
@@ -91,7 +91,7 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
     classifier = build_classifier(config)
     world = make_world(config, scene)
     try:
-        rig = believed_rig(world.rig, config)
+        rig = nominal_rig(world.rig, config)
         estimator = _biased(make_estimator(rig, world.truth), config)
     except ValueError:
         world.close()
@@ -110,8 +110,8 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         mapper=mapper,
         lander=lander,
         controller=controller,
-        faults=lambda: world.faults.summary() + world.disturbances.summary(),
-        believed_rig=rig,
+        faults=world.fault_records,
+        nominal_rig=rig,
         network=None if classifier is None else classifier.description(),
     )
 

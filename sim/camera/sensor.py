@@ -37,6 +37,7 @@ from touchdown.sim.camera.optics import (
 from touchdown.sim.camera.row_exposures import RowExposures, exposes_rows
 from touchdown.sim.camera.shutter import SHUTTER_MARGIN_PX, CameraMotion, camera_motion
 from touchdown.sim.dust import DustCloud
+from touchdown.sim.effects import Effects
 from touchdown.sim.moving import BodyTrack
 from touchdown.sim.typing import Bytes, Float32, Int32
 
@@ -100,12 +101,15 @@ class CameraSensor:
             )
         self._noise_key = [seed, crc32(camera_name.encode())]
         self._noise = noise_tile(params, self._noise_key)
+        self.effects = Effects()
+        """of air, optics, exposure and lamp on images"""
         self._degradations: CameraDegradations | None = None
         if (faults is not None and faults.events) or ground.dust is not None:
             degradations = CameraDegradations(
                 faults or FaultParams(), tick_hz, params, self._lens.raster, self._model, seed,
                 camera_name, dust=ground.dust,
             )  # fmt: skip
+            degradations.effects = self.effects
             self._degradations = degradations if degradations.ever else None
         self._cover = ground.cover
         self._detail = (
@@ -192,7 +196,11 @@ class CameraSensor:
         image, white = self._rows.develop(drawn, depth, motion, end_s, time_s, self._noise, place)
         if self._degradations is not None and defects is not None:
             image = self._degradations.through_lens(defects, image, snapshot, white)
-        if not self._rows.takes_time:
+        if (exposure := self._rows.exposure) is not None:
+            self.effects.note(("lamp",), float(self._rows.lamp_shines))
+            self.effects.note(("exposure_ms",), 1.0, 1e3 * exposure.time_s)
+            self.effects.note(("gain",), 1.0, exposure.gain)
+        else:
             table = exposure_table(self._params, image)
             image = image if table is None else cv2.LUT(image, table).astype(np.uint8, copy=False)
         return _frozen(image)
