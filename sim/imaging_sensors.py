@@ -113,7 +113,7 @@ class ImagingSensors:
         self._poses.clear()
 
     def effects(self) -> dict[str, Effects]:
-        """What has been changed in delivered scans and images: of the left camera."""
+        """Effects on delivered scans, and on images of the left camera."""
         found = {"images": self.camera.effects}
         return found if self._lidar is None else {"scans": self._lidar.effects, **found}
 
@@ -229,5 +229,6 @@ class ImagingSensors:
             rgb=taken(self.camera),
             right_rgb=taken(self._right) if self._right else None,
         )
+        self.camera.effects.note(("stamp_error_ms",), 1.0, 1e3 * abs(stamp.time_s - tick / hz))
         self.camera.effects.end_message()
         return image

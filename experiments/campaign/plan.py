@@ -94,6 +94,8 @@ class Expect(BaseModel):
     """the same from below"""
     success_at_least: float | None = Field(default=None, ge=0, le=1)
     """share of the runs that land on safe ground, or complete the survey"""
+    happened: bool | list[str] = False
+    """conditions that must have happened in each run: all that it names, or these of them"""
     unsafe: bool = False
     """whether touching down on unsafe ground, or not on the legs, is as expected"""
 

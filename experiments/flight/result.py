@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import GridMap
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.external.loading import flown_code
+from touchdown.experiments.flight.happened import as_json, judge_conditions
 from touchdown.experiments.flight.metrics import levelness_error_deg
 from touchdown.experiments.flight.observers import StepObserver
 from touchdown.experiments.flight.referee import Judgement
@@ -37,6 +38,9 @@ def make_result(
     code: dict[str, Any] = dict(flown_code(config.estimator))
     origin = stack.scene.origin_m
     moved: dict[str, Any] = {"origin_m": (*origin.tolist(),)} if origin.any() else {}
+    record = stack.record()
+    measured = observer.conditions.measured(record, stack.world.rig, stack.believed_rig)
+    conditions = judge_conditions(config, measured, record.faults, judgement.sim_s)
     return RunResult(
         outcome=str(judgement.outcome),
         reason=judgement.reason,
@@ -63,7 +67,9 @@ def make_result(
         events=observer.events.kept,
         event_count=observer.events.count,
         phases=observer.phases.kept,
-        faults=stack.faults(),
+        faults=record.faults,
+        measured=measured,
+        conditions=as_json(conditions),
     )
 
 
