@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.campaign.directory import read_plan_file
@@ -143,13 +143,27 @@ def not_happened(wanted: bool | Sequence[str], row: Mapping[str, Any]) -> list[s
         return []
     known = {one["name"]: one for one in conditions_of(row)}
     names = [*known] if wanted is True else wanted
-    if not known:
+    if row.get("conditions") is None:
         return ["no record of what happened"]
     return [
         f"'{name}' did not happen ({known[name].get('text', '')})"
         for name in names
         if name in known and known[name].get("happened") is not True
     ]
+
+
+def demanded(
+    expectations: Sequence[Mapping[str, Any]], values: Mapping[str, Any]
+) -> Literal[True] | set[str]:
+    """Conditions that expectations demand of a run with these ``values``; True: all of them."""
+    names: set[str] = set()
+    for expectation in expectations:
+        wanted = expectation.get("happened", False)
+        if wanted and all(values.get(key) in ok for key, ok in expectation["when"].items()):
+            if wanted is True:
+                return True
+            names |= set(wanted)
+    return names
 
 
 def touched_unsafely(row: Mapping[str, Any]) -> bool:

@@ -216,6 +216,11 @@ def in_shard(run_id: str, shard: tuple[int, int]) -> bool:
     return int.from_bytes(digest[:8], "big") % count == index - 1
 
 
+def runs_of_shard(plan: Plan, shard: tuple[int, int] | None) -> list[PlannedRun]:
+    """The runs of a shard (i, n), all runs where it is None."""
+    return [run for run in plan.runs if shard is None or in_shard(run.run_id, shard)]
+
+
 # ---------------------------------------------------------------------------------------- parsing
 
 

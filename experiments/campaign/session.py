@@ -24,7 +24,7 @@ from touchdown.experiments.campaign.directory import (
     sweep,
 )
 from touchdown.experiments.campaign.executor import Engine, EngineStoppedError, Event, LocalEngine
-from touchdown.experiments.campaign.plan import Plan, PlannedRun, in_shard
+from touchdown.experiments.campaign.plan import Plan, PlannedRun, runs_of_shard
 from touchdown.experiments.campaign.results_table import (
     CRASHED,
     FAILED,
@@ -85,7 +85,7 @@ def fly_campaign(
             check_external_code(plan, directory)
         check_rows(directory)
         plan = settle_plan(plan, directory, git_revision())
-        mine = [run for run in plan.runs if shard is None or in_shard(run.run_id, shard)]
+        mine = runs_of_shard(plan, shard)
         sweep(directory, [run.run_id for run in mine], whole=shard is None)
         todo, shas = _left(plan, mine, directory, runner)
         session: dict[str, Any] = {
