@@ -251,8 +251,8 @@ class LandingParams:
     """highest step or object under the footprint"""
     clear_radius_m: Positive = 1.5
     """radius around the site that must be free of taller objects"""
-    flatness_form: str = "corrected"
-    """``corrected`` or ``literal`` (Eqs. 16 and 17 to the letter)"""
+    flatness_form: Literal["corrected", "literal"] = "corrected"
+    """``corrected``, or Eqs. 16 and 17 to the letter"""
     flatness_sigma_deg: Positive = 5.0
     """sigma of Eq. 16 in the corrected form"""
     normal_half_width_m: Positive = 0.5

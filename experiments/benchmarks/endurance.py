@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import multiprocessing
+import os
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -11,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 
 from touchdown.experiments.benchmarks.jit_warmup import compiled_before
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, reason_of
+from touchdown.experiments.external.processes import memory_bytes
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
 from touchdown.experiments.recording.run_recorder import NullRecorder
 from touchdown.experiments.recording.step_record import StepRecord
@@ -48,7 +49,7 @@ def endurance_config(
 
 
 class _Minutes(NullRecorder):
-    """Samples CPU time of estimator and process, and resident memory, at every full minute."""
+    """Samples CPU time of estimator and process, and its memory, at every full minute."""
 
     def __init__(
         self, clock: StageClock, process_time: Callable[[], float] = time.process_time
@@ -75,7 +76,7 @@ class _Minutes(NullRecorder):
                 "until_s": now_s,
                 "estimator_ms": (spent_ms - self._spent_ms) / scans,
                 "process_ms": 1e3 * (spent_s - self._spent_s) / scans,
-                "resident_mb": _resident_mb(),
+                "memory_mb": memory_bytes([os.getpid()]) / 1e6,
                 "error_mean_m": float(np.mean(self._errors)),
             }
         )
@@ -113,7 +114,7 @@ def fly_long(config: Config) -> dict[str, Any]:
         "nees_median": result["nees"]["median"],
         "minutes": minutes.rows,
         "last_over_first": {
-            name: last[name] / first[name] for name in ("estimator_ms", "process_ms", "resident_mb")
+            name: last[name] / first[name] for name in ("estimator_ms", "process_ms", "memory_mb")
         },
     }
 
@@ -145,7 +146,7 @@ def row(flight: dict[str, Any]) -> str:
         f"{flight['sim_s']:6.0f} s  error {flight['error_mean_m']:.3f} m, at most "
         f"{flight['error_max_m']:.3f}; last minute over first: "
         f"estimator {over['estimator_ms']:.2f}, process {over['process_ms']:.2f}, "
-        f"memory {over['resident_mb']:.3f}"
+        f"memory {over['memory_mb']:.3f}"
     )
 
 
@@ -157,7 +158,7 @@ def plot(flights: Sequence[dict[str, Any]], path: Path) -> None:
     panels = (
         ("estimator_ms", "estimator, ms of CPU per scan", 1.0),
         ("process_ms", "whole process, ms of CPU per scan", 1.0),
-        ("resident_mb", "resident memory, GB", 1e-3),
+        ("memory_mb", "memory, GB", 1e-3),
         ("error_mean_m", "mean position error, cm", 100.0),
     )
     figure = Figure(figsize=(13.0, 3.4), dpi=110, layout="constrained")
@@ -181,7 +182,3 @@ def plot(flights: Sequence[dict[str, Any]], path: Path) -> None:
         figure.savefig(path)
     except (OSError, ValueError) as error:
         raise UsageError(f"cannot write the plot {path}: {reason_of(error)}") from None
-
-
-def _resident_mb() -> float:
-    return float(psutil.Process().memory_info().rss / 1e6)

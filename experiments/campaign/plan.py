@@ -53,7 +53,7 @@ class Limits(BaseModel):
     run_timeout_s: float = Field(default=1800.0, gt=0)
     """wall time"""
     memory_gb: float = Field(default=6.0, gt=0)
-    """resident memory of the worker"""
+    """anonymous and shared memory of the worker and of what it starts"""
     retries: int = Field(default=1, ge=0)
     """more attempts at a run that crashed; an outcome, however bad, is never retried"""
 

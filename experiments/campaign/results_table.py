@@ -36,14 +36,16 @@ _RUN_COLUMNS: Mapping[str, str] = {
     "ground_safe": "bool",
     "wall_s": "float",
     "cpu_s": "float",
+    "worker_memory_mb": "float",
     "config_sha": "text",
     "started_utc": "text",
 }
 """Columns of a run beside its result. ``success``: see `RunResult.is_success`; ``ground_safe``: the
-ground at the touchdown was safe by what the flight is judged on, null without a touchdown."""
+ground at the touchdown was safe by what the flight is judged on, null without a touchdown;
+``worker_memory_mb``: anonymous and shared memory of the worker process after the run, MB."""
 _FIRST_COLUMNS = (
     "run_id", "scene", "estimator", "seed", "profile", "wind_kmh", "outcome", "success", "reason",
-    "mode", "wall_s", "cpu_s", "git_revision", "config_sha", "started_utc",
+    "mode", "wall_s", "cpu_s", "worker_memory_mb", "git_revision", "config_sha", "started_utc",
 )  # fmt: skip
 
 
@@ -56,7 +58,7 @@ SCHEMA: Mapping[str, str] = _schema()
 """Columns of every table and their kinds, derived from `RunResult`. Other keys of a result follow
 them."""
 
-TIMING_COLUMNS = ("wall_s", "cpu_s", "started_utc", "timing.")
+TIMING_COLUMNS = ("wall_s", "cpu_s", "worker_memory_mb", "started_utc", "timing.")
 """Beginnings of the names of columns that differ between two flights of one configuration."""
 
 
@@ -66,7 +68,8 @@ def make_row(
     """Returns the row of a run: ``result`` flattened, with dots between its keys, and the columns
     of the run.
 
-    ``more`` fills ``wall_s``, ``cpu_s`` and ``started_utc`` where they are known.
+    ``more`` fills ``wall_s``, ``cpu_s``, ``worker_memory_mb`` and ``started_utc`` where they are
+    known.
     """
     row: dict[str, Any] = dict.fromkeys(SCHEMA)
     row |= {key: value for key, value in flatten(result.plain()) if value is not None}

@@ -38,6 +38,7 @@ from touchdown.experiments.external.processes import (
     adopt_orphans,
     descendants,
     die_with_parent,
+    memory_bytes,
 )
 from touchdown.experiments.flight.run import fly_with_usage_errors
 from touchdown.experiments.io.foreign import inside
@@ -118,6 +119,7 @@ def _fly_into_place(task: Task, config: Config, run_dir: Path) -> RunResult:
             wall_s=time.perf_counter() - wall,
             cpu_s=time.process_time() - cpu,
             started_utc=started,
+            worker_memory_mb=memory_bytes([os.getpid()]) / 1e6,
         )
         write_table([row], out / ROW_FILE)
         run_dir.parent.mkdir(exist_ok=True)

@@ -23,7 +23,7 @@ from touchdown.experiments.classification.splits import HELD_OUT_SCENES
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.statistics import share_interval
 from touchdown.landing.api import LabelledImages
-from touchdown.landing.classification import footprint, onboard
+from touchdown.landing.classification import onboard
 from touchdown.landing.classification.decision import decision_summary
 from touchdown.landing.classification.engine import Classifier
 from touchdown.landing.classification.scores import summary
@@ -37,6 +37,8 @@ _REPEATS = 30
 def load_classifier(network: Path, engine: str, threads: int) -> Classifier:
     """Returns a network's file loaded in an engine. Raises UsageError where the engine is not
     installed."""
+    from touchdown.landing.classification.learning import footprint  # torch only where needed
+
     with training_libraries():
         return footprint.load_classifier(network, engine, threads)
 
@@ -134,7 +136,7 @@ def measured_footprint(network: Path, engine: str) -> dict[str, float]:
     command = [
         sys.executable,
         "-m",
-        "touchdown.landing.classification.footprint",
+        "touchdown.landing.classification.learning.footprint",
         str(network),
         engine,
     ]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import math
 import os
 import signal
 import time
@@ -43,10 +44,12 @@ def descendants(pid: int) -> list[int]:
     return found
 
 
-def memory_bytes(pids: list[int], enough: float) -> float:
-    """Memory of processes together, bytes. Pages that they share count once, which takes longer to
-    find out: it is done where the plain sum exceeds ``enough``."""
-    total = sum(map(_resident_bytes, pids))
+def memory_bytes(pids: list[int], enough: float = math.inf) -> float:
+    """Memory of processes together, bytes: their anonymous and shared pages. Pages of mapped files
+    are left out: how many of them are resident depends on the system's page cache. Pages that the
+    processes share count once, which takes longer to find out: it is done where the plain sum
+    exceeds ``enough``."""
+    total = sum(map(_own_bytes, pids))
     if total <= enough or len(pids) == 1:
         return total
     return min(total, sum(map(_proportional_bytes, pids)))
@@ -105,22 +108,37 @@ def _is_zombie(pid: int) -> bool:
     return state in (b"Z", b"X")
 
 
-def _resident_bytes(pid: int) -> float:
-    try:
-        with open(f"/proc/{pid}/statm", encoding="ascii") as file:
-            return float(int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
-    except (OSError, IndexError):
-        return 0.0
+def _own_bytes(pid: int) -> float:
+    found = _sizes(f"/proc/{pid}/status", "RssAnon", "RssShmem")
+    return _own_bytes_by_psutil(pid) if found is None else found
 
 
 def _proportional_bytes(pid: int) -> float:
+    found = _sizes(f"/proc/{pid}/smaps_rollup", "Pss_Anon", "Pss_Shmem")
+    return _own_bytes(pid) if found is None else found
+
+
+def _sizes(file: str, *names: str) -> float | None:
+    """Sum of the sizes of these names in a file of /proc, bytes; None where one is missing."""
     try:
-        for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
-            if line.startswith("Pss:"):
-                return 1024.0 * int(line.split()[1])
+        lines = Path(file).read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
-        pass
-    return _resident_bytes(pid)
+        return None
+    sizes = dict(line.split(":", 1) for line in lines if ":" in line)
+    if not all(name in sizes for name in names):
+        return None
+    return sum(1024.0 * int(sizes[name].split()[0]) for name in names)
+
+
+def _own_bytes_by_psutil(pid: int) -> float:
+    """Where /proc does not tell kinds of pages apart: resident memory without what is shared."""
+    import psutil
+
+    try:
+        memory = psutil.Process(pid).memory_info()
+    except psutil.Error:
+        return 0.0
+    return float(memory.rss - getattr(memory, "shared", 0))
 
 
 def _collect(pids: set[int]) -> None:

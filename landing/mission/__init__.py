@@ -1,2 +1,3 @@
-"""The landing mission: state machine, reference trajectories, descent, touchdown detection,
-energy and estimator health. Decides where to fly; the sites come from ``landing.selection``."""
+"""The landing mission: state machine, choice of a site, reference trajectories, descent, touchdown
+detection, energy and estimator health. Decides where to fly; candidate sites come from
+``landing.selection``, the class of their ground from ``landing.classification``."""

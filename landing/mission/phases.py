@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from touchdown.controller.api import Setpoint
 from touchdown.landing.api import Candidate, Phase
+from touchdown.landing.mission.choice import choose_commanded, choose_sites
 from touchdown.landing.mission.descent import descend_to, final_descent
 from touchdown.landing.mission.heading import turn_in_climb
 from touchdown.landing.mission.mission_state import (
@@ -20,7 +21,6 @@ from touchdown.landing.mission.mission_state import (
 )
 from touchdown.landing.mission.second_look import ground_under
 from touchdown.landing.mission.trajectory import straight_trajectory, survey_trajectory
-from touchdown.landing.selection.choice import choose_commanded, choose_sites
 
 Array = NDArray[np.float64]
 

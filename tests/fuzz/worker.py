@@ -25,6 +25,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from touchdown.experiments.external.processes import memory_bytes
+
 from fuzz import cases, kinds
 from fuzz.cases import REACHED, Case, Verdict
 from fuzz.grounding import Reached
@@ -37,7 +39,6 @@ MEMORY_BYTES = 4 << 30
 _BACKSTOP = 4 * MEMORY_BYTES
 _LARGEST_FILE = 2 << 30
 _LOOK_S = 0.02
-_PAGE = os.sysconf("SC_PAGE_SIZE")
 _TICK = os.sysconf("SC_CLK_TCK")
 _CUT = 200_000
 """characters of output that are judged"""
@@ -208,17 +209,17 @@ def watched(start: Callable[[], None]) -> End:
             traceback.print_exc()
         finally:
             os._exit(99)
-    why, peak, moved = "", 0, (began, 0.0)
+    why, peak, moved = "", 0.0, (began, 0.0)
     while True:
         done, status, usage = os.wait4(pid, os.WNOHANG)
         now = time.monotonic()
         if done:
             break
-        resident, cpu_s = _use(pid)
-        peak = max(peak, resident)
+        memory, cpu_s = _use(pid)
+        peak = max(peak, memory)
         if cpu_s > moved[1] + 0.01 * (now - moved[0]):
             moved = (now, cpu_s)
-        why = why or _excess(resident, cpu_s, now - began, now - moved[0])
+        why = why or _excess(memory, cpu_s, now - began, now - moved[0])
         if why:
             _kill(pid)
         # most cases end within some milliseconds
@@ -228,13 +229,13 @@ def watched(start: Callable[[], None]) -> End:
         why=why,
         wall_s=now - began,
         cpu_s=usage.ru_utime + usage.ru_stime,
-        memory_bytes=max(peak, usage.ru_maxrss << 10),
+        memory_bytes=round(peak),
         left=_kill(pid),
     )
 
 
-def _excess(resident: int, cpu_s: float, wall_s: float, idle_s: float) -> str:
-    if resident > MEMORY_BYTES:
+def _excess(memory: float, cpu_s: float, wall_s: float, idle_s: float) -> str:
+    if memory > MEMORY_BYTES:
         return f"took more than {MEMORY_BYTES >> 30} GB"
     if cpu_s > LIMIT_S:
         return f"took longer than {LIMIT_S:g} s"
@@ -243,15 +244,14 @@ def _excess(resident: int, cpu_s: float, wall_s: float, idle_s: float) -> str:
     return ""
 
 
-def _use(session: int) -> tuple[int, float]:
-    """Resident memory (bytes) and processor time (s) of a process and those of its session."""
-    total, spent = 0, 0.0
-    for pid in _members(session):
+def _use(session: int) -> tuple[float, float]:
+    """Memory (bytes) and processor time (s) of a process and those of its session."""
+    members, spent = _members(session), 0.0
+    for pid in members:
         with contextlib.suppress(OSError, ValueError, IndexError):
             fields = Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2].split()
-            total += int(fields[21]) * _PAGE
             spent += (int(fields[11]) + int(fields[12])) / _TICK
-    return total, spent
+    return memory_bytes(members, MEMORY_BYTES), spent
 
 
 def _members(session: int) -> list[int]:

@@ -38,15 +38,16 @@ ROOM_MAY_IMPORT = {
     "campaign": "api config errors external flight io terminal",
     "scene_tools": "config drawing errors flight io",
     "environments": "api config flight",
-    "benchmarks": "campaign config drawing errors flight io recording",
+    "benchmarks": "campaign config drawing errors external flight io recording",
     "calibration": "config flight io scene_tools",
     "edges": "config errors flight scene_tools",
     "reporting": "api campaign errors io",
     "classification": "config errors flight io reporting scene_tools",
+    "results_book": "campaign errors io reporting",
     "reproduce": "benchmarks calibration campaign classification config edges errors external io "
     "reporting scene_tools",
     "cli": "api benchmarks calibration campaign classification config edges errors export external "
-    "flight io reporting reproduce scene_tools terminal",
+    "flight io reporting reproduce results_book scene_tools terminal",
     "python_api": "config errors external flight io terminal",
     "pytest_plugin": "campaign config errors external flight io reporting",
 }

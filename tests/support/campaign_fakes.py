@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import mmap
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.io.results import RunResult
+
+SIZE, PAGE = 500_000_000, 4096
+"""bytes that some of them take, and of a page of memory at least"""
 
 
 def fly(config: Config, out: Path) -> RunResult:
@@ -39,9 +45,12 @@ def fly(config: Config, out: Path) -> RunResult:
     elif behaviour == "is_killed_once" and first:
         os.kill(os.getpid(), signal.SIGKILL)
     elif behaviour == "grows":
-        hoard = bytearray(400_000_000)
-        hoard[::4096] = b"x" * len(hoard[::4096])
+        hoard = bytearray(SIZE)
+        hoard[::PAGE] = b"x" * len(hoard[::PAGE])
         time.sleep(600.0)
+    elif behaviour == "maps":
+        with mapped_file():
+            time.sleep(1.0)  # of several looks of the supervisor
     elif behaviour in PROCESSES:
         PROCESSES[behaviour](campaign_dir(out))
     elif behaviour == "fills_the_disk":
@@ -55,6 +64,17 @@ def fly(config: Config, out: Path) -> RunResult:
         (partial / "flight.rrd").write_text("seen")
     os.replace(partial, out)
     return RunResult.model_validate(result)
+
+
+@contextlib.contextmanager
+def mapped_file() -> Iterator[None]:
+    """A file of ``SIZE`` bytes is mapped, and every page of it was read. It does not lie where the
+    system may keep files in memory."""
+    with tempfile.TemporaryFile(dir="/var/tmp") as file:
+        file.truncate(SIZE)
+        with mmap.mmap(file.fileno(), SIZE, prot=mmap.PROT_READ) as pages:
+            assert not any(pages[::PAGE])
+            yield
 
 
 # -------------------------------------------------------------------------------------- processes
@@ -98,15 +118,15 @@ def start_and_hang(directory: Path) -> None:
 
 def feed_a_child(_directory: Path) -> None:
     """A child takes the memory."""
-    code = "x = bytearray(400_000_000); x[::4096] = b'x' * len(x[::4096]); input()"
+    code = f"x = bytearray({SIZE}); x[::{PAGE}] = b'x' * len(x[::{PAGE}]); input()"
     subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE)
     time.sleep(1000.0)
 
 
 def share_memory(_directory: Path) -> None:
     """Four children see the same memory, which they did not take."""
-    shared = bytearray(150_000_000)
-    shared[::4096] = b"x" * len(shared[::4096])
+    shared = bytearray(SIZE // 4)
+    shared[::PAGE] = b"x" * len(shared[::PAGE])
     children = []
     for _ in range(4):
         if (pid := os.fork()) == 0:

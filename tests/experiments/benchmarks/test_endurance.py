@@ -40,7 +40,7 @@ def test_each_minute_has_its_own_time_and_error() -> None:
     assert second_["process_ms"] == pytest.approx(20.0)
     assert first["error_mean_m"] == pytest.approx(0.1)
     assert second_["error_mean_m"] == pytest.approx(0.3)
-    assert 10.0 < first["resident_mb"] < 1e5
+    assert 10.0 < first["memory_mb"] < 1e5
 
 
 def test_a_long_survey_stays_in_the_field_of_a_short_one() -> None:
@@ -70,8 +70,8 @@ def test_row_and_plot(tmp_path: Path) -> None:
         "scene": "lake", "seed": 0, "outcome": "COMPLETED", "sim_s": 301.0,
         "error_mean_m": 0.0312, "error_max_m": 0.1, "nees_median": 2.0,
         "minutes": [{"until_s": 60.0, "estimator_ms": 20.0, "process_ms": 60.0,
-                     "resident_mb": 900.0, "error_mean_m": 0.02}] * 2,
-        "last_over_first": {"estimator_ms": 1.01, "process_ms": 1.03, "resident_mb": 1.002},
+                     "memory_mb": 900.0, "error_mean_m": 0.02}] * 2,
+        "last_over_first": {"estimator_ms": 1.01, "process_ms": 1.03, "memory_mb": 1.002},
     }  # fmt: skip
     assert "error 0.031 m" in row(flight) and "process 1.03, memory 1.002" in row(flight)
     plot([flight], tmp_path / "long.png")

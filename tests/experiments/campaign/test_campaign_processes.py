@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import mmap
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from touchdown.experiments.campaign.results_table import load_rows
+from touchdown.experiments.external import processes
+from touchdown.experiments.external.processes import memory_bytes
 
-from support.campaign_fakes import started
+from support.campaign_fakes import PAGE, SIZE, mapped_file, started
 from support.campaign_flights import (
     attempts,
     axes,
@@ -22,7 +27,7 @@ from support.campaign_flights import (
     wait_for,
 )
 
-LIMITS = "[limits]\nrun_timeout_s = 900\nmemory_gb = 0.35\nretries = 0\n"
+LIMITS = "[limits]\nrun_timeout_s = 900\nretries = 0\n"
 
 
 def flown(folder: Path, *behaviours: str, limits: str = LIMITS) -> dict[str, Any]:
@@ -68,14 +73,40 @@ def test_processes_of_a_run_are_gone_before_the_next(tmp_path: Path) -> None:
     assert set(attempts(tmp_path / "out").values()) == {1}
 
 
-def test_the_memory_of_a_child_counts(tmp_path: Path) -> None:
-    found = flown(tmp_path, "feeds_a_child")
-    assert found["feeds_a_child"] == ("CRASHED", "took more than 0.35 GB of memory")
+def test_the_memory_of_a_child_counts(tmp_path: Path, base_gb: float) -> None:
+    limit = round(base_gb + 0.25, 3)
+    found = flown(tmp_path, "feeds_a_child", limits=f"{LIMITS}memory_gb = {limit}\n")
+    assert found["feeds_a_child"] == ("CRASHED", f"took more than {limit:g} GB of memory")
 
 
-def test_memory_that_processes_share_counts_once(tmp_path: Path) -> None:
-    limits = LIMITS.replace("0.35", "0.6")
+def test_memory_that_processes_share_counts_once(tmp_path: Path, base_gb: float) -> None:
+    limits = f"{LIMITS}memory_gb = {base_gb + 0.25:.3f}\n"
     assert flown(tmp_path, "shares", limits=limits) == {"shares": ("COMPLETED", "")}
+
+
+def test_shared_pages_count_once_and_those_of_files_do_not() -> None:
+    size, file = SIZE // 4, os.memfd_create("shared")
+    os.truncate(file, size)
+    code = f"import mmap; x = mmap.mmap({file}, {size}); x[::{PAGE}]; print(flush=True); input()"
+    before = memory_bytes([os.getpid()])
+    with mmap.mmap(file, size) as pages, mapped_file():
+        pages[::PAGE] = b"x" * len(pages[::PAGE])
+        assert memory_bytes([os.getpid()]) - before == pytest.approx(size, rel=0.2)
+        child = subprocess.Popen(
+            [sys.executable, "-c", code], pass_fds=[file],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        )  # fmt: skip
+        assert child.stdout and child.stdout.readline()
+        together = memory_bytes([os.getpid(), child.pid], enough=0.0)
+        child.communicate(b"\n")
+    os.close(file)
+    assert together - before == pytest.approx(size, rel=0.2)
+
+
+def test_memory_is_known_where_kinds_of_pages_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    by_kind = memory_bytes([os.getpid()])
+    monkeypatch.setattr(processes, "_sizes", lambda *_: None)
+    assert memory_bytes([os.getpid()]) == pytest.approx(by_kind, rel=0.1)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])

@@ -26,14 +26,16 @@ BEHAVIOURS = (
     "segfaults",
     "is_killed_once",
     "grows",
+    "maps",
 )
 
 
 @pytest.fixture(scope="module")
-def faulty(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+def faulty(tmp_path_factory: pytest.TempPathFactory, base_gb: float) -> tuple[Path, dict[str, Any]]:
     folder = tmp_path_factory.mktemp("faulty")
     text = axes(scene=["flat"], estimator=[f"fake:{name}" for name in BEHAVIOURS])
-    plan = make_plan(folder, text + "[limits]\nrun_timeout_s = 900\nmemory_gb = 0.3\n")
+    limits = f"[limits]\nrun_timeout_s = 900\nmemory_gb = {base_gb + 0.25:.3f}\n"
+    plan = make_plan(folder, text + limits)
     return folder / "out", fly(plan, folder / "out", jobs=2)
 
 
@@ -51,7 +53,8 @@ def row_of(directory: Path, behaviour: str) -> dict[str, Any]:
         ("raises_once", "COMPLETED", 2, ""),
         ("segfaults", "CRASHED", 2, "SIGSEGV"),
         ("is_killed_once", "COMPLETED", 2, ""),
-        ("grows", "CRASHED", 1, "0.3 GB"),
+        ("grows", "CRASHED", 1, "GB of memory"),
+        ("maps", "COMPLETED", 1, ""),
     ],
 )
 def test_every_run_has_a_row_after_any_failure(
@@ -86,7 +89,7 @@ def test_only_unsuccessful_flights_are_recorded(faulty: tuple[Path, dict[str, An
 def test_no_partial_files_remain(faulty: tuple[Path, dict[str, Any]]) -> None:
     assert not (faulty[0] / ".partial").exists()
     totals = faulty[1]
-    assert (totals["finished"], totals["crashed"], totals["remaining"]) == (5, 3, 0)
+    assert (totals["finished"], totals["crashed"], totals["remaining"]) == (6, 3, 0)
     assert totals["flying"] == []
     shares = totals["estimators"]["fake:good"]["stage_share"]
     assert sum(shares.values()) == pytest.approx(1.0)

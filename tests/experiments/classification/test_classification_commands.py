@@ -59,7 +59,7 @@ def test_training_leaves_its_files(trained: Path) -> None:
 
 
 def test_both_engines_read_the_same_file(trained: Path) -> None:
-    from touchdown.landing.classification.footprint import load_classifier
+    from touchdown.landing.classification.learning.footprint import load_classifier
 
     engines = [load_classifier(trained, name) for name in ("onnx", "torch")]
     images = coloured(6, 8).images
@@ -89,7 +89,7 @@ def test_what_a_miss_costs_is_decided_at_the_end(
     trained: Path, folder: Path, tmp_path: Path, torch: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The same training, ended with a cost: the same scores but for one class, ln 10 more."""
-    from touchdown.landing.classification.footprint import load_classifier
+    from touchdown.landing.classification.learning.footprint import load_classifier
 
     out = tmp_path / "trained"
     shutil.copytree(trained.parent, out)

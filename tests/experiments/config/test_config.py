@@ -82,6 +82,7 @@ def test_every_parameter_of_every_group_has_a_key() -> None:
         ("survey.height_m=-3", ["height_m = -3 in --set survey.height_m=-3 must be positive"]),
         ("landing.min_safe_probability=1.5", ["= 1.5 in", "must be within 0 to 1"]),
         ("landing.max_slope_deg=90", ["must be above 0 and below 90"]),
+        ("landing.flatness_form=nonsense", ['= "nonsense"', "'corrected' or 'literal'"]),
         ("paper.planar_cells=[56, 0]", ["paper.planar_cells = [56, 0]", "must be positive"]),
         ("gps.sigma_xy_m=-0.5", ["gps.sigma_xy_m = -0.5", "must not be negative"]),
         ("sim.threads=3", ["must be within 1 to 2"]),

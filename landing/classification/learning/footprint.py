@@ -2,7 +2,7 @@
 
 As a program it prints one JSON object:
 
-python -m landing.classification.footprint FILE ENGINE REPEATS
+python -m landing.classification.learning.footprint FILE ENGINE REPEATS
 """
 
 from __future__ import annotations

@@ -1,0 +1,18 @@
+"""What a worker of fake flights takes on this machine."""
+
+from __future__ import annotations
+
+import pytest
+
+from touchdown.experiments.campaign.results_table import load_rows
+
+from support.campaign_flights import axes, fly, make_plan
+
+
+@pytest.fixture(scope="session")
+def base_gb(tmp_path_factory: pytest.TempPathFactory) -> float:
+    """Memory of a worker that has imported what a flight needs, as limits count it, GB."""
+    folder = tmp_path_factory.mktemp("base")
+    fly(make_plan(folder, axes(scene=["flat"], estimator=["fake:good"])), folder / "out")
+    (row,) = load_rows(folder / "out")
+    return float(row["worker_memory_mb"]) / 1e3
