@@ -152,6 +152,23 @@ def not_happened(wanted: bool | Sequence[str], row: Mapping[str, Any]) -> list[s
     ]
 
 
+def idle_conditions(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """One line for each condition that did not happen in some of the runs that name it."""
+    runs: dict[str, int] = {}
+    idle: dict[str, list[str]] = {}
+    for row in rows:
+        for one in conditions_of(row):
+            runs[one["name"]] = runs.get(one["name"], 0) + 1
+            if one.get("happened") is not True:
+                text = f"{row['run_id']}, {one.get('text', one['name'])}"
+                idle.setdefault(one["name"], []).append(text)
+    return [
+        f"condition '{name}' did not happen in {len(texts)} of {runs[name]} runs, "
+        f"such as {texts[0]}"
+        for name, texts in idle.items()
+    ]
+
+
 def demanded(
     expectations: Sequence[Mapping[str, Any]], values: Mapping[str, Any]
 ) -> Literal[True] | set[str]:

@@ -70,9 +70,7 @@ class Forecast:
         return asdict(self)
 
 
-def forecast(
-    plan: Plan, runs: Sequence[PlannedRun], directory: Path | None, jobs: int
-) -> Forecast:
+def forecast(plan: Plan, runs: Sequence[PlannedRun], directory: Path | None, jobs: int) -> Forecast:
     """Returns the forecast of some runs of ``plan`` with ``jobs`` flights at a time on this
     machine; rows of finished runs in ``directory`` give the cost of others like them. Writes
     nothing. Raises UsageError for a damaged row."""
@@ -149,13 +147,13 @@ def lines(found: Forecast) -> list[str]:
     for group in found.groups:
         source = "as measured" if group.measured else "as stated"
         text.append(
-            f"  {group.label:{width}}  {group.flights:4d} flights, {group.core_s:4.0f} core-seconds "
-            f"each {source}"
+            f"  {group.label:{width}}  {group.flights:4d} flights, "
+            f"{group.core_s:4.0f} core-seconds each {source}"
         )
     minutes = round(found.wall_s / 60.0)
     text.append(
-        f"to fly: {found.core_hours:.2f} core-hours, about {minutes // 60} h {minutes % 60:02d} min "
-        f"here with {found.jobs} at a time"
+        f"to fly: {found.core_hours:.2f} core-hours, about {minutes // 60} h "
+        f"{minutes % 60:02d} min here with {found.jobs} at a time"
     )
     if found.undemanded:
         text.append(f"conditions that no expectation demands: {', '.join(found.undemanded)}")

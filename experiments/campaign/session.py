@@ -178,6 +178,7 @@ def summary(directory: Path) -> dict[str, Any]:
         "wall_s": sum(session["wall_s"] for session in document["sessions"]),
         "estimators": _costs([row for row in rows if row["outcome"] != CRASHED]),
         "git_revisions": sorted({row["git_revision"] for row in rows if row["git_revision"]}),
+        "idle_conditions": expectations.idle_conditions(rows),
         "expectations": expectations.as_json(verdicts),
         "as_expected": expectations.all_as_expected(verdicts),
     }

@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.campaign.forecast import stated_core_s
-from touchdown.experiments.campaign.plan import config_for, Plan, PlannedRun, load_plan
+from touchdown.experiments.campaign.plan import Plan, PlannedRun, config_for, load_plan
 from touchdown.experiments.reporting.published import ANALYSED_SCENE
 from touchdown.experiments.reporting.published_networks import NETWORK_NAMES
 
 PLANS = Path(__file__).parent / "plans"
 PAPER_SCENES = ("crossroad", "lake", "houses", "forest")
 _QUICK_SITES = ("rooftop_parking", "footbridge")
+
 
 @dataclass(frozen=True, slots=True)
 class Recognition:
@@ -146,8 +147,7 @@ def digest(plan: Plan) -> str:
 
 
 def core_seconds(plan: Plan) -> float:
-    """CPU time of the flights of a plan on one core, as stated in `experiments.campaign.forecast`.
-    """
+    """CPU time of the flights of a plan on one core, by `experiments.campaign.forecast`."""
     return sum(_cost(plan.mode, run) for run in plan.runs)
 
 
