@@ -227,8 +227,8 @@ def _latency(config: Config) -> float:
 
 
 EXPOSURE_STOPS_PER_S = 0.05
-"""Least mean exposure error for each second of the control's time constant: a fifth of the 0.24 of a
-survey of `forest` in `harsh`"""
+"""Least mean exposure error for each second of the control's time constant: a fifth of the 0.24 of
+a survey of `forest` in `harsh`"""
 LEAST_SHEAR_PX = 0.1
 """Features are located to about a tenth of a pixel."""
 LEAST_PLANTS = 0.01

@@ -76,7 +76,7 @@ def scheduled() -> list[tuple[str, ...]]:
 
 def test_every_scheduled_fault_of_messages_happens() -> None:
     """The injector changes as many messages of a flight of a minute as the entries say."""
-    observations = world(FLIGHT_S * HZ)
+    observations = [obs for obs in world(FLIGHT_S * HZ) if obs.scans]
     schedules = scheduled()
     assert len(schedules) >= 15 and ("camera_black@20",) in schedules
     for events in schedules:
