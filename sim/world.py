@@ -311,11 +311,11 @@ class MujocoWorld:
 
     def _advance_tick(self, clearance_m: float) -> None:
         before = self._velocity.tolist()
-        turning = self._angular_velocity
+        relative_rate = self._angular_velocity
         if self._air_rotation is not None:  # relative to the air
-            turning = turning - matrix_from_quat_wxyz(self._quat).T @ self._air_rotation
+            relative_rate = relative_rate - matrix_from_quat_wxyz(self._quat).T @ self._air_rotation
         self._wrench[:] = self._rotors.step(
-            self._quat, self._velocity, turning, self._air, clearance_m
+            self._quat, self._velocity, relative_rate, self._air, clearance_m
         )
         mujoco.mj_step(self._model, self._data)
         self._tick += 1

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.campaign.run_names import AXES, run_name
 from touchdown.experiments.config.files import check_named_code, read_tree
-from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.config.keys import flatten, hint_for
 from touchdown.experiments.config.loading import (
     config_of,
     is_key,
@@ -263,7 +263,7 @@ def _axes(tree: Mapping[str, Any], source: str) -> dict[str, list[Any]]:
     for key, values in given.items():
         settable = is_key(key) and key not in _OWN_KEYS
         if key not in AXES and not settable:
-            hint = nearest(key, [*AXES, "seeds", *known_keys()])
+            hint = hint_for(key, [*AXES, "seeds", *known_keys()])
             raise UsageError(f"unknown axis '{key}' in {source}{hint}")
         if not isinstance(values, list) or not values:
             raise UsageError(f"axis '{key}' in {source} must be a list of one or more values")

@@ -75,8 +75,8 @@ class ConditionsObserver:
             for power in range(3):
                 self._latency[power] += latency_ms**power
 
-    def measured(self, record: WorldRecord, true: SensorRig, believed: SensorRig) -> Measured:
-        """Returns the figures of the flight. ``true``: the rig as it is, ``believed``: as the
+    def measured(self, record: WorldRecord, true: SensorRig, nominal: SensorRig) -> Measured:
+        """Returns the figures of the flight. ``true``: the rig as it is, ``nominal``: as the
         estimator knows it."""
         steps, samples, images = (max(n, 1) for n in (self._steps, self._samples, self._grey[0]))
         scans, total, squares = self._latency
@@ -94,7 +94,7 @@ class ConditionsObserver:
                 math.sqrt(max(squares / scans - latency**2, 0.0)) if scans else None
             ),
             readout_shear_px=true.camera.fx * true.camera_readout_s * rate if self._steps else None,
-            **calibration_errors(true, believed),
+            **calibration_errors(true, nominal),
             **record.deviations,
             **_of_sensors(sensors.get("scans", {}), sensors.get("images", {}), sensors["air"]),
         )

@@ -10,6 +10,7 @@ from touchdown.experiments.flight.conditions import ConditionsObserver
 from touchdown.experiments.io.results import Event, PhaseStart
 from touchdown.experiments.recording.run_recorder import Recorder
 from touchdown.experiments.recording.step_record import StepRecord
+from touchdown.landing.api import Decision
 from touchdown.sim.api import WindParams
 
 Progress = Callable[[float, str, str], None]
@@ -62,6 +63,8 @@ class StepObserver:
         self.phases = PhaseLog()
         self.slowed_s = 0.0
         """time by which wind has made the lander's trajectories longer than they were set"""
+        self.decisions: tuple[Decision, ...] = ()
+        """of the lander so far"""
         self.conditions = ConditionsObserver(roughness_length_m)
         self._recorder = recorder
         self._progress = progress
@@ -75,6 +78,7 @@ class StepObserver:
         self.events.add(step.estimate.time_s, step.estimate.events)
         self.events.add(time_s, step.lander_view.events)
         self.slowed_s = step.lander_view.slowed_s
+        self.decisions = step.lander_view.decisions
         self.phases.add(time_s, phase)
         self.conditions.tick(step)
         self._latest_map = step.map_view.coarse

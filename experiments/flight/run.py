@@ -102,7 +102,7 @@ def _sensor_log(folder: Path, stack: FlightStack) -> SensorLog:
     from touchdown.experiments.io.sensor_log import FILE_NAME, SensorLog
 
     shared = stack.mapper.needs | stack.lander.needs
-    return SensorLog(folder / FILE_NAME, stack.believed_rig, stack.estimator.needs | shared, shared)
+    return SensorLog(folder / FILE_NAME, stack.nominal_rig, stack.estimator.needs | shared, shared)
 
 
 def fly_and_judge(

@@ -20,7 +20,7 @@ from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.external.loading import check_external, is_external
 from touchdown.experiments.external.wrapper import ExternalEstimator
 from touchdown.experiments.flight.bias_injection import BiasedEstimator
-from touchdown.experiments.flight.estimator_calibration import believed_rig
+from touchdown.experiments.flight.estimator_calibration import nominal_rig
 from touchdown.landing.api import Lander
 from touchdown.scenes.api import LowSun, Scene
 from touchdown.scenes.registry import scene_names
@@ -45,7 +45,7 @@ class FlightStack:
     controller: Controller
     record: Callable[[], WorldRecord]
     """what the world has done to the flight so far, for the result alone"""
-    believed_rig: SensorRig
+    nominal_rig: SensorRig
     """the rig as the estimator knows it"""
     network: dict[str, Any] | None = None
     """the network of the ground classifier, for the result; None without one"""
@@ -92,7 +92,7 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
     classifier = build_classifier(config)
     world = make_world(config, scene)
     try:
-        rig = believed_rig(world.rig, config)
+        rig = nominal_rig(world.rig, config)
         estimator = _biased(make_estimator(rig, world.truth), config)
     except ValueError:
         world.close()
@@ -112,7 +112,7 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         lander=lander,
         controller=controller,
         record=world.record,
-        believed_rig=rig,
+        nominal_rig=rig,
         network=None if classifier is None else classifier.description(),
     )
 

@@ -48,7 +48,7 @@ class RowExposures:
         self.takes_time = takes_time(params, light)
         height = params.height
         self._row_s = (np.arange(height) / max(height - 1, 1) - 1.0) * params.readout_s
-        self._still = identity_shifts(height)
+        self._identity = identity_shifts(height)
         self._control = AutoExposure(params)
         if self.takes_time:
             self._noise = sensor_noise(height, params.width, key)
@@ -70,11 +70,11 @@ class RowExposures:
         gets. ``motion`` about the drawing; ``end_s``: time from it to the last row. None: at rest,
         with an exposure that has settled."""
         if not self.takes_time:
-            shifts = self._still if motion is None else self._at(motion, end_s, 0.0, 1)
+            shifts = self._identity if motion is None else self._at(motion, end_s, 0.0, 1)
             return self._film.shown(drawn, depth, shifts, grey_noise, place), 1.0
         lamp = self._field if shines(self._lamp, depth, self._lux) else None
         lux = mean_light(drawn, depth, lamp, self._lux)
-        shifts = self._still
+        shifts = self._identity
         if motion is None:
             exposure = self._control.settled(lux)
         else:
