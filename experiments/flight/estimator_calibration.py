@@ -112,8 +112,8 @@ def _with(rig: SensorRig, camera: CameraIntrinsics, camera_from_lidar: Pose) -> 
 
 def calibration_errors(true: SensorRig, nominal: SensorRig) -> dict[str, float]:
     """``mount_error_deg``, the larger of the rotations by which camera and LIDAR sit otherwise on
-    the IMU than the nominal calibration says, and ``lens_error_px``, by which a corner of the image is moved at most:
-    principal point and distortion."""
+    the IMU than the nominal calibration says, and ``lens_error_px``, by which a corner of the image
+    is moved at most: principal point and distortion."""
     rotations = [
         np.linalg.norm(so3_log(getattr(true, name).rotation.T @ getattr(nominal, name).rotation))
         for name in ("body_from_camera", "body_from_lidar")

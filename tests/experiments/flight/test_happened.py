@@ -15,7 +15,7 @@ from touchdown.experiments.flight.happened import (
     judge_fault,
     named_conditions,
 )
-from touchdown.experiments.io.results import Measured
+from touchdown.experiments.io.measured import Measured
 from touchdown.sim.faults.types import parse_fault
 
 from support.worlds import load_ideal_config as load_config
