@@ -25,7 +25,6 @@ from touchdown.sim.effects import Effects
 from touchdown.sim.faults.disturbances import Disturbances
 from touchdown.sim.faults.weather import Weather
 from touchdown.sim.frames import so3_log
-from touchdown.sim.lidar.patterns.livox import pattern
 from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.moving import BodyTrack, MovingBodies
@@ -50,7 +49,6 @@ class ImagingSensors:
         """True extrinsics of all sensors"""
         ticks = self._sim.lidar_scan_ticks
         self._positions, self._quats = np.empty((ticks + 1, 3)), np.empty((ticks + 1, 4))
-        pattern(params.lidar.preset)  # an unknown one is an error even where no LIDAR is needed
         dusty = params.dust.density > 0.0
         self._dust = DustCloud(scene, params.dust) if dusty else None
         self.plants = SurfaceDetail.plants_of(params.lidar, scene)
@@ -229,5 +227,6 @@ class ImagingSensors:
             rgb=taken(self.camera),
             right_rgb=taken(self._right) if self._right else None,
         )
+        self.camera.effects.note(("stamp_error_ms",), 1.0, 1e3 * abs(stamp.time_s - tick / hz))
         self.camera.effects.end_message()
         return image

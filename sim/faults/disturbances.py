@@ -7,7 +7,7 @@
 - gust: the discrete gust of MIL-F-8785C, V = Vm / 2 (1 - cos(pi x / d)), x the distance into it.
   A hovering vehicle is swept by it: x / d is time over the time of rise. Past its peak it falls
   as it rose, and a fault is a row of such gusts (they may be used singly or in multiples);
-- miscalibration: the LIDAR sits turned and shifted on the body, by stated amounts, about an axis
+- miscalibration: the LIDAR sits rotated and displaced on the body, by stated amounts, about an axis
   and in a direction drawn from the seed.
 """
 
@@ -136,7 +136,7 @@ def gust_count(fault: Fault, rise_s: float) -> float:
 
 
 def _knock(params: FaultParams, seed: int) -> Pose:
-    """Turn (LIDAR axes) and shift (body axes) of exactly the stated sizes."""
+    """Rotation (LIDAR axes) and translation (body axes) of exactly the stated sizes."""
     axis, way = random_stream(seed, "miscalibration").standard_normal((2, 3))
-    turn = math.radians(params.miscalibration_deg) * axis / np.linalg.norm(axis)
-    return Pose(so3_exp(turn), params.miscalibration_m * way / np.linalg.norm(way))
+    rotation = math.radians(params.miscalibration_deg) * axis / np.linalg.norm(axis)
+    return Pose(so3_exp(rotation), params.miscalibration_m * way / np.linalg.norm(way))

@@ -173,8 +173,8 @@ class _FaultyStream:
         """The message with the time stamps of a clock that has an offset and a drift."""
         hz, params = self._tick_hz, self._params
         since_s = max(0, _measured(message) - start_tick) / hz
-        shift = round((params.skew_s + 1e-6 * params.skew_ppm * since_s) * hz)
-        ticks = {n: getattr(message, n) + shift for n in _STAMPS[type(message)] if "tick" in n}
+        offset = round((params.skew_s + 1e-6 * params.skew_ppm * since_s) * hz)
+        ticks = {n: getattr(message, n) + offset for n in _STAMPS[type(message)] if "tick" in n}
         times = {
             # what a stamp has beside its tick stays
             (time := n.replace("tick", "time_s")): tick / hz
