@@ -86,7 +86,8 @@ def _find_ground(
     count, mean, spread = layers
     own = mean.copy()
     side = 2 * round(_SLOPE_REACH_M / cell_m) + 1
-    near = cv2.dilate(wanted.astype(np.uint8), np.ones((side, side), np.uint8))
+    square = np.ones((side, side), np.uint8)
+    near: Bytes = cv2.dilate(wanted.astype(np.uint8), square).astype(np.uint8)
     ends = np.empty((*mean.shape, 2), np.uint8)
     _own_modes(histogram, base, spread, near, own, ends)
     slope_reach, reach = round(_SLOPE_REACH_M / cell_m), round(_REACH_M / cell_m)
