@@ -9,6 +9,7 @@ from touchdown.estimator.api import GridMap
 from touchdown.experiments.io.results import Event, PhaseStart
 from touchdown.experiments.recording.run_recorder import Recorder
 from touchdown.experiments.recording.step_record import StepRecord
+from touchdown.landing.api import Decision
 
 Progress = Callable[[float, str, str], None]
 """Called with simulated seconds, phase and note."""
@@ -55,6 +56,8 @@ class StepObserver:
         self.phases = PhaseLog()
         self.slowed_s = 0.0
         """time by which wind has made the lander's trajectories longer than they were set"""
+        self.decisions: tuple[Decision, ...] = ()
+        """of the lander so far"""
         self._recorder = recorder
         self._progress = progress
         self._next_s = 0.0
@@ -67,6 +70,7 @@ class StepObserver:
         self.events.add(step.estimate.time_s, step.estimate.events)
         self.events.add(time_s, step.lander_view.events)
         self.slowed_s = step.lander_view.slowed_s
+        self.decisions = step.lander_view.decisions
         self.phases.add(time_s, phase)
         self._latest_map = step.map_view.coarse
         if self._progress is not None and time_s >= self._next_s:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import GridMap
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.external.loading import flown_code
+from touchdown.experiments.flight.choice import choice_of
 from touchdown.experiments.flight.metrics import levelness_error_deg
 from touchdown.experiments.flight.observers import StepObserver
 from touchdown.experiments.flight.referee import Judgement
@@ -55,6 +56,7 @@ def make_result(
         slowed_s=observer.slowed_s,
         nees=judgement.nees,
         landing=judgement.landing,
+        choice=choice_of(observer.decisions),
         classifier=stack.network or "off",
         map=_map_figures(stack, judgement, observer.judged_map, config.seed),
         timing=_timing(clock, judgement.sim_s),

@@ -104,6 +104,63 @@ class Landing(_Part):
         return ground_safe(self.judged_on, safe=self.safe, safe_geometry=self.safe_geometry)
 
 
+class SiteTerm(_Part):
+    """A term of a site's value; see `landing.api.ScoreTerm`."""
+
+    name: str
+    value: Figure = None
+    quantity: Figure = None
+    unit: str = ""
+
+
+class CandidateSite(_Part):
+    """A candidate site; see `landing.api.Candidate`."""
+
+    rank: int
+    position_m: PointXYZ = None
+    """world frame, by the estimate of the decision's moment; None where its height is unknown"""
+    accepted: bool
+    rule: str
+    reason: str
+    value: Figure = None
+    terms: list[SiteTerm] = []
+    cluster_bonus: Figure = None
+    c_sum: Figure = None
+    slope_deg: Figure = None
+    roughness_m: Figure = None
+    step_m: Figure = None
+    clearance_m: Figure = None
+    safe_probability: Figure = None
+    class_predicted: str | None = None
+    class_probability: Figure = None
+
+
+class EarlierDecision(_Part):
+    """A decision that led to no landing."""
+
+    time_s: float
+    candidates: int
+    rules: dict[str, int] = {}
+    """number of candidates that each rule refused"""
+    why: str = ""
+    given_up: str = ""
+    """reason why its site was given up; empty where it had none"""
+
+
+class Choice(_Part):
+    """The last decision of a flight, and those before it."""
+
+    time_s: float
+    scorer: str
+    why: str
+    """why the first candidate won, or why there was none"""
+    given_up: str = ""
+    """reason why the site was given up from closer; empty where it was not"""
+    candidates: list[CandidateSite] = []
+    """in the order of rank"""
+    earlier: list[EarlierDecision] = []
+
+
 class LevelnessError(_Part):
     """Angle between the normals of map and true ground, in degrees, over ``places`` discs."""
 
@@ -186,6 +243,8 @@ class RunResult(_Part):
     nees: Nees | None = None
     landing: Landing | None = None
     """None where nothing was touched"""
+    choice: Choice | None = None
+    """None where no site was to be chosen"""
     classifier: dict[str, Any] | str | None = None
     """the network of the ground classifier, or ``off``"""
     map: MapFigures | None = None

@@ -118,7 +118,7 @@ def _class_refusal(mission: Mission, position: Array) -> str | None:
     )
     refusal = mission.class_check.refusal(site_class, mission.takes_risky)
     mission.site_class = site_class
-    return refusal
+    return None if refusal is None else refusal.text
 
 
 def _sweep(mission: Mission) -> Steps:

@@ -58,7 +58,7 @@ def look_again(
         return Look(position_odom=None, reason="the site lies outside the fine map")
     if landable.mask[row, col]:
         return _checked_plane(raster, site_odom[:2], params, "as selected")
-    defect = explain(raster, landable, row, col, params, margin)
+    defect = explain(raster, landable, row, col, params, margin).text
     x, y = raster.offsets_from(site_odom)
     away = np.hypot(x[None, :], y[:, None])
     room = np.minimum(distance_to(~landable.mask, raster.cell_m), _ENOUGH_ROOM_M)
