@@ -53,8 +53,8 @@ def check_scene(config: Config, figure: Path | None = None) -> dict[str, Any]:
 
     ``chosen_safe`` (None where nothing was accepted), ``accepted`` and ``accepted_safe`` sites;
     ``cells``: numbers of surveyed cells that are safe, allowed, and both; ``clearance_m`` of the
-    chosen site and ``best_clearance_m``: distance to the nearest unsafe ground, at most 3 m; ``sample``:
-    predicted probabilities and truth of evenly spread cells, with their features.
+    chosen site and ``best_clearance_m``: distance to the nearest unsafe ground, at most 3 m;
+    ``sample``: predicted probabilities and truth of evenly spread cells, with their features.
     """
     surveyed = posed_survey(config)
     truth = truth_maps(surveyed.scene, TRUTH_CELL_M, _region(surveyed))
