@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -83,8 +84,9 @@ def _map_figures(stack: FlightStack, judgement: Judgement, grid: GridMap, seed: 
     """``density_per_m2``: returns per square metre of the mapped area at the end of the survey."""
     seen = grid.count > 0
     area = float(seen.sum()) * grid.cell_m**2
+    ground = dataclasses.replace(grid, height_m=grid.ground().height_m)
     errors: NDArray[np.float64] = levelness_error_deg(
-        grid, TruthLookup(stack.scene).surface_points, seed
+        ground, TruthLookup(stack.scene).surface_points, seed
     )
     return MapFigures(
         duration_s=judgement.survey_s,

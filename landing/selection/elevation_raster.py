@@ -28,6 +28,12 @@ class ElevationRaster:
     cell_m: float
     count: Float32
     height: Float32
+    """mean of the returns"""
+    ground: Float32
+    """height of the ground also under plants, see ``GridMap.ground``; NaN where it was
+    not seen"""
+    ground_std: Float32
+    """standard deviation of ``ground``"""
     std: Float32
     low: Float32
     high: Float32
@@ -81,6 +87,8 @@ class ElevationRaster:
             cell_m=self.cell_m,
             count=self.count[rows, cols],
             height=self.height[rows, cols],
+            ground=self.ground[rows, cols],
+            ground_std=self.ground_std[rows, cols],
             std=self.std[rows, cols],
             low=self.low[rows, cols],
             high=self.high[rows, cols],
@@ -91,20 +99,32 @@ class ElevationRaster:
         )
 
 
-def observed_raster(grid: GridMap) -> ElevationRaster | None:
-    """Returns the bounding box of all cells with returns or missing pulses, None for an empty map.
+def observed_raster(
+    grid: GridMap, xy: Array | None = None, half_width_m: float = 0.0
+) -> ElevationRaster | None:
+    """Returns the bounding box of all cells with returns or missing pulses, of the whole map or of
+    the square of ``half_width_m`` around ``xy`` (2,); None where there are none.
 
-    The layers are views: the mapper writes to them in later control steps."""
+    The layers are views, except the ground: the mapper writes to them in later control steps."""
     seen = (grid.count > 0.0) | (grid.missing > 0.0)
+    if xy is not None:
+        x, y = (np.asarray(xy)[:2] - grid.origin_xy_m) / grid.cell_m
+        cells = np.arange(max(seen.shape)) + 0.5
+        reach = half_width_m / grid.cell_m + 1.0
+        seen &= np.abs(cells[: seen.shape[0], None] - y) <= reach
+        seen &= np.abs(cells[None, : seen.shape[1]] - x) <= reach
     rows, cols = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
     if rows.size == 0:
         return None
     box = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+    ground = grid.ground(box)
     return ElevationRaster(
         origin_xy_m=grid.origin_xy_m + np.array([cols[0], rows[0]]) * grid.cell_m,
         cell_m=grid.cell_m,
         count=grid.count[box],
         height=grid.height_m[box],
+        ground=ground.height_m,
+        ground_std=ground.std_m,
         std=grid.height_std_m[box],
         low=grid.min_height_m[box],
         high=grid.max_height_m[box],
@@ -133,6 +153,11 @@ def pooled(raster: ElevationRaster, factor: int) -> ElevationRaster:
     spread = blocks(raster.std) ** 2 + (blocks(raster.height) - mean[:, None, :, None]) ** 2
     variance = np.nansum(weight * spread, axis=(1, 3)) / safe_total
     intensity = np.nansum(weight * blocks(raster.intensity), axis=(1, 3)) / safe_total
+    ground = blocks(raster.ground)
+    beneath = np.where(np.isfinite(ground), weight, 0.0)
+    safe_beneath = np.where(beneath.sum(axis=(1, 3)) > 0.0, beneath.sum(axis=(1, 3)), np.nan)
+    ground_mean = np.nansum(beneath * ground, axis=(1, 3)) / safe_beneath
+    ground_std = np.nansum(beneath * blocks(raster.ground_std), axis=(1, 3)) / safe_beneath
     high = np.where(np.isfinite(blocks(raster.high)), blocks(raster.high), -np.inf)
     top = high.max(axis=(1, 3))
     low = np.where(np.isfinite(blocks(raster.low)), blocks(raster.low), np.inf)
@@ -146,6 +171,8 @@ def pooled(raster: ElevationRaster, factor: int) -> ElevationRaster:
         cell_m=raster.cell_m * factor,
         count=count.sum(axis=(1, 3)).astype(np.float32),
         height=mean.astype(np.float32),
+        ground=ground_mean.astype(np.float32),
+        ground_std=ground_std.astype(np.float32),
         std=np.sqrt(variance).astype(np.float32),
         low=np.where(np.isfinite(bottom), bottom, np.nan).astype(np.float32),
         high=np.where(np.isfinite(top), top, np.nan).astype(np.float32),
