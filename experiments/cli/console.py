@@ -66,6 +66,8 @@ def print_result(result: RunResult, out_dir: Path | None) -> None:
         table.add_row("remark", remark)
     console.print(table)
     _print_choice(result, console)
+    for line in condition_lines(result):
+        console.print(line, soft_wrap=True)
     for line in _last_events(result):
         console.print(line, soft_wrap=True)
     if out_dir is not None:
@@ -117,6 +119,16 @@ def _remark(result: RunResult) -> str:
     if kind not in RISKY_CLASSES or result.classifier != "off":
         return ""
     return f"a {kind} is risky ground; ground classification was off"
+
+
+def condition_lines(result: RunResult) -> list[str]:
+    """One line for each condition of a flight; those that did not happen begin with ``warning``."""
+    return [
+        visible(str(one.get("text", one.get("name"))))
+        if one.get("happened") is True
+        else f"warning: did not happen: {visible(str(one.get('text', one.get('name'))))}"
+        for one in result.conditions
+    ]
 
 
 def _last_events(result: RunResult) -> list[str]:

@@ -16,7 +16,7 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.calibration_file import CalibrationFile, read_calibration
 from touchdown.sim.api import CameraIntrinsics, SensorRig
-from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, yaw_from_rotation
+from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log, yaw_from_rotation
 
 Array = NDArray[np.float64]
 
@@ -108,6 +108,24 @@ def _relative(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> Sens
 
 def _with(rig: SensorRig, camera: CameraIntrinsics, camera_from_lidar: Pose) -> SensorRig:
     return replace(rig, camera=camera, body_from_lidar=rig.body_from_camera @ camera_from_lidar)
+
+
+def calibration_errors(true: SensorRig, nominal: SensorRig) -> dict[str, float]:
+    """``mount_error_deg``, the larger of the rotations by which camera and LIDAR sit otherwise on
+    the IMU than the nominal calibration says, and ``lens_error_px``, by which a corner of the image
+    is moved at most: principal point and distortion."""
+    rotations = [
+        np.linalg.norm(so3_log(getattr(true, name).rotation.T @ getattr(nominal, name).rotation))
+        for name in ("body_from_camera", "body_from_lidar")
+    ]
+    one, other = true.camera, nominal.camera
+    terms = np.abs(other.distortion - one.distortion)[:_DISTORTION_TERMS]
+    moved = corner_displacement_px(one) * terms
+    center = math.hypot(other.cx - one.cx, other.cy - one.cy)
+    return {
+        "mount_error_deg": math.degrees(float(max(rotations))),
+        "lens_error_px": center + float(moved.sum()),
+    }
 
 
 # -------------------------------------------------------------------------- against the IMU

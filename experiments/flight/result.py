@@ -12,6 +12,7 @@ from touchdown.estimator.api import GridMap
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.external.loading import flown_code
 from touchdown.experiments.flight.choice import choice_of
+from touchdown.experiments.flight.happened import as_json, judge_conditions
 from touchdown.experiments.flight.metrics import levelness_error_deg
 from touchdown.experiments.flight.observers import StepObserver
 from touchdown.experiments.flight.referee import Judgement
@@ -39,6 +40,9 @@ def make_result(
     code: dict[str, Any] = dict(flown_code(config.estimator))
     origin = stack.scene.origin_m
     moved: dict[str, Any] = {"origin_m": (*origin.tolist(),)} if origin.any() else {}
+    record = stack.record()
+    measured = observer.conditions.measured(record, stack.world.rig, stack.nominal_rig)
+    conditions = judge_conditions(config, measured, record.faults, judgement.sim_s)
     return RunResult(
         outcome=str(judgement.outcome),
         reason=judgement.reason,
@@ -66,7 +70,9 @@ def make_result(
         events=observer.events.kept,
         event_count=observer.events.count,
         phases=observer.phases.kept,
-        faults=stack.faults(),
+        faults=record.faults,
+        measured=measured,
+        conditions=as_json(conditions),
     )
 
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-import math
 import types
 import typing
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchdown.experiments.errors import UsageError, input_message, plain_fault, reason_of
 from touchdown.experiments.io.foreign import read_object
+from touchdown.experiments.io.measured import Figure, Measured
 from touchdown.experiments.io.provenance import plain_json
 
 SUCCESS_WITHOUT_LANDING = "COMPLETED"
@@ -22,13 +22,6 @@ JUDGED_BY_CLASS, JUDGED_BY_GEOMETRY = "geometry and class", "geometry"
 _LARGEST_SEED = 2**63 - 1
 
 
-def _finite(value: Any) -> Any:
-    """None for NaN and infinities, which JSON has no number for."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-Figure = Annotated[float | None, BeforeValidator(_finite)]
-"""A measured number; None where the run has none."""
 PointXY = Annotated[tuple[float, float] | None, Field(strict=False)]
 """World x and y in metres; None where the run has no such point."""
 
@@ -255,6 +248,9 @@ class RunResult(_Part):
     event_count: int = 0
     phases: list[PhaseStart] = []
     faults: list[dict[str, Any]] = []
+    measured: Measured | None = None
+    conditions: list[dict[str, Any]] = []
+    """verdicts of `experiments.flight.happened`"""
 
     @property
     def is_success(self) -> bool:
