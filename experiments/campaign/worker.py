@@ -40,6 +40,7 @@ from touchdown.experiments.external.processes import (
     descendants,
     die_with_parent,
     memory_bytes,
+    release_memory,
 )
 from touchdown.experiments.flight.run import fly_with_usage_errors
 from touchdown.experiments.io.foreign import inside
@@ -113,6 +114,7 @@ def _fly_into_place(task: Task, config: Config, run_dir: Path) -> RunResult:
     try:
         out = staging / task.run_id
         result = _runner(task)(config, out)
+        release_memory()
         row = make_row(
             result,
             task.run_id,
