@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import importlib
 import os
 import sys
+import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -241,7 +245,8 @@ def gl_context(width: int, height: int) -> Any:
     for backend in (asked,) if asked else BACKENDS:
         os.environ["MUJOCO_GL"] = backend
         try:
-            return _open(backend, width, height)
+            with _without_words():
+                return _open(backend, width, height)
         except Exception as failure:  # every backend fails in its own way
             failures.append(f"{backend}: {failure}")
             if not asked:
@@ -253,6 +258,23 @@ def gl_context(width: int, height: int) -> Any:
         "(Debian: libegl1 libgl1-mesa-dri) or OSMesa (libosmesa6), or set MUJOCO_GL to egl, osmesa "
         "or glfw"
     )
+
+
+@contextlib.contextmanager
+def _without_words() -> Iterator[None]:
+    """Drops the warnings of a backend that fails, and of its context that is half made."""
+    hook = sys.unraisablehook
+    sys.unraisablehook = lambda _fault: None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except Exception as failure:
+        failure.__traceback__ = None  # its frames hold the context
+        gc.collect()
+        raise
+    finally:
+        sys.unraisablehook = hook
 
 
 def _open(backend: str, width: int, height: int) -> Any:
