@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import duckdb
     import pyarrow as pa
 
-MOST_ROWS, MOST_BYTES = 1_000_000, 256 << 20
+MOST_ROWS, MOST_BYTES = 1_000_000, 128 << 20
 """of one result"""
 MEMORY_BYTES = 1 << 30
 """of a query's process, for the table of the runs and all made of it; nothing goes to the disk"""
