@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from touchdown.experiments.campaign.forecast import forecast
 from touchdown.experiments.campaign.plan import Plan
 from touchdown.experiments.campaign.results_table import finished_ids, is_campaign, load_rows
 from touchdown.experiments.campaign.session import Watcher, fly_campaign, make_engine
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.provenance import DIRTY, UNRECORDED_REMEDY, git_revision
 from touchdown.experiments.results_book.sets import FlightSet
-
-CORE_SECONDS: Mapping[tuple[str, str], float] = {
-    ("land", "livo"): 95.0,
-    ("fly", "livo"): 55.0,
-    ("fly", "paper"): 80.0,
-    ("fly", "oracle"): 35.0,
-    ("fly", "stereo"): 30.0,
-    ("fly", "hybrid_flow"): 20.0,
-    ("fly", "optical_flow"): 20.0,
-    ("fly", "gps"): 10.0,
-}
-"""CPU time of one flight in profile `field` on one core, by mode and estimator"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,13 +30,9 @@ def costs(sets: Sequence[FlightSet], out: Path) -> Iterator[Cost]:
     """The cost of each set, of the flights that ``out`` lacks."""
     for found in sets:
         plan = found.plan()
-        finished = finished_ids(out / found.key)
-        left = [run for run in plan.runs if run.run_id not in finished]
-        core_s = sum(
-            CORE_SECONDS.get((plan.mode, str(run.values["estimator"])), max(CORE_SECONDS.values()))
-            for run in left
-        )
-        yield Cost(found.key, len(plan.runs), len(left), core_s)
+        expected = forecast(plan, plan.runs, out / found.key, 1)
+        left = expected.flights - expected.finished
+        yield Cost(found.key, expected.flights, left, 3600.0 * expected.core_hours)
 
 
 def fly(
