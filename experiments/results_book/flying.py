@@ -2,37 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.campaign.forecast import forecast
+from touchdown.experiments.campaign.forecast import Forecast, forecast
 from touchdown.experiments.campaign.plan import Plan
 from touchdown.experiments.campaign.results_table import finished_ids, is_campaign, load_rows
-from touchdown.experiments.campaign.session import Watcher, fly_campaign, make_engine
+from touchdown.experiments.campaign.session import Watcher, default_jobs, fly_campaign, make_engine
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.provenance import DIRTY, UNRECORDED_REMEDY, git_revision
 from touchdown.experiments.results_book.sets import FlightSet
 
 
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """Flights of a set that are not flown yet, and their CPU time."""
-
-    name: str
-    flights: int
-    left: int
-    core_s: float
-
-
-def costs(sets: Sequence[FlightSet], out: Path) -> Iterator[Cost]:
+def forecasts(sets: Sequence[FlightSet], out: Path, jobs: int | None) -> list[Forecast]:
     """The cost of each set, of the flights that ``out`` lacks."""
-    for found in sets:
-        plan = found.plan()
-        expected = forecast(plan, plan.runs, out / found.key, 1)
-        left = expected.flights - expected.finished
-        yield Cost(found.key, expected.flights, left, 3600.0 * expected.core_hours)
+    at_once = jobs or default_jobs()
+    return [forecast(plan := found.plan(), plan.runs, out / found.key, at_once) for found in sets]
 
 
 def fly(
