@@ -11,14 +11,17 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 
 export MUJOCO_GL ?= egl
 
+PROFILE ?= field
+
 .DEFAULT_GOAL := help
-.PHONY: help land test check bench docs format clean
+.PHONY: help land test check bench results docs format clean
 
 help:
 	@echo "make land    set everything up, fly over crossroad and land"
 	@echo "make test    the tests"
 	@echo "make check   style, types, architecture"
 	@echo "make bench   real-time factor and the time of each stage"
+	@echo "make results fly what README and the results pages print; write their tables"
 	@echo "make docs    the pages as a site, in site/"
 	@echo "make format  put the sources in order"
 	@echo "make clean   remove the environment and what was built"
@@ -37,6 +40,10 @@ check: $(READY_TO_TEST)
 
 bench: $(READY)
 	$(BIN)/touchdown bench loop
+
+# PROFILE=ideal flies and writes the second set.
+results: $(READY)
+	$(BIN)/touchdown results --profile $(PROFILE) --out runs/results --write
 
 docs: $(READY_FOR_DOCS)
 	NO_MKDOCS_2_WARNING=1 PATH=$(abspath $(BIN)):$$PATH $(BIN)/mkdocs build

@@ -18,7 +18,11 @@ class BuildWithRevision(build_py):
             return
         try:
             call = subprocess.run(
-                ["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
+                ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
+                cwd=ROOT,
+                capture_output=True,
+                text=True,
+                check=False,
             )
         except OSError:
             return

@@ -139,7 +139,7 @@ class CascadeController:
     def _settle(self, force: Array, wrench: Array, achieved: Array) -> None:
         """Integrates both PIDs with back-calculation of what tilt limit and rotors did not
         deliver."""
-        missing, missing_turn = _undelivered(
+        missing, missing_angular = _undelivered(
             force,
             self._unlimited_force,
             achieved,
@@ -148,7 +148,7 @@ class CascadeController:
             self._vehicle.inertia_kgm2,
         )
         self._velocity_pid.settle(missing)
-        self._rate_pid.settle(missing_turn)
+        self._rate_pid.settle(missing_angular)
 
 
 # Whole steps are compiled, not single lines: on vectors of three the calls dominate the cost.

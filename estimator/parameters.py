@@ -6,6 +6,10 @@ from dataclasses import dataclass
 
 from touchdown.sim.api import FORBID_EXTRA, Count, CountOrZero, Fraction, NotNegative, Positive
 
+HEIGHT_BIN_M = 0.02
+"""width of a bin of `estimator.api.GridMap.histogram`"""
+HEIGHT_BINS = 32
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MapperParams:
@@ -89,9 +93,9 @@ class LivoParams:
     filter, Brink 2017); 0: they only widen the covariance"""
     image_calibration_gain: Fraction = 0.0
     """the same of an image"""
-    mount_turn_sigma_deg: NotNegative = 0.03
+    mount_rotation_sigma_deg: NotNegative = 0.03
     """prior of the calibration errors: LIDAR relative to camera and IMU"""
-    mount_shift_sigma_m: NotNegative = 0.003
+    mount_translation_sigma_m: NotNegative = 0.003
     """the same of the translation"""
     focal_sigma: NotNegative = 5e-4
     """the same of the focal length, relative"""
@@ -99,12 +103,10 @@ class LivoParams:
     """the same of the principal point"""
     camera_clock_sigma_s: NotNegative = 0.005
     """prior of the offset of the camera's clock from the IMU's; 0: no offset"""
-    camera_turn_sigma_deg: NotNegative = 0.0
+    camera_rotation_sigma_deg: NotNegative = 0.0
     """prior of the calibration errors: camera relative to the IMU"""
-    camera_shift_sigma_m: NotNegative = 0.0
+    camera_translation_sigma_m: NotNegative = 0.0
     """the same of the translation"""
-    lidar_clock_sigma_s: NotNegative = 0.0
-    """prior of the offset of the LIDAR's clock from the IMU's"""
     imu_scale_sigma: NotNegative = 0.0
     """prior of the relative scale errors of gyroscope and accelerometer"""
     gyro_misalignment_sigma_deg: NotNegative = 0.0

@@ -63,15 +63,14 @@ class StartParams:
     attitude_known: bool = True
     """False: position and heading only; roll and pitch are for the estimator to find"""
     tilt_sigma_deg: Annotated[float, Interval(gt=0.0, le=30.0)] = 3.0
-    """standard deviation of roll and pitch on the ground, as told to estimators that must find
-    them"""
+    """standard deviation of roll and pitch on the ground, for estimators that must find them"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CalibrationErrorParams:
-    """Standard deviations of the calibration error of the believed rig, drawn from the seed. Those
-    of camera_from_lidar and of the lens are unused in flights with a calibration file; those
-    against the IMU remain."""
+    """Standard deviations of the errors of the nominal calibration, drawn from the seed. Those of
+    camera_from_lidar and of the lens are unused in flights with a calibration file; those against
+    the IMU remain."""
 
     __pydantic_config__ = FORBID_EXTRA
 

@@ -98,6 +98,14 @@ def compose_spec(name_or_path: str, seed: int) -> tuple[Any, SceneDraft]:
     return draft.spec, draft
 
 
+def spec_of_scene(scene: Scene) -> Any:
+    """Returns the MjSpec of a scene of `load_scene`, composed anew from its source and seed; the
+    vehicle stands where the scene starts it."""
+    spec, _ = compose_spec(scene.source or scene.name, scene.seed)
+    spec.body(VEHICLE_BODY).pos = scene.model.body_pos[scene.model.body(VEHICLE_BODY).id]
+    return spec
+
+
 def prepare_spec(draft: SceneDraft) -> None:
     """Sets a draft's physics and visual options and puts the vehicle over its take-off spot."""
     spec = draft.spec

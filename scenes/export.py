@@ -14,24 +14,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from touchdown.scenes.api import Scene
-from touchdown.scenes.compose import VEHICLE_BODY, compose_spec
-
 ASSETS = "assets"
 
 
-def export_scene(scene_or_spec: Scene | Any, out_dir: Path) -> Path:
-    """Writes ``scene.xml`` with its textures, height fields and meshes under ``assets/``.
-
-    scene_or_spec: a `Scene` of `load_scene` (composed anew from its source and seed; the vehicle
-    stands where the scene starts it) or a mujoco.MjSpec (written as it is; its buffers are
-    replaced by file names). Returns the path of the MJCF file.
-    """
-    spec: Any = scene_or_spec
-    if isinstance(scene_or_spec, Scene):
-        scene = scene_or_spec
-        spec, _ = compose_spec(scene.source or scene.name, scene.seed)
-        spec.body(VEHICLE_BODY).pos = scene.model.body_pos[scene.model.body(VEHICLE_BODY).id]
+def export_spec(spec: Any, out_dir: Path) -> Path:
+    """Writes a mujoco.MjSpec as ``scene.xml`` with its textures, height fields and meshes under
+    ``assets/``; its buffers are replaced by file names. Returns the path of the MJCF file."""
     with _whole(Path(out_dir)) as folder:
         _write(spec, folder)
     return Path(out_dir) / "scene.xml"

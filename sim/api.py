@@ -21,16 +21,17 @@ from touchdown.sim.faults.types import Fault as Fault
 from touchdown.sim.faults.types import FaultParams as FaultParams
 from touchdown.sim.frames import Pose
 from touchdown.sim.imu_types import ImuParams as ImuParams
-from touchdown.sim.navigation.types import FORBID_EXTRA as FORBID_EXTRA
 from touchdown.sim.navigation.types import BarometerParams as BarometerParams
 from touchdown.sim.navigation.types import BarometerSample as BarometerSample
 from touchdown.sim.navigation.types import GpsFix as GpsFix
 from touchdown.sim.navigation.types import GpsParams as GpsParams
+from touchdown.sim.navigation.types import GpsPreset as GpsPreset
 from touchdown.sim.navigation.types import MagnetometerParams as MagnetometerParams
 from touchdown.sim.navigation.types import MagnetometerSample as MagnetometerSample
 from touchdown.sim.navigation.types import NavParams as NavParams
 from touchdown.sim.navigation.types import RangefinderParams as RangefinderParams
 from touchdown.sim.navigation.types import RangefinderSample as RangefinderSample
+from touchdown.sim.ranges import FORBID_EXTRA as FORBID_EXTRA
 from touchdown.sim.ranges import Count as Count
 from touchdown.sim.ranges import CountOrZero as CountOrZero
 from touchdown.sim.ranges import Fraction as Fraction
@@ -99,14 +100,17 @@ class WindParams:
     """slow the wind and make it more turbulent behind buildings and trees"""
 
 
+LidarPreset = Literal["horizon", "avia", "mid360"]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LidarParams:
     """A Livox-like scanning LIDAR. Defaults: Livox Horizon (manufacturer's data sheet)."""
 
     __pydantic_config__ = FORBID_EXTRA
 
-    preset: str = "horizon"
-    """``horizon``, ``avia`` or ``mid360``: pattern, point rate, range limits and beam."""
+    preset: LidarPreset = "horizon"
+    """pattern, point rate, range limits and beam"""
     range_sigma_m: NotNegative = 0.02
     """standard deviation of the range noise"""
     angle_sigma_deg: NotNegative = 0.05

@@ -21,9 +21,10 @@ from touchdown.sim.camera.stamps import ShutterClock, Stamp
 from touchdown.sim.clock import image_period_ticks
 from touchdown.sim.delivery import DeliveryQueue, Latency, make_executor
 from touchdown.sim.dust import DustCloud
+from touchdown.sim.effects import Effects
 from touchdown.sim.faults.disturbances import Disturbances
 from touchdown.sim.faults.weather import Weather
-from touchdown.sim.lidar.patterns.livox import pattern
+from touchdown.sim.frames import so3_log
 from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.moving import BodyTrack, MovingBodies
@@ -48,7 +49,6 @@ class ImagingSensors:
         """True extrinsics of all sensors"""
         ticks = self._sim.lidar_scan_ticks
         self._positions, self._quats = np.empty((ticks + 1, 3)), np.empty((ticks + 1, 4))
-        pattern(params.lidar.preset)  # an unknown one is an error even where no LIDAR is needed
         dusty = params.dust.density > 0.0
         self._dust = DustCloud(scene, params.dust) if dusty else None
         self.plants = SurfaceDetail.plants_of(params.lidar, scene)
@@ -95,6 +95,8 @@ class ImagingSensors:
     def start(self, position: Array, quat_wxyz: Array, disturbances: Disturbances) -> None:
         """Starts the body's track at a pose: (3,) m and (4,) world_from_body."""
         self._disturbances = disturbances
+        for effects in self.effects().values():
+            effects.clear()
         self._positions[0], self._quats[0] = position, quat_wxyz
 
     def clear(self) -> None:
@@ -107,6 +109,24 @@ class ImagingSensors:
         self._image_latency.restart()
         self._drawn = None
         self._poses.clear()
+
+    def effects(self) -> dict[str, Effects]:
+        """Effects on delivered scans, and on images of the left camera."""
+        found = {"images": self.camera.effects}
+        return found if self._lidar is None else {"scans": self._lidar.effects, **found}
+
+    def collect_scans(self, tick: int) -> tuple[LidarScan, ...]:
+        """Scans that arrive up to ``tick``."""
+        scans = self.scans.collect(tick)
+        if self._lidar is not None:
+            self._lidar.effects.deliver(len(scans))
+        return scans
+
+    def collect_images(self, tick: int) -> tuple[CameraImage, ...]:
+        """Images that arrive up to ``tick``."""
+        images = self.images.collect(tick)
+        self.camera.effects.deliver(len(images))
+        return images
 
     def close(self) -> None:
         """Ends the worker threads and frees the cameras."""
@@ -175,14 +195,21 @@ class ImagingSensors:
 
     def _scan(self, end_tick: int, track: BodyTrack) -> LidarScan:
         assert self._lidar is not None
-        return self._lidar.scan(
+        nominal = self.mounts.lidar
+        mount = self._disturbances.lidar_mount(end_tick, nominal)
+        if mount is not nominal:
+            rotation_deg = np.degrees(np.linalg.norm(so3_log(nominal.rotation.T @ mount.rotation)))
+            self._lidar.effects.note(("miscalibration",), 1.0, float(rotation_deg))
+        scan = self._lidar.scan(
             end_tick - self._sim.lidar_scan_ticks,
             end_tick,
             self._sim.tick_hz,
             track,
-            self._disturbances.lidar_mount(end_tick, self.mounts.lidar),
+            mount,
             self._moving.tracks(track.times_s),
         )
+        self._lidar.effects.end_message()
+        return scan
 
     def _render(
         self, snapshot: Snapshot, drawn_tick: int, track: BodyTrack | None, tick: int, stamp: Stamp
@@ -194,9 +221,12 @@ class ImagingSensors:
                 return camera.render(snapshot, tick)
             return camera.render_rows(snapshot, drawn_tick / hz, track, tick / hz, tick)
 
-        return CameraImage(
+        image = CameraImage(
             tick=stamp.tick,
             time_s=stamp.time_s,
             rgb=taken(self.camera),
             right_rgb=taken(self._right) if self._right else None,
         )
+        self.camera.effects.note(("stamp_error_ms",), 1.0, 1e3 * abs(stamp.time_s - tick / hz))
+        self.camera.effects.end_message()
+        return image

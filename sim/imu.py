@@ -78,7 +78,7 @@ class ImuSensor:
         """The sample that ends at ``tick``, from the world_from_imu rotations (3, 3) at both ends
         of its period and the world velocities (3,) m/s of the IMU's own point. ``shake``: mean
         square of the rotor speeds over that in hover; ``rotor_speeds``: (4,) rad/s now, None: at
-        rest. Turns of more than 170 degrees a sample are beyond it."""
+        rest. Rotations of more than 170 degrees a sample are beyond it."""
         measured = _ideal(
             rotation_start, rotation_end, velocity_start, velocity_end, self._period_s
         )
@@ -122,8 +122,8 @@ def _ideal(
     velocity_end: Array,
     period_s: float,
 ) -> Array:
-    """(6,) mean body rate and specific force in the axes of half the turn, without error."""
-    turn = np.zeros(3)
+    """(6,) mean body rate and specific force in the axes of half the rotation, without error."""
+    scaled_axis = np.zeros(3)
     trace = 0.0
     for k in range(3):
         for row in range(3):
@@ -131,18 +131,18 @@ def _ideal(
         # The antisymmetric part of start^T end is the sine times the axis.
         i, j = (k + 1) % 3, (k + 2) % 3
         for row in range(3):
-            turn[k] += 0.5 * rotation_start[row, j] * rotation_end[row, i]
-            turn[k] -= 0.5 * rotation_start[row, i] * rotation_end[row, j]
-    sine = np.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
+            scaled_axis[k] += 0.5 * rotation_start[row, j] * rotation_end[row, i]
+            scaled_axis[k] -= 0.5 * rotation_start[row, i] * rotation_end[row, j]
+    sine = np.sqrt(scaled_axis[0] ** 2 + scaled_axis[1] ** 2 + scaled_axis[2] ** 2)
     angle = np.arctan2(sine, 0.5 * (trace - 1.0))
-    axis = turn / sine if sine > 0.0 else turn
+    axis = scaled_axis / sine if sine > 0.0 else scaled_axis
     push = (velocity_end - velocity_start) / period_s
     push[2] += GRAVITY_MPS2
     force = np.zeros(3)
     for k in range(3):
         for row in range(3):
             force[k] += rotation_start[row, k] * push[row]
-    # Rodrigues' formula, back by half the turn.
+    # Rodrigues' formula, back by half the rotation.
     along = axis[0] * force[0] + axis[1] * force[1] + axis[2] * force[2]
     cosine, half_sine = np.cos(0.5 * angle), -np.sin(0.5 * angle)
     out = np.empty(6)

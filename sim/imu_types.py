@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from touchdown.sim.navigation.types import FORBID_EXTRA
-from touchdown.sim.ranges import Fraction, NotNegative
+from touchdown.sim.ranges import FORBID_EXTRA, Fraction, NotNegative
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

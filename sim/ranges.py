@@ -10,6 +10,9 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Interval
 
+FORBID_EXTRA = {"extra": "forbid"}
+"""Read by pydantic: an unknown configuration key is an error, not a silent default."""
+
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
 Fraction = Annotated[float, Interval(ge=0, le=1)]

@@ -167,14 +167,14 @@ def _harmonics(
     whose phase runs from a to b is (sin b - sin a) / (b - a)."""
     for i in range(speeds.shape[0]):
         speed = 0.5 * (before[i] + speeds[i])
-        turn = speed * period_s
+        angle = speed * period_s
         start = phases[i]
-        phases[i] = (start + turn) % (2.0 * np.pi)
-        if turn < 1e-9:
+        phases[i] = (start + angle) % (2.0 * np.pi)
+        if angle < 1e-9:
             continue
         for h in range(2):
             size = (speed / hover) ** 2 * mount_gain((h + 1) * speed, isolation[0], isolation[1])
-            span = (h + 1) * turn
+            span = (h + 1) * angle
             first = (h + 1) * start
             for k in range(6):
                 a = first + offsets[i, h, k]

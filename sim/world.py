@@ -31,8 +31,10 @@ from touchdown.sim.api import (
     Truth,
     WorldParams,
 )
+from touchdown.sim.camera.degradations import sun_elevation_deg
 from touchdown.sim.camera.sensor import Snapshot
 from touchdown.sim.clock import check_rates
+from touchdown.sim.effects import Effect, WorldRecord, fault_records
 from touchdown.sim.faults.disturbances import Disturbances
 from touchdown.sim.faults.injector import FaultInjector
 from touchdown.sim.frames import Pose, cross, matrix_from_quat_wxyz
@@ -174,14 +176,15 @@ class MujocoWorld:
         self._imu = self._make_imu()
         self._nav = self._make_nav()
         faults, tick_hz = self._params.faults, self._sim.tick_hz
-        self.faults = FaultInjector(faults, tick_hz)
-        self.disturbances = Disturbances(faults, tick_hz, self._params.wind.mean_kmh, self._seed)
+        self._faults = FaultInjector(faults, tick_hz)
+        self._disturbances = Disturbances(faults, tick_hz, self._params.wind.mean_kmh, self._seed)
         self._ground_z = float(self._position[2]) - self._vehicle.leg_height_m
         self._wakes: Wakes | None = None
         if self._params.wind.wakes:
             direction, found = self._wind.mean_direction, obstacles(self._scene)
             self._wakes = Wakes(found, direction, self._ground_z, self._seed)
         self._air_rotation: Array | None = None
+        self._air_effects = {"wakes": Effect(), "rotation": Effect()}
         self._mark_start()
         self._acceleration = np.zeros(3)
         self._peak_acceleration = 0.0
@@ -192,7 +195,7 @@ class MujocoWorld:
         """Sets the present state as the earlier state of sensors that compare two."""
         self._imu_rotation = self._world_from_imu()
         self._imu_velocity = self._velocity_of_imu(self._imu_rotation)
-        self._imaging.start(self._position, self._quat, self.disturbances)
+        self._imaging.start(self._position, self._quat, self._disturbances)
 
     def step(self, command: Command) -> Observation:
         """Advances ``control_ticks``. Raises RuntimeError if the command or the physics is not
@@ -202,7 +205,7 @@ class MujocoWorld:
         airspeed = math.dist(self._velocity.tolist(), self._air.tolist())
         self._air[:] = self._wind.step(self._step_s, height, airspeed)
         self._stir(height, airspeed)
-        self.disturbances.add_gust(self._tick, self._wind.mean_direction, self._air)
+        self._disturbances.add_gust(self._tick, self._wind.mean_direction, self._air)
         clearance = self._ground.clearance(self._data, self._position)
         velocity_before = self._velocity.copy()
         self._peak_acceleration = 0.0
@@ -222,9 +225,14 @@ class MujocoWorld:
         if self._wakes is not None:
             wind = self._wind
             roughness = self._params.wind.roughness_length_m
+            free = self._air.copy()
             self._wakes.add(self._air, self._position, self._step_s, wind.friction, roughness)
+            change = math.dist(free.tolist(), self._air.tolist())
+            self._air_effects["wakes"].add(Effect(1, int(change > 0.0), 1.0, change))
         if self._wind.rotational:
             self._air_rotation = self._wind.rotation(self._step_s, height, airspeed)
+            rate = math.degrees(math.hypot(*self._air_rotation.tolist()))
+            self._air_effects["rotation"].add(Effect(1, 1, 1.0, rate))
 
     def start_in_air(self, position_world: Array, yaw: float) -> Observation:
         """Resets to a start in the air: level and at rest at (3,) ``position_world``, rotors at
@@ -272,6 +280,17 @@ class MujocoWorld:
             energy_used_j=self._battery.energy_used_j,
         )
 
+    def record(self) -> WorldRecord:
+        """Faults, effects and deviations of the flight so far."""
+        sensors = {name: effects.delivered for name, effects in self._imaging.effects().items()}
+        faults = [
+            *self._faults.summary(),
+            *self._disturbances.summary(self._step_s),
+            *fault_records(self._params.faults, sensors, sun_elevation_deg(self._model)),
+        ]
+        drawn = self._deviations.sizes() | self._imu.errors.sizes()
+        return WorldRecord(faults, {**sensors, "air": self._air_effects}, drawn)
+
     def close(self) -> None:
         """Ends the worker threads and frees the camera. The world is unusable afterwards."""
         self._imaging.close()
@@ -286,17 +305,17 @@ class MujocoWorld:
         if self._battery.empty:
             self._rotors.cut()
         else:
-            share = self.disturbances.rotor_speed_share(self._tick)
+            share = self._disturbances.rotor_speed_share(self._tick)
             self._rotors.speed_share = self._battery.speed_share
             self._rotors.demand(command.rotor_speed_radps, share)
 
     def _advance_tick(self, clearance_m: float) -> None:
         before = self._velocity.tolist()
-        turning = self._angular_velocity
+        relative_rate = self._angular_velocity
         if self._air_rotation is not None:  # relative to the air
-            turning = turning - matrix_from_quat_wxyz(self._quat).T @ self._air_rotation
+            relative_rate = relative_rate - matrix_from_quat_wxyz(self._quat).T @ self._air_rotation
         self._wrench[:] = self._rotors.step(
-            self._quat, self._velocity, turning, self._air, clearance_m
+            self._quat, self._velocity, relative_rate, self._air, clearance_m
         )
         mujoco.mj_step(self._model, self._data)
         self._tick += 1
@@ -348,8 +367,8 @@ class MujocoWorld:
             tick=self._tick,
             time_s=self._tick / self._sim.tick_hz,
             imu=imu,
-            scans=self._imaging.scans.collect(self._tick),
-            images=self._imaging.images.collect(self._tick),
+            scans=self._imaging.collect_scans(self._tick),
+            images=self._imaging.collect_images(self._tick),
             gps=self._nav.gps.collect(self._tick),
             barometer=self._nav.barometer.collect(self._tick),
             magnetometer=self._nav.magnetometer.collect(self._tick),
@@ -357,7 +376,7 @@ class MujocoWorld:
             rotor_speed_radps=_frozen(self._telemetry.read(self._rotors.speeds)),
             battery_fraction=self._battery.fraction,
         )
-        return self.faults.apply(obs)
+        return self._faults.apply(obs)
 
     def _pose(self) -> Pose:
         rotation = matrix_from_quat_wxyz(self._quat)

@@ -68,8 +68,8 @@ def update_heading(eskf: Eskf, field_imu: Array, azimuth: float, sigma: float) -
 
 
 def update_velocity(eskf: Eskf, fix: GpsFix, lever_imu: Array, rate_imu: Array) -> float:
-    """Updates by the GPS velocity of an antenna at ``lever_imu`` (3,), with turn rate (3,) rad/s;
-    returns the normalised innovation."""
+    """Updates by the GPS velocity of an antenna at ``lever_imu`` (3,), with angular rate
+    (3,) rad/s; returns the normalised innovation."""
     state = eskf.state
     swing = cross(rate_imu, lever_imu)
     jacobian = np.hstack([-state.rotation @ skew(swing), np.eye(3)])
@@ -86,14 +86,14 @@ class BaroHeight:
         self._tick_hz, self._sigma_m = tick_hz, sigma_m
         self._sum, self._count = 0.0, 0
 
-    def take(self, eskf: Eskf, samples: Sequence[BarometerSample], standing: bool) -> None:
+    def take(self, eskf: Eskf, samples: Sequence[BarometerSample], stationary: bool) -> None:
         """Averages on the ground, and measures the height in the air. ``samples`` are those since
         the last call, up to the filter's state."""
         heights = [s.altitude_m for s in samples if math.isfinite(s.altitude_m)]
         if not heights:
             return
         state = eskf.state
-        if standing:
+        if stationary:
             self._sum += sum(heights) - len(heights) * float(state.position[2])
             self._count += len(heights)
         elif self._count:

@@ -44,7 +44,7 @@ class SatelliteAiding:
             self._nav.skipped += 1
             return
         eskf = self._nav.eskf
-        if not self._nav.standing:
+        if not self._nav.stationary:
             self.innovation = update_velocity(eskf, fix, self._lever, self._nav.rate_imu)
         antenna = eskf.state.position + eskf.state.rotation @ self._lever
         self._anchor.take(fix.position_world - antenna, fix.sigma_position_m, fix.time_s)

@@ -49,19 +49,19 @@ def pixels_of(directions: Array, camera: CameraIntrinsics, world_from_camera: Ar
 class Displacement:
     """The camera's motion since the previous image, and its derivatives by errors of attitude."""
 
-    shift: Array
+    translation: Array
     """(3,) m, world axes: position before minus position now"""
     covariance: Array
     """(3, 3) m^2 from the noise of the flow alone"""
     by_rotation_before: Array
-    """(3, 3) change of the true shift per rad of error of the attitude before, world axes"""
+    """(3, 3) change of the true translation per rad of error of the attitude before, world axes"""
     by_rotation_now: Array
     used: int
     rms: float
     """of the residuals, metres on the ground"""
 
 
-def _turn_jacobian(directions: Array) -> Array:
+def _rotation_jacobian(directions: Array) -> Array:
     """(N, 2, 3) derivatives of level directions by a small world rotation of their frame."""
     x, y = directions[:, 0], directions[:, 1]
     one = np.ones_like(x)
@@ -101,31 +101,31 @@ def solve_displacement(
     prior = np.diag([0.0, 0.0, 1.0 / vertical_sigma_m**2])
     wanted = prior @ np.array([0.0, 0.0, expected_vertical_m])
     noise = sigma * height_m
-    shift = np.array([*np.median(target, axis=0), expected_vertical_m])
+    translation = np.array([*np.median(target, axis=0), expected_vertical_m])
     weights = np.ones(len(now))
     normal = np.eye(3)
     for _ in range(5):
-        residuals = np.hypot(*(target - rows @ shift).T)
+        residuals = np.hypot(*(target - rows @ translation).T)
         scale = max(2.0 * float(np.median(residuals)), 2.0 * noise)
         weights = 1.0 / (1.0 + (residuals / scale) ** 2)
         weighted = weights[:, None, None] * rows / noise**2
         normal = np.einsum("nij,nik->jk", weighted, rows) + prior
-        shift = np.linalg.solve(normal, np.einsum("nij,ni->j", weighted, target) + wanted)
-    residuals = np.hypot(*(target - rows @ shift).T)
+        translation = np.linalg.solve(normal, np.einsum("nij,ni->j", weighted, target) + wanted)
+    residuals = np.hypot(*(target - rows @ translation).T)
     scale = max(2.0 * float(np.median(residuals)), 2.0 * noise)
     agree = residuals < 2.0 * scale
     if int(agree.sum()) < min_used:
         return None
     weighted = weights[:, None, None] * rows / noise**2
     inverse: Array = np.asarray(np.linalg.inv(normal), np.float64)
-    lower = height_m - shift[2]
-    turn_before = np.einsum("nij,nik->jk", weighted, _turn_jacobian(before)) * height_m
-    turn_now = np.einsum("nij,nik->jk", weighted, _turn_jacobian(now)) * lower
+    lower = height_m - translation[2]
+    rotation_before = np.einsum("nij,nik->jk", weighted, _rotation_jacobian(before)) * height_m
+    rotation_now = np.einsum("nij,nik->jk", weighted, _rotation_jacobian(now)) * lower
     return Displacement(
-        shift=shift,
+        translation=translation,
         covariance=inverse,
-        by_rotation_before=-inverse @ turn_before,
-        by_rotation_now=inverse @ turn_now,
+        by_rotation_before=-inverse @ rotation_before,
+        by_rotation_now=inverse @ rotation_now,
         used=int(agree.sum()),
         rms=float(np.sqrt(np.mean(residuals[agree] ** 2))),
     )
@@ -156,8 +156,8 @@ def update_with_displacement(
     jacobian[:, 3:6] = -np.eye(3)
     jacobian[:, 6:9] = -clone.rotation @ lever - measured.by_rotation_before @ clone.rotation
     jacobian[:, 9:12] = np.eye(3)
-    shift = measured.shift
+    translation = measured.translation
     covariance = measured.covariance + floor_m**2 * np.eye(3)
-    covariance = covariance + scale_sigma**2 * np.outer(shift, shift)
+    covariance = covariance + scale_sigma**2 * np.outer(translation, translation)
     touched = np.r_[0:6, STATE_DIM : STATE_DIM + 6]
-    return update(eskf, touched, jacobian, shift - expected, covariance, gate)
+    return update(eskf, touched, jacobian, translation - expected, covariance, gate)

@@ -26,8 +26,8 @@ from touchdown.estimator.baselines.navigator import Grey, Navigator
 from touchdown.estimator.baselines.phase_correlation import Shift, phase_shift
 from touchdown.estimator.baselines.world_anchor import WanderingAnchor
 from touchdown.estimator.filtering.rolling_shutter import (
-    AT_REST,
-    CameraMotion,
+    STATIONARY,
+    CameraTwist,
     ShutterModel,
     ground_depths,
 )
@@ -69,8 +69,8 @@ class LevelView:
 
     def draw(self, grey: Grey, world_from_camera: Array) -> Grey:
         """Returns the image (side, side) of the virtual camera for distant ground."""
-        turn = world_from_camera.T @ _LOOKING_DOWN
-        homography = self._camera.matrix() @ turn @ np.linalg.inv(self._pinhole.matrix())
+        rotation = world_from_camera.T @ _LOOKING_DOWN
+        homography = self._camera.matrix() @ rotation @ np.linalg.inv(self._pinhole.matrix())
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         level = cv2.warpPerspective(grey, homography, self._size, flags=flags)
         return np.asarray(level, np.uint8)
@@ -118,7 +118,7 @@ class HybridFlowEstimator:
         self._shutter = ShutterModel(rig)
         self._camera = rig.camera
         self._before: Grey | None = None
-        self._motion = self._motion_before = AT_REST
+        self._twist = self._twist_before = STATIONARY
         self._attitude_before = np.eye(3)
         self._height_before = 0.0
         self._diagnostics = {"flow_used": 0.0, "flow_rms_m": 0.0, "phase_response": 0.0}
@@ -137,14 +137,14 @@ class HybridFlowEstimator:
         eskf = self._nav.eskf
         attitude = (eskf.state.pose @ self._imu_from_camera).rotation
         level = self._view.draw(self._nav.grey(image.rgb), attitude)
-        self._motion = self._nav.filter.camera_motion(image)
-        if self._before is not None and not self._nav.standing:
+        self._twist = self._nav.filter.camera_twist(image)
+        if self._before is not None and not self._nav.stationary:
             self._measure(self._before, level, attitude)
         if eskf.clones:
             eskf.remove_clone(0)
         eskf.add_clone()
         self._before, self._attitude_before = level, attitude
-        self._motion_before = self._motion
+        self._twist_before = self._twist
         camera = eskf.state.pose @ self._imu_from_camera
         self._height_before = float(camera.translation[2]) - self._ground.height_m
 
@@ -155,11 +155,11 @@ class HybridFlowEstimator:
         clone = eskf.clones[0] @ self._imu_from_camera
         expected = clone.translation - (eskf.state.pose @ self._imu_from_camera).translation
         # the attitude estimate of the previous image has changed since its rectification
-        turn = clone.rotation @ self._attitude_before.T
+        rotation = clone.rotation @ self._attitude_before.T
         shift = phase_shift(before, now)
-        measured = self._dense(before, now, attitude, turn, shift, expected)
+        measured = self._dense(before, now, attitude, rotation, shift, expected)
         if measured is None:
-            measured = self._coarse(attitude, turn, shift, expected)
+            measured = self._coarse(attitude, rotation, shift, expected)
         if measured is None:
             return
         update_with_displacement(
@@ -177,7 +177,13 @@ class HybridFlowEstimator:
         }
 
     def _dense(
-        self, before: Grey, now: Grey, attitude: Array, turn: Array, shift: Shift, expected: Array
+        self,
+        before: Grey,
+        now: Grey,
+        attitude: Array,
+        rotation: Array,
+        shift: Shift,
+        expected: Array,
     ) -> Displacement | None:
         """Returns the displacement by Farneback's flow, initialised by the phase correlation (or
         the filter) and by the expansion from the filter's climb."""
@@ -195,7 +201,7 @@ class HybridFlowEstimator:
         reached = pixels + flow[view.rows, view.cols]
         seen = view.seen(pixels, self._attitude_before) & view.seen(reached, attitude)
         return solve_displacement(
-            _turned(self._directions_before(pixels[seen]), turn),
+            _rotated(self._directions_before(pixels[seen]), rotation),
             self._directions_now(reached[seen], attitude),
             height,
             self._params.pixel_sigma / view.focal,
@@ -204,30 +210,30 @@ class HybridFlowEstimator:
 
     def _directions_before(self, pixels: Array) -> Array:
         return self._directions(
-            pixels, self._attitude_before, self._motion_before, self._height_before
+            pixels, self._attitude_before, self._twist_before, self._height_before
         )
 
     def _directions_now(self, pixels: Array, attitude: Array) -> Array:
         camera = self._nav.eskf.state.pose @ self._imu_from_camera
         height = float(camera.translation[2]) - self._ground.height_m
-        return self._directions(pixels, attitude, self._motion, height)
+        return self._directions(pixels, attitude, self._twist, height)
 
     def _directions(
-        self, pixels: Array, attitude: Array, motion: CameraMotion, height_m: float
+        self, pixels: Array, attitude: Array, twist: CameraTwist, height_m: float
     ) -> Array:
         """(N, 2) level directions at the filter's time of pixels (N, 2) of the levelled image."""
         directions = self._view.directions(pixels)
-        if self._shutter.idle(motion):
+        if self._shutter.idle(twist):
             return directions
         real = pixels_of(directions, self._camera, attitude)
         depths = ground_depths(
             real, self._camera, Pose(attitude, np.array([0.0, 0.0, height_m])), 0.0
         )
-        real = self._shutter.to_instant(real, depths, motion)
+        real = self._shutter.to_instant(real, depths, twist)
         return level_directions(real, self._camera, attitude)
 
     def _coarse(
-        self, attitude: Array, turn: Array, shift: Shift, expected: Array
+        self, attitude: Array, rotation: Array, shift: Shift, expected: Array
     ) -> Displacement | None:
         """Returns the displacement by phase correlation alone; its vertical part is the
         filter's."""
@@ -235,12 +241,12 @@ class HybridFlowEstimator:
             return None
         view, height = self._view, self._height_before
         middle = np.full((1, 2), 0.5 * (view.offsets.shape[0] - 1))
-        start = _turned(self._directions_before(middle), turn)
+        start = _rotated(self._directions_before(middle), rotation)
         moved = self._directions_now(middle + shift.pixels, attitude) - start
         sigma = _PHASE_SIGMA_PX * height / view.focal
         lever = height * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
         return Displacement(
-            shift=np.array([*(height * moved[0]), expected[2]]),
+            translation=np.array([*(height * moved[0]), expected[2]]),
             covariance=np.diag([sigma, sigma, 10.0]) ** 2,
             by_rotation_before=-lever,
             by_rotation_now=lever,
@@ -249,8 +255,8 @@ class HybridFlowEstimator:
         )
 
 
-def _turned(directions: Array, turn: Array) -> Array:
+def _rotated(directions: Array, rotation: Array) -> Array:
     """Level directions (N, 2) after a small rotation (3, 3) of the world's axes."""
-    rays = np.column_stack([directions, np.full(len(directions), -1.0)]) @ turn.T
-    turned: Array = rays[:, :2] / -rays[:, 2:]
-    return turned
+    rays = np.column_stack([directions, np.full(len(directions), -1.0)]) @ rotation.T
+    rotated: Array = rays[:, :2] / -rays[:, 2:]
+    return rotated

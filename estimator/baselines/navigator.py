@@ -97,9 +97,9 @@ class Navigator:
         return self.filter.eskf
 
     @property
-    def standing(self) -> bool:
+    def stationary(self) -> bool:
         """True while the vehicle stands on the ground."""
-        return self._filter is None or self._filter.still
+        return self._filter is None or self._filter.stationary
 
     def epochs(self, obs: Observation) -> Iterator[Epoch]:
         """Yields the complete epochs. To be exhausted once per observation: afterwards corrections
@@ -116,13 +116,13 @@ class Navigator:
             self._filter = self._aligned(start)
         self._filter.take_imu(obs)
         for epoch in epochs:
-            if epoch.tick < self._filter.tick or epoch.tick > self._filter.head_tick:
+            if epoch.tick < self._filter.tick or epoch.tick > self._filter.propagated_tick:
                 self.skipped += 1
                 continue
             self._filter.carry_to(epoch.tick)
             self.rate_imu = self._filter.eskf.rate
             self._take_heading(epoch.magnetometer)
-            self._baro.take(self._filter.eskf, epoch.barometer, self._filter.still)
+            self._baro.take(self._filter.eskf, epoch.barometer, self._filter.stationary)
             yield epoch
         if epochs:
             self._filter.catch_up()
@@ -156,7 +156,7 @@ class Navigator:
         if not samples or not np.isfinite(samples[-1].field_body_ut).all():
             return
         field_imu = self._imu_from_body.rotation @ samples[-1].field_body_ut
-        if self._known_start and self.standing:
+        if self._known_start and self.stationary:
             azimuth = heading_of(self.eskf.state.rotation, field_imu)
             self._readings = self._readings + [math.cos(azimuth), math.sin(azimuth)]
             self._azimuth = math.atan2(self._readings[1], self._readings[0])
@@ -195,7 +195,7 @@ class Navigator:
         found = dict(diagnostics) | {"skipped": float(self.skipped + self._queue.late)}
         world_from_odom = world_from_odom or Pose.identity()
         if self._filter is None:
-            return self._standing(obs, world_from_odom, found)
+            return self._stationary_estimate(obs, world_from_odom, found)
         extra = np.zeros((3, 3)) if extra_covariance is None else extra_covariance
         estimate = self._filter.estimate(
             obs, world_from_odom, extra, None, found, self._guard.events
@@ -204,7 +204,7 @@ class Navigator:
             covariance = estimate.position_covariance
         return dataclasses.replace(estimate, position_covariance=covariance, healthy=healthy)
 
-    def _standing(
+    def _stationary_estimate(
         self, obs: Observation, world_from_odom: Pose, diagnostics: dict[str, float]
     ) -> Estimate:
         """Returns the estimate on the ground before the attitude is known."""

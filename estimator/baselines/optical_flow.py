@@ -22,8 +22,8 @@ from touchdown.estimator.baselines.ground_flow import (
 from touchdown.estimator.baselines.navigator import Grey, Navigator
 from touchdown.estimator.filtering.keyframes import detect_features
 from touchdown.estimator.filtering.rolling_shutter import (
-    AT_REST,
-    CameraMotion,
+    STATIONARY,
+    CameraTwist,
     ShutterModel,
     ground_depths,
 )
@@ -59,7 +59,7 @@ class OpticalFlowEstimator:
         self._ground = GroundBelow(rig, params.ground_memory_s)
         self._shutter = ShutterModel(rig)
         self._before: Grey | None = None
-        self._motion_before = AT_REST
+        self._twist_before = STATIONARY
         self._height_before = 0.0
         self._distance = 0.0
         self._seen_s = 0.0
@@ -82,30 +82,30 @@ class OpticalFlowEstimator:
 
     def _take_image(self, image: CameraImage) -> None:
         grey, eskf = self._nav.grey(image.rgb), self._nav.eskf
-        motion = self._nav.filter.camera_motion(image)
-        if self._nav.standing:
+        twist = self._nav.filter.camera_twist(image)
+        if self._nav.stationary:
             self._seen_s = image.time_s
         elif self._before is not None:
-            self._measure(self._before, grey, image.time_s, motion)
+            self._measure(self._before, grey, image.time_s, twist)
         if eskf.clones:
             eskf.remove_clone(0)
         eskf.add_clone()
         camera = eskf.state.pose @ self._imu_from_camera
-        self._before, self._motion_before = grey, motion
+        self._before, self._twist_before = grey, twist
         self._height_before = float(camera.translation[2]) - self._ground.height_m
 
-    def _measure(self, before: Grey, now: Grey, time_s: float, motion: CameraMotion) -> None:
+    def _measure(self, before: Grey, now: Grey, time_s: float, twist: CameraTwist) -> None:
         params, eskf, camera = self._params, self._nav.eskf, self._rig.camera
         pose = eskf.state.pose @ self._imu_from_camera
         pose_before = eskf.clones[0] @ self._imu_from_camera
         pixels = self._corners(before)
         if len(pixels) < 8:
             return
-        start = self._at_one_instant(pixels, pose_before, self._motion_before)
+        start = self._at_one_instant(pixels, pose_before, self._twist_before)
         guess = self._expected(start, pose_before, pose)
-        guess = self._shutter.to_rows(guess, self._depths(guess, pose), motion)
+        guess = self._shutter.to_rows(guess, self._depths(guess, pose), twist)
         found, reached = follow(before, now, pixels, guess)
-        reached = self._at_one_instant(reached, pose, motion)
+        reached = self._at_one_instant(reached, pose, twist)
         measured = solve_displacement(
             level_directions(start[found], camera, pose_before.rotation),
             level_directions(reached, camera, pose.rotation),
@@ -122,7 +122,7 @@ class OpticalFlowEstimator:
             scale_sigma=params.scale_sigma,
             gate=_GATE,
         )
-        self._distance += float(np.linalg.norm(measured.shift))
+        self._distance += float(np.linalg.norm(measured.translation))
         self._seen_s = time_s
         self._diagnostics = {
             "flow_used": float(measured.used),
@@ -133,8 +133,8 @@ class OpticalFlowEstimator:
     def _depths(self, pixels: Array, pose: Pose) -> Array:
         return ground_depths(pixels, self._rig.camera, pose, self._ground.height_m)
 
-    def _at_one_instant(self, pixels: Array, pose: Pose, motion: CameraMotion) -> Array:
-        return self._shutter.to_instant(pixels, self._depths(pixels, pose), motion)
+    def _at_one_instant(self, pixels: Array, pose: Pose, twist: CameraTwist) -> Array:
+        return self._shutter.to_instant(pixels, self._depths(pixels, pose), twist)
 
     def _corners(self, grey: Grey) -> Array:
         """(N, 2) corners of the central part of the image, where the rangefinder points."""
@@ -148,9 +148,9 @@ class OpticalFlowEstimator:
     def _expected(self, pixels: Array, pose_before: Pose, pose: Pose) -> Array:
         """Returns the pixels predicted for level ground by the filter's own motion."""
         directions = level_directions(pixels, self._rig.camera, pose_before.rotation)
-        shift = pose_before.translation - pose.translation
+        translation = pose_before.translation - pose.translation
         height = max(self._height_before, 0.02)
-        lower = max(height - float(shift[2]), 0.02)
-        moved = (height * directions + shift[:2]) / lower
+        lower = max(height - float(translation[2]), 0.02)
+        moved = (height * directions + translation[:2]) / lower
         expected = pixels_of(moved, self._rig.camera, pose.rotation)
         return np.where(np.isfinite(expected), expected, pixels)

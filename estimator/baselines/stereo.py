@@ -21,7 +21,7 @@ from touchdown.estimator.filtering.imu_propagation import STATE_DIM
 from touchdown.estimator.filtering.keyframes import bearing_rays, detect_features
 from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
 from touchdown.estimator.filtering.rolling_shutter import (
-    AT_REST,
+    STATIONARY,
     ShutterModel,
     ground_depths,
 )
@@ -69,7 +69,7 @@ class StereoEstimator:
         start = rig.world_from_body_start.translation
         self._ground = GroundHeight(float(start[2]) - rig.vehicle.leg_height_m, params)
         self._shutter = ShutterModel(rig)
-        self._motion = AT_REST
+        self._twist = STATIONARY
         self._keyframe: _Keyframe | None = None
         self._distance, self._position = 0.0, start
         self._seen_s = 0.0
@@ -92,9 +92,9 @@ class StereoEstimator:
     def _take_pair(self, image: CameraImage, right_rgb: NDArray[np.uint8]) -> None:
         eskf = self._nav.eskf
         left, right = self._nav.grey(image.rgb), self._nav.grey(right_rgb)
-        self._motion = self._nav.filter.camera_motion(image)
+        self._twist = self._nav.filter.camera_twist(image)
         share = 0.0
-        if self._nav.standing:
+        if self._nav.stationary:
             self._seen_s = image.time_s
         elif self._keyframe is not None:
             share = self._track(self._keyframe, left, image.time_s)
@@ -107,7 +107,7 @@ class StereoEstimator:
         """Updates the filter; returns the share of the keyframe's corners that were used."""
         landmarks = keyframe.landmarks(self._imu_from_camera)
         expected = self._project(landmarks)
-        appear = self._shutter.to_rows(expected, self._depths(expected), self._motion)
+        appear = self._shutter.to_rows(expected, self._depths(expected), self._twist)
         guess = np.where(np.isfinite(appear), appear, keyframe.pixels)
         found, reached = follow(keyframe.grey, left, keyframe.pixels, guess)
         reached = self._at_one_instant(reached)
@@ -145,7 +145,7 @@ class StereoEstimator:
         return ground_depths(pixels, self._rig.camera, pose, self._ground.height_m)
 
     def _at_one_instant(self, pixels: Array) -> Array:
-        return self._shutter.to_instant(pixels, self._depths(pixels), self._motion)
+        return self._shutter.to_instant(pixels, self._depths(pixels), self._twist)
 
     def _project(self, landmarks: Array) -> Array:
         """(N, 2) pixels of landmarks (N, 3) of the clone's IMU frame, NaN where behind."""

@@ -146,10 +146,10 @@ def camera_planes(fit: CameraFit) -> CameraPlanes:
         rotation = so3_exp(vector)
         normals[k] = -rotation[:, 2]
         distances[k] = -normals[k] @ origin
-        turned = rotation @ skew(np.array([0.0, 0.0, 1.0])) @ so3_right_jacobian(vector)
+        rotated = rotation @ skew(np.array([0.0, 0.0, 1.0])) @ so3_right_jacobian(vector)
         rows, first = 4 * k, LENS_PARAMETERS + _POSE_PARAMETERS * k
-        spread[rows : rows + 3, first : first + 3] = turned
-        spread[rows + 3, first : first + 3] = -origin @ turned
+        spread[rows : rows + 3, first : first + 3] = rotated
+        spread[rows + 3, first : first + 3] = -origin @ rotated
         spread[rows + 3, first + 3 : first + 6] = -normals[k]
     return CameraPlanes(
         normals=normals, distances=distances, covariance=spread @ fit.covariance @ spread.T

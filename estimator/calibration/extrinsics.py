@@ -130,8 +130,8 @@ _Block = tuple[Array, Array, float]
 def _jacobian(block: _Block, pose: Pose) -> Array:
     """(N, 6) of a view's residuals: n . (w x R p) = w . (R p x n), and n for the translation."""
     points, normal, _ = block
-    turned = points @ pose.rotation.T
-    return np.hstack([np.cross(turned, normal), np.broadcast_to(normal, turned.shape)])
+    rotated = points @ pose.rotation.T
+    return np.hstack([np.cross(rotated, normal), np.broadcast_to(normal, rotated.shape)])
 
 
 def _normal_equations(blocks: Sequence[_Block], pose: Pose) -> tuple[float, Array, Array]:

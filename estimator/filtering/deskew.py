@@ -119,11 +119,11 @@ def _deskew(
         relative_r[m] = rotations[last].T @ rotations[m]
         relative_p[m] = rotations[last].T @ (positions[m] - positions[last])
     for m in range(last):
-        # within 5 ms the turn is a few milliradians: its first order is exact to 1e-8 rad
-        turn = rotations[m].T @ rotations[m + 1]
-        spins[m, 0] = 0.5 * (turn[2, 1] - turn[1, 2])
-        spins[m, 1] = 0.5 * (turn[0, 2] - turn[2, 0])
-        spins[m, 2] = 0.5 * (turn[1, 0] - turn[0, 1])
+        # within 5 ms the rotation is a few milliradians: its first order is exact to 1e-8 rad
+        rotation = rotations[m].T @ rotations[m + 1]
+        spins[m, 0] = 0.5 * (rotation[2, 1] - rotation[1, 2])
+        spins[m, 1] = 0.5 * (rotation[0, 2] - rotation[2, 0])
+        spins[m, 2] = 0.5 * (rotation[1, 0] - rotation[0, 1])
     points = np.empty((count, 3))
     beams = np.empty((count, 3))
     for kept in range(count):

@@ -32,7 +32,7 @@ from touchdown.sim.frames import Pose, so3_exp, so3_log
 Array = NDArray[np.float64]
 CLONE_DIM = 6
 _RATE_SAMPLES = 3
-"""of the IMU, over which the turn rate is a mean: one alone is mostly vibration"""
+"""of the IMU, over which the angular rate is a mean: one alone is mostly vibration"""
 
 
 class Eskf:
@@ -51,7 +51,7 @@ class Eskf:
         """(C,) share of a measurement's correction that each calibration parameter takes; with 0 it
         is a "consider" parameter (Schmidt): its covariance counts, its estimate stays"""
         self.rate = np.zeros(3)
-        """(3,) rad/s, turn rate in the IMU's frame over the last hundredth of a second"""
+        """(3,) rad/s, angular rate in the IMU's frame over the last hundredth of a second"""
         self.shared = max(0, len(state.calibration) - IMU_DIM)
         """number of calibration parameters that measurements depend on directly: all but the
         errors of the IMU, which act through the propagation"""
@@ -110,8 +110,8 @@ class Eskf:
         cov[nav, nav] = 0.5 * (own + own.T)
 
     @property
-    def motion(self) -> Array:
-        """(6,) turn rate in the IMU's frame, rad/s, and velocity in the odometry frame, m/s."""
+    def twist(self) -> Array:
+        """(6,) angular rate in the IMU's frame, rad/s, and velocity in the odometry frame, m/s."""
         return np.concatenate([self.rate, self.state.velocity])
 
     # ------------------------------------------------------------------------ clones
@@ -192,9 +192,9 @@ class Eskf:
             state.calibration + delta[STATE_DIM : self.base],
         )
         parts = delta[self.base :].reshape(-1, CLONE_DIM)
-        turns = exp_so3_each(np.ascontiguousarray(parts[:, :3]))
+        rotations = exp_so3_each(np.ascontiguousarray(parts[:, :3]))
         new_clones = [
-            Pose(clone.rotation @ turns[k], clone.translation + parts[k, 3:])
+            Pose(clone.rotation @ rotations[k], clone.translation + parts[k, 3:])
             for k, clone in enumerate(clones)
         ]
         return moved, new_clones

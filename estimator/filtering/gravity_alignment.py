@@ -1,7 +1,7 @@
 """Gravity alignment: roll and pitch of a vehicle at rest, from its accelerometer.
 
 At rest the specific force is gravity's reaction, scaled, plus the accelerometer's bias. One cannot
-be told from the other: a levelled attitude errs by the bias over gravity, and the errors of
+be separated from the other: a levelled attitude errs by the bias over gravity, and the errors of
 attitude and bias are correlated from then on. The update keeps that correlation, so that a later
 turn about the vertical, which separates the two, corrects both (Titterton and Weston, "Strapdown
 inertial navigation technology", 2004, on alignment).

@@ -76,8 +76,8 @@ class NavState:
         response = np.diag(1.0 - errors[:3])
         response[CROSS_AXES[:, 0], CROSS_AXES[:, 1]] = -errors[SCALE_DIM:][:CROSS_DIM]
         by_force = errors[SCALE_DIM + CROSS_DIM :].reshape(3, 3)
-        pull = (force - self.accel_bias) * (1.0 - errors[3:SCALE_DIM])
-        return (gyro - self.gyro_bias) @ response.T - pull @ by_force.T, pull
+        specific_force = (force - self.accel_bias) * (1.0 - errors[3:SCALE_DIM])
+        return (gyro - self.gyro_bias) @ response.T - specific_force @ by_force.T, specific_force
 
     def copy(self) -> NavState:
         """Returns a deep copy."""
@@ -180,9 +180,9 @@ def transition(
     step = np.eye(15)
     for i in range(gyro.shape[0]):
         middle = rotations[i] @ exp_so3(0.5 * step_s * gyro[i])
-        turn = exp_so3(-step_s * gyro[i])
+        rotation = exp_so3(-step_s * gyro[i])
         lever = -step_s * (middle @ _skew(force[i]))
-        step[0:3, 0:3] = turn
+        step[0:3, 0:3] = rotation
         step[6:9, 0:3] = lever
         step[3:6, 0:3] = 0.5 * step_s * lever
         for k in range(3):
@@ -226,14 +226,14 @@ class ImuBuffer:
         self._ticks = np.zeros(capacity, dtype=np.int64)
         self._gyro = np.zeros((capacity, 3))
         self._force = np.zeros((capacity, 3))
-        self._resting = np.zeros(capacity, dtype=np.bool_)
+        self._stationary = np.zeros(capacity, dtype=np.bool_)
 
-    def push(self, tick: int, gyro: Array, force: Array, resting: bool) -> None:
-        """Appends one sample; ``resting``: the rotors cannot lift the vehicle at this instant."""
+    def push(self, tick: int, gyro: Array, force: Array, stationary: bool) -> None:
+        """Appends one sample; ``stationary``: the rotors cannot lift the vehicle now."""
         if self.count == len(self._ticks):
             raise RuntimeError("the IMU buffer is full: the filter was not advanced")
         i = self.count
-        self._ticks[i], self._resting[i] = tick, resting
+        self._ticks[i], self._stationary[i] = tick, stationary
         self._gyro[i], self._force[i] = gyro, force
         self.count += 1
 
@@ -247,12 +247,12 @@ class ImuBuffer:
             self._ticks[:count],
             self._gyro[:count],
             self._force[:count],
-            self._resting[:count],
+            self._stationary[:count],
         )
 
     def drop(self, count: int) -> None:
         """Removes the oldest ``count``."""
-        for array in (self._ticks, self._gyro, self._force, self._resting):
+        for array in (self._ticks, self._gyro, self._force, self._stationary):
             array[: self.count - count] = array[count : self.count].copy()
         self.count -= count
 

@@ -22,7 +22,7 @@ from touchdown.estimator.filtering.imu_propagation import (
     NavState,
     propagate_nominal,
 )
-from touchdown.estimator.filtering.rolling_shutter import CameraMotion
+from touchdown.estimator.filtering.rolling_shutter import CameraTwist
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
 from touchdown.sim.api import (
     GRAVITY_MPS2,
@@ -69,9 +69,9 @@ class _Trail:
 
     def follow(self, state: NavState) -> None:
         """Moves the whole trail rigidly so that it ends at the filter's state."""
-        turn = state.rotation @ self.rotations[-1].T
-        self.positions = (self.positions - self.positions[-1]) @ turn.T + state.position
-        self.rotations = turn @ self.rotations
+        rotation = state.rotation @ self.rotations[-1].T
+        self.positions = (self.positions - self.positions[-1]) @ rotation.T + state.position
+        self.rotations = rotation @ self.rotations
 
     def start_of(self, scan: LidarScan) -> int | None:
         """Returns the index of the pose at the scan's start, if the trail spans the scan
@@ -116,12 +116,12 @@ class InertialFilter:
         self._zero_velocity = ZeroVelocityUpdate(
             rig.imu.gyro_density, self.step_s, attitude_known and not self._unlevelled
         )
-        self._head = state
+        self._propagated = state
         self._trail = _Trail(np.zeros(1, np.int64), state.rotation[None], state.position[None])
         self._newest = ImuSample(tick=0, time_s=0.0, angular_velocity=zero, specific_force=zero)
         self._jump = np.zeros(9)
         self._airborne_once = False
-        self.still = False
+        self.stationary = False
 
     @property
     def tick(self) -> int:
@@ -129,26 +129,28 @@ class InertialFilter:
         return self.eskf.state.tick
 
     @property
-    def head_tick(self) -> int:
+    def propagated_tick(self) -> int:
         """Tick of the newest IMU sample."""
-        return self._head.tick
+        return self._propagated.tick
 
     # ------------------------------------------------------------------------ inertial samples
 
     def take_imu(self, obs: Observation) -> None:
         """Buffers the samples and propagates the present state over them."""
-        standing = self._standing(obs.rotor_speed_radps)
+        stationary = self._is_stationary(obs.rotor_speed_radps)
         for sample in obs.imu:
             rate, force = sample.angular_velocity, sample.specific_force
             self._newest = sample
-            self._buffer.push(sample.tick, rate, force, standing)
+            self._buffer.push(sample.tick, rate, force, stationary)
             if self._unlevelled:
-                self._head = replace(self._head, tick=sample.tick)
+                self._propagated = replace(self._propagated, tick=sample.tick)
                 continue
             ticks = np.array([sample.tick])
-            self._head = propagate_nominal(self._head, ticks, rate[None], force[None], self.step_s)
+            self._propagated = propagate_nominal(
+                self._propagated, ticks, rate[None], force[None], self.step_s
+            )
 
-    def _standing(self, rotor_speed: Array) -> bool:
+    def _is_stationary(self, rotor_speed: Array) -> bool:
         vehicle = self.rig.vehicle
         thrust = vehicle.thrust_coefficient * float(np.sum(rotor_speed**2))
         if thrust > _LIFTING_THRUST * vehicle.mass_kg * GRAVITY_MPS2:
@@ -163,12 +165,12 @@ class InertialFilter:
             return
         if self._unlevelled:
             self._level()
-        _, gyro, force, standing = self._buffer.samples(count)
+        _, gyro, force, stationary = self._buffer.samples(count)
         ticks, rotations, positions = self.eskf.propagate(self._buffer, count)
         self._trail.extend(ticks[1:], rotations[1:], positions[1:])
-        self.still = self._zero_velocity.update(self.eskf, gyro, force, standing)
+        self.stationary = self._zero_velocity.update(self.eskf, gyro, force, stationary)
         self._buffer.drop(count)
-        if self.still:
+        if self.stationary:
             self._trail.follow(self.eskf.state)
 
     def _level(self) -> None:
@@ -178,13 +180,13 @@ class InertialFilter:
         _, _, force, _ = self._buffer.samples(self._buffer.count)
         spread = self.rig.imu.accel_density / np.sqrt(len(force) * self.step_s)
         align_with_gravity(self.eskf, force.mean(axis=0), _LEVEL_SIGMA + spread)
-        # the start is that of the body, about which the IMU was turned
-        turned = self.eskf.state.rotation @ self.imu_from_body.rotation
+        # the start is that of the body, about which the IMU was rotated
+        attitude = self.eskf.state.rotation @ self.imu_from_body.rotation
         lever = self.rig.body_from_imu.translation
-        position = self.rig.world_from_body_start.translation + turned @ lever
+        position = self.rig.world_from_body_start.translation + attitude @ lever
         state = self.eskf.state = replace(self.eskf.state, position=position)
         self._trail = _Trail(np.array([state.tick]), state.rotation[None], position[None])
-        self._head = state
+        self._propagated = state
 
     # ------------------------------------------------------------------------ measurements
 
@@ -225,18 +227,19 @@ class InertialFilter:
         first = min(int(at), max(len(trail.ticks) - 2, 0))
         last = min(first + 1, len(trail.ticks) - 1)
         share = at - first
-        turn = so3_log(trail.rotations[first].T @ trail.rotations[last])
-        shift = trail.positions[last] - trail.positions[first]
+        rotation = so3_log(trail.rotations[first].T @ trail.rotations[last])
+        translation = trail.positions[last] - trail.positions[first]
         return Pose(
-            trail.rotations[first] @ so3_exp(share * turn), trail.positions[first] + share * shift
+            trail.rotations[first] @ so3_exp(share * rotation),
+            trail.positions[first] + share * translation,
         )
 
-    def camera_motion(self, image: CameraImage) -> CameraMotion:
-        """Motion of the camera at the filter's time, and the delay of ``image`` after it."""
+    def camera_twist(self, image: CameraImage) -> CameraTwist:
+        """Twist of the camera at the filter's time, and the delay of ``image`` after it."""
         state = self.eskf.state
         velocity = state.rotation.T @ state.velocity
         late_s = image.time_s - state.tick / self.rig.tick_hz
-        return CameraMotion.of_imu(self.eskf.rate, velocity, self.imu_from_camera, late_s)
+        return CameraTwist.of_imu(self.eskf.rate, velocity, self.imu_from_camera, late_s)
 
     def pose_information(self) -> Array:
         """(6, 6) inverse covariance of the present pose, all else marginalised."""
@@ -263,14 +266,14 @@ class InertialFilter:
     def catch_up(self) -> None:
         """Propagates the corrected state to the present; the resulting jump decays over
         ``correction_time_s``."""
-        before = self._head
+        before = self._propagated
         ticks, gyro, force, _ = self._buffer.samples(self._buffer.count)
         after = propagate_nominal(self.eskf.state, ticks, gyro, force, self.step_s)
         handed_out = before.rotation @ so3_exp(self._jump[:3])
-        turn = so3_log(after.rotation.T @ handed_out)
-        shift = before.position + self._jump[3:6] - after.position
-        surge = before.velocity + self._jump[6:] - after.velocity
-        self._jump, self._head = np.concatenate([turn, shift, surge]), after
+        rotation = so3_log(after.rotation.T @ handed_out)
+        translation = before.position + self._jump[3:6] - after.position
+        velocity = before.velocity + self._jump[6:] - after.velocity
+        self._jump, self._propagated = np.concatenate([rotation, translation, velocity]), after
 
     def estimate(
         self,
@@ -284,20 +287,20 @@ class InertialFilter:
         """Returns the estimate at the present. ``extra_covariance`` (3, 3) m^2 is added to the
         position's."""
         self._jump = self._jump * np.exp(-self.step_s / self._correction_time_s)
-        head, offset = self._head, self.imu_from_body
-        rotation = head.rotation @ so3_exp(self._jump[:3])
-        rate = self._newest.angular_velocity - head.gyro_bias
-        force = rotation @ (self._newest.specific_force - head.accel_bias)
+        propagated, offset = self._propagated, self.imu_from_body
+        rotation = propagated.rotation @ so3_exp(self._jump[:3])
+        rate = self._newest.angular_velocity - propagated.gyro_bias
+        force = rotation @ (self._newest.specific_force - propagated.accel_bias)
         to_body = self.rig.body_from_imu.rotation
         covariance = self.eskf.covariance
-        turn = world_from_odom.rotation
-        position_covariance = turn @ covariance[3:6, 3:6] @ turn.T + extra_covariance
+        to_world = world_from_odom.rotation
+        position_covariance = to_world @ covariance[3:6, 3:6] @ to_world.T + extra_covariance
         return Estimate(
             tick=obs.tick,
             time_s=obs.time_s,
-            odom_from_body=Pose(rotation, head.position + self._jump[3:6]) @ offset,
+            odom_from_body=Pose(rotation, propagated.position + self._jump[3:6]) @ offset,
             world_from_odom=world_from_odom,
-            velocity_odom=head.velocity
+            velocity_odom=propagated.velocity
             + self._jump[6:]
             + rotation @ cross(rate, offset.translation),
             angular_velocity_body=to_body @ rate,

@@ -34,8 +34,8 @@ class Keyframe:
     """median depth of the landmarks"""
     calibration: Array
     """(C,) of the filter when the planes were measured"""
-    motion: Array
-    """(6,) turn rate in the IMU's frame and velocity in the odometry frame at the clone"""
+    twist: Array
+    """(6,) angular rate in the IMU's frame and velocity in the odometry frame at the clone"""
     delay_s: float = 0.0
     """stamp of the image less the instant of the clone"""
 

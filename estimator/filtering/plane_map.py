@@ -116,9 +116,9 @@ def insert_points(
             qx = p[0] + w[1] * bz - w[2] * by + w[3]
             qy = p[1] + w[2] * bx - w[0] * bz + w[4]
             qz = p[2] + w[0] * by - w[1] * bx + w[5]
-            turn = rotations[k]
+            r = rotations[k]
             for a in range(3):
-                p[a] = turn[a, 0] * qx + turn[a, 1] * qy + turn[a, 2] * qz + translations[k, a]
+                p[a] = r[a, 0] * qx + r[a, 1] * qy + r[a, 2] * qz + translations[k, a]
         x = p[0] - (ix + 0.5) * voxel
         y = p[1] - (iy + 0.5) * voxel
         z = p[2] - (iz + 0.5) * voxel

@@ -66,7 +66,7 @@ def calibrated_information(
     position: Array,
     key_rotation: Array,
     key_position: Array,
-    motions: Array,
+    twists: Array,
     camera_rotation: Array,
     camera_position: Array,
     intrinsics: Array,
@@ -78,9 +78,9 @@ def calibrated_information(
 
     ``pixels`` (N, 2): measured now; ``row_times`` (N,): instants of their rows less that of the
     exposure, s; ``landmarks`` (N, 3): in the keyframe's IMU frame, with their ``jacobians``
-    (N, 3, C) by the shared calibration, C = 0 or 18, and ``spreads`` (N, 3), one standard deviation
+    (N, 3, C) by the shared calibration, C = 0 or 17, and ``spreads`` (N, 3), one standard deviation
     along their rays; ``rotation``, ``position``: odom_from_imu at the exposure; ``key_*``: the same
-    of the keyframe; ``motions`` (12,): turn rate and velocity now, then those of the keyframe;
+    of the keyframe; ``twists`` (12,): angular rate and velocity now, then those of the keyframe;
     ``camera_*``: camera_from_imu; ``intrinsics``: fx, fy, cx, cy.
     Error order: present rotation (right perturbation) and position, then the keyframe's, then the
     calibration. Cauchy weights of scale ``gate_px`` / 2, zero beyond ``gate_px``.
@@ -99,13 +99,13 @@ def calibrated_information(
     for i in range(pixels.shape[0]):
         q, late = landmarks[i], row_times[i]
         for a in range(3):
-            world[a] = key_position[a] - position[a] - late * motions[3 + a]
+            world[a] = key_position[a] - position[a] - late * twists[3 + a]
             for b in range(3):
                 world[a] += key_rotation[a, b] * q[b]
         for a in range(3):
             offset[a] = back[a, 0] * world[0] + back[a, 1] * world[1] + back[a, 2] * world[2]
-        turned = exp_so3(-late * motions[:3])
-        to_camera = camera_rotation @ turned
+        rotated = exp_so3(-late * twists[:3])
+        to_camera = camera_rotation @ rotated
         c = to_camera @ offset + camera_position
         if c[2] < 1e-2:
             continue
@@ -145,7 +145,7 @@ def calibrated_information(
             mount = projection @ camera_rotation
             for a in range(2):
                 for b in range(12):
-                    jacobian[a, 22] -= jacobian[a, b] * motions[b]
+                    jacobian[a, 22] -= jacobian[a, b] * twists[b]
                 jacobian[a, 23] += mount[a, 1] * lever[2] - mount[a, 2] * lever[1]
                 jacobian[a, 24] += mount[a, 2] * lever[0] - mount[a, 0] * lever[2]
                 jacobian[a, 25] += mount[a, 0] * lever[1] - mount[a, 1] * lever[0]

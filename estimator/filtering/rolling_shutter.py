@@ -1,8 +1,8 @@
 """Rolling shutter: an image's features as a camera that exposes all rows at once would see them.
 
 The rows of an image are exposed one after the other. Within a readout of 15 ms a quadrotor's rates
-change little, so that the pose at a row is that at one instant moved on at constant turn rate and
-velocity (Hedborg, Forssen, Felsberg and Ringaby, "Rolling shutter bundle adjustment", CVPR 2012,
+change little, so that the pose at a row is that at one instant moved on at a constant twist
+(Hedborg, Forssen, Felsberg and Ringaby, "Rolling shutter bundle adjustment", CVPR 2012,
 interpolate poses likewise). The pixels found are moved to that instant, and whatever uses them
 afterwards needs no model of the shutter. The instant also takes up the part of an IMU step between
 the filter's state and the image.
@@ -48,8 +48,8 @@ def ground_depths(pixels: Array, camera: CameraIntrinsics, pose: Pose, ground_m:
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class CameraMotion:
-    """Motion of a camera in its own frame at the instant that pixels are moved to, and the delay of
+class CameraTwist:
+    """Twist of a camera in its own frame at the instant that pixels are moved to, and the delay of
     an image's middle row after that instant."""
 
     rate: Array
@@ -59,14 +59,14 @@ class CameraMotion:
     late_s: float
 
     @staticmethod
-    def of_imu(rate: Array, velocity: Array, imu_from_camera: Pose, late_s: float) -> CameraMotion:
-        """The motion of a camera from turn rate and velocity (3,) of the IMU, in its frame."""
-        turn = imu_from_camera.rotation.T
+    def of_imu(rate: Array, velocity: Array, imu_from_camera: Pose, late_s: float) -> CameraTwist:
+        """The twist of a camera from angular rate and velocity (3,) of the IMU, in its frame."""
+        rotation = imu_from_camera.rotation.T
         lever = imu_from_camera.translation
-        return CameraMotion(turn @ rate, turn @ (velocity + cross(rate, lever)), late_s)
+        return CameraTwist(rotation @ rate, rotation @ (velocity + cross(rate, lever)), late_s)
 
 
-AT_REST = CameraMotion(np.zeros(3), np.zeros(3), 0.0)
+STATIONARY = CameraTwist(np.zeros(3), np.zeros(3), 0.0)
 
 
 class ShutterModel:
@@ -76,9 +76,9 @@ class ShutterModel:
         self._camera = rig.camera
         self._readout_s = rig.camera_readout_s
 
-    def idle(self, motion: CameraMotion) -> bool:
+    def idle(self, twist: CameraTwist) -> bool:
         """True if no pixel moves: all rows are exposed at the instant itself."""
-        return self._readout_s == 0.0 and motion.late_s == 0.0
+        return self._readout_s == 0.0 and twist.late_s == 0.0
 
     def row_delays(self, pixels: Array, late_s: float) -> Array:
         """Delays (N,) s of the rows of ``pixels`` (N, 2) after the instant."""
@@ -86,29 +86,29 @@ class ShutterModel:
         delays: Array = late_s + self._readout_s * np.clip(share, -0.5, 0.5)
         return delays
 
-    def to_instant(self, pixels: Array, depths: Array, motion: CameraMotion) -> Array:
+    def to_instant(self, pixels: Array, depths: Array, twist: CameraTwist) -> Array:
         """Pixels (N, 2) at the instant, of ``pixels`` (N, 2) found in the image. ``depths`` (N,)
-        along the optical axis, of which only the part of the motion that is no turn depends."""
-        if self.idle(motion) or len(pixels) == 0:
+        along the optical axis, which matter to the translation alone."""
+        if self.idle(twist) or len(pixels) == 0:
             return pixels
-        delays = self.row_delays(pixels, motion.late_s)
+        delays = self.row_delays(pixels, twist.late_s)
         camera = self._camera
         focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
         rays = np.column_stack([(pixels - centre) / focal, np.ones(len(pixels))])
-        turns = exp_so3_each(delays[:, None] * motion.rate)
-        points = np.einsum("nij,nj->ni", turns, rays) * depths[:, None]
-        points += delays[:, None] * motion.velocity
+        rotations = exp_so3_each(delays[:, None] * twist.rate)
+        points = np.einsum("nij,nj->ni", rotations, rays) * depths[:, None]
+        points += delays[:, None] * twist.velocity
         front = points[:, 2] > _NEAREST_M
         scale = np.where(front, points[:, 2], 1.0)
         moved = points[:, :2] / scale[:, None] * focal + centre
         return np.where(front[:, None], moved, pixels)
 
-    def to_rows(self, pixels: Array, depths: Array, motion: CameraMotion) -> Array:
+    def to_rows(self, pixels: Array, depths: Array, twist: CameraTwist) -> Array:
         """The inverse of ``to_instant``: where points expected at ``pixels`` (N, 2) at the instant
         appear in the image."""
-        if self.idle(motion) or len(pixels) == 0:
+        if self.idle(twist) or len(pixels) == 0:
             return pixels
         found = pixels
         for _ in range(2):
-            found = found + pixels - self.to_instant(found, depths, motion)
+            found = found + pixels - self.to_instant(found, depths, twist)
         return found

@@ -49,33 +49,33 @@ class ZeroVelocityUpdate:
         self._step_s = step_s
         self._anchor: NavState | None = None
 
-    def holds(self, eskf: Eskf, gyro: Array, force: Array, resting: NDArray[np.bool_]) -> bool:
+    def holds(self, eskf: Eskf, gyro: Array, force: Array, stationary: NDArray[np.bool_]) -> bool:
         """True if (N, 3) samples, all taken with the rotors too slow to lift, show no motion: mean
-        rate and force within four standard deviations of those at rest."""
-        if len(gyro) < 6 or not bool(resting.all()):
+        rate and force within four standard deviations of those of a stationary vehicle."""
+        if len(gyro) < 6 or not bool(stationary.all()):
             return False
         state, variances = eskf.state, np.diag(eskf.covariance)
-        rate, pull = (part.mean(axis=0) for part in state.corrected(gyro, force))
-        pull = pull - GRAVITY_MPS2 * state.rotation[2]
+        rate, specific_force = (part.mean(axis=0) for part in state.corrected(gyro, force))
+        specific_force = specific_force - GRAVITY_MPS2 * state.rotation[2]
         rate_limit = _RATE_LIMIT + 4.0 * np.sqrt(variances[GYRO_BIAS].max())
         force_sigma2 = variances[ACCEL_BIAS].max() + GRAVITY_MPS2**2 * variances[ROTATION].max()
         force_limit = _FORCE_LIMIT + 4.0 * np.sqrt(force_sigma2)
         return bool(
             np.abs(rate).max() < rate_limit
-            and np.abs(pull).max() < force_limit
+            and np.abs(specific_force).max() < force_limit
             and force.std(axis=0).max() < _SHAKE_LIMIT
         )
 
-    def update(self, eskf: Eskf, gyro: Array, force: Array, resting: NDArray[np.bool_]) -> bool:
+    def update(self, eskf: Eskf, gyro: Array, force: Array, stationary: NDArray[np.bool_]) -> bool:
         """Applies the updates if ``holds``; returns True if so."""
-        if not self.holds(eskf, gyro, force, resting):
+        if not self.holds(eskf, gyro, force, stationary):
             self._anchor = None
             return False
         if self._anchor is None:
             self._anchor = eskf.state
         anchor, state = self._anchor, eskf.state
         duration = len(gyro) * self._step_s
-        rates, pulls = state.corrected(gyro, force)
+        rates, specific_forces = state.corrected(gyro, force)
         residual = np.concatenate(
             [
                 so3_log(state.rotation.T @ anchor.rotation),
@@ -90,7 +90,7 @@ class ZeroVelocityUpdate:
         )
         if not self._attitude_known:
             variances[:2] = np.inf
-        by_errors, touched = _derivatives(pulls.mean(axis=0), eskf)
+        by_errors, touched = _derivatives(specific_forces.mean(axis=0), eskf)
         weighted = by_errors.T / variances
         information = weighted @ by_errors
         delta = eskf.correction(touched, information, weighted @ residual)
@@ -99,7 +99,7 @@ class ZeroVelocityUpdate:
         return True
 
 
-def _derivatives(pull: Array, eskf: Eskf) -> tuple[Array, NDArray[np.int64]]:
+def _derivatives(specific_force: Array, eskf: Eskf) -> tuple[Array, NDArray[np.int64]]:
     """Derivatives (12, D) of the residuals by the error coordinates (D,) that are returned beside.
 
     At rest the gyroscope shows its bias and its response to gravity. Which of the two it is shows
@@ -109,6 +109,6 @@ def _derivatives(pull: Array, eskf: Eskf) -> tuple[Array, NDArray[np.int64]]:
     if not eskf.shared:
         return np.eye(12), touched
     response = np.zeros((12, 9))
-    response[9:] = np.kron(np.eye(3), pull)
+    response[9:] = np.kron(np.eye(3), specific_force)
     start = eskf.base - IMU_DIM + SCALE_DIM + CROSS_DIM
     return np.hstack([np.eye(12), response]), np.r_[touched, start : eskf.base]

@@ -28,7 +28,6 @@ from touchdown.estimator.livo.lidar_update import (
     weak_directions,
     without_directions,
 )
-from touchdown.estimator.livo.online_calibration import LIDAR_CLOCK
 
 Array = NDArray[np.float64]
 
@@ -45,8 +44,6 @@ def anchored_information(
     clone_rotations: Array,
     clone_positions: Array,
     mount_changes: Array,
-    motion: Array,
-    clone_motions: Array,
     shared: int,
     range_sigma: float,
     angle_sigma: float,
@@ -57,11 +54,9 @@ def anchored_information(
 
     ``points`` and ``beams`` (N, 3): IMU frame; ``planes``: in the odometry frame at the present
     estimate, anchors as indices into the M clones; ``clone_*``: odom_from_imu of these;
-    ``mount_changes`` (M, 6): present mount less the mount when the clone was made; ``motion`` (6,)
-    and ``clone_motions`` (M, 6): turn rate (IMU frame) and velocity (odometry frame) now and when
-    each clone was made. Error order: rotation (right perturbation), position, ``shared``
-    coordinates of calibration (``online_calibration``), then six for each clone;
-    D = 6 + shared + 6 M.
+    ``mount_changes`` (M, 6): present mount less the mount when the clone was made. Error order:
+    rotation (right perturbation), position, ``shared`` coordinates of calibration
+    (``online_calibration``), then six for each clone; D = 6 + shared + 6 M.
 
     A residual's variance is the larger of the beam's (range and angle noise along the normal) and
     the plane's thickness, plus the plane's uncertainty. Weights are Cauchy's with scale
@@ -72,17 +67,16 @@ def anchored_information(
     size = 6 + shared + 6 * clone_rotations.shape[0]
     information = np.zeros((size, size))
     vector = np.zeros(size)
-    row = np.zeros(19)
-    columns = np.zeros(19, dtype=np.int64)
+    row = np.zeros(18)
+    columns = np.zeros(18, dtype=np.int64)
     own, from_map, x = np.zeros((3, 3)), np.zeros(6), np.zeros(3)
     count = 6
     for a in range(6):
         columns[a] = a
     if shared > 0:
-        count = 13
+        count = 12
         for a in range(6):
             columns[6 + a] = 6 + a
-        columns[12] = 6 + LIDAR_CLOCK
     used, total = 0, 0.0
     for i in range(points.shape[0]):
         if not found[i]:
@@ -140,10 +134,6 @@ def anchored_information(
             row[7] = beam[2] * bx - beam[0] * bz - from_map[1]
             row[8] = beam[0] * by - beam[1] * bx - from_map[2]
             row[9], row[10], row[11] = bx - mx, by - my, bz - mz
-            # a scan from an earlier pose; its map was made from an earlier one as well, below
-            row[12] = 0.0
-            for a in range(6):
-                row[12] -= row[a] * motion[a]
         width = count
         if k >= 0:
             # the plane turns and moves with its clone
@@ -159,8 +149,6 @@ def anchored_information(
             row[count + 3], row[count + 4], row[count + 5] = -n[0], -n[1], -n[2]
             for a in range(6):
                 columns[count + a] = 6 + shared + 6 * k + a
-                if shared > 0:
-                    row[12] -= row[count + a] * clone_motions[k, a]
             width = count + 6
         for a in range(width):
             u = columns[a]
@@ -226,8 +214,7 @@ def update_with_scan(
             points, beams, state.rotation, state.position, planes,
             np.array([eskf.clones[k].rotation for k in keys]).reshape(-1, 3, 3),
             np.array([eskf.clones[k].translation for k in keys]).reshape(-1, 3),
-            anchors.mount_changes(state.calibration)[keys], eskf.motion, anchors.motions(keys),
-            shared, *noise, gate,
+            anchors.mount_changes(state.calibration)[keys], shared, *noise, gate,
         )  # fmt: skip
         if used < min_matches:
             eskf.state, eskf.clones = prior, clones

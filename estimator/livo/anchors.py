@@ -23,25 +23,18 @@ class Anchors:
     def __init__(self) -> None:
         self._poses: list[Pose] = []
         self._calibrations: list[Array] = []
-        self._motions: list[Array] = []
 
     def __len__(self) -> int:
         return len(self._poses)
 
-    def add(self, pose: Pose, calibration: Array, motion: Array) -> None:
-        """Adds the anchor of a new clone; ``calibration`` (C,), C = 0 or 39; ``motion`` (6,): turn
-        rate and velocity."""
+    def add(self, pose: Pose, calibration: Array) -> None:
+        """Adds the anchor of a new clone; ``calibration`` (C,), C = 0 or 38."""
         self._poses.append(pose)
-        self._motions.append(motion)
         self._calibrations.append(_mount_part(calibration))
 
     def remove(self, k: int) -> None:
         """Removes the anchor of clone ``k``."""
-        del self._poses[k], self._calibrations[k], self._motions[k]
-
-    def motions(self, keys: list[int]) -> Array:
-        """(len(keys), 6) turn rates and velocities at the creation of these clones."""
-        return np.array([self._motions[k] for k in keys]).reshape(-1, 6)
+        del self._poses[k], self._calibrations[k]
 
     def now_from_kept(self, clones: list[Pose]) -> tuple[Array, Array]:
         """Rotations (K, 3, 3) and translations (K, 3) that move stored voxels to the present

@@ -42,7 +42,6 @@ from touchdown.estimator.livo.intensity_update import PhotometricUpdate
 from touchdown.estimator.livo.lidar_update import DegeneracyWatch, LidarReport
 from touchdown.estimator.livo.online_calibration import (
     CLOCK,
-    LIDAR_CLOCK,
     SHARED_DIM,
     calibration_diagnostics,
     corrected_mount,
@@ -123,8 +122,8 @@ class Livo:
         self._eskf.loosely_coupled = params.loose
         self._calibrate_by(0.0)
         self._anchors = Anchors()
-        self._head = state
-        self._head_covariance = self._eskf.covariance[:STATE_DIM, :STATE_DIM].copy()
+        self._propagated = state
+        self._propagated_covariance = self._eskf.covariance[:STATE_DIM, :STATE_DIM].copy()
         self._zero_velocity = ZeroVelocityUpdate(rig.imu.gyro_density, step_s, self._levelled)
         self._map = PlaneMap(params.voxel_m, params.map_voxels, params.voxel_points)
         self._recent = RecentReturns()
@@ -169,12 +168,12 @@ class Livo:
         obs = self._guard.screen(obs)
         self._events = list(self._guard.events)
         self._diagnostics["skipped"] += self._guard.refused
-        resting = self._resting(obs.rotor_speed_radps)
+        stationary = self._is_stationary(obs.rotor_speed_radps)
         for sample in obs.imu:
             self._gyro, self._force = sample.angular_velocity, sample.specific_force
-            self._buffer.push(sample.tick, self._gyro, self._force, resting)
-            self._head = propagate_nominal(
-                self._head, np.array([sample.tick]), self._gyro[None], self._force[None],
+            self._buffer.push(sample.tick, self._gyro, self._force, stationary)
+            self._propagated = propagate_nominal(
+                self._propagated, np.array([sample.tick]), self._gyro[None], self._force[None],
                 self._buffer.step_s,
             )  # fmt: skip
         measured = False
@@ -187,10 +186,10 @@ class Livo:
             self._advance(obs.tick - lag)
             measured = True
         if measured:
-            self._recompute_head()
+            self._propagate_to_now()
         return self._estimate(obs)
 
-    def _resting(self, rotor_speed: Array) -> bool:
+    def _is_stationary(self, rotor_speed: Array) -> bool:
         """True if the rotor speeds imply that the vehicle stands on the ground. A descending
         vehicle needs less speed than its static thrust suggests, so that after the first lift-off
         only idling rotors count."""
@@ -202,7 +201,7 @@ class Livo:
 
     def _take(self, message: Message) -> bool:
         tick = stamp_of(message)
-        if tick < self._eskf.state.tick or tick > self._head.tick:
+        if tick < self._eskf.state.tick or tick > self._propagated.tick:
             self._diagnostics["skipped"] += 1.0
             name = "scan" if isinstance(message, LidarScan) else "image"
             self._events.append(f"{name} {tick} refused: it came too late")
@@ -219,8 +218,8 @@ class Livo:
         count = self._buffer.until(tick)
         if count == 0:
             return
-        _, gyro, force, resting = self._buffer.samples(count)
-        if not self._levelled and resting.all():
+        _, gyro, force, stationary = self._buffer.samples(count)
+        if not self._levelled and stationary.all():
             sigma = _LEVEL_SIGMA + self._rig.imu.accel_density / np.sqrt(
                 count * self._buffer.step_s
             )
@@ -233,19 +232,19 @@ class Livo:
         self._history_positions = np.concatenate([self._history_positions, positions[1:]])
         self._history_rotations = self._history_rotations[-_HISTORY:]
         self._history_positions = self._history_positions[-_HISTORY:]
-        still = self._zero_velocity.update(self._eskf, gyro, force, resting)
-        self._diagnostics["stationary"] = float(still)
-        if still:
+        held = self._zero_velocity.update(self._eskf, gyro, force, stationary)
+        self._diagnostics["stationary"] = float(held)
+        if held:
             self._correct_history()
         self._buffer.drop(count)
 
     def _correct_history(self) -> None:
         """Moves the pose history rigidly, so that the newest is the filter's."""
         state = self._eskf.state
-        turn = state.rotation @ self._history_rotations[-1].T
+        rotation = state.rotation @ self._history_rotations[-1].T
         offset = self._history_positions - self._history_positions[-1]
-        self._history_positions = offset @ turn.T + state.position
-        self._history_rotations = turn @ self._history_rotations
+        self._history_positions = offset @ rotation.T + state.position
+        self._history_rotations = rotation @ self._history_rotations
 
     # ------------------------------------------------------------------------ measurements
 
@@ -341,7 +340,7 @@ class Livo:
         eskf = self._eskf
         self._photometric.follow(gone, eskf, self._last_height, self._dark_ticks)
         if gone is None:
-            self._anchors.add(eskf.clones[-1], eskf.state.calibration, eskf.motion)
+            self._anchors.add(eskf.clones[-1], eskf.state.calibration)
             return
         successor, move = self._anchors.reassignment(gone, eskf.clones)
         self._map.reassign(gone, successor, move)
@@ -369,11 +368,9 @@ class Livo:
 
     def _calibrate_by(self, gain: float) -> None:
         """Sets the share of the next measurement's correction that mounts and lens take; the
-        camera's clock, which no other error resembles, and the errors of the IMU take all of it,
-        the LIDAR's clock none: it only widens the covariance."""
+        camera's clock, which no other error resembles, and the errors of the IMU take all."""
         gains = self._eskf.calibration_gain
         gains[:] = gain
-        gains[LIDAR_CLOCK : LIDAR_CLOCK + 1] = 0.0
         gains[CLOCK : CLOCK + 1] = 1.0
         gains[SHARED_DIM:] = 1.0
 
@@ -391,19 +388,21 @@ class Livo:
 
     # ------------------------------------------------------------------------ the estimate
 
-    def _recompute_head(self) -> None:
+    def _propagate_to_now(self) -> None:
         """Propagates the corrected filter to the present; the jump is kept as an offset that
         decays."""
-        old = self._head
+        old = self._propagated
         ticks, gyro, force, _ = self._buffer.samples(self._buffer.count)
-        self._head = propagate_nominal(self._eskf.state, ticks, gyro, force, self._buffer.step_s)
-        self._head_covariance = self._covariance_of_now(gyro, force)
+        self._propagated = propagate_nominal(
+            self._eskf.state, ticks, gyro, force, self._buffer.step_s
+        )
+        self._propagated_covariance = self._covariance_of_now(gyro, force)
         shown = old.rotation @ so3_exp(self._offset[:3])
         self._offset = np.concatenate(
             [
-                so3_log(self._head.rotation.T @ shown),
-                old.position + self._offset[3:6] - self._head.position,
-                old.velocity + self._offset[6:9] - self._head.velocity,
+                so3_log(self._propagated.rotation.T @ shown),
+                old.position + self._offset[3:6] - self._propagated.position,
+                old.velocity + self._offset[6:9] - self._propagated.velocity,
             ]
         )
 
@@ -421,14 +420,14 @@ class Livo:
         return np.asarray(total @ covariance @ total.T + noise)
 
     def _estimate(self, obs: Observation) -> Estimate:
-        head = self._head
+        propagated = self._propagated
         self._offset = self._offset * np.exp(-self._buffer.step_s / self._params.correction_time_s)
-        rotation = head.rotation @ so3_exp(self._offset[:3])
-        rate_imu = self._gyro - head.gyro_bias
-        pose = Pose(rotation, head.position + self._offset[3:6]) @ self._imu_from_body
+        rotation = propagated.rotation @ so3_exp(self._offset[:3])
+        rate_imu = self._gyro - propagated.gyro_bias
+        pose = Pose(rotation, propagated.position + self._offset[3:6]) @ self._imu_from_body
         lever = cross(rate_imu, self._imu_from_body.translation)
-        acceleration = rotation @ (self._force - head.accel_bias) - _GRAVITY
-        cov = self._head_covariance
+        acceleration = rotation @ (self._force - propagated.accel_bias) - _GRAVITY
+        cov = self._propagated_covariance
         # the reported pose differs from the best estimate by the decaying offset
         shown = _INFLATION * cov[3:6, 3:6] + np.diag(self._floor)
         shown += np.outer(self._offset[3:6], self._offset[3:6])
@@ -438,7 +437,7 @@ class Livo:
             time_s=obs.time_s,
             odom_from_body=pose,
             world_from_odom=Pose.identity(),
-            velocity_odom=head.velocity + self._offset[6:9] + rotation @ lever,
+            velocity_odom=propagated.velocity + self._offset[6:9] + rotation @ lever,
             angular_velocity_body=body_from_imu @ rate_imu,
             acceleration_odom=acceleration,
             position_covariance=shown,

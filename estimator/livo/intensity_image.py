@@ -83,19 +83,17 @@ class IntensityImage:
     cell_m: float
     calibration: Array
     """(C,) shared calibration that its returns were placed with"""
-    motion: Array
-    """(6,) turn rate and velocity at its creation"""
     sums: Float32
     counts: Float32
     _smoothed: tuple[Float32, Float32] | None = None
 
     @staticmethod
-    def of(rotation: Array, height_m: float, calibration: Array, motion: Array) -> IntensityImage:
+    def of(rotation: Array, height_m: float, calibration: Array) -> IntensityImage:
         """An empty image of a clone, with ``rotation`` odom_from_imu, ``height_m`` above the
         ground."""
         sums, counts = np.zeros((2, SIDE, SIDE), dtype=np.float32)
         cell = max(_CELL_SHARE * height_m, _LEAST_CELL_M)
-        return IntensityImage(rotation[:2].copy(), cell, calibration.copy(), motion, sums, counts)
+        return IntensityImage(rotation[:2].copy(), cell, calibration.copy(), sums, counts)
 
     def add(self, points: Array, values: Array) -> None:
         """Adds ``points`` (N, 3), the clone's frame, of the brightness ``values`` (N,)."""

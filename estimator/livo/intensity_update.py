@@ -27,7 +27,7 @@ from touchdown.estimator.livo.intensity_image import (
     IntensityImage,
     brightness,
 )
-from touchdown.estimator.livo.online_calibration import LIDAR_CLOCK, MOUNT_DIM, SHIFT, TURN
+from touchdown.estimator.livo.online_calibration import MOUNT_DIM, MOUNT_ROTATION, MOUNT_TRANSLATION
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ neighbours of an image smoothed by 1, 2, 1"""
 
 class Photometry(NamedTuple):
     """Sums over the returns on one image. Error order: present pose, mount (rotation,
-    translation), the LIDAR's clock, the clone: 19 coordinates."""
+    translation), the clone: 18 coordinates."""
 
     information: Array
     vector: Array
@@ -69,25 +69,23 @@ def photometry(
     weights: Float32,
     axes: Array,
     cell: float,
-    turn: Array,
-    shift: Array,
-    clone_turn: Array,
+    rotation: Array,
+    translation: Array,
+    clone_rotation: Array,
     mount_change: Array,
     lever: Array,
-    motions: Array,
     sigma: float,
 ) -> Photometry:
     """Returns the normal equations of the brightness of N returns on one image.
 
-    ``points``, ``beams`` (N, 3): IMU frame; ``turn``, ``shift``: clone_from_imu; ``clone_turn``:
-    odom_from_clone; ``mount_change`` (6,): mount now less the mount when the image was made;
-    ``lever`` (3,): the LIDAR in the IMU frame; ``motions`` (12,): turn rate and velocity now, then
-    those of the clone; ``sigma``: of a residual. Cauchy weights. The mean of the residuals, the
-    scan's own brightness, is marginalised.
+    ``points``, ``beams`` (N, 3): IMU frame; ``rotation``, ``translation``: clone_from_imu;
+    ``clone_rotation``: odom_from_clone; ``mount_change`` (6,): mount now less that
+    when the image was made; ``lever`` (3,): the LIDAR in the IMU frame; ``sigma``: of a residual.
+    Cauchy weights. The mean of the residuals, the scan's own brightness, is marginalised.
     """
     rows, columns = means.shape
-    information, vector = np.zeros((19, 19)), np.zeros(19)
-    mean_row, row = np.zeros(19), np.zeros(19)
+    information, vector = np.zeros((18, 18)), np.zeros(18)
+    mean_row, row = np.zeros(18), np.zeros(18)
     total_weight, mean_residual = 0.0, 0.0
     g, q, seen = np.zeros(3), np.zeros(3), np.zeros(3)
     now, to_odom = np.zeros(3), np.zeros(3)
@@ -96,9 +94,9 @@ def photometry(
     for i in range(points.shape[0]):
         p, beam = points[i], beams[i]
         for a in range(3):
-            q[a] = shift[a]
+            q[a] = translation[a]
             for b in range(3):
-                q[a] += turn[a, b] * p[b]
+                q[a] += rotation[a, b] * p[b]
             seen[a] = q[a] - lever[a]
         u, v = 0.0, 0.0
         w = mount_change
@@ -131,24 +129,25 @@ def photometry(
         for a in range(3):
             g[a] = gu * axes[0, a] + gv * axes[1, a]
         for b in range(3):
-            now[b] = turn[0, b] * g[0] + turn[1, b] * g[1] + turn[2, b] * g[2]
-            to_odom[b] = clone_turn[b, 0] * g[0] + clone_turn[b, 1] * g[1] + clone_turn[b, 2] * g[2]
+            now[b] = rotation[0, b] * g[0] + rotation[1, b] * g[1] + rotation[2, b] * g[2]
+            to_odom[b] = (
+                clone_rotation[b, 0] * g[0]
+                + clone_rotation[b, 1] * g[1]
+                + clone_rotation[b, 2] * g[2]
+            )
         row[0] = p[1] * now[2] - p[2] * now[1]
         row[1] = p[2] * now[0] - p[0] * now[2]
         row[2] = p[0] * now[1] - p[1] * now[0]
-        row[13] = -(q[1] * g[2] - q[2] * g[1])
-        row[14] = -(q[2] * g[0] - q[0] * g[2])
-        row[15] = -(q[0] * g[1] - q[1] * g[0])
+        row[12] = -(q[1] * g[2] - q[2] * g[1])
+        row[13] = -(q[2] * g[0] - q[0] * g[2])
+        row[14] = -(q[0] * g[1] - q[1] * g[0])
         row[6] = beam[1] * now[2] - beam[2] * now[1] - (seen[1] * g[2] - seen[2] * g[1])
         row[7] = beam[2] * now[0] - beam[0] * now[2] - (seen[2] * g[0] - seen[0] * g[2])
         row[8] = beam[0] * now[1] - beam[1] * now[0] - (seen[0] * g[1] - seen[1] * g[0])
-        row[12] = 0.0
         for a in range(3):
-            row[3 + a], row[16 + a] = to_odom[a], -to_odom[a]
+            row[3 + a], row[15 + a] = to_odom[a], -to_odom[a]
             row[9 + a] = now[a] - g[a]
-        for a in range(6):
-            row[12] -= row[a] * motions[a] + row[13 + a] * motions[6 + a]
-        for a in range(19):
+        for a in range(18):
             vector[a] += weight * row[a] * residual
             mean_row[a] += weight * row[a]
             for b in range(a + 1):
@@ -160,7 +159,7 @@ def photometry(
         used += 1
     if used == 0:
         return Photometry(information, vector, 0, sigma, 1.0)
-    for a in range(19):
+    for a in range(18):
         vector[a] -= mean_row[a] * mean_residual / total_weight
         for b in range(a + 1):
             information[a, b] -= mean_row[a] * mean_row[b] / total_weight
@@ -177,10 +176,10 @@ class IntensityErrors:
     aside_m: float = 0.02
     """that do not average out over its returns: the noise of an image is the same for all scans
     compared with it"""
-    turn_rad: float = 5e-4
+    rotation_rad: float = 5e-4
     image_aside_m: float = 0.03
     """of an image as a whole: the drift while it was made"""
-    image_turn_rad: float = 5e-4
+    image_rotation_rad: float = 5e-4
     least_sigma: float = 0.1
     """of a brightness"""
 
@@ -215,7 +214,7 @@ class PhotometricUpdate:
 
     def errors_of_planes(self, errors: ScanErrors, dark_ticks: int) -> ScanErrors:
         """Error model of the planes after ``dark_ticks`` without an image: intensities see the
-        ground, at which a tilt and a shift look the same, so that planes must tell them apart."""
+        ground, at which tilt and translation look the same, so that planes must separate them."""
         if not self._needed(dark_ticks):
             return errors
         floor = errors.floor_sigmas.copy()
@@ -232,12 +231,10 @@ class PhotometricUpdate:
             del self.images[gone]
             return
         shared = eskf.state.calibration[: eskf.shared]
-        self.images.append(
-            IntensityImage.of(eskf.clones[-1].rotation, height_m, shared, eskf.motion)
-        )
+        self.images.append(IntensityImage.of(eskf.clones[-1].rotation, height_m, shared))
         if self._needed(dark_ticks):
             errors, at = self._errors, eskf.clone_indices(len(eskf.clones) - 1)
-            eskf.covariance[at[2], at[2]] += errors.image_turn_rad**2
+            eskf.covariance[at[2], at[2]] += errors.image_rotation_rad**2
             eskf.covariance[at[3:5], at[3:5]] += errors.image_aside_m**2
 
     def extend(self, eskf: Eskf, points: Array, intensity: NDArray[np.uint8]) -> None:
@@ -307,8 +304,8 @@ class PhotometricUpdate:
             if used < _LEAST_USED:
                 eskf.state, eskf.clones = prior, clones
                 return IntensityReport(used=used, images=images, sigma=sigma)
-            turn, aside = self._errors.turn_rad, self._errors.aside_m
-            floor = np.array([turn, turn, turn, aside, aside, 0.0])
+            own = self._errors
+            floor = np.array([*[own.rotation_rad] * 3, own.aside_m, own.aside_m, 0.0])
             floors = np.concatenate([floor, np.zeros(eskf.shared), np.zeros(6 * len(keys))])
             information, vector = limit_information(*eskf.coupled(information, vector), floors)
             offset = eskf.deviation(prior, clones, keys)
@@ -346,7 +343,7 @@ class PhotometricUpdate:
             part = photometry(
                 points, beams, values, *image.smoothed(), image.axes, image.cell_m,
                 move.rotation, move.translation, clone.rotation, change, self._lever,
-                np.concatenate([eskf.motion, image.motion]), float(sigmas[slot]),
+                float(sigmas[slot]),
             )  # fmt: skip
             if part.used:
                 sigmas[slot] = max(part.spread, self._errors.least_sigma)
@@ -355,11 +352,11 @@ class PhotometricUpdate:
                 continue
             start = CLONE_DIM * (1 + slot) + shared
             where = np.r_[np.arange(CLONE_DIM), np.arange(start, start + CLONE_DIM)]
-            own = np.r_[np.arange(CLONE_DIM), np.arange(13, 19)]
+            own = np.r_[np.arange(CLONE_DIM), np.arange(12, 18)]
             if shared:
-                mount = np.r_[TURN, SHIFT, LIDAR_CLOCK]
+                mount = np.r_[MOUNT_ROTATION, MOUNT_TRANSLATION]
                 where = np.r_[where, CLONE_DIM + mount]
-                own = np.r_[own, np.arange(6, 13)]
+                own = np.r_[own, np.arange(6, 12)]
             # the noise of the gradients adds to the squares, not to the vector
             information[np.ix_(where, where)] += clear * part.information[np.ix_(own, own)]
             vector[where] += part.vector[own]

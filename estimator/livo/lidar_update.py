@@ -159,7 +159,9 @@ class DegeneracyWatch:
         self._degenerate, self._against = weak, 0
         if not weak:
             return ["the LIDAR measures the whole pose again"]
-        return [
-            f"the LIDAR no longer measures {report.weak_translation} directions of translation and "
-            f"{report.weak_rotation} of rotation"
-        ]
+        counts = {
+            "translation along": report.weak_translation,
+            "rotation about": report.weak_rotation,
+        }
+        lost = [f"{what} {n} {'axis' if n == 1 else 'axes'}" for what, n in counts.items() if n]
+        return [f"the LIDAR does not measure {' and '.join(lost)}"]

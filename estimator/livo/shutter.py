@@ -1,7 +1,7 @@
 """Rolling shutter: the instants of an image's rows, and rays from where the camera was at each.
 
 The pose at a row is that at the image's stamp, moved on by the row's offset in time at constant
-turn rate and velocity. Within a readout of 15 ms a quadrotor's rates change little (Hedborg,
+angular rate and velocity. Within a readout of 15 ms a quadrotor's rates change little (Hedborg,
 Forssen, Felsberg and Ringaby, "Rolling shutter bundle adjustment", CVPR 2012, interpolate poses
 likewise).
 """
@@ -37,18 +37,18 @@ class Shutter:
 
 
 def rows_of_keyframe(
-    rays: Array, motion: Array, imu_from_camera: Pose, row_times: Array
+    rays: Array, twist: Array, imu_from_camera: Pose, row_times: Array
 ) -> tuple[Array, Array]:
     """Returns rays (N, 3) and their starts (N, 3), each from the pose at its row's instant, in the
     camera frame at the stamp.
 
-    ``rays`` (N, 3) in the camera frame of their own instants; ``motion`` (6,): turn rate and
+    ``rays`` (N, 3) in the camera frame of their own instants; ``twist`` (6,): angular rate and
     velocity of the IMU in its own frame.
     """
     if not row_times.any():
         return rays, np.zeros_like(rays)
     to_camera, lever = imu_from_camera.rotation.T, imu_from_camera.translation
-    rate = to_camera @ motion[:3]
-    velocity = to_camera @ (motion[3:] + np.cross(motion[:3], lever))
-    turns = exp_so3_each(row_times[:, None] * rate)
-    return np.einsum("nij,nj->ni", turns, rays), row_times[:, None] * velocity
+    rate = to_camera @ twist[:3]
+    velocity = to_camera @ (twist[3:] + np.cross(twist[:3], lever))
+    rotations = exp_so3_each(row_times[:, None] * rate)
+    return np.einsum("nij,nj->ni", rotations, rays), row_times[:, None] * velocity

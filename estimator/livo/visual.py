@@ -22,8 +22,8 @@ from touchdown.estimator.filtering.keyframes import (
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera, calibrated_information
 from touchdown.estimator.livo.online_calibration import (
-    CAMERA_SHIFT,
-    CAMERA_TURN,
+    CAMERA_ROTATION,
+    CAMERA_TRANSLATION,
     CENTER,
     FOCAL,
     corrected_camera,
@@ -137,7 +137,7 @@ class VisualFrontEnd:
         """odom_from_camera of a keyframe with stamp at ``pose``, by the calibration at its
         creation."""
         (taken,) = exposed(
-            [pose], keyframe.motion[None], np.array([keyframe.delay_s]), keyframe.calibration
+            [pose], keyframe.twist[None], np.array([keyframe.delay_s]), keyframe.calibration
         )
         return taken @ self._imu_from_camera
 
@@ -186,7 +186,7 @@ class VisualFrontEnd:
             sigmas=np.zeros(count),
             depth_m=0.0,
             calibration=eskf.state.calibration,
-            motion=eskf.motion,
+            twist=eskf.twist,
             delay_s=delay_s,
         )
 
@@ -247,18 +247,18 @@ class VisualFrontEnd:
     def _exposed(self, eskf: Eskf, delay_s: float, after_s: float = 0.0) -> list[Pose]:
         """odom_from_imu of all clones and of the present, ``after_s`` after the stamps of their
         images."""
-        motions = np.array([*(keyframe.motion for keyframe in self.keyframes), eskf.motion])
+        twists = np.array([*(keyframe.twist for keyframe in self.keyframes), eskf.twist])
         delays = np.array([*(keyframe.delay_s for keyframe in self.keyframes), delay_s])
         poses = [*eskf.clones, eskf.state.pose]
-        return exposed(poses, motions, delays + after_s, eskf.state.calibration)
+        return exposed(poses, twists, delays + after_s, eskf.state.calibration)
 
     def _track(self, eskf: Eskf, k: int, which: NDArray[np.int64], pixels: Array) -> _Track:
         """Landmarks of keyframe ``k`` as created, and their derivatives by the calibration."""
         keyframe, mount = self.keyframes[k], self._imu_from_camera
-        motion = keyframe.motion.copy()
-        motion[3:] = eskf.clones[k].rotation.T @ motion[3:]
+        twist = keyframe.twist.copy()
+        twist[3:] = eskf.clones[k].rotation.T @ twist[3:]
         rays, starts = rows_of_keyframe(
-            bearing_rays(keyframe.pixels[which], self._camera), motion, mount,
+            bearing_rays(keyframe.pixels[which], self._camera), twist, mount,
             self._params.shutter.row_times(keyframe.pixels[which, 1], self._camera.height),
         )  # fmt: skip
         planes = keyframe.planes[which]
@@ -272,10 +272,10 @@ class VisualFrontEnd:
             none = np.zeros((len(which), 3, 0))
             return _Track(k, pixels, landmarks, none, spreads, np.zeros(0))
         made_with = keyframe.calibration[: eskf.shared].copy()
-        for given in (FOCAL, CENTER, CAMERA_TURN, CAMERA_SHIFT):
+        for given in (FOCAL, CENTER, CAMERA_ROTATION, CAMERA_TRANSLATION):
             made_with[given] = 0.0  # rays are those of the given lens and mount
         jacobians = landmark_jacobians(
-            rays, planes, self._lidar_in_camera, mount, motion, self._camera
+            rays, planes, self._lidar_in_camera, mount, twist, self._camera
         )
         return _Track(k, pixels, landmarks, jacobians, spreads, made_with)
 
@@ -321,7 +321,7 @@ class VisualFrontEnd:
             part = calibrated_information(
                 track_.pixels, rows, landmarks, track_.jacobians, track_.spreads,
                 now.rotation, now.translation, clone.rotation, clone.translation,
-                np.concatenate([eskf.motion, keyframe.motion]),
+                np.concatenate([eskf.twist, keyframe.twist]),
                 camera.rotation, camera.translation,
                 intrinsics, self._params.sigma_px, gate_px,
             )  # fmt: skip

@@ -91,8 +91,8 @@ def _reduced_system(
         direction = camera_rotation @ rays[m]
         in_host = direction * depths[m] + camera_position
         world = rotations[h] @ in_host + positions[h]
-        turned = np.ascontiguousarray(rotations[k].T)
-        in_observer = turned @ (world - positions[k])
+        to_observer = np.ascontiguousarray(rotations[k].T)
+        in_observer = to_observer @ (world - positions[k])
         c = back @ (in_observer - camera_position)
         if c[2] < 0.05:
             continue
@@ -104,7 +104,7 @@ def _reduced_system(
         weight = 1.0 / ((1.0 + error2 / scale**2) * sigmas[o] ** 2)
         cost += scale**2 * np.log(1.0 + error2 / scale**2)
         in_imu = projection @ back
-        in_world = in_imu @ turned
+        in_world = in_imu @ to_observer
         through_host = in_world @ rotations[h]
         _cross_rows(in_imu, in_observer, part)
         j_observer[:, :3], j_observer[:, 3:] = -part, -in_world

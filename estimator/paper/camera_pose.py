@@ -15,7 +15,7 @@ from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.rolling_shutter import (
-    CameraMotion,
+    CameraTwist,
     ShutterModel,
     ground_depths,
 )
@@ -108,8 +108,8 @@ class CameraPositioning:
         self._last_tick = image.tick
         grey = np.asarray(cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         found = self._detector(grey)
-        motion = self._filter.camera_motion(image)
-        features = self._at_one_instant(found[0], motion), self._at_one_instant(found[1], motion)
+        twist = self._filter.camera_twist(image)
+        features = self._at_one_instant(found[0], twist), self._at_one_instant(found[1], twist)
         sightings, behind, solved = self._localise(features)
         corrected = False
         if solved is not None:
@@ -132,16 +132,16 @@ class CameraPositioning:
         self.diagnostics["closures"] = float(self._closures.closed)
         return corrected
 
-    def _at_one_instant(self, found: Features, motion: CameraMotion) -> Features:
+    def _at_one_instant(self, found: Features, twist: CameraTwist) -> Features:
         """The features as a camera without rolling shutter sees them at the filter's time."""
-        if self._shutter.idle(motion):
+        if self._shutter.idle(twist):
             return found
         camera = self._filter.eskf.state.pose @ self._imu_from_camera
         ground = self._recent.median_height()
         if ground is None:
             ground = float(self._rig.world_from_body_start.translation[2])
         depths = ground_depths(found.pixels, self._rig.camera, camera, ground)
-        return replace(found, pixels=self._shutter.to_instant(found.pixels, depths, motion))
+        return replace(found, pixels=self._shutter.to_instant(found.pixels, depths, twist))
 
     def _worth_keeping(self, sightings: Sightings) -> bool:
         """True if the image shows enough that the newest keyframe does not."""

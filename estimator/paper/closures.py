@@ -69,10 +69,12 @@ class Closures:
         ``source``; ``information`` (6, 6) of rotation (right perturbation) and position in the
         map."""
         measured = source.map_from_imu.inverse() @ seen
-        turn = np.eye(6)
-        turn[3:, 3:] = source.map_from_imu.rotation
+        to_source = np.eye(6)
+        to_source[3:, 3:] = source.map_from_imu.rotation
         self._graph.add_edge(
-            Edge(source.number, target.number, measured, turn.T @ information @ turn, True)
+            Edge(
+                source.number, target.number, measured, to_source.T @ information @ to_source, True
+            )
         )
         self.closed += 1
 
@@ -111,10 +113,10 @@ class Closures:
         """Moves the odometry frame towards its target at a bounded speed at the vehicle, and
         returns its pose."""
         now, target = self.world_from_odom, self._target
-        turn = float(so3_log(now.rotation.T @ target.rotation)[2])
+        yaw_error = float(so3_log(now.rotation.T @ target.rotation)[2])
         limit = self._rate * seconds
         yaw = float(np.arctan2(now.rotation[1, 0], now.rotation[0, 0]))
-        rotation = rotation_from_yaw(yaw + float(np.clip(turn, -limit, limit)))
+        rotation = rotation_from_yaw(yaw + float(np.clip(yaw_error, -limit, limit)))
         here = now.apply(position_odom)
         gap = target.apply(position_odom) - here
         length = float(np.sqrt(gap @ gap))
@@ -131,7 +133,7 @@ def _joined(words: tuple[Indices, Indices]) -> Indices:
 def level_transform(odom: Pose, world: Pose) -> Pose:
     """Returns world_from_odom, a rotation about the vertical and a translation, that maps the
     position of ``odom`` to that of ``world`` and matches the heading best."""
-    turn = world.rotation @ odom.rotation.T
-    yaw = float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
+    relative = world.rotation @ odom.rotation.T
+    yaw = float(np.arctan2(relative[1, 0] - relative[0, 1], relative[0, 0] + relative[1, 1]))
     rotation = rotation_from_yaw(yaw)
     return Pose(rotation, world.translation - rotation @ odom.translation)

@@ -92,7 +92,7 @@ class PaperEstimator:
 
     def _take(self, message: LidarScan | CameraImage) -> None:
         tick = stamp_of(message)
-        if tick < self._filter.tick or tick > self._filter.head_tick:
+        if tick < self._filter.tick or tick > self._filter.propagated_tick:
             self._skipped += 1
             name = "scan" if isinstance(message, LidarScan) else "image"
             self._events.append(f"{name} {tick} refused: it came too late")

@@ -31,9 +31,9 @@ class Edge:
 
 def edge_residual(edge: Edge, source: Pose, target: Pose) -> Array:
     """(6,) ``log(M^T R_s^T R_t)`` and ``R_s^T (p_t - p_s) - m``."""
-    turn = edge.measured.rotation.T @ source.rotation.T @ target.rotation
-    shift = source.rotation.T @ (target.translation - source.translation)
-    return np.concatenate([so3_log(turn), shift - edge.measured.translation])
+    rotation = edge.measured.rotation.T @ source.rotation.T @ target.rotation
+    translation = source.rotation.T @ (target.translation - source.translation)
+    return np.concatenate([so3_log(rotation), translation - edge.measured.translation])
 
 
 @njit(cache=True)
@@ -46,13 +46,13 @@ def _linearise(
     residuals: Array,
     source_rotations: Array,
     target_rotations: Array,
-    shifts: Array,
+    translations: Array,
     informations: Array,
     weights: Array,
 ) -> tuple[Array, Array]:
     """Blocks (E, 12, 12) and vectors (E, 12), the source's six coordinates first.
 
-    ``shifts`` (E, 3): ``R_s^T (p_t - p_s)``.
+    ``translations`` (E, 3): ``R_s^T (p_t - p_s)``.
     """
     count = residuals.shape[0]
     blocks, vectors = np.zeros((count, 12, 12)), np.zeros((count, 12))
@@ -65,7 +65,7 @@ def _linearise(
             np.ascontiguousarray(target_rotations[e].T) @ source_rotations[e]
         )
         jacobian[:3, 6:9] = curl
-        jacobian[3:, :3] = _skew(shifts[e])
+        jacobian[3:, :3] = _skew(translations[e])
         jacobian[3:, 3:6] = -back
         jacobian[3:, 9:] = back
         weighted = np.ascontiguousarray(jacobian.T) @ informations[e] * weights[e]
@@ -149,8 +149,8 @@ class PoseGraph:
         diagonal = np.zeros(size)
         for number, (pose, weights) in self._priors.items():
             now, at = self.poses[number], 6 * order[number]
-            turn = so3_log(pose.rotation.T @ now.rotation)
-            stray = np.concatenate([turn, now.translation - pose.translation])
+            rotation = so3_log(pose.rotation.T @ now.rotation)
+            stray = np.concatenate([rotation, now.translation - pose.translation])
             diagonal[at : at + 6] = weights
             vector[at : at + 6] = -weights * stray
         if not self.edges:
@@ -182,9 +182,9 @@ class PoseGraph:
         )
         source = np.array([poses[e.source].rotation for e in self.edges])
         target = np.array([poses[e.target].rotation for e in self.edges])
-        shifts = residuals[:, 3:] + np.array([e.measured.translation for e in self.edges])
+        translations = residuals[:, 3:] + np.array([e.measured.translation for e in self.edges])
         informations = np.array([e.information for e in self.edges])
         square = np.einsum("ei,eij,ej->e", residuals, informations, residuals)
         robust = np.array([e.robust for e in self.edges])
         weights = np.where(robust, 1.0 / (1.0 + square / self._robust_scale**2), 1.0)
-        return _linearise(residuals, source, target, shifts, informations, weights)
+        return _linearise(residuals, source, target, translations, informations, weights)

@@ -165,8 +165,8 @@ def deskew_by_step(points: Array, shares: Array, step: Array) -> Array:
     """(N, 3) points in the frame at the end of the scan, for the motion ``step`` (4, 4,
     previous_from_this scan) at constant velocity; small angles."""
     missing = (shares - 1.0)[:, None]
-    turn = so3_log(step[:3, :3])
-    return np.asarray(points + missing * (step[:3, 3] + np.cross(turn, points)))
+    rotation = so3_log(step[:3, :3])
+    return np.asarray(points + missing * (step[:3, 3] + np.cross(rotation, points)))
 
 
 def run_reference(

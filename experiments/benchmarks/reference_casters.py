@@ -16,7 +16,7 @@ from touchdown.scenes.api import Scene
 from touchdown.sim.airframe.vehicle import sensor_mounts
 from touchdown.sim.api import LidarParams
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, rotation_from_yaw
-from touchdown.sim.lidar.patterns.livox import pattern
+from touchdown.sim.lidar.patterns.livox import PATTERNS
 from touchdown.sim.lidar.raycast_scene import FIRST_HIDDEN_GROUP
 from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.moving import BodyTrack, MovingBodies
@@ -47,7 +47,7 @@ class ReferenceCasters:
         the package of that name, where it is installed. Valid until the next call."""
         rotation = rotation_from_yaw(self._yaw)
         world_from_lidar = Pose(rotation, position) @ self._mount
-        scan_pattern = pattern(self._params.preset)
+        scan_pattern = PATTERNS[self._params.preset]
         ticks = (scan_number * _SCAN_TICKS, (scan_number + 1) * _SCAN_TICKS)
         first = ticks[0] * scan_pattern.point_rate_hz // _TICK_HZ + 1
         count = ticks[1] * scan_pattern.point_rate_hz // _TICK_HZ + 1 - first

@@ -67,18 +67,18 @@ def errors(
     """Errors against the true calibration, the standard deviations that the calibration states,
     and the squared errors in units of its covariance, whose mean is the number of parameters."""
     found = result.camera_from_lidar
-    turn = so3_log(found.rotation @ camera_from_lidar.rotation.T)
-    shift = found.translation - camera_from_lidar.translation
+    rotation = so3_log(found.rotation @ camera_from_lidar.rotation.T)
+    translation = found.translation - camera_from_lidar.translation
     lens = _lens(result.camera) - _lens(camera)
     of_k = 100.0 * lens[:4] / _lens(camera)[:4]
-    outside = _nees(np.concatenate([turn, shift]), result.extrinsic_covariance)
+    outside = _nees(np.concatenate([rotation, translation]), result.extrinsic_covariance)
     inside = _nees(lens, result.camera_covariance)
     sigma = np.sqrt(np.diag(result.extrinsic_covariance))
     sigma_k = np.sqrt(np.diag(result.camera_covariance))
     return {
         "error": {
-            "rotation_deg": float(np.rad2deg(np.linalg.norm(turn))),
-            "translation_m": float(np.linalg.norm(shift)),
+            "rotation_deg": float(np.rad2deg(np.linalg.norm(rotation))),
+            "translation_m": float(np.linalg.norm(translation)),
             "camera_percent": dict(zip(("fx", "fy", "cx", "cy"), of_k.tolist(), strict=True)),
             "camera_worst_percent": float(np.abs(of_k).max()),
         },

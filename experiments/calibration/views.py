@@ -30,7 +30,7 @@ _HEIGHT_M = 5.5
 _PIXELS_PER_SQUARE = 96
 _NEAR_M, _FAR_M = 1.8, 3.4
 _TILT_RAD = np.deg2rad([18.0, 45.0])
-_TURN_RAD = np.deg2rad(25.0)
+_ROLL_RAD = np.deg2rad(25.0)
 _EDGE_PX = 12.0
 _MOST_OBLIQUE = np.cos(np.deg2rad(52.0))
 _LIDAR_HALF_VIEW = np.tan(0.5 * np.deg2rad([81.7, 25.1]))
@@ -67,7 +67,7 @@ def calibration_views(
 ) -> tuple[list[CalibrationView], CameraAndLidar]:
     """``count`` views of the board in front of the configured sensors, with all noise, and the true
     calibration. ``progress`` is called with the number of finished views after each."""
-    from touchdown.scenes.authoring.calibration_room import BOARD_BODY, calibration_room
+    from touchdown.scenes.calibration_room import BOARD_BODY, calibration_room
 
     room = calibration_room(chessboard_image(board), *board.size_m, config.seed)
     sensors = posed_sensors(config, room)
@@ -121,21 +121,21 @@ def board_poses(truth: CameraAndLidar, board: Chessboard, count: int, seed: int)
             tilt = rng.uniform(*_TILT_RAD)
             direction = number * _GOLDEN_ANGLE + rng.normal(0.0, 0.2)
             depth = rng.uniform(_NEAR_M, _FAR_M)
-            turn = rng.uniform(-_TURN_RAD, _TURN_RAD)
-            pose = _board_pose(camera, pixel, depth, tilt, direction, turn)
+            roll = rng.uniform(-_ROLL_RAD, _ROLL_RAD)
+            pose = _board_pose(camera, pixel, depth, tilt, direction, roll)
             if _in_image(camera, board, pose) and _in_lidar(board, truth.camera_from_lidar, pose):
                 break
         yield pose
 
 
 def _board_pose(
-    k: CameraIntrinsics, pixel: Array, depth: float, tilt: float, direction: float, turn: float
+    k: CameraIntrinsics, pixel: Array, depth: float, tilt: float, direction: float, roll: float
 ) -> Pose:
     """The board's middle at a pixel and depth, its face turned towards the camera and then tilted
     by ``tilt`` about the axis ``direction`` in its plane."""
     ray = np.array([(pixel[0] - k.cx) / k.fx, (pixel[1] - k.cy) / k.fy, 1.0])
     axis = np.array([np.cos(direction), np.sin(direction), 0.0])
-    rotation = so3_exp(tilt * axis) @ so3_exp(np.array([0.0, 0.0, turn]))
+    rotation = so3_exp(tilt * axis) @ so3_exp(np.array([0.0, 0.0, roll]))
     return Pose(rotation, depth * ray)
 
 

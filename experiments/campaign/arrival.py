@@ -20,15 +20,16 @@ _POLL_S = 0.5
 
 
 class Arrivals:
-    """Passes the events of an engine on to ``tell``. A run that is called finished, but has no row
-    of the plan's configuration in the campaign's directory, is recorded and told as failed."""
+    """Passes the events of an engine on to ``notify``. A run that is called finished, but has no
+    row of the plan's configuration in the campaign's directory, is recorded and reported as failed.
+    """
 
     def __init__(
         self,
         tasks: Sequence[Task],
         shas: Mapping[str, str],
         patience_s: float,
-        tell: Callable[[Event], None],
+        notify: Callable[[Event], None],
     ) -> None:
         """``shas``: hashes of the configurations of the runs that are to be flown; others are
         recorded once more only. ``patience_s``: a shared file system shows a new file after this
@@ -36,7 +37,7 @@ class Arrivals:
         self._tasks = {task.run_id: task for task in tasks}
         self._shas = shas
         self._patience_s = patience_s
-        self._tell = tell
+        self._notify = notify
 
     def see(self, event: Event) -> None:
         """Takes an event of `touchdown.experiments.campaign.executor`."""
@@ -54,7 +55,7 @@ class Arrivals:
             record = directory / FAILED / f"{task.run_id}.json"
             if not record.is_file():
                 write_failure(task, "lost", str(event["error"]), "", 1)
-        self._tell(event)
+        self._notify(event)
 
     def _waited_for(self, directory: Path, run_id: str, sha: str | None) -> str:
         deadline = time.monotonic() + self._patience_s

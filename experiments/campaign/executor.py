@@ -75,8 +75,8 @@ class Engine(Protocol):
     patience_s: float
     """until files that its workers have written are seen here"""
 
-    def run(self, tasks: Sequence[Task], limits: Limits, tell: Callable[[Event], None]) -> None:
-        """Returns when every task has ended. ``tell`` is called in the calling thread. Raises
+    def run(self, tasks: Sequence[Task], limits: Limits, notify: Callable[[Event], None]) -> None:
+        """Returns when every task has ended. ``notify`` is called in the calling thread. Raises
         EngineStoppedError when going on makes no sense. Workers are gone when it leaves, however
         it does."""
 
@@ -126,23 +126,23 @@ class Supervisor:
         self._log: IO[bytes] | None = None
         self._runs = 0
 
-    def complete(self, task: Task, tell: Callable[[Event], None]) -> None:
+    def complete(self, task: Task, notify: Callable[[Event], None]) -> None:
         """Flies a task to its end, repeating what crashed, and records what crashed too often."""
         crashes = kills = 0
-        tell({"event": "started", "run_id": task.run_id})
+        notify({"event": "started", "run_id": task.run_id})
         finished = False
 
         def note(event: Event) -> None:
             nonlocal finished
             finished = True
-            tell({**event, "run_id": task.run_id})
+            notify({**event, "run_id": task.run_id})
 
         while not self._stop.is_set():
             failure = self._attempt(task, note)
             if failure is None or self._stop.is_set():
                 return
             if finished:
-                tell({"event": "unrecorded", "run_id": task.run_id, "error": failure.error})
+                notify({"event": "unrecorded", "run_id": task.run_id, "error": failure.error})
                 return
             if failure.kind == "disk":
                 raise EngineStoppedError(failure.error)
@@ -151,9 +151,9 @@ class Supervisor:
             may_repeat = failure.kind in ("error", "died", "killed")
             if not may_repeat or crashes > self._limits.retries or kills > MAX_KILLED:
                 write_failure(task, failure.kind, failure.error, failure.traceback, crashes + kills)
-                tell({"event": "failed", "run_id": task.run_id, "error": failure.error})
+                notify({"event": "failed", "run_id": task.run_id, "error": failure.error})
                 return
-            tell({"event": "retry", "run_id": task.run_id, "error": failure.error})
+            notify({"event": "retry", "run_id": task.run_id, "error": failure.error})
 
     def close(self) -> None:
         """Ends the worker, at once, and every process that it started."""
@@ -281,7 +281,7 @@ class LocalEngine:
         self.jobs = jobs
         self._slots = slots or threading.Semaphore(jobs)
 
-    def run(self, tasks: Sequence[Task], limits: Limits, tell: Callable[[Event], None]) -> None:
+    def run(self, tasks: Sequence[Task], limits: Limits, notify: Callable[[Event], None]) -> None:
         stop = threading.Event()
         waiting: queue.SimpleQueue[Task] = queue.SimpleQueue()
         events: queue.SimpleQueue[Event | BaseException | None] = queue.SimpleQueue()
@@ -318,7 +318,7 @@ class LocalEngine:
                 if event is None:
                     working -= 1
                 else:
-                    tell(event)
+                    notify(event)
         finally:
             stop.set()
             for thread in threads:

@@ -83,18 +83,18 @@ class RayEngine:
         self._ray: Any = ray
         self.jobs = jobs or max(1, int(ray.cluster_resources().get("CPU", 1)))
 
-    def run(self, tasks: Sequence[Task], limits: Limits, tell: Callable[[Event], None]) -> None:
+    def run(self, tasks: Sequence[Task], limits: Limits, notify: Callable[[Event], None]) -> None:
         """As of `Engine`. Raises UsageError naming a node that does not share the directory."""
         ray = self._ray
         with asked(Path(tasks[0].directory)) as question:
             check_nodes(ray, question, _environment())
-            self._fly(tasks, limits, tell, question)
+            self._fly(tasks, limits, notify, question)
 
     def _fly(
         self,
         tasks: Sequence[Task],
         limits: Limits,
-        tell: Callable[[Event], None],
+        notify: Callable[[Event], None],
         question: Question,
     ) -> None:
         ray = self._ray
@@ -106,7 +106,7 @@ class RayEngine:
             while waiting or flying:
                 while idle and waiting:
                     actor, task = idle.pop(), waiting.popleft()
-                    tell({"event": "started", "run_id": task.run_id})
+                    notify({"event": "started", "run_id": task.run_id})
                     flying[actor.complete.remote(task, question)] = (actor, task)
                 ended, _ = ray.wait(list(flying), num_returns=1, timeout=_POLL_S)
                 for reference in ended:
@@ -114,7 +114,7 @@ class RayEngine:
                     try:
                         for event in ray.get(reference):
                             if event["event"] != "started":
-                                tell(event)
+                                notify(event)
                     except ray.exceptions.RayTaskError as error:
                         if isinstance(error.cause, EngineStoppedError):
                             raise EngineStoppedError(str(error.cause)) from error
@@ -126,7 +126,7 @@ class RayEngine:
                         actor = self._actor(limits)
                         actors.append(actor)
                         kills[task.run_id] += 1
-                        self._lost(task, kills[task.run_id], waiting, tell)
+                        self._lost(task, kills[task.run_id], waiting, notify)
                     idle.append(actor)
         finally:
             for actor in actors:
@@ -137,16 +137,16 @@ class RayEngine:
         return remote.options(runtime_env={"env_vars": _environment()}).remote(limits, os.getcwd())
 
     def _lost(
-        self, task: Task, kills: int, waiting: deque[Task], tell: Callable[[Event], None]
+        self, task: Task, kills: int, waiting: deque[Task], notify: Callable[[Event], None]
     ) -> None:
         """An actor, or its node, is gone: its run is flown again."""
         error = "the Ray worker was lost"
         if kills <= MAX_KILLED:
             waiting.append(task)
-            tell({"event": "retry", "run_id": task.run_id, "error": error})
+            notify({"event": "retry", "run_id": task.run_id, "error": error})
         else:
             write_failure(task, "killed", error, "", kills)
-            tell({"event": "failed", "run_id": task.run_id, "error": error})
+            notify({"event": "failed", "run_id": task.run_id, "error": error})
 
 
 def _environment() -> dict[str, str]:

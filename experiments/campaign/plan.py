@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.campaign.run_names import AXES, run_name
 from touchdown.experiments.config.files import check_named_code, read_tree
-from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.config.keys import flatten, hint_for
 from touchdown.experiments.config.loading import (
     config_of,
     is_key,
@@ -94,6 +94,8 @@ class Expect(BaseModel):
     """the same from below"""
     success_at_least: float | None = Field(default=None, ge=0, le=1)
     """share of the runs that land on safe ground, or complete the survey"""
+    happened: bool | list[str] = False
+    """conditions that must have happened in each run: all that it names, or these of them"""
     unsafe: bool = False
     """whether touching down on unsafe ground, or not on the legs, is as expected"""
 
@@ -214,6 +216,11 @@ def in_shard(run_id: str, shard: tuple[int, int]) -> bool:
     return int.from_bytes(digest[:8], "big") % count == index - 1
 
 
+def runs_of_shard(plan: Plan, shard: tuple[int, int] | None) -> list[PlannedRun]:
+    """The runs of a shard (i, n), all runs where it is None."""
+    return [run for run in plan.runs if shard is None or in_shard(run.run_id, shard)]
+
+
 # ---------------------------------------------------------------------------------------- parsing
 
 
@@ -256,7 +263,7 @@ def _axes(tree: Mapping[str, Any], source: str) -> dict[str, list[Any]]:
     for key, values in given.items():
         settable = is_key(key) and key not in _OWN_KEYS
         if key not in AXES and not settable:
-            hint = nearest(key, [*AXES, "seeds", *known_keys()])
+            hint = hint_for(key, [*AXES, "seeds", *known_keys()])
             raise UsageError(f"unknown axis '{key}' in {source}{hint}")
         if not isinstance(values, list) or not values:
             raise UsageError(f"axis '{key}' in {source} must be a list of one or more values")

@@ -73,4 +73,4 @@ def _plain(text: str) -> str:
 def _slug(value: Any) -> str:
     if isinstance(value, list):
         return "_".join(_slug(item) for item in value)
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{value:g}" if isinstance(value, float) else str(value).replace("*", "x")

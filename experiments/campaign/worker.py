@@ -58,7 +58,7 @@ _NO_SPACE = {
 
 REAL_RUNNER = "touchdown.experiments.campaign.worker:run_task"
 
-Tell = Callable[[dict[str, Any]], None]
+Notify = Callable[[dict[str, Any]], None]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -80,8 +80,8 @@ class Task:
         return json.dumps(asdict(self))
 
 
-def execute(task: Task, tell: Tell) -> None:
-    """Flies a task unless that is done already, and reports ``finished`` through ``tell``.
+def execute(task: Task, notify: Notify) -> None:
+    """Flies a task unless that is done already, and reports ``finished`` through ``notify``.
 
     The run directory appears under ``runs/`` whole, with its row, or not at all. Raises whatever
     the flight raises.
@@ -93,7 +93,7 @@ def execute(task: Task, tell: Tell) -> None:
     else:
         result = _fly_into_place(task, config, run_dir)
     (Path(task.directory) / FAILED / f"{task.run_id}.json").unlink(missing_ok=True)
-    tell({"event": "finished", "outcome": result.outcome, "success": result.is_success})
+    notify({"event": "finished", "outcome": result.outcome, "success": result.is_success})
     if wants_recording(task, run_dir, result):
         _add_recording(task, config, run_dir)
 
@@ -191,20 +191,20 @@ def serve() -> None:
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.register_at_fork(after_in_child=lambda: os.close(answers.fileno()))
 
-    def tell(message: dict[str, Any]) -> None:
+    def notify(message: dict[str, Any]) -> None:
         answers.write(json.dumps(message) + "\n")
         answers.flush()
 
-    tell({"event": "ready"})
+    notify({"event": "ready"})
     for line in tasks:
         _forget_random_state()
         try:
-            execute(Task(**json.loads(line)), tell)
+            execute(Task(**json.loads(line)), notify)
         except Exception as error:
-            tell(_error_message(error))
+            notify(_error_message(error))
         else:
             # A run must not depend on processes that the run before it has left.
-            tell({"event": "idle", "spent": bool(descendants(os.getpid()))})
+            notify({"event": "idle", "spent": bool(descendants(os.getpid()))})
 
 
 def _error_message(error: Exception) -> dict[str, Any]:

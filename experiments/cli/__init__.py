@@ -1,1 +1,1 @@
-"""Commands: each parses its options, calls one function of a room and prints."""
+"""Commands: each parses its options, calls one function of a package and prints."""

@@ -83,7 +83,7 @@ _FLIGHT_OPTIONS = (
     click.option(
         "--fault",
         multiple=True,
-        metavar="KIND@START[+DURATION]",
+        metavar="KIND@START[+SECONDS|*N]",
         help="A fault at START seconds, such as lidar_dropout@20+1 or fog@0. May be repeated.",
     ),
     click.option(

@@ -34,6 +34,7 @@ from touchdown.experiments.cli.query import query
 from touchdown.experiments.cli.replay import check_estimator_command
 from touchdown.experiments.cli.report import regress, report
 from touchdown.experiments.cli.reproduce import reproduce
+from touchdown.experiments.cli.results import results
 from touchdown.experiments.cli.scenes import scenes
 from touchdown.experiments.cli.view import view
 from touchdown.experiments.errors import system_message
@@ -60,6 +61,7 @@ cli.add_command(view)
 cli.add_command(report)
 cli.add_command(regress)
 cli.add_command(reproduce)
+cli.add_command(results)
 cli.add_command(scenes)
 cli.add_command(bench)
 bench.add_command(bench_estimator)

@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from touchdown.experiments.config.external_table import PREFIX
+from touchdown.experiments.errors import nearest
+
+RENAMED: Mapping[str, str] = {
+    "livo.mount_turn_sigma_deg": "livo.mount_rotation_sigma_deg",
+    "livo.mount_shift_sigma_m": "livo.mount_translation_sigma_m",
+    "livo.camera_turn_sigma_deg": "livo.camera_rotation_sigma_deg",
+    "livo.camera_shift_sigma_m": "livo.camera_translation_sigma_m",
+}
+"""Keys of earlier versions and their names now."""
+
+
+def hint_for(key: str, known: Iterable[str]) -> str:
+    """The hint with the present name of a renamed key, else with the nearest known one."""
+    return f" (it is '{RENAMED[key]}' now)" if key in RENAMED else nearest(key, known)
 
 
 def is_external_key(key: str) -> bool:

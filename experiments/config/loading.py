@@ -34,7 +34,7 @@ from touchdown.experiments.config.files import (
     wrong_value,
 )
 from touchdown.experiments.config.files import read_tree as read_tree
-from touchdown.experiments.config.keys import flatten, is_external_key
+from touchdown.experiments.config.keys import RENAMED, flatten, hint_for, is_external_key
 from touchdown.experiments.config.profiles import (
     BEFORE_PROFILES,
     DEFAULT,
@@ -43,7 +43,7 @@ from touchdown.experiments.config.profiles import (
     chosen_by_hand,
     name_in,
 )
-from touchdown.experiments.config.ranges import rule_of
+from touchdown.experiments.config.ranges import choices_of, rule_of, types_of_keys
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
 
@@ -112,9 +112,12 @@ def load_config(
 
 def read_values(file: Path) -> dict[str, Any]:
     """The values by dotted key of a configuration file. A JSON file is the ``config.json`` of a
-    run: without a profile it is of a version that had none. Raises ``UsageError``."""
+    run: without a profile it is of a version that had none, and its keys may be of a version that
+    named them otherwise. Raises ``UsageError``."""
     values = dict(flatten(read_tree(file)))
-    return {KEY: BEFORE_PROFILES, **values} if file.suffix == ".json" else values
+    if file.suffix != ".json":
+        return values
+    return {KEY: BEFORE_PROFILES} | {RENAMED.get(key, key): value for key, value in values.items()}
 
 
 def under_profile(file: Path, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
@@ -195,7 +198,7 @@ def _check_key(key: str, source: str) -> None:
     group, _, rest = key.partition(".")
     if rest and difflib.get_close_matches(group, ["external"], cutoff=0.7):
         keys = (*keys, f"external.{rest}")
-    hint = nearest(key, keys) or _same_last_name(key, keys)
+    hint = hint_for(key, keys) or _same_last_name(key, keys)
     raise UsageError(f"unknown key '{key}' in {source}{hint or f'; groups: {_groups()}'}")
 
 
@@ -256,4 +259,7 @@ def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping
     where = sources.get(key, "the configuration")
     if first["type"] in _OUT_OF_RANGE:
         return f"{key} = {given} in {where} {rule_of(key)}"
+    if names := choices_of(types_of_keys().get(key)):
+        hint, known = nearest(str(value), names), ", ".join(name or "''" for name in names)
+        return f"{key} = {given[:60]} in {where} is unknown{hint}; known: {known}"
     return f"{key} = {given} in {where} is wrong: {message}"

@@ -1,4 +1,4 @@
-"""Ranges of configuration keys as text, from the metadata of their types."""
+"""Ranges and choices of configuration keys, from their types."""
 
 from __future__ import annotations
 
@@ -37,6 +37,11 @@ def bounds_of(kind: Any) -> dict[str, float]:
         if bounds := bounds_of(inner):
             return bounds
     return {}
+
+
+def choices_of(kind: Any) -> tuple[str, ...]:
+    """The names that a key of a closed set may take; none for other types."""
+    return typing.get_args(kind) if typing.get_origin(kind) is typing.Literal else ()
 
 
 def _flat(metadata: Any) -> Iterator[BaseMetadata]:

@@ -23,7 +23,7 @@ from touchdown.scenes.api import Scene
 from touchdown.sim.frames import Pose
 
 if TYPE_CHECKING:
-    from touchdown.estimator.paper.still_scan import StillFeatures
+    from touchdown.estimator.paper.stationary_scan import StationaryFeatures
     from touchdown.sim.posed_sensors import PosedView
 
 Array = NDArray[np.float64]
@@ -205,9 +205,9 @@ def _write(path: Path, image: Image) -> None:
 
 def still_features(
     config: Config, scene: Scene, world_from_body: Pose, time_s: float
-) -> tuple[PosedView, StillFeatures]:
+) -> tuple[PosedView, StationaryFeatures]:
     """The view from a pose, and the features that `paper` finds in one scan from there."""
-    from touchdown.estimator.paper.still_scan import features_of_still_scan
+    from touchdown.estimator.paper.stationary_scan import features_of_stationary_scan
     from touchdown.sim.moving import BodyTrack
 
     world = make_world(config, scene)
@@ -221,7 +221,7 @@ def still_features(
     start = round(time_s * config.sim.tick_hz)
     both_ends_s = sensors.scan_times(start)[[0, -1]]
     scan = sensors.scan(BodyTrack.at_rest(world_from_body, both_ends_s), start)
-    return view, features_of_still_scan(scan, view.rgb, rig, config.paper)
+    return view, features_of_stationary_scan(scan, view.rgb, rig, config.paper)
 
 
 def _canny_words() -> str:

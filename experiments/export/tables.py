@@ -83,9 +83,9 @@ def _cells(true: Pose, estimated: Pose | None, reference: Pose | None) -> Iterat
         yield from _numbers(nothing[:5])
     else:
         error = estimated.translation - true.translation
-        turn = yaw_from_rotation(estimated.rotation) - yaw_from_rotation(true.rotation)
+        yaw_error = yaw_from_rotation(estimated.rotation) - yaw_from_rotation(true.rotation)
         size = float(np.linalg.norm(error))
-        yield from _numbers([*error, size, np.degrees(wrap_angle(turn))])
+        yield from _numbers([*error, size, np.degrees(wrap_angle(yaw_error))])
     away = np.nan if reference is None else np.linalg.norm(reference.translation - true.translation)
     yield from _numbers([float(away)])
 

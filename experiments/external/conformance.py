@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, Estimator
-from touchdown.experiments.external.conformance_motion import MotionCheck
+from touchdown.experiments.external.conformance_twist import TwistCheck
 from touchdown.experiments.external.estimate_checks import (
     describe_error,
     meaningless,
@@ -44,7 +44,7 @@ RULES = {
     "deterministic": "the same messages give the same estimates to the bit",
     "frames": "the first estimate is near the take-off pose: world ENU, body FLU",
     "continuity": "odom_from_body does not jump",
-    "motion": "velocity_odom and angular_velocity_body are those of odom_from_body",
+    "twist": "velocity_odom and angular_velocity_body are those of odom_from_body",
     "missing data": "a second without scans, or without images, is survived",
 }
 """Checked rules by name."""
@@ -145,7 +145,7 @@ class _Check:
         """Checks all rules of a single pass; returns digests of the estimates."""
         digests: list[bytes] = []
         previous: tuple[Observation, Estimate] | None = None
-        rig_before, motion = _digest(self._rig), MotionCheck()
+        rig_before, twist = _digest(self._rig), TwistCheck()
         kept: list[tuple[Observation, list[tuple[str, bytes]]]] = []
         for original in stream:
             obs = copy.deepcopy(original)
@@ -155,16 +155,16 @@ class _Check:
                 break
             self._judge(obs, estimate, previous)
             if not any(self.broke(rule) for rule in ("shapes", "finite", "time")):
-                motion.add(estimate)
+                twist.add(estimate)
             previous = (obs, estimate)
             digests.append(_digest(estimate))
             if len(kept) > 200:  # one second: later writes are not detected
                 self._compare(kept.pop(0), obs.time_s)
         for pair in kept:
             self._compare(pair, pair[0].time_s)
-        reason = motion.reason()
+        reason = twist.reason()
         if reason:
-            self._note("motion", reason)
+            self._note("twist", reason)
         if _digest(self._rig) != rig_before:
             self._note("inputs", "update modified the rig")
         return digests
@@ -236,7 +236,7 @@ class _Check:
         elif angle_deg > START_ANGLE_DEG:
             self._note(
                 "frames",
-                f"the first estimate is turned by {angle_deg:.0f} degrees from the take-off "
+                f"the first estimate is rotated by {angle_deg:.0f} degrees from the take-off "
                 "attitude; odom_from_body maps the body (x forward, y left, z up)",
             )
 

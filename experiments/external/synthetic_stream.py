@@ -122,8 +122,8 @@ class SyntheticStream:
     def true_pose(self, tick: int) -> Pose:
         """``world_from_body``; level."""
         times = np.array([tick / self._rig.tick_hz])
-        turn = rotation_from_yaw(float(self._turns(times)[0]))
-        return Pose(self._start.rotation @ turn, self._positions(times)[0])
+        heading = rotation_from_yaw(float(self._headings(times)[0]))
+        return Pose(self._start.rotation @ heading, self._positions(times)[0])
 
     def _due(self, tick: int) -> list[tuple[str, int, Callable[..., Any]]]:
         """(field, arrival tick, measuring function) of the measurements at ``tick``."""
@@ -164,19 +164,19 @@ class SyntheticStream:
         way = _ASIDE_M * aside + np.array([0.0, 0.0, _CLIMB_M])
         return np.asarray(self._start.translation + self._progress(times_s)[:, None] * way)
 
-    def _turns(self, times_s: Array) -> Array:
-        """(N,) of the heading since the start, rad."""
+    def _headings(self, times_s: Array) -> Array:
+        """(N,) change of the heading since the start, rad."""
         return np.asarray(self._turn_rad * self._progress(times_s))
 
     def _points(self, times_s: Array, offset_body: Array) -> Array:
         """(N, 3) world positions of what is mounted at ``offset_body`` (3,)."""
         offsets = np.broadcast_to(offset_body, (len(times_s), 3))
-        return self._positions(times_s) + self._turned(times_s, offsets)
+        return self._positions(times_s) + self._in_world(times_s, offsets)
 
-    def _turned(self, times_s: Array, vectors: Array) -> Array:
+    def _in_world(self, times_s: Array, vectors: Array) -> Array:
         """(N, 3) in the world, of (N, 3) in the body at these times."""
-        turn = self._turns(times_s)
-        cos, sin, (x, y, z) = np.cos(turn), np.sin(turn), vectors.T
+        heading = self._headings(times_s)
+        cos, sin, (x, y, z) = np.cos(heading), np.sin(heading), vectors.T
         about_z = np.column_stack([cos * x - sin * y, sin * x + cos * y, z])
         return np.asarray(about_z @ self._start.rotation.T)
 
@@ -212,7 +212,7 @@ class SyntheticStream:
         rig, mount = self._rig, self._rig.body_from_imu
         force = self._mean_acceleration(tick, rig.imu_ticks, mount.translation)
         force = force + np.array([0.0, 0.0, GRAVITY_MPS2])
-        before, middle, now = self._turns(np.arange(tick - rig.imu_ticks, tick + 1.0,
+        before, middle, now = self._headings(np.arange(tick - rig.imu_ticks, tick + 1.0,
                                                     0.5 * rig.imu_ticks) / rig.tick_hz)  # fmt: skip
         turn_rate = np.array([0.0, 0.0, (now - before) * rig.tick_hz / rig.imu_ticks])
         world_from_imu = self._start.rotation @ rotation_from_yaw(float(middle)) @ mount.rotation
@@ -236,7 +236,7 @@ class SyntheticStream:
         rays = np.column_stack([np.tan(across), np.tan(along), np.ones(_PULSES)])
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         origins = self._points(phase, rig.body_from_lidar.translation)
-        aimed = self._turned(phase, rays @ rig.body_from_lidar.rotation.T)
+        aimed = self._in_world(phase, rays @ rig.body_from_lidar.rotation.T)
         ranges = _ranges_to_ground(origins, aimed)
         ranges += 0.01 * rng.standard_normal(_PULSES)
         return LidarScan(

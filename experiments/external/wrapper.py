@@ -73,5 +73,5 @@ class ExternalEstimator:
         where = "" if error is None else location(error, self._name.partition(":")[0])
         return ExternalEstimatorError(
             f"estimator '{self._name}': {what}{where}; "
-            f"`touchdown check-estimator {self._name}` tells more"
+            f"`touchdown check-estimator {self._name}` says more"
         )

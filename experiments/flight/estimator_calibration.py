@@ -1,4 +1,4 @@
-"""The believed rig: the calibration that estimators are given, with its errors."""
+"""The nominal calibration: what estimators are given, with its errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.calibration_file import CalibrationFile, read_calibration
 from touchdown.sim.api import CameraIntrinsics, SensorRig
-from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, yaw_from_rotation
+from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log, yaw_from_rotation
 
 Array = NDArray[np.float64]
 
@@ -27,10 +27,11 @@ _DISTORTION_SHARE = 0.353
 errors are independent, and there is a corner at which they add"""
 
 
-def believed_rig(rig: SensorRig, config: Config) -> SensorRig:
-    """Returns the rig as estimators believe it: ``rig`` with the calibration file
+def nominal_rig(rig: SensorRig, config: Config) -> SensorRig:
+    """Returns the nominal calibration: ``rig`` with the calibration file
     ``config.calibration``, or else with the errors of ``config.calibration_error``, drawn from the
-    seed; with the errors against the IMU; and with what ``config.start`` tells of the take-off.
+    seed; with the errors against the IMU; and with the part of the take-off pose that
+    ``config.start`` makes known.
 
     Without an error against the IMU the mount of the camera on the body is exact, and that of the
     LIDAR follows from it. Raises UsageError for a file that cannot be used.
@@ -38,7 +39,7 @@ def believed_rig(rig: SensorRig, config: Config) -> SensorRig:
     errors, start = config.calibration_error, config.start
     content = check_calibration(config)
     if content is None:
-        return told_start(erring_rig(rig, errors, config.seed), start)
+        return known_start(erring_rig(rig, errors, config.seed), start)
     camera = content.intrinsics()
     if (camera.width, camera.height) != (rig.camera.width, rig.camera.height):
         raise UsageError(
@@ -46,8 +47,8 @@ def believed_rig(rig: SensorRig, config: Config) -> SensorRig:
             f"pixels, the flight's has {rig.camera.width} x {rig.camera.height}"
         )
     # The file says how camera and LIDAR stand to one another; both are wrong against the IMU alike.
-    turned = _camera_against_imu(rig, errors, config.seed)
-    return told_start(_with(turned, camera, content.lidar_pose()), start)
+    rotated = _camera_against_imu(rig, errors, config.seed)
+    return known_start(_with(rotated, camera, content.lidar_pose()), start)
 
 
 def check_calibration(config: Config) -> CalibrationFile | None:
@@ -55,8 +56,8 @@ def check_calibration(config: Config) -> CalibrationFile | None:
     return None if config.calibration is None else read_calibration(Path(config.calibration))
 
 
-def told_start(rig: SensorRig, start: StartParams) -> SensorRig:
-    """Returns the rig with the take-off pose as ``start`` tells it."""
+def known_start(rig: SensorRig, start: StartParams) -> SensorRig:
+    """Returns the rig with the part of the take-off pose that ``start`` makes known."""
     if start.attitude_known:
         return rig
     pose = rig.world_from_body_start
@@ -107,6 +108,24 @@ def _relative(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> Sens
 
 def _with(rig: SensorRig, camera: CameraIntrinsics, camera_from_lidar: Pose) -> SensorRig:
     return replace(rig, camera=camera, body_from_lidar=rig.body_from_camera @ camera_from_lidar)
+
+
+def calibration_errors(true: SensorRig, nominal: SensorRig) -> dict[str, float]:
+    """``mount_error_deg``, the larger of the rotations by which camera and LIDAR sit otherwise on
+    the IMU than the nominal calibration says, and ``lens_error_px``, by which a corner of the image
+    is moved at most: principal point and distortion."""
+    rotations = [
+        np.linalg.norm(so3_log(getattr(true, name).rotation.T @ getattr(nominal, name).rotation))
+        for name in ("body_from_camera", "body_from_lidar")
+    ]
+    one, other = true.camera, nominal.camera
+    terms = np.abs(other.distortion - one.distortion)[:_DISTORTION_TERMS]
+    moved = corner_displacement_px(one) * terms
+    center = math.hypot(other.cx - one.cx, other.cy - one.cy)
+    return {
+        "mount_error_deg": math.degrees(float(max(rotations))),
+        "lens_error_px": center + float(moved.sum()),
+    }
 
 
 # -------------------------------------------------------------------------- against the IMU

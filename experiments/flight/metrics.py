@@ -36,10 +36,10 @@ class PositioningError:
     axes: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     yaw: float = 0.0
 
-    def add(self, believed: Pose, true: Pose) -> None:
+    def add(self, estimated: Pose, true: Pose) -> None:
         """Both ``world_from_body`` at the same instant."""
         # Scalars: this runs at every control step, and arrays of three are slow.
-        x, y, z = (believed.translation - true.translation).tolist()
+        x, y, z = (estimated.translation - true.translation).tolist()
         squared = x * x + y * y + z * z
         distance = math.sqrt(squared)
         self.count += 1
@@ -48,7 +48,7 @@ class PositioningError:
         self.largest = max(self.largest, distance)
         for axis, error in enumerate((x, y, z)):
             self.axes[axis] += abs(error)
-        yaw = yaw_from_rotation(believed.rotation) - yaw_from_rotation(true.rotation)
+        yaw = yaw_from_rotation(estimated.rotation) - yaw_from_rotation(true.rotation)
         self.yaw += abs(wrap_angle(yaw))
 
     def summary(self) -> PositionError:
@@ -124,10 +124,10 @@ class Consistency:
         default_factory=lambda: np.zeros(_NEES_BINS, dtype=np.int64)
     )
 
-    def add(self, believed: Array, true: Array, covariance: Array) -> None:
+    def add(self, estimated: Array, true: Array, covariance: Array) -> None:
         """Adds a sample: positions (3,) m and covariance (3, 3) m^2, world frame. A singular or
         non-finite covariance counts as the largest NEES of the histogram."""
-        error = believed - true
+        error = estimated - true
         try:
             value = float(error @ np.linalg.solve(covariance, error))
         except np.linalg.LinAlgError:

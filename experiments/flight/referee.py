@@ -113,21 +113,21 @@ class Referee:
     def judge(self, truth: Truth, estimate: Estimate, view: LanderView) -> Outcome | None:
         """Judges one control step; returns the outcome that ends the flight, or None."""
         self._last = (truth, view)
-        believed = estimate.world_from_body
+        estimated = estimate.world_from_body
         self._follow_phases(truth, view)
         if self._lift_off_s is not None and self._survey_to_s is None:
-            self._position_error.add(believed, truth.world_from_body)
+            self._position_error.add(estimated, truth.world_from_body)
             self._deviation.add(truth, view.reference_world)
             if self._position_error.count % self._steps_per_sample == 0:
                 self._consistency.add(
-                    believed.translation,
+                    estimated.translation,
                     truth.world_from_body.translation,
                     estimate.position_covariance,
                 )
         self._follow_touchdown(truth, view)
-        self._follow_estimate(truth, believed, view)
+        self._follow_estimate(truth, estimated, view)
         return (
-            self._judge_estimate(truth, believed)
+            self._judge_estimate(truth, estimated)
             or self._judge_attitude(truth)
             or self._judge_contacts(truth, view)
             or self._judge_end(truth, view)
@@ -184,22 +184,22 @@ class Referee:
         else:
             touchdown.add_before(truth)
 
-    def _follow_estimate(self, truth: Truth, believed: Pose, view: LanderView) -> None:
+    def _follow_estimate(self, truth: Truth, estimated: Pose, view: LanderView) -> None:
         """Keeps the error of the estimate where the descent is committed, and where it ends."""
         committed = view.committed_site_world is not None and self._error_at_commit is None
         touched = self._touchdown.contact_xy is not None and self._error_at_contact is None
         if not (committed or touched):
             return
         true = truth.world_from_body.translation
-        error = math.dist(believed.translation.tolist(), true.tolist())
+        error = math.dist(estimated.translation.tolist(), true.tolist())
         if committed:
             self._error_at_commit = error
         if touched:
             self._error_at_contact = error
 
-    def _judge_estimate(self, truth: Truth, believed: Pose) -> Outcome | None:
+    def _judge_estimate(self, truth: Truth, estimated: Pose) -> Outcome | None:
         true = truth.world_from_body
-        distance = math.dist(believed.translation.tolist(), true.translation.tolist())
+        distance = math.dist(estimated.translation.tolist(), true.translation.tolist())
         if distance <= self._params.divergence_m:
             return None
         self._reason = f"the estimate is {distance:.1f} m off"  # or not a number

@@ -260,12 +260,12 @@ def _replay(
         true = logged.truth.get(obs.tick)
         if true is None:
             continue
-        believed, last_s = estimate.world_from_body, obs.time_s
+        estimated, last_s = estimate.world_from_body, obs.time_s
         if writer is not None:
-            writer.add(estimate.time_s, believed)
+            writer.add(estimate.time_s, estimated)
         if logged.judged(obs.tick):
-            error.add(believed, true)
-        distance = float(np.linalg.norm(believed.translation - true.translation))
+            error.add(estimated, true)
+        distance = float(np.linalg.norm(estimated.translation - true.translation))
         if not distance <= config.referee.divergence_m:
             outcome, reason = Outcome.DIVERGED, f"the estimate is {distance:.1f} m off"
             break

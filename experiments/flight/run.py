@@ -102,7 +102,7 @@ def _sensor_log(folder: Path, stack: FlightStack) -> SensorLog:
     from touchdown.experiments.io.sensor_log import FILE_NAME, SensorLog
 
     shared = stack.mapper.needs | stack.lander.needs
-    return SensorLog(folder / FILE_NAME, stack.believed_rig, stack.estimator.needs | shared, shared)
+    return SensorLog(folder / FILE_NAME, stack.nominal_rig, stack.estimator.needs | shared, shared)
 
 
 def fly_and_judge(
@@ -110,7 +110,7 @@ def fly_and_judge(
 ) -> RunResult:
     """Flies ``stack`` to the end, closes it and returns the result."""
     clock = StageClock()
-    observer = StepObserver(recorder, progress)
+    observer = StepObserver(recorder, progress, config.wind.roughness_length_m)
     try:
         by_class = stack.network is not None and class_counts(config.landing)
         referee = make_referee(config, stack.scene, observer.end_survey, by_class=by_class)

@@ -20,11 +20,12 @@ from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.external.loading import check_external, is_external
 from touchdown.experiments.external.wrapper import ExternalEstimator
 from touchdown.experiments.flight.bias_injection import BiasedEstimator
-from touchdown.experiments.flight.estimator_calibration import believed_rig
+from touchdown.experiments.flight.estimator_calibration import nominal_rig
 from touchdown.landing.api import Lander
 from touchdown.scenes.api import LowSun, Scene
 from touchdown.scenes.registry import scene_names
 from touchdown.sim.api import SensorRig, Truth, World, WorldParams
+from touchdown.sim.effects import WorldRecord
 
 if TYPE_CHECKING:
     from touchdown.landing.classification.onboard import OnnxGroundClassifier
@@ -42,9 +43,9 @@ class FlightStack:
     mapper: Mapper
     lander: Lander
     controller: Controller
-    faults: Callable[[], list[dict[str, Any]]]
-    """effects of the scheduled faults so far, for the result"""
-    believed_rig: SensorRig
+    record: Callable[[], WorldRecord]
+    """what the world has done to the flight so far, for the result alone"""
+    nominal_rig: SensorRig
     """the rig as the estimator knows it"""
     network: dict[str, Any] | None = None
     """the network of the ground classifier, for the result; None without one"""
@@ -91,7 +92,7 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
     classifier = build_classifier(config)
     world = make_world(config, scene)
     try:
-        rig = believed_rig(world.rig, config)
+        rig = nominal_rig(world.rig, config)
         estimator = _biased(make_estimator(rig, world.truth), config)
     except ValueError:
         world.close()
@@ -110,8 +111,8 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         mapper=mapper,
         lander=lander,
         controller=controller,
-        faults=lambda: world.faults.summary() + world.disturbances.summary(),
-        believed_rig=rig,
+        record=world.record,
+        nominal_rig=rig,
         network=None if classifier is None else classifier.description(),
     )
 

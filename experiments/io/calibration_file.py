@@ -81,7 +81,7 @@ class CalibrationFile(BaseModel):
     views_used: int | None = None
 
     def intrinsics(self) -> CameraIntrinsics:
-        """Intrinsics for the believed rig."""
+        """Nominal intrinsics."""
         part = self.camera.model_dump(exclude={"distortion"})
         return CameraIntrinsics(**part, distortion=np.array(self.camera.distortion))
 

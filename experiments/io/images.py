@@ -19,7 +19,7 @@ def read_picture(path: Path) -> Picture:
     """(H, W, 3) uint8 RGB, turned as the camera was held. Transparency is dropped.
 
     Raises UsageError for a file that is no picture, is damaged or too large, and for a grey or a
-    16-bit one: colour is half of what tells ground apart, and what the levels of 16 bits mean
+    16-bit one: colour is half of what distinguishes ground, and what the levels of 16 bits mean
     differs from camera to camera.
     """
     return np.asarray(usage_errors(lambda: read_rgb(path, grey=False, what="image")), np.uint8)

@@ -50,15 +50,27 @@ def _built_revision() -> str | None:
     return file.read_text(encoding="utf-8").strip() or None if file.is_file() else None
 
 
+DIRTY = "-dirty"
+"""End of the revision of a source tree with changes that are not committed."""
+
+
 def git_revision() -> str | None:
-    """The git revision of the source tree, or that from which the installed package was built; None
-    where neither is recorded."""
+    """`revision_of` the source tree, or the revision from which the installed package was built;
+    None where neither is recorded."""
     root = Path(__file__).resolve().parents[2]
-    if not (root / ".git").exists():
-        return _built_revision()
+    return revision_of(root) if (root / ".git").exists() else _built_revision()
+
+
+def revision_of(root: Path) -> str | None:
+    """The revision that is checked out in ``root``, with `DIRTY` at its end where a tracked file
+    differs from it; None where git does not know it."""
     try:
         call = subprocess.run(
-            ["git", "rev-parse", "HEAD"], cwd=root, capture_output=True, text=True, check=False
+            ["git", "describe", "--always", f"--dirty={DIRTY}", "--abbrev=40", "--exclude=*"],
+            cwd=root,
+            capture_output=True,
+            text=True,
+            check=False,
         )
     except OSError:
         return None

@@ -46,7 +46,7 @@ class SensorLog:
     """Appends observations to ``path``; complete after ``close``. Memory does not grow with the
     flight but for the file's index (a kilobyte a second).
 
-    ``rig``: the believed rig. ``sensed``: all data that was requested from the simulation;
+    ``rig``: the nominal calibration. ``sensed``: all data that was requested from the simulation;
     ``shared``: the part that components other than the estimator requested.
     """
 

@@ -58,7 +58,7 @@ class SensorLogReader:
     """
 
     rig: SensorRig
-    """the believed rig of the flight"""
+    """the nominal calibration of the flight"""
     sensed: SensorNeeds
     """all sensor data that the flight simulated, hence that the log holds"""
     shared: SensorNeeds

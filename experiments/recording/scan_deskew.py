@@ -80,7 +80,7 @@ def _quats_at(track: PoseTrack, times: Array) -> tuple[Array, Array]:
 
 
 def _turned(quats_wxyz: Array, vectors: Array) -> Array:
-    """(3, N) vectors turned by (4, N) unit quaternions: v + 2 w (r x v) + 2 r x (r x v)."""
+    """(3, N) vectors rotated by (4, N) unit quaternions: v + 2 w (r x v) + 2 r x (r x v)."""
     w, x, y, z = quats_wxyz
     a, b, c = vectors
     i, j, k = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)

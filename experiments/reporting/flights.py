@@ -151,15 +151,15 @@ def path_deviation(run_dir: Path) -> dict[str, float] | None:
     if count <= start or not np.allclose(truth.time_s[:count], reference.time_s[:count]):
         return None
     offset = truth.position[start:count] - reference.position[start:count]
-    turn = truth.yaw[start:count] - reference.yaw[start:count]
-    turn = np.arctan2(np.sin(turn), np.cos(turn))
+    yaw_error = truth.yaw[start:count] - reference.yaw[start:count]
+    yaw_error = np.arctan2(np.sin(yaw_error), np.cos(yaw_error))
     x, y, z = np.abs(offset).mean(axis=0).tolist()
     return {
         "mean": float(np.linalg.norm(offset, axis=1).mean()),
         "x": x,
         "y": y,
         "z": z,
-        "yaw_deg": float(np.degrees(np.abs(turn)).mean()),
+        "yaw_deg": float(np.degrees(np.abs(yaw_error)).mean()),
     }
 
 

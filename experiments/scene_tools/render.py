@@ -15,7 +15,8 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.experiments.scene_tools.views import VIEWS, Image, SceneViews, write_image
 from touchdown.scenes.api import Light, Scene
-from touchdown.scenes.export import export_scene
+from touchdown.scenes.compose import spec_of_scene
+from touchdown.scenes.export import export_spec
 from touchdown.scenes.registry import scene_names
 from touchdown.sim.api import VehicleModel
 
@@ -67,7 +68,7 @@ def export_scene_files(name: str, seed: int, out: Path) -> Path:
         raise UsageError(f"--out {out} exists; name a new directory")
     scene = load_configured_scene(load_config(scene=name, seed=seed, profile_default="ideal"))
     _make_folder(out)
-    return export_scene(scene, out)
+    return export_spec(spec_of_scene(scene), out)
 
 
 def load_configured_scene(config: Config) -> Scene:

@@ -2,7 +2,7 @@
 
 Over level flight at one heading, an accelerometer's bias and an error of roll and pitch look alike.
 Turned by half a circle, the bias points the other way and the error does not: an estimator with any
-position reference tells them apart (observability of the accelerometer's bias: Goshen-Meskin and
+position reference separates them (observability of the accelerometer's bias: Goshen-Meskin and
 Bar-Itzhack, "Observability analysis of piece-wise constant systems", IEEE TAES 28, 1992).
 """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Generator
 
@@ -10,7 +11,14 @@ from numpy.typing import NDArray
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
-from touchdown.landing.api import Candidate, CostmapView, LandingParams, Phase, SurveyParams
+from touchdown.landing.api import (
+    Candidate,
+    CostmapView,
+    Decision,
+    LandingParams,
+    Phase,
+    SurveyParams,
+)
 from touchdown.landing.classification.site_check import SiteClass, SiteClassCheck
 from touchdown.landing.mission.energy import (
     RAMP_S,
@@ -20,7 +28,7 @@ from touchdown.landing.mission.energy import (
     search_leg_time_s,
 )
 from touchdown.landing.mission.heading import HeadingTurn
-from touchdown.landing.mission.pace import Pace, paced
+from touchdown.landing.mission.time_scaling import TimeScaling, scaled
 from touchdown.landing.mission.trajectory import PiecewiseTrajectory, State, through
 from touchdown.landing.mission.wind import FeltWind, WindEstimator
 from touchdown.sim.api import Observation, SensorRig
@@ -30,7 +38,7 @@ Array = NDArray[np.float64]
 Steps = Generator[Setpoint, None, None]
 
 _RAMP_S = RAMP_S
-_TOLD_RATE = 0.9
+_REPORTED_RATE = 0.9
 """rate of the reference's clock below which a leg is said to be slowed"""
 _LEARN_PERIOD_S = 0.1
 
@@ -65,7 +73,8 @@ class Mission:
         self.ground_world = float(self.start_world[2]) - self.leg_height
         self.phase = Phase.INIT
         self.note = "waiting for the sensors to settle"
-        self.candidates: tuple[Candidate, ...] = ()
+        self.decisions: tuple[Decision, ...] = ()
+        """all so far"""
         self.costmap: CostmapView | None = None
         self.site_odom: Array | None = None
         self.committed_site_world: Array | None = None
@@ -81,7 +90,7 @@ class Mission:
         self.takeoff_s: float | None = None
         self.wind = WindEstimator(rig.vehicle)
         self.felt_wind = FeltWind(rig.vehicle)
-        self.pace = Pace(rig.vehicle, params)
+        self.time_scaling = TimeScaling(rig.vehicle, params)
         self.events: list[str] = []
         """messages of this control step"""
         self.slowed_s = 0.0
@@ -113,12 +122,26 @@ class Mission:
         time_s = self.obs.time_s
         if time_s >= self._next_learning_s and not self.final:
             self._next_learning_s = time_s + _LEARN_PERIOD_S
-            self.pace.learn(
+            self.time_scaling.learn(
                 self.estimate.velocity_odom - self.felt_wind.wind_odom,
                 self.estimate.acceleration_odom,
                 float(np.mean(self.obs.rotor_speed_radps)),
                 _LEARN_PERIOD_S,
             )
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Of the last decision."""
+        return self.decisions[-1].candidates if self.decisions else ()
+
+    def decide(self, decision: Decision) -> None:
+        """Adds ``decision`` to those of the flight."""
+        self.decisions += (decision,)
+
+    def give_up_site(self, reason: str) -> None:
+        """States in the last decision why its site was given up."""
+        *before, last = self.decisions
+        self.decisions = (*before, dataclasses.replace(last, given_up=reason))
 
     @property
     def now(self) -> float:
@@ -253,17 +276,17 @@ class Mission:
     ) -> Steps:
         """Follows a trajectory that ends at rest, and stays at its end for ``hold_s``.
 
-        In a wind that leaves too little margin the trajectory takes longer, see `pace`; raises
-        LegBlockedError where it stands. Once ``until`` is true it comes to rest where it is.
-        ``least_rate`` is a rate that the clock keeps in any wind."""
-        pace, start, before, told, stop = self.pace, self.now, self.now, False, False
-        pace.begin(trajectory, self._wind_for(in_world))
-        while (t := self.now - start - pace.lost_s) < trajectory.duration_s + hold_s:
+        In a wind that leaves too little margin the trajectory takes longer, see `time_scaling`;
+        raises LegBlockedError where it is blocked. Once ``until`` is true it comes to rest where it
+        is. ``least_rate`` is a rate that the clock keeps in any wind."""
+        scaling, start, before, reported, stop = self.time_scaling, self.now, self.now, False, False
+        scaling.begin(trajectory, self._wind_for(in_world))
+        while (t := self.now - start - scaling.lost_s) < trajectory.duration_s + hold_s:
             sample = trajectory.sample(min(t, trajectory.duration_s))
-            yield self.setpoint(*paced(sample, pace.rate, pace.change), in_world=in_world)
+            yield self.setpoint(*scaled(sample, scaling.rate, scaling.change), in_world=in_world)
             stop = stop or (until is not None and until())
-            late = pace.lost_s
-            pace.advance(
+            late = scaling.lost_s
+            scaling.advance(
                 trajectory,
                 t,
                 self.now - before,
@@ -273,21 +296,25 @@ class Mission:
                 least=least_rate,
             )
             before = self.now
-            self.slowed_s += pace.lost_s - late
-            if pace.rate < _TOLD_RATE and not told and not stop:
-                told = True
-                self.tell(f"{self.phase}: slowed by a wind of {self.felt_wind.speed_mps:.1f} m/s")
-            if stop and pace.rate == 0.0:
+            self.slowed_s += scaling.lost_s - late
+            if scaling.rate < _REPORTED_RATE and not reported and not stop:
+                reported = True
+                self.add_event(
+                    f"{self.phase}: slowed by a wind of {self.felt_wind.speed_mps:.1f} m/s"
+                )
+            if stop and scaling.rate == 0.0:
                 return
-            if pace.stands and not stop:
+            if scaling.blocked and not stop:
                 wind = self.felt_wind.speed_mps
-                self.tell(f"{self.phase}: a wind of {wind:.1f} m/s leaves no way to fly this leg")
+                self.add_event(
+                    f"{self.phase}: a wind of {wind:.1f} m/s leaves no way to fly this leg"
+                )
                 raise LegBlockedError
-        if told:
+        if reported:
             set_s = trajectory.duration_s
-            self.tell(f"{self.phase}: {set_s + pace.lost_s:.1f} s instead of {set_s:.1f} s")
+            self.add_event(f"{self.phase}: {set_s + scaling.lost_s:.1f} s instead of {set_s:.1f} s")
 
-    def tell(self, text: str) -> None:
+    def add_event(self, text: str) -> None:
         """States ``text`` as the last decision and among the events."""
         self.note = text
         self.events.append(text)

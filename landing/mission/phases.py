@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from touchdown.controller.api import Setpoint
 from touchdown.landing.api import Candidate, Phase
-from touchdown.landing.mission.choice import choose_commanded, choose_sites
+from touchdown.landing.mission.choice import choose_commanded, choose_sites, decided
 from touchdown.landing.mission.descent import descend_to, final_descent
 from touchdown.landing.mission.heading import turn_in_climb
 from touchdown.landing.mission.mission_state import (
@@ -95,7 +95,9 @@ def take_off(mission: Mission) -> Steps:
 def _lower_survey(mission: Mission) -> Steps:
     """Chooses the lowest height for the survey, where the wind is weaker, and goes there."""
     lowest, wind = mission.survey.min_height_m, mission.felt_wind.speed_mps
-    mission.tell(f"TAKEOFF: a wind of {wind:.1f} m/s, so that the survey is flown at {lowest:g} m")
+    mission.add_event(
+        f"TAKEOFF: a wind of {wind:.1f} m/s, so that the survey is flown at {lowest:g} m"
+    )
     mission.survey = dataclasses.replace(mission.survey, height_m=lowest)
     height = mission.ground_world + lowest
     if mission.reference_world[2] > height + 0.5:
@@ -127,7 +129,7 @@ class _Ceiling:
         self._samples += 1
         if mission.survey.min_height_m <= height < goal - 1.0:
             mean = self._sum / self._samples * np.log(goal / _ROUGHNESS_M)
-            load = mission.pace.hover_load((1.0 + _GUSTS_UP_THERE) * mean, gusts=False)
+            load = mission.time_scaling.hover_load((1.0 + _GUSTS_UP_THERE) * mean, gusts=False)
             self.found = self.found or load > 1.0
         return self.found
 
@@ -143,7 +145,7 @@ def survey(mission: Mission) -> Steps:
     except LegBlockedError:
         if mission.params.survey_only:
             raise
-        mission.tell("SURVEY broken off: landing on what is mapped")
+        mission.add_event("SURVEY broken off: landing on what is mapped")
 
 
 def land_somewhere(mission: Mission) -> Generator[Setpoint, None, bool]:
@@ -161,6 +163,7 @@ def land_somewhere(mission: Mission) -> Generator[Setpoint, None, bool]:
         assert mission.site_odom is not None
         mission.refused_odom.append(mission.site_odom)
         mission.site_odom = mission.site_class = None
+        mission.give_up_site(look)
         if mission.params.site_xy_m is not None:
             mission.aborted = True
             mission.note = f"the commanded site is refused: {look}"
@@ -207,11 +210,11 @@ def _decide(mission: Mission) -> Candidate | None:
         candidate = choose_commanded(mission, wanted)
         if not (candidate.accepted or params.check_site):
             candidate = _accepted_unchecked(mission, wanted, candidate)
-        mission.candidates = (candidate,)
+        mission.decide(decided(mission, (candidate,)))
         mission.aborted = not candidate.accepted
         mission.note = f"commanded site {params.site_xy_m}: {candidate.reason}"
     else:
-        mission.candidates = choose_sites(mission)
+        mission.decide(decided(mission, choose_sites(mission)))
         if not mission.candidates:
             mission.note = "nothing is mapped"
             return None
@@ -240,6 +243,7 @@ def _accepted_unchecked(mission: Mission, wanted: Array, refused: Candidate) -> 
         refused,
         position_odom=np.array([*wanted, height]),
         accepted=True,
+        rule="commanded_unchecked",
         reason=f"accepted unchecked; by the map: {refused.reason}",
     )
 

@@ -11,7 +11,7 @@ from touchdown.sim.api import GRAVITY_MPS2, Observation, SensorRig
 
 _REACTION_SHARE = 0.3
 """ground reaction relative to the weight, above that of ground effect and gusts"""
-_STILL_MPS = 0.10
+_STATIONARY_MPS = 0.10
 _HOLD_S = 0.12
 _SMOOTHING = 0.2
 _CARRIED_SHARE, _CARRIED_S = 0.2, 0.8
@@ -54,9 +54,9 @@ class TouchdownDetector:
         if self._carried_n > _CARRIED_SHARE * weight:
             return True
         pressed = self._reaction_n > _REACTION_SHARE * weight
-        still = abs(float(estimate.velocity_odom[2])) < _STILL_MPS
+        stationary = abs(float(estimate.velocity_odom[2])) < _STATIONARY_MPS
         unloaded = thrust < (1.0 - 0.5 * _REACTION_SHARE) * weight
-        if not (pressed and still and unloaded):
+        if not (pressed and stationary and unloaded):
             self._since_s = None
             return False
         if self._since_s is None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.props.meshes import MeshData
+from touchdown.scenes.authoring.meshes import MeshData
 
 Array = NDArray[np.float64]
 

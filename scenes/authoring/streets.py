@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.props.meshes import MeshData, polygon
-from touchdown.scenes.props.street import KERB
+from touchdown.scenes.authoring.meshes import MeshData, polygon
 
 Array = NDArray[np.float64]
 
+KERB = Surface(land_class="path", reflectivity=0.35)
 STEP_M = 0.5
 KERB_RUN_M = 18.0
 

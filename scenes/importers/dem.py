@@ -16,7 +16,7 @@ from touchdown.scenes.api import LAND_CLASSES
 from touchdown.scenes.authoring.builder import fill_texture
 from touchdown.scenes.authoring.height_field import HeightField, write_hfield
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.export import export_scene
+from touchdown.scenes.export import export_spec
 from touchdown.scenes.importers.geotiff import (
     Georeference,
     HeightRaster,
@@ -95,7 +95,7 @@ def import_dem(
     spec.site("takeoff").pos = [*spot, 0.0]
     # The name gives the class (`scenes.importers.mjcf.surface_of_name`).
     spec.geom("terrain").name = f"{land_class}_terrain"
-    return export_scene(spec, out)
+    return export_spec(spec, out)
 
 
 # ---------------------------------------------------------------------------------------- heights

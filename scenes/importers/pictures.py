@@ -189,7 +189,7 @@ def _check_kind(image: Any, path: Path, grey: bool) -> None:
 
 
 def _bits(image: Any) -> int:
-    """Bits of a channel in the file, which Pillow's mode does not tell for colours."""
+    """Bits of a channel in the file, which Pillow's mode does not give for colours."""
     if image.mode.startswith(("I", "F")):
         return 32 if image.mode in ("I", "F") else 16
     for tile in image.tile:

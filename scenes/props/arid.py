@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
+from touchdown.scenes.authoring.meshes import MeshData, blob
 from touchdown.scenes.authoring.noise import tileable_noise
 from touchdown.scenes.authoring.textures import (
     TILE_PX,
@@ -18,7 +19,6 @@ from touchdown.scenes.authoring.textures import (
     hedge_or_soil_tint,
     to_texture,
 )
-from touchdown.scenes.props.meshes import MeshData, blob
 from touchdown.scenes.props.tree_shapes import canopy_mesh
 from touchdown.scenes.props.waterside import reed_texture, tuft_mesh
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
+from touchdown.scenes.authoring.meshes import MeshData, cylinder_y, polygon
 from touchdown.scenes.authoring.textures import Colour
-from touchdown.scenes.props.meshes import MeshData, cylinder_y, polygon
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
+from touchdown.scenes.authoring.meshes import MeshData, box, polygon
 from touchdown.scenes.authoring.textures import planks
 from touchdown.scenes.props.houses import gable_roof_mesh, wall_mesh
-from touchdown.scenes.props.meshes import MeshData, box, polygon
 from touchdown.scenes.props.street import STEEL, WOOD
 from touchdown.scenes.props.wires import add_post, add_wire
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
+from touchdown.scenes.authoring.meshes import MeshData, box, polygon
 from touchdown.scenes.authoring.textures import Colour, facade_bay, flat_roof, roof_tiles
-from touchdown.scenes.props.meshes import MeshData, box, polygon
 
 Array = NDArray[np.float64]
 

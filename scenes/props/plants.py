@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
+from touchdown.scenes.authoring.meshes import blob
 from touchdown.scenes.authoring.textures import Colour, foliage, hedge_or_soil_tint
-from touchdown.scenes.props.meshes import blob
 
 Array = NDArray[np.float64]
 

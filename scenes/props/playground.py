@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
+from touchdown.scenes.authoring.meshes import box, polygon
 from touchdown.scenes.props.garden import CLOTH, place_mesh
-from touchdown.scenes.props.meshes import box, polygon
 from touchdown.scenes.props.street import WOOD
 from touchdown.scenes.props.wires import add_post, add_wire
 

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.lot import Lot
+from touchdown.scenes.authoring.meshes import MeshData, box, polygon
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
+from touchdown.scenes.authoring.streets import KERB
 from touchdown.scenes.authoring.textures import Image, to_texture
 from touchdown.scenes.props.garden import CLOTH, drum, place_mesh
-from touchdown.scenes.props.meshes import MeshData, box, polygon
-from touchdown.scenes.props.street import KERB, WOOD
+from touchdown.scenes.props.street import WOOD
 from touchdown.scenes.props.wires import add_post
 
 Array = NDArray[np.float64]

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
+from touchdown.scenes.authoring.meshes import MeshData, blob, box, polygon
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.textures import Image, to_texture
 from touchdown.scenes.props.garden import drum, place_mesh, plank_material
-from touchdown.scenes.props.meshes import MeshData, blob, box, polygon
 from touchdown.scenes.props.street import WOOD
 from touchdown.scenes.props.wires import add_post, add_wire
 

@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
-from touchdown.scenes.props.meshes import MeshData, box
+from touchdown.scenes.authoring.meshes import MeshData, box
+from touchdown.scenes.authoring.streets import KERB
 
 Array = NDArray[np.float64]
 
 STEEL = Surface(land_class="other", reflectivity=0.40)
 WOOD = Surface(land_class="other", reflectivity=0.45)
-KERB = Surface(land_class="path", reflectivity=0.35)
 _STEEL_RGBA = [0.36, 0.39, 0.41, 1.0]
 _WOOD_RGBA = [0.50, 0.38, 0.26, 1.0]
 

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.scenes.authoring.meshes import MeshData, wrapped
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.textures import TILE_PX, Colour, Image, to_texture
-from touchdown.scenes.props.meshes import MeshData, wrapped
 
 Array = NDArray[np.float64]
 

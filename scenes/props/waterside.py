@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
+from touchdown.scenes.authoring.meshes import MeshData, blob, box, polygon
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.textures import Colour, Image, to_texture
-from touchdown.scenes.props.meshes import MeshData, blob, box, polygon
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
+from touchdown.scenes.authoring.meshes import blob
 from touchdown.scenes.authoring.noise import tileable_noise
 from touchdown.scenes.authoring.textures import Colour, Image, hedge_or_soil_tint, to_texture
-from touchdown.scenes.props.meshes import blob
 from touchdown.scenes.props.plants import ROCK
 from touchdown.scenes.props.tree_shapes import bark, canopy_mesh, conifer_mesh, lathe, needles
 from touchdown.scenes.props.woods import Crown, Wood

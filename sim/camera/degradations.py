@@ -29,6 +29,7 @@ from numba import njit
 from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams
 from touchdown.sim.camera.gl import Snapshot
 from touchdown.sim.dust import DustCloud
+from touchdown.sim.effects import Effects
 from touchdown.sim.faults.disturbances import Happening
 from touchdown.sim.faults.weather import Weather
 from touchdown.sim.typing import Array, Bytes, Float32
@@ -55,6 +56,8 @@ class ImageDefects:
     """1/m"""
     dirty: bool
     glaring: bool
+    air: tuple[str, ...] = ()
+    """names of what makes the extinction"""
 
 
 class CameraDegradations:
@@ -73,7 +76,7 @@ class CameraDegradations:
         *,
         dust: DustCloud | None = None,
     ) -> None:
-        self._dust = dust
+        self._dust, self.effects = dust, Effects()
         self._faults, self._model, self._raster = faults, model, raster
         self._camera_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera_name)
         self._weather = Weather(faults, tick_hz)
@@ -100,12 +103,12 @@ class CameraDegradations:
         """Degradations at ``tick``; None: a clear image."""
         air = self._weather.at(tick)
         dirty = self._dirty.since(tick) is not None
-        extinction = 0.0 if air is None else air.extinction()
-        if self._dust is not None:
-            extinction += self._dust.at(tick).extinction
+        extinction, names = (0.0, ()) if air is None else (air.extinction(), air.faults)
+        if self._dust is not None and (dust := self._dust.at(tick).extinction) > 0.0:
+            extinction, names = extinction + dust, (*names, "dust")
         if extinction <= 0.0 and not dirty and not self._low_sun:
             return None
-        return ImageDefects(extinction, dirty, self._low_sun)
+        return ImageDefects(extinction, dirty, self._low_sun, names)
 
     def through_air(self, defects: ImageDefects, drawn: Bytes, depth: Float32, first: int) -> Bytes:
         """(h, W, 3) raster rows from ``first`` on through fog and rain, bottom row first, like
@@ -114,6 +117,7 @@ class CameraDegradations:
         airlight = (AIRLIGHT_LEVEL / 255.0) ** _GAMMA
         hazy = np.empty_like(drawn)
         _veil(drawn, depth, stretch, defects.extinction, airlight, _LIGHT, _DISPLAY, hazy)
+        self.effects.note_image(defects.air, drawn, hazy)
         return hazy
 
     def through_lens(
@@ -122,11 +126,16 @@ class CameraDegradations:
         """(H, W, 3) image with dirt and stray light; ``image`` itself is not changed. ``white``:
         exposure of a white level surface, 1 for saturation."""
         if defects.dirty:
-            image = self._through_dirt(image)
-        if defects.glaring and (stray := self.stray_light(instant)) is not None:
-            image = np.stack(
-                [cv2.LUT(image[..., c], glare_table(white * stray[c])) for c in range(3)], axis=-1
-            )
+            clean, image = image, self._through_dirt(image)
+            self.effects.note_image(("lens_dirt",), clean, image)
+        if defects.glaring:
+            clean, stray = image, self.stray_light(instant)
+            if stray is not None:
+                image = np.stack(
+                    [cv2.LUT(image[..., c], glare_table(white * stray[c])) for c in range(3)],
+                    axis=-1,
+                )
+            self.effects.note_image(("low_sun",), clean, image)
         return image
 
     def stray_light(self, instant: Snapshot) -> Array | None:
@@ -165,6 +174,12 @@ def sun_light(model: Any) -> int:
     kinds = np.asarray(model.light_type)
     directional = np.flatnonzero(kinds == int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL))
     return int(directional[0]) if directional.size else -1
+
+
+def sun_elevation_deg(model: Any) -> float | None:
+    """Degrees above the horizon of `sun_light`; None without one."""
+    light = sun_light(model)
+    return None if light < 0 else math.degrees(math.asin(-model.light_dir[light][2]))
 
 
 def ray_stretch(raster: CameraIntrinsics) -> Float32:

@@ -37,6 +37,7 @@ from touchdown.sim.camera.optics import (
 from touchdown.sim.camera.row_exposures import RowExposures, exposes_rows
 from touchdown.sim.camera.shutter import SHUTTER_MARGIN_PX, CameraMotion, camera_motion
 from touchdown.sim.dust import DustCloud
+from touchdown.sim.effects import Effects
 from touchdown.sim.moving import BodyTrack
 from touchdown.sim.typing import Bytes, Float32, Int32
 
@@ -86,11 +87,14 @@ class CameraSensor:
         self._model = scene.model
         self._params = params
         self._lens = make_lens(params)
+        self.effects = Effects()
+        """of air, optics, exposure and lamp on images"""
         self._rows: RowExposures | None = None
         if exposes_rows(params, scene.light):
             self._lens = with_margin(self._lens, SHUTTER_MARGIN_PX)
             key = [seed, crc32(b"electrons of " + camera_name.encode())]
             self._rows = RowExposures(self._lens, params, lamp or LampParams(), scene.light, key)
+            self._rows.effects = self.effects
         self._camera_id = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, camera_name)
         if self._camera_id < 0:
             names = [self._model.camera(i).name for i in range(self._model.ncam)]
@@ -106,6 +110,7 @@ class CameraSensor:
                 faults or FaultParams(), tick_hz, params, self._lens.raster, self._model, seed,
                 camera_name, dust=ground.dust,
             )  # fmt: skip
+            degradations.effects = self.effects
             self._degradations = degradations if degradations.ever else None
         self._cover = ground.cover
         self._detail = (

@@ -38,9 +38,9 @@ class CameraMotion:
 
     offsets_s: Array
     """(M,) seconds after that instant, ascending"""
-    turns: Array
+    rotations: Array
     """(M, 3) rad"""
-    shifts: Array
+    translations: Array
     """(M, 3) m, optical frame"""
 
 
@@ -58,18 +58,18 @@ def camera_motion(
     from_world = camera.inverse()
     rotations = from_world.rotation @ world_from_body @ mount.rotation
     carried = world_from_body @ mount.translation + track.positions
-    turns, shifts = _small_turns(rotations), from_world.apply(carried)
-    return CameraMotion(offsets_s=track.times_s - at_s, turns=turns, shifts=shifts)
+    vectors, positions = _rotation_vectors(rotations), from_world.apply(carried)
+    return CameraMotion(offsets_s=track.times_s - at_s, rotations=vectors, translations=positions)
 
 
-def _small_turns(rotations: Array) -> Array:
-    """(M, 3) rotation vectors of (M, 3, 3) rotations by less than a quarter turn."""
+def _rotation_vectors(rotations: Array) -> Array:
+    """(M, 3) rotation vectors of (M, 3, 3) rotations by less than 90 degrees."""
     skew = 0.5 * (rotations - np.swapaxes(rotations, 1, 2))
     axes = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
     sines = np.linalg.norm(axes, axis=1, keepdims=True)
     safe = np.clip(sines, 1e-12, 1.0)
-    turns: Array = axes * (np.arcsin(safe) / safe)
-    return turns
+    vectors: Array = axes * (np.arcsin(safe) / safe)
+    return vectors
 
 
 def row_shifts(motion: CameraMotion, raster: CameraIntrinsics, offsets_s: Array) -> Array:
@@ -77,7 +77,7 @@ def row_shifts(motion: CameraMotion, raster: CameraIntrinsics, offsets_s: Array)
     flat = np.ascontiguousarray(offsets_s, dtype=np.float64).ravel()
     out = np.empty((len(flat), 12))
     lens = (raster.fx, raster.fy, raster.cx, raster.cy)
-    _row_shifts(flat, motion.offsets_s, motion.turns, motion.shifts, *lens, out)
+    _row_shifts(flat, motion.offsets_s, motion.rotations, motion.translations, *lens, out)
     return out.reshape(*offsets_s.shape, 12)
 
 
@@ -96,16 +96,16 @@ def longest_shift(coefficients: Array, raster: CameraIntrinsics, inverse_depth: 
 
 def identity_shifts(rows: int) -> Array:
     """(rows, 1, 12) coefficients of no motion."""
-    still = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
-    return np.tile(still, (rows, 1, 1))
+    identity = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
+    return np.tile(identity, (rows, 1, 1))
 
 
 @njit(cache=True, nogil=True)
 def _row_shifts(
     at: Array,
     nodes: Array,
-    turns: Array,
-    shifts: Array,
+    rotations: Array,
+    translations: Array,
     fx: float,
     fy: float,
     cx: float,
@@ -118,7 +118,7 @@ def _row_shifts(
         k = min(i + 1, len(nodes) - 1)
         span = nodes[k] - nodes[i]
         f = min(max((at[n] - nodes[i]) / span, 0.0), 1.0) if span > 0.0 else 0.0
-        x, y, z = (1.0 - f) * turns[i] + f * turns[k]
+        x, y, z = (1.0 - f) * rotations[i] + f * rotations[k]
         squared = x * x + y * y + z * z
         angle = np.sqrt(squared)
         a, b = 1.0, 0.5
@@ -136,7 +136,7 @@ def _row_shifts(
         out[n, 5] = k12 - k10 * cx / fx - k11 * cy / fy
         out[n, 6], out[n, 7] = r20 / fx, r21 / fy
         out[n, 8] = r22 - r20 * cx / fx - r21 * cy / fy
-        p = (1.0 - f) * shifts[i] + f * shifts[k]
+        p = (1.0 - f) * translations[i] + f * translations[k]
         out[n, 9], out[n, 10], out[n, 11] = fx * p[0] + cx * p[2], fy * p[1] + cy * p[2], p[2]
 
 
@@ -168,8 +168,8 @@ def trace_row(
     while start < width:
         stop = min(start + _BLOCK, width)
         last = stop - 1
-        u0, v0 = _turned(c, xs[start], ys[start])
-        u1, v1 = _turned(c, xs[last], ys[last])
+        u0, v0 = _rotated(c, xs[start], ys[start])
+        u1, v1 = _rotated(c, xs[last], ys[last])
         steps = np.float32(max(last - start, 1))
         du, dv = (u1 - u0) / steps, (v1 - v0) / steps
         # the parallax at the middle says where to look the depth up
@@ -202,7 +202,7 @@ def trace_row(
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")
-def _turned(c: Array, x: float, y: float) -> tuple[np.float32, np.float32]:
+def _rotated(c: Array, x: float, y: float) -> tuple[np.float32, np.float32]:
     """Displacement by rotation of the raster place (x, y)."""
     w = 1.0 / (c[6] * x + c[7] * y + c[8])
     u, v = (c[0] * x + c[1] * y + c[2]) * w - x, (c[3] * x + c[4] * y + c[5]) * w - y

@@ -7,8 +7,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Interval
 
-from touchdown.sim.navigation.types import FORBID_EXTRA
-from touchdown.sim.ranges import Count, CountOrZero, NotNegative, Positive
+from touchdown.sim.ranges import FORBID_EXTRA, Count, CountOrZero, NotNegative, Positive
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

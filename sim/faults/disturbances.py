@@ -6,8 +6,8 @@
   reconfigurable fault-tolerant control systems", Annual Reviews in Control 32, 2008);
 - gust: the discrete gust of MIL-F-8785C, V = Vm / 2 (1 - cos(pi x / d)), x the distance into it.
   A hovering vehicle is swept by it: x / d is time over the time of rise. Past its peak it falls
-  as it rose, and a longer fault is a row of such gusts (they may be used singly or in multiples);
-- miscalibration: the LIDAR sits turned and shifted on the body, by stated amounts, about an axis
+  as it rose, and a fault is a row of such gusts (they may be used singly or in multiples);
+- miscalibration: the LIDAR sits rotated and displaced on the body, by stated amounts, about an axis
   and in a direction drawn from the seed.
 """
 
@@ -64,13 +64,14 @@ class Disturbances:
         self._speed_share = np.ones(ROTORS)
         self._speed_share[params.motor] = math.sqrt(1.0 - params.motor_loss_share)
         self._knock = _knock(params, seed) if self._mount.faults else None
-        self._steps = {"motor_loss": 0, "gust": 0}
+        self._acted = {"motor_loss": 0, "gust": 0}
+        self._largest_gust_mps = 0.0
 
     def rotor_speed_share(self, tick: int) -> Array | None:
         """(4,) share of the demanded rotor speeds that is reached, None: all of it."""
         if not self._motor.faults or self._motor.since(tick) is None:
             return None
-        self._steps["motor_loss"] += 1
+        self._acted["motor_loss"] += 1
         return self._speed_share
 
     def add_gust(self, tick: int, mean_direction: Array, wind: Array) -> None:
@@ -86,7 +87,8 @@ class Disturbances:
                 speed += gust_speed(phase, self._peak_mps)
         if speed == 0.0:
             return
-        self._steps["gust"] += 1
+        self._acted["gust"] += 1
+        self._largest_gust_mps = max(self._largest_gust_mps, speed)
         degrees = self._params.gust_direction_deg
         if degrees is None:
             wind += speed * mean_direction
@@ -103,16 +105,18 @@ class Disturbances:
             nominal.rotation @ self._knock.rotation, nominal.translation + self._knock.translation
         )
 
-    def summary(self) -> list[dict[str, Any]]:
-        """Effects in control steps, in the form of `sim.faults.injector.FaultInjector.summary`."""
-        found = []
-        for kind, faults, name in (
-            ("motor_loss", self._motor.faults, "commands"),
-            ("gust", self._gusts, "air"),
+    def summary(self, step_s: float) -> list[dict[str, Any]]:
+        """Records of the faults of rotors and air: ``acted_s``, the time for which they acted in
+        steps of ``step_s``, and ``gust_mps``, the largest speed of a gust."""
+        acted_s = {kind: step_s * steps for kind, steps in self._acted.items()}
+        found: list[dict[str, Any]] = []
+        for kind, faults, more in (
+            ("motor_loss", self._motor.faults, {}),
+            ("gust", self._gusts, {"gust_mps": self._largest_gust_mps}),
         ):
             if faults:
                 text = ", ".join(fault.text for fault in faults)
-                found.append({"fault": text, "messages": {name: self._steps[kind]}})
+                found.append({"fault": text, "acted_s": acted_s[kind], **more})
         return found
 
 
@@ -121,15 +125,18 @@ def gust_speed(phase: float, peak_mps: float) -> float:
     return 0.5 * peak_mps * (1.0 - math.cos(math.pi * phase))
 
 
-def gust_count(fault: Fault, rise_s: float) -> int:
-    """Whole gusts of two times of rise that fit into a fault, at least one."""
+def gust_count(fault: Fault, rise_s: float) -> float:
+    """Gusts of two times of rise: as many as a fault names, or as fit into its duration, at least
+    one; without either they end with the flight."""
+    if fault.count is not None:
+        return fault.count
     if fault.duration_s is None:
-        return 1
+        return math.inf
     return max(1, math.floor(fault.duration_s / (2.0 * rise_s) + 1e-9))
 
 
 def _knock(params: FaultParams, seed: int) -> Pose:
-    """Turn (LIDAR axes) and shift (body axes) of exactly the stated sizes."""
+    """Rotation (LIDAR axes) and translation (body axes) of exactly the stated sizes."""
     axis, way = random_stream(seed, "miscalibration").standard_normal((2, 3))
-    turn = math.radians(params.miscalibration_deg) * axis / np.linalg.norm(axis)
-    return Pose(so3_exp(turn), params.miscalibration_m * way / np.linalg.norm(way))
+    rotation = math.radians(params.miscalibration_deg) * axis / np.linalg.norm(axis)
+    return Pose(so3_exp(rotation), params.miscalibration_m * way / np.linalg.norm(way))

@@ -1,15 +1,15 @@
 """Injects scheduled faults between the sensors and their readers.
 
 Faults act on messages at the moment of their delivery, so that estimator, mapper, lander and
-recorder see the same. A fault without duration acts on one message of each of its streams.
+recorder see the same.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -24,9 +24,11 @@ from touchdown.sim.api import (
     LidarScan,
     Observation,
 )
-from touchdown.sim.faults.types import LASTING_KINDS, WORLD_KINDS
+from touchdown.sim.faults.types import WORLD_KINDS
 
 _STREAMS = ("scans", "images", "gps")
+_OF_THE_LAST = frozenset(("lidar_frozen", "camera_frozen", "gps_frozen", "timestamp_repeat"))
+"""Kinds that deliver what was delivered last, or its stamps."""
 _STAMPS: dict[type, tuple[str, ...]] = {
     LidarScan: ("start_tick", "end_tick", "start_time_s", "end_time_s"),
     CameraImage: ("tick", "time_s"),
@@ -45,7 +47,7 @@ class FaultInjector:
                 [
                     _Pending(fault, tick_hz)
                     for fault in params.schedule()
-                    if name in FAULT_KINDS[fault.kind]
+                    if name in FAULT_KINDS[fault.kind] and fault.kind not in WORLD_KINDS
                 ],
                 params,
                 tick_hz,
@@ -65,38 +67,36 @@ class FaultInjector:
         return dataclasses.replace(obs, **changed)
 
     def summary(self) -> list[dict[str, Any]]:
-        """Effects of every fault: its text, and the number of messages of each stream that it
-        changed."""
-        counts: dict[str, dict[str, int]] = {}
+        """Effects of every fault: its text, and for each of its streams ``messages``, the number
+        that it changed, of ``came``, the number that came while it was active; of a fault of N
+        messages from its start to the end of the flight."""
+        found: dict[str, dict[str, Any]] = {}
         for name, stream in self._streams.items():
             for pending in stream.faults:
-                counts.setdefault(pending.fault.text, {})[name] = pending.befallen
-        return [{"fault": text, "messages": streams} for text, streams in counts.items()]
+                text = pending.fault.text
+                entry = found.setdefault(text, {"fault": text, "messages": {}, "came": {}})
+                entry["messages"][name] = pending.hit
+                entry["came"][name] = pending.came
+        return list(found.values())
 
 
-@dataclass(slots=True)
 class _Pending:
     """A fault on one stream."""
-
-    fault: Fault
-    start_tick: int
-    end_tick: int | None
-    befallen: int
 
     def __init__(self, fault: Fault, tick_hz: int) -> None:
         self.fault = fault
         self.start_tick = round(fault.start_s * tick_hz)
-        self.end_tick = None
+        self._end_tick = math.inf
         if fault.duration_s is not None:
-            self.end_tick = self.start_tick + max(1, round(fault.duration_s * tick_hz))
-        self.befallen = 0
+            self._end_tick = self.start_tick + max(1, round(fault.duration_s * tick_hz))
+        self.came = self.hit = 0
 
     def befalls(self, tick: int) -> bool:
-        if tick < self.start_tick:
+        """True for a message at ``tick`` that the fault is to change; it counts as having come."""
+        if not self.start_tick <= tick < self._end_tick:
             return False
-        if self.end_tick is None:
-            return self.befallen == 0 or self.fault.kind in LASTING_KINDS
-        return tick < self.end_tick
+        self.came += 1
+        return self.fault.count is None or self.hit < self.fault.count
 
 
 class _FaultyStream:
@@ -118,7 +118,7 @@ class _FaultyStream:
             "lidar_frozen": self._frozen,
             "camera_frozen": self._frozen,
             "gps_frozen": self._frozen,
-            "timestamp_repeat": lambda m: m if self._last is None else _stamped(m, self._last),
+            "timestamp_repeat": lambda m: _stamped(m, self._last),
         }
 
     def pass_on(self, messages: Iterable[Any], tick: int) -> tuple[Any, ...]:
@@ -132,18 +132,17 @@ class _FaultyStream:
         return tuple(out)
 
     def _take(self, message: Any, tick: int) -> None:
-        due, swap = tick, self._held is not None
+        due, swap, lost = tick, self._held is not None, False
         for pending in self.faults:
             kind = pending.fault.kind
-            in_world = kind in WORLD_KINDS
-            if not pending.befalls(_measured(message) if in_world else tick):
+            if not pending.befalls(tick) or lost:
                 continue
-            pending.befallen += 1
-            if in_world:
-                continue  # it has happened to it already
+            if self._last is None and kind in _OF_THE_LAST:
+                continue  # nothing to repeat yet
+            pending.hit += 1
             if kind.endswith("_dropout"):
-                return
-            if kind.endswith("_skew"):
+                lost = True
+            elif kind.endswith("_skew"):
                 message = self._skewed(message, pending.start_tick)
             elif kind == "gps_spoof":
                 message = self._spoofed(message, pending.start_tick)
@@ -153,6 +152,8 @@ class _FaultyStream:
                 due = tick + self._late_ticks
             else:
                 swap = True
+        if lost:
+            return
         if not swap:
             self._enqueue(due, message)
         elif self._held is None:
@@ -172,8 +173,8 @@ class _FaultyStream:
         """The message with the time stamps of a clock that has an offset and a drift."""
         hz, params = self._tick_hz, self._params
         since_s = max(0, _measured(message) - start_tick) / hz
-        shift = round((params.skew_s + 1e-6 * params.skew_ppm * since_s) * hz)
-        ticks = {n: getattr(message, n) + shift for n in _STAMPS[type(message)] if "tick" in n}
+        offset = round((params.skew_s + 1e-6 * params.skew_ppm * since_s) * hz)
+        ticks = {n: getattr(message, n) + offset for n in _STAMPS[type(message)] if "tick" in n}
         times = {
             # what a stamp has beside its tick stays
             (time := n.replace("tick", "time_s")): tick / hz
@@ -191,7 +192,7 @@ class _FaultyStream:
 
     def _frozen(self, message: Any) -> Any:
         """The message that was delivered last, with the time stamps of this one."""
-        return message if self._last is None else _stamped(self._last, message)
+        return _stamped(self._last, message)
 
 
 def _measured(message: Any) -> int:

@@ -9,8 +9,7 @@ from typing import Annotated
 
 from annotated_types import Interval
 
-from touchdown.sim.navigation.types import FORBID_EXTRA
-from touchdown.sim.ranges import Fraction, Heading, NotNegative
+from touchdown.sim.ranges import FORBID_EXTRA, Fraction, Heading, NotNegative
 
 FAULT_KINDS: dict[str, tuple[str, ...]] = {
     "lidar_nan": ("scans",),
@@ -47,34 +46,33 @@ WORLD_KINDS = frozenset(
 )
 """Those that happen where things are measured, at the time of measuring; others on delivery."""
 
-LASTING_KINDS = (WORLD_KINDS - {"gust"}) | {
-    "gps_spoof", "lidar_skew", "camera_skew", "gps_skew"
-}  # fmt: skip
-"""Those that without a duration last to the end of the flight."""
-
 MOST_MOTOR_LOSS = 0.5
 """of one rotor's thrust: with more, hovering level is beyond the other three"""
 LEAST_VISIBILITY_M = 5.0
 LEAST_SUN_DEG = 3.0
 
-_FORM = re.compile(r"(?P<kind>[a-z_]+)@(?P<start>[0-9.]+)(\+(?P<duration>[0-9.]+))?")
+_FORM = re.compile(
+    r"(?P<kind>[a-z_]+)@(?P<start>[0-9.]+)(\+(?P<duration>[0-9.]+)|\*(?P<count>[0-9]{1,6}))?"
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Fault:
-    """One entry of the schedule; times are those of delivery."""
+    """One entry of the schedule; times are those of delivery. Without a duration and a count it
+    lasts to the end of the flight."""
 
     kind: str
     start_s: float
-    duration_s: float | None
-    """None: the first message (of either stream) delivered at ``start_s`` or later, and no other;
-    of a swap the first two; of ``LASTING_KINDS`` the rest of the flight"""
+    duration_s: float | None = None
+    count: int | None = None
+    """that many messages of each of its streams, from the first at ``start_s`` or later; gusts of
+    ``gust``"""
 
     @property
     def text(self) -> str:
         """As it is written in the configuration."""
         until = "" if self.duration_s is None else f"+{self.duration_s:g}"
-        return f"{self.kind}@{self.start_s:g}{until}"
+        return f"{self.kind}@{self.start_s:g}{until}" + (f"*{self.count}" if self.count else "")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -84,7 +82,8 @@ class FaultParams:
     __pydantic_config__ = FORBID_EXTRA
 
     events: tuple[str, ...] = ()
-    """``KIND@START`` or ``KIND@START+DURATION``, seconds of simulated time"""
+    """``KIND@START`` (to the end), ``KIND@START+DURATION`` in seconds of simulated time, or
+    ``KIND@START*N`` for N messages"""
     late_s: NotNegative = 0.3
     """additional delay of ``lidar_late`` and ``camera_late``"""
     gps_jump_m: tuple[float, float, float] = (15.0, -10.0, 5.0)
@@ -135,7 +134,7 @@ class FaultParams:
     def check(self, mean_wind_kmh: float) -> None:
         """Raises ValueError for a schedule that cannot happen in this mean wind."""
         for fault in self.schedule():
-            if fault.kind == "low_sun" and (fault.start_s or fault.duration_s is not None):
+            if fault.kind == "low_sun" and (fault.start_s or fault.duration_s):
                 raise ValueError(
                     f"fault '{fault.text}': the sun stands still during a flight, give low_sun@0"
                 )
@@ -147,13 +146,13 @@ class FaultParams:
 
 
 def parse_fault(text: str) -> Fault:
-    """``lidar_dropout@12.5+1`` -> its parts. ValueError: not of that form, unknown, or without
-    length."""
+    """``lidar_dropout@12.5+1`` -> its parts. ValueError: not of that form, unknown, without length,
+    or a count where nothing is counted."""
     match = _FORM.fullmatch(text.strip())
     if match is None:
         raise ValueError(
-            f"fault '{text}' is not of the form KIND@START or KIND@START+DURATION in seconds, such "
-            "as lidar_dropout@20+1"
+            f"fault '{text}' is not of the form KIND@START, KIND@START+DURATION in seconds or "
+            "KIND@START*N messages, such as lidar_dropout@20+1"
         )
     kind = match["kind"]
     if kind not in FAULT_KINDS:
@@ -165,4 +164,19 @@ def parse_fault(text: str) -> Fault:
         raise ValueError(f"fault '{text}': START and DURATION must be numbers of seconds") from None
     if not math.isfinite(start) or (duration is not None and not duration > 0.0):
         raise ValueError(f"fault '{text}': DURATION must be above 0 seconds")
-    return Fault(kind=kind, start_s=start, duration_s=duration)
+    count = None if match["count"] is None else int(match["count"])
+    if count is not None:
+        _check_count(text, kind, count)
+    return Fault(kind=kind, start_s=start, duration_s=duration, count=count)
+
+
+def _check_count(text: str, kind: str, count: int) -> None:
+    if kind in WORLD_KINDS and kind != "gust":  # N gusts
+        raise ValueError(
+            f"fault '{text}': {kind} acts on the world, not on single messages; give {kind}@START "
+            f"or {kind}@START+DURATION"
+        )
+    if count == 0:
+        raise ValueError(f"fault '{text}': N must be 1 or more")
+    if kind == "timestamp_swap" and count % 2:
+        raise ValueError(f"fault '{text}': stamps are swapped in pairs; give an even N, such as *2")

@@ -48,6 +48,12 @@ class Air:
     visibility_m: float | None = None
     rain_mmph: float = 0.0
 
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Kinds of faults that it consists of."""
+        kinds = ("fog", self.visibility_m is not None), ("rain", self.rain_mmph > 0.0)
+        return tuple(kind for kind, there in kinds if there)
+
     def extinction(self, wavelength_nm: float = REFERENCE_NM) -> float:
         """1/m, fog and rain together."""
         fog = 0.0

@@ -136,7 +136,7 @@ def aim(
     """World rays of the ``pulses`` (K,), ascending indices into ``nominal`` (N, 3), pulse i being
     number ``first_pulse + i``. Each has S rays, turned off its axis by the first two columns of
     ``offsets`` (S, 3), radians along the LIDAR's x and y, and all of them by the same pointing
-    error of ``angle_sigma`` radians; the third column tells the rays' random bits apart.
+    error of ``angle_sigma`` radians; the third column separates the random bits of the rays.
 
     The track: (M,) seconds, (M, 3) and (M, 3, 3) world_from_lidar. Fills ``rays`` (K S, 6) with
     origins and unit directions, ``range_noise`` (K S,) with normal deviates, ``bits`` (K S,).

@@ -289,7 +289,7 @@ def near_edges(
 ) -> Indices:
     """Those of the ``candidates`` (C,) with a neighbour in the view, among the candidates of the
     same scan, that lies nearer or farther than the slope of either surface explains, or with no
-    neighbour that could tell."""
+    neighbour that could decide."""
     if not candidates.shape[0]:
         return candidates
     grid, cells, width = _view_map(nominal, candidates)

@@ -16,11 +16,12 @@ import numpy as np
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import LidarParams, LidarScan
 from touchdown.sim.dust import DustCloud
+from touchdown.sim.effects import Effects, Returns
 from touchdown.sim.faults.weather import Weather
 from touchdown.sim.frames import Pose
 from touchdown.sim.geometry.ray_target import Hits, rays_behind
 from touchdown.sim.lidar import beams, returns
-from touchdown.sim.lidar.patterns.livox import ScanPattern, pattern
+from touchdown.sim.lidar.patterns.livox import PATTERNS, ScanPattern
 from touchdown.sim.lidar.range_errors import RangeErrors
 from touchdown.sim.lidar.raycast_scene import LidarScene
 from touchdown.sim.lidar.rays import Movers, Rays, Track
@@ -49,8 +50,7 @@ class LidarSensor:
 
     ``scan`` is a pure function of its arguments, the scene and the seed: it may run in any thread
     beside the physics. Without ``weather`` the air is clear; ``wind_mps``, (2,) the mean wind at
-    20 ft, moves crowns. ``dust`` is noted up to a scan's end before the scan. Raises ValueError for
-    an unknown preset or return mode.
+    20 ft, moves crowns. ``dust`` is noted up to a scan's end before the scan.
     """
 
     def __init__(
@@ -62,11 +62,7 @@ class LidarSensor:
         wind_mps: Array = _CALM,
         dust: DustCloud | None = None,
     ) -> None:
-        if params.return_mode not in ("first", "strongest"):
-            raise ValueError(
-                f"unknown LIDAR return mode '{params.return_mode}': choose first or strongest"
-            )
-        self._pattern = pattern(params.preset)
+        self._pattern = PATTERNS[params.preset]
         self._params = params
         self._scene = LidarScene(scene)
         key = np.random.default_rng([seed, crc32(b"lidar")]).integers(2**64, dtype=np.uint64)
@@ -85,6 +81,8 @@ class LidarSensor:
         self._sway = Sway.of(params, self._scene, wind_mps, seed)
         self._range_errors = RangeErrors.of(params, self._pattern, seed)
         self._weather, self._dust = None, dust
+        self.effects = Effects()
+        """of rain, fog, dust and a moved mount on scans"""
         if dust is not None or (weather is not None and weather.ever):
             self._weather = LidarWeather(
                 weather, self._pattern, params, self._budget, self._quantiles
@@ -197,7 +195,7 @@ class LidarSensor:
         middle = len(track.times_s) // 2
         eye, boresight = track.positions[middle], track.rotations[middle][:, 2]
         wander = float(np.abs(track.positions - eye).max())
-        turning = float(np.abs(track.rotations[:, :, 2] - boresight).max())
+        rotated = float(np.abs(track.rotations[:, :, 2] - boresight).max())
         seen = []
         for target, motion in movers:
             centers = motion.positions + motion.rotations @ target.center
@@ -206,7 +204,7 @@ class LidarSensor:
             reach = target.radius + 2.0 * (wander + float(np.abs(centers - centers[0]).max()))
             if reach < distance:
                 off_axis = np.arccos(np.clip(apart @ boresight / distance, -1.0, 1.0))
-                if off_axis - np.arcsin(reach / distance) - 2.0 * turning > self._cone_rad:
+                if off_axis - np.arcsin(reach / distance) - 2.0 * rotated > self._cone_rad:
                     continue
             seen.append((target, motion))
         return seen
@@ -282,9 +280,12 @@ class LidarSensor:
         self._penetrate(pulses, hits, movers)
         gain = self._refine(pulses, hits, movers)
         strengths, ranges, intensity = self._receive(pulses, hits, gain)
+        count, weakened = len(nominal), []
         for clutter in air:
+            seen = Returns(ranges[:count], intensity[:count])
+            clear = seen.copy()
             clutter.weaken(hits.distance, pulses.bits, strengths, ranges, intensity)
-        count = len(nominal)
+            weakened.append(seen.changed_share(clear))
         ranges, intensity = ranges[:count], intensity[:count]
         if split.size:
             returns.receive_split(
@@ -303,20 +304,30 @@ class LidarSensor:
                 intensity,
             )
         if self._range_errors is not None:
+            exact = ranges.copy()
             self._range_errors.apply(pulses.range_noise, hits.cosine, ranges, intensity)
-        for clutter in air:
+            self.effects.note_lengths("ranging", exact, ranges)
+        for clutter, lost in zip(air, weakened, strict=True):
+            seen = Returns(ranges, intensity)
+            clear = seen.copy()
             clutter.scatter(pulses.bits[:count], ranges, intensity)
+            self.effects.note(clutter.effects, min(lost + seen.changed_share(clear), 1.0))
         return ranges, intensity
 
     def _refine(self, pulses: Rays, hits: Hits, movers: Movers) -> Float32:
         """Moves ``hits`` by the sway of crowns and into plants; factors (N,) of the reflectivities
         there, or empty."""
         if self._sway is not None:
+            at_rest = hits.distance.copy()
             self._sway.move(pulses.rays, pulses.times, hits)
+            self.effects.note_lengths("sway", at_rest, hits.distance)
         if self._detail is None:
             return _NO_GAIN
         gain = self._detail.gains(pulses, hits, movers)
-        self._detail.enter_plants(pulses, hits)
+        if self._detail.vegetation > 0.0:
+            ground = hits.distance.copy()
+            self._detail.enter_plants(pulses, hits)
+            self.effects.note_lengths("vegetation", ground, hits.distance)
         return gain
 
     def _split(

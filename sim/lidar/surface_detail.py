@@ -25,7 +25,7 @@ from touchdown.sim.api import LidarParams
 from touchdown.sim.geometry.ray_target import Hits
 from touchdown.sim.lidar.beams import hashed
 from touchdown.sim.lidar.lattice_noise import add_plane_noise, add_space_noise
-from touchdown.sim.lidar.patterns.livox import ScanPattern, pattern
+from touchdown.sim.lidar.patterns.livox import PATTERNS, ScanPattern
 from touchdown.sim.lidar.raycast_scene import OpticalTable, optical_table
 from touchdown.sim.lidar.rays import Movers, Rays
 from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32, Uint32
@@ -80,7 +80,7 @@ class SurfaceDetail:
         if params.vegetation <= 0.0:
             return None
         optics, moving = optical_table(scene.model, scene), np.zeros(scene.model.ngeom, np.bool_)
-        return SurfaceDetail.of(params, pattern(params.preset), scene, optics, moving)
+        return SurfaceDetail.of(params, PATTERNS[params.preset], scene, optics, moving)
 
     def gains(self, pulses: Rays, hits: Hits, movers: Movers) -> Float32:
         """(N,) factors of the reflectivity where the rays hit; empty: 1 everywhere."""

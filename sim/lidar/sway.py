@@ -85,10 +85,10 @@ class Sway:
 
     def displacement_m(self, geoms: Indices, times_s: Array) -> Array:
         """(N, 2) displacements of crowns (N,) at instants (N,)."""
-        turn = 2.0 * np.pi * self.frequency_hz[geoms] * times_s
+        phase = 2.0 * np.pi * self.frequency_hz[geoms] * times_s
         one, two, slow = self.phases[:, geoms]
-        size = self.amplitude_m[geoms] * (1.0 + _WAXING * np.sin(turn / _BEATS + slow))
-        along, across = size * np.sin(turn + one), _ACROSS * size * np.sin(turn + two)
+        size = self.amplitude_m[geoms] * (1.0 + _WAXING * np.sin(phase / _BEATS + slow))
+        along, across = size * np.sin(phase + one), _ACROSS * size * np.sin(phase + two)
         left = np.array([-self.along[1], self.along[0]])
         moved: Array = along[:, None] * self.along + across[:, None] * left
         return moved

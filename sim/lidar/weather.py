@@ -66,6 +66,11 @@ class Clutter:
     air: Air
     beam: Beam
 
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of what weakens and scatters."""
+        return self.air.faults
+
     @cached_property
     def extinction(self) -> float:
         """1/m at the LIDAR's wavelength."""
@@ -153,6 +158,10 @@ class DustClutter(Clutter):
 
     dust_extinction: float = 0.0
     depth_m: float = 0.0
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        return ("dust",)
 
     @cached_property
     def extinction(self) -> float:

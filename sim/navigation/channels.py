@@ -112,15 +112,15 @@ class NavSensors:
         (3,) m/s of the body origin and the body rates (3,) rad/s."""
         if self.barometer.due(tick):
             self.barometer.send(tick, self._barometer.sample(tick, float(position[2])))
-        turned = (self.gps.due(tick), self.magnetometer.due(tick), self.rangefinder.due(tick))
-        if not any(turned):
+        due = (self.gps.due(tick), self.magnetometer.due(tick), self.rangefinder.due(tick))
+        if not any(due):
             return
         rotation = matrix_from_quat_wxyz(quat_wxyz)
-        if turned[0]:
+        if due[0]:
             fix = self._gps.sample(tick, rotation, position, velocity, rates)
             self.gps.send(tick, fix)
-        if turned[1]:
+        if due[1]:
             self.magnetometer.send(tick, self._magnetometer.sample(tick, rotation))
-        if turned[2]:
+        if due[2]:
             echo = self._rangefinder.sample(tick, data, rotation, position)
             self.rangefinder.send(tick, echo)

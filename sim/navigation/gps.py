@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from touchdown.sim.api import GpsFix, GpsParams
+from touchdown.sim.api import GpsFix, GpsParams, GpsPreset
 from touchdown.sim.frames import cross
 from touchdown.sim.noise import GaussMarkov, random_stream
 from touchdown.sim.typing import Array
@@ -31,7 +31,7 @@ class GpsModel:
     receives: bool = True
 
 
-PRESETS: Mapping[str, GpsModel] = {
+PRESETS: Mapping[GpsPreset, GpsModel] = {
     # The mean 3-D error of a flight is 1.01 m, the GPS row of Table 2 of Zou, Sun, Kong (2024).
     "paper": GpsModel(
         sigma_xy_m=0.536, sigma_z_m=1.5 * 0.536, white_m=0.0, velocity_sigma_mps=0.05
@@ -57,11 +57,8 @@ PRESETS: Mapping[str, GpsModel] = {
 
 
 def gps_model(params: GpsParams) -> GpsModel:
-    """The preset with the fields that ``params`` overrides. Raises ValueError for an unknown preset
-    or a negative standard deviation."""
-    if params.preset not in PRESETS:
-        known = ", ".join(PRESETS)
-        raise ValueError(f"unknown GPS preset '{params.preset}': gps.preset is one of {known}")
+    """The preset with the fields that ``params`` overrides. Raises ValueError for a negative
+    standard deviation."""
     names = ("sigma_xy_m", "sigma_z_m", "white_m", "velocity_sigma_mps", "tau_s")
     given = {n: value for n in names if (value := getattr(params, n)) is not None}
     for name, value in given.items():

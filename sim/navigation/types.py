@@ -3,32 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from touchdown.sim.ranges import Count, CountOrZero, NotNegative, Positive
+from touchdown.sim.ranges import FORBID_EXTRA, Count, CountOrZero, NotNegative, Positive
 
 Array = NDArray[np.float64]
-
-FORBID_EXTRA = {"extra": "forbid"}
-"""Read by pydantic: an unknown configuration key is an error, not a silent default."""
 
 
 # ------------------------------------------------------------------------------- parameters
 
 
+GpsPreset = Literal["paper", "ublox-m8", "rtk", "denied"]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GpsParams:
-    """A satellite receiver: ``paper``, ``ublox-m8``, ``rtk`` or ``denied`` (no fix ever). Fields
-    that are None come from the preset."""
+    """A satellite receiver; ``denied``: no fix ever. Fields that are None come from the preset."""
 
     __pydantic_config__ = FORBID_EXTRA
 
-    preset: str = "paper"
-    """receiver model: ``paper``, ``ublox-m8``, ``rtk`` or ``denied``"""
+    preset: GpsPreset = "paper"
+    """receiver model"""
     period_ticks: Count = 120
     """ticks between two fixes (5 Hz)"""
     latency_ticks: CountOrZero = 72

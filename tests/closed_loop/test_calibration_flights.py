@@ -15,7 +15,7 @@ from touchdown.experiments.api import CalibrationErrorParams
 from touchdown.experiments.calibration.evaluate import run_calibration
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.flight.estimator_calibration import believed_rig, erring_rig
+from touchdown.experiments.flight.estimator_calibration import erring_rig, nominal_rig
 from touchdown.experiments.flight.wiring import build_flight_stack, build_scene
 from touchdown.experiments.io.calibration_file import read_calibration
 from touchdown.sim.api import SensorRig
@@ -63,15 +63,15 @@ def test_a_flight_uses_the_given_calibration(
     calibrated: tuple[Path, dict[str, Any]], rig: SensorRig
 ) -> None:
     file, report = calibrated
-    believed = believed_rig(rig, load_config(None, [], calibration=str(file)))
-    true, found = (r.body_from_camera.inverse() @ r.body_from_lidar for r in (rig, believed))
+    nominal = nominal_rig(rig, load_config(None, [], calibration=str(file)))
+    true, found = (r.body_from_camera.inverse() @ r.body_from_lidar for r in (rig, nominal))
     turn = np.rad2deg(np.linalg.norm(so3_log(found.rotation @ true.rotation.T)))
     shift = np.linalg.norm(found.translation - true.translation)
     assert turn == pytest.approx(report["error"]["rotation_deg"], abs=1e-9)
     assert shift == pytest.approx(report["error"]["translation_m"], abs=1e-9)
-    assert believed.camera.distortion[0] == pytest.approx(-0.05, abs=0.005)
+    assert nominal.camera.distortion[0] == pytest.approx(-0.05, abs=0.005)
     np.testing.assert_array_equal(
-        believed.body_from_camera.translation, rig.body_from_camera.translation
+        nominal.body_from_camera.translation, rig.body_from_camera.translation
     )
     assert rig.camera.distortion[0] == 0.0  # the simulation keeps its own
 
@@ -81,7 +81,7 @@ def test_a_file_of_another_camera_is_refused(
 ) -> None:
     small = replace(rig, camera=replace(rig.camera, width=424, height=240))
     with pytest.raises(UsageError, match=r"848 x 480 pixels.*424 x 240"):
-        believed_rig(small, load_config(None, [], calibration=str(calibrated[0])))
+        nominal_rig(small, load_config(None, [], calibration=str(calibrated[0])))
 
 
 def test_stated_errors_are_drawn_from_the_seed(rig: SensorRig) -> None:
@@ -93,16 +93,16 @@ def test_stated_errors_are_drawn_from_the_seed(rig: SensorRig) -> None:
     true = rig.body_from_camera.inverse() @ rig.body_from_lidar
     turns, shifts, stretches = [], [], []
     for seed in range(300):
-        believed = erring_rig(rig, params, seed)
-        found = believed.body_from_camera.inverse() @ believed.body_from_lidar
+        nominal = erring_rig(rig, params, seed)
+        found = nominal.body_from_camera.inverse() @ nominal.body_from_lidar
         turns.append(np.rad2deg(so3_log(found.rotation @ true.rotation.T)))
         shifts.append(found.translation - true.translation)
-        stretches.append(believed.camera.fx / rig.camera.fx - 1.0)
+        stretches.append(nominal.camera.fx / rig.camera.fx - 1.0)
     assert np.std(turns) == pytest.approx(0.03, rel=0.1)
     assert np.std(shifts) == pytest.approx(0.003, rel=0.1)
     assert np.std(stretches) == pytest.approx(5e-4, rel=0.15)
     again = erring_rig(rig, params, 299)
-    np.testing.assert_array_equal(again.body_from_lidar.rotation, believed.body_from_lidar.rotation)
+    np.testing.assert_array_equal(again.body_from_lidar.rotation, nominal.body_from_lidar.rotation)
 
 
 def _broken(file: Path, folder: Path, change: Any) -> Path:

@@ -1,4 +1,4 @@
-"""Every estimator on an IMU that is off the centre of mass, and on a start whose tilt is not told.
+"""Every estimator on an IMU that is off the centre of mass, and on a start whose tilt is unknown.
 
 The world's own IMU without noise is an exact log: the vehicle rests, then climbs while it rolls and
 yaws. Position and velocity are those of the body origin.
@@ -135,7 +135,7 @@ def test_pose_and_velocity_are_those_of_the_body_origin(name: str, log: Log) -> 
     "name", [name for name in ESTIMATORS if name in ("paper", "optical_flow", "stereo")]
 )
 def test_roll_and_pitch_are_found_at_rest(name: str, log: Log) -> None:
-    """The rig tells heading and position only; the pad slopes by 4 degrees."""
+    """The rig states heading and position only; the pad slopes by 4 degrees."""
     start = log.rig.world_from_body_start
     heading = Pose(rotation_from_yaw(yaw_from_rotation(start.rotation)), start.translation)
     rig = replace(log.rig, world_from_body_start=heading, start_tilt_sigma_rad=0.05)

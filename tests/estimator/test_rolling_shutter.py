@@ -16,7 +16,7 @@ from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
 from touchdown.estimator.filtering.flown_noise import with_flown_noise
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.rolling_shutter import (
-    CameraMotion,
+    CameraTwist,
     ShutterModel,
     at_middle_row,
     ground_depths,
@@ -64,10 +64,10 @@ def test_pixels_of_rows_are_those_of_one_instant(late_s: float) -> None:
     true = np.array([pixel_of(p) for p in points])
     rolling = np.array([seen_by_row(p, late_s) for p in points])
     assert np.abs(rolling - true).max() > 1.0
-    model, motion = ShutterModel(RIG), CameraMotion(RATE, VELOCITY, late_s)
+    model, twist = ShutterModel(RIG), CameraTwist(RATE, VELOCITY, late_s)
     depths = ground_depths(rolling, RIG.camera, CAMERA, 3.0)
-    np.testing.assert_allclose(model.to_instant(rolling, depths, motion), true, atol=0.03)
-    np.testing.assert_allclose(model.to_rows(true, points[:, 2], motion), rolling, atol=0.03)
+    np.testing.assert_allclose(model.to_instant(rolling, depths, twist), true, atol=0.03)
+    np.testing.assert_allclose(model.to_rows(true, points[:, 2], twist), rolling, atol=0.03)
 
 
 def test_ground_is_as_deep_as_it_lies() -> None:
@@ -81,10 +81,10 @@ def test_ground_is_as_deep_as_it_lies() -> None:
 def test_a_global_shutter_on_time_changes_nothing() -> None:
     pixels = np.array([[10.0, 20.0]])
     model = ShutterModel(make_rig())
-    motion = CameraMotion(RATE, VELOCITY, 0.0)
-    assert model.idle(motion)
-    assert model.to_instant(pixels, np.ones(1), motion) is pixels
-    assert model.to_rows(pixels, np.ones(1), motion) is pixels
+    twist = CameraTwist(RATE, VELOCITY, 0.0)
+    assert model.idle(twist)
+    assert model.to_instant(pixels, np.ones(1), twist) is pixels
+    assert model.to_rows(pixels, np.ones(1), twist) is pixels
     image = CameraImage(tick=60, time_s=0.1, rgb=np.zeros((2, 2, 3), np.uint8))
     assert at_middle_row(image, make_rig()) is image
 
@@ -98,10 +98,10 @@ def test_the_stamp_moves_to_the_middle_row() -> None:
 
 def test_a_camera_off_the_imu_swings_with_the_turn() -> None:
     mount = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.1, 0.0, 0.0]))
-    motion = CameraMotion.of_imu(np.array([0.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0]), mount, 0.0)
+    twist = CameraTwist.of_imu(np.array([0.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0]), mount, 0.0)
     inverse = BODY_FROM_DOWNWARD_OPTICAL.T
-    np.testing.assert_allclose(motion.velocity, inverse @ [1.0, 0.2, 0.0])
-    np.testing.assert_allclose(motion.rate, inverse @ [0.0, 0.0, 2.0])
+    np.testing.assert_allclose(twist.velocity, inverse @ [1.0, 0.2, 0.0])
+    np.testing.assert_allclose(twist.rate, inverse @ [0.0, 0.0, 2.0])
 
 
 def flown(rate: np.ndarray, ticks: int) -> InertialFilter:
@@ -145,20 +145,20 @@ def test_poses_of_the_trail_lie_between_its_steps() -> None:
 def test_the_motion_is_that_at_the_filter_time() -> None:
     inertial = flown(np.array([0.0, 0.0, 0.5]), 240)
     image = CameraImage(tick=242, time_s=242.2 / 600, rgb=np.zeros((2, 2, 3), np.uint8))
-    motion = inertial.camera_motion(image)
-    assert motion.late_s == pytest.approx(2.2 / 600)
+    twist = inertial.camera_twist(image)
+    assert twist.late_s == pytest.approx(2.2 / 600)
     to_camera = inertial.imu_from_camera.rotation.T
-    np.testing.assert_allclose(motion.rate, to_camera @ [0.0, 0.0, 0.5], atol=1e-9)
+    np.testing.assert_allclose(twist.rate, to_camera @ [0.0, 0.0, 0.5], atol=1e-9)
     state = inertial.eskf.state
     swing = np.cross([0.0, 0.0, 0.5], inertial.imu_from_camera.translation)
     expected = to_camera @ (state.rotation.T @ state.velocity + swing)
-    np.testing.assert_allclose(motion.velocity, expected, atol=1e-9)
+    np.testing.assert_allclose(twist.velocity, expected, atol=1e-9)
 
 
 def test_the_levelled_image_gives_directions_of_one_instant() -> None:
     estimator = HybridFlowEstimator(RIG)
     attitude = CAMERA.rotation
-    motion = CameraMotion(RATE, VELOCITY, 0.002)
+    twist = CameraTwist(RATE, VELOCITY, 0.002)
     world = np.array([[4.0, 2.0, 3.0], [-3.0, 1.0, 3.0]])
     rolling = np.array([seen_by_row(p, 0.002) for p in CAMERA.inverse().apply(world)])
     camera = RIG.camera
@@ -168,7 +168,7 @@ def test_the_levelled_image_gives_directions_of_one_instant() -> None:
     level = rays @ attitude.T
     turn = BODY_FROM_DOWNWARD_OPTICAL[:2, :2]
     pixels = (level[:, :2] / -level[:, 2:]) @ turn * estimator._view.focal + 127.5
-    found = estimator._directions(pixels, attitude, motion, HEIGHT_M)
+    found = estimator._directions(pixels, attitude, twist, HEIGHT_M)
     plain = estimator._view.directions(pixels)
     true = world[:, :2] / HEIGHT_M
     assert np.abs(plain - true).max() > 2e-3

@@ -1,4 +1,4 @@
-"""The rules of the house, checked on the source itself."""
+"""The rules of ARCHITECTURE.md, checked on the source itself."""
 
 from __future__ import annotations
 
@@ -24,33 +24,37 @@ API_MAY_USE = {
 }
 """Folders whose ``api`` (and ``sim.frames``) a folder's own ``api`` may import."""
 
-ROOM_MAY_IMPORT = {
-    "errors": "",
-    "terminal": "errors",
-    "api": "",
-    "drawing": "",
-    "config": "api errors",
-    "io": "errors",
-    "external": "errors",
-    "recording": "config drawing io",
-    "export": "errors io recording",
-    "flight": "api config errors external io recording",
-    "campaign": "api config errors external flight io terminal",
-    "scene_tools": "config drawing errors flight io",
-    "environments": "api config flight",
-    "benchmarks": "campaign config drawing errors external flight io recording",
-    "calibration": "config flight io scene_tools",
-    "edges": "config errors flight scene_tools",
-    "reporting": "api campaign errors io",
-    "classification": "config errors flight io reporting scene_tools",
-    "reproduce": "benchmarks calibration campaign classification config edges errors external io "
-    "reporting scene_tools",
-    "cli": "api benchmarks calibration campaign classification config edges errors export external "
-    "flight io reporting reproduce scene_tools terminal",
-    "python_api": "config errors external flight io terminal",
-    "pytest_plugin": "campaign config errors external flight io reporting",
-}
-"""Rooms of ``experiments/`` in the order of dependency, and the rooms each may import."""
+
+def _table(header: str) -> list[list[str]]:
+    """Cells of the rows of the table of ARCHITECTURE.md with this first column."""
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    lines = text[text.index(f"| {header} |") :].partition("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def _library_packages() -> list[str]:
+    """``sim/geometry``, ... in the order of the table: each may import those before it."""
+    found, folder = [], ""
+    for first, packages, _ in _table("folder"):
+        folder = first.strip("`") or folder
+        found += [folder + name for name in re.findall(r"`([\w/]+)/`", packages)]
+    return found
+
+
+def _experiments_packages() -> dict[str, set[str]]:
+    """Packages and modules of ``experiments/`` in order, and what each may import."""
+    found: dict[str, set[str]] = {}
+    for name, _, imports in _table("package of `experiments/`"):
+        key = name.split("`")[1].removesuffix(".py").strip("/")
+        if imports.startswith("all above but "):
+            found[key] = set(found) - set(imports.removeprefix("all above but ").split(", "))
+        else:
+            found[key] = set(imports.split(", ")) - {""}
+    return found
+
+
+LIBRARY_PACKAGES = _library_packages()
+PACKAGE_MAY_IMPORT = _experiments_packages()
 ROOT_FILES = {"__init__", "errors", "terminal", "api", "python_api", "pytest_plugin"}
 
 SHARED = ("touchdown.sim.frames", "touchdown.sim.geometry.")
@@ -163,47 +167,83 @@ def test_apis_use_numpy_alone_and_only_the_apis_below(folder: str) -> None:
             assert top in STANDARD or top in allowed, f"{path}:{line} imports {module}"
 
 
-def _room(module: str) -> str:
-    """``flight`` of ``touchdown.experiments.flight.loop``; a root file is a room by itself."""
+def _package(module: str) -> str:
+    """The unit of which circles are counted: ``sim/lidar`` of ``touchdown.sim.lidar.beams``, a
+    module of a folder's root by itself. ``types`` modules are part of their folder's ``api``."""
+    *folders, name = MODULES[module].relative_to(ROOT).with_suffix("").parts
+    if name == "types" or name.endswith("_types"):
+        return f"{folders[0]}/api"
+    return "/".join(folders if len(folders) > 1 else (*folders, name))
+
+
+def _experiments_package(module: str) -> str:
+    """``flight`` of ``touchdown.experiments.flight.loop``; a module of the root is by itself."""
     return module.split(".")[2] if module.count(".") > 1 else "__init__"
 
 
-def test_rooms_import_only_rooms_below_them() -> None:
-    rooms = list(ROOM_MAY_IMPORT)
-    for path in SOURCES:
-        if path.relative_to(ROOT).parts[0] != "experiments":
+def test_library_packages_import_only_packages_above_them() -> None:
+    known = {p.parent.relative_to(ROOT).as_posix() for p in SOURCES}
+    for module, path in MODULES.items():
+        own = path.parent.relative_to(ROOT).as_posix()
+        folder = own.partition("/")[0]
+        if folder == "experiments" or own == folder:
             continue
-        room = _room(_module_of(path))
-        if room == "__init__":
+        for line, imported in _imports(path):
+            other = _package(imported) if imported in MODULES else ""
+            if other != own and other in known and other.startswith(f"{folder}/"):
+                above = _place_in_order(other) < _place_in_order(own)
+                assert above, f"{_id(path)}:{line} imports {imported}, {module} stands below"
+
+
+def _place_in_order(package: str) -> int:
+    """Row of a package, or of the one that it is in (``scenes/places/lake``)."""
+    while package not in LIBRARY_PACKAGES:
+        package = package.rpartition("/")[0]
+        assert package, "every package of a library folder is in ARCHITECTURE's table"
+    return LIBRARY_PACKAGES.index(package)
+
+
+def test_packages_of_experiments_import_only_those_of_their_row() -> None:
+    packages = list(PACKAGE_MAY_IMPORT)
+    for path in _sources_of("experiments"):
+        package = _experiments_package(_module_of(path))
+        if package == "__init__":
             continue
-        allowed = set(ROOM_MAY_IMPORT[room].split()) | {room}
-        assert allowed <= set(rooms[: rooms.index(room) + 1]), f"{room} may import a room after it"
+        allowed = PACKAGE_MAY_IMPORT[package] | {package}
+        above = packages[: packages.index(package) + 1]
+        assert allowed <= set(above), f"{package} may import a package after it"
         for line, module, folder, _ in _ours(path):
             if folder == "experiments":
-                assert _room(module) in allowed, f"{_id(path)}:{line} imports {module}"
+                known = _experiments_package(module) in allowed
+                assert known, f"{_id(path)}:{line} imports {module}"
 
 
-def test_every_room_is_in_the_table_and_in_the_architecture() -> None:
+def test_every_package_of_experiments_is_in_the_table() -> None:
     home = ROOT / "experiments"
     assert {path.stem for path in home.glob("*.py")} == ROOT_FILES
-    rooms = {path.parent.name for path in home.glob("*/__init__.py")}
-    assert rooms | ROOT_FILES - {"__init__"} == set(ROOM_MAY_IMPORT)
-    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
-    assert not [room for room in rooms if f"`{room}/`" not in text]
+    packages = {path.parent.name for path in home.glob("*/__init__.py")}
+    assert packages | ROOT_FILES - {"__init__"} == set(PACKAGE_MAY_IMPORT)
+
+
+def _in_circles(graph: dict[str, set[str]]) -> list[str]:
+    """Nodes in circles, or above one."""
+    while leaves := [node for node, used in graph.items() if not used & graph.keys()]:
+        for node in leaves:
+            del graph[node]
+    return sorted(graph)
 
 
 def test_no_import_circle() -> None:
     """Lazy imports count: a circle of them is a circle of ideas."""
-    graph = {
-        module: {imported for _, imported in _imports(path) if imported in MODULES} - {module}
-        for module, path in MODULES.items()
-    }
-    while leaves := [module for module, used in graph.items() if not used & graph.keys()]:
-        for module in leaves:
-            del graph[module]
-    for module, used in graph.items():
-        graph[module] = used & graph.keys()
-    assert not graph, f"modules in circles, or above one: {sorted(graph)}"
+    modules: dict[str, set[str]] = {}
+    packages: dict[str, set[str]] = {}
+    for module, path in MODULES.items():
+        used = {imported for _, imported in _imports(path) if imported in MODULES} - {module}
+        modules[module] = used
+        own = _package(module)
+        packages.setdefault(own, set()).update({_package(other) for other in used} - {own})
+    assert not _in_circles(modules)
+    assert not _in_circles(packages)
 
 
 def test_estimator_api_loads_without_the_simulator() -> None:
@@ -254,7 +294,7 @@ def test_folders_stay_readable(path: Path) -> None:
     modules = [file for file in path.glob("*.py") if file.name != "__init__.py"]
     assert len(modules) <= MAX_MODULES
     docstring = ast.get_docstring(_tree(path / "__init__.py"))
-    assert docstring, "a room says what belongs there"
+    assert docstring, "a package says what belongs there"
 
 
 @pytest.mark.parametrize("folder", FOLDERS)

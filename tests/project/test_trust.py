@@ -1,4 +1,4 @@
-"""The page on files from strangers: its limits are those of the code, its kinds those that are
+"""The page on untrusted files: its limits are those of the code, its kinds those that are
 read."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""MJCF files of strangers: limits on counts, sizes and files, each refused in one line."""
+"""Untrusted MJCF files: limits on counts, sizes and files, each refused in one line."""
 
 from __future__ import annotations
 

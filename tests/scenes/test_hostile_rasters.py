@@ -1,4 +1,4 @@
-"""Elevation models and aerial images of strangers: read in parts, limited, or refused."""
+"""Untrusted elevation models and aerial images: read in parts, limited, or refused."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ import pytest
 
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.compose import START_GAP_M, VEHICLE_BODY, load_scene
-from touchdown.scenes.export import export_scene
+from touchdown.scenes.compose import START_GAP_M, VEHICLE_BODY, load_scene, spec_of_scene
+from touchdown.scenes.export import export_spec
 from touchdown.scenes.places.crossroad.layout import ROAD_DEPTH_M
 from touchdown.scenes.registry import scene_names
 from touchdown.scenes.truth.maps import judge_touchdown, point_slope_deg, truth_maps
@@ -288,7 +288,7 @@ def test_imported_file_gets_classes_takeoff_and_one_warning(tmp_path: Path) -> N
 
 
 def test_export_opens_again_and_is_the_same_scene(crossroad: Scene, tmp_path: Path) -> None:
-    path = export_scene(crossroad, tmp_path)
+    path = export_spec(spec_of_scene(crossroad), tmp_path)
     model = mujoco.MjModel.from_xml_path(str(path))
     assert model.ngeom == crossroad.model.ngeom
     assert model.tex_data.tobytes() == crossroad.model.tex_data.tobytes()
@@ -299,6 +299,6 @@ def test_export_opens_again_and_is_the_same_scene(crossroad: Scene, tmp_path: Pa
 
 def test_export_copies_the_files_of_an_imported_scene(tmp_path: Path) -> None:
     scene = ramp(tmp_path, 3.0)
-    path = export_scene(scene, tmp_path / "out")
+    path = export_spec(spec_of_scene(scene), tmp_path / "out")
     model = mujoco.MjModel.from_xml_path(str(path))
     np.testing.assert_array_equal(model.hfield_data, scene.model.hfield_data)

@@ -119,8 +119,6 @@ def test_overrides_and_reports() -> None:
 
 
 def test_errors_are_named() -> None:
-    with pytest.raises(ValueError, match=r"'galileo'.*paper, ublox-m8, rtk, denied"):
-        GpsSensor(GpsParams(preset="galileo"), 600, 0)
     with pytest.raises(ValueError, match=r"gps\.sigma_xy_m is -1"):
         GpsSensor(GpsParams(sigma_xy_m=-1.0), 600, 0)
     with pytest.raises(ValueError, match=r"gps\.tau_s is 0"):

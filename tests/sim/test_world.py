@@ -251,7 +251,7 @@ def test_rows_and_exposures_are_the_same_with_one_thread_and_two(scene: Scene) -
         np.testing.assert_array_equal(image.rgb, other.rgb)
 
 
-def test_an_estimator_is_told_the_readout(scene: Scene) -> None:
+def test_an_estimator_knows_the_readout(scene: Scene) -> None:
     for readout_s in (0.0, 0.015):
         camera = dataclasses.replace(SMALL_IMAGE, readout_s=readout_s)
         world = MujocoWorld(scene, WorldParams(camera=camera), 3)

@@ -42,10 +42,7 @@ def plane_information(
     slots = np.full(len(points), -1, dtype=np.int64)
     planes = PlaneMatches(found, normals, anchors, variances, np.zeros_like(anchors), slots)
     none = np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 6))
-    motions = np.zeros(6), np.zeros((0, 6))
-    return anchored_information(
-        points, beams, rotation, position, planes, *none, *motions, 0, *noise
-    )
+    return anchored_information(points, beams, rotation, position, planes, *none, 0, *noise)
 
 
 def room_points(rng: np.random.Generator, walls: bool) -> np.ndarray:

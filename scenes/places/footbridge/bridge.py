@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
+from touchdown.scenes.authoring.meshes import MeshData, box, polygon
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.textures import Image, to_texture
 from touchdown.scenes.places.footbridge.layout import Bridge, Plan
-from touchdown.scenes.props.meshes import MeshData, box, polygon
 from touchdown.scenes.props.waterside import planks
 
 Array = NDArray[np.float64]

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
+from touchdown.scenes.authoring.meshes import MeshData, box
 from touchdown.scenes.authoring.noise import tileable_noise
 from touchdown.scenes.places.forest.layout import HALF_M, Clearing, Plan
 from touchdown.scenes.places.forest.relief import WATER_DEPTH_M
-from touchdown.scenes.props.meshes import MeshData, box
 from touchdown.scenes.props.plants import add_rock
 from touchdown.scenes.props.street import WOOD
 from touchdown.scenes.props.tree_shapes import joined, lathe

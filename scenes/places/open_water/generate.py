@@ -19,6 +19,7 @@ from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import Takeoff, finish, start_scene
 from touchdown.scenes.authoring.ground import TEXELS
 from touchdown.scenes.authoring.height_field import HeightField
+from touchdown.scenes.authoring.meshes import MeshData, box, polygon
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.water import WATER_REFLECTIVITY, Float32, WaterLook, lay_water
 from touchdown.scenes.places.open_water.islet import (
@@ -30,7 +31,6 @@ from touchdown.scenes.places.open_water.islet import (
 )
 from touchdown.scenes.places.open_water.rafts import FREEBOARD_M, place_pontoon, place_raft
 from touchdown.scenes.props.boats import add_buoy, add_sailing_boat
-from touchdown.scenes.props.meshes import MeshData, box, polygon
 
 Array = NDArray[np.float64]
 

@@ -13,6 +13,7 @@ from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.lot import unit_circle
+from touchdown.scenes.authoring.meshes import MeshData, box
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.places.rooftop_parking.layout import (
     BAY_WIDTH_M,
@@ -23,7 +24,6 @@ from touchdown.scenes.places.rooftop_parking.layout import (
     Plan,
 )
 from touchdown.scenes.props.cars import CarShape, park_car
-from touchdown.scenes.props.meshes import MeshData, box
 from touchdown.scenes.props.street import STEEL, add_lamp
 
 Array = NDArray[np.float64]

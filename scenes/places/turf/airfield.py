@@ -11,6 +11,7 @@ from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import Lot, SurveyFrame
+from touchdown.scenes.authoring.meshes import MeshData, polygon
 from touchdown.scenes.authoring.relief import (
     Ditch,
     dig_ditches,
@@ -21,7 +22,6 @@ from touchdown.scenes.authoring.relief import (
 from touchdown.scenes.places.turf.layout import HALF_M, furnish_path, stroke
 from touchdown.scenes.props.garden import add_table
 from touchdown.scenes.props.houses import House, add_house
-from touchdown.scenes.props.meshes import MeshData, polygon
 from touchdown.scenes.props.street import add_fence, add_lamp
 from touchdown.scenes.props.wires import add_post
 from touchdown.scenes.props.woods import Wood

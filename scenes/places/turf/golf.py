@@ -9,10 +9,10 @@ from scipy.spatial import cKDTree
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import Lot, SurveyFrame
+from touchdown.scenes.authoring.meshes import box
 from touchdown.scenes.authoring.relief import smoothstep
 from touchdown.scenes.places.turf.layout import HALF_M, furnish_path, plant_one
 from touchdown.scenes.props.garden import place_mesh
-from touchdown.scenes.props.meshes import box
 from touchdown.scenes.props.plants import add_rock
 from touchdown.scenes.props.street import WOOD, add_bench, add_bin
 from touchdown.scenes.props.wires import add_post

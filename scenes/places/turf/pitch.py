@@ -11,10 +11,10 @@ from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import Lot, SurveyFrame, unit_circle
+from touchdown.scenes.authoring.meshes import box
 from touchdown.scenes.authoring.relief import Ditch, dig_ditches, smoothstep
 from touchdown.scenes.places.turf.layout import arc, furnish_path, stroke
 from touchdown.scenes.props.garden import place_mesh
-from touchdown.scenes.props.meshes import box
 from touchdown.scenes.props.playground import add_goal
 from touchdown.scenes.props.street import STEEL, WOOD
 from touchdown.scenes.props.wires import add_post

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from touchdown.sim.api import LidarPreset
 from touchdown.sim.lidar.patterns import mid360
 from touchdown.sim.lidar.patterns.risley import Prism, RisleyPattern
 from touchdown.sim.typing import Float32
@@ -100,16 +101,7 @@ MID360 = ScanPattern(
 of nadir it sees nothing. The manufacturer states no beam width: that of its others is
 taken."""
 
-PATTERNS: Mapping[str, ScanPattern] = MappingProxyType(
+PATTERNS: Mapping[LidarPreset, ScanPattern] = MappingProxyType(
     {"avia": AVIA, "horizon": HORIZON, "mid360": MID360}
 )
 """Scan patterns by preset name."""
-
-
-def pattern(preset: str) -> ScanPattern:
-    """The named scan pattern. Raises ValueError naming the known presets."""
-    try:
-        return PATTERNS[preset]
-    except KeyError:
-        known = ", ".join(sorted(PATTERNS))
-        raise ValueError(f"unknown LIDAR preset '{preset}': choose one of {known}") from None

@@ -152,9 +152,9 @@ def test_barometer_measures_from_where_it_stood() -> None:
     def sample(tick: int, altitude: float) -> BarometerSample:
         return BarometerSample(tick=tick, time_s=tick / HZ, pressure_pa=1e5, altitude_m=altitude)
 
-    baro.take(eskf, [sample(0, 7.0), sample(0, 7.2)], standing=True)
+    baro.take(eskf, [sample(0, 7.0), sample(0, 7.2)], stationary=True)
     for _ in range(50):
-        baro.take(eskf, [sample(0, 9.1)], standing=False)
+        baro.take(eskf, [sample(0, 9.1)], stationary=False)
     assert eskf.state.position[2] == pytest.approx(2.0, abs=0.01)
 
 

@@ -75,7 +75,7 @@ def test_displacement_of_exact_directions() -> None:
     now = (10.0 * before - [0.4, 0.3]) / 10.5
     found = solve_displacement(before, now, 10.0, 1e-3)
     assert found is not None
-    np.testing.assert_allclose(found.shift, [-0.4, -0.3, -0.5], atol=1e-9)
+    np.testing.assert_allclose(found.translation, [-0.4, -0.3, -0.5], atol=1e-9)
     assert found.used == 60
 
 
@@ -86,7 +86,7 @@ def test_displacement_survives_a_third_of_wrong_flow() -> None:
     now[:30] += rng.uniform(0.05, 0.2, (30, 2))
     found = solve_displacement(before, now, 20.0, 1e-3)
     assert found is not None
-    np.testing.assert_allclose(found.shift[:2], [-0.8, 0.4], atol=0.01)
+    np.testing.assert_allclose(found.translation[:2], [-0.8, 0.4], atol=0.01)
 
 
 def test_displacement_needs_enough_directions() -> None:
@@ -113,7 +113,9 @@ def test_attitude_errors_enter_the_displacement_by_its_jacobians() -> None:
         found = solve_displacement(wrong["before"], wrong["now"], 10.0, 1e-3)
         assert found is not None
         jacobian = found.by_rotation_before if which == "before" else found.by_rotation_now
-        np.testing.assert_allclose(found.shift + jacobian @ error, exact.shift, atol=2e-5)
+        np.testing.assert_allclose(
+            found.translation + jacobian @ error, exact.translation, atol=2e-5
+        )
 
 
 def test_velocity_from_images_of_known_ground() -> None:
@@ -135,4 +137,4 @@ def test_velocity_from_images_of_known_ground() -> None:
         0.3 / CAMERA.fx,
     )
     assert measured is not None and measured.used > 60
-    np.testing.assert_allclose(-measured.shift / seconds, velocity, atol=0.05)
+    np.testing.assert_allclose(-measured.translation / seconds, velocity, atol=0.05)

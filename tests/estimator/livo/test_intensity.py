@@ -36,7 +36,7 @@ def scan_from(pose, places):
 
 
 def image_of(clone, texture=1.0, seed=0):
-    image = IntensityImage.of(clone.rotation, 30.0, np.zeros(0), np.zeros(6))
+    image = IntensityImage.of(clone.rotation, 30.0, np.zeros(0))
     places = ground(300_000, seed)
     image.add(clone.inverse().apply(places), reflectivity(places, texture))
     return image
@@ -79,7 +79,7 @@ def test_faint_intensities_count_alike():
     )
 
 
-@pytest.mark.parametrize("coordinate", [*range(5), *range(6, 12), *range(13, 18)])
+@pytest.mark.parametrize("coordinate", [*range(5), *range(6, 17)])
 def test_derivatives_agree_with_differences(coordinate):
     clone = Pose(so3_exp(np.array([0.05, -0.03, 0.4])), np.array([1.0, 2.0, 28.0]))
     image, places = image_of(clone), ground(4000, 2)
@@ -87,19 +87,19 @@ def test_derivatives_agree_with_differences(coordinate):
 
     def at(error):
         now = Pose(TRUE.rotation @ so3_exp(error[:3]), TRUE.translation + error[3:6])
-        key = Pose(clone.rotation @ so3_exp(error[13:16]), clone.translation + error[16:])
+        key = Pose(clone.rotation @ so3_exp(error[12:15]), clone.translation + error[15:])
         turned = so3_exp(error[6:9]) @ (points - LEVER).T
         seen = turned.T + LEVER + error[9:12]
         move = key.inverse() @ now
         return photometry(
             seen, points - LEVER, reflectivity(places), *image.smoothed(), image.axes,
             image.cell_m, move.rotation, move.translation, key.rotation, error[6:12], LEVER,
-            np.zeros(12), 0.3,
+            0.3,
         )  # fmt: skip
 
-    start = at(np.zeros(19))
-    error = np.zeros(19)
-    error[coordinate] = 2e-2 if coordinate in (3, 4, 9, 10, 11, 16, 17) else 1e-3
+    start = at(np.zeros(18))
+    error = np.zeros(18)
+    error[coordinate] = 2e-2 if coordinate in (3, 4, 9, 10, 11, 15, 16) else 1e-3
     change = at(error).vector - start.vector
     predicted = -start.information @ error
     scale = np.sqrt(np.diag(start.information))

@@ -70,12 +70,12 @@ def test_the_offset_of_the_cameras_clock_is_estimated(sigma_s: float) -> None:
 def test_biases_and_level_are_estimated_on_the_ground() -> None:
     """Two seconds at rest with a biased IMU: the turn-on biases of 3 mrad/s and 30 mm/s^2 shrink to
     the limits set by noise and by the attitude prior, and gravity stays vertical."""
-    gyro, pull = np.array([2e-3, -3e-3, 1e-3]), np.array([0.02, -0.01, 0.03])
+    gyro, specific = np.array([2e-3, -3e-3, 1e-3]), np.array([0.02, -0.01, 0.03])
     livo = Livo(RIG, LivoParams())
     for tick in range(0, 1201, IMU_TICKS):
         imu = ImuSample(
             tick=tick, time_s=tick / HZ, angular_velocity=gyro,
-            specific_force=np.array([0.0, 0.0, GRAVITY_MPS2]) + pull,
+            specific_force=np.array([0.0, 0.0, GRAVITY_MPS2]) + specific,
         )  # fmt: skip
         estimate = livo.update(
             Observation(
@@ -112,7 +112,7 @@ def test_scans_and_images_that_overtake_one_another_are_all_used() -> None:
     np.testing.assert_allclose(
         last.world_from_body.translation, position_at(last.time_s), atol=0.02
     )
-    # one image is lost: before the first has come, nothing tells that they are late
+    # one image is lost: before the first has come, nothing shows that they are late
     assert last.diagnostics["skipped"] <= fly(FLIGHT)[-1].diagnostics["skipped"] + 1.0
     assert sum("came too late" in event for e in estimates for event in e.events) <= 1
     assert last.diagnostics["features_tracked"] > 30

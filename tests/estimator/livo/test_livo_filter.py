@@ -40,8 +40,8 @@ def test_circle_is_integrated_to_second_order() -> None:
     gyro = np.tile([0.0, 0.0, rate], (count, 1))
     # the mean of the specific force over a step, seen from the attitude of its middle
     half = 0.5 * rate * STEP_S
-    pull = radius * rate**2 * np.sin(half) / half
-    force = np.tile([0.0, pull, GRAVITY_MPS2], (count, 1))
+    specific = radius * rate**2 * np.sin(half) / half
+    force = np.tile([0.0, specific, GRAVITY_MPS2], (count, 1))
     rotations, positions, velocities = integrate(
         start.rotation,
         start.translation,
@@ -164,11 +164,11 @@ def test_derivative_by_the_imu_errors_matches_finite_differences() -> None:
     state = calibrated_state(rng)
     ticks, gyro, force, _ = filled_buffer(rng, 20).samples(20)
     gyro, force = gyro + [0.8, -0.6, 0.7], force + [6.0, -5.0, 0.0]
-    rate, pull = state.corrected(gyro, force)
+    rate, specific = state.corrected(gyro, force)
     rotations, _, _ = integrate(
-        state.rotation, state.position, state.velocity, rate, pull, STEP_S, GRAVITY_MPS2
+        state.rotation, state.position, state.velocity, rate, specific, STEP_S, GRAVITY_MPS2
     )
-    _, _, by_errors = transition(rotations, rate, pull, STEP_S, np.zeros(4))
+    _, _, by_errors = transition(rotations, rate, specific, STEP_S, np.zeros(4))
     eskf = Eskf(state, np.ones(STATE_DIM + CALIBRATION_DIM))
     epsilon = 1e-5
     for k in range(IMU_DIM):
@@ -204,11 +204,11 @@ def test_covariance_with_scale_errors_follows_the_dense_formula() -> None:
     eskf.covariance = prior.copy()
     buffer = filled_buffer(rng, 20)
     _, gyro, force, _ = buffer.samples(20)
-    rate, pull = state.corrected(gyro, force)
+    rate, specific = state.corrected(gyro, force)
     rotations, positions, _ = integrate(
-        state.rotation, state.position, state.velocity, rate, pull, STEP_S, GRAVITY_MPS2
+        state.rotation, state.position, state.velocity, rate, specific, STEP_S, GRAVITY_MPS2
     )
-    total, noise, by_errors = transition(rotations, rate, pull, STEP_S, buffer.densities)
+    total, noise, by_errors = transition(rotations, rate, specific, STEP_S, buffer.densities)
     eskf.propagate(buffer, 20)
     dense, added = np.eye(base + 6), np.zeros((base + 6, base + 6))
     dense[:STATE_DIM, :STATE_DIM], dense[:STATE_DIM, IMU_ERRORS] = total, by_errors

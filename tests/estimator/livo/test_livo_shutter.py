@@ -117,8 +117,8 @@ def rolling_view(ground: np.ndarray, pose: Pose, motion: np.ndarray) -> np.ndarr
     return np.repeat(grey.astype(np.uint8)[:, :, None], 3, axis=2)
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_the_pose_of_a_rolling_image_is_recovered(told: bool) -> None:
+@pytest.mark.parametrize("known", [True, False])
+def test_the_pose_of_a_rolling_image_is_recovered(known: bool) -> None:
     """Keyframe and image are taken in flight the opposite way, turning the opposite way; taken for
     images of one instant, they would shift the vehicle by the way of half a readout, twice."""
     ground = texture()
@@ -131,7 +131,7 @@ def test_the_pose_of_a_rolling_image_is_recovered(told: bool) -> None:
         MountedCamera(CAMERA, IMU_FROM_CAMERA),
         VisualParams(
             max_keyframes=4, track_keyframes=2, features=150, sigma_px=0.5, open_ticks=1200,
-            shutter=SHUTTER if told else Shutter(),
+            shutter=SHUTTER if known else Shutter(),
         ),
     )  # fmt: skip
     rng = np.random.default_rng(6)
@@ -149,7 +149,7 @@ def test_the_pose_of_a_rolling_image_is_recovered(told: bool) -> None:
     report = vision.update(eskf, grey_levels(rolling_view(ground, now, -there)))
     assert report.used > 50
     error = np.linalg.norm(eskf.state.position - now.translation)
-    if told:
+    if known:
         assert error < 0.025 and report.rms_px < 0.3
         assert np.degrees(np.abs(so3_log(now.rotation.T @ eskf.state.rotation)).max()) < 0.06
     else:

@@ -62,13 +62,13 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_evo_and_the_own_error_figure_agree() -> None:
     rng = np.random.default_rng(5)
     true = rng.normal(size=(400, 3)).cumsum(axis=0)
-    believed = true + rng.normal(scale=0.2, size=(400, 3))
+    estimated = true + rng.normal(scale=0.2, size=(400, 3))
     own = PositioningError()
-    for position, truth in zip(believed, true, strict=True):
+    for position, truth in zip(estimated, true, strict=True):
         own.add(Pose(np.eye(3), position), Pose(np.eye(3), truth))
-    found = evo_error(np.arange(400) / 50.0, list(true), list(believed))
+    found = evo_error(np.arange(400) / 50.0, list(true), list(estimated))
     assert found == pytest.approx(own.summary().mean, abs=1e-12)
-    assert found == pytest.approx(np.linalg.norm(believed - true, axis=1).mean(), abs=1e-12)
+    assert found == pytest.approx(np.linalg.norm(estimated - true, axis=1).mean(), abs=1e-12)
     assert math.isnan(evo_error([], [], []))
 
 

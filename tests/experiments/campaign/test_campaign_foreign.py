@@ -225,7 +225,7 @@ def test_a_crash_that_names_another_run_is_damaged(tmp_path: Path) -> None:
 def test_missing_rows_are_no_success(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As after a worker that did not tell what became of its runs."""
+    """As after a worker that did not report what became of its runs."""
     make_plan(tmp_path, TEXT)
     monkeypatch.setattr(session.LocalEngine, "run", lambda *_arguments: None)
     monkeypatch.setattr("touchdown.experiments.flight.wiring.check_estimator_available", print)

@@ -168,7 +168,7 @@ def test_classifying_by_command(
 
 
 @pytest.mark.parametrize("change", [lambda content: content[:-100], lambda content: b"x" + content])
-def test_broken_networks_are_told_in_one_line(
+def test_broken_networks_are_reported_in_one_line(
     change: Any, trained: Path, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     broken = tmp_path / "network.onnx"

@@ -285,15 +285,15 @@ def test_a_drifting_odometry_stays_apart_from_the_map(run: Path, tmp_path: Path)
     world_from_odom = Pose(rotation_from_yaw(0.2), np.array([1.0, 2.0, 3.0]))
     times, positions, quats = read_tum(run / "estimate.tum")
     writer = TumWriter(drifted / "odometry.tum")
-    believed = [Pose(matrix_from_quat_wxyz(q), p) for p, q in zip(positions, quats, strict=True)]
-    for time_s, pose in zip(times, believed, strict=True):
+    estimated = [Pose(matrix_from_quat_wxyz(q), p) for p, q in zip(positions, quats, strict=True)]
+    for time_s, pose in zip(times, estimated, strict=True):
         writer.add(time_s, world_from_odom.inverse() @ pose)
     writer.close()
     done = export(drifted, "mcap", tmp_path / "bag", ExportOptions(images="none"))
     assert done.notes == []
     found = read_bag(done.out)
     assert not any("camera" in topic for topic in found)
-    for (_, message), pose in zip(found["/tf"], believed, strict=True):
+    for (_, message), pose in zip(found["/tf"], estimated, strict=True):
         links = links_of(message)
         _same_pose(links["map", "odom"], world_from_odom, 1e-7)
         _same_pose(links["map", "odom"] @ links["odom", "base_link"], pose, 1e-7)

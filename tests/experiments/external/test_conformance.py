@@ -1,4 +1,4 @@
-"""The contract check tells good estimators from bad ones, and the page's example is a good one."""
+"""The contract check separates good estimators from bad ones; the page's example is a good one."""
 
 from __future__ import annotations
 
@@ -160,14 +160,14 @@ def test_a_good_estimator_breaks_nothing() -> None:
         (_wants_scans, "missing data", "without scans"),
         (_jumps, "continuity", "jumped by 2.00 m"),
         (_is_elsewhere, "frames", "50.0 m from the take-off point"),
-        (_is_turned, "frames", "turned by 90 degrees"),
+        (_is_turned, "frames", "rotated by 90 degrees"),
         (_is_mirrored, "shapes", "odom_from_body.rotation is no rotation matrix"),
         (_is_a_row, "shapes", "velocity_odom has shape (1, 3), not (3,)"),
         (_is_negative, "shapes", "position_covariance has a negative eigenvalue"),
         (lambda *_: None, "answers", "returned NoneType, not Estimate"),
     ],
 )
-def test_each_bad_habit_is_told_with_its_reason(
+def test_each_bad_habit_is_reported_with_its_reason(
     spoil: Callable[[Any, Observation, Estimate], Any], rule: str, words: str
 ) -> None:
     violations = _check(spoil)
@@ -176,14 +176,14 @@ def test_each_bad_habit_is_told_with_its_reason(
     assert rule in RULES
 
 
-def test_several_bad_habits_are_told_apart() -> None:
+def test_several_bad_habits_are_separated() -> None:
     def spoil(self: Any, obs: Observation, estimate: Estimate) -> Estimate:
         return _goes_back(self, obs, _is_nan(self, obs, _writes_scans(self, obs, estimate)))
 
     assert {v.rule for v in _check(spoil)} == {"inputs", "finite", "time"}
 
 
-def test_what_is_no_estimator_is_told() -> None:
+def test_what_is_no_estimator_is_reported() -> None:
     def raises(_params: Any, _rig: Any) -> Any:
         raise OSError("no file")
 

@@ -20,7 +20,7 @@ from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.conformance import TURN_RAD, check_estimator
-from touchdown.experiments.external.conformance_motion import MotionCheck
+from touchdown.experiments.external.conformance_twist import TwistCheck
 from touchdown.experiments.external.loading import code_now, external_builder, flown_code
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
 from touchdown.experiments.external.wrapper import ExternalEstimator, ExternalEstimatorError
@@ -155,7 +155,7 @@ def test_a_name_that_leads_nowhere_is_one_line_before_any_flight(
         (STILL.replace("def update", "def updat"), "no method update(obs) (did you mean 'updat'?)"),
     ],
 )
-def test_what_cannot_be_built_is_told_and_the_contract_says_the_same(
+def test_what_cannot_be_built_is_reported_and_the_contract_says_the_same(
     lab: Callable[..., str], text: str, words: str
 ) -> None:
     name = f"{lab(text)}:build"
@@ -194,7 +194,7 @@ def test_a_wrong_update_is_one_line(lab: Callable[..., str], body: str, words: s
     with pytest.raises(ExternalEstimatorError) as failure:
         estimator.update(OBSERVATION)
     output = str(failure.value)
-    assert words in output and output.endswith(f"`touchdown check-estimator {name}` tells more")
+    assert words in output and output.endswith(f"`touchdown check-estimator {name}` says more")
     assert ("vio.py:" in output) == ("raised" in output)
 
 
@@ -339,7 +339,7 @@ def test_a_campaign_is_not_gone_on_with_on_other_code(
     check_external_code(plan, out)
 
 
-# ------------------------------------------------------------------------------------------ motion
+# ------------------------------------------------------------------------------------------- twist
 
 
 class TruePath:
@@ -390,11 +390,11 @@ def _velocity(change: Callable[[Any], Any]) -> Callable[[Estimate], Estimate]:
         (_velocity(lambda v: v * [1.0, 1.0, -1.0]), "velocity_odom adds up to"),
     ],
 )
-def test_velocities_of_another_unit_sign_or_frame_are_told(
+def test_velocities_of_another_unit_sign_or_frame_are_reported(
     spoil: Callable[[Estimate], Estimate], words: str
 ) -> None:
     broken = check_estimator(lambda _params, rig: TruePath(rig, spoil))
-    assert [found.rule for found in broken] == ["motion"] and words in broken[0].reason
+    assert [found.rule for found in broken] == ["twist"] and words in broken[0].reason
 
 
 def test_true_velocities_and_a_correction_are_no_violation() -> None:
@@ -412,8 +412,8 @@ def test_true_velocities_and_a_correction_are_no_violation() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in ESTIMATORS if name != "oracle"])
 def test_velocities_of_every_built_in_estimator_are_those_of_its_poses(name: str) -> None:
-    rig, motion = synthetic_rig(), MotionCheck()
+    rig, twist = synthetic_rig(), TwistCheck()
     estimator = build_estimator(load_config(estimator=name), rig)
     for obs in SyntheticStream(rig, estimator.needs, 2.6, turn_rad=TURN_RAD):
-        motion.add(estimator.update(obs))
-    assert motion.reason() == ""
+        twist.add(estimator.update(obs))
+    assert twist.reason() == ""

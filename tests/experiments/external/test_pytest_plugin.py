@@ -64,7 +64,7 @@ def test_bound_names_every_flight_that_breaks_it() -> None:
         ({"scenes": ["atlantis"]}, "atlantis"),
     ],
 )
-def test_mistakes_are_told_before_a_flight(
+def test_mistakes_are_reported_before_a_flight(
     tmp_path: Path, arguments: dict[str, object], message: str
 ) -> None:
     given = {"scenes": ["flat"], "seeds": [0], "out": tmp_path} | arguments

@@ -43,10 +43,10 @@ def judge(
     referee: Referee, time_s: float, position: Any, phase: Phase, *, estimate: Any = None,
     view: dict[str, Any] | None = None, **truth: Any,
 ) -> Outcome | None:  # fmt: skip
-    believed = position if estimate is None else estimate
+    estimated = position if estimate is None else estimate
     return referee.judge(
         make_truth(time_s, position, **truth),
-        make_estimate(time_s, believed),
+        make_estimate(time_s, estimated),
         make_view(phase, reference_world=np.asarray(position, float), **(view or {})),
     )
 

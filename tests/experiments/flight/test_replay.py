@@ -135,7 +135,7 @@ def test_who_is_lost_has_failed(
     assert json.loads(out)["outcome"] == "DIVERGED"
 
 
-def test_lift_off_is_found_where_a_run_does_not_tell(tmp_path: Path) -> None:
+def test_lift_off_is_found_where_a_run_does_not_state_it(tmp_path: Path) -> None:
     logged = open_run(make_run(tmp_path / "old", span_s=None))
     before = logged.truth[round((logged.from_s - 0.02) * 600)].translation[2]
     there = logged.truth[round(logged.from_s * 600)].translation[2]

@@ -45,7 +45,7 @@ def test_a_drift_shows_as_growth(tmp_path: Path) -> None:
 
 def test_without_trajectories_there_is_no_table(tmp_path: Path) -> None:
     assert error_by_distance(tmp_path) == {}
-    write_run(tmp_path, "lake", "livo", 0)  # 48 m: one bin tells no growth
+    write_run(tmp_path, "lake", "livo", 0)  # 48 m: one bin shows no growth
     rows = load_flights(tmp_path)
     add_errors_by_distance(rows)
     assert distance_tables(rows) == []

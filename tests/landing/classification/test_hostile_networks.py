@@ -1,4 +1,4 @@
-"""Networks and checkpoints of strangers: checked before and after they are loaded."""
+"""Untrusted networks and checkpoints: checked before and after they are loaded."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ class _Code:
 
 @pytest.fixture
 def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of a training that a stranger sent."""
+    """The folder of an untrusted training."""
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "theirs"
     folder.mkdir()

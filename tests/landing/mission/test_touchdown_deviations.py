@@ -65,7 +65,7 @@ def test_touchdown_on_the_ground(mass: float, thrust: float) -> None:
 def test_hover_counts_as_lifted(mass: float, thrust: float) -> None:
     rig = make_rig()
     hover = speeds(rig, mass, thrust, 1.0)
-    assert not Livo(rig)._resting(hover)
-    assert not InertialFilter(rig, 0.5)._standing(hover)
+    assert not Livo(rig)._is_stationary(hover)
+    assert not InertialFilter(rig, 0.5)._is_stationary(hover)
     idle = np.full(4, rig.vehicle.rotor_speed_min)
-    assert Livo(rig)._resting(idle) and InertialFilter(rig, 0.5)._standing(idle)
+    assert Livo(rig)._is_stationary(idle) and InertialFilter(rig, 0.5)._is_stationary(idle)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -88,7 +89,7 @@ def blown(*events: str, seconds: float = 20.0, **faults: Any) -> Array:
 def test_the_shape_of_a_gust() -> None:
     """V = Vm / 2 (1 - cos): its peak is Vm after the rise, its integral Vm times the rise."""
     assert [gust_speed(p, 4.0) for p in (0.0, 0.5, 1.0, 2.0)] == pytest.approx([0, 2, 4, 0])
-    single = blown("gust@2")
+    single = blown("gust@2*1")
     speed = single @ ALONG
     assert speed.max() == pytest.approx(5.0) and speed.argmax() == 3.5 * HZ  # 30 - 12 km/h
     np.testing.assert_allclose(single, speed[:, None] * ALONG, atol=1e-12)
@@ -96,7 +97,10 @@ def test_the_shape_of_a_gust() -> None:
     assert not speed[: 2 * HZ + 1].any() and not speed[5 * HZ :].any()
     row = blown("gust@2+10") @ ALONG  # three whole gusts of 3 s
     assert row.sum() / HZ == pytest.approx(3 * 7.5, rel=1e-6) and not row[11 * HZ :].any()
-    across = blown("gust@2", gust_direction_deg=90.0)
+    assert blown("gust@2*3") @ ALONG == pytest.approx(row)
+    endless = blown("gust@2") @ ALONG  # six whole gusts until 20 s
+    assert endless.sum() / HZ == pytest.approx(6 * 7.5, rel=1e-6)
+    across = blown("gust@2*1", gust_direction_deg=90.0)
     assert across[:, 1].max() == pytest.approx(5.0) and not across[:, [0, 2]].round(12).any()
 
 
@@ -129,7 +133,7 @@ def test_a_weak_motor_loses_the_stated_share_of_its_thrust() -> None:
         wrenches[1199][3:], [0.06 * thrust, -0.06 * thrust, -0.3 * 2e-7 * 700.0**2], rtol=1e-5
     )
     np.testing.assert_allclose(wrenches[1200], wrenches[599])
-    assert disturbances.summary() == [{"fault": "motor_loss@1+1", "messages": {"commands": 2}}]
+    assert disturbances.summary(0.005) == [{"fault": "motor_loss@1+1", "acted_s": 0.01}]
 
 
 def test_a_miscalibrated_mount_is_off_by_the_stated_amounts() -> None:
@@ -209,16 +213,28 @@ def test_faults_change_nothing_before_they_begin(scene: Scene) -> None:
 
 
 def test_effects_of_faults_in_the_world_are_counted(scene: Scene) -> None:
-    params = FaultParams(events=("fog@0.5", "gust@0.1+3"))
-    world = MujocoWorld(scene, params_with(params), 3, SensorNeeds(lidar=True))
-    for _ in range(HZ // STEP):
-        world.step(Command(rotor_speed_radps=np.zeros(4)))
-    world.close()
-    found = {entry["fault"]: entry["messages"] for entry in
-             world.faults.summary() + world.disturbances.summary()}  # fmt: skip
-    # scans that ended at 0.5 to 0.9 s, the last of which arrived at 0.96 s
-    assert found["fog@0.5"] == {"scans": 5, "images": 0}
-    assert found["gust@0.1+3"] == {"air": 179}  # 0.105 to 0.995 s
+    """Of delivered messages: scans end at 0.1, 0.2 ... s and arrive 0.06 s later."""
+    events = ("fog@0.5", "rain@5", "lens_dirt@0.3+0.2", "miscalibration@0.6", "gust@0.1+3")
+    needs = SensorNeeds(camera_hz=10, lidar=True)
+    found = []
+    for threads in (1, 2):
+        params = replace(params_with(FaultParams(events=events)), sim=SimParams(threads=threads))
+        world = MujocoWorld(scene, params, 3, needs)
+        world.start_in_air(np.array([0.0, 0.0, 12.0]), 0.3)
+        for _ in range(HZ // STEP):
+            world.step(Command(rotor_speed_radps=np.full(4, 300.0)))
+        world.close()
+        found.append({entry["fault"]: entry for entry in world.record().faults})
+    assert found[0] == found[1]  # whatever is still being made when the flight ends
+    fog, dirt, mount = (found[0][events[i]] for i in (0, 2, 3))
+    assert fog["came"] == fog["messages"] == {"scans": 5, "images": 5}
+    assert 0.5 < fog["returns_changed"] <= 1.0 and 1.0 < fog["grey_change"] < 100.0
+    assert dirt["messages"] == {"images": 2} and dirt["grey_change"] > 0.1
+    assert mount["messages"] == {"scans": 4} and mount["rotation_deg"] == pytest.approx(1.0)
+    assert found[0]["rain@5"]["messages"] == {"scans": 0, "images": 0}
+    gust = found[0]["gust@0.1+3"]
+    assert gust["acted_s"] == pytest.approx(179 * STEP / HZ)  # 0.105 to 0.995 s
+    assert gust["gust_mps"] == pytest.approx(gust_speed(0.895 / 1.5, 5.0), rel=1e-3)
 
 
 # ----------------------------------------------------------------------------------------- mistakes

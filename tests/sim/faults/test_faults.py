@@ -17,7 +17,7 @@ from touchdown.sim.api import (
     SensorNeeds,
 )
 from touchdown.sim.faults.injector import FaultInjector
-from touchdown.sim.faults.types import parse_fault
+from touchdown.sim.faults.types import WORLD_KINDS, parse_fault
 
 from support.fault_support import (
     COUNT,
@@ -45,12 +45,21 @@ def test_without_a_schedule_observations_pass_untouched() -> None:
     assert arrivals() == CLEAN
 
 
-def test_a_fault_without_duration_affects_the_first_message_from_its_start() -> None:
+def test_a_fault_lasts_to_the_end_unless_it_says_otherwise() -> None:
     # 1.05 s is tick 630; the scan delivered at 636 ended at 600
-    assert arrivals("lidar_dropout@1.05") == [t for t in CLEAN if t != 636]
-    assert arrivals("lidar_dropout@1.06") == [t for t in CLEAN if t != 636]
-    assert arrivals("lidar_dropout@1.065") == [t for t in CLEAN if t != 696]
+    assert arrivals("lidar_dropout@1.05") == [t for t in CLEAN if t < 636]
+    assert arrivals("lidar_dropout@1.06") == [t for t in CLEAN if t < 636]
+    assert arrivals("lidar_dropout@1.065") == [t for t in CLEAN if t < 696]
     assert arrivals("lidar_dropout@1.05", stream="images") == CLEAN
+
+
+def test_a_count_is_of_messages_of_each_stream() -> None:
+    assert arrivals("lidar_dropout@1.05*1") == [t for t in CLEAN if t != 636]
+    assert arrivals("lidar_dropout@1.05*3") == [t for t in CLEAN if t not in (636, 696, 756)]
+    for stream in ("scans", "images"):
+        stamps = [m.tick if stream == "images" else m.end_tick for _, m in
+                  delivered("timestamp_repeat@1.05*2", stream=stream)]  # fmt: skip
+        assert stamps[8:12] == [540, 540, 540, 720]
 
 
 def test_a_fault_with_duration_ends_before_its_last_tick() -> None:
@@ -64,7 +73,7 @@ def test_a_fault_with_duration_ends_before_its_last_tick() -> None:
 
 @pytest.mark.parametrize("kind", ["lidar_nan", "lidar_empty", "lidar_blind"])
 def test_faulty_scans_keep_their_stamps(kind: str) -> None:
-    hit = dict(delivered(f"{kind}@1.05"))[636]
+    hit = dict(delivered(f"{kind}@1.05*1"))[636]
     assert (hit.start_tick, hit.end_tick) == (540, 600)
     if kind == "lidar_nan":
         assert np.isnan(hit.ranges).all() and np.isnan(hit.directions).all()
@@ -74,7 +83,7 @@ def test_faulty_scans_keep_their_stamps(kind: str) -> None:
     else:
         assert len(hit.ranges) == COUNT and not hit.ranges.any() and not hit.intensity.any()
     clean = dict(delivered())
-    for tick, message in delivered(f"{kind}@1.05"):
+    for tick, message in delivered(f"{kind}@1.05*1"):
         if tick != 636:
             np.testing.assert_array_equal(message.ranges, clean[tick].ranges)
 
@@ -91,7 +100,7 @@ def test_a_frozen_sensor_shows_its_last_content_under_new_stamps() -> None:
         assert frozen[tick].end_tick == tick - LATENCY
         np.testing.assert_array_equal(frozen[tick].ranges, scan(540).ranges)
     np.testing.assert_array_equal(frozen[756].ranges, scan(720).ranges)
-    still = dict(delivered("gps_frozen@1.06", stream="gps"))[636]
+    still = dict(delivered("gps_frozen@1.06*1", stream="gps"))[636]
     assert still.tick == 600 and still.position_world[0] == pytest.approx(0.9)
 
 
@@ -105,16 +114,16 @@ def test_a_late_sensor_delivers_everything_in_order() -> None:
 
 
 def test_a_repeated_stamp() -> None:
-    repeated = dict(delivered("timestamp_repeat@1.05"))[636]
+    repeated = dict(delivered("timestamp_repeat@1.05*1"))[636]
     assert (repeated.start_tick, repeated.end_tick) == (480, 540)
     assert repeated.end_time_s == pytest.approx(0.9)
     np.testing.assert_array_equal(repeated.ranges, scan(600).ranges)
-    assert dict(delivered("timestamp_repeat@1.05", stream="images"))[636].tick == 540
+    assert dict(delivered("timestamp_repeat@1.05*1", stream="images"))[636].tick == 540
 
 
 def test_swapped_stamps() -> None:
     """The first waits for the second; each carries the other's stamps."""
-    swapped = [(t, m) for t, m in delivered("timestamp_swap@1.05") if 600 < t < 760]
+    swapped = [(t, m) for t, m in delivered("timestamp_swap@1.05*2") if 600 < t < 760]
     assert [t for t, _ in swapped] == [696, 696, 756]
     first, second = swapped[0][1], swapped[1][1]
     assert (first.end_tick, second.end_tick) == (660, 600)
@@ -128,18 +137,38 @@ def test_a_jump_of_satellite_positions() -> None:
     np.testing.assert_allclose(jumped[696].position_world, [1.1, 0.0, 0.0])
 
 
-def test_faults_add_up_and_are_counted() -> None:
-    injector = FaultInjector(
-        FaultParams(events=("lidar_dropout@1.06+0.2", "lidar_nan@1.06+0.3", "timestamp_swap@2")), HZ
-    )
+def counted(*events: str) -> dict[str, dict[str, str]]:
+    """Changed of came messages by fault and stream."""
+    injector = FaultInjector(FaultParams(events=events), HZ)
     for obs in world():
         injector.apply(obs)
-    summary = {entry["fault"]: entry["messages"] for entry in injector.summary()}
-    # a lost scan has no further fault
-    assert summary == {
-        "lidar_dropout@1.06+0.2": {"scans": 2},
-        "lidar_nan@1.06+0.3": {"scans": 1},
-        "timestamp_swap@2": {"scans": 1, "images": 1},
+    return {
+        entry["fault"]: {
+            stream: f"{changed} of {entry['came'][stream]}"
+            for stream, changed in entry["messages"].items()
+        }
+        for entry in injector.summary()
+    }
+
+
+def test_faults_add_up_and_are_counted() -> None:
+    # a lost scan has no further fault; 14 of 24 messages come from 0.96 s on, 8 from 1.5 s
+    assert counted("lidar_dropout@1.06+0.2", "lidar_nan@1.06+0.3", "timestamp_swap@2*2") == {
+        "lidar_dropout@1.06+0.2": {"scans": "2 of 2"},
+        "lidar_nan@1.06+0.3": {"scans": "1 of 3"},
+        "timestamp_swap@2*2": {"scans": "2 of 5", "images": "2 of 5"},
+    }
+    assert counted("camera_black@1.05", "lidar_nan@1.05*1", "gps_jump@9") == {
+        "camera_black@1.05": {"images": "15 of 15"},
+        "lidar_nan@1.05*1": {"scans": "1 of 15"},
+        "gps_jump@9": {"gps": "0 of 0"},
+    }
+
+
+def test_what_repeats_the_last_message_needs_one() -> None:
+    assert counted("camera_frozen@0", "timestamp_repeat@0") == {
+        "camera_frozen@0": {"images": "23 of 24"},
+        "timestamp_repeat@0": {"scans": "23 of 24", "images": "23 of 24"},
     }
 
 
@@ -160,6 +189,11 @@ def test_messages_given_are_not_written_to() -> None:
 def test_every_kind_is_read_back(kind: str) -> None:
     assert parse_fault(f"{kind}@12.5").text == f"{kind}@12.5"
     assert parse_fault(f"{kind}@12.5+1").duration_s == 1.0
+    if kind not in WORLD_KINDS or kind == "gust":
+        assert parse_fault(f"{kind}@12.5*2").text == f"{kind}@12.5*2"
+    else:
+        with pytest.raises(ValueError, match=f"{kind} acts on the world.* give {kind}@START or"):
+            parse_fault(f"{kind}@12.5*2")
 
 
 @pytest.mark.parametrize(
@@ -170,6 +204,10 @@ def test_every_kind_is_read_back(kind: str) -> None:
         ("lidar_nan@-3", "KIND@START"),
         ("lidar_nan@1.2.3", "must be numbers"),
         ("lidar_nan@3+0", "DURATION must be above 0"),
+        ("lidar_nan@3*0", "N must be 1 or more"),
+        ("lidar_nan@3+1*2", "KIND@START"),
+        ("lidar_nan@3*1.5", "KIND@START"),
+        ("timestamp_swap@3*1", "even N, such as \\*2"),
         ("@3", "KIND@START"),
         ("", "KIND@START"),
     ],
@@ -195,9 +233,9 @@ def test_schedules_come_from_files_too(tmp_path: Any) -> None:
 
 
 ALL_AT_DIFFERENT_TIMES = (
-    "lidar_nan@18", "lidar_empty@19", "lidar_blind@20", "camera_black@21", "timestamp_repeat@22",
-    "timestamp_swap@23", "lidar_dropout@25+1", "camera_dropout@28+1", "lidar_frozen@31",
-    "camera_frozen@32", "lidar_late@33", "camera_late@35",
+    "lidar_nan@18*1", "lidar_empty@19*1", "lidar_blind@20*1", "camera_black@21*1",
+    "timestamp_repeat@22*1", "timestamp_swap@23*2", "lidar_dropout@25+1", "camera_dropout@28+1",
+    "lidar_frozen@31*1", "camera_frozen@32*1", "lidar_late@33*1", "camera_late@35*1",
 )  # fmt: skip
 
 

@@ -58,11 +58,6 @@ def returned(scan: LidarScan) -> NDArray[np.bool_]:
 # ----------------------------------------------------------------------- geometry and ray caster
 
 
-def test_unknown_preset_is_named() -> None:
-    with pytest.raises(ValueError, match=r"'avios'.*horizon"):
-        LidarSensor(make_scene(PLANE), LidarParams(preset="avios"), 0)
-
-
 def test_box_on_a_plane_from_known_height() -> None:
     box = '<geom name="box" type="box" size="2 3 1" pos="0 0 1"/>'
     scan = take_scan(make_scene(PLANE + box, {"plane": BRIGHT, "box": BRIGHT}))

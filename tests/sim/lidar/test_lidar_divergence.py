@@ -121,12 +121,6 @@ def test_parts_of_a_beam() -> None:
     assert np.abs(parts[:, 0]).max() == pytest.approx(1.4652 * 0.03 / 2.3548, rel=1e-3)
 
 
-def test_unknown_return_mode_is_named() -> None:
-    params = replace(NOISELESS, return_mode="last")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="'last': choose first or strongest"):
-        LidarSensor(make_scene(PLANE), params, 0)
-
-
 @pytest.mark.parametrize(
     ("preset", "pulses"), [("horizon", 24_000), ("avia", 24_000), ("mid360", 20_000)]
 )

@@ -42,8 +42,8 @@ def test_frequency_and_spread_by_hand() -> None:
     """20 m high, 33 cm thick: 0.0948 + 3.4317 * 33.3 / 400; 10 m/s on 0.025 m^2/kg."""
     frequency = sway_frequency_hz(np.array([10.0, 15.0, 20.0]))
     np.testing.assert_allclose(frequency, [0.667, 0.476, 0.381], atol=0.001)
-    pull = 0.5 * 1.225 * 0.025 * 100.0
-    expected = 0.4 * pull / (2 * np.pi * frequency) ** 2
+    drag = 0.5 * 1.225 * 0.025 * 100.0
+    expected = 0.4 * drag / (2 * np.pi * frequency) ** 2
     np.testing.assert_allclose(sway_sigma_m(frequency, 10.0), expected)
     np.testing.assert_allclose(sway_sigma_m(frequency, 20.0), 4.0 * sway_sigma_m(frequency, 10.0))
 

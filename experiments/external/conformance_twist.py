@@ -1,7 +1,7 @@
-"""Check that an estimator's velocities match its own poses in unit, sign and frame.
+"""Check that an estimator's twist matches its own poses in unit, sign and frame.
 
-Corrections move a pose without a velocity, so that one disagreement proves nothing: velocity and
-motion must agree in most seconds with motion.
+Corrections move a pose without a velocity, so that one disagreement proves nothing: twist and poses
+must agree in most seconds with motion.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _ATTITUDE = _Limits(least=np.deg2rad(10.0), floor=np.deg2rad(5.0), share=0.25)
 """radians"""
 
 
-class MotionCheck:
+class TwistCheck:
     """Collects estimates of valid shapes and numbers, one per control step."""
 
     def __init__(self) -> None:
@@ -52,12 +52,12 @@ class MotionCheck:
         step_s = estimate.time_s - last.time_s
         before, now = last.odom_from_body, estimate.odom_from_body
         velocity = 0.5 * (last.velocity_odom + estimate.velocity_odom)
-        # Small turns in the body frame add up for any total turn.
-        turn = so3_log(before.rotation.T @ now.rotation)
+        # Small rotations in the body frame add up to any total rotation.
+        rotation = so3_log(before.rotation.T @ now.rotation)
         rates = estimate.angular_velocity_body
         moved = now.translation - before.translation
         self._times.append(estimate.time_s)
-        self._rows.append(np.concatenate([moved, velocity * step_s, turn, rates * step_s]))
+        self._rows.append(np.concatenate([moved, velocity * step_s, rotation, rates * step_s]))
 
     def reason(self) -> str:
         """Disagreement in one line; empty if there is none or less than a second of data."""
@@ -78,10 +78,10 @@ class MotionCheck:
             )
         found = _disagreement(windows[:, 6:9], windows[:, 9:], _ATTITUDE)
         if found is not None:
-            turned, summed = np.rad2deg(windows[found, 6:9]), np.rad2deg(windows[found, 9:])
+            rotated, summed = np.rad2deg(windows[found, 6:9]), np.rad2deg(windows[found, 9:])
             return (
-                f"in the second from {starts[found]:.1f} s odom_from_body turned by "
-                f"{_text(turned)} degrees, but angular_velocity_body adds up to {_text(summed)} "
+                f"in the second from {starts[found]:.1f} s odom_from_body rotated by "
+                f"{_text(rotated)} degrees, but angular_velocity_body adds up to {_text(summed)} "
                 "degrees; it is in rad/s, in the body frame"
             )
         return ""

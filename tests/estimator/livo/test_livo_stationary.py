@@ -37,13 +37,13 @@ def filter_at_rest(tilt_sigma: float = 1e-4) -> Eskf:
 def rest(eskf: Eskf, known: bool, rate: np.ndarray, seconds: float = 2.0) -> None:
     update = ZeroVelocityUpdate(2.4e-4, STEP_S, known)
     imu = ImuParams(gyro_density=2.4e-4, accel_density=1.7e-3)
-    buffer, resting = ImuBuffer(imu, STEP_S), np.ones(20, np.bool_)
+    buffer, stationary = ImuBuffer(imu, STEP_S), np.ones(20, np.bool_)
     for k in range(round(seconds / STEP_S / 20)):
         gyro, force = np.tile(rate, (20, 1)), np.tile(UP, (20, 1))
         for i in range(20):
             buffer.push(3 * (20 * k + i + 1), gyro[i], force[i], True)
         eskf.propagate(buffer, 20)
-        assert update.update(eskf, gyro, force, resting)
+        assert update.update(eskf, gyro, force, stationary)
         buffer.drop(20)
 
 

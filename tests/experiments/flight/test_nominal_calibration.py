@@ -1,4 +1,4 @@
-"""The believed rig: errors against the IMU, of the lens, and of the start."""
+"""The nominal rig: errors against the IMU, of the lens, and of the start."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from touchdown.experiments.api import CalibrationErrorParams, StartParams
 from touchdown.experiments.flight.estimator_calibration import (
-    believed_rig,
     corner_displacement_px,
     erring_rig,
-    told_start,
+    known_start,
+    nominal_rig,
 )
 from touchdown.sim.frames import (
     Pose,
@@ -49,8 +49,8 @@ def errors(name: str) -> Array:
     true = rig.body_from_imu.inverse() @ getattr(rig, name)
     rows = []
     for seed in range(SEEDS):
-        believed = erring_rig(rig, AGAINST_IMU, seed)
-        mount = believed.body_from_imu.inverse() @ getattr(believed, name)
+        nominal = erring_rig(rig, AGAINST_IMU, seed)
+        mount = nominal.body_from_imu.inverse() @ getattr(nominal, name)
         turn = so3_log(mount.rotation @ true.rotation.T)
         rows.append([*turn, *(mount.translation - true.translation)])
     return np.array(rows)
@@ -66,9 +66,9 @@ def test_mounts_err_against_the_imu_with_their_sigmas_and_independently() -> Non
 
 def test_a_pair_of_cameras_errs_as_one() -> None:
     rig = make_rig()
-    believed = erring_rig(rig, AGAINST_IMU, 2)
+    nominal = erring_rig(rig, AGAINST_IMU, 2)
     pair = rig.body_from_camera.inverse() @ rig.body_from_camera_right
-    found = believed.body_from_camera.inverse() @ believed.body_from_camera_right
+    found = nominal.body_from_camera.inverse() @ nominal.body_from_camera_right
     np.testing.assert_allclose(found.matrix(), pair.matrix(), atol=1e-12)
 
 
@@ -133,24 +133,24 @@ def test_calibration_file_says_the_pair_and_both_err_against_the_imu(tmp_path: P
     }
     sets = [f"calibration_error.{key}={value}" for key, value in values.items()]
     config = load_config(None, sets, seed=4, calibration=str(path))
-    believed = believed_rig(rig, config)
-    pair = believed.body_from_camera.inverse() @ believed.body_from_lidar
+    nominal = nominal_rig(rig, config)
+    pair = nominal.body_from_camera.inverse() @ nominal.body_from_lidar
     np.testing.assert_allclose(pair.matrix(), lidar.matrix(), atol=1e-9)
     alone = erring_rig(rig, config.calibration_error, 4)
     np.testing.assert_allclose(
-        believed.body_from_camera.matrix(), alone.body_from_camera.matrix(), atol=1e-12
+        nominal.body_from_camera.matrix(), alone.body_from_camera.matrix(), atol=1e-12
     )
-    assert not np.allclose(believed.body_from_camera.matrix(), rig.body_from_camera.matrix())
+    assert not np.allclose(nominal.body_from_camera.matrix(), rig.body_from_camera.matrix())
 
 
-def test_the_start_is_told_with_heading_only() -> None:
+def test_the_start_may_be_known_by_heading_only() -> None:
     tilted = so3_exp(np.array([0.0, 0.0, 0.8])) @ so3_exp(np.array([0.05, -0.03, 0.0]))
     start = Pose(tilted, np.array([1.0, 2.0, 3.0]))
     rig = replace(make_rig(), world_from_body_start=start)
-    assert told_start(rig, StartParams()) is rig and rig.start_tilt_sigma_rad == 0.0
-    told = told_start(rig, StartParams(attitude_known=False, tilt_sigma_deg=4.0))
-    assert told.start_tilt_sigma_rad == pytest.approx(np.radians(4.0))
-    found = told.world_from_body_start
+    assert known_start(rig, StartParams()) is rig and rig.start_tilt_sigma_rad == 0.0
+    known = known_start(rig, StartParams(attitude_known=False, tilt_sigma_deg=4.0))
+    assert known.start_tilt_sigma_rad == pytest.approx(np.radians(4.0))
+    found = known.world_from_body_start
     np.testing.assert_array_equal(found.translation, start.translation)
     assert tilt_from_rotation(found.rotation) == pytest.approx(0.0, abs=1e-9)
     assert yaw_from_rotation(found.rotation) == pytest.approx(yaw_from_rotation(tilted))

@@ -1,4 +1,4 @@
-"""The pace of the reference: how fast its clock runs in the wind that the vehicle feels.
+"""Time scaling of the reference: how fast its clock runs in the wind that the vehicle feels.
 
 A trajectory p(s) is flown along s(t). The rate ds/dt lies within [0, 1]; it and its derivative are
 bounded and the derivative is continuous, so that the velocity ``p' s_dot`` and the acceleration
@@ -36,7 +36,7 @@ _SPARE = 0.02
 """load beyond the hover's that a motion may take where the hover has no margin left itself"""
 _BEHIND_M, _STOP_BEHIND_M = 0.7, 2.0
 """distances of the vehicle from the reference at which the clock begins to slow, and stops"""
-_STANDING = 0.05
+_STOPPED = 0.05
 _HALTED = 1e-3
 """rate from which the last of the way to a halt, 8 mm/s at most, is dropped"""
 _PATIENCE_S = 40.0
@@ -44,7 +44,7 @@ _LEARNED_S = 2.0
 _MOST_LEARNED = 1.25
 
 
-class Pace:
+class TimeScaling:
     """Chooses the rate of the clock. ``rate`` and ``change`` are ds/dt and d2s/dt2."""
 
     def __init__(self, vehicle: VehicleModel, params: LandingParams) -> None:
@@ -57,14 +57,14 @@ class Pace:
         self._learned = 1.0
         self._next_s = 0.0
         self._target = 1.0
-        self._standing_s = 0.0
+        self._stopped_s = 0.0
         self.rate, self.change = 1.0, 0.0
         self.lost_s = 0.0
         """time by which the present trajectory is late"""
 
     def begin(self, path: PiecewiseTrajectory, wind: Array) -> None:
         """Starts a trajectory that begins at rest, at the rate that its first seconds allow."""
-        self.lost_s = self._standing_s = self._next_s = 0.0
+        self.lost_s = self._stopped_s = self._next_s = 0.0
         self._target = self._look(path, 0.0, wind)
         self.rate, self.change = self._target, 0.0
 
@@ -89,18 +89,18 @@ class Pace:
         if self._next_s <= 0.0:
             self._next_s = _PERIOD_S
             self._target = self._look(path, at_s, wind)
-        room = (_STOP_BEHIND_M - behind_m) / (_STOP_BEHIND_M - _BEHIND_M)
-        target = min(self._target, min(max(room, 0.0), 1.0))
+        share = (_STOP_BEHIND_M - behind_m) / (_STOP_BEHIND_M - _BEHIND_M)
+        target = min(self._target, min(max(share, 0.0), 1.0))
         target = 0.0 if stop else max(target, least)
         before = self.rate
         self.rate, self.change = next_rate(self.rate, self.change, target, step_s)
         self.lost_s += step_s * (1.0 - 0.5 * (before + self.rate))
-        self._standing_s = self._standing_s + step_s if self.rate < _STANDING else 0.0
+        self._stopped_s = self._stopped_s + step_s if self.rate < _STOPPED else 0.0
 
     @property
-    def stands(self) -> bool:
-        """True where the clock has stood for so long that the trajectory cannot be flown."""
-        return self._standing_s > _PATIENCE_S
+    def blocked(self) -> bool:
+        """True where the clock has been stopped for so long that the trajectory cannot be flown."""
+        return self._stopped_s > _PATIENCE_S
 
     def hover_load(self, wind: Array, *, gusts: bool = True) -> float:
         """Need of a hover over what is allowed, ``gusts`` added to the wind or in it; above 1 there
@@ -133,7 +133,7 @@ class Pace:
         )
 
 
-def paced(sample: Sample, rate: float, change: float) -> Sample:
+def scaled(sample: Sample, rate: float, change: float) -> Sample:
     """Returns position, velocity and acceleration in time of a sample over the path's own time."""
     if rate == 1.0 and change == 0.0:
         return sample

@@ -1,4 +1,4 @@
-"""Edge energy and feature points of one scan and one image taken at rest, for figures."""
+"""Edge energy and feature points of one scan and one image of a stationary vehicle, for figures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class StillFeatures:
+class StationaryFeatures:
     """Features of the N returns inside the image."""
 
     energy: NDArray[np.float32]
@@ -34,9 +34,9 @@ class StillFeatures:
     """(N,) chosen as planar points"""
 
 
-def features_of_still_scan(
+def features_of_stationary_scan(
     scan: LidarScan, rgb: NDArray[np.uint8], rig: SensorRig, params: PaperParams
-) -> StillFeatures:
+) -> StationaryFeatures:
     """Returns the features of ``scan`` and ``rgb`` (H, W, 3), both taken from the same pose by a
     camera without distortion."""
     pulses = screen_scan(scan, rig.lidar)
@@ -49,7 +49,7 @@ def features_of_still_scan(
     picked = np.zeros((2, len(points)), bool)
     picked[0, chosen.edges] = True
     picked[1, chosen.planes] = True
-    return StillFeatures(
+    return StationaryFeatures(
         energy=energy,
         pixels=pixels[seen],
         f_c=f_c[seen],

@@ -1,4 +1,4 @@
-"""The slowed clock of the reference: its bounds, its derivatives, and what it makes of wind."""
+"""Time scaling of the reference: its bounds, its derivatives, and what it makes of wind."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams, Phase, SurveyParams
-from touchdown.landing.mission.pace import (
+from touchdown.landing.mission.thrust_need import need
+from touchdown.landing.mission.time_scaling import (
     BRAKE_PER_S,
     JERK_PER_S2,
     SPEED_UP_PER_S,
-    Pace,
+    TimeScaling,
     next_rate,
-    paced,
+    scaled,
 )
-from touchdown.landing.mission.thrust_need import need
 from touchdown.landing.mission.trajectory import State, survey_trajectory, through
 from touchdown.landing.mission.wind import FeltWind
 from touchdown.sim.api import GRAVITY_MPS2
@@ -35,18 +35,23 @@ SURVEY = survey_trajectory(np.array([0.0, 0.0, 30.0]), 0.4, SurveyParams())
 
 def _flown(wind: Array, seconds: float, behind_m: float = 0.0) -> tuple[Array, ...]:
     """Times, rates, their derivatives and the reference along the survey in a steady wind."""
-    pace = Pace(VEHICLE, SLOWING)
-    pace.begin(SURVEY, wind)
+    scaling = TimeScaling(VEHICLE, SLOWING)
+    scaling.begin(SURVEY, wind)
     rows = []
     for step in range(round(seconds / STEP_S)):
         now = step * STEP_S
-        at_s = now - pace.lost_s
+        at_s = now - scaling.lost_s
         if at_s > SURVEY.duration_s:
             break
         rows.append(
-            (now, pace.rate, pace.change, *paced(SURVEY.sample(at_s), pace.rate, pace.change))
+            (
+                now,
+                scaling.rate,
+                scaling.change,
+                *scaled(SURVEY.sample(at_s), scaling.rate, scaling.change),
+            )
         )
-        pace.advance(SURVEY, at_s, STEP_S, wind, behind_m)
+        scaling.advance(SURVEY, at_s, STEP_S, wind, behind_m)
     return tuple(np.array(column) for column in zip(*rows, strict=True))
 
 
@@ -133,7 +138,7 @@ def test_rate_and_its_derivatives_keep_their_bounds() -> None:
 
 
 @pytest.mark.parametrize("target", [0.0, 1.0])
-def test_rest_and_full_pace_are_reached_exactly(target: float) -> None:
+def test_rest_and_full_rate_are_reached_exactly(target: float) -> None:
     rate, change = 0.5, 0.0
     for _ in range(6_000):
         rate, change = next_rate(rate, change, target, STEP_S)
@@ -166,11 +171,11 @@ def test_slowed_survey_needs_no_more_than_the_margin() -> None:
 
 
 def test_slowing_is_off_by_default() -> None:
-    pace, gale = Pace(VEHICLE, LandingParams()), np.array([-16.0, 0.0, 0.0])
-    pace.begin(SURVEY, gale)
+    scaling, gale = TimeScaling(VEHICLE, LandingParams()), np.array([-16.0, 0.0, 0.0])
+    scaling.begin(SURVEY, gale)
     for _ in range(1000):
-        pace.advance(SURVEY, 5.0, STEP_S, gale, 5.0)
-    assert (pace.rate, pace.lost_s) == (1.0, 0.0)
+        scaling.advance(SURVEY, 5.0, STEP_S, gale, 5.0)
+    assert (scaling.rate, scaling.lost_s) == (1.0, 0.0)
 
 
 def test_clock_waits_for_a_vehicle_that_falls_behind() -> None:
@@ -181,17 +186,17 @@ def test_clock_waits_for_a_vehicle_that_falls_behind() -> None:
 def test_weak_rotors_slow_the_clock_earlier() -> None:
     wind = np.array([-7.0, 0.0, 0.0])
     leg = through([State(np.zeros(3)), State(np.array([60.0, 0.0, 0.0]))], [15.0])
-    nominal, weak = Pace(VEHICLE, SLOWING), Pace(VEHICLE, SLOWING)
+    nominal, weak = TimeScaling(VEHICLE, SLOWING), TimeScaling(VEHICLE, SLOWING)
     share = need(VEHICLE, -wind, np.zeros(3)).speed_share
     for _ in range(200):
         weak.learn(-wind, np.zeros(3), 1.12 * share * VEHICLE.rotor_speed_max, 0.1)
     rates = {}
-    for name, pace in (("nominal", nominal), ("weak", weak)):
-        pace.begin(leg, wind)
+    for name, scaling in (("nominal", nominal), ("weak", weak)):
+        scaling.begin(leg, wind)
         slowest = 1.0
         for _ in range(2000):
-            pace.advance(leg, 7.5, STEP_S, wind, 0.0)
-            slowest = min(slowest, pace.rate)
+            scaling.advance(leg, 7.5, STEP_S, wind, 0.0)
+            slowest = min(slowest, scaling.rate)
         rates[name] = slowest
     assert rates["weak"] < rates["nominal"] - 0.1
 

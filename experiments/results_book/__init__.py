@@ -1,0 +1,1 @@
+"""``touchdown results``: the flights behind README and the results pages, and their tables."""

@@ -1,0 +1,297 @@
+"""The results pages: tables by hand, one revision, and nothing that the command did not write."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from touchdown.experiments.campaign.directory import settle_plan
+from touchdown.experiments.campaign.results_table import ROW_FILE, RUNS, write_table
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.results_book import flying, tables
+from touchdown.experiments.results_book.pages import BLOCKS, write_book, written
+from touchdown.experiments.results_book.record import (
+    FILE,
+    merged,
+    read_record,
+    record_of,
+    record_text,
+)
+from touchdown.experiments.results_book.sets import ROOT, SETS, FlightSet, chosen
+
+PAGES = sorted({block.page for block in BLOCKS})
+LANDINGS = SETS[0]
+REVISION = "0123456789abcdef0123456789abcdef01234567"
+
+
+# ------------------------------------------------------------------------ the pages of the project
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_tables_of_the_pages_are_those_of_the_file_of_results(page: str) -> None:
+    """To the letter: a figure edited by hand fails here."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert written(text, page, read_record(ROOT)) == text, f"{page}: write it with `make results`"
+
+
+def test_the_file_of_results_holds_the_flights_of_the_plans() -> None:
+    record = read_record(ROOT)
+    if record:
+        assert record_text(record) == (ROOT / FILE).read_text(encoding="utf-8")
+    by_key = {found.key: found for found in SETS}
+    for key, entry in record.items():
+        planned = [run.run_id for run in by_key[key].plan().runs]
+        assert [row["run_id"] for row in entry["rows"]] == planned, key
+    assert record == merged(record, record), "one revision in each profile"
+
+
+def test_plans_have_the_stated_flights() -> None:
+    counts = {found.key: len(found.plan().runs) for found in SETS}
+    assert counts["field/landings"] == counts["ideal/landings"] == 4 * 5
+    assert counts["field/positioning"] == 4 * (3 * 3 + 4 * 2) == counts["ideal/positioning"]
+    for found in SETS:
+        assert {run.values["profile"] for run in found.plan().runs} == {found.profile}
+
+
+# ------------------------------------------------------------------------------- tables by hand
+
+
+def row(scene: str, seed: int, method: str = "livo", **more: Any) -> dict[str, Any]:
+    return {"run_id": f"{scene}-{method}-s{seed}", "scene": scene, "seed": seed,
+            "estimator": method, "outcome": "LANDED"} | more  # fmt: skip
+
+
+def landed() -> list[dict[str, Any]]:
+    """Offsets 0.1, 0.3 m on safe ground by the lake, 0.5 m on unsafe ground in the forest."""
+    found = []
+    for scene, seed, offset, safe in (
+        ("lake", 1, 0.1, True),
+        ("lake", 2, 0.3, True),
+        ("forest", 1, 0.5, False),
+    ):
+        found.append(row(scene, seed, ground_safe=safe, **{
+            "landing.target_offset_m": offset, "landing.vertical_speed_mps": 0.09,
+            "landing.vertical_accel_mps2": 0.05, "landing.slope_deg": 1.0,
+            "position_error_m.mean": 0.2 * seed, "map.levelness_error_deg.mean": 0.5 * seed,
+            "map.levelness_error_deg.max": 2.0 * seed,
+        }))  # fmt: skip
+    return [*found, row("forest", 2, outcome="COLLIDED", reason="a tree")]
+
+
+def cells(lines: list[str], *start: str) -> dict[str, str]:
+    """The line of a table that begins with ``start``, by the titles of its columns."""
+    titles = next(line for line in lines if line.startswith("| "))
+    (line,) = (found for found in lines if found.startswith("| " + " | ".join(start) + " |"))
+    both = ([cell.strip() for cell in text.strip("|").split("|")] for text in (titles, line))
+    return dict(zip(*both, strict=True))
+
+
+def test_landings_by_scene() -> None:
+    lines = tables.landings(landed())
+    lake, every = cells(lines, "`lake`"), cells(lines, "all scenes")
+    assert lake["flights"] == "2" and lake["unsafe touchdowns"] == "0"
+    assert lake["d_L (m)"].startswith("0.200 [0.100,")
+    assert lake["v_z (m/s) (set)"] == "0.090 [0.090, 0.090]"
+    assert lake["levelness, mean (°)"].startswith("0.750 [")
+    assert lake["largest at any place (°)"] == "4.00"
+    assert (every["flights"], every["landed"], every["unsafe touchdowns"]) == ("4", "3", "1")
+    assert every["d_L (m)"].startswith("0.300 [")
+    text = "\n".join(lines)
+    assert "- `forest`, seed 2: COLLIDED (a tree)." in text
+    assert "- `forest`, seed 1: LANDED, on unsafe ground." in text
+    assert "v_z is set by `landing.touchdown_speed_mps`, not measured" in text
+
+
+def surveys() -> list[dict[str, Any]]:
+    levels = {"livo": 0.1, "paper": 0.2, "gps": 1.0, "oracle": 0.0}
+    return [
+        row(scene, seed, method, outcome="COMPLETED", **{
+            "position_error_m.mean": level * seed, "trajectory_error_m": 2.0 * level * seed,
+            "nees.below_14_2": 0.9, "map.levelness_error_deg.mean": 0.2 + level,
+            "map.levelness_error_deg.max": 1.0 + level,
+        })
+        for method, level in levels.items() for scene in ("lake", "forest") for seed in (1, 3)
+    ]  # fmt: skip
+
+
+def test_positioning_by_method_and_scene() -> None:
+    lines = tables.positioning(surveys())
+    assert not any("oracle" in line for line in lines)
+    found = cells(lines, "`livo`", "`lake`")
+    assert found["outcomes"] == "COMPLETED 2" and found["worst flight (m)"] == "0.300"
+    assert found["mean error (m)"].startswith("0.200 [0.100") and "(set)" not in found["E_tra (m)"]
+    assert found["NEES below 14.2 (%)"] == "90.0 [90.0, 90.0]"
+    gps = cells(lines, "`gps`", "all scenes")
+    assert gps["flights"] == "4" and gps["E_tra (m)"].endswith("] (set)")
+    assert any("set by `gps.preset`" in line for line in lines)
+
+
+def test_levelness_of_surveys_and_landings() -> None:
+    lines = tables.levelness(surveys(), landed())
+    assert cells(lines, "`lake`", "survey, `oracle`")["largest at any place (°)"] == "1.00"
+    assert cells(lines, "`forest`", "landing, `livo`")["levelness, mean (°)"] == "0.500"
+    every = cells(lines, "all scenes", "landing, `livo`")
+    assert every["flights"] == "4" and every["largest at any place (°)"] == "4.00"
+
+
+def test_blind_flights_by_condition() -> None:
+    rows = [
+        row("lake", 1, outcome=outcome, **{"position_error_m.mean": error}) | {"run_id": name}
+        for outcome, error, name in (
+            ("LANDED", 0.1, "lake-livo-s1-camera_black.0"),
+            ("DIVERGED", 0.9, "lake-livo-s1-lidar_dropout.20"),
+        )
+    ]
+    lines = tables.blind(rows)
+    assert cells(lines, "`camera_black.0`", "`lake`")["mean error (m)"] == "0.100"
+    assert cells(lines, "`lidar_dropout.20`", "`lake`")["outcomes"] == "DIVERGED 1"
+
+
+def test_the_summary_compares_no_figure_that_is_set() -> None:
+    lines = tables.summary(landed(), surveys())
+    speed = next(line for line in lines if line.startswith("| v_z"))
+    assert speed.split("|")[1].strip().endswith("(set) (m/s)") and speed.split("|")[2] == " – "
+    assert next(line for line in lines if line.startswith("| d_L")).split("|")[2] == " 0.41 "
+    assert "| landed; on safe ground; touched unsafe ground | – | 3; 2 (50 % [15, 85]); 1 |" in (
+        "\n".join(lines)
+    )
+    start = next(n for n, line in enumerate(lines) if line.startswith("| surveys"))
+    assert cells(lines[start:], "`gps`")["E_tra, paper (m)"] == "–"
+    assert cells(lines[start:], "`paper`")["E_tra, paper (m)"] == "0.3671"
+    assert cells(lines[start:], "`livo`")["completed"] == "4 of 4"
+
+
+# ------------------------------------------------------------------------------- one revision
+
+
+def fly(found: FlightSet, out: Path, revision: str = REVISION, left_out: int = 0) -> Path:
+    """A campaign below ``out`` as if it were flown at ``revision``."""
+    directory = out / found.key
+    (directory / RUNS).mkdir(parents=True)
+    plan = settle_plan(found.plan(), directory, revision)
+    for run in plan.runs[left_out:]:
+        values = {key: run.values[key] for key in ("scene", "estimator", "seed", "profile")}
+        (directory / RUNS / run.run_id).mkdir()
+        flown = {
+            **values, "run_id": run.run_id, "mode": plan.mode, "outcome": "LANDED",
+            "git_revision": revision, "started_utc": "2031-02-03T04:05:06Z", "cpu_s": 90.0,
+            "position_error_m.mean": 0.123456789, "landing.target_offset_m": 0.1,
+            "landing.judged_on": "geometry", "landing.safe_geometry": True,
+        }  # fmt: skip
+        write_table([flown], directory / RUNS / run.run_id / ROW_FILE)
+        (directory / RUNS / run.run_id / "result.json").write_text("{}")
+    return directory
+
+
+def pages_in(root: Path) -> Path:
+    for page in PAGES:
+        (root / page).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / page, root / page)
+    return root
+
+
+def test_the_file_and_the_pages_state_revision_and_plan(tmp_path: Path) -> None:
+    root = pages_in(tmp_path / "tree")
+    fly(LANDINGS, tmp_path / "out")
+    files = write_book([LANDINGS], tmp_path / "out", root)
+    assert sorted(str(file.relative_to(root)) for file in files) == sorted([FILE, *PAGES])
+    entry = read_record(root)["field/landings"]
+    assert (entry["revision"], entry["date"]) == (REVISION, "2031-02-03")
+    assert (entry["command"], entry["plan"]) == ("make results", "configs/results_landings.toml")
+    assert entry["core_hours"] == 0.5 and len(entry["rows"]) == 20
+    assert entry["rows"][0]["position_error_m.mean"] == 0.123457
+    assert entry["rows"][0]["ground_safe"] is True
+    text = (root / "docs/results/field.md").read_text()
+    assert (
+        "*Flown at revision `0123456789ab` in profile `field`, 2031-02-03: "
+        "`configs/results_landings.toml`, by `make results`, 0.50 core-hours.*" in text
+    )
+    assert "| all scenes | 20 | 20 | 0 |" in text
+    page = (root / "docs/results/landing.md").read_text()
+    assert "Not flown at a stated revision yet: `make results PROFILE=ideal` flies it" in page
+    assert written(text, "docs/results/field.md", read_record(root)) == text
+    edited = text.replace("| all scenes | 20 | 20 | 0 |", "| all scenes | 20 | 19 | 0 |")
+    assert written(edited, "docs/results/field.md", read_record(root)) == text != edited
+
+
+@pytest.mark.parametrize(
+    ("revision", "message"),
+    [("", "has no git revision"), (f"{REVISION}-dirty", "changes that were not committed")],
+)
+def test_rows_of_no_revision_are_refused(tmp_path: Path, revision: str, message: str) -> None:
+    directory = fly(LANDINGS, tmp_path, revision)
+    with pytest.raises(UsageError, match=message):
+        record_of(LANDINGS, directory)
+
+
+def test_rows_of_two_revisions_are_refused(tmp_path: Path) -> None:
+    directory = fly(LANDINGS, tmp_path)
+    run = sorted((directory / RUNS).iterdir())[3]
+    (changed,) = [r for r in flying.load_rows(directory) if r["run_id"] == run.name]
+    write_table([changed | {"git_revision": "fedcba"}], run / ROW_FILE)
+    (directory / "results.parquet").unlink()
+    with pytest.raises(UsageError, match=r"2 revisions \(0123456789ab, fedcba\); a page is of one"):
+        record_of(LANDINGS, directory)
+
+
+def test_missing_flights_are_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="2 of 20 flights are missing, such as 'crossroad-livo-s"):
+        record_of(LANDINGS, fly(LANDINGS, tmp_path, left_out=2))
+    with pytest.raises(UsageError, match="20 of 20 flights are missing"):
+        record_of(LANDINGS, tmp_path / "nothing")
+
+
+def test_sets_of_a_profile_are_of_one_revision() -> None:
+    before = {"field/landings": {"revision": "a"}, "ideal/landings": {"revision": "b"}}
+    assert merged(before, {"ideal/landings": {"revision": "c"}})["ideal/landings"] == {
+        "revision": "c"
+    }
+    with pytest.raises(UsageError, match=r"field/blind c, field/landings a\); fly all"):
+        merged(before, {"field/blind": {"revision": "c"}})
+
+
+@pytest.mark.parametrize(
+    ("revision", "message"),
+    [
+        (None, "revision of the flights is not known"),
+        (f"{REVISION}-dirty", "changes that are not committed"),
+        ("fedcba", r"holds flights of revision 0123456789ab, the source tree is at fedcba"),
+    ],
+)
+def test_nothing_is_flown_that_could_not_be_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, revision: str | None, message: str
+) -> None:
+    fly(LANDINGS, tmp_path, left_out=1)
+    monkeypatch.setattr(flying, "git_revision", lambda: revision)
+    monkeypatch.setattr(flying, "fly_campaign", lambda *_, **__: pytest.fail("flown"))
+    with pytest.raises(UsageError, match=message):
+        flying.fly([LANDINGS], tmp_path, 1, flying.Watcher)
+
+
+def test_the_cost_is_stated_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fly(LANDINGS, tmp_path, left_out=3)
+    asked = ["results", "--out", str(tmp_path), "--dry-run", "--only", "landings"]
+    assert cli.main(asked) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0] == "landings: 20 flights, 17 of them finished"
+    assert printed[-1].startswith("together: 3 flights, 0.07 core-hours"), "90 s each, as measured"
+    assert cli.main([*asked, "--json"]) == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert tree["left"] == 3 and tree["core_hours"] == pytest.approx(3 * 90.0 / 3600.0)
+    assert cli.main([*asked[:-1], "landing"]) == 2
+    assert "did you mean 'landings'" in capsys.readouterr().err
+
+
+def test_a_page_without_its_markers_is_named() -> None:
+    with pytest.raises(UsageError, match=r"README.md: no single part from '<!-- results summary"):
+        written("# Results\n", "README.md", {})
+
+
+def test_sets_are_chosen_by_profile() -> None:
+    assert [found.name for found in chosen("ideal")] == ["landings", "positioning"]
+    assert chosen("field", ["blind"]) == [SETS[2]]
