@@ -48,7 +48,7 @@ def _print_table(directory: Path, as_json: bool) -> int:
     )
 
     runs = load_runs(directory)
-    totals = summary(runs)
+    totals = summary(runs, directory)
     if as_json:
         click.echo(json.dumps({"summary": totals, "runs": as_rows(runs)}, indent=2))
     else:

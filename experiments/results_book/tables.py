@@ -17,6 +17,7 @@ from touchdown.experiments.reporting.flights import (
 )
 from touchdown.experiments.reporting.measures import (
     SET_MARK,
+    is_marked,
     setting_notes,
     setting_of,
     titled,
@@ -53,7 +54,7 @@ def mean_of(title: str, column: str, scale: float = 1.0) -> Column:
         if found is None:
             return MISSING
         only = {row["estimator"] for row in rows}
-        mark = _mark(column, only.pop()) if len(only) == 1 else ""
+        mark = SET_MARK * (len(only) == 1 and is_marked(column, only.pop()))
         return " ".join(filter(None, (digits(found.value), interval_text(found), mark)))
 
     return Column(titled(title, column), text)
@@ -67,11 +68,6 @@ def largest_of(title: str, column: str) -> Column:
         return digits(max(found)) if found else MISSING
 
     return Column(titled(title, column), text)
-
-
-def _mark(column: str, method: str) -> str:
-    """The mark of a figure that is set with one method and measured with others."""
-    return SET_MARK if setting_of(column, method) and not setting_of(column) else ""
 
 
 def _flown(rows: Sequence[Row]) -> str:

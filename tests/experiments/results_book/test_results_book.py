@@ -277,15 +277,12 @@ def test_the_cost_is_stated_first(tmp_path: Path, capsys: pytest.CaptureFixture[
     fly(LANDINGS, tmp_path, left_out=3)
     asked = ["results", "--out", str(tmp_path), "--dry-run", "--only", "landings"]
     assert cli.main(asked) == 0
-    assert capsys.readouterr().out.splitlines()[0].split()[:4] == [
-        "field/landings",
-        "3",
-        "of",
-        "20",
-    ]
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0] == "landings: 20 flights, 17 of them finished"
+    assert printed[-1].startswith("together: 3 flights, 0.07 core-hours"), "90 s each, as measured"
     assert cli.main([*asked, "--json"]) == 0
-    (cost,) = json.loads(capsys.readouterr().out)["sets"]
-    assert cost["left"] == 3 and cost["core_s"] == 3 * flying.CORE_SECONDS["land", "livo"]
+    tree = json.loads(capsys.readouterr().out)
+    assert tree["left"] == 3 and tree["core_hours"] == pytest.approx(3 * 90.0 / 3600.0)
     assert cli.main([*asked[:-1], "landing"]) == 2
     assert "did you mean 'landings'" in capsys.readouterr().err
 
