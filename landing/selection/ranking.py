@@ -86,8 +86,8 @@ def _refused(sites: Sequence[Candidate]) -> str:
     if len(sites) == 1:
         return f"the only candidate is {sites[0].reason}"
     rules = Counter(site.rule for site in sites)
-    told = ", ".join(f"{count} {_words(rule)}" for rule, count in rules.most_common())
-    return f"{len(sites)} candidates refused: {told}"
+    counts = ", ".join(f"{count} {_words(rule)}" for rule, count in rules.most_common())
+    return f"{len(sites)} candidates refused: {counts}"
 
 
 def _words(rule: str) -> str:
