@@ -11,7 +11,7 @@ from typing import Any
 
 from touchdown.experiments.errors import UsageError, input_message, is_text, no_file
 
-MOST_BYTES = 2 << 20
+MOST_BYTES = 1 << 20
 """of a configuration file"""
 DEEPEST = 32
 """levels of tables and lists within each other"""
@@ -73,7 +73,7 @@ def _one_line(error: Exception) -> str:
 
 _TOO_DEEP = f"is nested too deeply: a configuration has at most {DEEPEST} levels"
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
-_MANY_PARTS = re.compile(rf"(?<![\w-]){_PART}(?:\.[ \t]*+{_PART}){{{DEEPEST}}}")
+_MANY_PARTS = re.compile(rf"(?<![\w.-]){_PART}(?:\.[ \t]*+{_PART}){{{DEEPEST}}}")
 """A key of more parts with dots between them than there may be levels."""
 _TOO_LARGE = f"is too large: whole numbers go to {LARGEST}; write a larger one as 1e20"
 

@@ -91,7 +91,7 @@ def test_a_byte_order_mark_is_no_mistake(tmp_path: Path) -> None:
 def test_a_large_file_is_not_read(tmp_path: Path) -> None:
     with (tmp_path / "a.toml").open("wb") as file:
         file.truncate(1 << 36)
-    with pytest.raises(UsageError, match="more than 2 MB, which no configuration needs"):
+    with pytest.raises(UsageError, match="more than 1 MB, which no configuration needs"):
         load_config(tmp_path / "a.toml")
 
 
@@ -110,7 +110,7 @@ def test_a_key_of_many_parts_is_not_parsed(
 
 def test_numbers_with_points_are_no_key(tmp_path: Path) -> None:
     numbers = ", ".join(f"{n}.5" for n in range(200))
-    (tmp_path / "a.toml").write_text(f"external.gains = [{numbers}] # {'a. ' * 40}\n")
+    (tmp_path / "a.toml").write_text(f"external.gains = [{numbers}]\n")
     assert len(load_config(tmp_path / "a.toml", estimator="a:b").external["gains"]) == 200
 
 
