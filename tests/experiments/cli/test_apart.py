@@ -29,7 +29,7 @@ while True: time.sleep(1.0)
 SOFT = """
 print("stuck", flush=True)
 try: time.sleep(600.0)
-except KeyboardInterrupt: print("interrupted"); os._exit(9)
+except KeyboardInterrupt: print("interrupted", flush=True); os._exit(9)
 """
 ENDINGS = {
     "pass": (3, ""),
