@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import traceback
 
 BLAS_THREADS = "OPENBLAS_NUM_THREADS"
@@ -32,8 +33,8 @@ def rendering_fault(error: Exception) -> str:
     text = str(error)
     if text.startswith("no offscreen rendering"):
         return text
-    names = [f.f_globals.get("__name__") for f, _ in traceback.walk_tb(error.__traceback__)]
-    if "mujoco.gl_context" not in names:
+    names = [f.f_globals.get("__name__", "") for f, _ in traceback.walk_tb(error.__traceback__)]
+    if not any(re.fullmatch(r"mujoco\..*gl_context", name) for name in names):
         return ""
     return (
         f"no offscreen rendering on this machine ({text}): set MUJOCO_GL to egl, osmesa or glfw, "

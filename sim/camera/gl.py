@@ -262,12 +262,14 @@ def gl_context(width: int, height: int) -> Any:
 
 @contextlib.contextmanager
 def _without_words() -> Iterator[None]:
-    """Drops the warnings of a backend that fails, and of its context that is half made."""
+    """Drops what a backend that fails prints, also of its context that is half made. GLFW fails
+    with no more than a warning: it is raised."""
     hook = sys.unraisablehook
     sys.unraisablehook = lambda _fault: None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            warnings.filterwarnings("error", message=r"\(\d+\) b'")
             yield
     except Exception as failure:
         failure.__traceback__ = None  # its frames hold the context
