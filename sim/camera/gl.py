@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import gc
 import importlib
 import os
 import sys
@@ -242,15 +241,15 @@ def gl_context(width: int, height: int) -> Any:
     """
     asked = os.environ.get("MUJOCO_GL", "").lower()
     failures = []
-    for backend in (asked,) if asked else BACKENDS:
-        os.environ["MUJOCO_GL"] = backend
-        try:
-            with _without_words():
+    with _without_words():
+        for backend in (asked,) if asked else BACKENDS:
+            os.environ["MUJOCO_GL"] = backend
+            try:
                 return _open(backend, width, height)
-        except Exception as failure:  # every backend fails in its own way
-            failures.append(f"{backend}: {failure}")
-            if not asked:
-                _forget_opengl()
+            except Exception as failure:  # every backend fails in its own way
+                failures.append(f"{backend}: {failure}")
+                if not asked:
+                    _forget_opengl()
     if not asked:
         del os.environ["MUJOCO_GL"]
     raise RuntimeError(
@@ -271,10 +270,6 @@ def _without_words() -> Iterator[None]:
             warnings.simplefilter("ignore")
             warnings.filterwarnings("error", message=r"\(\d+\) b'")
             yield
-    except Exception as failure:
-        failure.__traceback__ = None  # its frames hold the context
-        gc.collect()
-        raise
     finally:
         sys.unraisablehook = hook
 
