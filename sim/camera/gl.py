@@ -6,6 +6,7 @@ import contextlib
 import importlib
 import os
 import sys
+import traceback
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -248,6 +249,7 @@ def gl_context(width: int, height: int) -> Any:
                 return _open(backend, width, height)
             except Exception as failure:  # every backend fails in its own way
                 failures.append(f"{backend}: {failure}")
+                traceback.clear_frames(failure.__traceback__)  # drops a context that is half made
                 if not asked:
                     _forget_opengl()
     if not asked:
