@@ -175,15 +175,18 @@ class GridMap:
     the ground; a mapper may leave it out"""
     histogram_base_m: NDArray[np.float32] | None = None
 
-    def ground(self, box: tuple[slice, slice] | None = None) -> Ground:
+    def ground(
+        self, box: tuple[slice, slice] | None = None, where: NDArray[np.bool_] | None = None
+    ) -> Ground:
         """Returns the ground of the cells ``box`` (rows, cols), by default of all, under plants and
-        traffic; the mean height of the returns where the map has no histograms."""
+        traffic; the mean height of the returns where the map has no histograms. It takes
+        microseconds a cell: with ``where``, a mask of the box, others keep the mean too."""
         from touchdown.estimator.ground import ground_of
 
         rows, cols = box if box is not None else (slice(None), slice(None))
         layers = (self.count, self.height_m, self.height_std_m)
         return Ground(*ground_of(layers, self.histogram, self.histogram_base_m, self.cell_m,
-                                 (rows, cols)))  # fmt: skip
+                                 (rows, cols), where))  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

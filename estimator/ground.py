@@ -10,6 +10,7 @@ of the ranges shows one surface, and is left as it is: what is solid keeps its h
 
 from __future__ import annotations
 
+import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from touchdown.estimator.parameters import HEIGHT_BIN_M
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
 
 ONE_SURFACE_STD_M = 0.04
 """spread of the returns of one surface: range noise of 2 to 3 cm and the slope within a cell"""
@@ -51,6 +53,7 @@ def ground_of(
     base: Float32 | None,
     cell_m: float,
     box: tuple[slice, slice],
+    where: Mask | None = None,
 ) -> tuple[Float32, Float32]:
     """Implements ``GridMap.ground``: height and standard deviation. ``layers``: number, mean height
     and standard deviation of the returns, (rows, cols)."""
@@ -64,25 +67,34 @@ def ground_of(
         noise = np.maximum(spread, np.float32(_LEAST_STD_M))
         std: Float32 = (noise / np.sqrt(np.maximum(count, 1.0))).astype(np.float32)
     height = mean.copy()
-    if histogram is not None and base is not None:
-        _find_ground(histogram[around], base[around], count, mean, spread, cell_m, height, std)
     above, beside = top - around[0].start, left - around[1].start
     inner = np.s_[above : above + max(bottom - top, 0), beside : beside + max(right - left, 0)]
+    wanted = np.zeros(mean.shape, np.bool_)
+    wanted[inner] = True if where is None else where
+    if histogram is not None and base is not None and wanted.any():
+        _find_ground(
+            histogram[around], base[around], (count, mean, spread), cell_m, wanted, height, std
+        )
     return height[inner], std[inner]
 
 
 def _find_ground(
-    histogram: Bytes, base: Float32, count: Float32, mean: Float32, spread: Float32, cell_m: float,
-    height: Float32, std: Float32,
+    histogram: Bytes, base: Float32, layers: tuple[Float32, Float32, Float32], cell_m: float,
+    wanted: Mask, height: Float32, std: Float32,
 ) -> None:  # fmt: skip
-    """Writes ``height`` and ``std`` (rows, cols) of the cells with more than one surface."""
+    """Writes ``height`` and ``std`` (rows, cols) of the ``wanted`` cells of several surfaces."""
+    count, mean, spread = layers
     own = mean.copy()
+    side = 2 * round(_SLOPE_REACH_M / cell_m) + 1
+    square = np.ones((side, side), np.uint8)
+    near: Bytes = cv2.dilate(wanted.astype(np.uint8), square).astype(np.uint8)
     ends = np.empty((*mean.shape, 2), np.uint8)
-    _own_modes(histogram, base, spread, own, ends)
+    _own_modes(histogram, base, spread, near, own, ends)
     slope_reach, reach = round(_SLOPE_REACH_M / cell_m), round(_REACH_M / cell_m)
     _pooled_modes(
-        histogram, base, count, spread, own, ends, cell_m, slope_reach, max(reach, 1), height, std
-    )
+        histogram, base, count, spread, wanted, own, ends, cell_m, slope_reach, max(reach, 1),
+        height, std,
+    )  # fmt: skip
 
 
 @numba.njit(cache=True)
@@ -126,14 +138,18 @@ def _start(weights: Array, first: int, share: float) -> int:
 
 
 @numba.njit(cache=True)
-def _own_modes(histogram: Bytes, base: Float32, spread: Float32, own: Float32, ends: Bytes) -> None:
-    """Writes the lowest mode of each cell of several surfaces into ``own``, and the first and one
-    past the last bin with returns of every cell into ``ends`` (rows, cols, 2), without the outer
-    ones, which hold all that is lower and higher."""
+def _own_modes(
+    histogram: Bytes, base: Float32, spread: Float32, near: Bytes, own: Float32, ends: Bytes
+) -> None:
+    """Writes the lowest mode of each cell ``near`` of several surfaces into ``own``, and the first
+    and one past the last bin with returns of every one into ``ends`` (rows, cols, 2), without the
+    outer bins, which hold all that is lower and higher."""
     rows, cols, bins = histogram.shape
     weights = np.zeros(bins)
     for row in range(rows):
         for col in range(cols):
+            if near[row, col] == 0:
+                continue
             low, high = bins - 1, 0
             for k in range(1, bins):
                 weights[k] = histogram[row, col, k]
@@ -210,6 +226,7 @@ def _pooled_modes(
     base: Float32,
     count: Float32,
     spread: Float32,
+    wanted: Mask,
     own: Float32,
     ends: Bytes,
     cell: float,
@@ -225,7 +242,7 @@ def _pooled_modes(
     limit, below = _SLOPE_LIMIT * cell, (_BINS - bins) // 2
     for row in range(rows):
         for col in range(cols):
-            if np.isnan(own[row, col]):
+            if not wanted[row, col] or np.isnan(own[row, col]):
                 continue
             if _stands_alone(own, row, col, slope_reach):
                 height[row, col] = np.nan

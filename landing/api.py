@@ -41,7 +41,7 @@ class Phase(StrEnum):
 
 
 TermName = Literal[
-    "safe_probability", "energy", "room", "level",
+    "safe_probability", "energy", "clearance", "level",
     "smoothness", "flatness", "distance",
     "traffic", "plants",
 ]  # fmt: skip
@@ -95,7 +95,7 @@ class Candidate:
     terms: tuple[ScoreTerm, ...] = ()
     """of ``value``"""
     cluster_bonus: float = 0.0
-    """for room, beside ``value``: it chose this cell among those of its cluster, and ranks none"""
+    """for clearance, beside ``value``: it chose this cell of its cluster, and ranks none"""
     step_m: float = float("nan")
     """highest step within the footprint"""
     safe_probability: float = float("nan")
@@ -278,14 +278,14 @@ class LandingParams:
     level_weight: NotNegative = 0.2
     """penalty of ground at ``max_slope_deg`` relative to level ground (``risk``)"""
     gust_drift_s: NotNegative = 0.02
-    """metres by which each m/s of wind reduces the room around a site (``risk``)"""
-    room_weight: NotNegative = 0.1
-    """bonus of a site with ``room_full_m`` of room over one with none (``risk``); among the cells
-    of one cluster, of one with ``room_enough_m`` (both scorers)"""
-    room_full_m: Positive = 3.0
+    """metres by which each m/s of wind reduces the clearance of a site (``risk``)"""
+    clearance_weight: NotNegative = 0.1
+    """bonus of a site with a clearance of ``clearance_full_m`` over one with none (``risk``); among
+    the cells of one cluster, of one with ``clearance_enough_m`` (both scorers)"""
+    clearance_full_m: Positive = 3.0
     """distance to ground that is not allowed from which the value no longer rises: twice
     ``clear_radius_m``"""
-    room_enough_m: Positive = 1.0
+    clearance_enough_m: Positive = 1.0
     """the same within a cluster: the radius of a footprint"""
     plants_penalty: NotNegative = 0.15
     """subtracted from the value of a site among low plants, whose ground is inferred from few

@@ -34,7 +34,12 @@ from touchdown.experiments.campaign.results_table import (
     finished_ids,
     refresh,
 )
-from touchdown.experiments.campaign.worker import REAL_RUNNER, Task, wants_recording
+from touchdown.experiments.campaign.worker import (
+    REAL_RUNNER,
+    Task,
+    check_replaceable,
+    wants_recording,
+)
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.results import load_result
 from touchdown.experiments.io.run_directory import utc_now
@@ -84,6 +89,9 @@ def fly_campaign(
         if real:
             check_external_code(plan, directory)
         check_rows(directory)
+        for run_id in {run.run_id for run in plan.runs} - finished_ids(directory):
+            if (run_dir := directory / RUNS / run_id).is_dir():
+                check_replaceable(run_dir)
         plan = settle_plan(plan, directory, git_revision())
         mine = runs_of_shard(plan, shard)
         sweep(directory, [run.run_id for run in mine], whole=shard is None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import html
 import json
 import re
@@ -13,8 +14,8 @@ from typing import Any
 
 from touchdown.experiments.campaign.expectations import Verdict
 from touchdown.experiments.campaign.results_table import is_successful
-from touchdown.experiments.errors import visible
-from touchdown.experiments.io.foreign import as_plain_name
+from touchdown.experiments.errors import UsageError, visible
+from touchdown.experiments.io.foreign import as_plain_name, read_object
 from touchdown.experiments.io.provenance import UNRECORDED_REMEDY
 from touchdown.experiments.io.run_directory import run_directory, write_text
 from touchdown.experiments.reporting import published
@@ -53,6 +54,8 @@ from touchdown.experiments.reporting.tables import (
     time_table,
     trajectory_tables,
 )
+
+_FILES = {"markdown": "report.md", "html": "report.html", "json": "report.json"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -364,11 +367,23 @@ def as_json(report: Report, rows: Sequence[Row]) -> dict[str, Any]:
 
 def write_report(report: Report, rows: Sequence[Row], out: Path) -> dict[str, Path]:
     """Writes ``report.md``, ``report.html``, ``report.json`` and ``figures/`` into ``out``, which
-    appears complete where it is new."""
+    appears complete where it is new. Raises UsageError where a file there is of no report."""
     if not out.exists():
-        with run_directory(out) as partial:
+        with run_directory(out, own=()) as partial:
             return {kind: out / path.name for kind, path in _write(report, rows, partial).items()}
+    _check_replaceable(out)
     return _write(report, rows, out)
+
+
+def _check_replaceable(out: Path) -> None:
+    there = [name for name in _FILES.values() if (out / name).exists()]
+    with contextlib.suppress(OSError, ValueError):
+        if {"title", "flights", "words", "tables"} <= read_object(out / _FILES["json"]).keys():
+            return
+    if there:
+        raise UsageError(
+            f"--out {out}: holds '{there[0]}', which is of no report; name another directory"
+        )
 
 
 def _write(report: Report, rows: Sequence[Row], out: Path) -> dict[str, Path]:
@@ -376,11 +391,11 @@ def _write(report: Report, rows: Sequence[Row], out: Path) -> dict[str, Path]:
     for section in report.sections:
         for picture in section.pictures:
             write_text(out / "figures" / f"{picture.name}.svg", picture.svg)
-    texts = {
-        "markdown": ("report.md", markdown(report)),
-        "html": ("report.html", page(report)),
-        "json": ("report.json", json.dumps(as_json(report, rows), indent=2) + "\n"),
+    texts = {  # the first marks the others as of a report
+        "json": json.dumps(as_json(report, rows), indent=2) + "\n",
+        "markdown": markdown(report),
+        "html": page(report),
     }
-    for name, text in texts.values():
-        write_text(out / name, text)
-    return {kind: out / name for kind, (name, _) in texts.items()}
+    for kind, text in texts.items():
+        write_text(out / _FILES[kind], text)
+    return {kind: out / name for kind, name in _FILES.items()}

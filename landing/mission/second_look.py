@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 _POOL = 2
 """fine cells merged along each axis, for enough returns in each"""
 _MIN_RETURNS = 3.0
-_ENOUGH_ROOM_M = 1.0
+_ENOUGH_CLEARANCE_M = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,7 +46,7 @@ def look_again(
     """Checks the fine map around ``site_odom`` (3,).
 
     Keeps the site where it is landable, else moves it to the landable cell within ``max_shift_m``
-    with the most room minus distance."""
+    with the most clearance minus distance."""
     raster = _fine_window(map_view, site_odom, max_shift_m, params)
     if raster is None:
         return Look(position_odom=None, reason="no fine map of the site")
@@ -61,8 +61,8 @@ def look_again(
     defect = explain(raster, landable, row, col, params, margin).text
     x, y = raster.offsets_from(site_odom)
     away = np.hypot(x[None, :], y[:, None])
-    room = np.minimum(distance_to(~landable.mask, raster.cell_m), _ENOUGH_ROOM_M)
-    merit = np.where(landable.mask & (away <= max_shift_m), room - away, -np.inf)
+    clearance = np.minimum(distance_to(~landable.mask, raster.cell_m), _ENOUGH_CLEARANCE_M)
+    merit = np.where(landable.mask & (away <= max_shift_m), clearance - away, -np.inf)
     best = int(np.argmax(merit))
     if not np.isfinite(merit.flat[best]):
         return Look(position_odom=None, reason=f"not landable from closer: {defect}")

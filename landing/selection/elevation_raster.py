@@ -6,14 +6,17 @@ A raster is an array (rows, cols) of cells, row = y, column = x, in the odom fra
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import GridMap
+from touchdown.estimator.api import GridMap, Ground
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -29,11 +32,8 @@ class ElevationRaster:
     count: Float32
     height: Float32
     """mean of the returns"""
-    ground: Float32
-    """height of the ground also under plants, see ``GridMap.ground``; NaN where it was
-    not seen"""
-    ground_std: Float32
-    """standard deviation of ``ground``"""
+    ground: Callable[[Mask], Ground]
+    """height of the ground under the cells of a mask (rows, cols): see ``GridMap.ground``"""
     std: Float32
     low: Float32
     high: Float32
@@ -87,8 +87,7 @@ class ElevationRaster:
             cell_m=self.cell_m,
             count=self.count[rows, cols],
             height=self.height[rows, cols],
-            ground=self.ground[rows, cols],
-            ground_std=self.ground_std[rows, cols],
+            ground=partial(_ground_of_window, self, (rows, cols)),
             std=self.std[rows, cols],
             low=self.low[rows, cols],
             high=self.high[rows, cols],
@@ -105,7 +104,7 @@ def observed_raster(
     """Returns the bounding box of all cells with returns or missing pulses, of the whole map or of
     the square of ``half_width_m`` around ``xy`` (2,); None where there are none.
 
-    The layers are views, except the ground: the mapper writes to them in later control steps."""
+    The layers are views: the mapper writes to them in later control steps."""
     seen = (grid.count > 0.0) | (grid.missing > 0.0)
     if xy is not None:
         x, y = (np.asarray(xy)[:2] - grid.origin_xy_m) / grid.cell_m
@@ -117,14 +116,12 @@ def observed_raster(
     if rows.size == 0:
         return None
     box = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-    ground = grid.ground(box)
     return ElevationRaster(
         origin_xy_m=grid.origin_xy_m + np.array([cols[0], rows[0]]) * grid.cell_m,
         cell_m=grid.cell_m,
         count=grid.count[box],
         height=grid.height_m[box],
-        ground=ground.height_m,
-        ground_std=ground.std_m,
+        ground=partial(grid.ground, box),
         std=grid.height_std_m[box],
         low=grid.min_height_m[box],
         high=grid.max_height_m[box],
@@ -133,6 +130,27 @@ def observed_raster(
         missing=grid.missing[box],
         last_seen=grid.last_seen_s[box],
     )
+
+
+def _ground_of_window(raster: ElevationRaster, box: tuple[slice, slice], where: Mask) -> Ground:
+    wanted = np.zeros(raster.shape, np.bool_)
+    wanted[box] = where
+    return Ground(*(layer[box] for layer in raster.ground(wanted)))
+
+
+def _pooled_ground(raster: ElevationRaster, factor: int, where: Mask) -> Ground:
+    """Means of the cells that are merged into one."""
+    rows, cols = where.shape
+    wanted = np.zeros(raster.shape, np.bool_)
+    wanted[: rows * factor, : cols * factor] = where.repeat(factor, 0).repeat(factor, 1)
+    whole = np.s_[: rows * factor, : cols * factor]
+    merged = (
+        layer[whole].reshape(rows, factor, cols, factor).swapaxes(1, 2).reshape(rows, cols, -1)
+        for layer in raster.ground(wanted)
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of cells without any
+        return Ground(*(np.nanmean(cells, axis=2) for cells in merged))
 
 
 def pooled(raster: ElevationRaster, factor: int) -> ElevationRaster:
@@ -153,11 +171,6 @@ def pooled(raster: ElevationRaster, factor: int) -> ElevationRaster:
     spread = blocks(raster.std) ** 2 + (blocks(raster.height) - mean[:, None, :, None]) ** 2
     variance = np.nansum(weight * spread, axis=(1, 3)) / safe_total
     intensity = np.nansum(weight * blocks(raster.intensity), axis=(1, 3)) / safe_total
-    ground = blocks(raster.ground)
-    beneath = np.where(np.isfinite(ground), weight, 0.0)
-    safe_beneath = np.where(beneath.sum(axis=(1, 3)) > 0.0, beneath.sum(axis=(1, 3)), np.nan)
-    ground_mean = np.nansum(beneath * ground, axis=(1, 3)) / safe_beneath
-    ground_std = np.nansum(beneath * blocks(raster.ground_std), axis=(1, 3)) / safe_beneath
     high = np.where(np.isfinite(blocks(raster.high)), blocks(raster.high), -np.inf)
     top = high.max(axis=(1, 3))
     low = np.where(np.isfinite(blocks(raster.low)), blocks(raster.low), np.inf)
@@ -171,8 +184,7 @@ def pooled(raster: ElevationRaster, factor: int) -> ElevationRaster:
         cell_m=raster.cell_m * factor,
         count=count.sum(axis=(1, 3)).astype(np.float32),
         height=mean.astype(np.float32),
-        ground=ground_mean.astype(np.float32),
-        ground_std=ground_std.astype(np.float32),
+        ground=partial(_pooled_ground, raster, factor),
         std=np.sqrt(variance).astype(np.float32),
         low=np.where(np.isfinite(bottom), bottom, np.nan).astype(np.float32),
         high=np.where(np.isfinite(top), top, np.nan).astype(np.float32),

@@ -118,7 +118,7 @@ def water_cells(raster: ElevationRaster, max_ratio: float) -> Mask:
 
 
 def moving_cells(raster: ElevationRaster) -> Mask:
-    """Returns the mask of cells that a moving object passed, widened by the room of traffic.
+    """Returns the mask of cells that a moving object passed, widened by the clearance of traffic.
 
     A cell that a vehicle drove over has mostly returns of the ground and a few of its roof: a wide
     spread with the mean near the lowest return. In a tree crown the mean lies high, and a static

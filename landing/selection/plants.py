@@ -66,13 +66,14 @@ def without_plants(raster: ElevationRaster, plants: Mask) -> ElevationRaster:
     """Returns the raster with the ground under ``plants`` (rows, cols) in their place: spread and
     highest returns become those of bare ground. Where no pulse showed the ground well enough, they
     stay. Without plants the raster itself is returned."""
-    with np.errstate(invalid="ignore"):
-        sure = plants & (raster.ground_std <= _GROUND_STD_M)
-    if not sure.any():
+    if not plants.any():
         return raster
+    ground = raster.ground(plants)
+    with np.errstate(invalid="ignore"):
+        sure = plants & (ground.std_m <= _GROUND_STD_M)
     return dataclasses.replace(
         raster,
-        height=np.where(sure, raster.ground, raster.height),
-        high=np.where(sure, raster.ground + _NOISE_M, raster.high),
+        height=np.where(sure, ground.height_m, raster.height),
+        high=np.where(sure, ground.height_m + _NOISE_M, raster.high),
         std=np.where(sure, np.minimum(raster.std, 0.5 * _NOISE_M), raster.std),
     )

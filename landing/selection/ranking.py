@@ -11,7 +11,7 @@ from touchdown.landing.api import Candidate, ScoreTerm, TermName
 _BETTER: dict[TermName, str] = {
     "safe_probability": "higher probability of a safe touchdown",
     "energy": "nearer",
-    "room": "more room",
+    "clearance": "more clearance",
     "level": "more level",
     "smoothness": "more uniform",
     "flatness": "flatter",
@@ -21,7 +21,7 @@ _BETTER: dict[TermName, str] = {
 }
 _YES_OR_NO: tuple[TermName, ...] = ("traffic", "plants")
 _NOTABLE = 0.002
-"""difference of a term's value from which it is told"""
+"""difference of a term's value from which it is stated"""
 _MOST_TERMS = 3
 
 
@@ -73,7 +73,7 @@ def _advantages(first: Candidate, second: Candidate) -> list[str]:
 
 
 def _advantage(a: ScoreTerm, b: ScoreTerm) -> str:
-    """Such as "more room (3.0 against 1.2 m)"."""
+    """Such as "more clearance (3.0 against 1.2 m)"."""
     if a.name in _YES_OR_NO:
         return _BETTER[a.name]
     digits = 1 if a.unit else 3
@@ -86,8 +86,8 @@ def _refused(sites: Sequence[Candidate]) -> str:
     if len(sites) == 1:
         return f"the only candidate is {sites[0].reason}"
     rules = Counter(site.rule for site in sites)
-    told = ", ".join(f"{count} {_words(rule)}" for rule, count in rules.most_common())
-    return f"{len(sites)} candidates refused: {told}"
+    counts = ", ".join(f"{count} {_words(rule)}" for rule, count in rules.most_common())
+    return f"{len(sites)} candidates refused: {counts}"
 
 
 def _words(rule: str) -> str:

@@ -32,7 +32,7 @@ class Assessed:
     avoided: Mask
     """cells near a site that was refused already"""
     probability: Float32
-    room_m: Float32
+    clearance_m: Float32
     """distance to the nearest cell that is not allowed"""
     margin_m: float
     vehicle_odom: Array
@@ -112,10 +112,11 @@ def _paper_terms(assessed: Assessed, params: LandingParams) -> tuple[TermLayer, 
 
 def _risk_terms(assessed: Assessed, params: LandingParams) -> tuple[TermLayer, ...]:
     """Probability of a safe touchdown, less what speaks against a site among safe ones."""
-    near, room, slope = assessed.costmap.distance, assessed.room_m, assessed.landable.slope_deg
+    near, clearance = assessed.costmap.distance, assessed.clearance_m
+    slope = assessed.landable.slope_deg
     x, y = assessed.raster.offsets_from(assessed.vehicle_odom)
     away = np.hypot(x[None, :], y[:, None]).astype(np.float32)
-    full = np.float32(params.room_weight / params.room_full_m)
+    full = np.float32(params.clearance_weight / params.clearance_full_m)
     tilt = np.minimum(slope / np.float32(params.max_slope_deg), 1.0)
     return (
         TermLayer(
@@ -128,9 +129,9 @@ def _risk_terms(assessed: Assessed, params: LandingParams) -> tuple[TermLayer, .
             unit="m",
         ),
         TermLayer(
-            name="room",
-            value=np.minimum(room, np.float32(params.room_full_m)) * full,
-            quantity=room,
+            name="clearance",
+            value=np.minimum(clearance, np.float32(params.clearance_full_m)) * full,
+            quantity=clearance,
             unit="m",
         ),
         TermLayer(

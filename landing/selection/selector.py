@@ -203,7 +203,7 @@ def _assess(
         allowed=allowed & ~avoided,
         avoided=avoided,
         probability=predicted,
-        room_m=distance_to(~allowed, raster.cell_m),
+        clearance_m=distance_to(~allowed, raster.cell_m),
         margin_m=margin_m,
         vehicle_odom=position,
     )
@@ -211,8 +211,8 @@ def _assess(
 
 def _cluster_bonus(assessed: Assessed, params: LandingParams) -> Float32:
     """Returns what is added to the value of every cell where cells of one cluster are compared."""
-    share = np.minimum(assessed.room_m, params.room_enough_m) / params.room_enough_m
-    return (params.room_weight * share).astype(np.float32)
+    share = np.minimum(assessed.clearance_m, params.clearance_enough_m) / params.clearance_enough_m
+    return (params.clearance_weight * share).astype(np.float32)
 
 
 def _best_spots(clusters: Clusters, merit: Float32, assessed: Assessed) -> list[tuple[int, int]]:
@@ -276,10 +276,10 @@ def _candidate(
         refusal = Refusal("footprint_slope", text)
     elif certain and plane.roughness_m > params.max_step_m - params.step_margin_m:
         refusal = Refusal("footprint_roughness", f"{plane.roughness_m:.2f} m off its plane")
-    room, value = float(assessed.room_m[spot]), float(score.value[spot])
+    clearance, value = float(assessed.clearance_m[spot]), float(score.value[spot])
     figures = (
         f"score {value:.3f}, slope {plane.slope_deg:.1f} deg, roughness {plane.roughness_m:.2f} m, "
-        f"clearance {room:.1f} m"
+        f"clearance {clearance:.1f} m"
     )
     if params.scorer == "risk":
         figures += f", safe with probability {predicted:.3f}"
@@ -293,7 +293,7 @@ def _candidate(
         c_sum=c_sum if np.isfinite(c_sum) else 0.0,
         slope_deg=plane.slope_deg,
         roughness_m=plane.roughness_m,
-        clearance_m=room,
+        clearance_m=clearance,
         accepted=refusal is None,
         reason=f"{verdict}: {figures}" if refusal is None else f"refused: {refusal.text}",
         rule=preferred if refusal is None else refusal.rule,

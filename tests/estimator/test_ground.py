@@ -133,6 +133,16 @@ def test_ground_of_a_window_is_that_of_the_whole_map() -> None:
         np.testing.assert_array_equal(part.std_m, whole.std_m[window])
 
 
+def test_ground_of_chosen_cells_is_that_of_the_whole_map() -> None:
+    grid = grid_of_returns(0.1 * X + grass(0.25))
+    where = np.zeros((12, 15), bool)
+    where[3:9, 4:10] = True
+    window = np.s_[4:16, 5:20]
+    chosen, whole = grid.ground(window, where), grid.ground(window)
+    np.testing.assert_array_equal(chosen.height_m[where], whole.height_m[where])
+    np.testing.assert_array_equal(chosen.height_m[~where], grid.height_m[window][~where])
+
+
 def test_map_without_histograms_has_its_mean_heights() -> None:
     grid = dataclasses.replace(make_grid(FLAT), histogram=None, histogram_base_m=None)
     found = grid.ground()

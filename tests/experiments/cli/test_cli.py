@@ -242,13 +242,14 @@ def test_the_first_three_candidates_and_the_reason_are_printed(
         for rank in (1, 2, 3, 4)
     ]  # fmt: skip
     earlier = {"time_s": 61.2, "candidates": 3, "why": "Site 1 won", "given_up": "a wire"}
-    choice = {"time_s": 80.0, "scorer": "risk", "why": "Site 1 won: more room (3.0 against 1.2 m)",
+    choice = {"time_s": 80.0, "scorer": "risk",
+              "why": "Site 1 won: more clearance (3.0 against 1.2 m)",
               "candidates": sites, "earlier": [earlier]}  # fmt: skip
     print_result(_changed(_result("LANDED"), choice=choice), None)
     out = capsys.readouterr().out
     assert "30.0, -5.0" in out and "40.0, -5.0" not in out
     assert "0.333" in out and "0.3 deg" in out and "lawn 0.97" in out and "lower value" in out
-    assert "Site 1 won: more room (3.0 against 1.2 m)\n" in out
+    assert "Site 1 won: more clearance (3.0 against 1.2 m)\n" in out
     assert "before, at 61.2 s: given up: a wire\n" in out
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from touchdown.experiments.cli.console import condition_lines
 from touchdown.experiments.config.profiles import effects
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.happened import (
@@ -16,6 +17,7 @@ from touchdown.experiments.flight.happened import (
     named_conditions,
 )
 from touchdown.experiments.io.measured import Measured
+from touchdown.experiments.io.results import RunResult
 from touchdown.sim.faults.types import parse_fault
 
 from support.worlds import load_ideal_config as load_config
@@ -112,3 +114,16 @@ def test_an_effect_of_nothing_did_not_happen(name: str) -> None:
     assert not judged(config)["happened"]
     assert not judged(config, **{rule.column: 0.99 * least})["happened"]
     assert judged(config, **{rule.column: 1.01 * least})["happened"]
+
+
+def test_what_did_not_happen_is_a_warning() -> None:
+    config = load_config(fault=("camera_black@20", "gps_jump@70"))
+    found = judge_conditions(config, Measured(), [hit("camera_black@20", 771, 771)], 60.0)
+    result = RunResult(
+        outcome="LANDED", scene="lake", seed=0, estimator="livo", conditions=as_json(found)
+    )
+    assert condition_lines(result) == [
+        "camera_black from 20.0 s: 771 of 771 images",
+        "warning: did not happen: gps_jump from 70.0 s: the flight ended at 60.0 s, before it "
+        "began",
+    ]

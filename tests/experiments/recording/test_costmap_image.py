@@ -32,7 +32,7 @@ def _candidate(x: float, y: float, *, accepted: bool = True) -> Candidate:
         position_odom=np.array([x, y, 0.0]), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.5,
         slope_deg=1.0, roughness_m=0.0, clearance_m=2.0, accepted=accepted, reason="",
         rule="lower_value" if accepted else "water", value=0.9, step_m=0.02,
-        terms=(ScoreTerm(name="room", value=0.9, quantity=2.0, unit="m"),),
+        terms=(ScoreTerm(name="clearance", value=0.9, quantity=2.0, unit="m"),),
     )  # fmt: skip
 
 
@@ -96,7 +96,7 @@ def test_table_has_a_row_for_each_candidate_and_keeps_the_width() -> None:
     for shown in (sites[:1], sites, ()):
         decision = Decision(
             time_s=1.0, scorer="risk", candidates=shown,
-            positions_world=np.zeros((len(shown), 3)), why="Site 1 won: " + "more room " * 30,
+            positions_world=np.zeros((len(shown), 3)), why="Site 1 won: " + "more clearance " * 30,
         )  # fmt: skip
         table = choice_table(decision, 900, 1.0, chosen=True)
         assert table.shape[1] == 900

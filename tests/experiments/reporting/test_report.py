@@ -19,6 +19,7 @@ from touchdown.experiments.reporting.document import (
     make_report,
     markdown,
     page,
+    write_report,
 )
 from touchdown.experiments.reporting.flights import check_revisions, load_flights, path_deviation
 from touchdown.experiments.reporting.narrative import leading_sentences
@@ -284,6 +285,21 @@ def test_command_writes_everything(
     assert text.count("| `livo` |") > 5
     assert cli.main(["report", str(campaign), "--out", str(out / "report.md")]) == 2
     assert "cannot be written" in capsys.readouterr().err
+
+
+def test_files_of_others_are_no_report_to_be_replaced(report: Report, tmp_path: Path) -> None:
+    mine = tmp_path / "report.md"
+    mine.write_text("mine")
+    for text in ("{}", '{"title": "mine"}', "no JSON"):
+        (tmp_path / "report.json").write_text(text)
+        with pytest.raises(UsageError, match=r"holds 'report\.md', which is of no report"):
+            write_report(report, [], tmp_path)
+    assert mine.read_text() == "mine"
+    (tmp_path / "report.json").unlink()
+    mine.unlink()
+    for _ in range(2):
+        written = write_report(report, [], tmp_path)
+    assert written["markdown"] == mine and mine.read_text() != "mine"
 
 
 def test_a_plain_directory_prints_its_table(

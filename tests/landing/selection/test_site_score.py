@@ -72,13 +72,13 @@ def test_terms_of_risk_by_hand() -> None:
     view, params = view_of(make_grid(_ground(2.0), sigma=0.0)), LandingParams()
     site = select_sites(view, FAR, params, footprint_radius_m=0.5).candidates[0]
     terms = _by_name(site)
-    assert list(terms) == ["safe_probability", "energy", "room", "level", "traffic", "plants"]
+    assert list(terms) == ["safe_probability", "energy", "clearance", "level", "traffic", "plants"]
     assert terms["safe_probability"].value == pytest.approx(site.safe_probability, abs=1e-7)
     assert terms["level"].value == pytest.approx(-0.2 * 2.0 / 5.0, abs=1e-3)
     assert (terms["level"].quantity, terms["level"].unit) == (pytest.approx(2.0, abs=0.02), "deg")
-    room = terms["room"]
-    assert room.quantity == pytest.approx(site.clearance_m) and room.unit == "m"
-    assert room.value == pytest.approx(0.1 * min(site.clearance_m, 3.0) / 3.0, abs=1e-6)
+    clearance = terms["clearance"]
+    assert clearance.quantity == pytest.approx(site.clearance_m) and clearance.unit == "m"
+    assert clearance.value == pytest.approx(0.1 * min(site.clearance_m, 3.0) / 3.0, abs=1e-6)
     away = np.linalg.norm(site.position_odom[:2] - [-30.0, 8.0])
     assert terms["energy"].quantity == pytest.approx(away, abs=1e-4)
     along = (np.arange(SIDE) + 0.5) * 0.2
@@ -92,7 +92,7 @@ def test_terms_of_risk_by_hand() -> None:
 
 
 def test_weights_that_are_zero_leave_the_probability_alone() -> None:
-    for site in _sites(make_grid(_ground(2.0)), energy_weight=0.0, room_weight=0.0,
+    for site in _sites(make_grid(_ground(2.0)), energy_weight=0.0, clearance_weight=0.0,
                        level_weight=0.0):  # fmt: skip
         assert site.value == pytest.approx(site.safe_probability, abs=1e-7)
         assert site.cluster_bonus == 0.0
@@ -105,8 +105,8 @@ def test_terms_of_the_paper_are_those_of_c_sum() -> None:
     for name, weight in (("smoothness", 0.3), ("flatness", 0.5), ("distance", 0.2)):
         assert terms[name].value == pytest.approx(weight * terms[name].quantity, abs=1e-6)
     assert site.value == pytest.approx(site.c_sum, abs=1e-6)
-    room = min(site.clearance_m, 1.0)
-    assert site.cluster_bonus == pytest.approx(0.1 * room, abs=1e-6)
+    clearance = min(site.clearance_m, 1.0)
+    assert site.cluster_bonus == pytest.approx(0.1 * clearance, abs=1e-6)
 
 
 def test_traffic_and_plants_are_terms() -> None:
@@ -140,15 +140,15 @@ def test_rules_name_what_refused_a_site() -> None:
     assert steep[0].rule == "least_bad" and {s.rule for s in steep[1:]} <= {"steep"}
 
 
-def test_bonus_for_room_chooses_the_cell_and_ranks_none() -> None:
+def test_bonus_for_clearance_chooses_the_cell_and_ranks_none() -> None:
     """A strip 8 m wide between rough ground, ranked by distance alone: its near edge is nearest."""
     strip = _ground()
     rough = np.random.default_rng(2).uniform(0.0, 0.6, (SIDE, SIDE))
     strip[:, :60], strip[:, 100:] = rough[:, :60], rough[:, 100:]
     clearances = []
     for weight in (0.0, 5.0):
-        site = _sites(make_grid(strip), scorer="paper", room_weight=weight, weight_flatness=0.0,
-                      weight_smoothness=0.0)[0]  # fmt: skip
+        site = _sites(make_grid(strip), scorer="paper", clearance_weight=weight,
+                      weight_flatness=0.0, weight_smoothness=0.0)[0]  # fmt: skip
         assert site.accepted and site.value == pytest.approx(site.c_sum, abs=1e-6)
         assert site.cluster_bonus == pytest.approx(weight * min(site.clearance_m, 1.0), abs=1e-5)
         clearances.append(site.clearance_m)
@@ -179,11 +179,11 @@ def _site(
 
 
 _FIRST = _site(
-    1.05, "lower_value", ("safe_probability", 0.97, 0.97, ""), ("room", 0.10, 3.0, "m"),
+    1.05, "lower_value", ("safe_probability", 0.97, 0.97, ""), ("clearance", 0.10, 3.0, "m"),
     ("level", -0.02, 0.5, "deg"), ("traffic", 0.0, 0.0, ""),
 )  # fmt: skip
 _SECOND = _site(
-    0.63, "lower_value", ("safe_probability", 0.91, 0.91, ""), ("room", 0.05, 1.2, "m"),
+    0.63, "lower_value", ("safe_probability", 0.91, 0.91, ""), ("clearance", 0.05, 1.2, "m"),
     ("level", -0.02, 0.5, "deg"), ("traffic", -0.3, 1.0, ""),
 )  # fmt: skip
 
@@ -194,7 +194,7 @@ def test_reason_compares_the_first_with_the_next_accepted() -> None:
     assert [site.rule for site in sites] == ["highest_value", "lower_value", "water"]
     assert why_chosen(sites) == (
         "Site 1 won: score 1.050 against 0.630 of site 2; not near traffic; higher probability "
-        "of a safe touchdown (0.970 against 0.910); more room (3.0 against 1.2 m)"
+        "of a safe touchdown (0.970 against 0.910); more clearance (3.0 against 1.2 m)"
     )
 
 
