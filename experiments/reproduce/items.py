@@ -134,7 +134,8 @@ def item_table(states: Mapping[str, PartState]) -> Table:
 def item_sentence(states: Mapping[str, PartState]) -> str:
     """The numbers of items by grade."""
     found = grades(states)
-    own, beside = (Counter(pair[n].word for pair in found) for n in (1, 2))
+    own = Counter(grade.word for _, grade, _ in found)
+    beside = Counter(grade.word for _, _, grade in found)
     return (
         f"{len(found)} tables and figures of the paper, all implemented. Measured: {_counts(own)}. "
         f"Comparable with the paper: {_counts(beside)}. The reasons are in the table of items."
