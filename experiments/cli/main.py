@@ -13,7 +13,6 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.apart import in_child, runs_code_of_others
 from touchdown.experiments.cli.bench import bench
 from touchdown.experiments.cli.bench_imu import bench_imu
 from touchdown.experiments.cli.bench_odometry import bench_estimator
@@ -39,6 +38,7 @@ from touchdown.experiments.cli.results import results
 from touchdown.experiments.cli.scenes import scenes
 from touchdown.experiments.cli.view import view
 from touchdown.experiments.errors import system_message
+from touchdown.experiments.external.apart import in_child, runs_code_of_others
 from touchdown.experiments.flight.platform import BLAS_THREADS, rendering_backend, rendering_fault
 from touchdown.experiments.terminal import end_progress, error_line, warning_line
 
@@ -85,7 +85,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command and returns its exit code; bad input is one line on stderr. As the program,
     without ``arguments``, a command that runs code of others gets a process of its own."""
     if arguments is None and runs_code_of_others(sys.argv[1:]):
-        return in_child(lambda: _run(None))
+        code, fault = in_child(lambda: _run(None))
+        if fault:
+            print(error_line(fault), file=sys.stderr)
+        return code
     return _run(arguments)
 
 

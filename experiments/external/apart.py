@@ -9,13 +9,11 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from touchdown.experiments.cli.common import EXIT_FAILED
 from touchdown.experiments.external.processes import (
     adopt_orphans,
     die_with_parent,
     end_descendants,
 )
-from touchdown.experiments.terminal import error_line
 
 _COMMANDS = ("fly", "land", "check-estimator")
 _PATIENCE_S = 20
@@ -29,10 +27,10 @@ def runs_code_of_others(arguments: Sequence[str]) -> bool:
     return bool(words) and arguments[0] in _COMMANDS and named
 
 
-def in_child(command: Callable[[], int]) -> int:
-    """Runs ``command`` in a copy of this process and returns its exit code. Where the copy ends
-    before the command does, one line says so, and the code is `EXIT_FAILED`. In the copy the call
-    returns, too. SIGINT, SIGTERM and SIGHUP are passed on."""
+def in_child(command: Callable[[], int]) -> tuple[int, str]:
+    """Runs ``command`` in a copy of this process and returns its exit code, and the line to print
+    where the copy has ended before the command: the code is 1 then. In the copy the call returns,
+    too. SIGINT, SIGTERM and SIGHUP are passed on."""
     reader, writer = os.pipe()
     parent = os.getpid()
     sys.stdout.flush()
@@ -47,7 +45,7 @@ def in_child(command: Callable[[], int]) -> int:
             os.write(writer, b"1")  # of the program: it prints its traceback
             raise
         os.write(writer, str(code).encode())
-        return code
+        return code, ""
     os.close(writer)
     adopt_orphans()
     signals = _pass_on(child)
@@ -59,15 +57,14 @@ def in_child(command: Callable[[], int]) -> int:
     except BlockingIOError:
         answer = b""
     if answer:
-        return int(answer)
+        return int(answer), ""
     if signals:
-        return 128 + signals[0]
+        return 128 + signals[0], ""
     how = f"exit code {ended}" if ended >= 0 else signal.Signals(-ended).name
-    print(error_line(
+    return 1, (
         f"the process ended in the middle ({how}): code of the estimator has ended it, or there "
         "was no memory left; an estimator returns an Estimate or raises"
-    ), file=sys.stderr)  # fmt: skip
-    return EXIT_FAILED
+    )
 
 
 def _pass_on(child: int) -> list[int]:
