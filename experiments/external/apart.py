@@ -16,6 +16,7 @@ from touchdown.experiments.external.processes import (
 )
 
 _COMMANDS = ("fly", "land", "check-estimator")
+_PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PATIENCE_S = 20
 """After a signal the command may take this long for its end."""
 
@@ -34,11 +35,13 @@ def in_child(command: Callable[[], int]) -> tuple[int, str]:
     reader, writer = os.pipe()
     parent = os.getpid()
     sys.stdout.flush()
+    signal.pthread_sigmask(signal.SIG_BLOCK, _PASSED_ON)  # until both can take them
     child = os.fork()
     if child == 0:
         os.close(reader)
         os.setpgid(0, 0)  # Ctrl-C reaches it once, from its parent
         die_with_parent(parent)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _PASSED_ON)
         try:
             code = command()
         except BaseException:
@@ -49,6 +52,7 @@ def in_child(command: Callable[[], int]) -> tuple[int, str]:
     os.close(writer)
     adopt_orphans()
     signals = _pass_on(child)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _PASSED_ON)
     ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     end_descendants(parent)
     os.set_blocking(reader, False)  # what it has started may hold the other end
@@ -77,7 +81,7 @@ def _pass_on(child: int) -> list[int]:
         os.kill(child, number)
         signal.alarm(_PATIENCE_S)
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in _PASSED_ON:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, pass_on)
     signal.signal(signal.SIGALRM, lambda _number, _frame: os.kill(child, signal.SIGKILL))
