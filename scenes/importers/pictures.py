@@ -12,8 +12,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.importers.files import MIB, check_file
 from touchdown.scenes.importers.geotiff import check_blocks, opened_tiff
+from touchdown.sim.files.opening import MIB, check_file
 
 Image = NDArray[np.uint8]
 

@@ -78,7 +78,7 @@ def test_shipped_campaign_compares_six_methods_on_equal_terms() -> None:
         ('name = "x"\n', ["lacks 'axes'"]),
         (axes(estimator=["livo"]), ["lacks scene"]),
         (axes(scene=["crossrod"]), ["unknown scene 'crossrod'", "did you mean 'crossroad'"]),
-        (axes(scene=["no/such.xml"]), ["no/such.xml", "does not exist"]),
+        (axes(scene=["no/such.xml"]), ["no/such.xml", "not found"]),
         (axes(scene=["flat"], estimator=["lvio"]), ["lvio", "did you mean 'livo'"]),
         (axes(scene=["flat"], estimater=["livo"]), ["estimater", "did you mean 'estimator'"]),
         (axes(scene="flat"), ["'scene'", "list"]),

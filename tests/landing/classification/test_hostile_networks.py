@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.landing.classification import trial, weights
+from touchdown.landing.classification import weights
 from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.weights import INPUT, OUTPUT, NetworkFacts, write_network
+from touchdown.sim.files import child
 
 from support.ground_class_support import write_colour_network
 from support.hostile_files import sparse
@@ -155,7 +156,7 @@ def test_a_graph_that_fills_the_memory_is_given_up(tmp_path: Path) -> None:
 def test_a_network_that_takes_too_long_is_given_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(trial, "_WAIT_S", 0.05)
+    monkeypatch.setattr(child, "_WAIT_S", 0.05)
     refused(write_colour_network(tmp_path / "n.onnx"), "needs more than 0 s to load")
 
 
