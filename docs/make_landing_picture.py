@@ -181,11 +181,11 @@ class Painter:
 
 
 def _cost_panel(path: Path) -> Image.Image:
-    """The right panel of costmap.png, without its margins."""
+    """The right map of costmap.png, without its margins."""
     picture = Image.open(path).convert("RGB")
     pixels = np.asarray(picture)
     inside = (pixels != pixels[0, 0]).any(axis=2)
-    cols = np.flatnonzero(inside.mean(axis=0) > 0.8)
+    cols = np.flatnonzero(inside.mean(axis=0) > 0.5)  # the table below is narrower
     cols = cols[cols > cols[np.argmax(np.diff(cols))]]
     rows = np.flatnonzero(inside[:, cols].mean(axis=1) > 0.95)
     panel = picture.crop((int(cols[0]), int(rows[0]), int(cols[-1]) + 1, int(rows[-1]) + 1))

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.estimator.parameters import HEIGHT_BIN_M as HEIGHT_BIN_M
+from touchdown.estimator.parameters import HEIGHT_BINS as HEIGHT_BINS
 from touchdown.estimator.parameters import FlownImuParams as FlownImuParams
 from touchdown.estimator.parameters import GpsEstimatorParams as GpsEstimatorParams
 from touchdown.estimator.parameters import HybridFlowParams as HybridFlowParams
@@ -134,6 +136,14 @@ class Estimator(Protocol):
     def update(self, obs: Observation) -> Estimate: ...
 
 
+class Ground(NamedTuple):
+    """The ground of a map's cells, (rows, cols) float32, NaN where nothing of it was seen."""
+
+    height_m: NDArray[np.float32]
+    std_m: NDArray[np.float32]
+    """standard deviation of the height: it grows as fewer returns come from the ground"""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GridMap:
     """A square-celled elevation map in the ODOM frame. Cell (row, col) covers
@@ -159,6 +169,24 @@ class GridMap:
     """pulses without return that were expected to hit this cell, at the height of its
     surroundings"""
     last_seen_s: NDArray[np.float32]
+    histogram: NDArray[np.uint8] | None = None
+    """(rows, cols, HEIGHT_BINS) returns by their height above ``histogram_base_m`` in bins of
+    ``HEIGHT_BIN_M``, the last one with all that are higher; halved where a bin would overflow. For
+    the ground; a mapper may leave it out"""
+    histogram_base_m: NDArray[np.float32] | None = None
+
+    def ground(
+        self, box: tuple[slice, slice] | None = None, where: NDArray[np.bool_] | None = None
+    ) -> Ground:
+        """Returns the ground of the cells ``box`` (rows, cols), by default of all, under plants and
+        traffic; the mean height of the returns where the map has no histograms. It takes
+        microseconds a cell: with ``where``, a mask of the box, others keep the mean too."""
+        from touchdown.estimator.ground import ground_of
+
+        rows, cols = box if box is not None else (slice(None), slice(None))
+        layers = (self.count, self.height_m, self.height_std_m)
+        return Ground(*ground_of(layers, self.histogram, self.histogram_base_m, self.cell_m,
+                                 (rows, cols), where))  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -6,6 +6,10 @@ from dataclasses import dataclass
 
 from touchdown.sim.api import FORBID_EXTRA, Count, CountOrZero, Fraction, NotNegative, Positive
 
+HEIGHT_BIN_M = 0.02
+"""width of a bin of `estimator.api.GridMap.histogram`"""
+HEIGHT_BINS = 32
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MapperParams:

@@ -66,6 +66,7 @@ _REMEDIES = {
     errno.ELOOP: "its links lead in a circle; name the target itself",
     errno.ENOTDIR: "a part of that path is a file; name another",
     errno.EEXIST: "a part of that path is a file; name another",
+    errno.ENOTEMPTY: "something has come there in the meantime; name another",
     errno.EISDIR: "that is a directory; name a file",
     errno.EMFILE: "raise the limit on open files (ulimit -n)",
     errno.ENFILE: "raise the limit on open files (ulimit -n)",

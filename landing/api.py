@@ -40,6 +40,37 @@ class Phase(StrEnum):
     DONE = "DONE"
 
 
+TermName = Literal[
+    "safe_probability", "energy", "clearance", "level",
+    "smoothness", "flatness", "distance",
+    "traffic", "plants",
+]  # fmt: skip
+"""Terms of the value of a site: the first four of the scorer ``risk``, the next three of ``paper``,
+the last two of both."""
+
+SiteRule = Literal[
+    "highest_value", "lower_value", "least_bad", "commanded", "commanded_unchecked",
+    "not_seen", "few_returns", "rough", "steep", "step", "object", "motion", "water",
+    "tall_neighbour", "map_edge", "out_of_reach", "near_refused_site",
+    "low_probability", "footprint_slope", "footprint_roughness",
+    "unsafe_ground", "uncertain_ground", "unfamiliar_ground", "no_image",
+]  # fmt: skip
+"""Rules that prefer a site (first line), or refuse it by map, plane or class of the ground."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ScoreTerm:
+    """One term of the value of a site."""
+
+    name: TermName
+    value: float
+    """weighted: the terms of a site add up to its value"""
+    quantity: float
+    """what the term weights, in ``unit``"""
+    unit: str
+    """"" where it has none"""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Candidate:
     """A candidate landing site, odom frame."""
@@ -48,11 +79,8 @@ class Candidate:
     """(3,) centre, on the ground"""
     normal_odom: Array
     """(3,) unit normal of the plane through the footprint"""
-    score: float
-    """C_sum at the mode (Eq. 13), higher is better"""
-    flatness: float
-    smoothness: float
-    distance: float
+    c_sum: float
+    """of the paper (Eq. 13), higher is better; 0 where unknown"""
     slope_deg: float
     roughness_m: float
     """largest |residual| to the plane within the footprint"""
@@ -61,12 +89,37 @@ class Candidate:
     accepted: bool
     reason: str
     """reason of the acceptance or the refusal, as text"""
+    rule: SiteRule
+    value: float = float("nan")
+    """what sites are ranked by, higher is better; NaN out of reach or unknown"""
+    terms: tuple[ScoreTerm, ...] = ()
+    """of ``value``"""
+    cluster_bonus: float = 0.0
+    """for clearance, beside ``value``: it chose this cell of its cluster, and ranks none"""
+    step_m: float = float("nan")
+    """highest step within the footprint"""
     safe_probability: float = float("nan")
     """of a touchdown that is safe by geometry; NaN where the scorer gives none"""
     class_predicted: str | None = None
     """most probable class of the ground; None where it was not classified"""
     class_probability: float = float("nan")
     """of ``class_predicted``"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Decision:
+    """One choice among candidate sites."""
+
+    time_s: float
+    scorer: str
+    candidates: tuple[Candidate, ...]
+    """in the order of rank: accepted ones first, each part by value"""
+    positions_world: Array
+    """(N, 3) of the candidates, by the estimate of that moment"""
+    why: str
+    """why the first one won, or why there is none: one sentence"""
+    given_up: str = ""
+    """reason why the chosen site was given up later; empty where it was not"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -82,6 +135,10 @@ class CostmapView:
     smoothness: NDArray[np.float32]
     distance: NDArray[np.float32]
     rgb: NDArray[np.uint8]
+    value: NDArray[np.float32]
+    """what sites are ranked by: ``total``, or the sum of the terms of the scorer; any range"""
+    allowed: NDArray[np.bool_]
+    """cells that the selector accepts as sites"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -129,6 +186,8 @@ class LanderView:
     """of ``site_class``"""
     events: tuple[str, ...] = ()
     """messages of this control step, for the result"""
+    decisions: tuple[Decision, ...] = ()
+    """all so far, in the order of time"""
     slowed_s: float = 0.0
     """time by which wind has made trajectories longer than they were set, so far"""
 
@@ -219,7 +278,24 @@ class LandingParams:
     level_weight: NotNegative = 0.2
     """penalty of ground at ``max_slope_deg`` relative to level ground (``risk``)"""
     gust_drift_s: NotNegative = 0.02
-    """metres by which each m/s of wind reduces the room around a site (``risk``)"""
+    """metres by which each m/s of wind reduces the clearance of a site (``risk``)"""
+    clearance_weight: NotNegative = 0.1
+    """bonus of a site with a clearance of ``clearance_full_m`` over one with none (``risk``); among
+    the cells of one cluster, of one with ``clearance_enough_m`` (both scorers)"""
+    clearance_full_m: Positive = 3.0
+    """distance to ground that is not allowed from which the value no longer rises: twice
+    ``clear_radius_m``"""
+    clearance_enough_m: Positive = 1.0
+    """the same within a cluster: the radius of a footprint"""
+    plants_penalty: NotNegative = 0.15
+    """subtracted from the value of a site among low plants, whose ground is inferred from few
+    returns: more than the difference between two good sites on bare ground, less than
+    ``traffic_penalty``"""
+    refused_radius_m: NotNegative = 3.0
+    """radius around a refused site in which no site is accepted again: twice ``clear_radius_m``, so
+    that the two do not overlap"""
+    candidate_spacing_m: NotNegative = 3.0
+    """least distance between the candidates of a selection: twice ``clear_radius_m``"""
     risk_weights: tuple[
         float, float, float, float, float, float, float, float, float, float, float
     ] = (

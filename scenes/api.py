@@ -95,7 +95,7 @@ class MovingBody:
     """arc length at time 0"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, weakref_slot=True)
 class Scene:
     """A compiled scene with the vehicle in it."""
 

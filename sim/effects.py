@@ -49,6 +49,7 @@ class Effect:
 
     @property
     def mean_amount(self) -> float:
+        """Mean over the messages that it acted on, 0 without one."""
         return self.amount / self.came if self.came else 0.0
 
 
@@ -73,6 +74,12 @@ class Effects:
         change = np.abs(new - old)
         self.note(names, float((change > 0).any(axis=-1).mean()), float(change.mean()))
 
+    def note_lengths(self, name: str, before: Float32, after: Float32) -> None:
+        """Notes the share of (N,) lengths in metres that differ, and the mean size of a change."""
+        rows = np.flatnonzero(before != after)
+        size = float(np.abs(after[rows] - before[rows]).mean()) if rows.size else 0.0
+        self.note((name,), rows.size / max(len(before), 1), size)
+
     def end_message(self) -> None:
         """Ends the message that is being made."""
         self._made.append(self._now)
@@ -89,6 +96,18 @@ class Effects:
         self.delivered = {}
         self._now = {}
         self._made.clear()
+
+
+class WorldRecord(NamedTuple):
+    """Faults, effects and deviations of a flight so far: not for estimators or landers."""
+
+    faults: list[dict[str, Any]]
+    """records of the scheduled faults"""
+    effects: Mapping[str, Mapping[str, Effect]]
+    """on delivered ``scans`` and ``images`` and on the ``air`` at the vehicle, by name"""
+    deviations: Mapping[str, float]
+    """drawn errors of vehicle and IMU: ``mass_share``, ``center_of_mass_m``, ``rotor_share``,
+    ``imu_scale``, ``imu_misalignment_deg`` (the last two root mean squares over the axes)"""
 
 
 class Returns(NamedTuple):
@@ -109,11 +128,11 @@ class Returns(NamedTuple):
 
 
 def fault_records(
-    params: FaultParams, sensors: Mapping[str, Mapping[str, Effect]]
+    params: FaultParams, sensors: Mapping[str, Mapping[str, Effect]], sun_deg: float | None
 ) -> list[dict[str, Any]]:
     """Records of the scheduled faults that change what is measured, in the form of
     `sim.faults.injector.FaultInjector.summary`, one of each kind; ``sensors``: effects by stream
-    and name.
+    and name; ``sun_deg``: the elevation of the scene's sun, None without one.
 
     ``returns_changed`` is the mean share of returns that it weakened, removed or added in a scan,
     ``grey_change`` the mean change of a pixel in grey levels, ``rotation_deg`` the mean rotation of
@@ -134,5 +153,7 @@ def fault_records(
                 record["returns_changed"] = effect.mean_share
             else:
                 record["grey_change"] = effect.mean_amount
+        if kind == "low_sun" and sun_deg is not None:
+            record["sun_deg"] = sun_deg
         records.append(record)
     return records

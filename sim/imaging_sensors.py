@@ -227,5 +227,6 @@ class ImagingSensors:
             rgb=taken(self.camera),
             right_rgb=taken(self._right) if self._right else None,
         )
+        self.camera.effects.note(("stamp_error_ms",), 1.0, 1e3 * abs(stamp.time_s - tick / hz))
         self.camera.effects.end_message()
         return image

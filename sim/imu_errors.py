@@ -35,6 +35,16 @@ class ImuErrors:
         """False: the matrix is the identity"""
         self.saturates = bool(np.isfinite(self._limits).any())
 
+    def sizes(self) -> dict[str, float]:
+        """Root mean squares over the axes of both sensors: relative errors of scale, and
+        misalignments in degrees."""
+        blocks = np.array([self.matrix[:3, :3], self.matrix[3:, 3:]]) - np.eye(3)
+        own = np.eye(3, dtype=bool)
+        return {
+            "imu_scale": float(np.sqrt((blocks[:, own] ** 2).mean())),
+            "imu_misalignment_deg": math.degrees(float(np.sqrt((blocks[:, ~own] ** 2).mean()))),
+        }
+
     def saturated(self, measured: Array) -> Array:
         """(6,) within the ranges."""
         return np.minimum(np.maximum(measured, self._least), self._limits)

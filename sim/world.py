@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -33,9 +31,10 @@ from touchdown.sim.api import (
     Truth,
     WorldParams,
 )
+from touchdown.sim.camera.degradations import sun_elevation_deg
 from touchdown.sim.camera.sensor import Snapshot
 from touchdown.sim.clock import check_rates
-from touchdown.sim.effects import Effect, fault_records
+from touchdown.sim.effects import Effect, WorldRecord, fault_records
 from touchdown.sim.faults.disturbances import Disturbances
 from touchdown.sim.faults.injector import FaultInjector
 from touchdown.sim.frames import Pose, cross, matrix_from_quat_wxyz
@@ -185,6 +184,7 @@ class MujocoWorld:
             direction, found = self._wind.mean_direction, obstacles(self._scene)
             self._wakes = Wakes(found, direction, self._ground_z, self._seed)
         self._air_rotation: Array | None = None
+        self._air_effects = {"wakes": Effect(), "rotation": Effect()}
         self._mark_start()
         self._acceleration = np.zeros(3)
         self._peak_acceleration = 0.0
@@ -225,9 +225,14 @@ class MujocoWorld:
         if self._wakes is not None:
             wind = self._wind
             roughness = self._params.wind.roughness_length_m
+            free = self._air.copy()
             self._wakes.add(self._air, self._position, self._step_s, wind.friction, roughness)
+            change = math.dist(free.tolist(), self._air.tolist())
+            self._air_effects["wakes"].add(Effect(1, int(change > 0.0), 1.0, change))
         if self._wind.rotational:
             self._air_rotation = self._wind.rotation(self._step_s, height, airspeed)
+            rate = math.degrees(math.hypot(*self._air_rotation.tolist()))
+            self._air_effects["rotation"].add(Effect(1, 1, 1.0, rate))
 
     def start_in_air(self, position_world: Array, yaw: float) -> Observation:
         """Resets to a start in the air: level and at rest at (3,) ``position_world``, rotors at
@@ -275,17 +280,16 @@ class MujocoWorld:
             energy_used_j=self._battery.energy_used_j,
         )
 
-    def effects(self) -> Mapping[str, Mapping[str, Effect]]:
-        """Effects of air, optics and lamp on the delivered ``scans`` and ``images``, by name."""
-        return {name: effects.delivered for name, effects in self._imaging.effects().items()}
-
-    def fault_records(self) -> list[dict[str, Any]]:
-        """Effects of every scheduled fault so far."""
-        return [
+    def record(self) -> WorldRecord:
+        """Faults, effects and deviations of the flight so far."""
+        sensors = {name: effects.delivered for name, effects in self._imaging.effects().items()}
+        faults = [
             *self._faults.summary(),
             *self._disturbances.summary(self._step_s),
-            *fault_records(self._params.faults, self.effects()),
+            *fault_records(self._params.faults, sensors, sun_elevation_deg(self._model)),
         ]
+        drawn = self._deviations.sizes() | self._imu.errors.sizes()
+        return WorldRecord(faults, {**sensors, "air": self._air_effects}, drawn)
 
     def close(self) -> None:
         """Ends the worker threads and frees the camera. The world is unusable afterwards."""

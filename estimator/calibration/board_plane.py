@@ -177,5 +177,5 @@ def _inside(places: Array, outline: Array, rim_m: float) -> NDArray[np.bool_]:
     edges /= np.linalg.norm(edges, axis=1, keepdims=True)
     offset = places[:, None] - outline
     side = edges[:, 0] * offset[:, :, 1] - edges[:, 1] * offset[:, :, 0]
-    turn = np.sign(np.median(side.mean(axis=0)))
-    return np.asarray((turn * side > rim_m).all(axis=1))
+    sign = np.sign(np.median(side.mean(axis=0)))
+    return np.asarray((sign * side > rim_m).all(axis=1))

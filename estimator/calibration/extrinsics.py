@@ -85,8 +85,8 @@ def closed_form(planes: CameraPlanes, normals: Array, distances: Array, views: I
     in_camera = planes.normals[views]
     left, _, right = np.linalg.svd(in_camera.T @ normals[views])
     mirror = np.diag([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])
-    shift = distances[views] - planes.distances[views]
-    translation: Array = np.linalg.lstsq(in_camera, shift, rcond=None)[0].astype(np.float64)
+    offsets = distances[views] - planes.distances[views]
+    translation: Array = np.linalg.lstsq(in_camera, offsets, rcond=None)[0].astype(np.float64)
     return Pose(left @ mirror @ right, translation)
 
 

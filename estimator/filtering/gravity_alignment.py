@@ -3,8 +3,8 @@
 At rest the specific force is gravity's reaction, scaled, plus the accelerometer's bias. One cannot
 be separated from the other: a levelled attitude errs by the bias over gravity, and the errors of
 attitude and bias are correlated from then on. The update keeps that correlation, so that a later
-turn about the vertical, which separates the two, corrects both (Titterton and Weston, "Strapdown
-inertial navigation technology", 2004, on alignment).
+rotation about the vertical, which separates the two, corrects both (Titterton and Weston,
+"Strapdown inertial navigation technology", 2004, on alignment).
 """
 
 from __future__ import annotations

@@ -13,6 +13,10 @@ Float32 = NDArray[np.float32]
 _KNOT_EVERY = 64
 _BLOCK = 256
 """pulses whose pixel indices are computed before any pixel is read"""
+_BINS_BELOW = 4
+"""of a histogram below its first return"""
+_LOW_RETURNS = 3
+"""far below the others from which they are the ground"""
 
 
 @numba.njit(cache=True)
@@ -261,6 +265,69 @@ def accumulate_returns(
                 for k in range(3):
                     rgb[row, col, k] += weight * (colours[i, k] - rgb[row, col, k])
     return inside
+
+
+@numba.njit(cache=True, error_model="numpy")
+def accumulate_heights(
+    origins: Float32,
+    beams: Float32,
+    ranges: Float32,
+    origin_x: float,
+    origin_y: float,
+    cell: float,
+    bin_m: float,
+    histogram: NDArray[np.uint8],
+    base: Float32,
+) -> None:
+    """Counts returns in the histograms of their cells (layout of ``GridMap``).
+
+    The base of a cell follows its lowest return down. One that is lower by more than the whole
+    histogram is an error, until the third of its kind: then the histogram begins anew there."""
+    rows, cols, bins = histogram.shape
+    per_cell, per_bin = 1.0 / cell, 1.0 / bin_m
+    for i in range(ranges.shape[0]):
+        r = ranges[i]
+        if not r > 0.0:
+            continue
+        z = origins[i, 2] + r * beams[i, 2]
+        across = (origins[i, 0] + r * beams[i, 0] - origin_x) * per_cell
+        along = (origins[i, 1] + r * beams[i, 1] - origin_y) * per_cell
+        if not (0.0 <= across < cols and 0.0 <= along < rows and abs(z) < np.inf):
+            continue
+        col, row = np.uintp(across), np.uintp(along)
+        if np.isnan(base[row, col]):
+            base[row, col] = z - (_BINS_BELOW + 0.5) * bin_m
+        k = int(np.floor((z - base[row, col]) * per_bin))
+        if k < 1 - bins:
+            histogram[row, col, 0] += np.uint8(1)
+            if histogram[row, col, 0] < _LOW_RETURNS:
+                continue
+            _raise_by(histogram[row, col], bins)
+            base[row, col] = z - (_BINS_BELOW + 0.5) * bin_m
+            k = _BINS_BELOW
+        elif k < 1:
+            _raise_by(histogram[row, col], 1 - k)
+            base[row, col] -= (1 - k) * bin_m
+            k = 1
+        k = min(k, bins - 1)
+        if histogram[row, col, k] == 255:
+            for j in range(bins):
+                histogram[row, col, j] >>= np.uint8(1)
+        histogram[row, col, k] += np.uint8(1)
+
+
+@numba.njit(cache=True)
+def _raise_by(counts: NDArray[np.uint8], up: int) -> None:
+    """Moves the returns of a histogram (bins,) up by ``up`` bins, except those of the first one,
+    which are forgotten; the last bin keeps all that is higher."""
+    bins = counts.shape[0]
+    top = 0
+    for k in range(max(bins - 1 - up, 1), bins):
+        top += counts[k]
+    for k in range(bins - 2, 0, -1):
+        counts[k] = counts[k - up] if k - up >= 1 else 0
+    counts[bins - 1] = min(top, 255)
+    counts[0] = 0
 
 
 @numba.njit(cache=True)

@@ -11,12 +11,20 @@ import itertools
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import Estimate, GridMap, MapperParams, MapView, PoseTrack
+from touchdown.estimator.api import (
+    HEIGHT_BIN_M,
+    HEIGHT_BINS,
+    Estimate,
+    GridMap,
+    MapperParams,
+    MapView,
+    PoseTrack,
+)
 from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.mapping import kernels
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
@@ -32,6 +40,10 @@ _CAMERA_HZ = 10
 _IMAGES_KEPT = 3
 _PATIENCE_S = 0.3
 """longest time after its end that a scan waits for the estimator's track"""
+_UNKNOWN_AT_FIRST = (
+    "height_m", "height_std_m", "min_height_m", "max_height_m", "intensity", "histogram_base_m",
+)  # fmt: skip
+"""layers without a value where nothing was seen"""
 
 
 class _TimedPose(NamedTuple):
@@ -48,18 +60,18 @@ class _Grid:
         self.cell_m = cell_m
         self.origin_xy_m = origin_xy_m
         shape = (cells, cells)
-        self.layers: dict[str, Float32] = {
-            name: np.full(shape, np.nan, np.float32)
-            for name in ("height_m", "height_std_m", "min_height_m", "max_height_m", "intensity")
+        self.layers: dict[str, NDArray[Any]] = {
+            name: np.full(shape, np.nan, np.float32) for name in _UNKNOWN_AT_FIRST
         }
         for name in ("count", "rgb_count", "missing"):
             self.layers[name] = np.zeros(shape, np.float32)
         self.layers["rgb"] = np.full((*shape, 3), np.nan, np.float32)
+        self.layers["histogram"] = np.zeros((*shape, HEIGHT_BINS), np.uint8)
         self.layers["last_seen_s"] = np.full(shape, -np.inf, np.float32)
 
     def view(self) -> GridMap:
         """Returns read-only views of the layers."""
-        read_only: dict[str, Float32] = {}
+        read_only: dict[str, NDArray[Any]] = {}
         for name, layer in self.layers.items():
             read_only[name] = layer.view()
             read_only[name].flags.writeable = False
@@ -332,6 +344,10 @@ class GridMapper:
             layers["height_m"], layers["height_std_m"], layers["min_height_m"],
             layers["max_height_m"], layers["rgb"], layers["rgb_count"], layers["intensity"],
             layers["missing"], layers["last_seen_s"],
+        )  # fmt: skip
+        kernels.accumulate_heights(
+            origins, beams, scan.ranges, x0, y0, grid.cell_m, HEIGHT_BIN_M, layers["histogram"],
+            layers["histogram_base_m"],
         )  # fmt: skip
         kernels.accumulate_missing(
             spots, x0, y0, grid.cell_m, cap, layers["count"], layers["missing"]

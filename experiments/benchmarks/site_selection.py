@@ -41,8 +41,8 @@ aside"""
 SAMPLES = 4000
 """cells of a scene by which calibration is judged"""
 _CELL_KEYS = ("safe", "allowed", "both")
-ROOM_CAP_M = 3.0
-"""distance to unsafe ground from which the room no longer rises"""
+CLEARANCE_CAP_M = 3.0
+"""distance to unsafe ground from which the clearance no longer rises"""
 
 
 def check_scene(config: Config, figure: Path | None = None) -> dict[str, Any]:
@@ -52,16 +52,18 @@ def check_scene(config: Config, figure: Path | None = None) -> dict[str, Any]:
     Draws the steps of the selection into the file ``figure``, if given. Returns:
 
     ``chosen_safe`` (None where nothing was accepted), ``accepted`` and ``accepted_safe`` sites;
-    ``cells``: numbers of surveyed cells that are safe, allowed, and both; ``room_m`` of the chosen
-    site and ``best_room_m``: distance to the nearest unsafe ground, at most 3 m; ``sample``:
-    predicted probabilities and truth of evenly spread cells, with their features.
+    ``cells``: numbers of surveyed cells that are safe, allowed, and both; ``clearance_m`` of the
+    chosen site and ``best_clearance_m``: distance to the nearest unsafe ground, at most 3 m;
+    ``sample``: predicted probabilities and truth of evenly spread cells, with their features.
     """
     surveyed = posed_survey(config)
     truth = truth_maps(surveyed.scene, TRUTH_CELL_M, _region(surveyed))
     selection, costmap = surveyed.selection, surveyed.selection.costmap
     accepted = [site for site in selection.candidates if site.accepted]
     verdicts = [_value_at(truth, truth.safe_geometry, site.position_odom[:2]) for site in accepted]
-    room = np.minimum(distance_transform_edt(truth.safe_geometry) * TRUTH_CELL_M, ROOM_CAP_M)
+    clearance = np.minimum(
+        distance_transform_edt(truth.safe_geometry) * TRUTH_CELL_M, CLEARANCE_CAP_M
+    )
     if costmap is None:
         raise ValueError(f"scene '{config.scene}': the survey mapped nothing")
     if figure is not None:
@@ -85,8 +87,10 @@ def check_scene(config: Config, figure: Path | None = None) -> dict[str, Any]:
             "allowed": int((selection.allowed & seen).sum()),
             "both": int((safe & selection.allowed & seen).sum()),
         },
-        "room_m": float(_value_at(truth, room, accepted[0].position_odom[:2])) if accepted else 0.0,
-        "best_room_m": float(room.max()),
+        "clearance_m": float(_value_at(truth, clearance, accepted[0].position_odom[:2]))
+        if accepted
+        else 0.0,
+        "best_clearance_m": float(clearance.max()),
         "sample": {
             "predicted": selection.probability[rows, cols],
             "safe": safe[rows, cols],
@@ -100,16 +104,16 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
     ``precision``: share of chosen sites that are safe; ``precision_sites``: of all accepted ones;
     ``precision_cells`` and ``recall_cells`` of the cells; ``found``: share of scenes with safe
-    ground where a site was accepted; ``regret_m``: mean loss of room relative to the best safe
+    ground where a site was accepted; ``regret_m``: mean loss of clearance relative to the best safe
     site; ``calibration_error`` and ``reliability``: see `landing.selection.risk.calibration`."""
     chosen = [place["chosen_safe"] for place in places if place["chosen_safe"] is not None]
-    offered = [place for place in places if place["best_room_m"] > 0.0]
+    offered = [place for place in places if place["best_clearance_m"] > 0.0]
     cells = {key: sum(place["cells"][key] for place in places) for key in _CELL_KEYS}
     predicted, safe = (
         np.concatenate([place["sample"][key] for place in places]) for key in ("predicted", "safe")
     )
     error, rows = risk.calibration(predicted, safe)
-    regrets = [place["best_room_m"] - _chosen_room(place) for place in offered]
+    regrets = [place["best_clearance_m"] - _chosen_clearance(place) for place in offered]
     return {
         "places": len(places),
         "precision": _share(sum(chosen), len(chosen)),
@@ -167,8 +171,8 @@ def _gathered(places: Sequence[dict[str, Any]], key: str) -> NDArray[Any]:
     return np.concatenate([place["sample"][key] for place in places])
 
 
-def _chosen_room(place: dict[str, Any]) -> float:
-    return float(place["room_m"]) if place["chosen_safe"] else 0.0
+def _chosen_clearance(place: dict[str, Any]) -> float:
+    return float(place["clearance_m"]) if place["chosen_safe"] else 0.0
 
 
 def _share(part: int, whole: int) -> float | None:
@@ -272,7 +276,7 @@ def row(place: dict[str, Any]) -> str:
         f"{place['scene']:16} seed {place['seed']:4}  {verdict:8}"
         f" sites {place['accepted_safe']}/{place['accepted']}"
         f"  cells precision {_percent(precision)} recall {_percent(recall)}"
-        f"  room {place['room_m']:.1f} of {place['best_room_m']:.1f} m"
+        f"  clearance {place['clearance_m']:.1f} of {place['best_clearance_m']:.1f} m"
     )
 
 

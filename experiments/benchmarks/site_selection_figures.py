@@ -16,7 +16,7 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.drawing.map_images import seen_box
+from touchdown.experiments.drawing.costmap_image import seen_box
 from touchdown.experiments.errors import UsageError
 from touchdown.landing.api import Candidate, CostmapView, Selection
 

@@ -3,18 +3,24 @@ the plan before the run is counted."""
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from touchdown.experiments.campaign.directory import write_failure
 from touchdown.experiments.campaign.executor import Event
-from touchdown.experiments.campaign.results_table import FAILED, RUNS, is_whole, read_row
+from touchdown.experiments.campaign.results_table import (
+    CAMPAIGN_RUN_FILES,
+    FAILED,
+    RUNS,
+    is_whole,
+    read_row,
+)
 from touchdown.experiments.campaign.worker import Task
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.foreign import shown
 from touchdown.experiments.io.results import load_result
+from touchdown.experiments.io.run_directory import remove_own
 
 _POLL_S = 0.5
 
@@ -48,7 +54,8 @@ class Arrivals:
             if reason := self._waited_for(directory, task.run_id, sha):
                 run = directory / RUNS / task.run_id
                 if sha is not None and run.is_dir() and not run.is_symlink():
-                    shutil.rmtree(run)  # of another program: it would stand for the planned run
+                    # Of another program: it would stand for the planned run.
+                    remove_own(run, CAMPAIGN_RUN_FILES)
                 write_failure(task, "lost", reason, "", 1)
                 event = {"event": "failed", "run_id": task.run_id, "error": reason}
         elif event["event"] == "failed":

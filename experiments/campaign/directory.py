@@ -178,6 +178,14 @@ def _is_expectation(tree: object) -> bool:
         and (tree.get("success_at_least") is None or _is_number(tree["success_at_least"]))
         and all(_are_bounds(tree.get(name, {})) for name in BOUNDS)
         and isinstance(tree.get("unsafe"), bool)
+        and _are_demands(tree.get("happened", False))
+    )
+
+
+def _are_demands(tree: object) -> bool:
+    """True for the value of ``happened``."""
+    return isinstance(tree, bool) or (
+        isinstance(tree, list) and all(isinstance(name, str) for name in tree)
     )
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.campaign.directory import read_plan_file
@@ -120,7 +122,65 @@ def unexpected(expectation: Mapping[str, Any], row: Mapping[str, Any]) -> str:
         if value is None or not value <= bound:
             text = "unknown" if value is None else f"{value:.3g}"
             reasons.append(f"{key} {text}, at most {bound:g} expected")
+    reasons += not_happened(expectation.get("happened", False), row)
     return ", ".join(reasons)
+
+
+def conditions_of(row: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The verdicts on the conditions of a run, as in ``result.json``; a table has them as JSON
+    text. Empty for rows of versions without them and for damaged ones."""
+    found = row.get("conditions")
+    with contextlib.suppress(ValueError):
+        found = json.loads(found) if isinstance(found, str) else found
+    known = found if isinstance(found, list) else []
+    return [one for one in known if isinstance(one, dict) and isinstance(one.get("name"), str)]
+
+
+def not_happened(wanted: bool | Sequence[str], row: Mapping[str, Any]) -> list[str]:
+    """Reasons why demanded conditions of a run did not happen. ``wanted``: all that it names, or
+    these of them. A run without any record of conditions has none that happened."""
+    if wanted is False:
+        return []
+    known = {one["name"]: one for one in conditions_of(row)}
+    names = [*known] if wanted is True else wanted
+    if row.get("conditions") is None:
+        return ["no record of what happened"]
+    return [
+        f"'{name}' did not happen ({known[name].get('text', '')})"
+        for name in names
+        if name in known and known[name].get("happened") is not True
+    ]
+
+
+def idle_conditions(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """One line for each condition that did not happen in some of the runs that name it."""
+    runs: dict[str, int] = {}
+    idle: dict[str, list[str]] = {}
+    for row in rows:
+        for one in conditions_of(row):
+            runs[one["name"]] = runs.get(one["name"], 0) + 1
+            if one.get("happened") is not True:
+                text = f"{row['run_id']}, {one.get('text', one['name'])}"
+                idle.setdefault(one["name"], []).append(text)
+    return [
+        f"condition '{name}' did not happen in {len(texts)} of {runs[name]} runs, "
+        f"such as {texts[0]}"
+        for name, texts in idle.items()
+    ]
+
+
+def demanded(
+    expectations: Sequence[Mapping[str, Any]], values: Mapping[str, Any]
+) -> Literal[True] | set[str]:
+    """Conditions that expectations demand of a run with these ``values``; True: all of them."""
+    names: set[str] = set()
+    for expectation in expectations:
+        wanted = expectation.get("happened", False)
+        if wanted and all(values.get(key) in ok for key, ok in expectation["when"].items()):
+            if wanted is True:
+                return True
+            names |= set(wanted)
+    return names
 
 
 def touched_unsafely(row: Mapping[str, Any]) -> bool:
@@ -141,6 +201,9 @@ def expected_text(expectation: Mapping[str, Any]) -> str:
             parts.append(f"{word}{key} at {side} {bound:g}")
     if expectation.get("success_at_least") is not None:
         parts.append(f"{expectation['success_at_least']:.0%} successful")
+    if wanted := expectation.get("happened", False):
+        parts.append("its conditions" if wanted is True else ", ".join(wanted))
+        parts[-1] += " happened"
     if not expectation["unsafe"]:
         parts.append("no unsafe touchdown")
     return ", ".join(parts)

@@ -94,6 +94,8 @@ class Expect(BaseModel):
     """the same from below"""
     success_at_least: float | None = Field(default=None, ge=0, le=1)
     """share of the runs that land on safe ground, or complete the survey"""
+    happened: bool | list[str] = False
+    """conditions that must have happened in each run: all that it names, or these of them"""
     unsafe: bool = False
     """whether touching down on unsafe ground, or not on the legs, is as expected"""
 
@@ -212,6 +214,11 @@ def in_shard(run_id: str, shard: tuple[int, int]) -> bool:
     index, count = shard
     digest = hashlib.sha256(run_id.encode()).digest()
     return int.from_bytes(digest[:8], "big") % count == index - 1
+
+
+def runs_of_shard(plan: Plan, shard: tuple[int, int] | None) -> list[PlannedRun]:
+    """The runs of a shard (i, n), all runs where it is None."""
+    return [run for run in plan.runs if shard is None or in_shard(run.run_id, shard)]
 
 
 # ---------------------------------------------------------------------------------------- parsing

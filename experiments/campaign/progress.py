@@ -142,6 +142,8 @@ def print_summary(figures: Mapping[str, Any]) -> None:
         console.print(_cost_table(figures["estimators"]))
     for run_id, error in figures["errors"].items():
         console.print(f"crashed: {run_id}: {error or ''}", soft_wrap=True)
+    for line in figures["idle_conditions"]:
+        console.print(f"warning: {line}", soft_wrap=True)
     for line in expectations.lines([expectations.verdict_of(v) for v in figures["expectations"]]):
         console.print(line, soft_wrap=True)
     console.print(f"table: {figures['results']}", soft_wrap=True)

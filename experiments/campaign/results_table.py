@@ -21,11 +21,14 @@ from touchdown.experiments.io.results import (
     is_success,
     load_result,
 )
+from touchdown.experiments.io.run_directory import RUN_FILES, whole_file
 
 CRASHED = "CRASHED"
 """Outcome of a run whose flight raised, died, or exceeded a limit."""
 
 ROW_FILE, RESULTS_FILE = "row.parquet", "results.parquet"
+CAMPAIGN_RUN_FILES = RUN_FILES | {ROW_FILE}
+"""Names of all files in the directory of a campaign's run."""
 RUNS, FAILED = "runs", "failed"
 """Folders of a campaign's directory: finished runs, and one JSON file for every crashed one."""
 
@@ -171,13 +174,9 @@ def write_table(rows: Sequence[Mapping[str, Any]], path: Path, stamp: str = "") 
     import pyarrow.parquet as pq
 
     table = table_of(rows).replace_schema_metadata({"touchdown.stamp": stamp})
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
+    with whole_file(path) as partial:
         # Dictionaries and statistics of a single row are larger than the row.
         pq.write_table(table, partial, use_dictionary=len(rows) > 1, write_statistics=False)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _read_table(path: Path) -> list[dict[str, Any]]:

@@ -24,7 +24,7 @@ from touchdown.experiments.campaign.directory import (
     sweep,
 )
 from touchdown.experiments.campaign.executor import Engine, EngineStoppedError, Event, LocalEngine
-from touchdown.experiments.campaign.plan import Plan, PlannedRun, in_shard
+from touchdown.experiments.campaign.plan import Plan, PlannedRun, runs_of_shard
 from touchdown.experiments.campaign.results_table import (
     CRASHED,
     FAILED,
@@ -34,7 +34,12 @@ from touchdown.experiments.campaign.results_table import (
     finished_ids,
     refresh,
 )
-from touchdown.experiments.campaign.worker import REAL_RUNNER, Task, wants_recording
+from touchdown.experiments.campaign.worker import (
+    REAL_RUNNER,
+    Task,
+    check_replaceable,
+    wants_recording,
+)
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.results import load_result
 from touchdown.experiments.io.run_directory import utc_now
@@ -84,8 +89,11 @@ def fly_campaign(
         if real:
             check_external_code(plan, directory)
         check_rows(directory)
+        for run_id in {run.run_id for run in plan.runs} - finished_ids(directory):
+            if (run_dir := directory / RUNS / run_id).is_dir():
+                check_replaceable(run_dir)
         plan = settle_plan(plan, directory, git_revision())
-        mine = [run for run in plan.runs if shard is None or in_shard(run.run_id, shard)]
+        mine = runs_of_shard(plan, shard)
         sweep(directory, [run.run_id for run in mine], whole=shard is None)
         todo, shas = _left(plan, mine, directory, runner)
         session: dict[str, Any] = {
@@ -178,6 +186,7 @@ def summary(directory: Path) -> dict[str, Any]:
         "wall_s": sum(session["wall_s"] for session in document["sessions"]),
         "estimators": _costs([row for row in rows if row["outcome"] != CRASHED]),
         "git_revisions": sorted({row["git_revision"] for row in rows if row["git_revision"]}),
+        "idle_conditions": expectations.idle_conditions(rows),
         "expectations": expectations.as_json(verdicts),
         "as_expected": expectations.all_as_expected(verdicts),
     }

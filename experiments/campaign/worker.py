@@ -25,6 +25,7 @@ from typing import Any
 from touchdown.experiments.campaign.guard import SUPERVISOR
 from touchdown.experiments.campaign.plan import config_for, config_sha
 from touchdown.experiments.campaign.results_table import (
+    CAMPAIGN_RUN_FILES,
     FAILED,
     ROW_FILE,
     RUNS,
@@ -38,11 +39,16 @@ from touchdown.experiments.external.processes import (
     adopt_orphans,
     descendants,
     memory_bytes,
+    release_memory,
 )
 from touchdown.experiments.flight.run import fly_with_usage_errors
 from touchdown.experiments.io.foreign import inside
 from touchdown.experiments.io.results import RunResult, load_result
+<<<<<<< HEAD
 from touchdown.sim.files.child import die_with_parent
+=======
+from touchdown.experiments.io.run_directory import foreign_entries, put_in_place
+>>>>>>> main
 
 PARTIAL = ".partial"
 """Folder of a campaign's directory in which runs are flown; those of dead processes are swept."""
@@ -111,6 +117,7 @@ def _fly_into_place(task: Task, config: Config, run_dir: Path) -> RunResult:
     try:
         out = staging / task.run_id
         result = _runner(task)(config, out)
+        release_memory()
         row = make_row(
             result,
             task.run_id,
@@ -130,15 +137,20 @@ def _fly_into_place(task: Task, config: Config, run_dir: Path) -> RunResult:
 
 
 def _move(out: Path, run_dir: Path) -> None:
-    try:
-        os.rename(out, run_dir)
-    except OSError as error:
-        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
-            raise
+    if run_dir.is_dir():
         if is_whole(run_dir):
             return  # another shard was first, with the same flight
-        shutil.rmtree(run_dir)
-        os.rename(out, run_dir)
+        check_replaceable(run_dir)
+    put_in_place(out, run_dir, CAMPAIGN_RUN_FILES)
+
+
+def check_replaceable(run_dir: Path) -> None:
+    """Raises UsageError where the directory of a run holds what would be lost with it."""
+    if foreign := foreign_entries(run_dir, CAMPAIGN_RUN_FILES):
+        raise UsageError(
+            f"'{run_dir}' holds '{foreign[0]}', which no run writes, where a run of the campaign "
+            "is to be put; move it elsewhere"
+        )
 
 
 def _add_recording(task: Task, config: Config, run_dir: Path) -> None:

@@ -92,7 +92,7 @@ def render_dataset(
     """
     names = _checked_scenes(params.scenes)
     _check_target(out)
-    with run_directory(out) as partial:
+    with run_directory(out, own=()) as partial:
         rows = _render(partial, names, params, jobs, progress)
         (partial / MANIFEST).write_text(_csv(rows), encoding="utf-8")
         write_png(partial / SHEET, contact_sheet(_samples(partial, rows)))

@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, CommandGroup, interrupt_code
+from touchdown.experiments.errors import visible
 
 
 class ShardType(click.ParamType):
@@ -67,7 +68,7 @@ def campaign() -> int:
 
 @click.command("campaign")
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
-@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR",
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR",
               help="The campaign's directory; an existing one is resumed.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(1, 1024), help="Flights at a time.  [cores]")
 @click.option("--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True)
@@ -75,32 +76,50 @@ def campaign() -> int:
 @click.option("--shard", type=ShardType(), help="Fly the I-th of N parts, on one of N machines.")
 @click.option("--allow-code", is_flag=True,
               help="Import external estimators that a campaign.toml of results names.")  # fmt: skip
+@click.option("--dry-run", is_flag=True,
+              help="Print the number of flights and their expected cost; fly nothing.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
+@click.pass_context
 def fly_file(
+    context: click.Context,
     file: Path,
-    out: Path,
+    out: Path | None,
     shard: tuple[int, int] | None,
     allow_code: bool,
-    as_json: bool,
-    quiet: bool,
-    **engine: Any,
+    **more: Any,
 ) -> int:
     """Fly all runs of FILE.toml: scenes x estimators x seeds x winds, in parallel.
 
     Every run becomes a directory below DIR/runs, and a row of DIR/results.parquet. It may be
     interrupted at any time; the same command resumes it. Exit code 0 means that every run has an
-    outcome, as the file expects it, 1 that some have not, 2 invalid input.
+    outcome, as the file expects it, 1 that some have not, 2 invalid input. --dry-run flies and
+    writes nothing.
 
     Example: touchdown campaign configs/positioning.toml --out runs/positioning --jobs 2
     """
-    from touchdown.experiments.campaign.plan import load_plan
+    from touchdown.experiments.campaign.forecast import forecast, lines
+    from touchdown.experiments.campaign.plan import load_plan, runs_of_shard
     from touchdown.experiments.campaign.progress import Display, print_summary
-    from touchdown.experiments.campaign.session import Watcher, fly_campaign, make_engine
+    from touchdown.experiments.campaign.session import (
+        Watcher,
+        default_jobs,
+        fly_campaign,
+        make_engine,
+    )
 
     plan = load_plan(file, allow_code=allow_code)
-    flown_by = make_engine(engine["engine"], engine["jobs"], engine["ray_address"])
-    watcher = Watcher() if quiet else Display()
+    expected = forecast(plan, runs_of_shard(plan, shard), out, more["jobs"] or default_jobs())
+    if more["dry_run"]:
+        click.echo(json.dumps(expected.as_json(), indent=2) if more["as_json"] else
+                   "\n".join(map(visible, lines(expected))))  # fmt: skip
+        return EXIT_DONE
+    if out is None:
+        raise click.MissingParameter(ctx=context, param_hint="'--out'", param_type="option")
+    flown_by = make_engine(more["engine"], more["jobs"], more["ray_address"])
+    if not more["quiet"]:
+        print("\n".join(map(visible, lines(expected))), file=sys.stderr)
+    watcher = Watcher() if more["quiet"] else Display()
     try:
         figures = fly_campaign(plan, out, flown_by, shard=shard, watcher=watcher)
     except KeyboardInterrupt as error:
@@ -110,7 +129,7 @@ def fly_file(
             file=sys.stderr,
         )
         return interrupt_code(error)
-    if as_json:
+    if more["as_json"]:
         click.echo(json.dumps(figures, indent=2))
     else:
         print_summary(figures)

@@ -13,6 +13,8 @@ from touchdown.experiments.errors import visible
 from touchdown.experiments.terminal import make_console
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from touchdown.experiments.io.results import RunResult
 
 _ROWS = (
@@ -34,7 +36,7 @@ _ROWS = (
     ("simulated time", "timing.sim_s", "{:.1f} s"),
     ("real-time factor", "timing.real_time_factor", "{:.2f}"),
 )
-_LAST_EVENTS = 5
+_LAST_EVENTS, _FIRST_SITES = 5, 3
 _STAGE_ORDER = ("world", "estimator", "mapper", "lander", "controller", "recorder", "referee")
 
 
@@ -63,6 +65,9 @@ def print_result(result: RunResult, out_dir: Path | None) -> None:
     if remark := _remark(result):
         table.add_row("remark", remark)
     console.print(table)
+    _print_choice(result, console)
+    for line in condition_lines(result):
+        console.print(line, soft_wrap=True)
     for line in _last_events(result):
         console.print(line, soft_wrap=True)
     if out_dir is not None:
@@ -73,6 +78,39 @@ def print_result(result: RunResult, out_dir: Path | None) -> None:
             console.print(f"view it:       {program} view {out_dir}", soft_wrap=True)
 
 
+def _print_choice(result: RunResult, console: Console) -> None:
+    """Prints the first candidates of the last decision, and why the first one won."""
+    from rich.table import Table
+
+    choice = result.choice
+    if choice is None:
+        return
+    table = Table(title=f"candidate sites, scorer {choice.scorer}", title_justify="left")
+    for title in ("", "x, y (m)", "score", "slope", "clearance", "ground", "rule"):
+        table.add_column(title, justify="left" if title in ("ground", "rule") else "right")
+    for site in choice.candidates[:_FIRST_SITES]:
+        position, ground = site.position_m, site.class_predicted
+        table.add_row(
+            str(site.rank),
+            "-" if position is None else f"{position[0]:.1f}, {position[1]:.1f}",
+            _figure("{:.3f}", site.value),
+            _figure("{:.1f} deg", site.slope_deg),
+            _figure("{:.1f} m", site.clearance_m),
+            "-" if ground is None else f"{ground} {_figure('{:.2f}', site.class_probability)}",
+            site.rule.replace("_", " "),
+        )
+    if choice.candidates:
+        console.print(table)
+    console.print(choice.why, soft_wrap=True)
+    for earlier in choice.earlier:
+        end = f"given up: {earlier.given_up}" if earlier.given_up else earlier.why
+        console.print(f"before, at {earlier.time_s:.1f} s: {end}", soft_wrap=True)
+
+
+def _figure(form: str, value: float | None) -> str:
+    return "-" if value is None else form.format(value)
+
+
 def _remark(result: RunResult) -> str:
     """Remark on a touchdown on risky ground that is judged by geometry alone; "" elsewhere."""
     from touchdown.scenes.api import RISKY_CLASSES
@@ -81,6 +119,16 @@ def _remark(result: RunResult) -> str:
     if kind not in RISKY_CLASSES or result.classifier != "off":
         return ""
     return f"a {kind} is risky ground; ground classification was off"
+
+
+def condition_lines(result: RunResult) -> list[str]:
+    """One line for each condition of a flight; those that did not happen begin with ``warning``."""
+    return [
+        visible(str(one.get("text", one.get("name"))))
+        if one.get("happened") is True
+        else f"warning: did not happen: {visible(str(one.get('text', one.get('name'))))}"
+        for one in result.conditions
+    ]
 
 
 def _last_events(result: RunResult) -> list[str]:

@@ -48,7 +48,7 @@ def _print_table(directory: Path, as_json: bool) -> int:
     )
 
     runs = load_runs(directory)
-    totals = summary(runs)
+    totals = summary(runs, directory)
     if as_json:
         click.echo(json.dumps({"summary": totals, "runs": as_rows(runs)}, indent=2))
     else:
@@ -58,7 +58,12 @@ def _print_table(directory: Path, as_json: bool) -> int:
 
 
 def _write_report(directory: Path, out: Path, as_json: bool) -> int:
-    from touchdown.experiments.campaign.expectations import all_as_expected, judge_campaign, lines
+    from touchdown.experiments.campaign.expectations import (
+        all_as_expected,
+        idle_conditions,
+        judge_campaign,
+        lines,
+    )
     from touchdown.experiments.campaign.results_table import is_campaign
     from touchdown.experiments.errors import UsageError
     from touchdown.experiments.reporting.conditions import first_condition
@@ -89,6 +94,8 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
     for section in made.sections:
         if section.key == "flights":
             say("\n".join(map(visible, markdown_table(section.tables[0]))) + "\n")
+    for line in idle_conditions(rows):
+        say(f"warning: {visible(line)}\n")
     if verdicts:
         say("\n".join(map(visible, lines(verdicts))) + "\n")
     for path in written.values():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +14,7 @@ from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, interrupt_c
 from touchdown.experiments.terminal import say
 
 if TYPE_CHECKING:
-    from touchdown.experiments.results_book.flying import Cost
+    from touchdown.experiments.campaign.forecast import Forecast
 
 
 @click.command()
@@ -51,12 +50,12 @@ def results(
     """
     from touchdown.experiments.campaign.progress import Display
     from touchdown.experiments.campaign.session import Watcher
-    from touchdown.experiments.results_book.flying import costs, fly
+    from touchdown.experiments.results_book.flying import fly, forecasts
     from touchdown.experiments.results_book.pages import write_book
     from touchdown.experiments.results_book.sets import chosen
 
     sets = chosen(profile, only)
-    todo = list(costs(sets, out))
+    todo = forecasts(sets, out, jobs)
     if dry_run:
         _print_costs(todo, as_json)
         return EXIT_DONE
@@ -82,14 +81,16 @@ def results(
     return EXIT_FAILED if any(f["crashed"] or f["missing"] for f in summaries) else EXIT_DONE
 
 
-def _print_costs(todo: Sequence[Cost], as_json: bool, *, err: bool = False) -> None:
-    """Flights that are left and their CPU time, by set."""
+def _print_costs(found: Sequence[Forecast], as_json: bool, *, err: bool = False) -> None:
+    """Flights and expected CPU time of each set by condition, then of all."""
+    from touchdown.experiments.campaign.forecast import lines
+
+    left = sum(one.flights - one.finished for one in found)
+    hours, wall_min = sum(one.core_hours for one in found), sum(one.wall_s for one in found) / 60.0
     if as_json:
-        click.echo(json.dumps({"sets": [asdict(cost) for cost in todo]}, indent=2))
+        tree = {"sets": [one.as_json() for one in found], "left": left, "core_hours": hours}
+        click.echo(json.dumps(tree, indent=2))
         return
-    for cost in todo:
-        hours = f"{cost.core_s / 3600.0:5.2f} core-hours"
-        click.echo(f"{cost.name:18} {cost.left:4} of {cost.flights:4} flights  {hours}", err=err)
-    left, total = sum(cost.left for cost in todo), sum(cost.flights for cost in todo)
-    hours = f"{sum(cost.core_s for cost in todo) / 3600.0:5.2f} core-hours"
-    click.echo(f"{'together':18} {left:4} of {total:4} flights  {hours}", err=err)
+    for one in found:
+        say("\n".join(lines(one)), err=err)
+    say(f"together: {left} flights, {hours:.2f} core-hours, about {wall_min:.0f} min here", err=err)

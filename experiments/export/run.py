@@ -13,15 +13,16 @@ from touchdown.experiments.export.flown_run import (
     open_flown,
 )
 from touchdown.experiments.export.tables import _COLUMNS, write_csv, write_tum
-from touchdown.experiments.io.run_directory import whole_file, whole_folder
+from touchdown.experiments.io.run_directory import (
+    RUN_FILES,
+    foreign_entries,
+    whole_file,
+    whole_folder,
+)
 from touchdown.experiments.io.sensor_log_checks import damage_reported
 
 BAG_METADATA = "metadata.yaml"
 FORMATS = ("mcap", "ply", "tum", "csv")
-_OWN_FILES = (
-    "sensors.mcap", "map.ply", "truth.tum", "estimate.tum", "reference.tum", "odometry.tum",
-    "result.json", "config.json", "flight.rrd", "costmap.png",
-)  # fmt: skip
 
 
 def export(run: Path, kind: str, out: Path | None, options: ExportOptions) -> Exported:
@@ -39,7 +40,7 @@ def export(run: Path, kind: str, out: Path | None, options: ExportOptions) -> Ex
     check_out_file(out, kind, run)
     _check_inputs(flown, kind, options)
     try:
-        making = whole_folder(out) if kind == "mcap" else whole_file(out)
+        making = whole_folder(out, _bag_files(out)) if kind == "mcap" else whole_file(out)
         with making as partial, damage_reported(_source(flown, kind, options)):
             done = _write(flown, kind, partial, options)
     except OSError as error:
@@ -85,7 +86,7 @@ def _write(flown: FlownRun, kind: str, path: Path, options: ExportOptions) -> Ex
 
 def check_out_file(out: Path, kind: str, run: Path) -> None:
     """Raises UsageError unless ``out`` is new or an earlier export of that kind."""
-    if out.name in _OWN_FILES and out.resolve().parent == run.resolve():
+    if out.name in RUN_FILES and out.resolve().parent == run.resolve():
         raise UsageError(f"--out {out}: is a file of the run itself; name another file")
     if kind == "mcap" and out.is_file():
         raise UsageError(f"--out {out}: is a file; a bag is a folder")
@@ -115,10 +116,14 @@ def _is_export(path: Path, kind: str) -> bool:
         return False
 
 
+def _bag_files(folder: Path) -> tuple[str, str]:
+    return BAG_METADATA, f"{folder.name}.mcap"
+
+
 def _is_our_bag(folder: Path) -> bool:
     from touchdown.experiments.export.ros2_bag import WRITTEN_BY
 
-    if any(path.name != BAG_METADATA and ".mcap" not in path.suffixes for path in folder.iterdir()):
+    if foreign_entries(folder, _bag_files(folder)):
         return False  # it would go with the bag
     metadata = folder / BAG_METADATA
     text = metadata.read_text(encoding="utf-8", errors="replace") if metadata.is_file() else ""

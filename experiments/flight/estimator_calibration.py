@@ -16,7 +16,7 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.calibration_file import CalibrationFile, read_calibration
 from touchdown.sim.api import CameraIntrinsics, SensorRig
-from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, yaw_from_rotation
+from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log, yaw_from_rotation
 
 Array = NDArray[np.float64]
 
@@ -90,8 +90,8 @@ def _relative(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> Sens
     if not any(sigmas):
         return rig
     draw = np.random.default_rng([seed, crc32(b"rig error")]).standard_normal
-    turn = np.deg2rad(params.rotation_sigma_deg) * draw(3)
-    shift = params.translation_sigma_m * draw(3)
+    rotation = np.deg2rad(params.rotation_sigma_deg) * draw(3)
+    translation = params.translation_sigma_m * draw(3)
     stretch = 1.0 + params.focal_sigma * draw(2)
     center = params.center_sigma_px * draw(2)
     k = rig.camera
@@ -103,11 +103,31 @@ def _relative(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> Sens
         cy=float(k.cy + center[1]),
     )
     true = rig.body_from_camera.inverse() @ rig.body_from_lidar
-    return _with(rig, camera, Pose(so3_exp(turn) @ true.rotation, true.translation + shift))
+    return _with(
+        rig, camera, Pose(so3_exp(rotation) @ true.rotation, true.translation + translation)
+    )
 
 
 def _with(rig: SensorRig, camera: CameraIntrinsics, camera_from_lidar: Pose) -> SensorRig:
     return replace(rig, camera=camera, body_from_lidar=rig.body_from_camera @ camera_from_lidar)
+
+
+def calibration_errors(true: SensorRig, nominal: SensorRig) -> dict[str, float]:
+    """``mount_error_deg``, the larger of the rotations by which camera and LIDAR sit otherwise on
+    the IMU than the nominal calibration says, and ``lens_error_px``, by which a corner of the image
+    is moved at most: principal point and distortion."""
+    rotations = [
+        np.linalg.norm(so3_log(getattr(true, name).rotation.T @ getattr(nominal, name).rotation))
+        for name in ("body_from_camera", "body_from_lidar")
+    ]
+    one, other = true.camera, nominal.camera
+    terms = np.abs(other.distortion - one.distortion)[:_DISTORTION_TERMS]
+    moved = corner_displacement_px(one) * terms
+    center = math.hypot(other.cx - one.cx, other.cy - one.cy)
+    return {
+        "mount_error_deg": math.degrees(float(max(rotations))),
+        "lens_error_px": center + float(moved.sum()),
+    }
 
 
 # -------------------------------------------------------------------------- against the IMU
@@ -115,37 +135,37 @@ def _with(rig: SensorRig, camera: CameraIntrinsics, camera_from_lidar: Pose) -> 
 
 def _camera_against_imu(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
     """With the error of the cameras' mount, which carries both of a stereo pair."""
-    turn = params.imu_camera_rotation_sigma_deg
-    shift = params.imu_camera_translation_sigma_m
-    if not (turn or shift):
+    rotation = params.imu_camera_rotation_sigma_deg
+    translation = params.imu_camera_translation_sigma_m
+    if not (rotation or translation):
         return rig
-    wrong = _mount_error(rig, turn, shift, seed, b"camera")
+    wrong = _mount_error(rig, rotation, translation, seed, b"camera")
     pair = rig.body_from_camera.inverse() @ rig.body_from_camera_right
     camera = wrong(rig.body_from_camera)
     return replace(rig, body_from_camera=camera, body_from_camera_right=camera @ pair)
 
 
 def _lidar_against_imu(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
-    turn = params.imu_lidar_rotation_sigma_deg
-    shift = params.imu_lidar_translation_sigma_m
-    if not (turn or shift):
+    rotation = params.imu_lidar_rotation_sigma_deg
+    translation = params.imu_lidar_translation_sigma_m
+    if not (rotation or translation):
         return rig
-    wrong = _mount_error(rig, turn, shift, seed, b"lidar")
+    wrong = _mount_error(rig, rotation, translation, seed, b"lidar")
     return replace(rig, body_from_lidar=wrong(rig.body_from_lidar))
 
 
 def _mount_error(
-    rig: SensorRig, turn_sigma_deg: float, shift_sigma_m: float, seed: int, sensor: bytes
+    rig: SensorRig, rotation_sigma_deg: float, translation_sigma_m: float, seed: int, sensor: bytes
 ) -> Callable[[Pose], Pose]:
-    """Returns the error of one sensor's mount on the body: a turn about the sensor, and a shift, in
-    the IMU's axes."""
+    """Returns the error of one sensor's mount on the body: a rotation about the sensor and a
+    translation, in the IMU's axes."""
     draw = np.random.default_rng([seed, crc32(b"imu mount of " + sensor)]).standard_normal
-    turn = so3_exp(np.deg2rad(turn_sigma_deg) * draw(3))
-    shift = shift_sigma_m * draw(3)
+    rotation = so3_exp(np.deg2rad(rotation_sigma_deg) * draw(3))
+    translation = translation_sigma_m * draw(3)
 
     def wrong(body_from_sensor: Pose) -> Pose:
         true = rig.body_from_imu.inverse() @ body_from_sensor
-        return rig.body_from_imu @ Pose(turn @ true.rotation, true.translation + shift)
+        return rig.body_from_imu @ Pose(rotation @ true.rotation, true.translation + translation)
 
     return wrong
 

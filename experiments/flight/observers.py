@@ -6,9 +6,12 @@ import copy
 from collections.abc import Callable
 
 from touchdown.estimator.api import GridMap
+from touchdown.experiments.flight.conditions import ConditionsObserver
 from touchdown.experiments.io.results import Event, PhaseStart
 from touchdown.experiments.recording.run_recorder import Recorder
 from touchdown.experiments.recording.step_record import StepRecord
+from touchdown.landing.api import Decision
+from touchdown.sim.api import WindParams
 
 Progress = Callable[[float, str, str], None]
 """Called with simulated seconds, phase and note."""
@@ -50,11 +53,19 @@ class PhaseLog:
 class StepObserver:
     """Passes every step on to the recorder, keeps events, phases and maps, reports progress."""
 
-    def __init__(self, recorder: Recorder, progress: Progress | None) -> None:
+    def __init__(
+        self,
+        recorder: Recorder,
+        progress: Progress | None,
+        roughness_length_m: float = WindParams().roughness_length_m,
+    ) -> None:
         self.events = EventLog()
         self.phases = PhaseLog()
         self.slowed_s = 0.0
         """time by which wind has made the lander's trajectories longer than they were set"""
+        self.decisions: tuple[Decision, ...] = ()
+        """of the lander so far"""
+        self.conditions = ConditionsObserver(roughness_length_m)
         self._recorder = recorder
         self._progress = progress
         self._next_s = 0.0
@@ -67,7 +78,9 @@ class StepObserver:
         self.events.add(step.estimate.time_s, step.estimate.events)
         self.events.add(time_s, step.lander_view.events)
         self.slowed_s = step.lander_view.slowed_s
+        self.decisions = step.lander_view.decisions
         self.phases.add(time_s, phase)
+        self.conditions.tick(step)
         self._latest_map = step.map_view.coarse
         if self._progress is not None and time_s >= self._next_s:
             self._next_s = time_s + _PROGRESS_PERIOD_S

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import GridMap
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.external.loading import flown_code
+from touchdown.experiments.flight.choice import choice_of
+from touchdown.experiments.flight.happened import as_json, judge_conditions
 from touchdown.experiments.flight.metrics import levelness_error_deg
 from touchdown.experiments.flight.observers import StepObserver
 from touchdown.experiments.flight.referee import Judgement
@@ -37,6 +40,9 @@ def make_result(
     code: dict[str, Any] = dict(flown_code(config.estimator))
     origin = stack.scene.origin_m
     moved: dict[str, Any] = {"origin_m": (*origin.tolist(),)} if origin.any() else {}
+    record = stack.record()
+    measured = observer.conditions.measured(record, stack.world.rig, stack.nominal_rig)
+    conditions = judge_conditions(config, measured, record.faults, judgement.sim_s)
     return RunResult(
         outcome=str(judgement.outcome),
         reason=judgement.reason,
@@ -55,6 +61,7 @@ def make_result(
         slowed_s=observer.slowed_s,
         nees=judgement.nees,
         landing=judgement.landing,
+        choice=choice_of(observer.decisions),
         classifier=stack.network or "off",
         map=_map_figures(stack, judgement, observer.judged_map, config.seed),
         timing=_timing(clock, judgement.sim_s),
@@ -63,7 +70,9 @@ def make_result(
         events=observer.events.kept,
         event_count=observer.events.count,
         phases=observer.phases.kept,
-        faults=stack.faults(),
+        faults=record.faults,
+        measured=measured,
+        conditions=as_json(conditions),
     )
 
 
@@ -81,8 +90,9 @@ def _map_figures(stack: FlightStack, judgement: Judgement, grid: GridMap, seed: 
     """``density_per_m2``: returns per square metre of the mapped area at the end of the survey."""
     seen = grid.count > 0
     area = float(seen.sum()) * grid.cell_m**2
+    ground = dataclasses.replace(grid, height_m=grid.ground().height_m)
     errors: NDArray[np.float64] = levelness_error_deg(
-        grid, TruthLookup(stack.scene).surface_points, seed
+        ground, TruthLookup(stack.scene).surface_points, seed
     )
     return MapFigures(
         duration_s=judgement.survey_s,

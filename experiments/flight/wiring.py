@@ -25,6 +25,7 @@ from touchdown.landing.api import Lander
 from touchdown.scenes.api import LowSun, Scene
 from touchdown.scenes.registry import scene_names
 from touchdown.sim.api import SensorRig, Truth, World, WorldParams
+from touchdown.sim.effects import WorldRecord
 
 if TYPE_CHECKING:
     from touchdown.landing.classification.onboard import OnnxGroundClassifier
@@ -42,8 +43,8 @@ class FlightStack:
     mapper: Mapper
     lander: Lander
     controller: Controller
-    faults: Callable[[], list[dict[str, Any]]]
-    """what the scheduled faults have done so far, for the result"""
+    record: Callable[[], WorldRecord]
+    """what the world has done to the flight so far, for the result alone"""
     nominal_rig: SensorRig
     """the rig as the estimator knows it"""
     network: dict[str, Any] | None = None
@@ -110,7 +111,7 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         mapper=mapper,
         lander=lander,
         controller=controller,
-        faults=world.fault_records,
+        record=world.record,
         nominal_rig=rig,
         network=None if classifier is None else classifier.description(),
     )

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-import math
 import types
 import typing
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchdown.experiments.errors import UsageError, input_message, plain_fault, reason_of
 from touchdown.experiments.io.foreign import read_object
+from touchdown.experiments.io.measured import Figure, Measured
 from touchdown.experiments.io.provenance import plain_json
 
 SUCCESS_WITHOUT_LANDING = "COMPLETED"
@@ -22,13 +22,6 @@ JUDGED_BY_CLASS, JUDGED_BY_GEOMETRY = "geometry and class", "geometry"
 _LARGEST_SEED = 2**63 - 1
 
 
-def _finite(value: Any) -> Any:
-    """None for NaN and infinities, which JSON has no number for."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-Figure = Annotated[float | None, BeforeValidator(_finite)]
-"""A measured number; None where the run has none."""
 PointXY = Annotated[tuple[float, float] | None, Field(strict=False)]
 """World x and y in metres; None where the run has no such point."""
 
@@ -102,6 +95,63 @@ class Landing(_Part):
     def ground_safe(self) -> bool | None:
         """See `ground_safe`."""
         return ground_safe(self.judged_on, safe=self.safe, safe_geometry=self.safe_geometry)
+
+
+class SiteTerm(_Part):
+    """A term of a site's value; see `landing.api.ScoreTerm`."""
+
+    name: str
+    value: Figure = None
+    quantity: Figure = None
+    unit: str = ""
+
+
+class CandidateSite(_Part):
+    """A candidate site; see `landing.api.Candidate`."""
+
+    rank: int
+    position_m: PointXYZ = None
+    """world frame, by the estimate of the decision's moment; None where its height is unknown"""
+    accepted: bool
+    rule: str
+    reason: str
+    value: Figure = None
+    terms: list[SiteTerm] = []
+    cluster_bonus: Figure = None
+    c_sum: Figure = None
+    slope_deg: Figure = None
+    roughness_m: Figure = None
+    step_m: Figure = None
+    clearance_m: Figure = None
+    safe_probability: Figure = None
+    class_predicted: str | None = None
+    class_probability: Figure = None
+
+
+class EarlierDecision(_Part):
+    """A decision that led to no landing."""
+
+    time_s: float
+    candidates: int
+    rules: dict[str, int] = {}
+    """number of candidates that each rule refused"""
+    why: str = ""
+    given_up: str = ""
+    """reason why its site was given up; empty where it had none"""
+
+
+class Choice(_Part):
+    """The last decision of a flight, and those before it."""
+
+    time_s: float
+    scorer: str
+    why: str
+    """why the first candidate won, or why there was none"""
+    given_up: str = ""
+    """reason why the site was given up from closer; empty where it was not"""
+    candidates: list[CandidateSite] = []
+    """in the order of rank"""
+    earlier: list[EarlierDecision] = []
 
 
 class LevelnessError(_Part):
@@ -186,6 +236,8 @@ class RunResult(_Part):
     nees: Nees | None = None
     landing: Landing | None = None
     """None where nothing was touched"""
+    choice: Choice | None = None
+    """None where no site was to be chosen"""
     classifier: dict[str, Any] | str | None = None
     """the network of the ground classifier, or ``off``"""
     map: MapFigures | None = None
@@ -196,6 +248,9 @@ class RunResult(_Part):
     event_count: int = 0
     phases: list[PhaseStart] = []
     faults: list[dict[str, Any]] = []
+    measured: Measured | None = None
+    conditions: list[dict[str, Any]] = []
+    """verdicts of `experiments.flight.happened`"""
 
     @property
     def is_success(self) -> bool:

@@ -5,22 +5,27 @@ from __future__ import annotations
 
 import ctypes
 import datetime
+import errno
 import os
 import re
 import shutil
 import socket
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from touchdown.experiments.errors import UsageError, system_message
-from touchdown.experiments.io.foreign import as_plain_name, read_object
+from touchdown.experiments.io.foreign import as_plain_name
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
-_PARTIAL = re.compile(r"\.(?P<name>.+?)\.(?:partial-(?:(?P<host>.+)\.)?)?(?P<process>\d+)")
+_PARTIAL = re.compile(r"\.(?P<name>.+?)\.partial-(?:(?P<host>.+)\.)?(?P<process>\d+)")
 """Names of unfinished files and folders: of what they become, and the machine and the process that
 write them."""
-_KEYS_OF_RESULT = ("outcome", "scene", "seed", "estimator")
+RUN_FILES = frozenset({
+    "config.json", "costmap.png", "estimate.tum", "flight.rrd", "map.ply", "odometry.tum",
+    "reference.tum", "result.json", "sensors.mcap", "truth.tum",
+})  # fmt: skip
+"""Names of all files that a flight or a replay writes into its run directory."""
 
 
 def default_out_dir(scene: str, estimator: str, seed: int, ending: str = "") -> Path:
@@ -40,16 +45,46 @@ def check_out_dir(out_dir: Path) -> None:
             f"--out {out_dir}: is the working directory or above it, and would be replaced; name "
             "another directory"
         )
-    if any(out_dir.iterdir()) and not _holds_result(out_dir):
-        raise UsageError(f"--out {out_dir}: holds something that is no run; name another directory")
+    if os.path.ismount(out_dir):
+        raise UsageError(f"--out {out_dir}: is a mount point; name a directory in it")
+    with suppress(FileNotFoundError):  # it went in the meantime
+        if foreign := foreign_entries(out_dir, RUN_FILES):
+            raise UsageError(
+                f"--out {out_dir}: holds '{foreign[0]}', which no run writes, and would be "
+                "replaced as a whole; name another directory"
+            )
+        if any(out_dir.iterdir()):
+            _check_result(out_dir)
 
 
-def _holds_result(directory: Path) -> bool:
+def _check_result(out_dir: Path) -> None:
+    from touchdown.experiments.io.results import load_result
+
     try:
-        tree = read_object(directory / "result.json")
-    except (OSError, ValueError):
-        return False
-    return all(key in tree for key in _KEYS_OF_RESULT)
+        load_result(out_dir / "result.json")
+    except UsageError as error:
+        raise UsageError(
+            f"--out {out_dir}: holds something that is no run ({error}); name another directory"
+        ) from error
+
+
+def foreign_entries(folder: Path, own: Collection[str]) -> list[str]:
+    """Names in ``folder``, sorted, of all but regular files whose name is in ``own``."""
+    return sorted(path.name for path in folder.iterdir() if not _is_own(path, own))
+
+
+def _is_own(path: Path, own: Collection[str]) -> bool:
+    return path.name in own and path.is_file() and not path.is_symlink()
+
+
+def remove_own(folder: Path, own: Collection[str]) -> None:
+    """Removes the regular files of ``folder`` whose names are in ``own``, and the folder if nothing
+    else is in it."""
+    for path in list(folder.iterdir()):
+        if _is_own(path, own):
+            path.unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
 
 
 def check_log_kept(out_dir: Path, *, logs: bool, force: bool) -> None:
@@ -67,34 +102,58 @@ def check_log_kept(out_dir: Path, *, logs: bool, force: bool) -> None:
 
 
 @contextmanager
-def run_directory(out_dir: Path) -> Iterator[Path]:
-    """A directory to fill; it becomes ``out_dir``, in place of an earlier run, if all goes well.
+def run_directory(out_dir: Path, own: Collection[str] = RUN_FILES) -> Iterator[Path]:
+    """A directory to fill; it becomes ``out_dir`` if all goes well, in place of an earlier one that
+    holds nothing but files of the names ``own`` (see `put_in_place`).
 
     Raises UsageError where the machine does not let it: a full or read-only disk, no permission.
     """
-    try:
-        if out_dir.is_symlink():
-            out_dir = out_dir.resolve()
-        with _staging(out_dir) as partial:
+    with _named_in_errors(out_dir):
+        out = out_dir.resolve() if out_dir.is_symlink() else out_dir
+        with _staging(out) as partial:
             partial.mkdir()
             yield partial
-            put_in_place(partial, out_dir)
+            put_in_place(partial, out, own)
+
+
+@contextmanager
+def filled_folder(folder: Path) -> Iterator[Path]:
+    """A directory to fill with files; they are moved into ``folder`` if all goes well, each in
+    place of an earlier one of its name. What else lies there stays. Raises UsageError as
+    `run_directory` does."""
+    with _named_in_errors(folder), _staging(folder) as partial:
+        partial.mkdir()
+        yield partial
+        folder.mkdir(exist_ok=True)
+        for path in list(partial.iterdir()):
+            os.replace(path, folder / path.name)
+        partial.rmdir()
+
+
+@contextmanager
+def _named_in_errors(out: Path) -> Iterator[None]:
+    """Raises UsageError for errors of the machine, such as a full disk. It names ``out``: whoever
+    reads it knows no other path."""
+    try:
+        yield
     except OSError as error:
-        # Of the machine, such as a full disk; whoever reads it knows ``out_dir`` alone.
         if system_message(error) is None:
             raise
-        error.filename, error.filename2 = str(out_dir), None
+        error.filename, error.filename2 = str(out), None
         raise UsageError(f"--out: {system_message(error)}") from error
 
 
 @contextmanager
-def whole_folder(out: Path) -> Iterator[Path]:
-    """Yields the path of a folder to make, which becomes ``out``, in place of an earlier one, if
-    all goes well. Its last part is the name of ``out``."""
+def whole_folder(out: Path, own: Collection[str]) -> Iterator[Path]:
+    """Yields the path of a folder to make, which becomes ``out`` if all goes well, in place of an
+    earlier one that holds nothing but files of the names ``own``. Its last part is the name of
+    ``out``."""
     with _staging(out) as partial:
         partial.mkdir()
         yield partial / out.name
-        put_in_place(partial / out.name, out)
+        put_in_place(partial / out.name, out.resolve(), own)
+        with suppress(OSError):  # what an earlier one holds by now stays
+            partial.rmdir()
 
 
 @contextmanager
@@ -107,16 +166,17 @@ def whole_file(out: Path) -> Iterator[Path]:
 
 @contextmanager
 def _staging(out: Path) -> Iterator[Path]:
-    """The path beside ``out`` where it is made, which names the owner: this process. What lies
-    there at the end is removed, and first what a process left that no longer lives."""
+    """The path beside ``out`` where it is made, which names the owner: this process. First what a
+    process left that no longer lives is removed, and on an error what is unfinished."""
     out.parent.mkdir(parents=True, exist_ok=True)
     clear_partials(out.parent, out.name)
     partial = out.with_name(f".{out.name}.partial-{socket.gethostname()}.{os.getpid()}")
     _remove(partial)  # it may be a link that leads elsewhere
     try:
         yield partial
-    finally:
+    except BaseException:
         _remove(partial)
+        raise
 
 
 def clear_partials(folder: Path, name: str | None = None, *, alone: bool = False) -> None:
@@ -153,13 +213,46 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def put_in_place(made: Path, out: Path) -> None:
+def put_in_place(made: Path, out: Path, own: Collection[str]) -> None:
     """Moves the directory ``made`` to ``out``. An earlier one there is exchanged for it in one step
-    where the file system can do that: no moment is without one of them."""
-    if out.exists() and not _exchange(made, out):
-        shutil.rmtree(out)
-    if made.exists() and not out.exists():
+    where the file system can do that: no moment is without one of them.
+
+    The earlier one is removed if it holds nothing but files whose names are in ``own``. Raises
+    UsageError if it has got another one since the work began: it stays as it is, and ``made`` is
+    moved beside it.
+    """
+    while not _moved(made, out):
+        if foreign := foreign_entries(out, own):
+            beside = move_beside(made, out)
+            raise UsageError(
+                f"--out {out}: holds '{foreign[0]}' by now, which would be lost; what was made is "
+                f"in '{beside}'"
+            )
+        if _exchange(made, out):
+            with suppress(OSError):
+                remove_own(made, own)
+            return
+        remove_own(out, own)
+
+
+def _moved(made: Path, out: Path) -> bool:
+    """True if ``made`` is now ``out``, False if there is a directory that is not empty."""
+    try:
         os.replace(made, out)
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+            raise
+        return False
+    return True
+
+
+def move_beside(made: Path, out: Path) -> Path:
+    """Moves the directory ``made`` to the first free of ``OUT-2``, ``OUT-3`` and so on, and returns
+    that path."""
+    number = 2
+    while (beside := out.with_name(f"{out.name}-{number}")).exists() or not _moved(made, beside):
+        number += 1
+    return beside
 
 
 def _exchange(one: Path, other: Path) -> bool:

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.drawing.map_images import costmap_image, map_points
+from touchdown.experiments.drawing.costmap_image import costmap_image
+from touchdown.experiments.drawing.map_images import map_points
 from touchdown.experiments.recording.map_tiles import MapTiles
 from touchdown.experiments.recording.rerun_batches import (
     PathBatch,
@@ -280,7 +281,7 @@ class RerunLog:
             return
         site = view.site_world
         site_odom = None if site is None else estimate.world_from_odom.inverse().apply(site)
-        image = costmap_image(view.costmap, view.candidates, site_odom)
+        image = costmap_image(view, site_odom)
         done, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
         if done:
             self._stream.set_time(TIMELINE, duration=time_s)
@@ -338,6 +339,6 @@ def _candidate_points(candidates: tuple[Candidate, ...]) -> rr.Points3D:
         np.array([candidate.position_odom + lift for candidate in candidates]),
         colors=[_RGB_ACCEPTED if c.accepted else _RGB_REFUSED for c in candidates],
         radii=[0.6],
-        labels=[f"{c.score:.2f} {c.reason}" for c in candidates],
+        labels=[f"{n}: score {c.value:.3f}, {c.reason}" for n, c in enumerate(candidates, start=1)],
         show_labels=False,
     )

@@ -129,17 +129,9 @@ class RunRecorder:
     def _write_costmap(self) -> None:
         if self._selection is None:
             return
-        from touchdown.experiments.drawing.map_images import write_costmap
+        from touchdown.experiments.drawing.costmap_image import write_costmap
 
         view, world_from_odom = self._selection
         site = view.site_world
         site_odom = None if site is None else world_from_odom.inverse().apply(np.asarray(site))
-        if view.costmap is not None:
-            write_costmap(
-                self._out_dir / "costmap.png",
-                view.costmap,
-                view.candidates,
-                site_odom,
-                world_from_odom,
-                self._marks,
-            )
+        write_costmap(self._out_dir / "costmap.png", view, site_odom, world_from_odom, self._marks)

@@ -1,8 +1,11 @@
-"""The table of a campaign's conditions: everything that a requirement asks of the flights of one
-condition, method and scene. A condition is what varies beside scene, method and seed."""
+"""Conditions of flights, and their table: everything that a requirement asks of the flights of one
+condition, method and scene. A condition is what varies beside scene, method and seed; no figure of
+a report is over flights of several."""
 
 from __future__ import annotations
 
+import json
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +13,10 @@ from typing import Any
 
 from touchdown.experiments.campaign.directory import read_plan_file
 from touchdown.experiments.campaign.results_table import is_campaign, is_successful
-from touchdown.experiments.reporting.flights import Row, number, values
+from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.io.foreign import read_object
+from touchdown.experiments.reporting.flights import Row, methods_of, number, values
+from touchdown.experiments.reporting.measures import is_marked, setting_notes
 from touchdown.experiments.reporting.statistics import Estimate, mean_interval, ratio_interval
 from touchdown.experiments.reporting.tables import (
     ALL_SCENES,
@@ -60,10 +66,59 @@ _FIGURES = (
 
 
 def condition_of(row: Row) -> str:
-    """What a run's name holds beside scene, method and seed; "" for a name of another form."""
+    """The condition of a flight: as `label_conditions` found it, or what a run's name holds beside
+    scene, method and seed; "" for a name of another form."""
+    if isinstance(found := row.get("condition"), str):
+        return found
     start = f"{Path(row['scene']).stem}-{row['estimator'].replace(':', '.')}-s{row['seed']}"
     name = Path(str(row["run_id"])).name
     return name.removeprefix(start).strip("-") if name.startswith(start) else ""
+
+
+def label_conditions(rows: Sequence[dict[str, Any]]) -> None:
+    """Gives each row the key ``condition``. Runs of a campaign have it in their names. For others
+    it is the profile and the light where these vary, and the keys of their configurations that vary
+    between flights of one method in one profile and light."""
+    configs = [{} if condition_of(row) else _config_of(row) for row in rows]
+    values: defaultdict[tuple[object, ...], set[str]] = defaultdict(set)
+    for row, config in zip(rows, configs, strict=True):
+        group = (row["estimator"], *(config.get(key) for key in _WORLD))
+        for key, value in config.items():
+            values[(*group, key)].add(value)
+    varying = sorted({str(key[-1]) for key, found in values.items() if len(found) > 1})
+    worlds = [k for k in _WORLD if len({config[k] for config in configs if k in config}) > 1]
+    for row, config in zip(rows, configs, strict=True):
+        named = [config[key] for key in worlds if config.get(key)]
+        named += [f"{key}={config[key]}" for key in varying if key in config and key not in _WORLD]
+        row["condition"] = condition_of(row) or ", ".join(named)
+
+
+_WORLD = ("profile", "light")
+"""Keys that set many others."""
+_SAME = ("scene", "scene_seed", "seed", "estimator", "record", "log.", "sim.threads",
+         "landing.site_xy_m", "landing.survey_only")  # fmt: skip
+"""Keys, or their beginnings, that make no condition."""
+
+
+def _config_of(row: Row) -> dict[str, str]:
+    """Values of the configuration beside a run, as text; those that the row has where it lacks
+    one."""
+    try:
+        tree = read_object(Path(str(row.get("run_dir", ""))) / "config.json")
+        values = dict(flatten(tree))
+    except (OSError, ValueError, RecursionError):
+        values = {"profile": row.get("profile"), "wind.mean_kmh": row.get("wind_kmh")}
+    return {
+        key: value if isinstance(value, str) else json.dumps(value)
+        for key, value in values.items()
+        if value is not None and not key.startswith(_SAME)
+    }
+
+
+def by_condition(rows: Sequence[Row], first: str = "") -> dict[str, list[Row]]:
+    """The flights of each condition, those of ``first`` first, others by name."""
+    names = sorted({condition_of(row) for row in rows}, key=lambda name: (name != first, name))
+    return {name: [row for row in rows if condition_of(row) == name] for name in names}
 
 
 def first_condition(directory: Path) -> str:
@@ -82,21 +137,21 @@ def condition_table(rows: Sequence[Row], first: str = "") -> Table:
     ``first``: the condition that the others are compared with by the ratio of mean errors on equal
     scenes and seeds, where there are several.
     """
-    conditions = list(dict.fromkeys(condition_of(row) for row in rows))
-    conditions.sort(key=lambda name: (name != first, name))
+    conditions = by_condition(rows, first)
     compared = len(conditions) > 1 and first in conditions
     kept = [f for f in _FIGURES if values(rows, f.column)]
     header = ["condition", "method", "scene", "flights", "successful", "DIVERGED"]
     header += [f.title for f in kept]
     header += [f"mean error over that of {first}"] if compared else []
     table = Table("conditions", "Flights by condition, method and scene", header, [])
-    for condition in conditions:
-        members = [row for row in rows if condition_of(row) == condition]
+    for condition, members in conditions.items():
         for method, scene, group in _groups(members):
             line = [Cell(condition or MISSING), name_cell(method), name_cell(scene)]
             line += [Cell(str(count)) for count in _counts(group)]
             found = {f.title + f.column: f.of(group) for f in kept}
-            line += map(figure, found.values())
+            line += [
+                figure(found[f.title + f.column], marked=is_marked(f.column, method)) for f in kept
+            ]
             if compared:
                 found["ratio"] = _ratio(group, _equal(group, rows, first))
                 line.append(figure(found["ratio"]))
@@ -111,6 +166,7 @@ def condition_table(rows: Sequence[Row], first: str = "") -> Table:
             }
             if (ratio := found.get("ratio")) is not None:
                 numbers[scene]["error_ratio"] = ratio.as_json()
+    table.notes = setting_notes((f.column for f in kept), methods_of(rows))
     return table
 
 

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
 import html
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.campaign.expectations import Verdict
 from touchdown.experiments.campaign.results_table import is_successful
-from touchdown.experiments.errors import visible
+from touchdown.experiments.errors import UsageError, visible
+from touchdown.experiments.io.foreign import as_plain_name, read_object
 from touchdown.experiments.io.provenance import UNRECORDED_REMEDY
 from touchdown.experiments.io.run_directory import run_directory, write_text
 from touchdown.experiments.reporting import published
-from touchdown.experiments.reporting.conditions import condition_table
+from touchdown.experiments.reporting.conditions import (
+    by_condition,
+    condition_table,
+    label_conditions,
+)
 from touchdown.experiments.reporting.drift import add_errors_by_distance, distance_tables
 from touchdown.experiments.reporting.figures import Picture, all_pictures
 from touchdown.experiments.reporting.flights import (
@@ -48,6 +54,8 @@ from touchdown.experiments.reporting.tables import (
     trajectory_tables,
 )
 
+_FILES = {"markdown": "report.md", "html": "report.html", "json": "report.json"}
+
 
 @dataclass(frozen=True, slots=True)
 class Section:
@@ -76,41 +84,109 @@ def make_report(
     first: str = "",
 ) -> Report:
     """Returns the report of the flights ``rows`` (see `flights.load_flights`); ``verdicts``: on the
-    expectations of the campaign; ``first``: its first condition (see `condition_table`)."""
+    expectations of the campaign; ``first``: its first condition (see `condition_table`). Tables,
+    figures and sentences are made from the flights of one condition each, which they name where
+    there are several."""
     add_path_deviations(rows)
     add_errors_by_distance(rows)
-    drawn = [*all_pictures(rows), *landing_pictures(rows)]
-    pictures = {picture.name: picture for picture in drawn}
+    label_conditions(rows)
+    conditions = by_condition(rows, first)
+    parts = [
+        _of_condition(own, name, several=len(conditions) > 1, drawn=number < _MOST_DRAWN)
+        for number, (name, own) in enumerate(conditions.items())
+    ]
+    found = {sections[0].key: _joined(sections) for sections in zip(*parts, strict=True)}
+    found["summary"].words[:0] = _condition_names(rows, list(conditions))
+    found["paths"].words.extend(_path_sentences(rows))
+    if flies_paper_methods(rows):
+        found["axes"].words.extend(_AXIS_WORDS)
+    found |= {
+        section.key: section
+        for section in (
+            Section("flights", "Flights by condition", [], [condition_table(rows, first)], []),
+            Section("expected", "As expected", *expectation_parts(verdicts), []),
+            Section("conditions", "Conditions", condition_sentences(rows), [], []),
+        )
+    }
+    kept = [found[key] for key in _ORDER if _is_shown(found[key])]
+    return Report(title, tiles(rows), kept, configuration)
+
+
+def _of_condition(rows: Sequence[Row], name: str, *, several: bool, drawn: bool) -> list[Section]:
+    """The sections over flights of the condition ``name``, which they state where there are
+    ``several``."""
+    pictures = [*all_pictures(rows), *landing_pictures(rows)] if drawn else []
 
     def named(*names: str) -> list[Picture]:
-        return [pictures[name] for name in names if name in pictures]
+        return [picture for picture in pictures if picture.name in names]
 
     consistency, time = nees_table(rows), time_table(rows)
     sections = [
         Section("summary", "Summary", summary_sentences(rows) + leading_sentences(rows), [], []),
         Section("published", "Beside the paper", published_sentences(rows), [], []),
-        Section("flights", "Flights by condition", [], [condition_table(rows, first)], []),
         Section("accuracy", "Accuracy", [], trajectory_tables(rows) + distance_tables(rows), []),
-        Section(
-            "axes",
-            "Errors by axis",
-            _AXIS_WORDS if flies_paper_methods(rows) else [],
-            axis_tables(rows),
-            named("fig10a", "fig10b", "fig10_estimate"),
-        ),
+        Section("axes", "Errors by axis", [], axis_tables(rows),
+                named("fig10a", "fig10b", "fig10_estimate")),
         Section("map", "Maps", [], map_tables(rows), []),
-        Section("paths", "Trajectories", _path_sentences(rows), [], named("fig9a", "fig9b")),
-        Section(
-            "landings", "Landings", landing_sentences(rows), landing_tables(rows), named("fig12")
-        ),
+        Section("paths", "Trajectories", [], [], named("fig9a", "fig9b")),
+        Section("landings", "Landings", landing_sentences(rows), landing_tables(rows),
+                named("fig12")),
         Section("outcomes", "Outcomes", [], [outcome_table(rows)], []),
-        Section("expected", "As expected", *expectation_parts(verdicts), []),
         Section("consistency", "Consistency", [], [consistency] if consistency else [], []),
         Section("time", "Time", [], [time] if time else [], []),
-        Section("conditions", "Conditions", condition_sentences(rows), [], []),
-    ]
-    kept = [section for section in sections if _is_shown(section)]
-    return Report(title, tiles(rows), kept, configuration)
+    ]  # fmt: skip
+    return [_stating(section, name) for section in sections] if several else sections
+
+
+def _stating(section: Section, condition: str) -> Section:
+    """``section`` with the condition in each sentence and title, and in each key and file name."""
+    label = f"`{condition or UNNAMED}`"
+    name = as_plain_name(condition or UNNAMED).replace(" ", "_")
+    return Section(
+        section.key,
+        section.title,
+        [f"{label}: {line}" for line in section.words],
+        [
+            replace(table, key=f"{table.key}@{condition}", title=f"{table.title}, {label}")
+            for table in section.tables
+        ],
+        [
+            replace(picture, name=f"{picture.name}_{name}", title=f"{picture.title}, {label}")
+            for picture in section.pictures
+        ],
+    )
+
+
+def _joined(sections: Sequence[Section]) -> Section:
+    """One section of those of all conditions."""
+    return Section(
+        sections[0].key,
+        sections[0].title,
+        [line for section in sections for line in section.words],
+        [table for section in sections for table in section.tables],
+        [picture for section in sections for picture in section.pictures],
+    )
+
+
+def _condition_names(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
+    """The condition that all figures are of, or those that they are given by."""
+    if len(names) == 1:
+        profiles = sorted({str(row["profile"]) for row in rows if row.get("profile")})
+        return [f"All flights are in profile `{profile}`." for profile in profiles[:1]]
+    listed = ", ".join(f"`{name or UNNAMED}`" for name in names)
+    lines = [f"{len(names)} conditions: {listed}. No figure is over flights of several of them."]
+    if len(names) > _MOST_DRAWN:
+        lines.append(f"Drawings are of the first {_MOST_DRAWN} conditions alone.")
+    return lines
+
+
+UNNAMED = "unnamed condition"
+_MOST_DRAWN = 4
+"""conditions with drawings of their own"""
+_ORDER = (
+    "summary", "published", "flights", "accuracy", "axes", "map", "paths", "landings", "outcomes",
+    "expected", "consistency", "time", "conditions",
+)  # fmt: skip
 
 
 def _is_shown(section: Section) -> bool:
@@ -199,10 +275,11 @@ def _ranges(seeds: Sequence[int]) -> str:
 
 def tiles(rows: Sequence[Row]) -> list[tuple[str, str]]:
     """The figures at the head of the page."""
-    successful = sum(is_successful(row) for row in rows)
+    conditions = len(by_condition(rows))
+    successful = f"{sum(is_successful(row) for row in rows)} of {len(rows)}"
     return [
         ("flights", str(len(rows))),
-        ("successful", f"{successful} of {len(rows)}"),
+        ("conditions", str(conditions)) if conditions > 1 else ("successful", successful),
         ("scenes", str(len(scenes_of(rows)))),
         ("methods", str(len(methods_of(rows)))),
         ("seeds", str(len({row["seed"] for row in rows}))),
@@ -288,11 +365,23 @@ def as_json(report: Report, rows: Sequence[Row]) -> dict[str, Any]:
 
 def write_report(report: Report, rows: Sequence[Row], out: Path) -> dict[str, Path]:
     """Writes ``report.md``, ``report.html``, ``report.json`` and ``figures/`` into ``out``, which
-    appears complete where it is new."""
+    appears complete where it is new. Raises UsageError where a file there is of no report."""
     if not out.exists():
-        with run_directory(out) as partial:
+        with run_directory(out, own=()) as partial:
             return {kind: out / path.name for kind, path in _write(report, rows, partial).items()}
+    _check_replaceable(out)
     return _write(report, rows, out)
+
+
+def _check_replaceable(out: Path) -> None:
+    there = [name for name in _FILES.values() if (out / name).exists()]
+    with contextlib.suppress(OSError, ValueError):
+        if {"title", "flights", "words", "tables"} <= read_object(out / _FILES["json"]).keys():
+            return
+    if there:
+        raise UsageError(
+            f"--out {out}: holds '{there[0]}', which is of no report; name another directory"
+        )
 
 
 def _write(report: Report, rows: Sequence[Row], out: Path) -> dict[str, Path]:
@@ -300,11 +389,11 @@ def _write(report: Report, rows: Sequence[Row], out: Path) -> dict[str, Path]:
     for section in report.sections:
         for picture in section.pictures:
             write_text(out / "figures" / f"{picture.name}.svg", picture.svg)
-    texts = {
-        "markdown": ("report.md", markdown(report)),
-        "html": ("report.html", page(report)),
-        "json": ("report.json", json.dumps(as_json(report, rows), indent=2) + "\n"),
+    texts = {  # the first marks the others as of a report
+        "json": json.dumps(as_json(report, rows), indent=2) + "\n",
+        "markdown": markdown(report),
+        "html": page(report),
     }
-    for name, text in texts.values():
-        write_text(out / name, text)
-    return {kind: out / name for kind, (name, _) in texts.items()}
+    for kind, text in texts.items():
+        write_text(out / _FILES[kind], text)
+    return {kind: out / name for kind, name in _FILES.items()}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from touchdown.experiments.reporting.flights import Row, airborne, methods_of, read_trajectory
-from touchdown.experiments.reporting.measures import estimates, mean_of
+from touchdown.experiments.reporting.measures import estimates, is_marked, mean_of, setting_notes
 from touchdown.experiments.reporting.queries import CellKey
 from touchdown.experiments.reporting.tables import Table, figure, name_cell
 
@@ -59,7 +59,9 @@ def distance_tables(rows: Sequence[Row]) -> list[Table]:
     by_bin = {n: estimates(rows, mean_of(f"error_by_distance.{n}"), pooled=True) for n in names}
     for method in methods_of(rows):
         found = {n: by_method.get(CellKey(method)) for n, by_method in by_bin.items()}
-        table.rows.append([name_cell(method), *(figure(found[n]) for n in names)])
+        marked = is_marked(f"error_by_distance.{names[0]}", method)
+        table.rows.append([name_cell(method), *(figure(found[n], marked=marked) for n in names)])
         table.numbers[method] = {n: e.value if e else None for n, e in found.items()}
-    table.notes = ["All scenes together; the climb to the survey's height counts as distance too."]
+    table.notes = setting_notes([f"error_by_distance.{names[0]}"], methods_of(rows))
+    table.notes += ["All scenes together; the climb to the survey's height counts as distance too."]
     return [table]

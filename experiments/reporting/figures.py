@@ -28,7 +28,13 @@ from touchdown.experiments.reporting.flights import (
     scenes_of,
     values,
 )
-from touchdown.experiments.reporting.measures import estimates, mean_of
+from touchdown.experiments.reporting.measures import (
+    SET_MARK,
+    estimates,
+    is_marked,
+    mean_of,
+    setting_notes,
+)
 from touchdown.experiments.reporting.published import ANALYSED_SCENE
 from touchdown.experiments.reporting.queries import CellKey
 from touchdown.experiments.reporting.statistics import Estimate
@@ -285,6 +291,7 @@ def error_bars(rows: Sequence[Row], key: str, name: str, title: str, what: str) 
         f"{what}, mean over flights with 95 % bootstrap interval. Axes are logarithmic where the "
         "methods lie more than a factor of 20 apart; there lengths of bars are no ratios."
     )
+    caption = " ".join([caption, *setting_notes([f"{key}.x"], methods)])
     return draw(name, title, caption, (10.4, 6.0), paint)
 
 
@@ -301,7 +308,8 @@ def _paint_bars(
         at = np.array(places) + (index - 0.5 * (len(methods) - 1)) * width
         colour = colour_of(method, methods)
         heights += [estimate.value for estimate in shown]
-        axes.bar(at, [e.value for e in shown], 0.9 * width, color=colour, label=method)
+        label = f"{method} {SET_MARK}" if is_marked(key, method) else method
+        axes.bar(at, [e.value for e in shown], 0.9 * width, color=colour, label=label)
         axes.errorbar(
             at,
             [e.value for e in shown],

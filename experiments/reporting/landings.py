@@ -17,7 +17,13 @@ from touchdown.experiments.reporting.flights import (
     number,
     scenes_of,
 )
-from touchdown.experiments.reporting.measures import estimates, mean_of
+from touchdown.experiments.reporting.measures import (
+    estimates,
+    mean_of,
+    setting_notes,
+    setting_of,
+    titled,
+)
 from touchdown.experiments.reporting.queries import (
     LANDED,
     CellKey,
@@ -109,7 +115,7 @@ def _landing_estimates(landings: Sequence[Row], column: str) -> dict[CellKey, Es
 
 
 def _table_5(landings: Sequence[Row]) -> Table:
-    titles = [f"{name} ({unit})" for name, unit, _, _ in _MEASURES]
+    titles = [titled(f"{name} ({unit})", column) for name, unit, column, _ in _MEASURES]
     header = ["method", "scene", "landings", "landed", "safe", *titles]
     table = Table("landing", "Table 5: landings", header, [])
     flown, scenes, counts = methods_of(landings), scenes_of(landings), _landing_counts(landings)
@@ -118,7 +124,10 @@ def _table_5(landings: Sequence[Row]) -> Table:
     printed_methods = published.LANDING_OFFSET_M if compared else ()
     others = [method for method in printed_methods if method not in flown]
     for method in (*flown, *others):
-        printed = [published_cell(measure[3], method) for measure in _MEASURES]
+        printed = [
+            published_cell({} if setting_of(column) else theirs, method)
+            for _, _, column, theirs in _MEASURES
+        ]
         if compared and any(c.text != MISSING for c in printed):
             blanks = [Cell(MISSING, kind="published")] * 3
             where = Cell("paper prints", kind="published")
@@ -143,6 +152,7 @@ def _table_5(landings: Sequence[Row]) -> Table:
         "d_L: from the first contact to the site as committed at 4 m, or as commanded. v_z, a_z: "
         "mean absolute values over the last 0.5 s. α_L: slope of the true ground. Tilt: of the "
         "vehicle, the largest from the first contact on.",
+        *setting_notes((measure[2] for measure in _MEASURES), flown),
     ]
     return table
 
@@ -184,7 +194,7 @@ class _SiteFigures:
 def _table_6(found: _SiteFigures, method: str) -> Table:
     printed = "paper prints"
     header = ["scene", "landed", "obstacle distance (m)", printed, "level (°)", printed]
-    header += ["v_z (m/s)", printed, "type of site", printed]
+    header += [titled("v_z (m/s)", _SITE_COLUMNS[-1]), "type of site", printed]
     table = Table(f"table6_{method}", f"Table 6: five kinds of sites, `{method}`", header, [])
     for scene, site in published.SITES.items():
         key = CellKey(method, scene)
@@ -196,7 +206,9 @@ def _table_6(found: _SiteFigures, method: str) -> Table:
         theirs = (site.obstacle_distance_m, site.level_deg, site.speed_mps)
         for column, value in zip(_SITE_COLUMNS, theirs, strict=True):
             measured = found.means[column].get(key)
-            line += [figure(measured), Cell(f"{value:.2f}", kind="published")]
+            line.append(figure(measured))
+            if setting_of(column) is None:
+                line.append(Cell(f"{value:.2f}", kind="published"))
             if measured is not None:
                 numbers[column] = measured.as_json()
         numbers["classes"] = found.classes.get(key, {})
@@ -209,6 +221,7 @@ def _table_6(found: _SiteFigures, method: str) -> Table:
         "that stands more than 0.25 m over the ground, 15 m where there is none so near. Level: "
         "slope of the true ground at the touchdown. Type: the true class of the ground there, with "
         "the number of landings. The paper's sites are real places, these are made to be alike.",
+        *setting_notes(_SITE_COLUMNS, [method]),
     ]
     return table
 
@@ -224,7 +237,7 @@ def _verdict(name: str) -> str:
 
 def _safety_table(landings: Sequence[Row]) -> Table:
     header = ["method", "scene", "flights", "landed", "otherwise", "unsafe touchdowns"]
-    header += [f"largest {title}" for title, _, _ in _EXTREMES]
+    header += [titled(f"largest {title}", column) for title, column, _ in _EXTREMES]
     table = Table("touchdowns", "How landings went, and the extremes", header, [])
     counts, scenes = _landing_counts(landings), scenes_of(landings)
     outcomes = outcomes_by_cell(landings) | outcomes_by_cell(landings, pooled=True)
@@ -327,7 +340,7 @@ def _comparison_sentences(method: str, means: Mapping[str, Estimate | None]) -> 
     beside = [
         _beside_the_paper(name, unit, measured, printed, method)
         for name, unit, column, printed in _MEASURES
-        if printed and (measured := means[column]) is not None
+        if printed and setting_of(column) is None and (measured := means[column]) is not None
     ]
     return [f"`{method}`: {'; '.join(beside)}."] if beside else []
 

@@ -94,6 +94,12 @@ def setting_of(column: str, method: str | None = None) -> Setting | None:
     return None
 
 
+def is_marked(column: str, method: str) -> bool:
+    """True if a figure is set with ``method`` and measured with others, so that its own cell and
+    not the title of its column bears the mark."""
+    return setting_of(column, method) is not None and setting_of(column) is None
+
+
 def titled(title: str, column: str) -> str:
     """``title`` of a column, marked where the configuration sets its figures."""
     return f"{title} {SET_MARK}" if setting_of(column) else title

@@ -18,9 +18,13 @@ from touchdown.experiments.reporting.flights import (
     scenes_of,
 )
 from touchdown.experiments.reporting.measures import (
+    SET_MARK,
     TRAJECTORY_VARIANCE,
     estimates,
+    is_marked,
     mean_of,
+    setting_notes,
+    setting_of,
 )
 from touchdown.experiments.reporting.queries import CellKey, count_by_method, flown_cells
 from touchdown.experiments.reporting.statistics import (
@@ -33,6 +37,7 @@ from touchdown.experiments.reporting.statistics import (
 from touchdown.experiments.reporting.tables import digits, interval_text
 
 CHANCE = 0.05
+_PATH = "trajectory_error_m"
 ERROR_FLOOR_M = 1e-4
 """Smaller errors count as a tenth of a millimetre, so that logarithms stay finite."""
 
@@ -81,7 +86,7 @@ class Rank(NamedTuple):
 def leading_sentences(rows: Sequence[Row]) -> list[str]:
     """Returns, per scene, the order by E_tra, the test of the lead, and the paper's order."""
     rivals = [row for row in rows if row["estimator"] != "oracle"]
-    measured = estimates(rivals, mean_of("trajectory_error_m"))
+    measured = estimates(rivals, mean_of(_PATH))
     ranked = {scene: _ranking(measured, scene) for scene in scenes_of(rivals)}
     contests = {s: order for s, order in ranked.items() if len(order) > 1}
     pairs = {
@@ -98,6 +103,8 @@ def leading_sentences(rows: Sequence[Row]) -> list[str]:
             f"then `{second.method}` with {with_interval(second.error, 'm')}"
         )
         line += "".join(f", `{rank.method}` {digits(rank.error.value)} m" for rank in others)
+        if named := [rank.method for rank in order if is_marked(_PATH, rank.method)]:
+            line += f" ({', '.join(f'`{method}`' for method in named)}: {SET_MARK[1:-1]})"
         lead_m, alpha = second.error.value - first.error.value, CHANCE / max(1, len(tested))
         verdict = _lead_text(lead_m, pairs[scene], adjusted.get(scene), alpha)
         lines.append(f"{line}. {verdict}")
@@ -167,7 +174,7 @@ def _order_sentences(orders: dict[str, list[str]]) -> list[str]:
     """The order of the paper's methods compared with that of its Table 2."""
     same, lines = [], []
     for scene, order in orders.items():
-        ours = [method for method in order if method in published.ORDER]
+        ours = [m for m in order if m in published.ORDER and setting_of(_PATH, m) is None]
         theirs = [method for method in published.ORDER if method in ours]
         if len(ours) < 2:
             continue
@@ -197,14 +204,14 @@ def published_sentences(rows: Sequence[Row]) -> list[str]:
         return []
     scene = published.ANALYSED_SCENE
     own = cell(rows, scene)
-    error = estimates(own, mean_of("trajectory_error_m"))
+    error = estimates(own, mean_of(_PATH))
     variance = estimates(own, TRAJECTORY_VARIANCE)
     comparisons = (
         ("E_tra", "m", published.TRAJECTORY_ERROR_M, error),
         ("σ²_tra", "m²", published.TRAJECTORY_VARIANCE_M2, variance),
     )
     lines = []
-    for method in published.ORDER:
+    for method in (m for m in published.ORDER if setting_of(_PATH, m) is None):
         for name, unit, printed, found in comparisons:
             if (measured := found.get(CellKey(method, scene))) is not None:
                 lines.append(_comparison(name, unit, method, measured, printed[method]))
@@ -213,7 +220,7 @@ def published_sentences(rows: Sequence[Row]) -> list[str]:
             f"The paper's figures are of a crossroad scene in Gazebo, 10 flights per method; "
             f"`{scene}` here is another scene in another simulator."
         )
-    return lines + _levelness_sentences(rows)
+    return lines + _levelness_sentences(rows) + setting_notes([_PATH], methods_of(own))
 
 
 def _comparison(

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from statistics import fmean
 from typing import Any
 
 from touchdown.experiments.io.results import LANDED, RunResult, lookup
+from touchdown.experiments.reporting.conditions import label_conditions
 from touchdown.experiments.reporting.markdown_text import markdown_cell
+from touchdown.experiments.reporting.measures import titled
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +31,11 @@ class Column:
         if isinstance(value, bool):
             return "yes" if value else "no"
         return self.format.format(value)
+
+    @property
+    def heading(self) -> str:
+        """The title, marked where the configuration sets the figures."""
+        return titled(self.title, self.path)
 
 
 LANDING_COLUMNS: tuple[Column, ...] = (
@@ -57,7 +65,7 @@ def markdown_table(runs: Mapping[str, RunResult], columns: Sequence[Column]) -> 
     """Returns a Markdown table with one line per run; columns without any value are left out."""
     rows = as_rows(runs)
     kept = [c for c in columns if any(lookup(row, c.path) is not None for row in rows)]
-    lines = ["| " + " | ".join(column.title for column in kept) + " |"]
+    lines = ["| " + " | ".join(column.heading for column in kept) + " |"]
     lines.append("|" + "---|" * len(kept))
     cells = ([markdown_cell(column.text(row)) for column in kept] for row in rows)
     lines += [f"| {' | '.join(line)} |" for line in cells]
@@ -69,15 +77,12 @@ def as_rows(runs: Mapping[str, RunResult]) -> list[dict[str, Any]]:
     return [{**result.plain(), "run": name} for name, result in runs.items()]
 
 
-def summary(runs: Mapping[str, RunResult]) -> dict[str, Any]:
-    """Counts of outcomes and unsafe touchdowns, and means over the runs that have the value."""
-    rows = as_rows(runs)
-    means: dict[str, float] = {}
-    for column in LANDING_COLUMNS:
-        values = [lookup(row, column.path) for row in rows]
-        numbers = [value for value in values if isinstance(value, float)]
-        if numbers:
-            means[column.path] = fmean(numbers)
+def summary(runs: Mapping[str, RunResult], directory: Path) -> dict[str, Any]:
+    """Counts of outcomes and unsafe touchdowns, and means over the runs below ``directory`` that
+    have the value, by method and condition."""
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for name, row in zip(_group_names(runs, directory), as_rows(runs), strict=True):
+        groups.setdefault(name, []).append(row)
     unsafe = sum(
         result.outcome == LANDED
         and result.landing is not None
@@ -88,8 +93,33 @@ def summary(runs: Mapping[str, RunResult]) -> dict[str, Any]:
         "runs": len(runs),
         "outcomes": dict(Counter(result.outcome for result in runs.values())),
         "unsafe_touchdowns": unsafe,
-        "means": means,
+        "means": {name: _means(rows) for name, rows in groups.items()},
     }
+
+
+def _group_names(runs: Mapping[str, RunResult], directory: Path) -> list[str]:
+    """Method and condition of each run: ``livo``, or ``livo, night`` where these vary."""
+    found: list[dict[str, Any]] = [
+        {
+            "run_id": name,
+            "run_dir": directory if (directory / "result.json").is_file() else directory / name,
+            **{key: getattr(run, key) for key in ("scene", "estimator", "seed", "profile")},
+            "wind_kmh": run.wind_kmh,
+        }
+        for name, run in runs.items()
+    ]
+    label_conditions(found)
+    return [", ".join(filter(None, (row["estimator"], row["condition"]))) for row in found]
+
+
+def _means(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """The mean of every column of numbers."""
+    means: dict[str, float] = {}
+    for column in LANDING_COLUMNS:
+        values = [lookup(row, column.path) for row in rows]
+        if numbers := [value for value in values if isinstance(value, float)]:
+            means[column.path] = fmean(numbers)
+    return means
 
 
 def summary_line(totals: Mapping[str, Any]) -> str:

@@ -17,10 +17,14 @@ from touchdown.experiments.reporting.flights import (
     values,
 )
 from touchdown.experiments.reporting.measures import (
+    SET_MARK,
     TRAJECTORY_VARIANCE,
     Measure,
     estimates,
+    is_marked,
     mean_of,
+    setting_notes,
+    titled,
 )
 from touchdown.experiments.reporting.queries import (
     CellKey,
@@ -79,10 +83,12 @@ def interval_text(estimate: Estimate) -> str:
     return f"[{digits(estimate.low)}, {digits(estimate.high)}]"
 
 
-def figure(estimate: Estimate | None, kind: str = "") -> Cell:
+def figure(estimate: Estimate | None, kind: str = "", *, marked: bool = False) -> Cell:
+    """``marked``: the configuration sets this figure."""
     if estimate is None:
         return Cell(MISSING)
-    return Cell(digits(estimate.value), interval_text(estimate), kind)
+    text = f"{digits(estimate.value)} {SET_MARK}" if marked else digits(estimate.value)
+    return Cell(text, interval_text(estimate), kind)
 
 
 def name_cell(name: str) -> Cell:
@@ -116,7 +122,9 @@ def method_scene_table(
     scenes, methods = scenes_of(rows), methods_of(rows)
     printed = printed if flies_paper_methods(rows) else None
     found = estimates(rows, measure)
-    leaders = {s: _leader(found, methods, s) for s in scenes} if best and len(methods) > 1 else {}
+    marked = {method: is_marked(measure.columns[0], method) for method in methods}
+    measured = [method for method in methods if not marked[method]]
+    leaders = {s: _leader(found, measured, s) for s in scenes} if best and len(methods) > 1 else {}
     header = ["method"]
     for scene in scenes:
         header.append(scene)
@@ -131,17 +139,19 @@ def method_scene_table(
         line = [name_cell(method)]
         for scene in scenes:
             leads = leaders.get(scene) == method
-            line.append(figure(found.get(CellKey(method, scene)), "best" * leads))
+            own = found.get(CellKey(method, scene))
+            line.append(figure(own, "best" * leads, marked=marked[method]))
             if printed and scene == published.ANALYSED_SCENE:
-                line.append(published_cell(printed, method))
+                line.append(published_cell({} if marked[method] else printed, method))
         if together:
-            line.append(figure(pooled.get(CellKey(method))))
+            line.append(figure(pooled.get(CellKey(method)), marked=marked[method]))
         table.rows.append(line)
         table.numbers[method] = {
             scene: estimate.as_json()
             for scene in scenes
             if (estimate := found.get(CellKey(method, scene))) is not None
         }
+    table.notes = setting_notes(measure.columns, methods)
     return table
 
 
@@ -172,7 +182,12 @@ def map_tables(rows: Sequence[Row]) -> list[Table]:
     table = Table(
         "table1",
         "Table 1: scan time, map density and levelness",
-        ["method", "T_total (s)", "ρ_map (1/m²)", *(f"Δα {scene} (°)" for scene in scenes)],
+        [
+            "method",
+            titled("T_total (s)", "map.duration_s"),
+            "ρ_map (1/m²)",
+            *(f"Δα {scene} (°)" for scene in scenes),
+        ],
         [],
     )
     pooled = {
@@ -188,6 +203,7 @@ def map_tables(rows: Sequence[Row]) -> list[Table]:
             name: estimate.as_json() for name, estimate in measured.items() if estimate is not None
         }
     table.notes = _paper_map_notes() if flies_paper_methods(rows) else [_LEVELNESS_NOTE]
+    table.notes += setting_notes(["map.duration_s"], methods)
     worst = method_scene_table(
         rows,
         "levelness_max",
@@ -218,7 +234,7 @@ def _paper_map_notes() -> list[str]:
     return [
         f"The paper's Table 1 prints T_total and ρ_map run together as "
         f'"{published.SCAN_TIME_AND_DENSITY}"; where one number ends and the other begins cannot '
-        "be known, so neither is compared. The figures here are measured.",
+        "be known, so neither is compared.",
         f"For its scenes 1 to 4, which it does not name, the paper prints Δα = {printed}°, and the "
         f"bound {published.LEVELNESS_BOUND_DEG:g}° over all of them. It does not define ±.",
         _LEVELNESS_NOTE,
@@ -241,7 +257,7 @@ def trajectory_tables(rows: Sequence[Row]) -> list[Table]:
         TRAJECTORY_VARIANCE,
         dict(published.TRAJECTORY_VARIANCE_M2),
     )
-    variance.notes = [
+    variance.notes += [
         "Variance of all samples of all flights thrown together, every flight weighing the same: "
         "the mean of the variances within flights plus the variance between their means.",
     ]
@@ -252,7 +268,7 @@ def trajectory_tables(rows: Sequence[Row]) -> list[Table]:
         mean_of("position_error_m.mean"),
     )
     if flies_paper_methods(rows):
-        position.notes = ["The paper prints no such figure: its Table 2 is of the flown path."]
+        position.notes += ["The paper prints no such figure: its Table 2 is of the flown path."]
     return [error, variance, position]
 
 
@@ -271,8 +287,10 @@ def axis_tables(rows: Sequence[Row]) -> list[Table]:
         table = Table(f"axes_{key}", title, ["method", "scene", *(t for _, t in AXES)], [])
         found = [estimates(rows, mean_of(f"{key}.{axis}")) for axis, _ in AXES]
         for flown in ordered_cells(rows):
-            measured = [by_cell.get(flown) for by_cell in found]
-            table.rows.append([*cell_names(flown), *map(figure, measured)])
+            marked = is_marked(f"{key}.x", flown.method)
+            measured = [figure(by_cell.get(flown), marked=marked) for by_cell in found]
+            table.rows.append([*cell_names(flown), *measured])
+        table.notes = setting_notes([f"{key}.x"], methods_of(rows))
         tables.append(table)
     return tables
 
@@ -323,7 +341,7 @@ def nees_table(rows: Sequence[Row]) -> Table | None:
         mean_of("nees.median"),
         best=False,
     )
-    table.notes = [
+    table.notes += [
         "Normalised estimation error squared, three degrees of freedom: above 2.4 an estimator "
         "is overconfident, below it conservative."
     ]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
-import shutil
 import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.io.foreign import read_object
-from touchdown.experiments.io.run_directory import write_text
+from touchdown.experiments.io.run_directory import move_beside, write_text
 from touchdown.experiments.reproduce.plans import Recognition
 from touchdown.sim.files.child import die_with_parent
 
@@ -65,7 +64,7 @@ def train_and_score(
 
     Every training uses one thread, so that results do not depend on ``jobs``. Networks are scored
     after all trainings, so that time and memory are measured with nothing else running. Images and
-    trainings made with other ``settings`` are discarded and made again.
+    trainings made with other ``settings`` are set aside and made again.
     """
     _start_over_if_changed(home, settings)
     if not (home / PICTURES).is_dir():
@@ -82,10 +81,10 @@ def train_and_score(
 
 
 def _start_over_if_changed(home: Path, settings: dict[str, Any]) -> None:
-    """Empties ``home`` if its images and trainings were made with other settings."""
+    """Sets ``home`` aside if its images and trainings were made with other settings."""
     file, text = home / SETTINGS, json.dumps(settings, indent=1) + "\n"
     if file.is_file() and file.read_text(encoding="utf-8") != text:
-        shutil.rmtree(home)
+        move_beside(home, home)
     home.mkdir(parents=True, exist_ok=True)
     write_text(file, text)
 

@@ -10,28 +10,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.campaign.plan import Plan, PlannedRun, load_plan
+from touchdown.experiments.campaign.forecast import stated_core_s
+from touchdown.experiments.campaign.plan import Plan, PlannedRun, config_for, load_plan
 from touchdown.experiments.reporting.published import ANALYSED_SCENE
 from touchdown.experiments.reporting.published_networks import NETWORK_NAMES
 
 PLANS = Path(__file__).parent / "plans"
 PAPER_SCENES = ("crossroad", "lake", "houses", "forest")
 _QUICK_SITES = ("rooftop_parking", "footbridge")
-
-CORE_SECONDS: Mapping[tuple[str, str], float] = {
-    ("fly", "gps"): 7.0,
-    ("fly", "optical_flow"): 15.0,
-    ("fly", "hybrid_flow"): 15.0,
-    ("fly", "stereo"): 25.0,
-    ("fly", "paper"): 66.0,
-    ("fly", "livo"): 42.0,
-    ("land", "gps"): 44.0,
-    ("land", "optical_flow"): 44.0,
-    ("land", "hybrid_flow"): 55.0,
-    ("land", "paper"): 104.0,
-    ("land", "livo"): 70.0,
-}
-"""CPU time of one flight on one core of the reference machine, by mode and estimator"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,9 +147,9 @@ def digest(plan: Plan) -> str:
 
 
 def core_seconds(plan: Plan) -> float:
-    """CPU time of the flights of a plan on one core, by `CORE_SECONDS`."""
+    """CPU time of the flights of a plan on one core, by `experiments.campaign.forecast`."""
     return sum(_cost(plan.mode, run) for run in plan.runs)
 
 
 def _cost(mode: str, run: PlannedRun) -> float:
-    return CORE_SECONDS.get((mode, run.values["estimator"]), max(CORE_SECONDS.values()))
+    return stated_core_s(mode, config_for(run.values, f"run {run.run_id}"))

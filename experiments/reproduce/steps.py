@@ -17,7 +17,7 @@ from typing import Any
 from touchdown.experiments.campaign.session import Watcher, default_jobs
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.run_directory import run_directory
+from touchdown.experiments.io.run_directory import filled_folder
 from touchdown.experiments.reporting.published import SITES
 from touchdown.experiments.reproduce.networks import PICTURES, train_and_score
 from touchdown.experiments.reproduce.plans import (
@@ -86,7 +86,7 @@ class Part:
 def _calibration(job: Job) -> Done:
     from touchdown.experiments.calibration.evaluate import run_calibration
 
-    with run_directory(job.folder / PICTURES) as partial_folder:
+    with filled_folder(job.folder / PICTURES) as partial_folder:
         report = run_calibration(
             load_config(seed=0, profile_default="ideal"),
             job.edition.poses,
@@ -102,7 +102,7 @@ def _calibration(job: Job) -> Done:
 def _edges(job: Job) -> Done:
     from touchdown.experiments.edges.figures import draw_figures
 
-    with run_directory(job.folder / PICTURES) as partial_folder:
+    with filled_folder(job.folder / PICTURES) as partial_folder:
         files = draw_figures(partial_folder, 0, "shipped", job.notes)
     return Done({"pictures": [file.name for file in files]})
 
@@ -117,7 +117,7 @@ def _world(job: Job) -> Done:
     from touchdown.experiments.scene_tools.views import write_image
 
     config = load_config(scene=PAPER_SCENES[0], seed=0, profile_default="ideal")
-    with run_directory(job.folder / PICTURES) as partial_folder:
+    with filled_folder(job.folder / PICTURES) as partial_folder:
         job.notes("drawing the vehicle")
         picture, vehicle = vehicle_portrait(load_configured_scene(config))
         write_image(partial_folder / VEHICLE, picture)
@@ -141,7 +141,7 @@ def _sites(job: Job) -> Done:
     """Fig. 11: the steps from a map to a site, over the paper's five kinds of sites."""
     from touchdown.experiments.benchmarks import site_selection as selector_check
 
-    with run_directory(job.folder / PICTURES) as partial_folder:
+    with filled_folder(job.folder / PICTURES) as partial_folder:
         found = selector_check.run(
             tuple(SITES),
             seeds="0",

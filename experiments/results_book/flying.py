@@ -2,52 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from touchdown.experiments.campaign.forecast import Forecast, forecast
 from touchdown.experiments.campaign.plan import Plan
 from touchdown.experiments.campaign.results_table import finished_ids, is_campaign, load_rows
-from touchdown.experiments.campaign.session import Watcher, fly_campaign, make_engine
+from touchdown.experiments.campaign.session import Watcher, default_jobs, fly_campaign, make_engine
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.provenance import DIRTY, UNRECORDED_REMEDY, git_revision
 from touchdown.experiments.results_book.sets import FlightSet
 
-CORE_SECONDS: Mapping[tuple[str, str], float] = {
-    ("land", "livo"): 95.0,
-    ("fly", "livo"): 55.0,
-    ("fly", "paper"): 80.0,
-    ("fly", "oracle"): 35.0,
-    ("fly", "stereo"): 30.0,
-    ("fly", "hybrid_flow"): 20.0,
-    ("fly", "optical_flow"): 20.0,
-    ("fly", "gps"): 10.0,
-}
-"""CPU time of one flight in profile `field` on one core, by mode and estimator"""
 
-
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """Flights of a set that are not flown yet, and their CPU time."""
-
-    name: str
-    flights: int
-    left: int
-    core_s: float
-
-
-def costs(sets: Sequence[FlightSet], out: Path) -> Iterator[Cost]:
+def forecasts(sets: Sequence[FlightSet], out: Path, jobs: int | None) -> list[Forecast]:
     """The cost of each set, of the flights that ``out`` lacks."""
-    for found in sets:
-        plan = found.plan()
-        finished = finished_ids(out / found.key)
-        left = [run for run in plan.runs if run.run_id not in finished]
-        core_s = sum(
-            CORE_SECONDS.get((plan.mode, str(run.values["estimator"])), max(CORE_SECONDS.values()))
-            for run in left
-        )
-        yield Cost(found.key, len(plan.runs), len(left), core_s)
+    at_once = jobs or default_jobs()
+    return [forecast(plan := found.plan(), plan.runs, out / found.key, at_once) for found in sets]
 
 
 def fly(

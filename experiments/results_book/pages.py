@@ -61,11 +61,16 @@ _FIELD = "docs/results/field.md"
 BLOCKS = (
     Block("README.md", "summary", ("field/landings", "field/positioning"), tables.summary),
     Block(_FIELD, "landings", ("field/landings",), tables.landings),
-    Block(_FIELD, "positioning", ("field/positioning",), tables.positioning),
+    Block(_FIELD, "positioning", ("field/positioning", "field/landings"), tables.positioning),
     Block(_FIELD, "levelness", ("field/positioning", "field/landings"), tables.levelness),
     Block(_FIELD, "blind", ("field/blind",), tables.blind),
     Block("docs/results/landing.md", "landings", ("ideal/landings",), tables.landings),
-    Block("docs/results/positioning.md", "positioning", ("ideal/positioning",), tables.positioning),
+    Block(
+        "docs/results/positioning.md",
+        "positioning",
+        ("ideal/positioning", "ideal/landings"),
+        tables.positioning,
+    ),
     Block(
         "docs/results/positioning.md",
         "levelness",

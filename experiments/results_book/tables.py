@@ -17,6 +17,7 @@ from touchdown.experiments.reporting.flights import (
 )
 from touchdown.experiments.reporting.measures import (
     SET_MARK,
+    is_marked,
     setting_notes,
     setting_of,
     titled,
@@ -53,7 +54,7 @@ def mean_of(title: str, column: str, scale: float = 1.0) -> Column:
         if found is None:
             return MISSING
         only = {row["estimator"] for row in rows}
-        mark = _mark(column, only.pop()) if len(only) == 1 else ""
+        mark = SET_MARK * (len(only) == 1 and is_marked(column, only.pop()))
         return " ".join(filter(None, (digits(found.value), interval_text(found), mark)))
 
     return Column(titled(title, column), text)
@@ -67,11 +68,6 @@ def largest_of(title: str, column: str) -> Column:
         return digits(max(found)) if found else MISSING
 
     return Column(titled(title, column), text)
-
-
-def _mark(column: str, method: str) -> str:
-    """The mark of a figure that is set with one method and measured with others."""
-    return SET_MARK if setting_of(column, method) and not setting_of(column) else ""
 
 
 def _flown(rows: Sequence[Row]) -> str:
@@ -140,9 +136,9 @@ def _lost(row: Row) -> str:
     return f"`{row['scene']}`, seed {row['seed']}: {row['outcome']}{unsafe}{reason}."
 
 
-def positioning(rows: Sequence[Row]) -> list[str]:
+def positioning(surveys: Sequence[Row], landed: Sequence[Row]) -> list[str]:
     """A line for each method and scene, and one for each method over all scenes."""
-    rows = [row for row in rows if row["estimator"] != "oracle"]
+    rows = _positioned(surveys, landed)
     groups = [
         ([f"`{method}`", _scene(scene)], own)
         for method in methods_of(rows)
@@ -150,15 +146,22 @@ def positioning(rows: Sequence[Row]) -> list[str]:
     ]
     notes = [
         "mean error: distance of the estimate from the truth, not aligned; E_tra: deviation of the "
-        f"flown path from the reference. {_INTERVALS}",
+        "flown path from the reference; both from lift-off to the end of the survey. The surveys "
+        f"of `livo` are those of the landings. {_INTERVALS}",
         *setting_notes([_ERROR, _PATH], methods_of(rows)),
     ]
     return [*_table(["method", "scene"], _POSITION, groups), "", *(f"- {n}" for n in notes)]
 
 
+def _positioned(surveys: Sequence[Row], landed: Sequence[Row]) -> list[Row]:
+    """The rows that show a method's positioning: a landing begins with the same survey, over which
+    position error and deviation from the reference are taken."""
+    return [*landed, *(row for row in surveys if row["estimator"] != "oracle")]
+
+
 def levelness(surveys: Sequence[Row], landed: Sequence[Row]) -> list[str]:
     """A line for each scene and kind of flight that made a map: Δα, mean and largest."""
-    kinds = [(f"survey, `{m}`", cell(surveys, None, m)) for m in ("oracle", "livo", "paper")]
+    kinds = [(f"survey, `{m}`", cell(surveys, None, m)) for m in ("oracle", "paper")]
     kinds.append(("landing, `livo`", list(landed)))
     groups = [
         ([_scene(scene), kind], own)
@@ -198,12 +201,12 @@ def blind(rows: Sequence[Row]) -> list[str]:
 
 def summary(landed: Sequence[Row], surveys: Sequence[Row]) -> list[str]:
     """README's two tables, over all scenes: landings by measure, surveys by method."""
-    surveys = [row for row in surveys if row["estimator"] != "oracle"]
-    notes = setting_notes([_V_Z, _PATH, _ERROR], methods_of([*landed, *surveys]))
+    positioned = _positioned(surveys, landed)
+    notes = setting_notes([_V_Z, _PATH, _ERROR], methods_of(positioned))
     return [
         *_landing_summary(landed),
         "",
-        *_survey_summary(surveys),
+        *_survey_summary(positioned),
         "",
         " ".join([*notes, _INTERVALS]),
     ]
@@ -253,7 +256,7 @@ def _survey_summary(rows: Sequence[Row]) -> list[str]:
 
 
 def _completed(rows: Sequence[Row]) -> int:
-    return sum(row["outcome"] == "COMPLETED" for row in rows)
+    return sum(row["outcome"] in ("COMPLETED", "LANDED") for row in rows)
 
 
 def _printed_path(rows: Sequence[Row]) -> str:

@@ -20,6 +20,7 @@ from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import Candidate, GroundClassifier, LandingParams, Selection
 from touchdown.landing.classification.snow import as_snow, is_snow
 from touchdown.landing.classification.survey_images import SurveyImages
+from touchdown.landing.selection.landable import Refusal
 from touchdown.scenes.api import LAND_CLASSES, RISKY_CLASSES, SAFE_CLASSES
 from touchdown.sim.api import Observation, SensorRig
 
@@ -120,25 +121,27 @@ class SiteClassCheck:
         """Returns the predicted class of a candidate of the last decision, None without one."""
         return self._class_by_position.get(site.position_odom.tobytes())
 
-    def refusal(self, site_class: SiteClass | None, allow_risky: bool) -> str | None:
-        """Returns the reason against landing there as text; None where it is safe."""
+    def refusal(self, site_class: SiteClass | None, allow_risky: bool) -> Refusal | None:
+        """Returns the reason against landing there; None where it is safe."""
         if site_class is None:
-            return "no image shows what kind of ground it is"
+            return Refusal("no_image", "no image shows what kind of ground it is")
         what = f"{site_class.name} with probability {site_class.probability:.2f}"
         if not site_class.in_distribution:
-            return f"it looks like no known ground, most like {what}"
+            text = f"it looks like no known ground, most like {what}"
+            return Refusal("unfamiliar_ground", text)
         allowed = SAFE_CLASSES | RISKY_CLASSES if allow_risky else SAFE_CLASSES
         if site_class.name not in allowed:
-            return f"it looks like {what}"
+            return Refusal("unsafe_ground", f"it looks like {what}")
         sure = sum(
             float(probability)
             for name, probability in zip(LAND_CLASSES, site_class.probabilities, strict=True)
             if name in allowed
         )
         if sure < self._min_probability:
-            return (
+            return Refusal(
+                "uncertain_ground",
                 f"unsure what it is: {what}, safe with probability {sure:.2f} "
-                f"(at least {self._min_probability:.2f})"
+                f"(at least {self._min_probability:.2f})",
             )
         return None
 
@@ -149,14 +152,16 @@ class SiteClassCheck:
         if site_class is None and self.images.dark and self._params.second_look:
             later = f"{site.reason}, too dark to see what it is"
             return dataclasses.replace(site, reason=later)
+        if why is not None:
+            text = f"refused: {why.text}"
+            site = dataclasses.replace(site, accepted=False, reason=text, rule=why.rule)
         if site_class is None:
-            return dataclasses.replace(site, accepted=False, reason=f"refused: {why}")
+            return site
         self._class_by_position[site.position_odom.tobytes()] = site_class
         fine = f"{site.reason}, {site_class.name} with probability {site_class.probability:.2f}"
         return dataclasses.replace(
             site,
-            accepted=why is None,
-            reason=fine if why is None else f"refused: {why}",
+            reason=fine if why is None else site.reason,
             class_predicted=site_class.name,
             class_probability=site_class.probability,
         )
@@ -197,7 +202,9 @@ def least_bad(refused: Sequence[Candidate]) -> tuple[Candidate, ...]:
     unknown = [site for site in refused if site.class_predicted is None]
     for site in (*better, *unknown, *refused):
         reason = site.reason.removeprefix("refused: ")
-        taken = dataclasses.replace(site, accepted=True, reason=f"the least bad: {reason}")
+        taken = dataclasses.replace(
+            site, accepted=True, reason=f"the least bad: {reason}", rule="least_bad"
+        )
         return (taken, *(other for other in refused if other is not site))
     return ()
 

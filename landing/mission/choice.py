@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.landing.api import Candidate, Selection
+from touchdown.landing.api import Candidate, Decision, Selection
 from touchdown.landing.classification.site_check import SiteClassCheck, least_bad
 from touchdown.landing.mission.mission_state import Mission
+from touchdown.landing.selection.ranking import ranked, why_chosen
 from touchdown.landing.selection.selector import SelectionLimits, check_site, select_sites
 
 Array = NDArray[np.float64]
@@ -29,8 +30,7 @@ def choose_sites(mission: Mission) -> tuple[Candidate, ...]:
     for left in reversed(range(1 if emergency else max(mission.params.classifier_rounds, 1))):
         checked = _checked(mission, class_check, selection)
         if any(site.accepted for site in checked):
-            ranked = sorted(checked, key=lambda site: not site.accepted)
-            return (*ranked, *refused)
+            return (*ranked(checked), *refused)
         offered = [
             after
             for before, after in zip(selection.candidates, checked, strict=True)
@@ -58,6 +58,18 @@ def choose_commanded(mission: Mission, wanted: Array) -> Candidate:
         (candidate,), mission.map_view, allow_risky=mission.takes_risky
     )
     return checked
+
+
+def decided(mission: Mission, candidates: tuple[Candidate, ...]) -> Decision:
+    """Returns the decision for the first of ``candidates``, with the reasons."""
+    positions = [mission.world(site.position_odom) for site in candidates]
+    return Decision(
+        time_s=mission.obs.time_s,
+        scorer=mission.params.scorer,
+        candidates=candidates,
+        positions_world=np.array(positions, np.float64).reshape(-1, 3),
+        why=why_chosen(candidates),
+    )
 
 
 def _checked(

@@ -118,7 +118,7 @@ def _class_refusal(mission: Mission, position: Array) -> str | None:
     )
     refusal = mission.class_check.refusal(site_class, mission.takes_risky)
     mission.site_class = site_class
-    return refusal
+    return None if refusal is None else refusal.text
 
 
 def _sweep(mission: Mission) -> Steps:
@@ -160,13 +160,16 @@ def final_descent(mission: Mission) -> Steps:
     )
     detector = TouchdownDetector(mission.rig)
     start, before, correction = mission.now, mission.now, 0.0
+    wanted, version = 0.0, -1
     offset = here[:2] - mission.site_odom[:2]
     while True:
         position, velocity, acceleration = path.sample(mission.now - start)
         legs_above = mission.position_odom[2] - mission.leg_height - ground - correction
         if legs_above > _FREEZE_ABOVE_M:
-            seen = ground_under(mission.map_view, mission.site_odom)
-            wanted = seen - ground if np.isfinite(seen) else correction
+            if mission.map_view.version != version:
+                version = mission.map_view.version
+                seen = ground_under(mission.map_view, mission.site_odom)
+                wanted = seen - ground if np.isfinite(seen) else correction
             limit = _GROUND_RATE_MPS * (mission.now - before)
             correction += float(np.clip(wanted - correction, -limit, limit))
         before = mission.now

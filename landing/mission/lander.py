@@ -66,4 +66,5 @@ class SiteLander:
             site_class_probability=float("nan") if site_class is None else site_class.probability,
             events=tuple(mission.events),
             slowed_s=mission.slowed_s,
+            decisions=mission.decisions,
         )

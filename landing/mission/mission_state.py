@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Generator
 
@@ -10,7 +11,14 @@ from numpy.typing import NDArray
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
-from touchdown.landing.api import Candidate, CostmapView, LandingParams, Phase, SurveyParams
+from touchdown.landing.api import (
+    Candidate,
+    CostmapView,
+    Decision,
+    LandingParams,
+    Phase,
+    SurveyParams,
+)
 from touchdown.landing.classification.site_check import SiteClass, SiteClassCheck
 from touchdown.landing.mission.energy import (
     RAMP_S,
@@ -65,7 +73,8 @@ class Mission:
         self.ground_world = float(self.start_world[2]) - self.leg_height
         self.phase = Phase.INIT
         self.note = "waiting for the sensors to settle"
-        self.candidates: tuple[Candidate, ...] = ()
+        self.decisions: tuple[Decision, ...] = ()
+        """all so far"""
         self.costmap: CostmapView | None = None
         self.site_odom: Array | None = None
         self.committed_site_world: Array | None = None
@@ -119,6 +128,20 @@ class Mission:
                 float(np.mean(self.obs.rotor_speed_radps)),
                 _LEARN_PERIOD_S,
             )
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Of the last decision."""
+        return self.decisions[-1].candidates if self.decisions else ()
+
+    def decide(self, decision: Decision) -> None:
+        """Adds ``decision`` to those of the flight."""
+        self.decisions += (decision,)
+
+    def give_up_site(self, reason: str) -> None:
+        """States in the last decision why its site was given up."""
+        *before, last = self.decisions
+        self.decisions = (*before, dataclasses.replace(last, given_up=reason))
 
     @property
     def now(self) -> float:

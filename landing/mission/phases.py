@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from touchdown.controller.api import Setpoint
 from touchdown.landing.api import Candidate, Phase
-from touchdown.landing.mission.choice import choose_commanded, choose_sites
+from touchdown.landing.mission.choice import choose_commanded, choose_sites, decided
 from touchdown.landing.mission.descent import descend_to, final_descent
 from touchdown.landing.mission.heading import turn_in_climb
 from touchdown.landing.mission.mission_state import (
@@ -163,6 +163,7 @@ def land_somewhere(mission: Mission) -> Generator[Setpoint, None, bool]:
         assert mission.site_odom is not None
         mission.refused_odom.append(mission.site_odom)
         mission.site_odom = mission.site_class = None
+        mission.give_up_site(look)
         if mission.params.site_xy_m is not None:
             mission.aborted = True
             mission.note = f"the commanded site is refused: {look}"
@@ -209,11 +210,11 @@ def _decide(mission: Mission) -> Candidate | None:
         candidate = choose_commanded(mission, wanted)
         if not (candidate.accepted or params.check_site):
             candidate = _accepted_unchecked(mission, wanted, candidate)
-        mission.candidates = (candidate,)
+        mission.decide(decided(mission, (candidate,)))
         mission.aborted = not candidate.accepted
         mission.note = f"commanded site {params.site_xy_m}: {candidate.reason}"
     else:
-        mission.candidates = choose_sites(mission)
+        mission.decide(decided(mission, choose_sites(mission)))
         if not mission.candidates:
             mission.note = "nothing is mapped"
             return None
@@ -242,6 +243,7 @@ def _accepted_unchecked(mission: Mission, wanted: Array, refused: Candidate) -> 
         refused,
         position_odom=np.array([*wanted, height]),
         accepted=True,
+        rule="commanded_unchecked",
         reason=f"accepted unchecked; by the map: {refused.reason}",
     )
 

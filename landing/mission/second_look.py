@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 _POOL = 2
 """fine cells merged along each axis, for enough returns in each"""
 _MIN_RETURNS = 3.0
-_ENOUGH_ROOM_M = 1.0
+_ENOUGH_CLEARANCE_M = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,7 +46,7 @@ def look_again(
     """Checks the fine map around ``site_odom`` (3,).
 
     Keeps the site where it is landable, else moves it to the landable cell within ``max_shift_m``
-    with the most room minus distance."""
+    with the most clearance minus distance."""
     raster = _fine_window(map_view, site_odom, max_shift_m, params)
     if raster is None:
         return Look(position_odom=None, reason="no fine map of the site")
@@ -58,11 +58,11 @@ def look_again(
         return Look(position_odom=None, reason="the site lies outside the fine map")
     if landable.mask[row, col]:
         return _checked_plane(raster, site_odom[:2], params, "as selected")
-    defect = explain(raster, landable, row, col, params, margin)
+    defect = explain(raster, landable, row, col, params, margin).text
     x, y = raster.offsets_from(site_odom)
     away = np.hypot(x[None, :], y[:, None])
-    room = np.minimum(distance_to(~landable.mask, raster.cell_m), _ENOUGH_ROOM_M)
-    merit = np.where(landable.mask & (away <= max_shift_m), room - away, -np.inf)
+    clearance = np.minimum(distance_to(~landable.mask, raster.cell_m), _ENOUGH_CLEARANCE_M)
+    merit = np.where(landable.mask & (away <= max_shift_m), clearance - away, -np.inf)
     best = int(np.argmax(merit))
     if not np.isfinite(merit.flat[best]):
         return Look(position_odom=None, reason=f"not landable from closer: {defect}")
@@ -85,7 +85,8 @@ def ground_under(map_view: MapView, xy_odom: Array, radius_m: float = 0.5) -> fl
         rows, cols = grid.height_m.shape
         if not (reach <= row < rows - reach and reach <= col < cols - reach):
             continue
-        patch = grid.height_m[row - reach : row + reach + 1, col - reach : col + reach + 1]
+        near = np.s_[row - reach : row + reach + 1, col - reach : col + reach + 1]
+        patch = grid.ground(near).height_m
         known = np.isfinite(patch)
         if known.mean() < 0.5:
             continue
@@ -102,12 +103,9 @@ def _fine_window(
 ) -> ElevationRaster | None:
     if map_view.fine is None:
         return None
-    raster = observed_raster(map_view.fine)
-    if raster is None:
-        return None
     half = max_shift_m + params.clear_radius_m + FOOTPRINT_M
-    window = raster.window(site, half)
-    if min(window.shape) < 4 * _POOL:
+    window = observed_raster(map_view.fine, site, half)
+    if window is None or min(window.shape) < 4 * _POOL:
         return None
     seen = pooled(window, _POOL)
     return without_plants(seen, standing_plants(seen, fill_gaps=True))

@@ -111,8 +111,19 @@ def distance(raster: ElevationRaster, position_odom: Array, reach_m: float) -> F
 
 def weighted_sum(smooth: Float32, flat: Float32, near: Float32, params: LandingParams) -> Float32:
     """Eq. 13, with the largest weight on flatness; NaN where any term is NaN."""
-    total = params.weight_smoothness * smooth + params.weight_flatness * flat
-    return (total + params.weight_distance * near).astype(np.float32)
+    first, second, third = weighted_terms(smooth, flat, near, params)
+    return (first + second + third).astype(np.float32)
+
+
+def weighted_terms(
+    smooth: Float32, flat: Float32, near: Float32, params: LandingParams
+) -> tuple[Float32, Float32, Float32]:
+    """Returns the terms of Eq. 13 in the order of the arguments."""
+    return (
+        params.weight_smoothness * smooth,
+        params.weight_flatness * flat,
+        params.weight_distance * near,
+    )
 
 
 def smoothness_term(raster: ElevationRaster, params: LandingParams) -> tuple[Float32, Mask]:
@@ -144,16 +155,19 @@ def compute_costmap(
     params: LandingParams,
 ) -> CostmapView:
     """Returns all terms of ``raster`` with the planes of its cells, for a vehicle at
-    ``position_odom`` (3,)."""
+    ``position_odom`` (3,). ``value`` and ``allowed`` are those of C_sum by itself."""
     smooth, coloured = smoothness_term(raster, params)
     flat = flatness_term(raster, planes, params)
     near = distance(raster, position_odom, reach_m)
+    total = weighted_sum(smooth, flat, near, params)
     return CostmapView(
         origin_xy_m=raster.origin_xy_m,
         cell_m=raster.cell_m,
-        total=weighted_sum(smooth, flat, near, params),
+        total=total,
         flatness=flat,
         smoothness=smooth,
         distance=near,
         rgb=np.where(coloured[..., None], raster.rgb, np.float32(0.0)).astype(np.uint8),
+        value=total,
+        allowed=np.isfinite(total),
     )

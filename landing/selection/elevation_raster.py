@@ -6,14 +6,17 @@ A raster is an array (rows, cols) of cells, row = y, column = x, in the odom fra
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import GridMap
+from touchdown.estimator.api import GridMap, Ground
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -28,6 +31,9 @@ class ElevationRaster:
     cell_m: float
     count: Float32
     height: Float32
+    """mean of the returns"""
+    ground: Callable[[Mask], Ground]
+    """height of the ground under the cells of a mask (rows, cols): see ``GridMap.ground``"""
     std: Float32
     low: Float32
     high: Float32
@@ -81,6 +87,7 @@ class ElevationRaster:
             cell_m=self.cell_m,
             count=self.count[rows, cols],
             height=self.height[rows, cols],
+            ground=partial(_ground_of_window, self, (rows, cols)),
             std=self.std[rows, cols],
             low=self.low[rows, cols],
             high=self.high[rows, cols],
@@ -91,11 +98,20 @@ class ElevationRaster:
         )
 
 
-def observed_raster(grid: GridMap) -> ElevationRaster | None:
-    """Returns the bounding box of all cells with returns or missing pulses, None for an empty map.
+def observed_raster(
+    grid: GridMap, xy: Array | None = None, half_width_m: float = 0.0
+) -> ElevationRaster | None:
+    """Returns the bounding box of all cells with returns or missing pulses, of the whole map or of
+    the square of ``half_width_m`` around ``xy`` (2,); None where there are none.
 
     The layers are views: the mapper writes to them in later control steps."""
     seen = (grid.count > 0.0) | (grid.missing > 0.0)
+    if xy is not None:
+        x, y = (np.asarray(xy)[:2] - grid.origin_xy_m) / grid.cell_m
+        cells = np.arange(max(seen.shape)) + 0.5
+        reach = half_width_m / grid.cell_m + 1.0
+        seen &= np.abs(cells[: seen.shape[0], None] - y) <= reach
+        seen &= np.abs(cells[None, : seen.shape[1]] - x) <= reach
     rows, cols = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
     if rows.size == 0:
         return None
@@ -105,6 +121,7 @@ def observed_raster(grid: GridMap) -> ElevationRaster | None:
         cell_m=grid.cell_m,
         count=grid.count[box],
         height=grid.height_m[box],
+        ground=partial(grid.ground, box),
         std=grid.height_std_m[box],
         low=grid.min_height_m[box],
         high=grid.max_height_m[box],
@@ -113,6 +130,27 @@ def observed_raster(grid: GridMap) -> ElevationRaster | None:
         missing=grid.missing[box],
         last_seen=grid.last_seen_s[box],
     )
+
+
+def _ground_of_window(raster: ElevationRaster, box: tuple[slice, slice], where: Mask) -> Ground:
+    wanted = np.zeros(raster.shape, np.bool_)
+    wanted[box] = where
+    return Ground(*(layer[box] for layer in raster.ground(wanted)))
+
+
+def _pooled_ground(raster: ElevationRaster, factor: int, where: Mask) -> Ground:
+    """Means of the cells that are merged into one."""
+    rows, cols = where.shape
+    wanted = np.zeros(raster.shape, np.bool_)
+    wanted[: rows * factor, : cols * factor] = where.repeat(factor, 0).repeat(factor, 1)
+    whole = np.s_[: rows * factor, : cols * factor]
+    merged = (
+        layer[whole].reshape(rows, factor, cols, factor).swapaxes(1, 2).reshape(rows, cols, -1)
+        for layer in raster.ground(wanted)
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of cells without any
+        return Ground(*(np.nanmean(cells, axis=2) for cells in merged))
 
 
 def pooled(raster: ElevationRaster, factor: int) -> ElevationRaster:
@@ -146,6 +184,7 @@ def pooled(raster: ElevationRaster, factor: int) -> ElevationRaster:
         cell_m=raster.cell_m * factor,
         count=count.sum(axis=(1, 3)).astype(np.float32),
         height=mean.astype(np.float32),
+        ground=partial(_pooled_ground, raster, factor),
         std=np.sqrt(variance).astype(np.float32),
         low=np.where(np.isfinite(bottom), bottom, np.nan).astype(np.float32),
         high=np.where(np.isfinite(top), top, np.nan).astype(np.float32),

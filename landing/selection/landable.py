@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.landing.api import LandingParams
+from touchdown.landing.api import LandingParams, SiteRule
 from touchdown.landing.selection.elevation_raster import (
     ElevationRaster,
     PlaneField,
@@ -58,15 +59,22 @@ class Defect(IntEnum):
     WATER = 8
 
 
-_DEFECT_TEXT = {
-    Defect.UNKNOWN: "ground not seen",
-    Defect.SPARSE: "too few returns",
-    Defect.ROUGH: "returns spread in height",
-    Defect.STEEP: "too steep",
-    Defect.STEP: "a step",
-    Defect.OBSTACLE: "an object",
-    Defect.MOVING: "motion observed",
-    Defect.WATER: "missing pulses (water)",
+class Refusal(NamedTuple):
+    """Rule that refuses a site, and the reason as text."""
+
+    rule: SiteRule
+    text: str
+
+
+_REFUSALS = {
+    Defect.UNKNOWN: Refusal("not_seen", "ground not seen"),
+    Defect.SPARSE: Refusal("few_returns", "too few returns"),
+    Defect.ROUGH: Refusal("rough", "returns spread in height"),
+    Defect.STEEP: Refusal("steep", "too steep"),
+    Defect.STEP: Refusal("step", "a step"),
+    Defect.OBSTACLE: Refusal("object", "an object"),
+    Defect.MOVING: Refusal("motion", "motion observed"),
+    Defect.WATER: Refusal("water", "missing pulses (water)"),
 }
 
 
@@ -110,7 +118,7 @@ def water_cells(raster: ElevationRaster, max_ratio: float) -> Mask:
 
 
 def moving_cells(raster: ElevationRaster) -> Mask:
-    """Returns the mask of cells that a moving object passed, widened by the room of traffic.
+    """Returns the mask of cells that a moving object passed, widened by the clearance of traffic.
 
     A cell that a vehicle drove over has mostly returns of the ground and a few of its roof: a wide
     spread with the mean near the lowest return. In a tree crown the mean lies high, and a static
@@ -221,8 +229,8 @@ def fit_footprint(
 def explain(
     raster: ElevationRaster, landable: LandableMap, row: int, col: int, params: LandingParams,
     margin_m: float,
-) -> str:  # fmt: skip
-    """Returns the reason why the cell (row, col) is not landable, as text with figures."""
+) -> Refusal:  # fmt: skip
+    """Returns why the cell (row, col) is not landable, the text with figures."""
     radius = (FOOTPRINT_M + margin_m) / raster.cell_m
     reach = int(np.ceil(radius))
     top, left = max(row - reach, 0), max(col - reach, 0)
@@ -234,8 +242,9 @@ def explain(
         tall = float(landable.tall_m[row, col])
         if tall > _TALL_M:
             around = params.clear_radius_m + margin_m
-            return f"something {tall:.2f} m high within {around:.1f} m (limit {_TALL_M:.2f} m)"
-        return "the footprint reaches beyond the map"
+            text = f"something {tall:.2f} m high within {around:.1f} m (limit {_TALL_M:.2f} m)"
+            return Refusal("tall_neighbour", text)
+        return Refusal("map_edge", "the footprint reaches beyond the map")
     nearest = np.where(defective, away, np.inf)
     r, c = np.unravel_index(int(np.argmin(nearest)), nearest.shape)
     metres = float(nearest[r, c]) * raster.cell_m
@@ -249,4 +258,5 @@ def explain(
         Defect.SPARSE: f" ({raster.count[r, c]:.0f})",
         Defect.WATER: f" ({raster.missing[r, c]:.0f} missing, {raster.count[r, c]:.0f} seen)",
     }.get(found, "")
-    return f"{_DEFECT_TEXT[found]}{figure} {metres:.1f} m away"
+    refusal = _REFUSALS[found]
+    return refusal._replace(text=f"{refusal.text}{figure} {metres:.1f} m away")

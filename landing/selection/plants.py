@@ -1,7 +1,7 @@
-"""Ground under low plants: grass and crops that stand wide and that pulses pass to the ground.
+"""Low plants: grass and crops that stand wide and that pulses pass to the ground.
 
 Over a meadow some pulses return from the grass and some from the ground beneath it: the returns of
-a cell spread, their mean lies centimetres above the ground, and the highest ones look like objects.
+a cell spread, and the highest ones look like objects. The ground is that of the map.
 A vehicle stands on the ground all the same. Low plants are taken for what they are where they form
 a stand: the spread fills an area of a metre, the highest returns are low, and in every cell some
 returns come from the ground. A post, a kerb, a rope or a tuft by itself is narrower, a rock or a
@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from touchdown.landing.selection.elevation_raster import ElevationRaster
 
-Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _SPREAD_M = 0.14
@@ -32,9 +31,10 @@ _LEVEL_M = 0.06
 top"""
 _RAGGED_CELLS = 2
 """width of the ragged edge of a clump"""
-_NOISE_M = 0.05
-"""of the lowest and the highest of many returns of bare ground; used where the map has no such
-ground"""
+_GROUND_STD_M = 0.03
+"""limit of the uncertainty of the ground's height, a third of the largest step"""
+_NOISE_M = np.float32(0.05)
+"""of the highest of many returns of bare ground"""
 
 
 def standing_plants(raster: ElevationRaster, *, fill_gaps: bool = False) -> Mask:
@@ -55,7 +55,7 @@ def standing_plants(raster: ElevationRaster, *, fill_gaps: bool = False) -> Mask
             if fill_gaps:
                 closed = cv2.morphologyEx(some, cv2.MORPH_CLOSE, around) > 0
                 filled = some | (closed & low & level)
-            cells = max(round(side_m / raster.cell_m), 3)
+            cells = max(round(side_m / raster.cell_m), 3) | 1  # an even kernel moves what it opens
             core = cv2.morphologyEx(filled, cv2.MORPH_OPEN, np.ones((cells, cells), np.uint8))
             edge = cv2.dilate(core, np.ones((2 * _RAGGED_CELLS + 1,) * 2, np.uint8))
             found |= (core > 0) | ((edge > 0) & (some > 0))
@@ -63,27 +63,17 @@ def standing_plants(raster: ElevationRaster, *, fill_gaps: bool = False) -> Mask
 
 
 def without_plants(raster: ElevationRaster, plants: Mask) -> ElevationRaster:
-    """Returns the raster with the ground under ``plants`` (rows, cols) in their place.
-
-    The ground is that of the lowest returns, raised by what separates lowest and mean returns on
-    the map's bare ground; spread and highest returns become those of bare ground. Without plants
-    the raster itself is returned."""
+    """Returns the raster with the ground under ``plants`` (rows, cols) in their place: spread and
+    highest returns become those of bare ground. Where no pulse showed the ground well enough, they
+    stay. Without plants the raster itself is returned."""
     if not plants.any():
         return raster
+    ground = raster.ground(plants)
     with np.errstate(invalid="ignore"):
-        bare = raster.known & ~plants & (raster.high - raster.low <= _SPREAD_M)
-    noise = _NOISE_M
-    if bare.any() and 10 * bare.sum() >= plants.sum():
-        noise = float(np.median((raster.height - raster.low)[bare]))
-    ground = np.where(plants, _smoothed(raster.low, plants) + np.float32(noise), raster.height)
-    top = np.where(plants, ground + np.float32(noise), raster.high)
-    std = np.where(plants, np.minimum(raster.std, np.float32(0.5 * noise)), raster.std)
-    return dataclasses.replace(raster, height=ground, high=top, std=std)
-
-
-def _smoothed(layer: Float32, cells: Mask) -> Float32:
-    """Returns the mean of the ``cells`` among the 3 x 3 around every cell: an extreme of few
-    returns scatters more than their mean."""
-    weight = cells.astype(np.float32)
-    total = cv2.blur(np.where(cells, layer, np.float32(0.0)), (3, 3))
-    return np.asarray(total / np.maximum(cv2.blur(weight, (3, 3)), np.float32(1e-6)), np.float32)
+        sure = plants & (ground.std_m <= _GROUND_STD_M)
+    return dataclasses.replace(
+        raster,
+        height=np.where(sure, ground.height_m, raster.height),
+        high=np.where(sure, ground.height_m + _NOISE_M, raster.high),
+        std=np.where(sure, np.minimum(raster.std, 0.5 * _NOISE_M), raster.std),
+    )

@@ -28,8 +28,8 @@ NAMES = ("slope", "step", "object", "spread", "neighbour", "confinement", "spars
 _SLOPE_DISC_M = 0.5
 _SPREAD_LIMIT_M = 0.05
 _NEIGHBOUR_LIMIT_M = 0.25
-_ROOM_M = 2.0
-"""room beyond the footprint from which confinement is 0"""
+_CLEARANCE_M = 2.0
+"""clearance beyond the footprint from which confinement is 0"""
 _MOST = 2.0
 """features are clipped at twice the limit"""
 _AGE_S = 60.0
@@ -60,7 +60,7 @@ def risk_features(
     """Returns the features of every cell as a touchdown point.
 
     ``now_s``: current time, for the age of cells; ``drift_m``: drift of the vehicle in gusts,
-    subtracted from the room around the footprint.
+    subtracted from the clearance around the footprint.
     """
     cell = raster.cell_m
     pad = FOOTPRINT_M / cell
@@ -69,7 +69,7 @@ def risk_features(
     inside = np.zeros(raster.shape, np.bool_)
     inside[border:-border, border:-border] = True
     flawed = hard | (landable.defect >= Defect.ROUGH)
-    room = distance_to(flawed, cell)
+    clearance = distance_to(flawed, cell)
     side = 2 * border + 1
     few = np.reciprocal(1.0 + raster.count).astype(np.float32)
     thin = np.asarray(cv2.blur(few, (side, side), borderType=cv2.BORDER_REPLICATE), np.float32)
@@ -80,7 +80,7 @@ def risk_features(
         _scaled(disc_maximum(layer, pad), 0.0, 1.0 / params.max_step_m, values[..., index])
     _scaled(disc_maximum(raster.std, pad), 0.0, 1.0 / _SPREAD_LIMIT_M, values[..., 3])
     _scaled(landable.tall_m, 0.0, 1.0 / _NEIGHBOUR_LIMIT_M, values[..., 4])
-    _scaled(room, _ROOM_M + FOOTPRINT_M + drift_m, -1.0 / _ROOM_M, values[..., 5])
+    _scaled(clearance, _CLEARANCE_M + FOOTPRINT_M + drift_m, -1.0 / _CLEARANCE_M, values[..., 5])
     _scaled(thin, 0.0, 1.0, values[..., 6])
     _scaled(raster.last_seen, now_s, -1.0 / _AGE_S, values[..., 7])
     return RiskFeatures(values=values, open=inside & ~dilated(hard, pad))

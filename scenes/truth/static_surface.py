@@ -6,6 +6,7 @@ hangs on. Infinite planes are solved exactly.
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,7 +29,7 @@ _STRIP_REACH_M = 5000.0
 _BLOCK = 1 << 18
 """Rays that are cast at once, which bounds the memory."""
 _KEPT = 2
-_recent: list[tuple[Scene, StaticSurface]] = []
+_recent: list[tuple[weakref.ref[Scene], StaticSurface]] = []
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,14 +165,20 @@ class _Caster:
 
 
 def static_surface(scene: Scene) -> StaticSurface:
-    """The surface of ``scene``; those of the last scenes are kept, as they take a while to build.
-    The model's geometry must not change any more."""
-    for known, surface in _recent:
-        if known.model is scene.model and known.moving is scene.moving:
+    """The surface of ``scene``; those of the last scenes are kept as long as the scenes are, since
+    they take a while to build. The model's geometry must not change any more."""
+    for reference, surface in _recent:
+        known = reference()
+        if known and known.model is scene.model and known.moving is scene.moving:
             return surface
     surface = StaticSurface(scene)
-    _recent[:] = [(scene, surface), *_recent[: _KEPT - 1]]
+    _recent[:] = [(weakref.ref(scene, _forget), surface), *_recent[: _KEPT - 1]]
     return surface
+
+
+def _forget(scene: weakref.ref[Scene]) -> None:
+    """Model, textures and rays of a scene take a hundred megabytes."""
+    _recent[:] = [known for known in _recent if known[0] is not scene]
 
 
 def _static_geoms(scene: Scene) -> Indices:

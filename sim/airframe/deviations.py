@@ -36,6 +36,16 @@ class Deviations:
         """True if mass or centre of mass deviate."""
         return self.mass != 1.0 or bool(self.center_of_mass_m.any())
 
+    def sizes(self) -> dict[str, float]:
+        """Absolute deviations: relative of the mass, metres of the centre of mass, relative of the
+        rotor that differs most from the mean of the four."""
+        single = self.thrust / self.thrust.mean() - 1.0
+        return {
+            "mass_share": abs(self.mass - 1.0),
+            "center_of_mass_m": float(np.linalg.norm(self.center_of_mass_m)),
+            "rotor_share": float(np.abs(single).max()),
+        }
+
 
 NOMINAL = Deviations(
     center_of_mass_m=np.zeros(3), thrust=np.ones(ROTOR_COUNT), torque=np.ones(ROTOR_COUNT)

@@ -176,6 +176,12 @@ def sun_light(model: Any) -> int:
     return int(directional[0]) if directional.size else -1
 
 
+def sun_elevation_deg(model: Any) -> float | None:
+    """Degrees above the horizon of `sun_light`; None without one."""
+    light = sun_light(model)
+    return None if light < 0 else math.degrees(math.asin(-model.light_dir[light][2]))
+
+
 def ray_stretch(raster: CameraIntrinsics) -> Float32:
     """(H, W) distance along a pixel's ray for one metre along the optical axis."""
     x = (np.arange(raster.width) - raster.cx) / raster.fx

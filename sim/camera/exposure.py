@@ -27,6 +27,8 @@ class AutoExposure:
     def __init__(self, params: CameraParams) -> None:
         self._params = params
         self._level: float | None = None
+        self.error_stops = 0.0
+        """of the latest image: by how many factors of two it is over- or underexposed"""
         self._time_s = 0.0
 
     def settled(self, lux: float) -> Exposure:
@@ -43,6 +45,7 @@ class AutoExposure:
             share = 1.0 - math.exp(-(time_s - self._time_s) / lag)
             self._level += share * (wanted - self._level)
         self._time_s = time_s
+        self.error_stops = (self._level - wanted) / math.log(2.0)
         return self._split(self._level)
 
     def _wanted(self, lux: float) -> float:

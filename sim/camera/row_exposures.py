@@ -15,6 +15,7 @@ from touchdown.sim.camera.gl import InverseDepth
 from touchdown.sim.camera.lamp import LampField, lamp_field, shines
 from touchdown.sim.camera.optics import Lens
 from touchdown.sim.camera.shutter import CameraMotion, identity_shifts, longest_shift, row_shifts
+from touchdown.sim.effects import Effects
 from touchdown.sim.typing import Array, Bytes
 
 _DARK_LIGHTS = ("dusk", "night")
@@ -51,10 +52,8 @@ class RowExposures:
         self._control = AutoExposure(params)
         if self.takes_time:
             self._noise = sensor_noise(height, params.width, key)
-        self.exposure: Exposure | None = None
-        """of the latest image; None where exposures take no time"""
-        self.lamp_shines = False
-        """at the latest image"""
+        self.effects: Effects | None = None
+        """where light, exposure and lamp of every image are noted"""
         self._field = lamp_field(lamp, lens.raster) if lamp.below_m > 0.0 else None
 
     def develop(
@@ -82,10 +81,20 @@ class RowExposures:
             exposure = self._control.follow(lux, time_s)
             count = self._instants(motion, end_s, exposure, depth)
             shifts = self._at(motion, end_s, exposure.time_s, count)
-        self.exposure, self.lamp_shines = exposure, lamp is not None
+        self._note(exposure, lux, lit=lamp is not None)
         light = self._exposed(exposure, lamp)
         image = self._film.exposed(drawn, depth, shifts, self._noise, place, light)
         return image, light.electrons * light.gain / light.full_well
+
+    def _note(self, exposure: Exposure, lux: float, *, lit: bool) -> None:
+        if self.effects is None:
+            return
+        self.effects.note(("lamp",), float(lit))
+        if not lit:
+            self.effects.note(("light_lux",), 1.0, lux)
+        self.effects.note(("exposure_ms",), 1.0, 1e3 * exposure.time_s)
+        self.effects.note(("gain",), 1.0, exposure.gain)
+        self.effects.note(("exposure_error_stops",), 1.0, abs(self._control.error_stops))
 
     def _exposed(self, exposure: Exposure, lamp: LampField | None) -> Exposed:
         p = self._params

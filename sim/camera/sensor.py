@@ -87,11 +87,14 @@ class CameraSensor:
         self._model = scene.model
         self._params = params
         self._lens = make_lens(params)
+        self.effects = Effects()
+        """of air, optics, exposure and lamp on images"""
         self._rows: RowExposures | None = None
         if exposes_rows(params, scene.light):
             self._lens = with_margin(self._lens, SHUTTER_MARGIN_PX)
             key = [seed, crc32(b"electrons of " + camera_name.encode())]
             self._rows = RowExposures(self._lens, params, lamp or LampParams(), scene.light, key)
+            self._rows.effects = self.effects
         self._camera_id = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, camera_name)
         if self._camera_id < 0:
             names = [self._model.camera(i).name for i in range(self._model.ncam)]
@@ -101,8 +104,6 @@ class CameraSensor:
             )
         self._noise_key = [seed, crc32(camera_name.encode())]
         self._noise = noise_tile(params, self._noise_key)
-        self.effects = Effects()
-        """of air, optics, exposure and lamp on images"""
         self._degradations: CameraDegradations | None = None
         if (faults is not None and faults.events) or ground.dust is not None:
             degradations = CameraDegradations(
@@ -196,11 +197,7 @@ class CameraSensor:
         image, white = self._rows.develop(drawn, depth, motion, end_s, time_s, self._noise, place)
         if self._degradations is not None and defects is not None:
             image = self._degradations.through_lens(defects, image, snapshot, white)
-        if (exposure := self._rows.exposure) is not None:
-            self.effects.note(("lamp",), float(self._rows.lamp_shines))
-            self.effects.note(("exposure_ms",), 1.0, 1e3 * exposure.time_s)
-            self.effects.note(("gain",), 1.0, exposure.gain)
-        else:
+        if not self._rows.takes_time:
             table = exposure_table(self._params, image)
             image = image if table is None else cv2.LUT(image, table).astype(np.uint8, copy=False)
         return _frozen(image)

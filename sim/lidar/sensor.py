@@ -304,7 +304,9 @@ class LidarSensor:
                 intensity,
             )
         if self._range_errors is not None:
+            exact = ranges.copy()
             self._range_errors.apply(pulses.range_noise, hits.cosine, ranges, intensity)
+            self.effects.note_lengths("ranging", exact, ranges)
         for clutter, lost in zip(air, weakened, strict=True):
             seen = Returns(ranges, intensity)
             clear = seen.copy()
@@ -316,11 +318,16 @@ class LidarSensor:
         """Moves ``hits`` by the sway of crowns and into plants; factors (N,) of the reflectivities
         there, or empty."""
         if self._sway is not None:
+            at_rest = hits.distance.copy()
             self._sway.move(pulses.rays, pulses.times, hits)
+            self.effects.note_lengths("sway", at_rest, hits.distance)
         if self._detail is None:
             return _NO_GAIN
         gain = self._detail.gains(pulses, hits, movers)
-        self._detail.enter_plants(pulses, hits)
+        if self._detail.vegetation > 0.0:
+            ground = hits.distance.copy()
+            self._detail.enter_plants(pulses, hits)
+            self.effects.note_lengths("vegetation", ground, hits.distance)
         return gain
 
     def _split(

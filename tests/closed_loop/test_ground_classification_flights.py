@@ -72,6 +72,7 @@ def test_a_lake_is_not_landed_on() -> None:
     named = [site for site in view.candidates if site.class_predicted is not None]
     assert len(named) >= 8 and not any(site.accepted for site in view.candidates)
     assert all("looks like water" in site.reason for site in named)
+    assert {site.rule for site in named} == {"unsafe_ground"}
     _, taken = fly(Puppet(Photographer(plain("water"), None), flat_map()))
     assert not taken.no_site and taken.committed_site_world is not None
     assert taken.site_class is None
@@ -82,6 +83,11 @@ def test_the_shore_is_found() -> None:
     _, view = fly(Puppet(lander, flat_map()))
     assert view.committed_site_world is not None and view.committed_site_world[0] < 12.0
     assert view.site_class == "lawn" and not view.no_site
+    (decision,) = view.decisions
+    first, *others = decision.candidates
+    assert first.rule == "highest_value" and decision.why.startswith("Site 1 won: ")
+    assert {site.rule for site in others if site.accepted} <= {"lower_value"}
+    assert np.array_equal(decision.positions_world[0], first.position_odom)
 
 
 def test_further_rounds_find_a_site_of_lower_score() -> None:

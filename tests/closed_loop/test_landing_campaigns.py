@@ -50,7 +50,7 @@ def test_one_scene_and_one_site_for_all_methods() -> None:
     assert unchecked == {"gps": 5, "optical_flow": 5, "hybrid_flow": 5}
 
 
-def test_commanded_site_is_safe_with_room_around_it() -> None:
+def test_commanded_site_is_safe_with_clearance() -> None:
     """By the true map, as stated in the campaign's file."""
     from touchdown.scenes.api import LAND_CLASSES
     from touchdown.scenes.truth.maps import truth_maps

@@ -274,3 +274,21 @@ def test_a_scan_older_than_one_with_a_track_waits_no_longer() -> None:
     views = fly_with_tracks({156: moving_scan(4000), 216: later}, tracks, 220)
     assert views[213 // 3].version == 0
     assert views[216 // 3].version == 2
+
+
+def test_histograms_hold_every_return_of_the_coarse_and_the_fine_map() -> None:
+    hover = Pose(np.eye(3), np.array([0.0, 0.0, 8.0]))
+    scan = cast_scan(60, beam_fan(5000, 0.5, 0.3, 2), [hover] * 5000)
+    mapper = GridMapper(make_rig(), PARAMS)
+    for tick in range(0, 157, 3):
+        obs = make_obs(tick, scans=(scan,) if tick == 156 else ())
+        view = mapper.update(obs, make_estimate(tick, hover))
+    assert view.fine is not None
+    for grid in (view.coarse, view.fine):
+        assert grid.histogram is not None and grid.histogram_base_m is not None
+        np.testing.assert_array_equal(grid.histogram.sum(axis=2, dtype=np.float32), grid.count)
+        seen = grid.count > 0
+        assert seen.any() and (grid.histogram_base_m < grid.min_height_m)[seen].all()
+        with pytest.raises(ValueError, match="read-only"):
+            grid.histogram[0, 0, 0] = 1
+        assert np.abs(grid.ground().height_m[seen]).max() < 0.02

@@ -105,7 +105,7 @@ def test_a_camera_off_the_imu_swings_with_the_turn() -> None:
 
 
 def flown(rate: np.ndarray, ticks: int) -> InertialFilter:
-    """A filter after samples of constant turn rate, free of load but for gravity's reaction."""
+    """A filter after samples of constant angular rate, free of load but for gravity's reaction."""
     inertial = InertialFilter(RIG, 0.15)
     rotation = inertial.eskf.state.rotation
     for tick in range(3, ticks + 1, 3):

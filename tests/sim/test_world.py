@@ -28,6 +28,7 @@ from touchdown.sim.api import (
     SensorNeeds,
     SimParams,
     Truth,
+    VehicleErrorParams,
     VehicleModel,
     WindParams,
     WorldParams,
@@ -308,19 +309,25 @@ def test_same_seed_same_flight_whatever_the_threads(make_world: MakeWorld) -> No
 
 
 def test_an_unkind_world_is_the_same_whatever_the_threads(scene: Scene) -> None:
-    """Latency, range errors, texture, plants, sway and dust are all functions of seed and tick."""
+    """Latency, range errors, texture, plants, sway and dust are all functions of seed and tick; so
+    is what the world notes of them."""
     unkind = LidarParams(
         range_bias_m=0.02, range_noise_growth=0.2, texture=1.0, vegetation=1.0, sway=1.0
     )
     grassy = Surface(land_class="lawn", reflectivity=0.4, canopy_m=0.05, leaf_area=1.7, dust=1.0)
     planted = replace(scene, surfaces={**scene.surfaces, "lawn_floor": grassy})
 
+    records = []
+
     def digest(threads: int, lidar: LidarParams, seed: int = 3) -> str:
         params = WorldParams(
             sim=SimParams(threads=threads, latency_sigma=0.3),
-            camera=SMALL_IMAGE,
+            camera=replace(SMALL_IMAGE, exposure=True, stamp_delay_s=0.004),
             lidar=lidar,
             dust=DustParams(density=1.0),
+            wind=WindParams(rotational=True),
+            vehicle_error=VehicleErrorParams(center_of_mass_m=0.01),
+            imu=ImuParams(scale_sigma=0.003),
         )
         world = MujocoWorld(planted, params, seed, SensorNeeds(camera_hz=10, lidar=True))
         world.start_in_air(np.array([1.0, 2.0, 1.5]), 0.0)
@@ -331,10 +338,25 @@ def test_an_unkind_world_is_the_same_whatever_the_threads(scene: Scene) -> None:
                 found.update(obs.tick.to_bytes(4, "little"))
                 found.update(np.ascontiguousarray(array).tobytes())
         world.close()
+        records.append(world.record())
         return found.hexdigest()
 
     expected = digest(1, unkind)
     assert digest(2, unkind) == expected
+    one, two = records
+    assert one == two
+    scans, images, air = (one.effects[name] for name in ("scans", "images", "air"))
+    assert scans.keys() >= {"dust", "vegetation", "ranging"}
+    assert 0.001 < scans["ranging"].mean_amount < 0.04
+    assert scans["vegetation"].mean_share > 0.01 and scans["dust"].messages > 0
+    assert images["dust"].messages > 0 and images["lamp"].messages == 0
+    assert images["stamp_error_ms"].mean_amount == pytest.approx(4.0)
+    assert 1e3 < images["light_lux"].mean_amount < 1e5
+    assert images["exposure_ms"].mean_amount > 0.05 and images["gain"].mean_amount == 1.0
+    assert images["exposure_error_stops"].came == images["gain"].came > 0
+    assert air["rotation"].came == 60 and air["rotation"].mean_amount > 0.0
+    assert 0.0 < one.deviations["center_of_mass_m"] < 0.02
+    assert 0.0 < one.deviations["imu_scale"] < 0.01
     assert digest(1, LidarParams()) != expected
     assert digest(1, unkind, seed=4) != expected
 

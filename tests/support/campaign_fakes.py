@@ -48,6 +48,8 @@ def fly(config: Config, out: Path) -> RunResult:
         hoard = bytearray(SIZE)
         hoard[::PAGE] = b"x" * len(hoard[::PAGE])
         time.sleep(600.0)
+    elif behaviour == "litters":
+        litter()
     elif behaviour == "maps":
         with mapped_file():
             time.sleep(1.0)  # of several looks of the supervisor
@@ -64,6 +66,17 @@ def fly(config: Config, out: Path) -> RunResult:
         (partial / "flight.rrd").write_text("seen")
     os.replace(partial, out)
     return RunResult.model_validate(result)
+
+
+def litter() -> None:
+    """Leaves an object that refers to itself, and freed memory below a block in use."""
+    loop: list[Any] = [b"x" * (SIZE // 5)]
+    loop.append(loop)
+    blocks = [b"x" * 10 * PAGE for _ in range(SIZE // 5 // 10 // PAGE)]
+    KEPT.append(blocks[-1])
+
+
+KEPT: list[bytes] = []
 
 
 @contextlib.contextmanager

@@ -35,7 +35,7 @@ def scan(end: int) -> LidarScan:
 
 def image(tick: int) -> CameraImage:
     return CameraImage(
-        tick=tick, time_s=tick / HZ, rgb=np.full((4, 6, 3), tick // PERIOD, np.uint8)
+        tick=tick, time_s=tick / HZ, rgb=np.full((4, 6, 3), tick // PERIOD % 256, np.uint8)
     )
 
 

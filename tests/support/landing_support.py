@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import Estimate, GridMap, MapView
+from touchdown.estimator.api import HEIGHT_BIN_M, HEIGHT_BINS, Estimate, GridMap, MapView
+from touchdown.estimator.mapping.kernels import accumulate_heights
 from touchdown.sim.api import (
     CameraIntrinsics,
     ImuParams,
@@ -150,12 +151,30 @@ def make_grid(
     """Map of a height raster (NaN: unseen) from ``returns`` noisy returns per cell."""
     rng = np.random.default_rng(seed)
     samples = height[None] + sigma * rng.standard_normal((returns, *height.shape))
-    known = np.isfinite(height)
-    shape = height.shape
+    return grid_of_returns(samples, cell_m, origin=origin)
+
+
+def grid_of_returns(
+    samples: Array, cell_m: float = 0.2, *, origin: tuple[float, float] = (0.0, 0.0)
+) -> GridMap:
+    """Map of the heights of returns (returns, rows, cols), those of an unseen cell all NaN."""
+    known = np.isfinite(samples[0])
+    shape = known.shape
+    histogram = np.zeros((*shape, HEIGHT_BINS), np.uint8)
+    base = np.full(shape, np.nan, np.float32)
+    rows, cols = np.indices(shape)
+    for heights in samples:
+        points = np.stack([
+            origin[0] + (cols + 0.5) * cell_m, origin[1] + (rows + 0.5) * cell_m, heights
+        ], axis=-1)[known].astype(np.float32)  # fmt: skip
+        accumulate_heights(
+            points, np.zeros_like(points), np.ones(len(points), np.float32), *origin, cell_m,
+            HEIGHT_BIN_M, histogram, base,
+        )  # fmt: skip
     return GridMap(
         origin_xy_m=np.array(origin),
         cell_m=cell_m,
-        count=np.where(known, returns, 0).astype(np.float32),
+        count=np.where(known, len(samples), 0).astype(np.float32),
         height_m=samples.mean(axis=0).astype(np.float32),
         height_std_m=samples.std(axis=0).astype(np.float32),
         min_height_m=samples.min(axis=0).astype(np.float32),
@@ -164,6 +183,8 @@ def make_grid(
         intensity=np.full(shape, 40.0, np.float32),
         missing=np.zeros(shape, np.float32),
         last_seen_s=np.zeros(shape, np.float32),
+        histogram=histogram,
+        histogram_base_m=base,
     )
 
 

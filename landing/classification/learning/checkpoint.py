@@ -34,8 +34,8 @@ def restore(trainer: Resumable, folder: Path, identity: dict[str, Any]) -> None:
     Raises ValueError where it belongs to a training with other parameters or images, or cannot be
     read.
     """
-    for left in folder.glob(".*.pt.partial*"):
-        left.unlink(missing_ok=True)  # of a training that was killed
+    for name in (LAST, BEST):
+        _partial(folder / name).unlink(missing_ok=True)  # of a training that was killed
     path = folder / LAST
     if not path.is_file():
         return
@@ -116,8 +116,12 @@ def fingerprint(start: Path) -> int:
     return crc32((start if start.suffix == SUFFIX else start / BEST).read_bytes())
 
 
+def _partial(path: Path) -> Path:
+    return path.with_name(f".{path.name}.partial")
+
+
 def _write(path: Path, value: dict[str, Any]) -> None:
-    partial = path.with_name(f".{path.name}.partial")
+    partial = _partial(path)
     try:
         torch.save(value, partial)
         os.replace(partial, path)

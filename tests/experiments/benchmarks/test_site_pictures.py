@@ -126,7 +126,8 @@ def test_the_command_draws_each_scene(
     selection: Selection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result = {
-        "chosen_safe": True, "accepted": 1, "accepted_safe": 1, "room_m": 2.0, "best_room_m": 3.0,
+        "chosen_safe": True, "accepted": 1, "accepted_safe": 1,
+        "clearance_m": 2.0, "best_clearance_m": 3.0,
         "cells": {"safe": 10, "allowed": 5, "both": 5},
         "sample": {"predicted": np.array([0.9], np.float32), "safe": np.array([True])},
     }  # fmt: skip

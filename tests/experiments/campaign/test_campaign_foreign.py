@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from touchdown.experiments.campaign import session
+from touchdown.experiments.campaign import session, worker
+from touchdown.experiments.campaign.arrival import Arrivals
 from touchdown.experiments.campaign.expectations import judge_campaign
 from touchdown.experiments.campaign.plan import Plan, load_plan
 from touchdown.experiments.campaign.results_table import _stamp, load_rows, write_table
@@ -258,12 +259,44 @@ def test_a_run_that_vanishes_is_not_counted(tmp_path: Path) -> None:
     assert [event["event"] for event in seen].count("finished") == 2
 
 
+def test_files_of_others_in_the_place_of_a_run_stay(out: Path, plan: Plan) -> None:
+    (out / "runs" / NAME / "row.parquet").unlink()
+    thesis = out / "runs" / NAME / "thesis.txt"
+    thesis.write_text("years of work")
+    refused(plan, out, "holds 'thesis.txt', which no run writes, where a run of the campaign")
+    thesis.rename(out / "thesis.txt")
+    assert fly(plan, out)["finished"] == 2
+    assert (out / "runs" / NAME / "row.parquet").is_file()
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_files_of_others_that_come_while_a_run_is_flown_stay(
+    whole: bool, out: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the way of a run that arrives, and beside a row of another program."""
+    run, made = out / "runs" / NAME, out / "made"
+    made.mkdir()
+    thesis = run / "thesis.txt"
+    thesis.write_text("years of work")
+    if not whole:
+        (run / "row.parquet").unlink()
+        with pytest.raises(UsageError, match=r"holds 'thesis\.txt'"):
+            worker._move(made, run)
+    else:
+        task = worker.Task(NAME, plan.runs[0].values, str(out), False, "")
+        Arrivals([task], {NAME: "another"}, 0.0, lambda _event: None).see(
+            {"event": "finished", "run_id": NAME}
+        )
+        assert [path.name for path in run.iterdir()] == ["thesis.txt"]
+    assert thesis.read_text() == "years of work"
+
+
 def test_leavings_of_killed_campaigns_go(out: Path, plan: Plan) -> None:
     shutil.rmtree(out / "runs" / NAME)
     left = [
         out / ".partial" / "other-run.1" / "x",
         out / ".share-1",
-        out / "failed" / f".{NAME}.json.1",
+        out / "failed" / f".{NAME}.json.partial-1",
     ]
     for path in left:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -27,6 +27,7 @@ BEHAVIOURS = (
     "is_killed_once",
     "grows",
     "maps",
+    "litters",
 )
 
 
@@ -55,6 +56,7 @@ def row_of(directory: Path, behaviour: str) -> dict[str, Any]:
         ("is_killed_once", "COMPLETED", 2, ""),
         ("grows", "CRASHED", 1, "GB of memory"),
         ("maps", "COMPLETED", 1, ""),
+        ("litters", "COMPLETED", 1, ""),
     ],
 )
 def test_every_run_has_a_row_after_any_failure(
@@ -65,6 +67,13 @@ def test_every_run_has_a_row_after_any_failure(
     assert reason in row["reason"]
     assert attempts(faulty[0])[row["run_id"]] == flown
     assert (faulty[0] / "runs" / row["run_id"]).exists() == (outcome != "CRASHED")
+
+
+def test_a_worker_gives_back_what_a_run_took(
+    faulty: tuple[Path, dict[str, Any]], base_gb: float
+) -> None:
+    after_mb = row_of(faulty[0], "litters")["worker_memory_mb"]
+    assert after_mb == pytest.approx(1e3 * base_gb, abs=50.0)
 
 
 def test_a_run_that_hangs_is_ended_at_its_limit(tmp_path: Path) -> None:
@@ -89,7 +98,7 @@ def test_only_unsuccessful_flights_are_recorded(faulty: tuple[Path, dict[str, An
 def test_no_partial_files_remain(faulty: tuple[Path, dict[str, Any]]) -> None:
     assert not (faulty[0] / ".partial").exists()
     totals = faulty[1]
-    assert (totals["finished"], totals["crashed"], totals["remaining"]) == (6, 3, 0)
+    assert (totals["finished"], totals["crashed"], totals["remaining"]) == (7, 3, 0)
     assert totals["flying"] == []
     shares = totals["estimators"]["fake:good"]["stage_share"]
     assert sum(shares.values()) == pytest.approx(1.0)

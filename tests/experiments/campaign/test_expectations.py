@@ -8,7 +8,13 @@ from typing import Any
 
 import pytest
 
-from touchdown.experiments.campaign.expectations import judge, judge_campaign, lines, unexpected
+from touchdown.experiments.campaign.expectations import (
+    idle_conditions,
+    judge,
+    judge_campaign,
+    lines,
+    unexpected,
+)
 from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.campaign.session import summary
 from touchdown.experiments.cli import main as cli
@@ -57,6 +63,21 @@ def landed(outcome: str = "LANDED", safe: bool | None = True, error: float = 0.1
     }  # fmt: skip
 
 
+DARK = [{"name": "camera_black@20", "happened": True, "text": "771 of 771 images"}]
+ONE_IMAGE = [
+    {"name": "camera_black@20", "happened": False, "text": "1 of 771 images"},
+    {"name": "night", "happened": True, "text": "night"},
+]
+
+
+def test_idle_conditions() -> None:
+    rows = [landed() | {"conditions": found, "run_id": run} for run, found in
+            (("a", DARK), ("b", ONE_IMAGE), ("c", json.dumps(ONE_IMAGE)), ("d", None))]  # fmt: skip
+    assert idle_conditions(rows) == [
+        "condition 'camera_black@20' did not happen in 2 of 3 runs, such as b, 1 of 771 images"
+    ]
+
+
 @pytest.mark.parametrize(
     ("row", "given", "fragment"),
     [
@@ -76,6 +97,14 @@ def landed(outcome: str = "LANDED", safe: bool | None = True, error: float = 0.1
         (landed(), {"at_most": {"position_error_m.max": 0.09}}, "max 0.1, at most 0.09 expected"),
         (landed(), {"at_most": {"slowed_s": 1.0}}, "slowed_s unknown"),
         (landed("CRASHED"), {"unsafe": True}, "crashed: why"),
+        (landed() | {"conditions": DARK}, {"happened": True}, ""),
+        (landed() | {"conditions": json.dumps(DARK)}, {"happened": True}, ""),  # of a table
+        (landed() | {"conditions": ONE_IMAGE}, {"happened": False}, ""),
+        (landed() | {"conditions": ONE_IMAGE}, {"happened": True}, "(1 of 771 images)"),
+        (landed() | {"conditions": ONE_IMAGE}, {"happened": ["camera_black@20"]}, "not happen"),
+        (landed() | {"conditions": ONE_IMAGE}, {"happened": ["night"]}, ""),
+        (landed() | {"conditions": []}, {"happened": True}, ""),
+        (landed(), {"happened": True}, "no record of what happened"),
     ],
 )
 def test_expectations_of_one_row(row: dict[str, Any], given: dict[str, Any], fragment: str) -> None:

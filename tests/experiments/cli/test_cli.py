@@ -230,6 +230,29 @@ def test_risky_ground_without_ground_classification_is_remarked_on(
     assert (f"a {kind} is risky ground; ground classification was off" in out) == remark
 
 
+def test_the_first_three_candidates_and_the_reason_are_printed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    from touchdown.experiments.cli.console import print_result
+
+    sites = [
+        {"rank": rank, "accepted": True, "rule": "lower_value", "reason": "", "value": 1.0 / rank,
+         "position_m": [10.0 * rank, -5.0, 0.0], "slope_deg": 0.3, "clearance_m": None,
+         "class_predicted": "lawn", "class_probability": 0.97}
+        for rank in (1, 2, 3, 4)
+    ]  # fmt: skip
+    earlier = {"time_s": 61.2, "candidates": 3, "why": "Site 1 won", "given_up": "a wire"}
+    choice = {"time_s": 80.0, "scorer": "risk",
+              "why": "Site 1 won: more clearance (3.0 against 1.2 m)",
+              "candidates": sites, "earlier": [earlier]}  # fmt: skip
+    print_result(_changed(_result("LANDED"), choice=choice), None)
+    out = capsys.readouterr().out
+    assert "30.0, -5.0" in out and "40.0, -5.0" not in out
+    assert "0.333" in out and "0.3 deg" in out and "lawn 0.97" in out and "lower value" in out
+    assert "Site 1 won: more clearance (3.0 against 1.2 m)\n" in out
+    assert "before, at 61.2 s: given up: a wire\n" in out
+
+
 def test_a_table_in_a_pipe_is_not_cut(capsys: pytest.CaptureFixture[str]) -> None:
     from touchdown.experiments.cli.console import print_scene_check
 

@@ -45,10 +45,16 @@ def test_livo_knows_where_it_is(livo_flight: tuple[Path, dict[str, Any]]) -> Non
 def test_same_seed_same_beginning_to_the_byte_on_any_number_of_threads(
     livo_flight: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
-    """The first seconds in the air; the whole flight is compared below."""
+    """The first seconds in the air; the whole flight is compared below. A fault after the end
+    changes nothing, and the result says so, beside what was measured."""
     first, _ = livo_flight
-    short = ("sim.threads=1", "referee.timeout_s=6.0")
-    assert run(tmp_path / "run", *short, estimator="livo", seed=11, survey_only=True)
+    short = ("sim.threads=1", "referee.timeout_s=6.0", "faults.events=['camera_black@9']")
+    result = run(tmp_path / "run", *short, estimator="livo", seed=11, survey_only=True)
+    (condition,) = result["conditions"]
+    assert (condition["name"], condition["happened"]) == ("camera_black@9", False)
+    assert condition["text"].endswith("the flight ended at 6.0 s, before it began")
+    assert result["measured"]["scan_latency_ms"] == pytest.approx(60.0)
+    assert 10.0 < result["measured"]["image_grey"] < 245.0
     for name in ("truth.tum", "estimate.tum", "reference.tum"):
         begun = (tmp_path / "run" / name).read_bytes()
         assert begun.count(b"\n") > 100

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import gc
+import weakref
 from pathlib import Path
 
 import mujoco
@@ -86,6 +89,17 @@ def test_a_box_that_the_truth_map_misses_is_noticed(
     monkeypatch.undo()
     seen = landing_at(TruthLookup(scene), (6.0, 0.2), on_box)
     assert (seen.height_agrees, seen.class_true, seen.safe) == (True, "building", False)
+
+
+def test_a_surface_is_kept_as_long_as_its_scene(tmp_path: Path) -> None:
+    scene = place(tmp_path, BOX)
+    assert static_surface.static_surface(scene) is static_surface.static_surface(scene)
+    lit = dataclasses.replace(scene, light="night")
+    assert static_surface.static_surface(lit) is static_surface.static_surface(scene)
+    model = weakref.ref(scene.model)
+    del scene, lit
+    gc.collect()
+    assert model() is None
 
 
 def landing_at(

@@ -134,7 +134,22 @@ def test_only_runs_are_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
             check_out_dir(folder)
     run = '{"outcome": "LANDED", "scene": "flat", "seed": 0, "estimator": "gps"}'
     (folder / "result.json").write_text(run)
+    (folder / "flight.rrd").touch()
     check_out_dir(folder)
+    for foreign in ("thesis.txt", "other-run/", "map.ply/", "row.parquet", ".notes"):
+        entry = folder / foreign
+        entry.mkdir() if foreign.endswith("/") else entry.touch()
+        with pytest.raises(UsageError, match=f"holds '{entry.name}', which no run writes"):
+            check_out_dir(folder)
+        entry.rmdir() if foreign.endswith("/") else entry.unlink()
+    (folder / "truth.tum").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UsageError, match=r"holds 'truth\.tum'"):
+        check_out_dir(folder)
+    (folder / "truth.tum").unlink()
+    with monkeypatch.context() as mounted:
+        mounted.setattr("os.path.ismount", lambda path: path == folder)
+        with pytest.raises(UsageError, match="is a mount point"):
+            check_out_dir(folder)
     monkeypatch.chdir(folder)
     for here in (Path(), folder, Path(".."), tmp_path):
         with pytest.raises(UsageError, match="is the working directory or above it"):
@@ -143,7 +158,7 @@ def test_only_runs_are_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 def test_a_link_as_out_stays_and_its_target_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "big-disk" / "run").mkdir(parents=True)
-    (tmp_path / "big-disk" / "run" / "old").touch()
+    (tmp_path / "big-disk" / "run" / "map.ply").touch()
     (tmp_path / "run").symlink_to(tmp_path / "big-disk" / "run")
     with run_directory(tmp_path / "run") as partial:
         (partial / "new").touch()

@@ -7,22 +7,35 @@ import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from unittest import mock
 
 import psutil
 import pytest
 
+from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io import run_directory as whole
-from touchdown.experiments.io.run_directory import run_directory, whole_file, whole_folder
+from touchdown.experiments.io.run_directory import (
+    filled_folder,
+    run_directory,
+    whole_file,
+    whole_folder,
+)
 
-MAKERS = {"run_directory": run_directory, "whole_folder": whole_folder, "whole_file": whole_file}
+OWN = ("content", "half", "old")
+MAKERS = {
+    "run_directory": lambda out: run_directory(out, OWN),
+    "whole_folder": lambda out: whole_folder(out, OWN),
+    "whole_file": whole_file,
+}
 HALF = """
 import os, signal, sys
 from pathlib import Path
 from unittest import mock
 from touchdown.experiments.io import run_directory as whole
-with getattr(whole, sys.argv[1])(Path(sys.argv[2])) as partial:
+own = () if sys.argv[1] == "whole_file" else (("content", "half"),)
+with getattr(whole, sys.argv[1])(Path(sys.argv[2]), *own) as partial:
     if sys.argv[1] == "whole_folder":
         partial.mkdir()
     (partial if sys.argv[1] == "whole_file" else partial / "half").write_text("half")
@@ -40,11 +53,14 @@ def begin(maker: str, out: Path, what: str) -> subprocess.Popen[bytes]:
     return process
 
 
-def make(maker: str, out: Path) -> None:
+def make(
+    maker: str, out: Path, text: str = "whole", meanwhile: Callable[[], None] = lambda: None
+) -> None:
     with MAKERS[maker](out) as partial:
         if maker == "whole_folder":
             partial.mkdir()
-        (partial if maker == "whole_file" else partial / "content").write_text("whole")
+        (partial if maker == "whole_file" else partial / "content").write_text(text)
+        meanwhile()
 
 
 @pytest.mark.parametrize("maker", MAKERS)
@@ -59,15 +75,16 @@ def test_the_next_start_removes_what_a_dead_process_left_and_nothing_else(
     assert of_alive != dead  # gone already
     elsewhere = tmp_path / f".a[1].partial-another.machine.{alive.pid}"
     named = tmp_path / ".a[1].partial-mine"
+    dated = tmp_path / f".a[1].{2**22 - 1}"
     other = tmp_path / f".b.partial-{socket.gethostname()}.{2**22 - 1}"
-    for kept in (elsewhere, named, other):
+    for kept in (elsewhere, named, dated, other):
         kept.write_text("kept")
     make(maker, out)
-    assert {*tmp_path.iterdir()} == {out, of_alive, elsewhere, named, other}
+    assert {*tmp_path.iterdir()} == {out, of_alive, elsewhere, named, dated, other}
     alive.communicate()
     content = out if maker == "whole_file" else next(out.iterdir())
     assert content.read_text() == "half"  # the last one counts
-    assert {*tmp_path.iterdir()} == {out, elsewhere, named, other}
+    assert {*tmp_path.iterdir()} == {out, elsewhere, named, dated, other}
 
 
 def test_a_process_of_the_same_number_that_began_later_is_another(tmp_path: Path) -> None:
@@ -88,18 +105,47 @@ def test_an_earlier_run_is_replaced_and_never_missing(
 ) -> None:
     if not can_exchange:
         monkeypatch.setattr(whole, "_exchange", lambda _one, _other: False)
-    out, seen = tmp_path / "a", []
-    removed = whole.shutil.rmtree
-    monkeypatch.setattr(
-        whole.shutil, "rmtree", lambda *a, **k: (seen.append(out.exists()), removed(*a, **k))
-    )
+    out = tmp_path / "a"
     for maker in ("run_directory", "whole_folder"):
         make(maker, out)
         (out / "old").touch()
         make(maker, out)
         assert [path.name for path in out.iterdir()] == ["content"]
-        removed(out)
-    assert list(tmp_path.iterdir()) == [] and all(seen)
+        assert [path.name for path in tmp_path.iterdir()] == ["a"]
+        (out / "content").unlink()
+        out.rmdir()
+
+
+@pytest.mark.parametrize("can_exchange", [True, False])
+@pytest.mark.parametrize("maker", ["run_directory", "whole_folder"])
+def test_what_came_during_the_work_is_kept_and_the_work_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, maker: str, can_exchange: bool
+) -> None:
+    if not can_exchange:
+        monkeypatch.setattr(whole, "_exchange", lambda _one, _other: False)
+    out = tmp_path / "a"
+    make(maker, out)
+    (tmp_path / "a-2").touch()
+    for foreign in ("thesis.txt", "old/"):  # a folder of the name of a file of ours
+        thesis = out / foreign
+        arrives = thesis.mkdir if foreign.endswith("/") else thesis.touch
+        with pytest.raises(UsageError, match=f"holds '{thesis.name}' by now.*is in '.*a-[34]'"):
+            make(maker, out, "new", arrives)
+        assert (out / "content").read_text() == "whole" and thesis.exists()
+        thesis.rmdir() if foreign.endswith("/") else thesis.unlink()
+    assert [(tmp_path / name / "content").read_text() for name in ("a-3", "a-4")] == ["new", "new"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "a-2", "a-3", "a-4"]
+
+
+def test_a_folder_of_pictures_is_filled_and_keeps_what_is_in_it(tmp_path: Path) -> None:
+    out = tmp_path / "pictures"
+    for text in ("one", "two"):
+        with filled_folder(out) as partial:
+            (partial / "a.png").write_text(text)
+        (out / "mine.png").touch()
+    assert (out / "a.png").read_text() == "two"
+    assert sorted(path.name for path in out.iterdir()) == ["a.png", "mine.png"]
+    assert [path.name for path in tmp_path.iterdir()] == ["pictures"]
 
 
 def test_a_link_to_a_directory_stays_a_link(tmp_path: Path) -> None:

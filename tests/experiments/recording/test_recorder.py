@@ -253,15 +253,14 @@ def _candidate(accepted: bool) -> Candidate:
     return Candidate(
         position_odom=np.array([-10.0, -10.0, 1.5]),
         normal_odom=np.array([0.0, 0.0, 1.0]),
-        score=0.8,
-        flatness=0.9,
-        smoothness=0.7,
-        distance=0.6,
+        c_sum=0.8,
         slope_deg=1.0,
         roughness_m=0.02,
         clearance_m=3.0,
         accepted=accepted,
         reason="level and clear" if accepted else "water",
+        rule="highest_value" if accepted else "water",
+        value=0.9,
     )
 
 
@@ -277,6 +276,8 @@ def _fly(recorder: Any, steps: int = 400) -> None:
         smoothness=total,
         distance=total,
         rgb=np.full((160, 160, 3), 90, np.uint8),
+        value=total,
+        allowed=grid.count > 0,
     )
     image = np.full((48, 64, 3), 127, np.uint8)
     command = Command(rotor_speed_radps=np.full(4, 500.0))

@@ -19,6 +19,7 @@ from touchdown.experiments.reporting.document import (
     make_report,
     markdown,
     page,
+    write_report,
 )
 from touchdown.experiments.reporting.flights import check_revisions, load_flights, path_deviation
 from touchdown.experiments.reporting.narrative import leading_sentences
@@ -52,10 +53,10 @@ def test_runs_are_found_sorted_and_summed_up(tmp_path: Path) -> None:
     write_run(tmp_path / "c", 3, outcome="NO_SITE", landing=None)
     runs = load_runs(tmp_path)
     assert [(name, run.seed) for name, run in runs.items()] == [("a/deep", 1), ("b", 2), ("c", 3)]
-    totals = summary(runs)
+    totals = summary(runs, tmp_path)
     assert totals["outcomes"] == {"LANDED": 2, "NO_SITE": 1}
     assert totals["unsafe_touchdowns"] == 1
-    assert totals["means"]["position_error_m.mean"] == pytest.approx(0.2)
+    assert totals["means"]["livo"]["position_error_m.mean"] == pytest.approx(0.2)
     table = markdown_table(runs, LANDING_COLUMNS).splitlines()
     assert len(table) == 5
     assert "| crossroad | livo | 3 | NO_SITE | 0.300 | – |" in table[4]
@@ -134,7 +135,13 @@ def test_table_2_has_the_published_figures_beside_crossroad(report: Report) -> N
     assert found.header == ["method", "crossroad", "paper prints", "lake", "all scenes"]
     lines = {line[0].text: line for line in found.rows}
     assert [cell.text for cell in lines["`paper`"]][1:4] == ["0.110", "0.3671", "0.220"]
-    assert [cell.text for cell in lines["`gps`"]][2] == "1.0112"
+    gps = [cell.text for cell in lines["`gps`"]]
+    assert (gps[1], gps[2], gps[4]) == ("1.10 (set)", "–", "1.65 (set)"), "set, so not compared"
+    assert found.notes == [
+        "(set): the error of `gps` is set by `gps.preset`, not measured (the error is the "
+        "receiver's, whose preset was fitted to the paper's Table 2), and is not compared with the "
+        "paper."
+    ]
     assert lines["`livo`"][2].text == "–"
     assert [cell.kind for cell in lines["`livo`"]][1:4:2] == ["best", "best"]
     assert lines["`livo`"][1].interval == "[0.050, 0.060]"
@@ -143,7 +150,8 @@ def test_table_2_has_the_published_figures_beside_crossroad(report: Report) -> N
 
 def test_table_1_states_the_ambiguous_figures(report: Report) -> None:
     found = table(report, "table1")
-    assert found.rows[1][1].text == "18.0"
+    assert found.rows[1][1].text == "18.0" and found.header[1] == "T_total (s) (set)"
+    assert any("T_total is set by `survey.duration_s`, not measured" in n for n in found.notes)
     assert any('"36.11111"' in note and "cannot be known" in note for note in found.notes)
     assert any("±1.19, ±0.89, ±0.96, ±1.19°" in note for note in found.notes)
 
@@ -158,19 +166,20 @@ def test_words_follow_the_data(report: Report) -> None:
         "With 3 equal seeds a difference of 0.055 m may be due to chance (adjusted p = 0.5); "
         "7 seeds per method would show it with 80 % power." in words
     )
-    assert "The paper's methods come in the order of its Table 2 in crossroad, lake." in words
     assert '0.3671 m printed (Table 2, "Ours"): 3.34 times smaller here.' in words
-    assert "1.10 m [1.00, 1.20] measured, 1.0112 m printed" in words
-    assert 'printed (Table 2, "GPS"): no difference beyond the interval.' in words
+    assert "`paper` 0.110 m, `gps` 1.10 m" not in words and "`gps` 1.10 m (`gps`: set)" in words
+    assert "1.0112" not in words and "(set): the error of `gps` is set" in words
+    assert "table 2 in" not in words.lower(), "of the paper's methods one alone is measured"
 
 
 def test_another_order_than_the_papers_is_stated(rows: list[dict[str, Any]]) -> None:
-    swapped = [
-        row | {"trajectory_error_m": 3.0} if row["estimator"] == "paper" else row for row in rows
-    ]
+    flow = [r | {"estimator": "optical_flow"} if r["estimator"] == "gps" else r for r in rows]
+    same = "The paper's methods come in the order of its Table 2 in crossroad, lake."
+    assert same in leading_sentences(flow)
+    swapped = [r | {"trajectory_error_m": 3.0} if r["estimator"] == "paper" else r for r in flow]
     assert (
-        "lake: the paper's methods come in the order `gps` < `paper`; in its Table 2 it is "
-        "`paper` < `gps`." in leading_sentences(swapped)
+        "lake: the paper's methods come in the order `optical_flow` < `paper`; in its Table 2 it "
+        "is `paper` < `optical_flow`." in leading_sentences(swapped)
     )
 
 
@@ -200,7 +209,7 @@ def test_lost_flights_are_counted_and_named(report: Report) -> None:
     assert found.notes[0].startswith("2 of 21 flights were not successful.")
     assert "lake, `gps`, seed 2: DIVERGED (the estimate is 20.1 m off)" in found.notes
     gps = next(line for line in table(report, "table2_error").rows if line[0].text == "`gps`")
-    assert gps[3].text == "2.20", "the lost flight is in the mean"
+    assert gps[3].text == "2.20 (set)", "the lost flight is in the mean"
 
 
 def test_landings_beside_table_5(report: Report) -> None:
@@ -276,6 +285,21 @@ def test_command_writes_everything(
     assert text.count("| `livo` |") > 5
     assert cli.main(["report", str(campaign), "--out", str(out / "report.md")]) == 2
     assert "cannot be written" in capsys.readouterr().err
+
+
+def test_files_of_others_are_no_report_to_be_replaced(report: Report, tmp_path: Path) -> None:
+    mine = tmp_path / "report.md"
+    mine.write_text("mine")
+    for text in ("{}", '{"title": "mine"}', "no JSON"):
+        (tmp_path / "report.json").write_text(text)
+        with pytest.raises(UsageError, match=r"holds 'report\.md', which is of no report"):
+            write_report(report, [], tmp_path)
+    assert mine.read_text() == "mine"
+    (tmp_path / "report.json").unlink()
+    mine.unlink()
+    for _ in range(2):
+        written = write_report(report, [], tmp_path)
+    assert written["markdown"] == mine and mine.read_text() != "mine"
 
 
 def test_a_plain_directory_prints_its_table(

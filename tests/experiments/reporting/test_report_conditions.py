@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from touchdown.experiments.reporting.conditions import condition_of, condition_table
+from touchdown.experiments.io.results import load_runs
+from touchdown.experiments.reporting.conditions import (
+    condition_of,
+    condition_table,
+    label_conditions,
+)
+from touchdown.experiments.reporting.document import as_json, make_report, markdown, page
+from touchdown.experiments.reporting.flights import load_flights
+from touchdown.experiments.reporting.run_table import summary
 from touchdown.experiments.reporting.statistics import ratio_interval
+
+from support.report_support import write_run
 
 
 def row(condition: str, scene: str, seed: int, error: float, **more: Any) -> dict[str, Any]:
@@ -61,3 +73,83 @@ def test_ratios_are_of_means_of_pairs() -> None:
     assert found is not None and found.low is not None
     assert (found.value, found.flights) == (2.0, 3) and found.low == pytest.approx(2.0)
     assert ratio_interval([]) is None and ratio_interval([(1.0, 0.0)]) is None
+
+
+# ------------------------------------------------------------------------------ a whole report
+
+
+def flown(directory: Path, profile: str, seed: int, error: float, **config: Any) -> None:
+    """A survey with the profile in its result, and with a ``config.json`` where keys are given."""
+    changes = {"trajectory_error_m": error, "map": {
+        "duration_s": 18.0, "density_per_m2": 900.0,
+        "levelness_error_deg": {"mean": 10.0 * error, "max": 20.0 * error, "places": 10},
+    }}  # fmt: skip
+    run = write_run(directory, "crossroad", "paper", seed, profile=profile, **changes)
+    if config:
+        (run / "config.json").write_text(json.dumps({"profile": profile, "seed": seed} | config))
+
+
+def test_no_figure_is_over_two_profiles(tmp_path: Path) -> None:
+    """Errors of 0.06 m in `ideal` and 0.24 m in `field`: never their mean, 0.150 m."""
+    for seed in range(3):
+        flown(tmp_path / "a", "ideal", seed, 0.06)
+        flown(tmp_path / "b", "field", seed, 0.24)
+    report = make_report(load_flights(tmp_path), title="two profiles", first="ideal")
+    text = markdown(report) + re.sub(r"<svg.*?</svg>", "", page(report), flags=re.DOTALL)
+    assert "0.150" not in text and "1.50 [" not in text
+    tables = {table.key: table for section in report.sections for table in section.tables}
+    for name, error in (("ideal", "0.060"), ("field", "0.240")):
+        found = tables[f"table2_error@{name}"]
+        assert found.rows[0][1].text == error and found.title.endswith(f", `{name}`")
+        assert f"`{name}`: E_tra of `paper` on crossroad: {error} m" in text
+        assert f"`{name}`: 3 flights: 1 method" in text
+    assert (
+        "`ideal`: Levelness of the map in the worst scene of each method, beside the paper's "
+        "bound of 1.5°: `paper` 0.600° (crossroad, within)." in text
+    )
+    assert "`paper` 2.40° (crossroad, beyond)" in text
+    assert "2 conditions: `ideal`, `field`. No figure is over flights of several" in text
+    pictures = {picture.name: picture.title for s in report.sections for picture in s.pictures}
+    assert {"fig10b_ideal", "fig10b_field"} <= set(pictures)
+    assert all(title.endswith(("`ideal`", "`field`")) for title in pictures.values())
+    numbers = as_json(report, load_flights(tmp_path))["tables"]
+    assert numbers["table2_error@field"]["paper"]["crossroad"]["value"] == pytest.approx(0.24)
+    assert ("conditions", "2") in report.tiles
+    assert not any(name == "successful" for name, _ in report.tiles)
+
+
+def test_one_condition_is_named_once(tmp_path: Path) -> None:
+    flown(tmp_path, "field", 0, 0.1)
+    report = make_report(load_flights(tmp_path), title="one")
+    assert report.sections[0].words[0] == "All flights are in profile `field`."
+    assert [t.key for s in report.sections for t in s.tables if "@" in t.key] == []
+
+
+def test_conditions_outside_of_a_campaign_are_of_the_configurations(tmp_path: Path) -> None:
+    wind = {"mean_kmh": 12.0}
+    flown(tmp_path / "a", "field", 0, 0.1, light="day", wind=wind, scene="x", record=True)
+    flown(tmp_path / "b", "field", 1, 0.1, light="night", wind=wind, camera={"gain": 9.0})
+    flown(tmp_path / "c", "field", 2, 0.1, light="day", wind={"mean_kmh": 30.0})
+    rows = load_flights(tmp_path)
+    label_conditions(rows)
+    assert [row["condition"] for row in sorted(rows, key=lambda row: row["seed"])] == [
+        "day, wind.mean_kmh=12.0", "night, wind.mean_kmh=12.0", "day, wind.mean_kmh=30.0",
+    ]  # fmt: skip
+
+
+def test_means_of_a_plain_directory_are_by_method_and_condition(tmp_path: Path) -> None:
+    flown(tmp_path / "a", "ideal", 0, 0.06)
+    flown(tmp_path / "b", "field", 0, 0.24)
+    means = summary(load_runs(tmp_path), tmp_path)["means"]
+    assert {name: found["trajectory_error_m"] for name, found in means.items()} == {
+        "paper, ideal": 0.06, "paper, field": 0.24,
+    }  # fmt: skip
+
+
+def test_drawings_are_of_the_first_conditions_alone(tmp_path: Path) -> None:
+    for number in range(5):
+        flown(tmp_path / str(number), "field", 0, 0.1, wind={"mean_kmh": 10 + number})
+    report = make_report(load_flights(tmp_path), title="five")
+    names = {picture.name for section in report.sections for picture in section.pictures}
+    assert len({name for name in names if name.startswith("fig10a")}) == 4
+    assert "Drawings are of the first 4 conditions alone." in report.sections[0].words

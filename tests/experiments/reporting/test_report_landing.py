@@ -75,11 +75,14 @@ def lines(found: Table) -> dict[tuple[str, str], list[str]]:
 
 def test_table_5_has_every_method_of_the_paper(rows: list[dict[str, Any]]) -> None:
     found = lines(table(rows, "landing"))
-    assert found["`gps`", "paper prints"] == ["–", "–", "–", "1.41", "0.32", "0.21", "3.11", "–"]
+    assert found["`gps`", "paper prints"] == ["–", "–", "–", "1.41", "–", "0.21", "3.11", "–"]
+    assert "v_z (m/s) (set)" in table(rows, "landing").header
+    assert "largest v_z (m/s) (set)" in table(rows, "touchdowns").header
+    assert any("v_z is set by `landing.touch" in n for n in table(rows, "landing").notes)
     assert found["`gps`", "crossroad"][:4] == ["3", "100 %", "100 %", "1.00"]
     assert found["`livo`", "crossroad"][:4] == ["4", "75 %", "50 %", "0.050"]
     # Not flown, but printed: to be compared with.
-    assert found["`paper`", "paper prints"][3:7] == ["0.41", "0.1", "0.04", "1.99"]
+    assert found["`paper`", "paper prints"][3:7] == ["0.41", "–", "0.04", "1.99"]
     assert ("`paper`", "crossroad") not in found
 
 
@@ -112,7 +115,7 @@ def test_table_6_beside_the_papers(sites: list[dict[str, Any]]) -> None:
     assert [row[0].text for row in found.rows] == ["`turf`", "`footbridge`"]
     turf, bridge = ([c.text for c in row[1:]] for row in found.rows)
     assert turf == [
-        "2 of 2", "5.00", "4.52", "2.00", "3.52", "0.120", "0.13", "lawn (safe) 2", "Lawn (safe)",
+        "2 of 2", "5.00", "4.52", "2.00", "3.52", "0.120", "lawn (safe) 2", "Lawn (safe)",
     ]  # fmt: skip
     assert bridge[0] == "1 of 2" and bridge[-2:] == ["building (risky) 1", "Road (risky)"]
     assert found.numbers["turf"]["classes"] == {"lawn": 2}
@@ -131,6 +134,7 @@ def test_words_say_what_happened(rows: list[dict[str, Any]]) -> None:
     assert "1 touched ground that is unsafe by geometry: crossroad seed 3." in words
     assert "`gps`: 3 of 3 flights landed (100 % [44, 100]). None touched ground that is" in words
     assert re.search(r'd_L 1\.00 m \[[^]]+\], 1\.41 printed for "GPS"', words)
+    assert "v_z" not in words, "set, so not compared"
     assert re.search(r'd_L 0\.050 m \[[^]]+\], 0\.41 printed for "Ours"', words)
     assert (
         "`livo`, the worst of its landings: bounce 2.00 cm, deceleration 7.50 m/s², tilt 2.00 °."

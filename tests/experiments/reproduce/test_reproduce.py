@@ -238,6 +238,7 @@ def test_trained_networks_are_kept(world: World, tmp_path: Path) -> None:
     (home / "settings.json").write_text("{}")
     assert run_quick(tmp_path, skip=skip).successful
     assert world.count("pictures") == 2, "other settings start over"
+    assert (home.with_name("quick-2") / "pictures").is_dir(), "nothing is deleted"
     assert (home / "networks" / "resnet18-d_land" / "scores.json").is_file()
 
 

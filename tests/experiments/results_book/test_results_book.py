@@ -53,7 +53,7 @@ def test_the_file_of_results_holds_the_flights_of_the_plans() -> None:
 def test_plans_have_the_stated_flights() -> None:
     counts = {found.key: len(found.plan().runs) for found in SETS}
     assert counts["field/landings"] == counts["ideal/landings"] == 4 * 5
-    assert counts["field/positioning"] == 4 * (3 * 3 + 4 * 2) == counts["ideal/positioning"]
+    assert counts["field/positioning"] == 4 * (2 * 3 + 4 * 2) == counts["ideal/positioning"]
     for found in SETS:
         assert {run.values["profile"] for run in found.plan().runs} == {found.profile}
 
@@ -108,7 +108,7 @@ def test_landings_by_scene() -> None:
 
 
 def surveys() -> list[dict[str, Any]]:
-    levels = {"livo": 0.1, "paper": 0.2, "gps": 1.0, "oracle": 0.0}
+    levels = {"paper": 0.1, "gps": 1.0, "oracle": 0.0}
     return [
         row(scene, seed, method, outcome="COMPLETED", **{
             "position_error_m.mean": level * seed, "trajectory_error_m": 2.0 * level * seed,
@@ -120,9 +120,11 @@ def surveys() -> list[dict[str, Any]]:
 
 
 def test_positioning_by_method_and_scene() -> None:
-    lines = tables.positioning(surveys())
+    lines = tables.positioning(surveys(), landed())
     assert not any("oracle" in line for line in lines)
-    found = cells(lines, "`livo`", "`lake`")
+    begun = cells(lines, "`livo`", "`lake`")  # the surveys that its landings begin with
+    assert begun["outcomes"] == "LANDED 2" and begun["mean error (m)"].startswith("0.300 [0.200")
+    found = cells(lines, "`paper`", "`lake`")
     assert found["outcomes"] == "COMPLETED 2" and found["worst flight (m)"] == "0.300"
     assert found["mean error (m)"].startswith("0.200 [0.100") and "(set)" not in found["E_tra (m)"]
     assert found["NEES below 14.2 (%)"] == "90.0 [90.0, 90.0]"
@@ -163,7 +165,8 @@ def test_the_summary_compares_no_figure_that_is_set() -> None:
     start = next(n for n, line in enumerate(lines) if line.startswith("| surveys"))
     assert cells(lines[start:], "`gps`")["E_tra, paper (m)"] == "–"
     assert cells(lines[start:], "`paper`")["E_tra, paper (m)"] == "0.3671"
-    assert cells(lines[start:], "`livo`")["completed"] == "4 of 4"
+    assert cells(lines[start:], "`livo`")["completed"] == "3 of 4"
+    assert cells(lines[start:], "`gps`")["completed"] == "4 of 4"
 
 
 # ------------------------------------------------------------------------------- one revision
@@ -277,15 +280,12 @@ def test_the_cost_is_stated_first(tmp_path: Path, capsys: pytest.CaptureFixture[
     fly(LANDINGS, tmp_path, left_out=3)
     asked = ["results", "--out", str(tmp_path), "--dry-run", "--only", "landings"]
     assert cli.main(asked) == 0
-    assert capsys.readouterr().out.splitlines()[0].split()[:4] == [
-        "field/landings",
-        "3",
-        "of",
-        "20",
-    ]
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0] == "landings: 20 flights, 17 of them finished"
+    assert printed[-1].startswith("together: 3 flights, 0.07 core-hours"), "90 s each, as measured"
     assert cli.main([*asked, "--json"]) == 0
-    (cost,) = json.loads(capsys.readouterr().out)["sets"]
-    assert cost["left"] == 3 and cost["core_s"] == 3 * flying.CORE_SECONDS["land", "livo"]
+    tree = json.loads(capsys.readouterr().out)
+    assert tree["left"] == 3 and tree["core_hours"] == pytest.approx(3 * 90.0 / 3600.0)
     assert cli.main([*asked[:-1], "landing"]) == 2
     assert "did you mean 'landings'" in capsys.readouterr().err
 

@@ -99,9 +99,9 @@ def test_file_carries_its_limits_and_an_older_one_gets_defaults() -> None:
 def _sites(*xy: tuple[float, float]) -> list[Candidate]:
     return [
         Candidate(
-            position_odom=np.array([x, y, 0.0]), normal_odom=np.array([0.0, 0.0, 1.0]), score=0.5,
-            flatness=0.5, smoothness=0.5, distance=0.5, slope_deg=0.0, roughness_m=0.0,
-            clearance_m=3.0, accepted=True, reason="landable",
+            position_odom=np.array([x, y, 0.0]), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.5,
+            slope_deg=0.0, roughness_m=0.0, clearance_m=3.0, accepted=True, reason="landable",
+            rule="lower_value",
         )
         for x, y in xy
     ]  # fmt: skip

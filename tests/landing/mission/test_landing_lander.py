@@ -82,6 +82,9 @@ def test_no_site_searches_another_leg_then_returns_home() -> None:
     assert view.no_site
     assert not view.aborted
     assert puppet.position[:2] == pytest.approx([0.0, 0.0], abs=0.02)
+    first, second = view.decisions
+    assert first.time_s < second.time_s and second.candidates == view.candidates
+    assert first.why.startswith("No site: 12 candidates refused: ") and not first.given_up
 
 
 def test_return_home_lands_where_it_took_off() -> None:
@@ -111,6 +114,9 @@ def test_unsuitable_commanded_site_is_refused_with_its_reason() -> None:
     assert Phase.RETURN in phases
     assert Phase.APPROACH not in phases
     assert "refused" in view.candidates[0].reason
+    (decision,) = view.decisions
+    assert decision.why == f"No site: the only candidate is {view.candidates[0].reason}"
+    assert decision.positions_world[0, :2] == pytest.approx([7.0, 5.0])
     assert puppet.position[:2] == pytest.approx([0.0, 0.0], abs=0.02)
 
 
@@ -122,6 +128,7 @@ def test_commanded_site_is_accepted_unchecked_without_check_site() -> None:
     assert not view.aborted
     assert Phase.RETURN not in phases
     assert view.candidates[0].reason.startswith("accepted unchecked; by the map: refused")
+    assert view.candidates[0].rule == "commanded_unchecked"
     assert view.committed_site_world is not None
     assert view.committed_site_world[:2] == pytest.approx([7.0, 5.0])
 

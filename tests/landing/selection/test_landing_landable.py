@@ -59,7 +59,7 @@ def landable(grid: GridMap) -> bool:
 def why_not(grid: GridMap, spot: tuple[int, int] = MIDDLE) -> str:
     raster, result = judged(grid)
     assert not result.mask[spot]
-    return explain(raster, result, *spot, PARAMS, PARAMS.map_margin_m)
+    return explain(raster, result, *spot, PARAMS, PARAMS.map_margin_m).text
 
 
 def test_noise_of_2_cm_leaves_flat_ground_landable() -> None:
@@ -99,7 +99,9 @@ def test_something_tall_beyond_the_footprint_keeps_1_5_m_away() -> None:
     raster, result = judged(grid)
     assert not result.mask[MIDDLE]
     assert result.mask[40, 38]
-    assert "m high within 1.9 m (limit 0.25 m)" in explain(raster, result, *MIDDLE, PARAMS, 0.35)
+    assert (
+        "m high within 1.9 m (limit 0.25 m)" in explain(raster, result, *MIDDLE, PARAMS, 0.35).text
+    )
 
 
 def test_hole_in_the_map_is_unknown_not_flat() -> None:
@@ -162,7 +164,7 @@ def test_selection_accepts_the_good_half_with_reasons() -> None:
     assert sites[0].position_odom[0] > 9.0
     assert sites[0].reason.startswith("landable")
     assert all(site.reason.startswith("refused") for site in sites if not site.accepted)
-    scores = [site.score for site in sites if site.accepted]
+    scores = [site.value for site in sites if site.accepted]
     assert scores == sorted(scores, reverse=True)
     avoid = [site.position_odom for site in sites if site.accepted]
     others = select_sites(

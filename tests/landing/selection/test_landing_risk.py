@@ -48,7 +48,7 @@ def test_features_are_shares_of_the_limits() -> None:
     assert features_at(flat, (40, 40))["step"] == pytest.approx(0.5)
 
 
-def test_confinement_counts_the_room_beyond_the_footprint() -> None:
+def test_confinement_counts_the_clearance_beyond_the_footprint() -> None:
     wall = np.zeros((80, 80))
     wall[:, 60:] = 2.0
     here = features_at(wall, (40, 50))

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import LandingParams
-from touchdown.landing.mission.second_look import look_again
+from touchdown.landing.mission.second_look import ground_under, look_again
 from touchdown.landing.selection.elevation_raster import observed_raster
 from touchdown.landing.selection.plants import standing_plants, without_plants
 from touchdown.landing.selection.selector import select_sites
 from touchdown.sim.frames import Pose
 
-from support.landing_support import make_estimate, make_grid, view_of
+from support.landing_support import grid_of_returns, make_estimate, make_grid, view_of
 
 Array = NDArray[np.float64]
 
@@ -31,12 +33,7 @@ def _map(ground: Array, cover: Array, through: float = 0.5, cell_m: float = 0.2)
     up = np.where(rng.random(shape) < through, 0.0, rng.random(shape)) * cover
     up[:2] = 0.0  # of so many pulses some reach the ground
     samples = ground + up + 0.02 * rng.standard_normal(shape)
-    grid = make_grid(ground, cell_m, returns=RETURNS)
-    grid.height_m[:] = samples.mean(axis=0)
-    grid.height_std_m[:] = samples.std(axis=0)
-    grid.min_height_m[:] = samples.min(axis=0)
-    grid.max_height_m[:] = samples.max(axis=0)
-    return grid
+    return grid_of_returns(samples, cell_m)
 
 
 def _flat(value: float = 0.0) -> Array:
@@ -136,3 +133,40 @@ def test_look_from_ten_metres_lands_between_and_on_clumps_of_grass() -> None:
     moved = look_again(view, np.array([8.0, 8.0, 0.0]), 3.0, PARAMS)
     assert moved.position_odom is not None
     assert np.hypot(*(moved.position_odom[:2] - 8.0)) > 1.0
+
+
+@pytest.mark.parametrize("row", [159, 160, 161, 162])
+def test_stake_in_a_wide_stand_is_seen_wherever_the_cells_lie(row: int) -> None:
+    grid = _map(np.zeros((320, 320)), np.full((320, 320), 0.18), 0.67, cell_m=0.05)
+    grid.max_height_m[row, 160] = 0.5
+    look = look_again(view_of(make_grid(_flat()), grid), np.array([8.0, 8.0, 0.0]), 0.0, PARAMS)
+    assert look.position_odom is None and "an object" in look.reason
+
+
+def test_post_in_a_meadow_stays_an_object() -> None:
+    """A stake of 0.4 m: in its cell a tenth of the pulses meet it."""
+    grid = _map(_flat(), _flat(0.25))
+    grid.max_height_m[40, 40] = 0.4
+    grid.height_m[40, 40] += 0.03
+    allowed = _allowed(grid)
+    assert allowed[20:30, 20:30].any() and not allowed[37:44, 37:44].any()
+
+
+def test_plants_without_sure_ground_stay_objects() -> None:
+    raster = observed_raster(_map(_flat(), _flat(0.25)))
+    assert raster is not None
+    plants = standing_plants(raster)
+    assert without_plants(raster, plants).high[40, 40] < 0.1 < raster.high[40, 40]
+    unsure = dataclasses.replace(
+        raster, ground=lambda where: raster.ground(where)._replace(std_m=np.full(where.shape, 0.04))
+    )
+    np.testing.assert_array_equal(without_plants(unsure, plants).high, raster.high)
+
+
+def test_height_to_descend_to_is_that_of_the_ground_at_the_edge_of_a_meadow() -> None:
+    cover = _flat()
+    cover[:, 40:] = 0.3
+    grid = _map(_flat(), cover, 0.3)
+    assert grid.height_m[40, 50] > 0.08
+    for x in (7.5, 8.0, 8.5, 10.0):
+        assert ground_under(view_of(grid), np.array([x, 8.0])) == pytest.approx(0.0, abs=0.015)

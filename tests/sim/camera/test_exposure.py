@@ -179,6 +179,22 @@ def test_night_is_dark_but_for_the_lamp() -> None:
     assert lit.mean() > 3.0 * dark.mean()
 
 
+@pytest.mark.parametrize(("below_m", "lamp"), [(12.0, 0.0), (25.0, 1.0)])
+def test_light_and_lamp_are_noted(below_m: float, lamp: float) -> None:
+    """A white floor 20 m below at night: the light of 2 mlx where the lamp does not reach it."""
+    scene = dataclasses.replace(make_scene(floor="0.8 0.8 0.8 1"), light="night")
+    sensor = CameraSensor(scene, CameraParams(), 0, lamp=LampParams(below_m=below_m))
+    sensor.render(sensor.snapshot(posed(scene)), 7)
+    sensor.close()
+    sensor.effects.end_message()
+    sensor.effects.deliver(1)
+    noted = sensor.effects.delivered
+    assert noted["lamp"].mean_share == lamp and ("light_lux" in noted) == (lamp == 0.0)
+    if lamp == 0.0:
+        assert 2e-4 < noted["light_lux"].mean_amount < 2e-3
+        assert noted["gain"].mean_amount == CameraParams().gain_max
+
+
 def test_ideal_images_know_nothing_of_all_this() -> None:
     sensor = CameraSensor(make_scene(), CameraParams(), 0)
     assert not sensor.exposes_rows

@@ -224,7 +224,7 @@ def test_effects_of_faults_in_the_world_are_counted(scene: Scene) -> None:
         for _ in range(HZ // STEP):
             world.step(Command(rotor_speed_radps=np.full(4, 300.0)))
         world.close()
-        found.append({entry["fault"]: entry for entry in world.fault_records()})
+        found.append({entry["fault"]: entry for entry in world.record().faults})
     assert found[0] == found[1]  # whatever is still being made when the flight ends
     fog, dirt, mount = (found[0][events[i]] for i in (0, 2, 3))
     assert fog["came"] == fog["messages"] == {"scans": 5, "images": 5}

@@ -1,0 +1,99 @@
+"""The order of candidate sites, and why the first one won, in one sentence."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Sequence
+
+from touchdown.landing.api import Candidate, ScoreTerm, TermName
+
+_BETTER: dict[TermName, str] = {
+    "safe_probability": "higher probability of a safe touchdown",
+    "energy": "nearer",
+    "clearance": "more clearance",
+    "level": "more level",
+    "smoothness": "more uniform",
+    "flatness": "flatter",
+    "distance": "nearer",
+    "traffic": "not near traffic",
+    "plants": "not among plants",
+}
+_YES_OR_NO: tuple[TermName, ...] = ("traffic", "plants")
+_NOTABLE = 0.002
+"""difference of a term's value from which it is stated"""
+_MOST_TERMS = 3
+
+
+def ranked(sites: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """Returns ``sites``, which are in the order of their value, with accepted ones first, and names
+    the rule by which each accepted one has its place."""
+    order = sorted(sites, key=lambda site: not site.accepted)  # stable: by value within both
+    return tuple(
+        dataclasses.replace(site, rule="lower_value" if number else "highest_value")
+        if site.accepted and site.rule in ("highest_value", "lower_value")
+        else site
+        for number, site in enumerate(order)
+    )
+
+
+def why_chosen(sites: Sequence[Candidate]) -> str:
+    """Returns why the first of ``sites`` (in the order of `ranked`) won, or why none did."""
+    if not sites:
+        return "No site: nothing is mapped"
+    first, others = sites[0], list(enumerate(sites[1:], start=2))
+    if not first.accepted:
+        return f"No site: {_refused(sites)}"
+    if first.rule == "least_bad":
+        return f"Site 1 won as {first.reason}"
+    if first.rule in ("commanded", "commanded_unchecked"):
+        return f"Site 1 was commanded: {first.reason}"
+    rival = next(((n, site) for n, site in others if site.accepted), None)
+    if rival is None:
+        won = f"Site 1 won: the only one accepted of {len(sites)}, score {first.value:.3f}"
+    else:
+        number, second = rival
+        won = f"Site 1 won: score {first.value:.3f} against {second.value:.3f} of site {number}"
+        won = "; ".join([won, *_advantages(first, second)])
+    higher = [(n, site) for n, site in others if not site.accepted and site.value > first.value]
+    if higher:
+        numbers = _listed([str(n) for n, _ in higher])
+        what = "site {} scores" if len(higher) == 1 else "sites {} score"
+        verb = "is" if len(higher) == 1 else "are"
+        won += f"; {what.format(numbers)} higher but {verb} refused: "
+        won += _listed([_words(rule) for rule in Counter(site.rule for _, site in higher)])
+    return won
+
+
+def _advantages(first: Candidate, second: Candidate) -> list[str]:
+    """The terms in which ``first`` is better than ``second``, the largest difference first."""
+    pairs = [(a, b) for a, b in zip(first.terms, second.terms, strict=True)]
+    pairs.sort(key=lambda pair: pair[1].value - pair[0].value)
+    return [_advantage(a, b) for a, b in pairs[:_MOST_TERMS] if a.value - b.value >= _NOTABLE]
+
+
+def _advantage(a: ScoreTerm, b: ScoreTerm) -> str:
+    """Such as "more clearance (3.0 against 1.2 m)"."""
+    if a.name in _YES_OR_NO:
+        return _BETTER[a.name]
+    digits = 1 if a.unit else 3
+    unit = f" {a.unit}" if a.unit else ""
+    return f"{_BETTER[a.name]} ({a.quantity:.{digits}f} against {b.quantity:.{digits}f}{unit})"
+
+
+def _refused(sites: Sequence[Candidate]) -> str:
+    """Such as "12 candidates refused: 7 step, 5 water"."""
+    if len(sites) == 1:
+        return f"the only candidate is {sites[0].reason}"
+    rules = Counter(site.rule for site in sites)
+    counts = ", ".join(f"{count} {_words(rule)}" for rule, count in rules.most_common())
+    return f"{len(sites)} candidates refused: {counts}"
+
+
+def _words(rule: str) -> str:
+    return rule.replace("_", " ")
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Such as "4, 7 and 9"."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))

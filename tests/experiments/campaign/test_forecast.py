@@ -1,0 +1,106 @@
+"""The cost of a campaign before it is flown."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from touchdown.experiments.campaign import session
+from touchdown.experiments.campaign.forecast import CORE_SECONDS, PROFILE_FACTOR, forecast
+from touchdown.experiments.campaign.results_table import ROW_FILE, RUNS, write_table
+from touchdown.experiments.cli.main import main
+from touchdown.experiments.errors import UsageError
+
+from support.campaign_flights import axes, make_plan
+
+FILE = """
+name = "cost"
+mode = "land"
+[axes]
+scene = ["crossroad", "lake"]
+seeds = "0-1"
+[axes.faults]
+events = [[], ["fog@0"]]
+[base]
+survey.duration_s = %s
+"""
+
+
+def dry_run(file: Path, capsys: pytest.CaptureFixture[str], *options: str) -> Any:
+    assert main(["campaign", str(file), "--dry-run", "--json", *options]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_a_campaign_is_not_flown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Eight landings of `livo` in `field`, at the stated cost of each."""
+    file, out = tmp_path / "cost.toml", tmp_path / "out"
+    file.write_text(FILE % "36.0")
+    found = dry_run(file, capsys, "--out", str(out), "--jobs", "1")
+    each = CORE_SECONDS["land", "livo"] * PROFILE_FACTOR["field"]
+    assert (found["flights"], found["finished"], found["jobs"]) == (8, 0, 1)
+    assert found["core_hours"] == pytest.approx(8 * each / 3600.0)
+    assert found["wall_s"] == pytest.approx(8 * each)
+    assert [(g["label"], g["flights"], g["measured"]) for g in found["groups"]] == [
+        ("field, livo", 4, False), ("field, livo, fog@0", 4, False)
+    ]  # fmt: skip
+    assert found["undemanded"] == ["fog@0"]
+    assert not out.exists()
+    assert dry_run(file, capsys, "--shard", "1/2")["flights"] < 8
+    file.write_text(FILE % "117.0")  # 162 s of flight instead of 81
+    assert dry_run(file, capsys, "--jobs", "1")["core_hours"] == pytest.approx(
+        2.0 * found["core_hours"]
+    )
+
+
+def test_the_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "cost.toml"
+    file.write_text(FILE % "36.0")
+    assert main(["campaign", str(file), "--dry-run", "--jobs", "1"]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "cost: 8 flights, 0 of them finished",
+        "  field, livo            4 flights,   91 core-seconds each as stated",
+        "  field, livo, fog@0     4 flights,   91 core-seconds each as stated",
+        "to fly: 0.20 core-hours, about 0 h 12 min here with 1 at a time",
+        "conditions that no expectation demands: fog@0",
+    ]
+    assert main(["campaign", str(file)]) == 2
+    assert "--out" in capsys.readouterr().err
+
+
+def test_finished_rows_give_the_cost(tmp_path: Path) -> None:
+    names = ["support.campaign_fakes:good", "support.campaign_fakes:is_lost"]
+    plan = make_plan(tmp_path, axes(scene=["flat"], estimator=names, seeds="0-2"))
+    run = tmp_path / "out" / RUNS / plan.runs[0].run_id
+    run.mkdir(parents=True)
+    row = {"run_id": run.name, "scene": "flat", "estimator": names[0], "seed": 0,
+           "outcome": "COMPLETED", "cpu_s": 33.0}  # fmt: skip
+    write_table([row], run / ROW_FILE)
+    (run / "result.json").write_text("{}")
+    found = forecast(plan, plan.runs, tmp_path / "out", 1)
+    assert (found.flights, found.finished) == (6, 1)
+    first, second = found.groups
+    assert (first.measured, first.core_s, second.measured) == (True, 33.0, False)
+    assert found.core_hours == pytest.approx((2 * 33.0 + 3 * second.core_s) / 3600.0)
+    assert sorted(path.name for path in (tmp_path / "out").rglob("*")) == sorted(
+        [RUNS, run.name, ROW_FILE, "result.json"]
+    )
+
+
+def test_the_lines_are_printed_before_the_first_flight(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "cost.toml"
+    file.write_text(FILE % "36.0")
+
+    def stop(*_: Any, **__: Any) -> None:
+        raise UsageError("enough")
+
+    monkeypatch.setattr(session, "fly_campaign", stop)
+    command = ["campaign", str(file), "--out", str(tmp_path / "out"), "--jobs", "1"]
+    assert main(command) == 2
+    assert "to fly: 0.20 core-hours, about 0 h 12 min here" in capsys.readouterr().err
+    assert main([*command, "--quiet"]) == 2
+    assert "core-hours" not in capsys.readouterr().err

@@ -1,0 +1,91 @@
+"""Shipped campaigns: every condition that they name is demanded, and every fault happens."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+import pytest
+
+from touchdown.experiments.campaign.forecast import forecast
+from touchdown.experiments.campaign.plan import Plan, load_plan
+from touchdown.experiments.flight.happened import judge_fault
+from touchdown.sim.api import FAULT_KINDS, FaultParams
+from touchdown.sim.faults.injector import FaultInjector
+from touchdown.sim.faults.types import WORLD_KINDS
+
+from support.fault_support import HZ, world
+from support.worlds import load_ideal_config as load_config
+
+CONFIGS = Path(__file__).parents[3] / "configs"
+CAMPAIGNS = sorted(p for p in CONFIGS.glob("*.toml") if "[axes]" in p.read_text(encoding="utf-8"))
+FLIGHT_S = 60
+ONE_BLACK_IMAGE = """
+name = "blind"
+mode = "land"
+[axes]
+scene = ["crossroad"]
+[axes.faults]
+events = [["camera_black@20"]]
+[[expect]]
+name = "camera dark"
+when = { faults.events = [["camera_black@20"]] }
+outcome = ["LANDED"]
+"""
+
+
+plan_of = functools.cache(load_plan)
+
+
+def undemanded(plan: Plan) -> tuple[str, ...]:
+    return forecast(plan, plan.runs, None, 1).undemanded
+
+
+@pytest.mark.parametrize("file", CAMPAIGNS, ids=lambda path: path.stem)
+def test_every_named_condition_is_demanded(file: Path) -> None:
+    assert undemanded(plan_of(file)) == ()
+
+
+def test_a_condition_that_no_expectation_demands_is_found(tmp_path: Path) -> None:
+    file = tmp_path / "blind.toml"
+    file.write_text(ONE_BLACK_IMAGE)
+    assert undemanded(load_plan(file)) == ("camera_black@20",)
+    file.write_text(ONE_BLACK_IMAGE + 'happened = ["camera_black@0"]\n')
+    assert undemanded(load_plan(file)) == ("camera_black@20",)
+    file.write_text(ONE_BLACK_IMAGE + 'happened = ["camera_black@20"]\n')
+    assert undemanded(load_plan(file)) == ()
+
+
+def test_the_dark_campaign_names_its_twelve_flights() -> None:
+    plan = plan_of(CONFIGS / "field_blind.toml")
+    events = {tuple(run.values["faults.events"]) for run in plan.runs}
+    assert len(plan.runs) == 12 and {run.values["seed"] for run in plan.runs} == {7301}
+    assert events == {("camera_black@0",), ("camera_black@20",), ("lidar_dropout@20",)}
+
+
+def scheduled() -> list[tuple[str, ...]]:
+    """Schedules of the shipped campaigns that act on messages."""
+    found = {
+        tuple(run.values.get("faults.events", ()))
+        for file in CAMPAIGNS
+        for run in plan_of(file).runs
+    }
+    in_world = {s for s in found if any(text.split("@")[0] in WORLD_KINDS for text in s)}
+    return sorted(found - in_world - {()})
+
+
+def test_every_scheduled_fault_of_messages_happens() -> None:
+    """The injector changes as many messages of a flight of a minute as the entries say."""
+    observations = [obs for obs in world(FLIGHT_S * HZ) if obs.scans]
+    schedules = scheduled()
+    assert len(schedules) >= 15 and ("camera_black@20",) in schedules
+    for events in schedules:
+        config = load_config(fault=events)
+        injector = FaultInjector(FaultParams(events=events), HZ)
+        for observation in observations:
+            injector.apply(observation)
+        records = {record["fault"]: record for record in injector.summary()}
+        for fault in config.faults.schedule():
+            assert set(records[fault.text]["came"]) == set(FAULT_KINDS[fault.kind])
+            verdict = judge_fault(fault, records[fault.text], float(FLIGHT_S), config)
+            assert verdict.happened, verdict.text

@@ -1,0 +1,104 @@
+"""The picture of a choice: colours of the score, signs of the candidates, places of the ranks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from touchdown.experiments.drawing import candidate_signs as signs
+from touchdown.experiments.drawing.choice_table import choice_table
+from touchdown.experiments.drawing.costmap_image import costmap_image, score_colours
+from touchdown.landing.api import Candidate, CostmapView, Decision, Phase, ScoreTerm
+
+from support.flight_fakes import make_view
+
+
+def _costmap() -> CostmapView:
+    """40 x 40 cells of 1 m: unknown west of 10, refused to 20, then accepted and rising."""
+    value = np.tile(np.linspace(0.0, 1.0, 40, dtype=np.float32), (40, 1))
+    value[:, :10] = np.nan
+    return CostmapView(
+        origin_xy_m=np.zeros(2), cell_m=1.0, total=value, flatness=value, smoothness=value,
+        distance=value, rgb=np.full((40, 40, 3), 90, np.uint8), value=value,
+        allowed=np.arange(40)[None].repeat(40, axis=0) >= 20,
+    )  # fmt: skip
+
+
+def _candidate(x: float, y: float, *, accepted: bool = True) -> Candidate:
+    return Candidate(
+        position_odom=np.array([x, y, 0.0]), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.5,
+        slope_deg=1.0, roughness_m=0.0, clearance_m=2.0, accepted=accepted, reason="",
+        rule="lower_value" if accepted else "water", value=0.9, step_m=0.02,
+        terms=(ScoreTerm(name="clearance", value=0.9, quantity=2.0, unit="m"),),
+    )  # fmt: skip
+
+
+def test_colours_span_accepted_ground_and_refused_ground_is_grey() -> None:
+    colours = score_colours(_costmap()).astype(int)
+    best = cv2.applyColorMap(np.array([[255]], np.uint8), cv2.COLORMAP_VIRIDIS)[0, 0, ::-1]
+    worst = cv2.applyColorMap(np.array([[0]], np.uint8), cv2.COLORMAP_VIRIDIS)[0, 0, ::-1]
+    assert colours[5, 39].tolist() == best.tolist() and colours[5, 20].tolist() == worst.tolist()
+    refused = colours[5, 10:20]
+    assert (refused.max(axis=1) == refused.min(axis=1)).all() and (np.diff(refused[:, 0]) > 0).all()
+    assert colours[5, 5].tolist() == [30, 32, 38]
+
+
+@pytest.mark.parametrize("accepted", [True, False])
+def test_a_ring_marks_accepted_sites_and_a_cross_refused_ones(accepted: bool) -> None:
+    image = np.zeros((60, 60, 3), np.uint8)
+    signs.draw_sign(image, (30, 30), _candidate(0.0, 0.0, accepted=accepted), 10)
+    colour = signs.ACCEPTED_RGB if accepted else signs.REFUSED_RGB
+    middle, side = image[30, 30].tolist(), image[30, 40].tolist()
+    assert (middle == list(colour)) is not accepted  # a ring is open in the middle
+    assert (side == list(colour)) is accepted
+
+
+def test_ranks_find_free_places_within_the_map() -> None:
+    image = np.zeros((300, 300, 3), np.uint8)
+    sites = [_candidate(0.0, 0.0, accepted=bool(n % 2)) for n in range(8)]
+    spots = [(290, 20 + 33 * n) for n in range(8)]
+    boxes: list[signs.Box] = []
+    free = signs._free_box
+
+    def kept(*arguments: Any) -> signs.Box:
+        boxes.append(free(*arguments))
+        return boxes[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(signs, "_free_box", kept)
+        signs.draw_ranks(image, spots, sites, scale=1.0, chosen=False, rules=False)
+    assert len(boxes) == 8
+    for n, box in enumerate(boxes):
+        assert box.left >= 0 and box.left + box.width <= 300 and box.top + box.height <= 300
+        assert not any(box.meets(other) for other in boxes[:n])
+    crowded = free(image, (299, 299), (40, 20), [signs.Box(0, 0, 300, 300)], 9)
+    assert crowded == signs.Box(260, 280, 40, 20)
+
+
+def test_image_shows_the_winner_beside_the_other_candidates() -> None:
+    sites = (_candidate(30.0, 30.0), _candidate(25.0, 10.0), _candidate(15.0, 20.0, accepted=False))
+    view = make_view(Phase.SELECT, costmap=_costmap(), candidates=sites)
+    image = costmap_image(view, sites[0].position_odom)
+    for rgb in (signs.CHOSEN_RGB, signs.ACCEPTED_RGB, signs.REFUSED_RGB):
+        assert (image == rgb).all(axis=2).any()
+    nobody = costmap_image(view, None)
+    assert not (nobody == signs.CHOSEN_RGB).all(axis=2).any()
+    with pytest.raises(ValueError, match="no costmap"):
+        costmap_image(make_view(Phase.SELECT), None)
+
+
+def test_table_has_a_row_for_each_candidate_and_keeps_the_width() -> None:
+    sites = (_candidate(1.0, 1.0), _candidate(2.0, 2.0, accepted=False))
+    heights = []
+    for shown in (sites[:1], sites, ()):
+        decision = Decision(
+            time_s=1.0, scorer="risk", candidates=shown,
+            positions_world=np.zeros((len(shown), 3)), why="Site 1 won: " + "more clearance " * 30,
+        )  # fmt: skip
+        table = choice_table(decision, 900, 1.0, chosen=True)
+        assert table.shape[1] == 900
+        heights.append(table.shape[0])
+    assert heights[1] - heights[0] == 24 == heights[0] - heights[2]

@@ -1,0 +1,223 @@
+"""The terms of a site's value, the order of the sites, and the rules that refuse them."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.landing.api import Candidate, LandingParams, ScoreTerm, SiteRule, TermName
+from touchdown.landing.selection.ranking import ranked, why_chosen
+from touchdown.landing.selection.selector import SelectionLimits, check_site, select_sites
+from touchdown.sim.frames import Pose
+
+from support.landing_support import make_estimate, make_grid, view_of
+
+Array = NDArray[np.float64]
+
+ABOVE = make_estimate(0, Pose(np.eye(3), np.array([8.0, 8.0, 30.0])))
+FAR = make_estimate(0, Pose(np.eye(3), np.array([-30.0, 8.0, 30.0])))
+SIDE = 160
+
+
+def _ground(slope_deg: float = 0.0) -> Array:
+    """32 x 32 m that rises to the east."""
+    _, x = np.mgrid[0:SIDE, 0:SIDE] * 0.2
+    return np.tan(np.deg2rad(slope_deg)) * x
+
+
+def _sites(grid: Any, limits: SelectionLimits | None = None, **params: Any) -> list[Candidate]:
+    chosen = select_sites(
+        view_of(grid), ABOVE, LandingParams(**params), footprint_radius_m=0.5,
+        limits=limits or SelectionLimits(),
+    )  # fmt: skip
+    return list(chosen.candidates)
+
+
+def _traffic() -> Any:
+    """Level ground, dark to the LIDAR west of x = 8, with motion at x = 1."""
+    grid = make_grid(_ground())
+    grid.intensity[:, :40] = 14.0
+    grid.intensity[:, 40:] = 46.0
+    grid.height_std_m[30:50, 2:10] = 0.5
+    grid.max_height_m[30:50, 2:10] = 1.5
+    return grid
+
+
+def _by_name(site: Candidate) -> dict[str, ScoreTerm]:
+    return {term.name: term for term in site.terms}
+
+
+@pytest.mark.parametrize("scorer", ["risk", "paper"])
+def test_terms_add_up_to_the_value_and_the_value_ranks(scorer: str) -> None:
+    half = _ground()
+    half[:, :80] += np.random.default_rng(2).uniform(0.0, 0.6, (SIDE, 80))
+    sites = _sites(make_grid(half), scorer=scorer)
+    known = [site for site in sites if np.isfinite(site.value)]
+    assert len(known) > 3
+    for site in known:
+        assert sum(term.value for term in site.terms) == pytest.approx(site.value, abs=1e-6)
+    for accepted in (True, False):
+        values = [site.value for site in known if site.accepted is accepted]
+        assert values and values == sorted(values, reverse=True)
+    rules = [site.rule for site in sites if site.accepted]
+    assert rules == ["highest_value", *["lower_value"] * (len(rules) - 1)]
+
+
+def test_terms_of_risk_by_hand() -> None:
+    """Ground of 2 of at most 5 degrees; the vehicle west of the map, which ends around it."""
+    view, params = view_of(make_grid(_ground(2.0), sigma=0.0)), LandingParams()
+    site = select_sites(view, FAR, params, footprint_radius_m=0.5).candidates[0]
+    terms = _by_name(site)
+    assert list(terms) == ["safe_probability", "energy", "clearance", "level", "traffic", "plants"]
+    assert terms["safe_probability"].value == pytest.approx(site.safe_probability, abs=1e-7)
+    assert terms["level"].value == pytest.approx(-0.2 * 2.0 / 5.0, abs=1e-3)
+    assert (terms["level"].quantity, terms["level"].unit) == (pytest.approx(2.0, abs=0.02), "deg")
+    clearance = terms["clearance"]
+    assert clearance.quantity == pytest.approx(site.clearance_m) and clearance.unit == "m"
+    assert clearance.value == pytest.approx(0.1 * min(site.clearance_m, 3.0) / 3.0, abs=1e-6)
+    away = np.linalg.norm(site.position_odom[:2] - [-30.0, 8.0])
+    assert terms["energy"].quantity == pytest.approx(away, abs=1e-4)
+    along = (np.arange(SIDE) + 0.5) * 0.2
+    horizontal = np.hypot(along + 30.0, (along - 8.0)[:, None])
+    metres = np.hypot(horizontal, _ground(2.0) - 30.0)
+    here = np.linalg.norm(site.position_odom - [-30.0, 8.0, 30.0])
+    share = (here - metres.min()) / (metres.max() - metres.min())
+    assert terms["energy"].value == pytest.approx(-0.05 * share, abs=1e-3)
+    assert terms["traffic"].value == terms["plants"].value == 0.0
+    assert site.step_m == pytest.approx(np.tan(np.deg2rad(2.0)) * 0.4, abs=2e-3)
+
+
+def test_weights_that_are_zero_leave_the_probability_alone() -> None:
+    for site in _sites(make_grid(_ground(2.0)), energy_weight=0.0, clearance_weight=0.0,
+                       level_weight=0.0):  # fmt: skip
+        assert site.value == pytest.approx(site.safe_probability, abs=1e-7)
+        assert site.cluster_bonus == 0.0
+
+
+def test_terms_of_the_paper_are_those_of_c_sum() -> None:
+    site = _sites(make_grid(_ground()), scorer="paper")[0]
+    terms = _by_name(site)
+    assert list(terms) == ["smoothness", "flatness", "distance", "traffic", "plants"]
+    for name, weight in (("smoothness", 0.3), ("flatness", 0.5), ("distance", 0.2)):
+        assert terms[name].value == pytest.approx(weight * terms[name].quantity, abs=1e-6)
+    assert site.value == pytest.approx(site.c_sum, abs=1e-6)
+    clearance = min(site.clearance_m, 1.0)
+    assert site.cluster_bonus == pytest.approx(0.1 * clearance, abs=1e-6)
+
+
+def test_traffic_and_plants_are_terms() -> None:
+    near = [s for s in _sites(_traffic(), max_candidates=40) if s.position_odom[0] < 8.0]
+    assert near and all(_by_name(site)["traffic"].value == pytest.approx(-0.3) for site in near)
+    grid = make_grid(_ground())
+    grid.max_height_m[:] = grid.min_height_m + 0.25
+    among = _sites(grid, plants_penalty=0.4)
+    assert among
+    for site in among:
+        assert _by_name(site)["plants"].value == pytest.approx(-0.4)
+
+
+def test_rules_name_what_refused_a_site() -> None:
+    view, middle = view_of(make_grid(_ground())), np.array([8.0, 8.0])
+    params = LandingParams()
+    assert check_site(view, ABOVE, params, middle)[0].rule == "commanded"
+    assert check_site(view, ABOVE, params, np.array([40.0, 8.0]))[0].rule == "not_seen"
+    step = _ground()
+    step[:, 41:] += 0.3
+    site = check_site(view_of(make_grid(step)), ABOVE, params, middle)[0]
+    assert site.rule == "step" and "safe with probability" in site.reason
+    avoided = SelectionLimits(avoid_odom=[np.array([8.0, 8.0, 0.0])])
+    sites = _sites(make_grid(_ground()), avoided, refused_radius_m=40.0)
+    assert {site.rule for site in sites} <= {"near_refused_site"} and sites
+    far = _sites(make_grid(_ground()), SelectionLimits(reach_m=2.0), max_candidates=40)
+    assert {site.rule for site in far if site.accepted} <= {"highest_value", "lower_value"}
+    assert all(np.hypot(*(s.position_odom[:2] - 8.0)) <= 2.2 for s in far if s.accepted)
+    assert "out_of_reach" in {site.rule for site in far}
+    steep = _sites(make_grid(_ground(7.0)), SelectionLimits(least_bad=True))
+    assert steep[0].rule == "least_bad" and {s.rule for s in steep[1:]} <= {"steep"}
+
+
+def test_bonus_for_clearance_chooses_the_cell_and_ranks_none() -> None:
+    """A strip 8 m wide between rough ground, ranked by distance alone: its near edge is nearest."""
+    strip = _ground()
+    rough = np.random.default_rng(2).uniform(0.0, 0.6, (SIDE, SIDE))
+    strip[:, :60], strip[:, 100:] = rough[:, :60], rough[:, 100:]
+    clearances = []
+    for weight in (0.0, 5.0):
+        site = _sites(make_grid(strip), scorer="paper", clearance_weight=weight,
+                      weight_flatness=0.0, weight_smoothness=0.0)[0]  # fmt: skip
+        assert site.accepted and site.value == pytest.approx(site.c_sum, abs=1e-6)
+        assert site.cluster_bonus == pytest.approx(weight * min(site.clearance_m, 1.0), abs=1e-5)
+        clearances.append(site.clearance_m)
+    assert clearances[0] < 0.5 and clearances[1] >= 1.0
+
+
+def test_candidates_keep_their_spacing() -> None:
+    rough = _ground() + np.random.default_rng(1).normal(0.0, 0.02, (SIDE, SIDE))
+    for spacing in (3.0, 5.0):
+        sites = _sites(make_grid(rough), candidate_spacing_m=spacing, max_candidates=40)
+        xy = np.array([site.position_odom[:2] for site in sites])
+        gaps = np.linalg.norm(xy[:, None] - xy[None], axis=2) + np.eye(len(xy)) * 99.0
+        assert len(xy) > 1 and gaps.min() >= spacing - 1e-6
+
+
+# -------------------------------------------------------------------------------------- the reason
+
+
+def _site(
+    value: float, rule: SiteRule, *terms: tuple[TermName, float, float, str], accepted: bool = True
+) -> Candidate:
+    return Candidate(
+        position_odom=np.zeros(3), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.5,
+        slope_deg=0.0, roughness_m=0.0, clearance_m=3.0, accepted=accepted,
+        reason=f"because of {rule}", rule=rule, value=value,
+        terms=tuple(ScoreTerm(name=n, value=v, quantity=q, unit=u) for n, v, q, u in terms),
+    )  # fmt: skip
+
+
+_FIRST = _site(
+    1.05, "lower_value", ("safe_probability", 0.97, 0.97, ""), ("clearance", 0.10, 3.0, "m"),
+    ("level", -0.02, 0.5, "deg"), ("traffic", 0.0, 0.0, ""),
+)  # fmt: skip
+_SECOND = _site(
+    0.63, "lower_value", ("safe_probability", 0.91, 0.91, ""), ("clearance", 0.05, 1.2, "m"),
+    ("level", -0.02, 0.5, "deg"), ("traffic", -0.3, 1.0, ""),
+)  # fmt: skip
+
+
+def test_reason_compares_the_first_with_the_next_accepted() -> None:
+    water = _site(0.9, "water", accepted=False)
+    sites = ranked([_FIRST, water, _SECOND])
+    assert [site.rule for site in sites] == ["highest_value", "lower_value", "water"]
+    assert why_chosen(sites) == (
+        "Site 1 won: score 1.050 against 0.630 of site 2; not near traffic; higher probability "
+        "of a safe touchdown (0.970 against 0.910); more clearance (3.0 against 1.2 m)"
+    )
+
+
+def test_reason_names_refused_sites_of_a_higher_score() -> None:
+    water, road = (
+        _site(1.2, rule, accepted=False) for rule in ("water", "unsafe_ground")
+    )  # fmt: skip
+    alone = why_chosen(ranked([water, _FIRST]))
+    assert alone == (
+        "Site 1 won: the only one accepted of 2, score 1.050; site 2 scores higher but is refused: "
+        "water"
+    )
+    assert why_chosen(ranked([water, road, _FIRST])).endswith(
+        "; sites 2 and 3 score higher but are refused: water and unsafe ground"
+    )
+
+
+def test_reason_without_a_site() -> None:
+    step, water = (_site(0.9, rule, accepted=False) for rule in ("step", "water"))
+    assert why_chosen(()) == "No site: nothing is mapped"
+    assert why_chosen([step, water, step]) == "No site: 3 candidates refused: 2 step, 1 water"
+    assert why_chosen([step]) == "No site: the only candidate is because of step"
+    taken = dataclasses.replace(step, accepted=True, rule="least_bad")
+    assert why_chosen([taken]) == "Site 1 won as because of step"
+    commanded = dataclasses.replace(step, accepted=True, rule="commanded")
+    assert why_chosen([commanded]) == "Site 1 was commanded: because of step"
