@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from touchdown.experiments.io import sensor_log_reader
+from touchdown.experiments.io import sensor_log_checks, sensor_log_reader
 from touchdown.landing.classification import weights
 from touchdown.scenes.importers import geotiff, mjcf_limits, model_check, pictures, trial
 from touchdown.sim.files import child, inflating
@@ -33,7 +33,8 @@ def _mib(size: int) -> str:
         _mib(geotiff.MAX_BLOCK_BYTES),
         _mib(weights.MAX_BYTES),
         f"{child.TRIAL_S} s of a processor and {child.TRIAL_MEMORY_BYTES >> 30} GiB",
-        f"{sensor_log_reader.MAX_RECORD_BYTES >> 20} MiB",
+        f"may have {sensor_log_reader.MAX_RECORD_BYTES >> 20} MiB each",
+        f"at {sensor_log_checks.MAX_PIXELS} pixels",
         f"{inflating.MAX_TEXT_BYTES >> 10} KiB",
         f"{weights.IMAGE_SIZES[0]} to {weights.IMAGE_SIZES[1]}",
         f"| {mjcf_limits.MAX_DEPTH}; {mjcf_limits.MAX_MODELS_DEEP} |",

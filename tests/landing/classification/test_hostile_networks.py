@@ -169,6 +169,12 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------ checkpoints
 
 
+LAUGHS: list[Any] = []
+"""A list of a thousand bytes that holds ten to the hundredth lists"""
+for _ in range(100):
+    LAUGHS = [LAUGHS] * 10
+
+
 class _Code:
     def __reduce__(self) -> tuple[Any, ...]:
         return (Path.touch, (Path("was_here"),))
@@ -203,6 +209,7 @@ def _begin(start: Path) -> None:
         ("code", "something else than weights, which is not loaded"),
         ("pickle", "cannot be read as a checkpoint: it is none"),
         ("wide", "something else than weights"),
+        ("laughs", "something else than the weights"),
         ("bomb", "more than 4096 MiB"),
         ("missing", "it does not exist; name the folder"),
     ],
@@ -223,6 +230,7 @@ def test_checkpoints_that_hold_something_else(start: Path, kind: str, message: s
         "nan": sound | {first: sound[first] * float("nan")},
         "code": {"a": _Code()},
         "wide": sound | {first: torch.zeros(1).expand(100_000, 100_000)},
+        "laughs": {"a": LAUGHS},
     }
     if kind in contents:
         torch.save(contents[kind], path)
@@ -258,7 +266,15 @@ def test_a_checkpoint_of_something_else_is_not_resumed(start: Path) -> None:
         ({"identity": {}, "history": [row], "best_epoch": 9}, "is not the checkpoint"),
         ({"identity": {}, "history": [row], "best_epoch": 0}, "does not hold the state of this"),
         ({"identity": 7}, "is not the checkpoint"),
+        (
+            {"identity": {"epochs": LAUGHS}, "history": [], "best_epoch": -1},
+            r"holds a training with epochs \[\[\[.*, not .3.; name another",
+        ),
+        (
+            {"identity": {"epochs": [torch.zeros(3)]}, "history": [], "best_epoch": -1},
+            "with epochs",
+        ),
     ):
         torch.save(state, start / "last.pt")
         with pytest.raises(ValueError, match=message):
-            restore(Trainer(), start, {})
+            restore(Trainer(), start, {"epochs": [3]} if "epochs" in message else {})
