@@ -44,11 +44,8 @@ from touchdown.experiments.external.processes import (
 from touchdown.experiments.flight.run import fly_with_usage_errors
 from touchdown.experiments.io.foreign import inside
 from touchdown.experiments.io.results import RunResult, load_result
-<<<<<<< HEAD
-from touchdown.sim.files.child import die_with_parent
-=======
 from touchdown.experiments.io.run_directory import foreign_entries, put_in_place
->>>>>>> main
+from touchdown.sim.files.child import die_with_parent
 
 PARTIAL = ".partial"
 """Folder of a campaign's directory in which runs are flown; those of dead processes are swept."""

@@ -47,7 +47,7 @@ def restore(trainer: Resumable, folder: Path, identity: dict[str, Any]) -> None:
         if not _same(before.get(key), value):
             found = before.get(key)
             shown = found if isinstance(found, str | float | int) else reprlib.repr(found)
-            what = _OTHER[key] if key in _OTHER else f"{key} {shown}, not {value}"
+            what = _OTHER.get(key, f"{key} {shown}, not {value}")
             raise ValueError(f"'{folder}' holds a training with {what}; name another folder")
     try:
         trainer.take_state(state)

@@ -53,7 +53,7 @@ def test_chunks_are_inflated_within_limits(
 def test_a_record_that_states_too_much_is_not_read(tmp_path: Path) -> None:
     path = _log(tmp_path / "a.mcap", b"", 0, "")
     path.write_bytes(path.read_bytes() + b"\x05" + (1 << 30).to_bytes(8, "little"))
-    with pytest.raises(UsageError, match="is no complete MCAP file: .*limit"):
+    with pytest.raises(UsageError, match=r"is no complete MCAP file: .*limit"):
         SensorLogReader(path)
 
 
