@@ -341,14 +341,16 @@ class _Model:
         """Adds the cells of a height field or the texels of a texture."""
         self.census[key] += faces * max(0, width) * max(0, height)
         field = key == "cells"
-        side, most = (math.inf, MAX_CELLS) if field else (MAX_TEXTURE_SIDE, MAX_TEXELS)
-        long = max(width, height) > side
+        long = not field and max(width, height) > MAX_TEXTURE_SIDE
+        most = MAX_CELLS if field else MAX_TEXELS
         if long or self.census[key] > most:
             what, unit = ("height field", "cells") if field else ("texture", "pixels")
-            limit = f"{side} along a side" if long else f"{most} with all others together"
+            limit = (
+                f"{MAX_TEXTURE_SIDE} along a side" if long else f"{most} with all others together"
+            )
             raise self._fail(
                 f"{what} '{printable(name)}' has {width} x {height} {unit}, more than {limit}; "
-                "make it coarser, or cut out the part around the take-off"
+                "make it coarser, or cut it down to the part around the take-off"
             )
 
 

@@ -35,7 +35,7 @@ BOMBS = {
     "grey": (png(8, 8, 1, 0, inflated=100), "inflates to more"),
     "text": (png(8, 8, inflated=200, text=bytes(MAX_TEXT_BYTES)), "512 KiB of texts and profiles"),
     "size": (png(1000, 2000), "has 1000 x 2000 pixels, more than 1000000"),
-    "checksum": (png(8, 8, inflated=200).replace(b"IDATx", b"IDATy"), "have its checksum"),
+    "checksum": (png(8, 8, inflated=200).replace(b"IEND\xae", b"IEND\xad"), "have its checksum"),
     "short": (png(8, 8, inflated=200)[:-20], "ends too early"),
     "none": (b"GIF", "is no PNG file"),
 }
