@@ -345,7 +345,7 @@ class _Model:
         most = MAX_CELLS if field else MAX_TEXELS
         if long or self.census[key] > most:
             what, unit = ("height field", "cells") if field else ("texture", "pixels")
-            limit = (
+                "make it coarser, or cut out the part around the take-off"
                 f"{MAX_TEXTURE_SIDE} along a side" if long else f"{most} with all others together"
             )
             raise self._fail(
