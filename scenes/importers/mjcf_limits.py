@@ -69,10 +69,14 @@ _LIMITS = (
 _OF_SPEC = {
     "geom": ("geoms",), "body": ("bodies",), "site": ("sites",), "camera": ("cameras",),
     "light": ("lights",),
-    "moving": ("joints", "sensors", "actuators", "tendons", "equalities", "excludes", "pairs"),
+    "moving": ("sensors", "actuators", "tendons"),
 }  # fmt: skip
-"""Lists of a read file that hold what is counted"""
+"""Lists of a read file that hold what is counted; soft bodies have joints that no text names"""
 
+_GRIDS = {
+    "cells": ("height field", "cells", MAX_CELLS),
+    "texels": ("texture", "pixels", MAX_TEXELS),
+}
 Census = Counter[str]
 """Counts of a file once MuJoCo has expanded it: elements by tag, "all" of them, "moving" ones,
 "mesh bytes", "cells" of height fields and "texels" of textures"""
@@ -340,18 +344,16 @@ class _Model:
     def _add_grid(self, key: str, name: str, width: int, height: int, faces: int = 1) -> None:
         """Adds the cells of a height field or the texels of a texture."""
         self.census[key] += faces * max(0, width) * max(0, height)
-        field = key == "cells"
-        long = not field and max(width, height) > MAX_TEXTURE_SIDE
-        most = MAX_CELLS if field else MAX_TEXELS
-        if long or self.census[key] > most:
-            what, unit = ("height field", "cells") if field else ("texture", "pixels")
-                "make it coarser, or cut out the part around the take-off"
-                f"{MAX_TEXTURE_SIDE} along a side" if long else f"{most} with all others together"
-            )
-            raise self._fail(
-                f"{what} '{printable(name)}' has {width} x {height} {unit}, more than {limit}; "
-                "make it coarser, or cut it down to the part around the take-off"
-            )
+        what, unit, most = _GRIDS[key]
+        limit = f"{most} with all others together"
+        if key == "texels" and max(width, height) > MAX_TEXTURE_SIDE:
+            limit = f"{MAX_TEXTURE_SIDE} along a side"
+        elif self.census[key] <= most:
+            return
+        raise self._fail(
+            f"{what} '{printable(name)}' has {width} x {height} {unit}, more than {limit}; make it "
+            "coarser, or cut out the part around the take-off"
+        )
 
 
 def _whole(word: str | None) -> int:

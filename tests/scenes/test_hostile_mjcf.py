@@ -208,7 +208,8 @@ def test_vertices_in_the_file_count_as_those_of_mesh_files(tmp_path: Path) -> No
     ("text", "message"),
     [
         (place('<geom size=".1"/>' * 10_001), "it has 10002 geoms, more than 10000"),
-        (place("<body><joint/><geom size='1'/></body>" * 2001), "2001 joints, sensors and actuat"),
+        (place().replace("</mujoco>", f"<sensor>{'<clock/>' * 2001}</sensor></mujoco>"),
+         "2001 joints, sensors and actuators"),
         (place("", FIELD.format('nrow="9000" ncol="9000"')), "81000000 cells of height fields"),
         (place("", TEXTURE.format('builtin="flat" width="16000" height="16000"')),
          "256000000 pixels of textures"),
