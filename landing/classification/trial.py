@@ -55,7 +55,7 @@ def plain_reason(error: Exception) -> str:
     lines = str(error).splitlines() or [type(error).__name__]
     words = lines[0].split(" : ", 3)
     text = words[3] if len(words) == 4 and words[0].startswith("[ONNX") else lines[0]
-    if "xternal data" in text:
+    if "xternal data" in text or NOWHERE in text:
         return "its weights lie in another file; save it as one file"
     if "::" in text:  # a place in the sources of ONNX Runtime, then a condition, then the reason
         text = text.rpartition(" was false. ")[2] if " was false. " in text else "it is damaged"

@@ -136,6 +136,22 @@ def test_weights_outside_of_the_file_are_not_read(
             read_weights(path)
 
 
+def test_weights_of_a_branch_outside_of_the_file_are_not_read(tmp_path: Path) -> None:
+    from onnx import TensorProto, helper, numpy_helper
+
+    outside = TensorProto(name="matrix", data_type=TensorProto.FLOAT, dims=[3, 7])
+    outside.data_location = TensorProto.EXTERNAL
+    outside.external_data.add(key="location", value="secret.bin")
+    given = [helper.make_tensor_value_info("y", TensorProto.FLOAT, [3, 7])]
+    copied = helper.make_node("Identity", ["matrix"], ["y"])
+    branch = helper.make_graph([copied], "s", [], given, [outside])
+    nodes, _ = _mean(3, 7)
+    nodes.insert(0, helper.make_node("If", ["c"], ["w"], then_branch=branch, else_branch=branch))
+    nodes[-1].input[1] = "w"
+    path = network(tmp_path / "n.onnx", nodes, [numpy_helper.from_array(np.array(True), "c")])
+    refused(path, "its weights lie in another file; save it as one file")
+
+
 def test_a_graph_that_fills_the_memory_is_given_up(tmp_path: Path) -> None:
     from onnx import helper, numpy_helper
 
