@@ -41,8 +41,9 @@ from touchdown.sim.files.inflating import check_png, inflated_chunk
 
 _WANTED = frozenset({OBSERVATION_TOPIC, SCAN_TOPIC, *IMAGE_TOPICS})
 MAX_RECORD_BYTES = 1 << 27
-"""of a record, of a chunk once inflated (a flight writes 4 MiB and one message) and of all messages
-of one observation"""
+"""of a record, and of a chunk once inflated; a flight writes 4 MiB and one message"""
+MAX_OBSERVATION_BYTES = MAX_RECORD_BYTES
+"""of all messages of one observation"""
 MAX_TEXT_BYTES = 1 << 24
 """of an observation without its scans and images"""
 
@@ -134,8 +135,9 @@ class SensorLogReader:
         for topic, data in self._messages():
             with damage_reported(self.path):
                 waiting += len(data)
-                if waiting > MAX_RECORD_BYTES:
-                    raise DamagedError(f"an observation has more than {MAX_RECORD_BYTES >> 20} MiB")
+                if waiting > MAX_OBSERVATION_BYTES:
+                    most = MAX_OBSERVATION_BYTES >> 20
+                    raise DamagedError(f"an observation has more than {most} MiB of messages")
                 if topic == OBSERVATION_TOPIC:
                     if len(data) > MAX_TEXT_BYTES:
                         raise DamagedError("an observation has an absurd size")

@@ -74,7 +74,7 @@ def test_messages_without_their_observation_are_not_kept(
             list(SensorLogReader(path))
 
     refused("a message belongs to no observation", scans[0])
-    monkeypatch.setattr(sensor_log_reader, "MAX_RECORD_BYTES", 3 * len(scans[0].data))
+    monkeypatch.setattr(sensor_log_reader, "MAX_OBSERVATION_BYTES", 3 * len(scans[0].data))
     refused("an observation has more than", *[scans[0]] * 4)
     monkeypatch.setattr(sensor_log_reader, "MAX_TEXT_BYTES", 10)
     refused("an observation has an absurd size")
