@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.importers.geotiff import check_blocks, opened_tiff
-from touchdown.sim.files.opening import MIB, check_file
+from touchdown.sim.files.opening import MIB, check_file, quiet_libraries
 
 Image = NDArray[np.uint8]
 
@@ -53,7 +53,7 @@ def read_rgb(path: Path, *, grey: bool = True, what: str = "an image") -> Image:
     """
     from PIL import ImageOps
 
-    with _decoded(path, what) as image:
+    with _decoded(path, what) as image, quiet_libraries():
         _check_kind(image, path, grey)
         image.load()
         turned = ImageOps.exif_transpose(image)
