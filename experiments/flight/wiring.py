@@ -16,7 +16,7 @@ from touchdown.estimator.api import (
     Mapper,
 )
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.errors import UsageError, nearest
+from touchdown.experiments.errors import UsageError, nearest, no_file
 from touchdown.experiments.external.loading import check_external, is_external
 from touchdown.experiments.external.wrapper import ExternalEstimator
 from touchdown.experiments.flight.bias_injection import BiasedEstimator
@@ -295,6 +295,8 @@ def check_scene_name(name: str, where: str = "") -> None:
     from touchdown.scenes.compose import load_scene
 
     if "/" in name or name.endswith(".xml"):
+        if reason := no_file(Path(name)):
+            raise UsageError(f"scene file '{name}'{where} {reason}")
         try:
             load_scene(name, 0)
         except (OSError, ValueError) as error:
