@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from touchdown.experiments.external.processes import (
+from touchdown.sim.files.child import die_with_parent
     adopt_orphans,
     die_with_parent,
     end_descendants,
