@@ -189,7 +189,7 @@ def _asked_of_child(table: pa.Table, sql: str) -> QueryResult:
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, table.schema) as stream:
         stream.write_table(table)
-    question = json.dumps({"sql": sql, "parent": os.getpid()}).encode() + b"\n"
+    question = json.dumps({"sql": sql, "parent": os.getpid(), "most": MOST_BYTES}).encode() + b"\n"
     done = subprocess.run(
         [sys.executable, "-P", "-m", "touchdown.experiments.reporting.sql"],
         input=question + sink.getvalue().to_pybytes(),
@@ -220,12 +220,12 @@ def _answer() -> None:
 
         with pa.ipc.open_stream(sys.stdin.buffer.read()) as stream:
             found = query_table(stream.read_all(), question["sql"])
-        left = MOST_BYTES
+        left = question["most"]
         for row in (found.columns, *found.rows):
             line = json.dumps(row)
             left -= len(line)
             if left < 0:
-                size = MOST_BYTES >> 20
+                size = question["most"] >> 20
                 raise UsageError(f"it gives more than {size} MiB; add `limit`, or group the rows")
             print(line)
     except UsageError as error:

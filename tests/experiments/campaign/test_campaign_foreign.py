@@ -293,7 +293,7 @@ def test_files_of_others_that_come_while_a_run_is_flown_stay(
         with pytest.raises(UsageError, match=r"holds 'thesis\.txt'"):
             worker._move(made, run)
     else:
-        task = worker.Task(NAME, plan.runs[0].values, str(out), False, "")
+        task = worker.Task(run_id=NAME, values=plan.runs[0].values, directory=str(out))
         Arrivals([task], {NAME: "another"}, 0.0, lambda _event: None).see(
             {"event": "finished", "run_id": NAME}
         )

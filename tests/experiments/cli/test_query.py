@@ -248,13 +248,14 @@ CHILD = sql_of_runs._asked_of_child
     ("sql", "words"),
     [
         ("select repeat('x', 3000000000)", "it takes more than 1 GiB of memory; select, join"),
-        ("select repeat('x', 1000) from range(140000)", "gives more than 128 MiB; add `limit`"),
+        ("select repeat('x', 1000) from range(2000)", "gives more than 1 MiB; add `limit`"),
     ],
 )
 def test_a_query_has_a_process_with_little_memory(
     refused: Query, monkeypatch: pytest.MonkeyPatch, sql: str, words: str
 ) -> None:
     monkeypatch.setattr(sql_of_runs, "_asked_of_child", CHILD)
+    monkeypatch.setattr(sql_of_runs, "MOST_BYTES", 1 << 20)
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     assert words in refused(sql)
     peak_kib = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
