@@ -91,6 +91,21 @@ def test_rock_in_a_meadow_keeps_its_height(wide: int) -> None:
     assert np.median(np.abs(found.height_m[INNER])) < 0.01
 
 
+def test_overgrown_rock_in_a_meadow_keeps_its_height() -> None:
+    rock = np.zeros((ROWS, COLS), bool)
+    rock[10:12, 10:12] = True
+    returns = np.where(rock, 0.3, 0.0) + grass(np.where(rock, 0.2, 0.25))
+    found = grid_of_returns(returns).ground().height_m[rock]
+    np.testing.assert_allclose(found, 0.3, atol=0.04)
+
+
+def test_crops_on_a_steep_slope_do_not_lower_it() -> None:
+    ground = 0.35 * X
+    error = (grid_of_returns(ground + grass(0.3, 3.6)).ground().height_m - ground)[INNER]
+    assert abs(np.median(error)) < 0.02
+    assert (np.abs(error - np.median(error)) < 0.03).mean() > 0.9
+
+
 def test_top_of_a_post_is_no_ground_and_a_roof_is() -> None:
     ground = FLAT.copy()
     ground[10, 10] = 2.0
