@@ -109,7 +109,7 @@ def _of_sensors(
     def size(effects: Mapping[str, Effect], name: str) -> float | None:
         return effects[name].mean_amount if name in effects else None
 
-    dusty = scans.get("dust", _NOTHING)
+    dusty, swayed = scans.get("dust", _NOTHING), scans.get("sway", _NOTHING)
     return {
         "light_lux": size(images, "light_lux"),
         "lamp_share": share(images, "lamp"),
@@ -119,7 +119,7 @@ def _of_sensors(
         "stamp_error_ms": size(images, "stamp_error_ms"),
         "range_error_m": size(scans, "ranging"),
         "plants_share": share(scans, "vegetation"),
-        "sway_m": size(scans, "sway"),
+        "sway_m": swayed.amount / swayed.messages if swayed.messages else None,
         "wakes_mps": size(air, "wakes"),
         "air_rotation_degps": size(air, "rotation"),
         "dust_scans": float(dusty.messages),

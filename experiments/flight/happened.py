@@ -226,20 +226,20 @@ def _latency(config: Config) -> float:
     return HALF * median_ms * math.sqrt((growth - 1.0) * growth)
 
 
-EXPOSURE_STOPS_PER_S = 0.05
-"""Least mean exposure error for each second of the control's time constant: a fifth of the 0.24 of
-a survey of `forest` in `harsh`"""
+EXPOSURE_STOPS_PER_S = 0.02
+"""Least mean exposure error for each second of the control's time constant: a survey of `crossroad`
+in `harsh`, with one second, has 0.07"""
 LEAST_SHEAR_PX = 0.1
 """Features are located to about a tenth of a pixel."""
 LEAST_PLANTS = 0.01
 """Share of returns: a scan's pattern varies by as much"""
 LEAST_SWAY_M = 0.001
-"""a twentieth of the range noise, over all returns from crowns"""
+"""a twentieth of the range noise"""
 LEAST_ROTATION_DEGPS = 0.5
 """the rotational gusts of a calm day of 3 m/s over a vehicle of half a metre"""
-VIBRATION_MPS2 = 9.6
-"""Vibration of a sensor on the airframe itself (a survey of `forest` in `harsh`), of which a damped
-mount passes the share ``imu.vibration_isolation``"""
+VIBRATION_MPS2 = 9.4
+"""Vibration of a sensor on the airframe itself (a survey of `crossroad` in `harsh`), of which a
+damped mount passes the share ``imu.vibration_isolation``"""
 
 EFFECT_RULES: Mapping[str, _Rule] = {
     "latency": _Rule("scan_latency_sigma_ms", "ms of spread", _latency),

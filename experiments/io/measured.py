@@ -59,7 +59,7 @@ class Measured(BaseModel):
     plants_share: Figure = None
     """share of returns that come from plants instead of the ground"""
     sway_m: Figure = None
-    """mean displacement of returns from crowns"""
+    """mean displacement of returns from crowns, over scans that have some"""
     wakes_mps: Figure = None
     air_rotation_degps: Figure = None
     dust_scans: Figure = None
