@@ -146,7 +146,7 @@ def condition_table(rows: Sequence[Row], first: str = "") -> Table:
     table = Table("conditions", "Flights by condition, method and scene", header, [])
     for condition, members in conditions.items():
         for method, scene, group in _groups(members):
-            line = [Cell(condition or MISSING), name_cell(method), name_cell(scene)]
+            line = [Cell(condition or MISSING, kind="name"), name_cell(method), name_cell(scene)]
             line += [Cell(str(count)) for count in _counts(group)]
             found = {f.title + f.column: f.of(group) for f in kept}
             line += [

@@ -31,6 +31,7 @@ from touchdown.experiments.reporting.flights import (
     add_path_deviations,
     flies_paper_methods,
     methods_of,
+    recorded_revision,
     scenes_of,
 )
 from touchdown.experiments.reporting.landing_figure import landing_pictures
@@ -231,8 +232,9 @@ def condition_sentences(rows: Sequence[Row]) -> list[str]:
     """Scenes, methods, seeds, revision and the definition of the intervals."""
     seeds = sorted({row["seed"] for row in rows})
     winds = sorted({row["wind_kmh"] for row in rows if row.get("wind_kmh") is not None})
-    revisions = sorted({str(row["git_revision"]) for row in rows if row.get("git_revision")})
-    unrecorded = sum(not row.get("git_revision") for row in rows)
+    recorded = [recorded_revision(row) for row in rows]
+    revisions = sorted({revision for revision in recorded if revision})
+    unrecorded = recorded.count(None)
     versions = {k: row[k] for row in rows for k in row if k.startswith("versions.") and row[k]}
     lines = [
         f"Scenes: {', '.join(scenes_of(rows))}. "

@@ -49,12 +49,19 @@ def load_flights(directory: Path) -> list[dict[str, Any]]:
 
 def check_revisions(rows: Iterable[Row], directory: Path) -> None:
     """Raises UsageError where a flight that ended with a result has no git revision."""
-    missing = [r for r in rows if r["outcome"] != CRASHED and not r.get("git_revision")]
+    missing = [r for r in rows if r["outcome"] != CRASHED and not recorded_revision(r)]
     if missing:
         raise UsageError(
             f"'{directory}': {len(missing)} results have no git revision, the first is "
             f"'{missing[0]['run_id']}'; {UNRECORDED_REMEDY}"
         )
+
+
+def recorded_revision(row: Row) -> str | None:
+    """The git revision of a flight; None where it was not recorded, for which earlier versions
+    wrote "unknown"."""
+    found = row.get("git_revision")
+    return str(found) if found and found != "unknown" else None
 
 
 def campaign_text(directory: Path) -> str:

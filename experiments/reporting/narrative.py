@@ -18,7 +18,6 @@ from touchdown.experiments.reporting.flights import (
     scenes_of,
 )
 from touchdown.experiments.reporting.measures import (
-    SET_MARK,
     TRAJECTORY_VARIANCE,
     estimates,
     is_marked,
@@ -84,8 +83,13 @@ class Rank(NamedTuple):
 
 
 def leading_sentences(rows: Sequence[Row]) -> list[str]:
-    """Returns, per scene, the order by E_tra, the test of the lead, and the paper's order."""
-    rivals = [row for row in rows if row["estimator"] != "oracle"]
+    """Returns, per scene, the order by E_tra, the test of the lead, and the paper's order. Methods
+    whose error is set do not compete."""
+    rivals = [
+        row
+        for row in rows
+        if row["estimator"] != "oracle" and not is_marked(_PATH, row["estimator"])
+    ]
     measured = estimates(rivals, mean_of(_PATH))
     ranked = {scene: _ranking(measured, scene) for scene in scenes_of(rivals)}
     contests = {s: order for s, order in ranked.items() if len(order) > 1}
@@ -103,8 +107,6 @@ def leading_sentences(rows: Sequence[Row]) -> list[str]:
             f"then `{second.method}` with {with_interval(second.error, 'm')}"
         )
         line += "".join(f", `{rank.method}` {digits(rank.error.value)} m" for rank in others)
-        if named := [rank.method for rank in order if is_marked(_PATH, rank.method)]:
-            line += f" ({', '.join(f'`{method}`' for method in named)}: {SET_MARK[1:-1]})"
         lead_m, alpha = second.error.value - first.error.value, CHANCE / max(1, len(tested))
         verdict = _lead_text(lead_m, pairs[scene], adjusted.get(scene), alpha)
         lines.append(f"{line}. {verdict}")
@@ -174,7 +176,7 @@ def _order_sentences(orders: dict[str, list[str]]) -> list[str]:
     """The order of the paper's methods compared with that of its Table 2."""
     same, lines = [], []
     for scene, order in orders.items():
-        ours = [m for m in order if m in published.ORDER and setting_of(_PATH, m) is None]
+        ours = [method for method in order if method in published.ORDER]
         theirs = [method for method in published.ORDER if method in ours]
         if len(ours) < 2:
             continue

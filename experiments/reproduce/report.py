@@ -20,7 +20,7 @@ from touchdown.experiments.reporting.document import (
 from touchdown.experiments.reporting.figures import Picture
 from touchdown.experiments.reporting.flights import check_revisions, load_flights
 from touchdown.experiments.reporting.published_networks import NETWORK_NAMES
-from touchdown.experiments.reporting.tables import MISSING, Cell, Table
+from touchdown.experiments.reproduce.items import item_sentence, item_table
 from touchdown.experiments.reproduce.networks import PICTURES
 from touchdown.experiments.reproduce.steps import FLIGHTS, PARTS, VEHICLE, Part
 from touchdown.experiments.reproduce.tables import (
@@ -35,27 +35,6 @@ if TYPE_CHECKING:
     from touchdown.experiments.reproduce.state import PartState, Reproduction
 
 Figures = Mapping[str, Any]
-
-ITEMS: tuple[tuple[str, str], ...] = (
-    ("Fig. 2", "a coloured cloud of camera and LIDAR"),
-    ("Fig. 4", "edge energy of an image, and smoothness of the returns by it"),
-    ("Fig. 5", "images of the kinds of ground"),
-    ("Fig. 7", "the vehicle"),
-    ("Fig. 8", "the simulated vehicle and four scenes"),
-    ("Table 1", "scan time, density and levelness of the maps"),
-    ("Fig. 9 a", "trajectories of surveys"),
-    ("Table 2", "mean and variance of the deviation from the path, by method"),
-    ("Fig. 10", "paths by method, and errors by axis"),
-    ("Fig. 9 b", "trajectories of landings"),
-    ("Table 3", "scores of networks under two label schemes"),
-    ("Table 4", "cost of networks, and scores on the test images"),
-    ("Table 5", "landings on a designated spot, by method"),
-    ("Fig. 12", "touchdown points"),
-    ("Fig. 11", "the steps to a site on five kinds of sites"),
-    ("Table 6", "landings on five kinds of sites"),
-    ("Table 7", "time of each step of site selection"),
-)
-"""Tables and figures of the paper by part; its Figs. 1, 3 and 6 are concept drawings."""
 
 _SECTIONS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "positioning": (
@@ -90,10 +69,12 @@ def make_reproduction(done: Reproduction) -> tuple[Report, list[dict[str, Any]]]
         if state is not None:
             sections.append(_section(part, state, done.out / part.name, rows))
     summary = Section("summary", "Summary", _summary_text(done), [], [])
-    items = Section("items", "Items of the paper and their sections here", [], [_items(done)], [])
+    items = Section(
+        "items", "Items of the paper and their sections here", [], [item_table(done.states)], []
+    )
     ends = [Section("conditions", "Conditions", condition_sentences(rows), [], [])] if rows else []
-    successful = sum(state.successful for state in done.states.values())
-    heads = [("parts done", f"{successful} of {len(PARTS)}"), *(tiles(rows) if rows else [])]
+    ended = sum(not state.error for state in done.states.values())
+    heads = [("parts ended", f"{ended} of {len(PARTS)}"), *(tiles(rows) if rows else [])]
     name = "quick edition" if done.quick else "whole edition"
     title = f"Touchdown: the paper reproduced, {name}"
     return Report(title, heads, [summary, items, *sections, *ends], ""), rows
@@ -120,32 +101,7 @@ def _summary_text(done: Reproduction) -> list[str]:
             lines.append(f"{content} ended with an error: {state.error}.")
         elif state.why:
             lines.append(f"{content} failed its purpose: {state.why}.")
-    if (
-        done.states
-        and all(s.successful for s in done.states.values())
-        and len(done.states) == len(PARTS)
-    ):
-        lines.append("All parts are done and fulfilled their purpose.")
-    return lines
-
-
-def _items(done: Reproduction) -> Table:
-    rows = []
-    for item, name in ITEMS:
-        part = next(part for part in PARTS if item in part.shows)
-        state = done.states.get(part.name)
-        verdict = "left out" if state is None else _verdict(state)
-        where = part.title if state is not None else MISSING
-        rows.append([Cell(item, kind="name"), Cell(name, kind="name"), Cell(where), Cell(verdict)])
-    header = ["item of the paper", "content", "section here", "state"]
-    notes = ["Figs. 1, 3 and 6 of the paper are concept drawings; they hold nothing to measure."]
-    return Table("items", "Item by item", header, rows, notes)
-
-
-def _verdict(state: PartState) -> str:
-    if state.error:
-        return "not ended"
-    return f"{'done' if state.successful else 'failed its purpose'} ({state.edition})"
+    return [*lines, item_sentence(done.states)]
 
 
 # ---------------------------------------------------------------------------------------- sections
@@ -155,7 +111,11 @@ def _section(
     part: Part, state: PartState, folder: Path, rows: list[dict[str, Any]]
 ) -> Section:  # fmt: skip
     """Section of a part; the flights of its campaign are added to ``rows``."""
-    text = [f"For {', '.join(part.shows)}, by the part `{part.name}`, {state.edition} edition."]
+    revision = f"at revision `{state.git_revision}`" if state.git_revision else "of no revision"
+    text = [
+        f"For {', '.join(part.shows)}, by the part `{part.name}`, {state.edition} edition, ended "
+        f"{revision}."
+    ]
     if state.why or state.error:
         text.append(f"Not successful: {state.error or state.why}.")
     section = Section(part.name, part.title, text, [], [])
