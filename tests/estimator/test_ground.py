@@ -116,6 +116,17 @@ def test_top_of_a_post_is_no_ground_and_a_roof_is() -> None:
     np.testing.assert_allclose(found.height_m[:, 20:], 3.0, atol=0.03)
 
 
+def test_few_returns_far_below_the_ground_are_none_of_it() -> None:
+    """Two late echoes in one cell; a pit that many returns show is ground."""
+    ground = FLAT.copy()
+    ground[12, 12], ground[12, 20] = -3.0, -1.0
+    grid = make_grid(ground)
+    grid.count[12, 12] = 2.0
+    found = grid.ground().height_m
+    assert np.isnan(found[12, 12]) and np.isfinite(found[11:14, 11:14]).sum() == 8
+    assert found[12, 20] == pytest.approx(-1.0, abs=0.03)
+
+
 def test_uncertainty_grows_as_fewer_returns_come_from_the_ground() -> None:
     open_, dense, short = (
         np.median(grid_of_returns(returns).ground().std_m[INNER])
