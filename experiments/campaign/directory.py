@@ -161,7 +161,7 @@ def _is_plan(document: Mapping[str, Any]) -> bool:
         and isinstance(run.get("run_id"), str)
         and isinstance(run.get("values"), dict)
         for run in runs
-    ) and all(isinstance(one, dict) and isinstance(one.get("wall_s"), float) for one in sessions)
+    ) and all(isinstance(one, dict) and _is_number(one.get("wall_s")) for one in sessions)
 
 
 def _is_expectation(tree: object) -> bool:
@@ -190,7 +190,8 @@ def _are_demands(tree: object) -> bool:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, float | int) and not isinstance(value, bool)
+    number = isinstance(value, float | int) and not isinstance(value, bool)
+    return number and -1e300 < value < 1e300  # type: ignore[operator]
 
 
 def _are_bounds(tree: object) -> bool:

@@ -1,4 +1,5 @@
-"""Guard of a worker: a small process that starts it, and ends with it all that it started.
+"""Guard of a worker, or of another program: a small process that starts it, and ends with it all
+that it started.
 
 It is the parent of every process that the worker leaves behind, in whatever session, so that none
 outlives the worker, nor the supervisor of the worker.
@@ -11,6 +12,7 @@ import resource
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 from touchdown.experiments.external.processes import (
@@ -28,16 +30,15 @@ _SERVE = (
 )
 
 
-def guard() -> None:
-    """Starts a worker on the same pipes and ends as it ends, by the same signal or exit code, when
-    no process of it is left. SIGTERM, or the end of the supervisor, ends them all at once."""
+def guard(command: Sequence[str] = (sys.executable, "-c", _SERVE)) -> None:
+    """Starts a program, by default a worker, on the same pipes and ends as it ends, by the same
+    signal or exit code, when no process of it is left. SIGTERM, or the end of the supervisor, ends
+    them all at once."""
     signal.signal(signal.SIGTERM, _end)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the supervisor decides
     die_with_parent(int(os.environ.get(SUPERVISOR, os.getppid())), signal.SIGTERM)
     adopt_orphans()
-    worker = subprocess.Popen(
-        [sys.executable, "-c", _SERVE], env={**os.environ, SUPERVISOR: str(os.getpid())}
-    )
+    worker = subprocess.Popen(command, env={**os.environ, SUPERVISOR: str(os.getpid())})
     for pipe in (0, 1):
         os.close(pipe)  # they close when the worker's ends do
     code = None
@@ -60,4 +61,4 @@ def _end(_signal: int, _frame: Any) -> None:
 
 
 if __name__ == "__main__":
-    guard()
+    guard(sys.argv[1:])

@@ -267,10 +267,19 @@ def _axes(tree: Mapping[str, Any], source: str) -> dict[str, list[Any]]:
             raise UsageError(f"unknown axis '{key}' in {source}{hint}")
         if not isinstance(values, list) or not values:
             raise UsageError(f"axis '{key}' in {source} must be a list of one or more values")
-        twice = [v for n, v in enumerate(values) if v in values[:n]]
-        if twice:
-            raise UsageError(f"axis '{key}' in {source} names {twice[0]} twice")
         axes[key] = values
+    count = math.prod(map(len, axes.values()))
+    if count > MOST_RUNS:
+        raise UsageError(
+            f"[axes] of {source} span {count} runs, more than {MOST_RUNS}; split the campaign"
+        )
+    for key, values in given.items():
+        seen: set[Any] = set()
+        for value in values:
+            mark = value if not isinstance(value, list | dict) else json.dumps(value, default=str)
+            if mark in seen:
+                raise UsageError(f"axis '{key}' in {source} names {value} twice")
+            seen.add(mark)
     for seed in axes["seed"]:
         if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
             raise UsageError(f"seed {seed!r} in {source} must be a whole number from 0 up")
@@ -365,11 +374,6 @@ def _runs(
     runs = []
     skipped = [_when(entry.when, axes, f"[[skip]] {number} of {source}")
                for number, entry in enumerate(spec.skip, start=1)]  # fmt: skip
-    count = math.prod(map(len, axes.values()))
-    if count > MOST_RUNS:
-        raise UsageError(
-            f"[axes] of {source} span {count} runs, more than {MOST_RUNS}; split the campaign"
-        )
     for point in itertools.product(*axes.values()):
         place = dict(zip(axes, point, strict=True))
         if any(all(place[axis] in wanted for axis, wanted in when.items()) for when in skipped):

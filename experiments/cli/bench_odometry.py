@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, SEED
+from touchdown.experiments.cli.common import EXIT_DONE, SEED, Number
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import say
 
@@ -21,7 +21,11 @@ from touchdown.experiments.terminal import say
     "--ablate", is_flag=True, help="Leave out one part of the estimators after the other instead."
 )
 @click.option("--seed", type=SEED, default=0, show_default=True)
-@click.option("--seconds", type=float, help="Duration of each log after lift-off.  [all]")
+@click.option(
+    "--seconds",
+    type=Number(min=0.0, max=86400.0, min_open=True),
+    help="Duration of each log after lift-off.  [all]",
+)
 @click.option(
     "--runs",
     type=click.Path(path_type=Path),
@@ -51,7 +55,6 @@ def bench_estimator(
     from touchdown.experiments.benchmarks.ablation import ablate as run_ablation
     from touchdown.experiments.benchmarks.ablation import ablation_table
 
-    _check(seconds)
     chosen = scenes or bench.SCENES
     report = _quiet if quiet else _to_stderr
     with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
@@ -64,13 +67,6 @@ def bench_estimator(
         figures = usage_errors(lambda: bench.bench_estimator(chosen, report=report, **where))
     say(json.dumps(figures, indent=2) if as_json else _table(figures))
     return EXIT_DONE
-
-
-def _check(seconds: float | None) -> None:
-    from touchdown.experiments.errors import UsageError
-
-    if seconds is not None and not seconds > 0.0:
-        raise UsageError(f"--seconds {seconds:g} must be positive")
 
 
 def _quiet(_text: str) -> None:

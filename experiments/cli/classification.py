@@ -10,7 +10,7 @@ from typing import Any
 import click
 import numpy as np
 
-from touchdown.experiments.cli.common import EXIT_DONE, SEED, CommandGroup
+from touchdown.experiments.cli.common import EXIT_DONE, SEED, CommandGroup, Number
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import say
 
@@ -88,7 +88,7 @@ def dataset() -> int:
               help="Pixels across.")  # fmt: skip
 @click.option("--per-seed", type=click.IntRange(1), default=40, show_default=True,
               help="Patches of each seed of a scene.")  # fmt: skip
-@click.option("--new-colours", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
+@click.option("--new-colours", type=Number(0.0, 1.0), default=0.0, show_default=True,
               help="Share of views with random colours of roads, paving, roofs …")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True,
               help="Processes; the images do not depend on it.")  # fmt: skip
@@ -129,7 +129,7 @@ def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: 
 @click.option("--start-from", "start", type=click.Path(path_type=Path), metavar="PATH",
               help="Folder of another training, or a network's file, with the initial "
               "weights.  [random]")  # fmt: skip
-@click.option("--start-share", type=click.FloatRange(0.0, 1.0, max_open=True), default=0.0,
+@click.option("--start-share", type=Number(0.0, 1.0, max_open=True), default=0.0,
               show_default=True,
               help="Share of the weights of --start-from in the final ones: the mean may "
               "generalise better than either.")  # fmt: skip
@@ -139,14 +139,14 @@ def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: 
 @click.option("--first-size", type=click.IntRange(32, 512),
               help="Image size of the first epochs; it grows.  [--image-size]")  # fmt: skip
 @click.option("--batch-size", type=click.IntRange(2), default=64, show_default=True)
-@click.option("--learning-rate", type=click.FloatRange(0.0, min_open=True), default=1e-3,
+@click.option("--learning-rate", type=Number(0.0, min_open=True), default=1e-3,
               show_default=True)  # fmt: skip
-@click.option("--weight-decay", type=click.FloatRange(0.0), default=0.05, show_default=True)
-@click.option("--variation", type=click.FloatRange(0.0, 2.0), default=1.0, show_default=True,
+@click.option("--weight-decay", type=Number(0.0), default=0.05, show_default=True)
+@click.option("--variation", type=Number(0.0, 2.0), default=1.0, show_default=True,
               help="Strength of the augmentation of zoom, light, colour and noise.")  # fmt: skip
-@click.option("--markings", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
+@click.option("--markings", type=Number(0.0, 1.0), default=0.0, show_default=True,
               help="Share of images with painted lines, as of lanes and bays.")  # fmt: skip
-@click.option("--blending", type=click.FloatRange(0.0, 1.0), default=0.0, show_default=True,
+@click.option("--blending", type=Number(0.0, 1.0), default=0.0, show_default=True,
               help="Strength of the blending of images with one another.")  # fmt: skip
 @_miss_cost("[1 each]")
 @click.option("--patience", type=click.IntRange(1), default=8, show_default=True,
@@ -307,7 +307,7 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
               help="Folder for NAME-classes.png.")  # fmt: skip
 @click.option("--window", "window_px", type=click.IntRange(16),
               help="Side of the classified square.  [a quarter of the image]")  # fmt: skip
-@click.option("--least", type=click.FloatRange(0.0, 1.0), default=0.5, show_default=True,
+@click.option("--least", type=Number(0.0, 1.0), default=0.5, show_default=True,
               help="Probability below which the class is unsure.")  # fmt: skip
 @_ENGINE
 @click.option("--threads", type=click.IntRange(1), default=1, show_default=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import click
@@ -18,6 +19,20 @@ class TerminatedError(KeyboardInterrupt):
 def interrupt_code(error: BaseException | None) -> int:
     """The exit code after Ctrl-C or SIGTERM: 128 and the number of the signal."""
     return EXIT_TERMINATED if isinstance(error, TerminatedError) else EXIT_INTERRUPTED
+
+
+class Number(click.FloatRange):
+    """A finite number in a range."""
+
+    name = "NUMBER"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"'{value}' is no finite number", param, ctx)
+        return number
 
 
 class SeedType(click.ParamType):

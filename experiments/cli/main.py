@@ -38,7 +38,8 @@ from touchdown.experiments.cli.results import results
 from touchdown.experiments.cli.scenes import scenes
 from touchdown.experiments.cli.view import view
 from touchdown.experiments.errors import system_message
-from touchdown.experiments.flight.platform import BLAS_THREADS, rendering_backend
+from touchdown.experiments.external.apart import in_child, runs_code_of_others
+from touchdown.experiments.flight.platform import BLAS_THREADS, rendering_backend, rendering_fault
 from touchdown.experiments.terminal import end_progress, error_line, warning_line
 
 
@@ -81,7 +82,17 @@ for _command in (dataset, train, evaluate, quantize, classify):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs a command and returns its exit code; bad input is one line on stderr."""
+    """Runs a command and returns its exit code; bad input is one line on stderr. As the program,
+    without ``arguments``, a command that runs code of others gets a process of its own."""
+    if arguments is None and runs_code_of_others(sys.argv[1:]):
+        code, fault = in_child(lambda: _run(None))
+        if fault:
+            print(error_line(fault), file=sys.stderr)
+        return code
+    return _run(arguments)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     os.environ.setdefault("MUJOCO_GL", rendering_backend())
     # What a command computes does not depend on the environment, nor on what is wrong in it.
     os.environ.update(dict.fromkeys((BLAS_THREADS, "NUMBA_NUM_THREADS"), "1"))
@@ -133,7 +144,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         _let_go_of_stdout()
         return _fail(message)
-    except RuntimeError as error:
+    except (RuntimeError, ImportError, AttributeError) as error:
+        if fault := rendering_fault(error):
+            return _fail(fault)
         # What `Path.resolve` raises for links in a circle, before Python 3.13.
         if not str(error).startswith(_CIRCLE):
             raise

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, Number
 from touchdown.experiments.errors import visible
 from touchdown.experiments.terminal import say
 
@@ -115,7 +115,7 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
 @click.option("--update", is_flag=True, help="Make the flights of DIRECTORY the baseline.")
 @click.option(
     "--margin",
-    type=click.FloatRange(min=0.0),
+    type=Number(min=0.0, max=100.0),
     default=0.0,
     show_default=True,
     help="Share by which errors may grow: 0.1 asks for more than 10 % worse.",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, SEED, CommandGroup
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, SEED, CommandGroup, Number
 from touchdown.experiments.cli.console import print_place, print_scene_check
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import make_notes, say
@@ -182,10 +182,10 @@ def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int
     type=click.Path(path_type=Path),
     help="Aerial image of the same extent, or a GeoTIFF.  [relief in colours]",
 )
-@click.option("--cell", "cell_m", type=float, metavar="M", help="Node spacing.  [the model's]")
-@click.option("--window", "window_m", type=float, default=200.0, show_default=True, metavar="M",
+@click.option("--cell", "cell_m", type=Number(), metavar="M", help="Node spacing.  [the model's]")
+@click.option("--window", "window_m", type=Number(), default=200.0, show_default=True, metavar="M",
               help="Side of the square that is cut out.")  # fmt: skip
-@click.option("--centre", nargs=2, type=float, metavar="E N",
+@click.option("--centre", nargs=2, type=Number(), metavar="E N",
               help="Its centre, metres from the south-west corner.  [the middle]")  # fmt: skip
 @click.option("--class", "land_class", default="field", show_default=True,
               help="Land class of the ground.")  # fmt: skip

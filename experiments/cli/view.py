@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from urllib.parse import quote
 
 import click
 
+from touchdown.experiments.campaign import guard
 from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED
 from touchdown.experiments.flight.platform import has_display
 
@@ -35,12 +37,12 @@ def view(run: Path, web: bool) -> int:
 
     Example: touchdown view runs/crossroad-livo-0
     """
-    from touchdown.experiments.errors import UsageError
+    from touchdown.experiments.errors import UsageError, no_file
 
     recording = run if run.suffix == ".rrd" else run / "flight.rrd"
-    if not recording.is_file():
+    if reason := no_file(recording):
         raise UsageError(
-            f"'{recording}' does not exist; name a run directory that was flown without --no-record"
+            f"'{recording}' {reason}; name a run directory that was flown without --no-record"
         )
     if not web and sys.platform == "linux" and not has_display():
         raise UsageError(
@@ -87,7 +89,7 @@ def _free_port(preferred: int) -> int:
 
 def run_viewer(command: list[str]) -> int:
     """Runs a viewer to its end and returns its exit code. The viewer and its children are a process
-    group of their own, which ends with this process: at Ctrl-C, SIGTERM or SIGHUP."""
+    group of their own, which ends with this process, under a guard: at any signal, SIGKILL too."""
 
     def interrupt(_signal: int, _frame: Any) -> None:
         raise KeyboardInterrupt
@@ -95,7 +97,11 @@ def run_viewer(command: list[str]) -> int:
     if signal.getsignal(signal.SIGHUP) == signal.SIG_DFL:  # not under nohup
         signal.signal(signal.SIGHUP, interrupt)
     sys.stdout.flush()
-    viewer = subprocess.Popen(command, start_new_session=True)
+    viewer = subprocess.Popen(
+        [sys.executable, "-P", "-m", guard.__name__, *command],
+        env={**os.environ, guard.SUPERVISOR: str(os.getpid())},
+        start_new_session=True,
+    )
     try:
         return viewer.wait()
     finally:
@@ -104,7 +110,6 @@ def run_viewer(command: list[str]) -> int:
 
 def _end_group(viewer: subprocess.Popen[bytes]) -> None:
     import contextlib
-    import os
 
     for number in (signal.SIGTERM, signal.SIGKILL):
         with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -117,7 +122,6 @@ def _end_group(viewer: subprocess.Popen[bytes]) -> None:
 
 def _alive(group: int) -> bool:
     """True if a process of the group is left."""
-    import os
     import time
 
     deadline = time.monotonic() + _PATIENCE_S

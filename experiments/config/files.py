@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.errors import UsageError, input_message, is_text
+from touchdown.experiments.errors import UsageError, input_message, is_text, no_file
 
-MOST_BYTES = 16 << 20
+MOST_BYTES = 1 << 20
 """of a configuration file"""
 DEEPEST = 32
 """levels of tables and lists within each other"""
@@ -28,6 +29,8 @@ def read_tree(file: Path) -> dict[str, Any]:
     """
     kind = "JSON" if file.suffix == ".json" else "TOML"
     text = _text(file)
+    if kind == "TOML" and _MANY_PARTS.search(text):  # takes time that grows with their square
+        raise UsageError(f"'{file}' {_TOO_DEEP}")
     try:
         data = json.loads(text) if kind == "JSON" else tomllib.loads(text)
     except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
@@ -44,8 +47,8 @@ def read_tree(file: Path) -> dict[str, Any]:
 
 
 def _text(file: Path) -> str:
-    if not file.is_file():
-        raise UsageError(f"configuration file '{file}' does not exist")
+    if reason := no_file(file):
+        raise UsageError(f"configuration file '{file}' {reason}")
     try:
         with file.open("rb") as opened:
             content = opened.read(MOST_BYTES + 1)
@@ -69,6 +72,9 @@ def _one_line(error: Exception) -> str:
 # ------------------------------------------------------------------------------------------- values
 
 _TOO_DEEP = f"is nested too deeply: a configuration has at most {DEEPEST} levels"
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
+_MANY_PARTS = re.compile(rf"(?<![\w.-]){_PART}(?:\.[ \t]*+{_PART}){{{DEEPEST}}}")
+"""A key of more parts with dots between them than there may be levels."""
 _TOO_LARGE = f"is too large: whole numbers go to {LARGEST}; write a larger one as 1e20"
 
 

@@ -43,7 +43,12 @@ from touchdown.experiments.config.profiles import (
     chosen_by_hand,
     name_in,
 )
-from touchdown.experiments.config.ranges import choices_of, rule_of, types_of_keys
+from touchdown.experiments.config.ranges import (
+    choices_of,
+    out_of_range,
+    rule_of,
+    types_of_keys,
+)
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
 
@@ -142,6 +147,9 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
     base = base_values(values)
     sources = {**dict.fromkeys(base, f"profile {name_in(values)}"), **sources}
     config = _validate({KEY: name_in(values), **base, **values}, sources)
+    for key, value in values.items():
+        if out_of_range(key, value):
+            raise UsageError(_outside(key, value, sources[key]))
     check_rates(config)
     check_map(config)
     check_faults(config, sources)
@@ -255,11 +263,16 @@ def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping
     prefixes = [".".join(location[:n]) for n in range(len(location), 0, -1)]
     key = next((prefix for prefix in prefixes if prefix in values), prefixes[0])
     value = values.get(key)
-    given = f"{value:g}" if isinstance(value, float) else json.dumps(value, default=str)
     where = sources.get(key, "the configuration")
     if first["type"] in _OUT_OF_RANGE:
-        return f"{key} = {given} in {where} {rule_of(key)}"
+        return _outside(key, value, where)
+    given = f"{value:g}" if isinstance(value, float) else json.dumps(value, default=str)
     if names := choices_of(types_of_keys().get(key)):
         hint, known = nearest(str(value), names), ", ".join(name or "''" for name in names)
         return f"{key} = {given[:60]} in {where} is unknown{hint}; known: {known}"
     return f"{key} = {given} in {where} is wrong: {message}"
+
+
+def _outside(key: str, value: Any, source: str) -> str:
+    given = f"{value:g}" if isinstance(value, float) else json.dumps(value, default=str)
+    return f"{key} = {given} in {source} {rule_of(key)}"

@@ -1,10 +1,12 @@
-"""Ranges and choices of configuration keys, from their types."""
+"""Ranges and choices of configuration keys: from their types, and on a side that these leave open
+from the unit of the key."""
 
 from __future__ import annotations
 
 import functools
+import operator
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from annotated_types import BaseMetadata, GroupedMetadata
@@ -12,6 +14,55 @@ from annotated_types import BaseMetadata, GroupedMetadata
 from touchdown.experiments.config.schema import Config
 
 BOUNDS = ("gt", "ge", "lt", "le")
+
+LARGEST_OF_KEY: Mapping[str, float] = {
+    "seed": 2**63 - 1,
+    "scene_seed": 2**63 - 1,
+    # Rate of the physics, and what follows from it.
+    "sim.tick_hz": 10_000,
+    # Images and their copies: an ultra-high definition image takes 25 MB.
+    "camera.width": 3840,
+    "camera.height": 2160,
+    "camera.samples": 32,
+    # Electrons and lumens of the largest pixels and lamps, by orders of magnitude.
+    "camera.full_well_e": 1e7,
+    "camera.electrons_per_lux_s": 1e7,
+    "lamp.flux_lm": 1e7,
+    # Tables of maps: some hundred bytes for each voxel and each of its points.
+    "livo.map_voxels": 2_000_000,
+    "paper.map_voxels": 2_000_000,
+    "livo.scan_points": 100_000,
+    "log.scan_points": 1_000_000,
+    "sim.battery_capacity_j": 1e9,
+    "mapper.count_cap": 1e6,
+}
+"""Largest values of keys with a reason of their own."""
+LARGEST_OF_UNIT: Mapping[str, float] = {
+    "_kmh": 450.0,  # the strongest gust measured on Earth had 408 km/h
+    "_mmph": 2000.0,
+    "_radps": 1e4,
+    "_deg_s": 3600.0,
+    "_mps2": 1000.0,
+    "_mps": 125.0,
+    "_per_m2": 1e6,
+    "_hz": 1000.0,
+    "_deg": 360.0,
+    "_ut": 1000.0,  # fields on the ground have 25 to 65
+    "_pa": 110e3,  # of the whole atmosphere
+    "_px": 4000.0,
+    "_pixels": 16384.0,  # side of a texture
+    "_ppm": 1e6,
+    "_ticks": 100_000,
+    "_ohm": 10.0,
+    "_m": 10e3,  # 32 bits of a point resolve 1 mm up to here
+    "_s": 86_400.0,
+    "_j": 1e9,
+}
+"""Largest magnitudes by the end of a key's name; the first that fits counts."""
+MOST, LARGEST = 10_000, 1000.0
+"""of other counts, such as features and keyframes, and of numbers without a unit"""
+SMALLEST = 1e-6
+"""positive number that is no count: smaller ones overflow where they divide"""
 
 
 @functools.cache
@@ -44,6 +95,51 @@ def choices_of(kind: Any) -> tuple[str, ...]:
     return typing.get_args(kind) if typing.get_origin(kind) is typing.Literal else ()
 
 
+def limits_of(key: str) -> dict[str, float]:
+    """Bounds of the numbers of ``key``, a lower and an upper one; empty for a key without."""
+    kind = types_of_keys().get(key)
+    found = _number_kinds(kind)
+    if not found:
+        return {}
+    bounds = bounds_of(kind)
+    count = found == {int}
+    if not bounds.keys() & {"lt", "le"}:
+        name = f"_{key.rpartition('.')[2]}"
+        of_unit = (most for end, most in LARGEST_OF_UNIT.items() if name.endswith(end))
+        bounds["le"] = LARGEST_OF_KEY.get(key, next(of_unit, MOST if count else LARGEST))
+    if bounds.get("gt") == 0 and "lt" not in bounds:
+        del bounds["gt"]
+        bounds["ge"] = 1 if count else SMALLEST
+    if not bounds.keys() & {"gt", "ge"}:
+        bounds["ge"] = -bounds.get("le", LARGEST)
+    return bounds
+
+
+def _number_kinds(kind: Any) -> set[type]:
+    """Which of int and float a type, or the elements of its values, may be."""
+    if typing.get_origin(kind) is typing.Annotated:
+        return _number_kinds(kind.__origin__)
+    if typing.get_origin(kind) is typing.Literal:
+        return set()
+    inner = typing.get_args(kind)
+    return set().union(*map(_number_kinds, inner)) if inner else {kind} & {int, float}
+
+
+def out_of_range(key: str, value: Any) -> bool:
+    """True if ``value``, or a number in it, is outside the limits of ``key``."""
+    limits = limits_of(key)
+    numbers = value if isinstance(value, list | tuple) else (value,)
+    return any(
+        isinstance(number, int | float)
+        and not isinstance(number, bool)
+        and not all(_HOLDS[name](number, bound) for name, bound in limits.items())
+        for number in numbers
+    )
+
+
+_HOLDS = {"gt": operator.gt, "ge": operator.ge, "lt": operator.lt, "le": operator.le}
+
+
 def _flat(metadata: Any) -> Iterator[BaseMetadata]:
     for item in metadata:
         if isinstance(item, GroupedMetadata):
@@ -57,21 +153,18 @@ def _has(item: Any, name: str) -> bool:
 
 
 def range_text(bounds: dict[str, float]) -> str:
-    """``positive``, ``within 0 to 1`` and the like; "" without bounds."""
+    """``within 0 to 1``, ``above 0 and below 90`` and the like; "" without bounds."""
+    if bounds.get("le") == 2**63 - 1:
+        return "within 0 to 2^63 - 1"
     low, high = bounds.get("ge"), bounds.get("le")
     if low is not None and high is not None:
         return f"within {low:g} to {high:g}"
-    if bounds == {"gt": 0}:
-        return "positive"
-    if bounds == {"ge": 0}:
-        return "not negative"
     names = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
     return " and ".join(f"{names[name]} {bounds[name]:g}" for name in BOUNDS if name in bounds)
 
 
 def rule_of(key: str) -> str:
-    """The rule that a value of ``key`` must satisfy: ``must be positive``; "" if there is none."""
-    text = range_text(bounds_of(types_of_keys().get(key)))
-    if text.startswith("not "):
-        return f"must not be {text.removeprefix('not ')}"
+    """The rule that a value of ``key`` must satisfy: ``must be within 0 to 1``; "" if there is
+    none."""
+    text = range_text(limits_of(key))
     return f"must be {text}" if text else ""

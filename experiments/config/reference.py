@@ -15,7 +15,7 @@ from types import NoneType, UnionType
 from typing import Any
 
 from touchdown.experiments.config.profiles import DEFAULT, KEY
-from touchdown.experiments.config.ranges import bounds_of, range_text, types_of_keys
+from touchdown.experiments.config.ranges import limits_of, range_text, types_of_keys
 from touchdown.experiments.config.schema import Config
 
 UNITS = {
@@ -71,7 +71,7 @@ def values_of(key: str) -> str:
     """The values that a key takes: kind and range."""
     kind = types_of_keys()[key]
     text = " or ".join(_kind_texts(kind))
-    bounds = range_text(bounds_of(kind))
+    bounds = range_text(limits_of(key))
     return f"{text}, {bounds}" if bounds else text
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import Estimate, Estimator
 from touchdown.experiments.external.conformance_twist import TwistCheck
 from touchdown.experiments.external.estimate_checks import (
+    call,
     describe_error,
     meaningless,
     no_number,
@@ -128,9 +129,9 @@ class _Check:
         if reason:
             self._note("builds", reason)
             return None
-        try:
-            estimator = self._build(copy.deepcopy(self._params), self._rig)
-        except (Exception, SystemExit) as error:  # any error is reported to the author
+        estimator: Estimator
+        estimator, error = call(self._build, copy.deepcopy(self._params), self._rig)
+        if error is not None:
             self._note("builds", f"build raised {describe_error(error)}", _trace(error))
             return None
         reason = wrong_estimator(estimator, self._rig)
@@ -170,9 +171,8 @@ class _Check:
         return digests
 
     def _answer(self, estimator: Estimator, obs: Observation) -> Estimate | None:
-        try:
-            estimate = estimator.update(obs)
-        except (Exception, SystemExit) as error:
+        estimate, error = call(estimator.update, obs)
+        if error is not None:
             reason = f"at {obs.time_s:.3f} s update raised {describe_error(error)}"
             self._note("answers", reason, _trace(error))
             return None
@@ -283,9 +283,8 @@ class _Check:
         if estimator is None:
             return
         for obs in _with_gap(field, stream):
-            try:
-                estimate = estimator.update(obs)
-            except (Exception, SystemExit) as error:
+            estimate, error = call(estimator.update, obs)
+            if error is not None:
                 self._note(
                     "missing data",
                     f"without {field}, at {obs.time_s:.3f} s, update raised "

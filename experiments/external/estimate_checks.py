@@ -7,7 +7,8 @@ enough for every control step.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -48,9 +49,27 @@ def wrong_estimator(estimator: Any, rig: SensorRig) -> str:
     return ""
 
 
+def call(function: Callable[..., Any], *arguments: Any) -> tuple[Any, BaseException | None]:
+    """Calls code of others: its value, or whatever it raised but Ctrl-C. A copy of this process
+    that it has forked ends here: the copy must not go on as well."""
+    process = os.getpid()
+    try:
+        return function(*arguments), None
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        return None, error
+    finally:
+        if os.getpid() != process:
+            os._exit(1)
+
+
 def describe_error(error: BaseException) -> str:
     """Exception as one line of text."""
-    text = " ".join(str(error).split())
+    try:
+        text = " ".join(str(error).split())
+    except Exception:  # of its own __str__
+        text = ""
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 

@@ -95,7 +95,9 @@ def external_module(name: str) -> ModuleType:
     except SyntaxError as error:
         where = f"{_short(error.filename or module_name)}:{error.lineno or 0}"
         raise UsageError(f"estimator '{name}': syntax error in {where}: {error.msg}") from error
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # code of others may raise anything
         where = location(error, module_name)
         raise UsageError(
             f"estimator '{name}': importing {module_name} raised {describe_error(error)}{where}"

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import copy
-import os
 from collections.abc import Mapping
 from typing import Any
 
 from touchdown.estimator.api import Estimate
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.estimate_checks import (
+    call,
     describe_error,
     wrong_estimate,
     wrong_estimator,
@@ -34,16 +34,13 @@ class ExternalEstimator:
 
     def __init__(self, name: str, params: Mapping[str, Any], rig: SensorRig) -> None:
         build = external_builder(name)
-        self._name, self._process = name, os.getpid()
+        self._name = name
         reason = wrong_signature(build)
         if reason:
             raise self._error(reason)
-        try:
-            inner: Any = build(copy.deepcopy(dict(params)), rig)
-        except (Exception, SystemExit) as error:  # external code may raise anything
+        inner, error = call(build, copy.deepcopy(dict(params)), rig)
+        if error is not None:
             raise self._error(f"build raised {describe_error(error)}", error) from error
-        finally:
-            self._end_copy()
         reason = wrong_estimator(inner, rig)
         if reason:
             raise self._error(reason)
@@ -52,22 +49,15 @@ class ExternalEstimator:
 
     def update(self, obs: Observation) -> Estimate:
         """Estimate of the external estimator, checked."""
-        try:
-            estimate: Estimate = self._update(obs)
-        except (Exception, SystemExit) as error:
+        estimate: Estimate
+        estimate, error = call(self._update, obs)
+        if error is not None:
             what = f"at {obs.time_s:.3f} s update raised {describe_error(error)}"
             raise self._error(what, error) from error
-        finally:
-            self._end_copy()
         reason = wrong_estimate(estimate)
         if reason:
             raise self._error(f"at {obs.time_s:.3f} s update returned {reason}")
         return estimate
-
-    def _end_copy(self) -> None:
-        """Ends a copy of this process that the estimator has forked: it must not fly as well."""
-        if os.getpid() != self._process:
-            os._exit(1)
 
     def _error(self, what: str, error: BaseException | None = None) -> ExternalEstimatorError:
         where = "" if error is None else location(error, self._name.partition(":")[0])

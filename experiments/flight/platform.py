@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
+import traceback
 
 BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 
@@ -23,6 +25,21 @@ def rendering_backend() -> str:
             continue
         return backend
     return "glfw"
+
+
+def rendering_fault(error: Exception) -> str:
+    """The reason and the remedy where ``error`` says that this machine cannot render; "" for other
+    errors. MuJoCo looks for OpenGL when it is imported, and once more when a context is opened."""
+    text = str(error)
+    if text.startswith("no offscreen rendering"):
+        return text
+    names = [f.f_globals.get("__name__", "") for f, _ in traceback.walk_tb(error.__traceback__)]
+    if not any(re.fullmatch(r"mujoco\..*gl_context", name) for name in names):
+        return ""
+    return (
+        f"no offscreen rendering on this machine ({text}): set MUJOCO_GL to egl, osmesa or glfw, "
+        "whichever is installed, or unset it"
+    )
 
 
 def limit_threads() -> None:

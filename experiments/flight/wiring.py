@@ -16,7 +16,7 @@ from touchdown.estimator.api import (
     Mapper,
 )
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.errors import UsageError, nearest
+from touchdown.experiments.errors import UsageError, nearest, no_file
 from touchdown.experiments.external.loading import check_external, is_external
 from touchdown.experiments.external.wrapper import ExternalEstimator
 from touchdown.experiments.flight.bias_injection import BiasedEstimator
@@ -293,8 +293,8 @@ def check_scene_name(name: str, where: str = "") -> None:
     """Raises UsageError unless ``name`` is a known scene or an existing file. ``where`` completes
     the message, such as " in FILE"."""
     if "/" in name or name.endswith(".xml"):
-        if not Path(name).is_file():
-            raise UsageError(f"scene file '{name}'{where} does not exist")
+        if reason := no_file(Path(name)):
+            raise UsageError(f"scene file '{name}'{where} {reason}")
     elif name not in (known := scene_names()):
         raise UsageError(
             f"unknown scene '{name}'{where}{nearest(name, known)}; known: {', '.join(known)}, or "

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchdown.estimator.api import CalibrationResult
-from touchdown.experiments.errors import UsageError, nearest, plain_fault, reason_of
+from touchdown.experiments.errors import UsageError, nearest, no_file, plain_fault, reason_of
 from touchdown.experiments.io.run_directory import whole_file
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
@@ -126,10 +126,8 @@ def write_calibration(path: Path, result: CalibrationResult) -> None:
 def read_calibration(path: Path) -> CalibrationFile:
     """Raises UsageError, one line: the file is missing or unreadable, a key is missing, unknown
     or of the wrong kind."""
-    if not path.is_file():
-        raise UsageError(
-            f"calibration file '{path}' does not exist; make one with `touchdown calibrate`"
-        )
+    if reason := no_file(path):
+        raise UsageError(f"calibration file '{path}' {reason}; make one with `touchdown calibrate`")
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
     except json.JSONDecodeError as error:

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from touchdown.experiments.errors import UsageError, broken_text
+from touchdown.experiments.errors import UsageError, broken_text, no_file
 
 LONGEST_NAME = 200
 """bytes of a name; file systems take 255, of which endings such as that of a partial file are left
@@ -45,8 +45,8 @@ def shown(value: object) -> str:
 
 def read_object(path: Path) -> dict[str, Any]:
     """The JSON object in ``path``. Raises OSError, or ValueError with the reason in one line."""
-    if path.exists() and not path.is_file():
-        raise ValueError("it is no regular file")
+    if (reason := no_file(path)).startswith("is "):
+        raise ValueError(f"it {reason}")
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
     except RecursionError:

@@ -35,7 +35,9 @@ def default_out_dir(scene: str, estimator: str, seed: int, ending: str = "") -> 
 
 
 def check_out_dir(out_dir: Path) -> None:
-    """Raises UsageError unless ``out_dir`` is new, empty, or an earlier run to be replaced."""
+    """Raises UsageError unless ``out_dir`` is new, empty, or an earlier run to be replaced, in a
+    folder that can be written to."""
+    _check_writable(out_dir)
     if not out_dir.exists():
         return
     if not out_dir.is_dir():
@@ -55,6 +57,21 @@ def check_out_dir(out_dir: Path) -> None:
             )
         if any(out_dir.iterdir()):
             _check_result(out_dir)
+
+
+def _check_writable(out_dir: Path) -> None:
+    folder = out_dir.absolute().parent
+    while not folder.exists():
+        folder = folder.parent
+    probe = folder / f".touchdown-{socket.gethostname()}.{os.getpid()}"
+    try:
+        probe.mkdir(exist_ok=True)
+        probe.rmdir()
+    except OSError as error:
+        raise UsageError(
+            f"--out {out_dir}: '{folder}' cannot be written to ({error.strerror}); name another "
+            "directory"
+        ) from error
 
 
 def _check_result(out_dir: Path) -> None:

@@ -1,28 +1,36 @@
 """SQL over the runs of a directory, by DuckDB. It reads their table and nothing else: files,
-network, extensions and settings are closed before the first statement."""
+network, extensions and settings are closed before the first statement.
+
+A query runs in a process of its own with a hard limit on memory, which DuckDB's own limit does not
+cover and which can be ended in any of its functions. As a program this module is that process.
+"""
 
 from __future__ import annotations
 
+import json
+import os
 import re
-import threading
-from collections.abc import Callable
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from touchdown.experiments.campaign.results_table import load_rows, table_of
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.external.processes import die_with_parent
 from touchdown.experiments.io.provenance import plain_json
 
 if TYPE_CHECKING:
     import duckdb
+    import pyarrow as pa
 
-MOST_ROWS = 1_000_000
+MOST_ROWS, MOST_BYTES = 1_000_000, 128 << 20
 """of one result"""
-MEMORY = "1GB"
-"""for the table of the runs and all that a query makes of it; nothing is put on the disk"""
+MEMORY_BYTES = 1 << 30
+"""of a query's process, for the table of the runs and all made of it; nothing goes to the disk"""
 
 _CLOSED: dict[str, Any] = {
-    "memory_limit": MEMORY,
+    "memory_limit": "768MiB",  # here DuckDB can still say what is wrong
     "temp_directory": "",  # a query that needs more memory fails instead of filling the disk
     "max_temp_directory_size": "0B",
     "allow_persistent_secrets": False,
@@ -36,7 +44,7 @@ _PLAIN = {
     "UINTEGER", "UBIGINT", "UHUGEINT", "FLOAT", "DOUBLE", "VARCHAR", "JSON", "NULL",
 }  # fmt: skip
 """Types whose values are numbers, text and booleans of Python."""
-_POLL_S, _PATIENCE_S = 0.1, 5.0
+_TOO_LARGE = "it takes more than 1 GiB of memory; select, join or group less"
 
 
 class QueryResult(NamedTuple):
@@ -50,12 +58,22 @@ class QueryResult(NamedTuple):
 def connect(directory: Path) -> duckdb.DuckDBPyConnection:
     """Returns an in-memory DuckDB connection with the table ``runs``, closed to everything else.
     Raises UsageError as load_rows."""
+    return _closed(_table(directory))
+
+
+def _table(directory: Path) -> pa.Table:
+    from touchdown.experiments.campaign.results_table import load_rows, table_of
+
+    return table_of(load_rows(directory))
+
+
+def _closed(table: pa.Table) -> duckdb.DuckDBPyConnection:
     import duckdb
 
     connection = duckdb.connect(":memory:", config=_CLOSED)
     connection.execute("set python_enable_replacements = false")
     connection.execute("set TimeZone = 'UTC'")
-    connection.register("run_rows", table_of(load_rows(directory)))
+    connection.register("run_rows", table)
     connection.execute("create table runs as select * from run_rows")
     connection.unregister("run_rows")
     connection.execute("set enable_external_access = false")
@@ -64,19 +82,27 @@ def connect(directory: Path) -> duckdb.DuckDBPyConnection:
 
 
 def run_sql(directory: Path, sql: str) -> QueryResult:
-    """Returns the result of one statement over the table ``runs``.
+    """Returns the result of one statement over the table ``runs``, from a process of its own.
 
     Decimal numbers are floats; times, intervals, identifiers, binary data and the like are
     DuckDB's text. Ctrl-C ends the query. Raises UsageError for SQL that is wrong, that does not
-    read, or whose result is too large.
+    read, or that takes more than `MEMORY_BYTES`, and for a result that is too large.
     """
+    table = _table(directory)
+    try:
+        return _asked_of_child(table, sql)
+    except UsageError as error:
+        raise UsageError(f"query of '{directory}': {error}") from error
+
+
+def query_table(table: pa.Table, sql: str) -> QueryResult:
+    """As `run_sql`, of a table and in this process: without limits on what DuckDB does."""
     import duckdb
 
-    connection = connect(directory)
     try:
-        return _interruptible(connection, lambda: _fetched(connection, sql))
-    except (duckdb.Error, MemoryError, UnicodeError, UsageError) as error:
-        raise UsageError(f"query of '{directory}': {_message(error)}") from error
+        return _fetched(_closed(table), sql)
+    except (duckdb.Error, MemoryError, UnicodeError) as error:
+        raise UsageError(_message(error)) from error
 
 
 def _fetched(connection: duckdb.DuckDBPyConnection, sql: str) -> QueryResult:
@@ -136,52 +162,77 @@ def _plain(value: Any) -> Any:
     return plain_json(value) if isinstance(value, list | tuple | dict) else value
 
 
-# ------------------------------------------------------------------------------------- interruption
-
-
-def _interruptible(
-    connection: duckdb.DuckDBPyConnection, action: Callable[[], QueryResult]
-) -> QueryResult:
-    """Runs ``action`` in a thread, since DuckDB holds up the signals of its own thread."""
-    ended: list[QueryResult | BaseException] = []
-    over = threading.Event()  # a join that Ctrl-C has ended never waits again
-
-    def work() -> None:
-        try:
-            ended.append(action())
-        except BaseException as error:
-            ended.append(error)
-        finally:
-            over.set()
-
-    threading.Thread(target=work, daemon=True).start()
-    try:
-        while not over.wait(_POLL_S):
-            pass
-    except KeyboardInterrupt:
-        connection.interrupt()
-        over.wait(_PATIENCE_S)
-        raise
-    found = ended[0]
-    if isinstance(found, BaseException):
-        raise found
-    return found
-
-
 def _message(error: BaseException) -> str:
     """The text of DuckDB's error without its class and its picture of the statement, and the
     remedy where it has none."""
     import duckdb
 
-    if isinstance(error, UsageError):
-        return str(error)
     if isinstance(error, UnicodeError):
         return "it is not UTF-8 text; correct it"
-    if isinstance(error, duckdb.OutOfMemoryException | MemoryError):
-        return f"it takes more than {MEMORY} of memory; select, join or group less"
+    if isinstance(error, duckdb.OutOfMemoryException | MemoryError) or "bad_alloc" in str(error):
+        return _TOO_LARGE
     text = " ".join(re.split(r"\s+LINE \d+:", str(error))[0].split())
     text = re.sub(r"^(\w+ )*Error: ", "", text)
     text = text[:1].lower() + text[1:] or "it failed with an empty message"
     if isinstance(error, duckdb.PermissionException):
         return f"{text}; a query reads `runs` alone: redirect the output of --csv or --json"
     return text
+
+
+# ------------------------------------------------------------------------------------- the process
+
+
+def _asked_of_child(table: pa.Table, sql: str) -> QueryResult:
+    """As `query_table`, in a process that has `MEMORY_BYTES` and ends with this one."""
+    import pyarrow as pa
+
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema) as stream:
+        stream.write_table(table)
+    question = json.dumps({"sql": sql, "parent": os.getpid(), "most": MOST_BYTES}).encode() + b"\n"
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "touchdown.experiments.reporting.sql"],
+        input=question + sink.getvalue().to_pybytes(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        check=False,
+    )
+    answer = [json.loads(line) for line in done.stdout.splitlines()] if not done.returncode else []
+    if not answer:  # a library that found no memory ended the process
+        raise UsageError(_TOO_LARGE)
+    if isinstance(answer[-1], str):
+        raise UsageError(answer[-1])
+    return QueryResult(answer[0], [tuple(row) for row in answer[1:]])
+
+
+def _answer() -> None:
+    """Reads a query and its table from stdin; writes a line of JSON for the titles and one for each
+    row, or last the text of an error."""
+    import resource
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that asks decides
+    resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    question = json.loads(sys.stdin.buffer.readline())
+    die_with_parent(question["parent"])
+    try:
+        import pyarrow as pa
+
+        with pa.ipc.open_stream(sys.stdin.buffer.read()) as stream:
+            found = query_table(stream.read_all(), question["sql"])
+        left = question["most"]
+        for row in (found.columns, *found.rows):
+            line = json.dumps(row)
+            left -= len(line)
+            if left < 0:
+                size = question["most"] >> 20
+                raise UsageError(f"it gives more than {size} MiB; add `limit`, or group the rows")
+            print(line)
+    except UsageError as error:
+        print(json.dumps(str(error)))
+    except MemoryError:
+        print(json.dumps(_TOO_LARGE))
+
+
+if __name__ == "__main__":
+    _answer()

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import sys
+import traceback
+import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -238,14 +242,16 @@ def gl_context(width: int, height: int) -> Any:
     """
     asked = os.environ.get("MUJOCO_GL", "").lower()
     failures = []
-    for backend in (asked,) if asked else BACKENDS:
-        os.environ["MUJOCO_GL"] = backend
-        try:
-            return _open(backend, width, height)
-        except Exception as failure:  # every backend fails in its own way
-            failures.append(f"{backend}: {failure}")
-            if not asked:
-                _forget_opengl()
+    with _without_words():
+        for backend in (asked,) if asked else BACKENDS:
+            os.environ["MUJOCO_GL"] = backend
+            try:
+                return _open(backend, width, height)
+            except Exception as failure:  # every backend fails in its own way
+                failures.append(f"{backend}: {failure}")
+                traceback.clear_frames(failure.__traceback__)  # drops a context that is half made
+                if not asked:
+                    _forget_opengl()
     if not asked:
         del os.environ["MUJOCO_GL"]
     raise RuntimeError(
@@ -253,6 +259,21 @@ def gl_context(width: int, height: int) -> Any:
         "(Debian: libegl1 libgl1-mesa-dri) or OSMesa (libosmesa6), or set MUJOCO_GL to egl, osmesa "
         "or glfw"
     )
+
+
+@contextlib.contextmanager
+def _without_words() -> Iterator[None]:
+    """Drops what a backend that fails prints, also of its context that is half made. GLFW fails
+    with no more than a warning: it is raised."""
+    hook = sys.unraisablehook
+    sys.unraisablehook = lambda _fault: None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            warnings.filterwarnings("error", message=r"\(\d+\) b'")
+            yield
+    finally:
+        sys.unraisablehook = hook
 
 
 def _open(backend: str, width: int, height: int) -> Any:

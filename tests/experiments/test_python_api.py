@@ -85,12 +85,12 @@ def test_numpy_values_tuples_and_paths_are_taken() -> None:
     ("call", "words"),
     [
         (lambda: touchdown.fly("crossrod"), "did you mean 'crossroad'"),
-        (lambda: touchdown.land(seed=-1), "seed = -1 in the argument seed must not be negative"),
+        (lambda: touchdown.land(seed=-1), "seed = -1 in the argument seed must be within"),
         (lambda: touchdown.fly(estimator="liwo"), "did you mean 'livo'"),
         (lambda: touchdown.fly(overrides={"survey.hight_m": 3}), "survey.hight_m' in overrides"),
         (
             lambda: touchdown.land(overrides={"survey.height_m": -3.0}),
-            "survey.height_m = -3 in overrides must be positive",
+            "survey.height_m = -3 in overrides must be within",
         ),
         (lambda: touchdown.load_config("gone.toml"), "gone.toml' does not exist"),
         (lambda: touchdown.load_runs("gone"), "'gone' is no directory"),

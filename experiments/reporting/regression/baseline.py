@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.campaign.results_table import is_successful
-from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.foreign import read_object
+from touchdown.experiments.errors import UsageError, no_file
+from touchdown.experiments.io.foreign import read_object, shown
 from touchdown.experiments.io.run_directory import write_text
 from touchdown.experiments.reporting.flights import Row, number
 
@@ -112,8 +112,8 @@ def write_baseline(rows: Sequence[Row], path: Path) -> None:
 
 def read_baseline(path: Path) -> Baseline:
     """Returns the baseline of a file. Raises UsageError where it is missing or damaged."""
-    if not path.is_file():
-        raise UsageError(f"baseline '{path}' does not exist; write it with --update")
+    if reason := no_file(path):
+        raise UsageError(f"baseline '{path}' {reason}; write it with --update")
     try:
         tree = read_object(path)
         if tree["format"] != FORMAT:
@@ -135,9 +135,13 @@ def read_baseline(path: Path) -> Baseline:
 
 
 def _trial(tree: Mapping[str, Any]) -> Trial:
+    kinds = {"seed": (int,), "error_m": (int, float, type(None)), "outcome": (str,), "bad": (bool,)}
+    for name, allowed in kinds.items():
+        if type(tree[name]) not in allowed:
+            raise ValueError(f"{name} = {shown(tree[name])} is of another kind")
     error = tree["error_m"]
-    if error is not None:
-        error = float(error)
-        if not (math.isfinite(error) and error >= 0.0):
-            raise ValueError(f"error_m = {error} is no error")
-    return Trial(int(tree["seed"]), error, str(tree["outcome"]), bool(tree["bad"]))
+    if error is not None and not 0.0 <= error < math.inf:
+        raise ValueError(f"error_m = {error} is no error")
+    return Trial(
+        tree["seed"], None if error is None else float(error), tree["outcome"], tree["bad"]
+    )

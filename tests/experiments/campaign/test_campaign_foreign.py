@@ -259,6 +259,16 @@ def test_a_run_that_vanishes_is_not_counted(tmp_path: Path) -> None:
     assert [event["event"] for event in seen].count("finished") == 2
 
 
+@pytest.mark.parametrize("wall_s", [float("nan"), float("inf"), True, "1"])
+def test_times_that_are_no_numbers(
+    wall_s: object, out: Path, plan: Plan, capsys: pytest.CaptureFixture[str]
+) -> None:
+    edit(out, lambda document: document["sessions"][0].update(wall_s=wall_s))
+    assert cli.main(["campaign", "status", str(out)]) == 2
+    assert "campaign.json' is damaged" in capsys.readouterr().err
+    refused(plan, out, "is damaged")
+
+
 def test_files_of_others_in_the_place_of_a_run_stay(out: Path, plan: Plan) -> None:
     (out / "runs" / NAME / "row.parquet").unlink()
     thesis = out / "runs" / NAME / "thesis.txt"
@@ -283,7 +293,7 @@ def test_files_of_others_that_come_while_a_run_is_flown_stay(
         with pytest.raises(UsageError, match=r"holds 'thesis\.txt'"):
             worker._move(made, run)
     else:
-        task = worker.Task(NAME, plan.runs[0].values, str(out), False, "")
+        task = worker.Task(run_id=NAME, values=plan.runs[0].values, directory=str(out))
         Arrivals([task], {NAME: "another"}, 0.0, lambda _event: None).see(
             {"event": "finished", "run_id": NAME}
         )

@@ -84,12 +84,15 @@ def test_shipped_campaign_compares_six_methods_on_equal_terms() -> None:
         (axes(scene="flat"), ["'scene'", "list"]),
         (axes(scene=[]), ["'scene'", "list"]),
         (axes(scene=["flat", "flat"]), ["flat twice"]),
+        (axes(scene=["flat"]) + "bias.xy_m = [[0.0, 1.0], [0.0, 1.0]]\n", ["[0.0, 1.0] twice"]),
+        # Counted before anything is compared with everything else.
+        (axes(scene=["flat"], wind_kmh=[1] * 10_000, seeds="0-99999"), ["span 1000000000 runs"]),
         (axes(scene=["flat"], seed=[-1]), ["seed -1", "from 0 up"]),
         (axes(scene=["flat"], seeds="9-0"), ["counts down"]),
         (axes(scene=["flat"], seeds="a"), ["'0-9'"]),
         (axes(scene=["flat"], seeds="1", seed=[1]), ["both seed and seeds"]),
         (axes(scene=["flat"], wind_kmh=["strong"]), ["wind.mean_kmh", "number"]),
-        (axes(scene=["flat"], wind_kmh=[-3]), ["wind.mean_kmh = -3", "not be negative"]),
+        (axes(scene=["flat"], wind_kmh=[-3]), ["wind.mean_kmh = -3", "within 0 to 450"]),
         (axes(scene=["flat"]) + "[base]\nwind.mean_kph = 3\n", ["did you mean 'wind.mean_kmh'"]),
         (axes(scene=["flat"]) + "[base]\nseed = 3\n", ["'seed'", "[axes] seeds"]),
         (axes(scene=["flat"]) + "[base]\nrecord = true\n", ["'record'", "whole campaign"]),
@@ -147,3 +150,14 @@ def test_shards_share_the_runs_among_them() -> None:
 def test_limits_have_sane_defaults() -> None:
     limits = Limits()
     assert limits.retries == 1 and limits.run_timeout_s > 600 and limits.memory_gb > 2
+
+
+def test_a_scene_file_is_loaded_before_the_first_flight(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "scene.xml").write_text("no MJCF")
+    (tmp_path / "c.toml").write_text(axes(scene=[str(tmp_path / "scene.xml")]))
+    out = tmp_path / "out"
+    assert cli.main(["campaign", str(tmp_path / "c.toml"), "--out", str(out), "--quiet"]) == 2
+    error = capsys.readouterr().err
+    assert "scene.xml" in error and error.count("\n") == 1 and not out.exists()

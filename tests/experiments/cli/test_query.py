@@ -8,6 +8,7 @@ import hashlib
 import io
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -22,7 +23,9 @@ from touchdown.experiments.campaign import results_table
 from touchdown.experiments.campaign.results_table import load_rows, refresh
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.reporting.sql import connect
+from touchdown.experiments.external.processes import descendants
+from touchdown.experiments.reporting import sql as sql_of_runs
+from touchdown.experiments.reporting.sql import connect, query_table
 
 from support.campaign_flights import wait_for
 from support.report_support import write_run
@@ -32,8 +35,10 @@ Query = Callable[..., Any]
 
 @pytest.fixture
 def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Two runs; the current directory is that of the tests' files."""
+    """Two runs; the current directory is that of the tests' files. Queries of the command run in
+    this process."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sql_of_runs, "_asked_of_child", query_table)
     for seed in (0, 1):
         write_run(tmp_path / "runs", "crossroad", "livo", seed)
     return tmp_path / "runs"
@@ -234,6 +239,38 @@ def test_a_table_is_literal(runs: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "\x1b" not in out
 
 
+# ------------------------------------------------------------------------------------- the process
+
+CHILD = sql_of_runs._asked_of_child
+
+
+@pytest.mark.parametrize(
+    ("sql", "words"),
+    [
+        ("select repeat('x', 3000000000)", "it takes more than 1 GiB of memory; select, join"),
+        ("select repeat('x', 1000) from range(2000)", "gives more than 1 MiB; add `limit`"),
+    ],
+)
+def test_a_query_has_a_process_with_little_memory(
+    refused: Query, monkeypatch: pytest.MonkeyPatch, sql: str, words: str
+) -> None:
+    monkeypatch.setattr(sql_of_runs, "_asked_of_child", CHILD)
+    monkeypatch.setattr(sql_of_runs, "MOST_BYTES", 1 << 20)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    assert words in refused(sql)
+    peak_kib = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    assert peak_kib <= max(before, 1.3 * 2**20), "mapped files count too"
+
+
+def test_values_come_out_of_the_process_as_they_are(
+    ask: Query, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sql_of_runs, "_asked_of_child", CHILD)
+    (row,) = ask("select 2::hugeint ** 100 x, 'a\n\x1b\u2028' t, [1, null] l, 'nan'::double n, seed"
+                 " from runs where seed = 1")  # fmt: skip
+    assert row == {"x": 2.0**100, "t": "a\n\x1b\u2028", "l": [1, None], "n": None, "seed": 1}
+
+
 # ------------------------------------------------------------------------------------ interruption
 
 ENDLESS = (
@@ -259,14 +296,14 @@ def _interrupted(runs: Path, sql: str, number: signal.Signals) -> subprocess.Com
 
 
 def _queries(pid: int) -> bool:
-    """True once a thread of its own, beside the one of the command, has computed for 0.3 s."""
-    times = []
-    for thread in Path(f"/proc/{pid}/task").iterdir():
-        if thread.name != str(pid):
+    """True once a thread of a child of the process has computed for 0.5 s beside its start."""
+    times = [0.0]
+    for child in descendants(pid):
+        for thread in Path(f"/proc/{child}/task").glob("[0-9]*"):
             with contextlib.suppress(OSError):
                 words = (thread / "stat").read_text().rpartition(")")[2].split()
                 times.append((int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK"))
-    return max(times, default=0.0) > 0.3
+    return len(times) > 2 and max(times) > 0.5
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,8 @@ import pytest
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.cli import view
 
+from support.campaign_flights import wait_for
+
 FAKE_VIEWER = """
 import os, pathlib, subprocess, sys
 child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
@@ -87,7 +89,7 @@ def _default_signals() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGKILL])
 def test_the_viewer_ends_with_the_command(run: Path, tmp_path: Path, number: int) -> None:
     package = tmp_path / "fake" / "rerun"
     package.mkdir(parents=True)
@@ -107,8 +109,11 @@ def test_the_viewer_ends_with_the_command(run: Path, tmp_path: Path, number: int
     viewer, child, *arguments = (package / "seen").read_text().splitlines()
     command.send_signal(number)
     out, err = command.communicate(timeout=600.0)
-    assert command.returncode == (143 if number == signal.SIGTERM else 130)
-    assert err.strip() == "touchdown: interrupted"
+    if number == signal.SIGKILL:
+        wait_for(lambda: _gone(int(viewer)) and _gone(int(child)), "the viewer ends")
+    else:
+        assert command.returncode == (143 if number == signal.SIGTERM else 130)
+        assert err.strip() == "touchdown: interrupted"
     assert out.startswith("http://127.0.0.1:") and "ssh -L " in out
     assert arguments[:2] == [str(run / "flight.rrd"), "--serve-web"]
     assert _gone(int(viewer)) and _gone(int(child))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -89,8 +91,44 @@ def test_a_byte_order_mark_is_no_mistake(tmp_path: Path) -> None:
 def test_a_large_file_is_not_read(tmp_path: Path) -> None:
     with (tmp_path / "a.toml").open("wb") as file:
         file.truncate(1 << 36)
-    with pytest.raises(UsageError, match="more than 16 MB, which no configuration needs"):
+    with pytest.raises(UsageError, match="more than 1 MB, which no configuration needs"):
         load_config(tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize(
+    "key", ["a." * 40 + "b", '"a" .' * 40 + "b", "'.'\t.\t" * 40 + '"b"', "[" + "-._." * 20 + "c]"]
+)
+def test_a_key_of_many_parts_is_not_parsed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, key: str
+) -> None:
+    """The time for it grows with the square of its parts."""
+    monkeypatch.setattr("tomllib.loads", pytest.fail)
+    (tmp_path / "a.toml").write_text(f"seed = 1\n{key} = 1\n")
+    with pytest.raises(UsageError, match="nested too deeply"):
+        load_config(tmp_path / "a.toml")
+
+
+def test_numbers_with_points_are_no_key(tmp_path: Path) -> None:
+    numbers = ", ".join(f"{n}.5" for n in range(200))
+    (tmp_path / "a.toml").write_text(f"external.gains = [{numbers}]\n")
+    assert len(load_config(tmp_path / "a.toml", estimator="a:b").external["gains"]) == 200
+
+
+def test_what_is_no_file_is_named(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "circle").symlink_to("circle")
+    cases = {
+        tmp_path: "is a directory",
+        tmp_path / "pipe": "is a named pipe",
+        tmp_path / "circle": "cannot be read (Too many levels",
+        Path("/dev/zero"): "is a device",
+        Path("/proc/kmsg"): "is a file of the kernel's state",
+        Path("/proc/self/mem"): "is a file of the kernel's state",
+        tmp_path / "gone": "does not exist",
+    }
+    for path, words in cases.items():
+        with pytest.raises(UsageError, match=re.escape(words)):
+            load_config(path)
 
 
 @pytest.mark.parametrize("text", ["seed=" + DIGITS, f"seed={2**63}", f"external.n=[{DIGITS}]"])

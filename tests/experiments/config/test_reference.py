@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import json
 import re
 
 import pytest
 
+from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.loading import known_keys, load_config
+from touchdown.experiments.config.ranges import limits_of, out_of_range, types_of_keys
 from touchdown.experiments.config.reference import (
     default_of,
     meaning_of,
@@ -51,10 +54,10 @@ def test_units_follow_the_names(key: str, unit: str) -> None:
 @pytest.mark.parametrize(
     ("key", "default", "values"),
     [
-        ("survey.height_m", "`30.0`", "number, positive"),
-        ("gps.tau_s", "none", "number or none, positive"),
+        ("survey.height_m", "`30.0`", "number, within 1e-06 to 10000"),
+        ("gps.tau_s", "none", "number or none, within 1e-06 to 86400"),
         ("landing.scorer", '`"risk"`', "`risk`, `paper`"),
-        ("paper.planar_cells", "`[56, 28]`", "2 whole numbers, positive"),
+        ("paper.planar_cells", "`[56, 28]`", "2 whole numbers, within 1 to 10000"),
         ("faults.events", "`[]`", "list of texts"),
         ("record", "`true`", "true or false"),
         ("camera.fov_x_deg", "`69.0`", "number, above 0 and below 180"),
@@ -68,3 +71,27 @@ def test_defaults_can_be_given_back() -> None:
     pairs = [(key, default_of(key).strip("`")) for key in known_keys()]
     texts = [f"{key}={text}" for key, text in pairs if text != "none"]
     assert load_config(None, texts) == Config(profile="field")
+
+
+NUMBER = re.compile(r"\b(float|int)\b")
+
+
+def test_every_number_has_a_lower_and_an_upper_bound() -> None:
+    """A number that physics or memory does not bound is a way to end the program."""
+    numbers = [key for key, kind in types_of_keys().items() if NUMBER.search(str(kind))]
+    assert len(numbers) > 300
+    for key in numbers:
+        limits = limits_of(key)
+        low, high = limits.get("ge", limits.get("gt")), limits.get("le", limits.get("lt"))
+        assert low is not None and high is not None, key
+        assert -1e5 <= low < high <= (2**63 if "seed" in key else 1e9), key
+        assert out_of_range(key, 2.0 * high) and out_of_range(key, [high * 2]), key
+        assert out_of_range(key, low - 1.0), key
+    assert set(known_keys()) >= {*numbers}
+
+
+@pytest.mark.parametrize("profile", ["ideal", "field", "harsh"])
+def test_values_of_profiles_are_within_their_bounds(profile: str) -> None:
+    config = load_config(None, [f"profile={profile}"])
+    values = dict(flatten(json.loads(config.model_dump_json())))
+    assert [key for key, value in values.items() if out_of_range(key, value)] == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -108,6 +109,20 @@ def _raises(_self: Any, obs: Observation, estimate: Estimate) -> Estimate:
     return estimate
 
 
+def _raises_anything(_self: Any, _obs: Observation, _estimate: Estimate) -> Estimate:
+    class Odd(BaseException):
+        def __str__(self) -> str:
+            raise RuntimeError("\x1b[31m")
+
+    raise Odd
+
+
+def _forks(_self: Any, obs: Observation, estimate: Estimate) -> Estimate:
+    if obs.tick == 0 and os.fork():
+        os.wait()
+    return estimate
+
+
 def _wants_scans(self: Any, obs: Observation, estimate: Estimate) -> Estimate:
     self.kept = [*self.kept, *obs.scans][-1:]
     if obs.time_s > 0.5 and obs.time_s - self.kept[0].end_time_s > 0.35:
@@ -157,6 +172,7 @@ def test_a_good_estimator_breaks_nothing() -> None:
         (_is_late, "time", "observation of tick 3 (0.005 s) says tick 0 (0.000 s)"),
         (_throws_dice, "deterministic", "two runs differ from 0.000 s on"),
         (_raises, "answers", "update raised RuntimeError: no more"),
+        (_raises_anything, "answers", "update raised Odd"),
         (_wants_scans, "missing data", "without scans"),
         (_jumps, "continuity", "jumped by 2.00 m"),
         (_is_elsewhere, "frames", "50.0 m from the take-off point"),
@@ -174,6 +190,12 @@ def test_each_bad_habit_is_reported_with_its_reason(
     assert [violation.rule for violation in violations] == [rule]
     assert words in violations[0].reason
     assert rule in RULES
+
+
+def test_a_copy_that_it_forks_does_not_check_on() -> None:
+    here = os.getpid()
+    assert _check(_forks) == []
+    assert os.getpid() == here
 
 
 def test_several_bad_habits_are_separated() -> None:

@@ -76,7 +76,7 @@ def test_documents_that_are_none_have_a_reason_of_one_line(
 
 def test_a_pipe_is_no_document(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "x.json")
-    with pytest.raises(ValueError, match="no regular file"):
+    with pytest.raises(ValueError, match="it is a named pipe"):
         read_object(tmp_path / "x.json")
 
 
@@ -154,6 +154,11 @@ def test_only_runs_are_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     for here in (Path(), folder, Path(".."), tmp_path):
         with pytest.raises(UsageError, match="is the working directory or above it"):
             check_out_dir(here)
+
+
+def test_a_folder_that_cannot_be_written_to_is_named_before_the_flight() -> None:
+    with pytest.raises(UsageError, match=r"--out /proc/x/y: '/proc' cannot be written to \("):
+        check_out_dir(Path("/proc/x/y"))
 
 
 def test_a_link_as_out_stays_and_its_target_is_replaced(tmp_path: Path) -> None:

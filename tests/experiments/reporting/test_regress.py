@@ -333,6 +333,24 @@ def test_exit_codes_where_nothing_could_be_found(
         assert cli.main([*command, "--require-power"]) == 1
 
 
+def one_flight(values: str, bad: str = "false") -> str:
+    """A baseline of one flight."""
+    cell = '"scene": "flat", "estimator": "gps", "variant": ""'
+    return (
+        '{"format": "touchdown-baseline-1", "git_revision": null, "config_sha": "", "cells": '
+        f'[{{{cell}, "flights": [{{{values}, "outcome": "LANDED", "bad": {bad}}}]}}]}}'
+    )
+
+
+@pytest.mark.parametrize("margin", ["nan", "inf", "-0.1", "1e9"])
+def test_a_margin_is_a_share(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], margin: str
+) -> None:
+    arguments = ["regress", str(tmp_path), "--baseline", "b.json", "--margin", margin]
+    assert cli.main(arguments) == 2
+    assert "invalid value for '--margin'" in capsys.readouterr().err.lower()
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -341,6 +359,11 @@ def test_exit_codes_where_nothing_could_be_found(
         ("[]", "is no baseline"),
         ('{"format": "other"}', "its format is 'other'"),
         ('{"format": "touchdown-baseline-1"}', "'cells' is missing"),
+        (one_flight('"seed": 0, "error_m": "0"'), "error_m = '0' is of another kind"),
+        (one_flight('"seed": 0, "error_m": true'), "error_m = True is of another kind"),
+        (one_flight('"seed": 0, "error_m": NaN'), "error_m = nan is no error"),
+        (one_flight('"seed": "0", "error_m": 1.0'), "seed = '0' is of another kind"),
+        (one_flight('"seed": 0, "error_m": 1', bad="0"), "bad = 0 is of another kind"),
     ],
 )
 def test_bad_baselines_are_one_line(

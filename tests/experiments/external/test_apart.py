@@ -1,0 +1,120 @@
+"""Commands that run code of others: whatever it does to its process, one line and a failure."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from touchdown.experiments.external.apart import runs_code_of_others
+
+PROGRAM = """
+import os, signal, sys, time
+from touchdown.experiments.external import apart
+apart._PATIENCE_S = 1
+def command():
+    exec(sys.argv[1])
+    return 3
+code, fault = apart.in_child(command)
+sys.stderr.write(fault)
+sys.exit(code)
+"""
+STUCK = """
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+print("stuck", flush=True)
+while True: time.sleep(1.0)
+"""
+SOFT = """
+print("stuck", flush=True)
+try: time.sleep(600.0)
+except KeyboardInterrupt: print("interrupted", flush=True); os._exit(9)
+"""
+ENDINGS = {
+    "pass": (3, ""),
+    "os._exit(0)": (1, "ended in the middle (exit code 0)"),
+    "os.kill(os.getpid(), signal.SIGSEGV)": (1, "ended in the middle (SIGSEGV)"),
+    "raise ValueError('x')": (1, "ValueError: x"),
+    "if os.fork() == 0: time.sleep(600.0)": (3, ""),
+    "if os.fork() == 0: time.sleep(600.0)\nos._exit(0)": (1, "in the middle (exit code 0)"),
+}
+
+
+@pytest.mark.parametrize("code", ENDINGS)
+def test_a_process_that_ends_in_the_middle_is_a_failure(code: str) -> None:
+    expected, words = ENDINGS[code]
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, code], capture_output=True, text=True, timeout=500
+    )
+    assert done.returncode == expected and words in done.stderr
+
+
+@pytest.mark.parametrize(("code", "output"), [(STUCK, "stuck\n"), (SOFT, "stuck\ninterrupted\n")])
+def test_ctrl_c_ends_what_does_not_listen(code: str, output: str) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, code],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    ) as process:  # fmt: skip
+        assert process.stdout and process.stdout.readline() == "stuck\n"
+        process.send_signal(signal.SIGINT)
+        rest, err = process.communicate(timeout=500)
+    assert (process.returncode, f"stuck\n{rest}", err) == (130, output, "")
+
+
+def test_the_command_that_checks_estimators_says_that_its_process_has_ended(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "leaver.py").write_text("import os\ndef build(params, rig): os._exit(0)\n")
+    command = [sys.executable, "-m", "touchdown", "check-estimator", "leaver:build"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=500)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("touchdown: error: ") and done.stderr.count("\n") == 1
+    assert "ended in the middle (exit code 0)" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "apart"),
+    [
+        ("fly flat --estimator my.lab:build", True),
+        ("land flat --set estimator=my.lab:build", True),
+        ("land flat --config mine.toml", True),
+        ("land flat --config=mine.toml", True),
+        ("check-estimator my.lab:build", True),
+        ("check-estimator livo", False),
+        ("fly flat --estimator livo", False),
+        ("report runs:today", False),
+        ("fly", False),
+        ("", False),
+    ],
+)
+def test_which_commands_run_code_of_others(words: str, apart: bool) -> None:
+    assert runs_code_of_others(words.split()) == apart
+
+
+def test_a_machine_that_cannot_render_is_one_line(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "touchdown", "fly", "flat", "--out", str(tmp_path / "out")]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=500,
+        env={**os.environ, "MUJOCO_GL": "bogus"},
+    )  # fmt: skip
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert "bogus" in done.stderr and "set MUJOCO_GL to egl, osmesa or glfw" in done.stderr
+
+
+def test_a_backend_that_fails_says_nothing_beside_the_error() -> None:
+    code = (
+        "from touchdown.sim.camera.gl import gl_context\n"
+        "try: gl_context(8, 8)\n"
+        "except RuntimeError as error: print(error)\n"
+    )
+    environment = {k: v for k, v in os.environ.items() if not k.endswith("DISPLAY")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=500,
+        env={**environment, "MUJOCO_GL": "glfw"},
+    )  # fmt: skip
+    assert done.stdout.startswith("no offscreen rendering on this machine (glfw: ")
+    assert (done.returncode, done.stderr) == (0, "")
