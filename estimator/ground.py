@@ -189,15 +189,17 @@ def _slope_at(own: Float32, row: int, col: int, reach: int, slope: Array) -> Non
 
 
 @numba.njit(cache=True)
-def _stands_alone(own: Float32, row: int, col: int, reach: int) -> bool:
-    """True if a cell lies high above most of the known cells around it."""
-    known = below = 0
+def _stands_alone(own: Float32, row: int, col: int, reach: int, few: bool) -> bool:
+    """True if a cell lies high above most of the known cells around it, or, with ``few`` returns,
+    far below them: an echo that came late."""
+    known = below = above = 0
     for a in range(max(row - reach, 0), min(row + reach + 1, own.shape[0])):
         for b in range(max(col - reach, 0), min(col + reach + 1, own.shape[1])):
             if not np.isnan(own[a, b]):
                 known += 1
                 below += own[a, b] < own[row, col] - _OVERHANG_M
-    return 2 * below > known
+                above += own[a, b] > own[row, col] + _OVERHANG_M
+    return 2 * below > known or (few and 2 * above > known)
 
 
 @numba.njit(cache=True)
@@ -244,11 +246,11 @@ def _pooled_modes(
         for col in range(cols):
             if not wanted[row, col] or np.isnan(own[row, col]):
                 continue
-            if _stands_alone(own, row, col, slope_reach):
+            few = count[row, col] <= _FEW
+            if _stands_alone(own, row, col, slope_reach, few):
                 height[row, col] = np.nan
                 std[row, col] = np.nan
                 continue
-            few = count[row, col] <= _FEW
             if not few and not spread[row, col] > ONE_SURFACE_STD_M:
                 continue
             _slope_at(own, row, col, slope_reach, slope)

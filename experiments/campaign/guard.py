@@ -17,9 +17,9 @@ from typing import Any
 
 from touchdown.experiments.external.processes import (
     adopt_orphans,
-    die_with_parent,
     end_descendants,
 )
+from touchdown.sim.files.child import die_with_parent
 
 SUPERVISOR = "TOUCHDOWN_SUPERVISOR"
 """environment variable: the process whose end a guard, or a worker, does not survive"""

@@ -38,7 +38,6 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.processes import (
     adopt_orphans,
     descendants,
-    die_with_parent,
     memory_bytes,
     release_memory,
 )
@@ -46,6 +45,7 @@ from touchdown.experiments.flight.run import fly_with_usage_errors
 from touchdown.experiments.io.foreign import inside
 from touchdown.experiments.io.results import RunResult, load_result
 from touchdown.experiments.io.run_directory import foreign_entries, put_in_place
+from touchdown.sim.files.child import die_with_parent
 
 PARTIAL = ".partial"
 """Folder of a campaign's directory in which runs are flown; those of dead processes are swept."""

@@ -9,11 +9,8 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from touchdown.experiments.external.processes import (
-    adopt_orphans,
-    die_with_parent,
-    end_descendants,
-)
+from touchdown.experiments.external.processes import adopt_orphans, end_descendants
+from touchdown.sim.files.child import die_with_parent
 
 _COMMANDS = ("fly", "land", "check-estimator")
 _PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

@@ -15,7 +15,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-_PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
+from touchdown.sim.files.child import prctl
+
+_PR_SET_CHILD_SUBREAPER = 36
 _PATIENCE_S = 10.0
 _PAUSE_S = 0.01
 
@@ -23,15 +25,7 @@ _PAUSE_S = 0.01
 def adopt_orphans() -> None:
     """Makes this process the parent of all its descendants whose own parent has ended, so that none
     of them gets out of sight, not even in a session of its own."""
-    _prctl(_PR_SET_CHILD_SUBREAPER, 1)
-
-
-def die_with_parent(parent: int, number: signal.Signals = signal.SIGKILL) -> None:
-    """Linux sends this process the signal ``number`` when the thread that started it, of process
-    ``parent``, ends."""
-    _prctl(_PR_SET_PDEATHSIG, number)
-    if os.getppid() != parent:
-        os._exit(1)  # it was dead before
+    prctl(_PR_SET_CHILD_SUBREAPER, 1)
 
 
 def descendants(pid: int) -> list[int]:
@@ -156,9 +150,3 @@ def _collect(pids: set[int]) -> None:
     for pid in pids:
         with contextlib.suppress(OSError):
             os.waitpid(pid, os.WNOHANG)
-
-
-def _prctl(option: int, value: int) -> None:
-    libc = ctypes.CDLL(None, use_errno=True)
-    if hasattr(libc, "prctl"):
-        libc.prctl(option, value, 0, 0, 0)

@@ -290,11 +290,17 @@ def _estimator_factory(config: Config) -> _EstimatorFactory:
 
 
 def check_scene_name(name: str, where: str = "") -> None:
-    """Raises UsageError unless ``name`` is a known scene or an existing file. ``where`` completes
-    the message, such as " in FILE"."""
+    """Raises UsageError unless ``name`` is a known scene or a file that holds one, which is loaded.
+    ``where`` completes the message, such as " in FILE"."""
+    from touchdown.scenes.compose import load_scene
+
     if "/" in name or name.endswith(".xml"):
         if reason := no_file(Path(name)):
             raise UsageError(f"scene file '{name}'{where} {reason}")
+        try:
+            load_scene(name, 0)
+        except (OSError, ValueError) as error:
+            raise UsageError(f"scene{where}: {error}") from error
     elif name not in (known := scene_names()):
         raise UsageError(
             f"unknown scene '{name}'{where}{nearest(name, known)}; known: {', '.join(known)}, or "

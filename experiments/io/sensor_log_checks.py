@@ -6,19 +6,16 @@ import contextlib
 import dataclasses
 import math
 import struct
-import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.experiments.errors import UsageError
 from touchdown.sim.api import CameraImage, Observation, SensorRig
 
-_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_MAX_PIXELS = 1 << 26
+MAX_PIXELS = 1 << 26
 _MAX_TICK = 1 << 53
 _AGAIN = "fly again with --log-sensors"
 
@@ -68,7 +65,7 @@ def check_rig(rig: SensorRig) -> None:
     for name, value in positive.items():
         if not 0 < value < math.inf:
             raise DamagedError(f"{name} of the rig is not positive")
-    if rig.tick_hz > 10**6 or rig.camera.width * rig.camera.height > _MAX_PIXELS:
+    if rig.tick_hz > 10**6 or rig.camera.width * rig.camera.height > MAX_PIXELS:
         raise DamagedError("rates or image size of the rig are absurd")
     if rig.camera_ticks > rig.tick_hz:
         raise DamagedError("the camera of the rig has no rate")
@@ -113,24 +110,3 @@ def _without_number(value: Any, name: str) -> str:
                 return found
     floats = isinstance(value, float | np.ndarray) and np.asarray(value).dtype.kind == "f"
     return name if floats and bool(np.isnan(value).any()) else ""
-
-
-def check_png(png: NDArray[np.uint8]) -> None:
-    """Raises DamagedError unless the chunks of a PNG file, (N,) bytes, have their checksums: the
-    decoder prints about others what it likes."""
-    data, at = png.tobytes(), len(_SIGNATURE)
-    if data[:at] != _SIGNATURE:
-        raise DamagedError("an image is no PNG file")
-    kind = b""
-    while kind != b"IEND":
-        if at + 12 > len(data):
-            raise DamagedError("an image ends too early")
-        (size,) = struct.unpack_from(">I", data, at)
-        kind, end = data[at + 4 : at + 8], at + 8 + size
-        if end + 4 > len(data) or struct.unpack_from(">I", data, end)[0] != zlib.crc32(
-            data[at + 4 : end]
-        ):
-            raise DamagedError("an image does not have its checksum")
-        if kind == b"IHDR" and math.prod(struct.unpack_from(">II", data, at + 8)) > _MAX_PIXELS:
-            raise DamagedError("an image claims an absurd size")
-        at = end + 4

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import struct
 from collections import defaultdict, deque
@@ -14,8 +15,8 @@ from typing import Any
 import cv2
 import numpy as np
 from mcap.exceptions import EndOfFile
-from mcap.records import Channel, Message, Metadata
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Chunk, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
 from numpy.typing import NDArray
 
 from touchdown.experiments.errors import UsageError
@@ -29,15 +30,22 @@ from touchdown.experiments.io.sensor_log import (
     SCAN_TOPIC,
 )
 from touchdown.experiments.io.sensor_log_checks import (
+    MAX_PIXELS,
     DamagedError,
     check_order,
-    check_png,
     check_rig,
     damage_reported,
 )
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
+from touchdown.sim.files.inflating import check_png, inflated_chunk
 
 _WANTED = frozenset({OBSERVATION_TOPIC, SCAN_TOPIC, *IMAGE_TOPICS})
+MAX_RECORD_BYTES = 1 << 27
+"""of a record, and of a chunk once inflated; a flight writes 4 MiB and one message"""
+MAX_OBSERVATION_BYTES = MAX_RECORD_BYTES
+"""of all messages of one observation"""
+MAX_TEXT_BYTES = 1 << 24
+"""of an observation without its scans and images"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,15 +93,10 @@ class SensorLogReader:
 
     def packed(self) -> Iterator[tuple[Observation, tuple[PackedImage, ...]]]:
         """Observations from the beginning; images separately, as the logged PNG files."""
-        arrived: defaultdict[str, deque[bytes]] = defaultdict(deque)
-        left, right = (arrived[topic] for topic in IMAGE_TOPICS)
         before = -1
-        for topic, data in self._messages():
-            if topic != OBSERVATION_TOPIC:
-                arrived[topic].append(data)
-                continue
+        for plain, arrived in self._arrivals():
+            left, right = (arrived[topic] for topic in IMAGE_TOPICS)
             with damage_reported(self.path):
-                plain = json.loads(_text(data))
                 images = tuple(
                     PackedImage(
                         tick=tick,
@@ -104,9 +107,9 @@ class SensorLogReader:
                     for tick, time_s, stereo in plain.pop("images", [])
                 )
                 for eye in images:
-                    check_png(eye.png)
+                    _check_image(eye.png)
                     if eye.right_png is not None:
-                        check_png(eye.right_png)
+                        _check_image(eye.right_png)
                 obs = _observation(plain, arrived)
                 check_order(obs, self.rig, before)
                 before = obs.tick
@@ -114,16 +117,37 @@ class SensorLogReader:
 
     def observations(self, images: bool = True) -> Iterator[Observation]:
         """Observations from the beginning; half the time without images."""
-        arrived: defaultdict[str, deque[bytes]] = defaultdict(deque)
         before = -1
+        for plain, arrived in self._arrivals(images):
+            with damage_reported(self.path):
+                obs = _observation(plain, arrived)
+                check_order(obs, self.rig, before)
+                before = obs.tick
+            yield obs
+
+    def _arrivals(
+        self, images: bool = True
+    ) -> Iterator[tuple[dict[str, Any], defaultdict[str, deque[bytes]]]]:
+        """Observations as plain values, each with the messages before it by topic, which its reader
+        takes out."""
+        arrived: defaultdict[str, deque[bytes]] = defaultdict(deque)
+        waiting = 0
         for topic, data in self._messages():
-            if topic == OBSERVATION_TOPIC:
-                with damage_reported(self.path):
+            with damage_reported(self.path):
+                waiting += len(data)
+                if waiting > MAX_OBSERVATION_BYTES:
+                    most = MAX_OBSERVATION_BYTES >> 20
+                    raise DamagedError(f"an observation has more than {most} MiB of messages")
+                if topic == OBSERVATION_TOPIC:
+                    if len(data) > MAX_TEXT_BYTES:
+                        raise DamagedError("an observation has an absurd size")
                     plain = json.loads(_text(data))
-                    obs = _observation(plain if images else plain | {"images": []}, arrived)
-                    check_order(obs, self.rig, before)
-                    before = obs.tick
-                yield obs
+            if topic == OBSERVATION_TOPIC:
+                yield plain if images else plain | {"images": []}, arrived
+                with damage_reported(self.path):
+                    if any(arrived.values()):
+                        raise DamagedError("a message belongs to no observation")
+                waiting = 0
             elif images or topic not in IMAGE_TOPICS:
                 arrived[topic].append(data)
 
@@ -145,17 +169,31 @@ class SensorLogReader:
                 yield topics[record.channel_id], record.data
 
     def _records(self) -> Iterator[Any]:
+        """Records, those of chunks among them; no more is inflated than a chunk states."""
         with self.path.open("rb") as file:
-            records = iter(StreamReader(file, validate_crcs=True).records)
+            reader = StreamReader(
+                file, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES
+            )
+            records = iter(reader.records)
             while True:
                 try:
                     record = next(records)
+                    parts = _parts(record) if isinstance(record, Chunk) else (record,)
                 except StopIteration:
                     return
                 except Exception as error:  # decompressors have errors of their own
                     why = _reason(error)
                     raise UsageError(f"'{self.path}' is no complete MCAP file: {why}") from error
-                yield record
+                yield from parts
+
+
+def _parts(chunk: Chunk) -> list[Any]:
+    """The records of a chunk."""
+    size = chunk.uncompressed_size
+    if size > MAX_RECORD_BYTES:
+        raise ValueError(f"a chunk of {size >> 20} MiB, more than {MAX_RECORD_BYTES >> 20} MiB")
+    data = inflated_chunk(chunk.data, chunk.compression, size)
+    return breakup_chunk(dataclasses.replace(chunk, compression="", data=data), validate_crc=True)
 
 
 def _reason(error: Exception) -> str:
@@ -215,11 +253,18 @@ def _png(message: bytes) -> NDArray[np.uint8]:
 
 def unpack_image(png: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """(H, W, 3) RGB of a PNG file. Raises DamagedError where it is none."""
-    check_png(png)
+    _check_image(png)
     bgr = cv2.imdecode(png, cv2.IMREAD_COLOR)
     if bgr is None:
         raise DamagedError("an image cannot be decoded")
     return _frozen(np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8))
+
+
+def _check_image(png: NDArray[np.uint8]) -> None:
+    try:
+        check_png(io.BytesIO(png.tobytes()), MAX_PIXELS)
+    except ValueError as error:
+        raise DamagedError(f"an image {error}") from None
 
 
 def _frozen(array: NDArray[Any]) -> NDArray[Any]:

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.external.processes import die_with_parent
 from touchdown.experiments.io.provenance import plain_json
+from touchdown.sim.files.child import die_with_parent
 
 if TYPE_CHECKING:
     import duckdb

@@ -17,7 +17,7 @@ from typing import Any
 
 from touchdown.experiments.campaign.executor import SINGLE_THREAD
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.external.processes import die_with_parent
+from touchdown.sim.files.child import die_with_parent
 
 Notes = Callable[[str], None]
 

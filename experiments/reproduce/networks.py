@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.external.processes import die_with_parent
 from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.run_directory import move_beside, write_text
 from touchdown.experiments.reproduce.plans import Recognition
+from touchdown.sim.files.child import die_with_parent
 
 PICTURES, NETWORKS, SCORES, SETTINGS = "pictures", "networks", "scores.json", "settings.json"
 

@@ -1,51 +1,39 @@
-"""Loads a network's file in a process of its own and classifies images, with limits on time and
-memory.
-
-ONNX Runtime cannot be interrupted, and what a graph needs does not follow from its size. As a
-program, ``python trial.py FILE``, it prints a reason and ends with code 3 if the network cannot be
-used; it imports nothing of this package.
-"""
+"""Loads a network's file and classifies images: in a process of its own, since ONNX Runtime cannot
+be interrupted, and what a graph needs does not follow from its size."""
 
 from __future__ import annotations
 
-import functools
 import re
-import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+
+from touchdown.sim.files import child
 
 INPUT = "pictures"
 NOWHERE = "/nonexistent"
 """Folder in which ONNX Runtime looks for weights outside of a network's file"""
-TRIAL_S, TRIAL_MEMORY_BYTES = 15, 4 << 30
-_WAIT_S = 120.0
-"""The processor time counts, not that of other programs beside it; this ends what only waits."""
-_REFUSED = 3
 _LARGEST = 4096
 """pixels; the range that is allowed is checked elsewhere"""
 
 
-@functools.lru_cache(maxsize=32)
-def reason_against(path: Path, _sha256: str) -> str:
+def reason_against(path: Path, sha256: str) -> str:
     """The reason why a network's file cannot be used, "" for none; asked once for each content."""
+    return child.reason_against(fault_of_file, path, sha256, "to load and to classify one image")
+
+
+def fault_of_file(path: str) -> str:
+    """The reason why a network's file cannot be loaded or used, "" for none."""
+    import onnxruntime
+
     try:
-        done = subprocess.run(
-            [sys.executable, "-P", __file__, str(path)],
-            capture_output=True,
-            timeout=_WAIT_S,
-            check=False,
+        session = onnxruntime.InferenceSession(
+            Path(path).read_bytes(), session_options(1), providers=["CPUExecutionProvider"]
         )
-    except subprocess.TimeoutExpired:
-        return f"needs more than {_WAIT_S:.0f} s to load and to classify one image"
-    if done.returncode == _REFUSED:
-        return done.stdout.decode("utf-8", "replace").strip()
-    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        return f"needs more than {TRIAL_S} s of a processor to load and to classify one image"
-    if done.returncode < 0 or b"MemoryError" in done.stderr:
-        return f"needs more than {TRIAL_MEMORY_BYTES >> 30} GiB of memory, or breaks ONNX Runtime"
-    return ""
+    except Exception as error:  # onnxruntime's errors share no base class
+        return f"cannot be loaded as a network: {plain_reason(error)}"
+    return fault_of(session)
 
 
 def session_options(threads: int) -> Any:
@@ -67,7 +55,7 @@ def plain_reason(error: Exception) -> str:
     lines = str(error).splitlines() or [type(error).__name__]
     words = lines[0].split(" : ", 3)
     text = words[3] if len(words) == 4 and words[0].startswith("[ONNX") else lines[0]
-    if "xternal data" in text:
+    if "xternal data" in text or NOWHERE in text:
         return "its weights lie in another file; save it as one file"
     if "::" in text:  # a place in the sources of ONNX Runtime, then a condition, then the reason
         text = text.rpartition(" was false. ")[2] if " was false. " in text else "it is damaged"
@@ -76,8 +64,6 @@ def plain_reason(error: Exception) -> str:
 
 def fault_of(session: Any) -> str:
     """The reason why a loaded network cannot be used, "" for none."""
-    import numpy as np
-
     inputs, outputs = session.get_inputs(), session.get_outputs()
     names = [entry.name for entry in inputs]
     if names != [INPUT] or len(outputs) != 1:
@@ -100,26 +86,3 @@ def fault_of(session: Any) -> str:
         if not np.isfinite(scores).all():
             return "gives scores that are no numbers"
     return ""
-
-
-def _try(path: str) -> str:
-    import resource
-
-    resource.setrlimit(resource.RLIMIT_CPU, (TRIAL_S, TRIAL_S))
-    resource.setrlimit(resource.RLIMIT_AS, (TRIAL_MEMORY_BYTES, TRIAL_MEMORY_BYTES))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    import onnxruntime
-
-    try:
-        session = onnxruntime.InferenceSession(
-            Path(path).read_bytes(), session_options(1), providers=["CPUExecutionProvider"]
-        )
-    except Exception as error:  # onnxruntime's errors share no base class
-        return f"cannot be loaded as a network: {plain_reason(error)}"
-    return fault_of(session)
-
-
-if __name__ == "__main__":
-    _reason = _try(sys.argv[1])
-    print(_reason)
-    sys.exit(_REFUSED if _reason else 0)

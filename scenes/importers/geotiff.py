@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.importers.files import check_file
+from touchdown.sim.files.opening import check_file
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from touchdown.scenes.api import LAND_CLASSES, Surface
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.importers.files import check_file, printable, quiet_libraries
-from touchdown.scenes.importers.mjcf_limits import check_mjcf
+from touchdown.scenes.importers.mjcf_limits import check_mjcf, check_spec
 from touchdown.scenes.importers.model_check import check_model
 from touchdown.scenes.importers.origin import (
     coarse_meshes,
@@ -22,6 +21,7 @@ from touchdown.scenes.importers.origin import (
     move_world,
 )
 from touchdown.scenes.importers.trial import TRIAL_BYTES, check_compiles
+from touchdown.sim.files.opening import check_file, printable, quiet_libraries
 
 REFLECTIVITY_905NM = {
     "lawn": 0.45,
@@ -85,12 +85,13 @@ def read_mjcf(path: Path) -> SceneDraft:
     `scenes.importers.model_check`, and for a take-off spot without ground.
     """
     check_file(path, "a scene")
-    if check_mjcf(path).mesh_bytes > TRIAL_BYTES:
+    if check_mjcf(path)["mesh bytes"] > TRIAL_BYTES:
         check_compiles(path)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except _MUJOCO_ERRORS as error:
         raise ValueError(f"{path}: not a valid MJCF file: {_one_line(error)}") from error
+    check_spec(spec, path)
     remove_motion(spec, path)
     model, data = _compiled(spec, path)
     takeoff = _takeoff(model, data)

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from touchdown.scenes.importers.files import printable
+from touchdown.sim.files.opening import printable
 
 FARTHEST_M = 1e8
 """Ten times the greatest northing of a map projection"""

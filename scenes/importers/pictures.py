@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 from collections.abc import Iterator
@@ -12,8 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.importers.files import MIB, check_file
 from touchdown.scenes.importers.geotiff import check_blocks, opened_tiff
+from touchdown.sim.files.opening import MIB, check_file, quiet_libraries
 
 Image = NDArray[np.uint8]
 
@@ -27,6 +28,8 @@ _PART_SIDE = 8192
 """Larger parts of a GeoTIFF are averaged to this side while they are read."""
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 _GREY = ("1", "L", "LA", "La", "I", "F")
+_TILE_SIDES = (322, 323)
+"""Tags of a TIFF: a tile is decoded as a whole, however small the image"""
 _TIFF_ENDINGS = (".tif", ".tiff")
 
 
@@ -50,7 +53,7 @@ def read_rgb(path: Path, *, grey: bool = True, what: str = "an image") -> Image:
     """
     from PIL import ImageOps
 
-    with _decoded(path, what) as image:
+    with _decoded(path, what) as image, quiet_libraries():
         _check_kind(image, path, grey)
         image.load()
         turned = ImageOps.exif_transpose(image)
@@ -154,6 +157,10 @@ def _decoded(path: Path, what: str) -> Iterator[Any]:
                 width, height = image.size
                 if width * height > MAX_PIXELS:
                     raise _too_large(path, f"{width} x {height}")
+                tags = getattr(image, "tag_v2", {})  # of a TIFF
+                tile = math.prod(int(tags.get(tag, 0)) for tag in _TILE_SIDES)
+                if tile > MAX_PIXELS:
+                    raise _too_large(path, f"tiles of {tile}")
                 yield image
     except Pillow.DecompressionBombError as error:
         count = re.search(r"\d+", str(error))

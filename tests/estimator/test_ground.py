@@ -91,6 +91,21 @@ def test_rock_in_a_meadow_keeps_its_height(wide: int) -> None:
     assert np.median(np.abs(found.height_m[INNER])) < 0.01
 
 
+def test_overgrown_rock_in_a_meadow_keeps_its_height() -> None:
+    rock = np.zeros((ROWS, COLS), bool)
+    rock[10:12, 10:12] = True
+    returns = np.where(rock, 0.3, 0.0) + grass(np.where(rock, 0.2, 0.25))
+    found = grid_of_returns(returns).ground().height_m[rock]
+    np.testing.assert_allclose(found, 0.3, atol=0.04)
+
+
+def test_crops_on_a_steep_slope_do_not_lower_it() -> None:
+    ground = 0.35 * X
+    error = (grid_of_returns(ground + grass(0.3, 3.6)).ground().height_m - ground)[INNER]
+    assert abs(np.median(error)) < 0.02
+    assert (np.abs(error - np.median(error)) < 0.03).mean() > 0.9
+
+
 def test_top_of_a_post_is_no_ground_and_a_roof_is() -> None:
     ground = FLAT.copy()
     ground[10, 10] = 2.0
@@ -99,6 +114,17 @@ def test_top_of_a_post_is_no_ground_and_a_roof_is() -> None:
     assert np.isnan(found.height_m[10, 10]) and np.isnan(found.std_m[10, 10])
     assert np.isfinite(found.height_m[9:12, 9:12]).sum() == 8
     np.testing.assert_allclose(found.height_m[:, 20:], 3.0, atol=0.03)
+
+
+def test_few_returns_far_below_the_ground_are_none_of_it() -> None:
+    """Two late echoes in one cell; a pit that many returns show is ground."""
+    ground = FLAT.copy()
+    ground[12, 12], ground[12, 20] = -3.0, -1.0
+    grid = make_grid(ground)
+    grid.count[12, 12] = 2.0
+    found = grid.ground().height_m
+    assert np.isnan(found[12, 12]) and np.isfinite(found[11:14, 11:14]).sum() == 8
+    assert found[12, 20] == pytest.approx(-1.0, abs=0.03)
 
 
 def test_uncertainty_grows_as_fewer_returns_come_from_the_ground() -> None:

@@ -57,7 +57,7 @@ LIBRARY_PACKAGES = _library_packages()
 PACKAGE_MAY_IMPORT = _experiments_packages()
 ROOT_FILES = {"__init__", "errors", "terminal", "api", "python_api", "pytest_plugin"}
 
-SHARED = ("touchdown.sim.frames", "touchdown.sim.geometry.")
+SHARED = ("touchdown.sim.frames", "touchdown.sim.geometry.", "touchdown.sim.files.")
 """What all library folders may use beside the apis."""
 TORCH_FOLDERS = (
     Path("landing/classification/networks"),
@@ -146,9 +146,10 @@ def test_library_folders_meet_only_at_their_apis(own: str) -> None:
             assert allowed, f"{_id(path)}:{line} imports {module}; only {folder}.api is open to it"
 
 
-def test_shared_geometry_depends_on_frames_alone() -> None:
-    """``sim.geometry`` stands below all folders, as ``sim.frames`` does."""
-    for path in sorted((ROOT / "sim" / "geometry").glob("*.py")):
+@pytest.mark.parametrize("package", ["geometry", "files"])
+def test_shared_packages_depend_on_one_another_alone(package: str) -> None:
+    """``sim.geometry`` and ``sim.files`` stand below all folders, as ``sim.frames`` does."""
+    for path in sorted((ROOT / "sim" / package).glob("*.py")):
         for line, module, _, _ in _ours(path):
             known = module.startswith(SHARED) or module == "touchdown.sim.typing"
             assert known, f"{_id(path)}:{line} imports {module}"

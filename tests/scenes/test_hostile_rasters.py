@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import warnings
 from pathlib import Path
 from typing import Any
@@ -233,6 +234,29 @@ def test_images_that_are_refused(tmp_path: Path, kind: str, message: str) -> Non
         read_rgb(path)
     assert "\n" not in str(caught.value)
     refused(write(tmp_path / "h.tif", slope()), message, ortho=path)
+
+
+def test_a_tile_larger_than_any_image_is_not_decoded(tmp_path: Path) -> None:
+    """A TIFF of 8 x 8 pixels in a tile of 32 GiB, compressed."""
+    profile = {"tiled": True, "blockxsize": 256, "blockysize": 256}
+    image = write(tmp_path / "tile.tif", _photo()[..., 0], **profile)
+    data = bytearray(image.read_bytes())
+    for tag in (322, 323):
+        at = data.index(struct.pack("<HHI", tag, 3, 1))
+        data[at : at + 12] = struct.pack("<HHII", tag, 4, 1, 1 << 17)
+    image.write_bytes(bytes(data))
+    with pytest.raises(ValueError, match="has tiles of 17179869184 pixels, more than 134217728"):
+        read_rgb(image)
+
+
+def test_decoders_print_nothing_of_damage(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    image = write(tmp_path / "short.tif", _photo()[..., 0], compress="deflate")
+    image.write_bytes(image.read_bytes()[:-9000])
+    with pytest.raises(ValueError, match="is a damaged image"):
+        read_rgb(image)
+    assert not capfd.readouterr().err
 
 
 def test_palettes_grey_and_turned_images_are_read(tmp_path: Path) -> None:

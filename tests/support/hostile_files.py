@@ -15,8 +15,10 @@ LIMIT_S = 60.0
 """Above the 30 s that are promised: tests share the machine."""
 
 
-def png(width: int, height: int, bits: int = 8, colour: int = 2) -> bytes:
-    """A PNG that declares a size and holds a thousand bytes."""
+def png(
+    width: int, height: int, bits: int = 8, colour: int = 2, inflated: int = 1000, text: bytes = b""
+) -> bytes:
+    """A PNG that declares a size and holds ``inflated`` bytes, and a compressed ``text``."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return (
@@ -27,7 +29,8 @@ def png(width: int, height: int, bits: int = 8, colour: int = 2) -> bytes:
     return (
         b"\x89PNG\r\n\x1a\n"
         + chunk(b"IHDR", header)
-        + chunk(b"IDAT", zlib.compress(b"\0" * 1000))
+        + (chunk(b"zTXt", b"k\0\0" + text) if text else b"")
+        + chunk(b"IDAT", zlib.compress(b"\0" * inflated))
         + chunk(b"IEND", b"")
     )
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.paper.structured_edges import forest
+from touchdown.sim.files.inflating import gunzipped
 
 Int32 = NDArray[np.int32]
 
@@ -125,8 +126,7 @@ def check_model(path: Path) -> None:
             "'gradient' for edges without one"
         )
     try:
-        with gzip.open(path) as file:
-            text = file.read(_MAX_BYTES + 1)
+        text = gunzipped(path, _MAX_BYTES)
     except (OSError, EOFError, zlib.error) as error:
         raise ValueError(
             f"structured edge model '{path}' is damaged ({error}): restore it, or train one by "

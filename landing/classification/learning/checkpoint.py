@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import reprlib
 import zipfile
 from pathlib import Path
 from typing import Any, Protocol
@@ -17,7 +18,6 @@ from touchdown.landing.classification.weights import SUFFIX
 
 LAST, BEST = "last.pt", "best.pt"
 MAX_BYTES = 4 << 30
-_DEEPEST = 20
 _OTHER = {"data": "other images", "start": "other weights to begin with"}
 
 
@@ -44,8 +44,10 @@ def restore(trainer: Resumable, folder: Path, identity: dict[str, Any]) -> None:
     if not isinstance(before, dict) or _history_fault(state):
         raise ValueError(f"'{path}' is not the checkpoint of a training; name another folder")
     for key, value in identity.items():
-        if isinstance(before.get(key), Tensor) or before.get(key) != value:
-            what = _OTHER[key] if key in _OTHER else f"{key} {before.get(key)}, not {value}"
+        if not _same(before.get(key), value):
+            found = before.get(key)
+            shown = found if isinstance(found, str | float | int) else reprlib.repr(found)
+            what = _OTHER.get(key, f"{key} {shown}, not {value}")
             raise ValueError(f"'{folder}' holds a training with {what}; name another folder")
     try:
         trainer.take_state(state)
@@ -53,6 +55,13 @@ def restore(trainer: Resumable, folder: Path, identity: dict[str, Any]) -> None:
         raise ValueError(
             f"'{path}' does not hold the state of this training; name another folder"
         ) from None
+
+
+def _same(found: Any, value: Any) -> bool:
+    try:
+        return bool(found == value)
+    except (RuntimeError, RecursionError):  # tensors, or lists that hold themselves
+        return False
 
 
 def _history_fault(state: dict[str, Any]) -> bool:
@@ -159,15 +168,17 @@ def _read(path: Path) -> dict[str, Any]:
     return value
 
 
-def _bytes_of(value: Any, depth: int = 0) -> int:
-    """Bytes of all tensors within, each as large as its shape says: a view may repeat a number."""
-    if isinstance(value, Tensor):
-        return value.numel() * value.element_size()
-    if depth > _DEEPEST:
-        raise ValueError("it is nested too deep")
-    inner = value.values() if isinstance(value, dict) else value
-    return (
-        sum(_bytes_of(part, depth + 1) for part in inner)
-        if isinstance(value, dict | list | tuple)
-        else 0
-    )
+def _bytes_of(value: Any) -> int:
+    """Bytes of all tensors within, each as large as its shape says: a view may repeat a number.
+    What a pickle names many times counts once, so that lists of lists end."""
+    total, seen, waiting = 0, {id(value)}, [value]
+    while waiting:
+        part = waiting.pop()
+        if isinstance(part, Tensor):
+            total += part.numel() * part.element_size()
+            continue
+        for one in part.values() if isinstance(part, dict) else part:
+            if isinstance(one, Tensor | dict | list | tuple) and id(one) not in seen:
+                seen.add(id(one))
+                waiting.append(one)
+    return total

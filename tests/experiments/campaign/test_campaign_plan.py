@@ -126,6 +126,18 @@ def test_usage_errors_are_one_line_and_write_nothing(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_scene_file_that_is_none_is_refused_before_the_first_flight(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "place.xml").write_text("<robot/>")
+    file = tmp_path / "c.toml"
+    file.write_text(axes(scene=[str(tmp_path / "place.xml")]))
+    assert cli.main(["campaign", str(file), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "the root of 'place.xml' is <robot>" in error
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_impossible_survey_is_refused_before_the_first_flight(tmp_path: Path) -> None:
     text = axes(scene=["flat"], estimator=["gps"]) + "[axes.survey]\nduration_s = [36.0, 3.0]\n"
     with pytest.raises(UsageError, match=r"a survey of 3 legs of 50 m does not fit into 3 s"):

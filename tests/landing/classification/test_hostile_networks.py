@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.landing.classification import trial, weights
+from touchdown.landing.classification import weights
 from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.weights import INPUT, OUTPUT, NetworkFacts, write_network
+from touchdown.sim.files import child
 
 from support.ground_class_support import write_colour_network
 from support.hostile_files import sparse
@@ -135,6 +136,22 @@ def test_weights_outside_of_the_file_are_not_read(
             read_weights(path)
 
 
+def test_weights_of_a_branch_outside_of_the_file_are_not_read(tmp_path: Path) -> None:
+    from onnx import TensorProto, helper, numpy_helper
+
+    outside = TensorProto(name="matrix", data_type=TensorProto.FLOAT, dims=[3, 7])
+    outside.data_location = TensorProto.EXTERNAL
+    outside.external_data.add(key="location", value="secret.bin")
+    given = [helper.make_tensor_value_info("y", TensorProto.FLOAT, [3, 7])]
+    copied = helper.make_node("Identity", ["matrix"], ["y"])
+    branch = helper.make_graph([copied], "s", [], given, [outside])
+    nodes, _ = _mean(3, 7)
+    nodes.insert(0, helper.make_node("If", ["c"], ["w"], then_branch=branch, else_branch=branch))
+    nodes[-1].input[1] = "w"
+    path = network(tmp_path / "n.onnx", nodes, [numpy_helper.from_array(np.array(True), "c")])
+    refused(path, "its weights lie in another file; save it as one file")
+
+
 def test_a_graph_that_fills_the_memory_is_given_up(tmp_path: Path) -> None:
     from onnx import helper, numpy_helper
 
@@ -155,7 +172,7 @@ def test_a_graph_that_fills_the_memory_is_given_up(tmp_path: Path) -> None:
 def test_a_network_that_takes_too_long_is_given_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(trial, "_WAIT_S", 0.05)
+    monkeypatch.setattr(child, "_WAIT_S", 0.05)
     refused(write_colour_network(tmp_path / "n.onnx"), "needs more than 0 s to load")
 
 
@@ -166,6 +183,12 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
 
 
 # ------------------------------------------------------------------------------------ checkpoints
+
+
+LAUGHS: list[Any] = []
+"""A list of a thousand bytes that holds ten to the hundredth lists"""
+for _ in range(100):
+    LAUGHS = [LAUGHS] * 10
 
 
 class _Code:
@@ -202,6 +225,7 @@ def _begin(start: Path) -> None:
         ("code", "something else than weights, which is not loaded"),
         ("pickle", "cannot be read as a checkpoint: it is none"),
         ("wide", "something else than weights"),
+        ("laughs", "something else than the weights"),
         ("bomb", "more than 4096 MiB"),
         ("missing", "it does not exist; name the folder"),
     ],
@@ -222,6 +246,7 @@ def test_checkpoints_that_hold_something_else(start: Path, kind: str, message: s
         "nan": sound | {first: sound[first] * float("nan")},
         "code": {"a": _Code()},
         "wide": sound | {first: torch.zeros(1).expand(100_000, 100_000)},
+        "laughs": {"a": LAUGHS},
     }
     if kind in contents:
         torch.save(contents[kind], path)
@@ -257,7 +282,15 @@ def test_a_checkpoint_of_something_else_is_not_resumed(start: Path) -> None:
         ({"identity": {}, "history": [row], "best_epoch": 9}, "is not the checkpoint"),
         ({"identity": {}, "history": [row], "best_epoch": 0}, "does not hold the state of this"),
         ({"identity": 7}, "is not the checkpoint"),
+        (
+            {"identity": {"epochs": LAUGHS}, "history": [], "best_epoch": -1},
+            r"holds a training with epochs \[\[\[.*, not .3.; name another",
+        ),
+        (
+            {"identity": {"epochs": [torch.zeros(3)]}, "history": [], "best_epoch": -1},
+            "with epochs",
+        ),
     ):
         torch.save(state, start / "last.pt")
         with pytest.raises(ValueError, match=message):
-            restore(Trainer(), start, {})
+            restore(Trainer(), start, {"epochs": [3]} if "epochs" in message else {})
