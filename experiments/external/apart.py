@@ -51,6 +51,7 @@ def in_child(command: Callable[[], int]) -> tuple[int, str]:
     signals = _pass_on(child)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _PASSED_ON)
     ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    signal.alarm(0)
     end_descendants(parent)
     os.set_blocking(reader, False)  # what it has started may hold the other end
     try:
