@@ -284,7 +284,12 @@ ENDLESS = (
 def _interrupted(runs: Path, sql: str, number: signal.Signals) -> subprocess.CompletedProcess[str]:
     command = (sys.executable, "-m", "touchdown", "query", str(runs), sql)
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # Background jobs of a shell ignore SIGINT.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     ) as process:
         wait_for(lambda: process.poll() is not None or _queries(process.pid), "the query runs")
         os.kill(process.pid, number)
