@@ -75,7 +75,7 @@ def test_a_wrong_value_of_a_profile_names_the_profile(monkeypatch: pytest.Monkey
 
 
 def test_an_unknown_profile_is_refused_in_one_line() -> None:
-    with pytest.raises(UsageError, match="profile = .*unknown; known: ideal, field, harsh"):
+    with pytest.raises(UsageError, match=r"profile = .*unknown; known: ideal, field, harsh"):
         config_of({"profile": "kind"}, {"profile": "test"})
     with pytest.raises(UsageError, match="profile"):
         config_of({"profile": ["field"]}, {"profile": "test"})
