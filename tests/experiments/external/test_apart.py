@@ -29,8 +29,9 @@ print("stuck", flush=True)
 while True: time.sleep(1.0)
 """
 SOFT = """
-print("stuck", flush=True)
-try: time.sleep(600.0)
+try:
+    print("stuck", flush=True)
+    time.sleep(600.0)
 except KeyboardInterrupt: print("interrupted", flush=True); os._exit(9)
 """
 ENDINGS = {
