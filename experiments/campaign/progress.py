@@ -55,9 +55,11 @@ class TimeLeft:
 
 
 class Display(Watcher):
-    """Watcher that shows the bar or prints the lines."""
+    """Watcher that shows the bar or prints the lines; first ``heading``, once the campaign has been
+    checked."""
 
-    def __init__(self) -> None:
+    def __init__(self, heading: Sequence[str] = ()) -> None:
+        self._heading = heading
         self._console = make_console(stderr=True)
         self._live = self._console.is_terminal
         self._counts = {"finished": 0, "failed": 0, "unsuccessful": 0}
@@ -66,6 +68,8 @@ class Display(Watcher):
     def start(self, todo: Sequence[Task], done: int, jobs: int) -> None:
         self._total, self._number = done + len(todo), done
         self._time_left = TimeLeft(todo, jobs)
+        for line in self._heading:
+            self._say(line)
         note = f"{done} of {self._total} runs are there already; " if done else ""
         self._say(f"{note}flying {len(todo)} on {min(jobs, max(1, len(todo)))} workers")
         if self._live and todo:

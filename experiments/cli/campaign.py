@@ -117,9 +117,7 @@ def fly_file(
     if out is None:
         raise click.MissingParameter(ctx=context, param_hint="'--out'", param_type="option")
     flown_by = make_engine(more["engine"], more["jobs"], more["ray_address"])
-    if not more["quiet"]:
-        print("\n".join(map(visible, lines(expected))), file=sys.stderr)
-    watcher = Watcher() if more["quiet"] else Display()
+    watcher = Watcher() if more["quiet"] else Display(lines(expected))
     try:
         figures = fly_campaign(plan, out, flown_by, shard=shard, watcher=watcher)
     except KeyboardInterrupt as error:

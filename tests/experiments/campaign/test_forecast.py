@@ -95,7 +95,8 @@ def test_the_lines_are_printed_before_the_first_flight(
     file = tmp_path / "cost.toml"
     file.write_text(FILE % "36.0")
 
-    def stop(*_: Any, **__: Any) -> None:
+    def stop(*_: Any, watcher: session.Watcher, **__: Any) -> None:
+        watcher.start([], 0, 1)
         raise UsageError("enough")
 
     monkeypatch.setattr(session, "fly_campaign", stop)

@@ -83,7 +83,7 @@ def test_an_interrupted_bag_leaves_no_files(tmp_path: Path) -> None:
 
 
 def _break_off(out: Path) -> None:
-    with whole_folder(out) as folder, Bag(folder) as bag:
+    with whole_folder(out, ()) as folder, Bag(folder) as bag:
         bag.put("/s", 0, ros.text_message("text"))
         raise RuntimeError("the disk is full")
 
