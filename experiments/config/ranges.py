@@ -35,6 +35,8 @@ LARGEST_OF_KEY: Mapping[str, float] = {
     "log.scan_points": 1_000_000,
     "sim.battery_capacity_j": 1e9,
     "mapper.count_cap": 1e6,
+    # Northings of projected maps: a site given in the file's coordinates is named with its remedy.
+    "landing.site_xy_m": 1e7,
 }
 """Largest values of keys with a reason of their own."""
 LARGEST_OF_UNIT: Mapping[str, float] = {
