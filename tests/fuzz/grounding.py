@@ -98,7 +98,6 @@ _STOPS: dict[str, dict[str, Callable[..., Any]]] = {
     "touchdown.landing.classification.learning.training": {"Trainer.run_epoch": _reach},
     "touchdown.landing.classification.trial": {"reason_against": _reason_against},
     "touchdown.scenes.compose": {"compose_spec": _compose_spec},
-    "touchdown.scenes.export": {"compose_spec": _compose_spec},
     "touchdown.sim.posed_sensors": {"PosedSensors.__init__": _reach},
 }
 """By module, what is replaced in it."""
