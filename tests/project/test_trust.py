@@ -3,6 +3,8 @@ read."""
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from touchdown.experiments.io import sensor_log_checks, sensor_log_reader
@@ -49,11 +51,22 @@ def _mib(size: int) -> str:
         f"{geotiff.FINE_CELLS} cells across",
         f"{geotiff.COARSEST_M:g} m",
         f"{pictures.MAX_PIXELS} pixels",
+        f"{pictures.MAX_SCANNED_PIXELS} pixels together",
         *(f"{most} each" for most in set(mjcf_limits.MAX_OF_TAG.values())),
     ],
 )
 def test_limits_are_those_of_the_code(limit: str) -> None:
     assert limit in text_of(PAGE)
+
+
+def test_every_promise_has_tests() -> None:
+    rows = rows_of(PAGE, "promise")
+    assert rows
+    for promise, tests in rows:
+        nodes = re.findall(r"`(tests/\S+)::(\w+)`", tests)
+        assert nodes, promise
+        for path, name in nodes:
+            assert f"\ndef {name}(" in text_of(path), f"{promise}: {path} has no {name}"
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from touchdown.experiments.campaign import plan as plans
 from touchdown.experiments.campaign.plan import Limits, in_shard, load_plan
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
@@ -162,6 +163,15 @@ def test_shards_share_the_runs_among_them() -> None:
 def test_limits_have_sane_defaults() -> None:
     limits = Limits()
     assert limits.retries == 1 and limits.run_timeout_s > 600 and limits.memory_gb > 2
+
+
+@pytest.mark.parametrize("more", [{"seeds": "0-10"}, {"seeds": "0-3", "wind_kmh": [0, 1, 2]}])
+def test_axes_that_span_too_many_runs_are_not_multiplied(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: dict[str, Any]
+) -> None:
+    monkeypatch.setattr(plans, "MOST_RUNS", 10)
+    with pytest.raises(UsageError, match=r"more than 10; (give fewer|split the campaign)"):
+        make_plan(tmp_path, axes(scene=["flat"], **more))
 
 
 def test_a_scene_file_is_loaded_before_the_first_flight(
