@@ -77,7 +77,7 @@ def campaign() -> int:
 @click.option("--allow-code", is_flag=True,
               help="Import external estimators that a campaign.toml of results names.")  # fmt: skip
 @click.option("--preset", type=click.Choice(["whole", "short"]),
-              help="How much each run flies: short is one leg of 12 m at 15 m.  [whole]")  # fmt: skip
+              help="How much each run flies: short is one leg of 12 m.  [whole]")  # fmt: skip
 @click.option("--dry-run", is_flag=True,
               help="Print the number of flights and their expected cost; fly nothing.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
