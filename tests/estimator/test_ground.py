@@ -150,6 +150,17 @@ def test_few_returns_are_judged_with_those_around_them() -> None:
     assert abs(grid.ground().height_m[12, 12]) < 0.03
 
 
+def test_water_that_swallows_most_pulses_keeps_its_mean_height() -> None:
+    """Three returns a cell, one of them from 0.3 m below, of a hundred pulses."""
+    rng = np.random.default_rng(4)
+    returns = 0.02 * rng.standard_normal((3, ROWS, COLS))
+    returns[rng.integers(0, 3, (ROWS, COLS)), *np.indices((ROWS, COLS))] -= 0.3
+    grid = grid_of_returns(returns)
+    assert np.median(grid.ground().height_m - grid.height_m) < -0.05
+    grid.missing[:] = 97.0
+    np.testing.assert_array_equal(grid.ground().height_m, grid.height_m)
+
+
 def test_ground_of_a_window_is_that_of_the_whole_map() -> None:
     grid = grid_of_returns(0.1 * X + grass(0.25))
     whole = grid.ground()
