@@ -196,8 +196,8 @@ def _slope_at(own: Float32, row: int, col: int, reach: int, slope: Array) -> Non
 
 @numba.njit(cache=True)
 def _stands_alone(own: Float32, row: int, col: int, reach: int, few: bool) -> bool:
-    """True if a cell lies high above most of the known cells around it, or, with ``few`` returns,
-    far below them: an echo that came late."""
+    """True if a cell lies high above most of the known cells around it, or, with ``few`` returns in
+    its histogram, far below them: an echo that came late."""
     known = below = above = 0
     for a in range(max(row - reach, 0), min(row + reach + 1, own.shape[0])):
         for b in range(max(col - reach, 0), min(col + reach + 1, own.shape[1])):
@@ -254,7 +254,8 @@ def _pooled_modes(
             if not wanted[row, col] or np.isnan(own[row, col]):
                 continue
             few = count[row, col] <= _FEW
-            if _stands_alone(own, row, col, slope_reach, few):
+            within = histogram[row, col, : bins - 1].sum()
+            if _stands_alone(own, row, col, slope_reach, few or within <= _FEW):
                 height[row, col] = np.nan
                 std[row, col] = np.nan
                 continue

@@ -127,6 +127,15 @@ def test_few_returns_far_below_the_ground_are_none_of_it() -> None:
     assert found[12, 20] == pytest.approx(-1.0, abs=0.03)
 
 
+def test_late_first_echo_is_no_ground() -> None:
+    """The histogram of its cell begins 4 m too low and holds none of the other returns."""
+    returns = 0.02 * np.random.default_rng(4).standard_normal((10, ROWS, COLS))
+    returns[0, 12, 12] = -4.0
+    found = grid_of_returns(returns).ground().height_m
+    assert np.isnan(found[12, 12]) and np.isfinite(found).sum() == found.size - 1
+    assert np.nanmax(np.abs(found)) < 0.05
+
+
 def test_uncertainty_grows_as_fewer_returns_come_from_the_ground() -> None:
     open_, dense, short = (
         np.median(grid_of_returns(returns).ground().std_m[INNER])
