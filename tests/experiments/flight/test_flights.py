@@ -35,7 +35,7 @@ def livo_flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[st
 
 def test_livo_knows_where_it_is(livo_flight: tuple[Path, dict[str, Any]]) -> None:
     _, result = livo_flight
-    assert result["outcome"] == "COMPLETED"
+    assert result["outcome"] == "COMPLETED" and result["choice"] is None
     assert result["position_error_m"]["mean"] < 0.10
     assert result["position_error_m"]["max"] < 0.25
     assert result["position_error_m"]["yaw_deg"] < 0.3
@@ -81,6 +81,10 @@ def test_the_flight_follows_the_estimate_not_the_truth() -> None:
     assert result["outcome"] == "LANDED", result["reason"]
     moved = np.array(result["landing"]["touchdown_xy_m"]) - site
     np.testing.assert_allclose(moved, [-0.3, 0.4], atol=0.1)
+    (site_taken,) = result["choice"]["candidates"]
+    assert site_taken["accepted"] and site_taken["rule"] == "commanded"
+    assert site_taken["position_m"][:2] == pytest.approx(site, abs=0.05)
+    assert sum(t["value"] for t in site_taken["terms"]) == pytest.approx(site_taken["value"])
 
 
 @pytest.mark.slow
