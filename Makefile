@@ -14,12 +14,13 @@ export MUJOCO_GL ?= egl
 PROFILE ?= field
 
 .DEFAULT_GOAL := help
-.PHONY: help land test check bench results docs format clean
+.PHONY: help land test check mutation bench results docs format clean
 
 help:
 	@echo "make land    set everything up, fly over crossroad and land"
 	@echo "make test    the tests"
 	@echo "make check   style, types, architecture"
+	@echo "make mutation changes algorithms one statement at a time; the tests must see it"
 	@echo "make bench   real-time factor and the time of each stage"
 	@echo "make results fly what README and the results pages print; write their tables"
 	@echo "make docs    the pages as a site, in site/"
@@ -37,6 +38,10 @@ check: $(READY_TO_TEST)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest tests/project/test_architecture.py
+
+# Goes on where an earlier call stopped; about an hour of two cores from the start.
+mutation: $(READY_TO_TEST)
+	$(BIN)/python tests/mutations/run.py
 
 bench: $(READY)
 	$(BIN)/touchdown bench loop
