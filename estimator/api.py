@@ -184,7 +184,7 @@ class GridMap:
         from touchdown.estimator.ground import ground_of
 
         rows, cols = box if box is not None else (slice(None), slice(None))
-        layers = (self.count, self.height_m, self.height_std_m)
+        layers = (self.count, self.height_m, self.height_std_m, self.missing)
         return Ground(*ground_of(layers, self.histogram, self.histogram_base_m, self.cell_m,
                                  (rows, cols), where))  # fmt: skip
 

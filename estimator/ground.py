@@ -6,6 +6,8 @@ which returns gather: from the lowest returns of a cell, mean shift (Fukunaga an
 climbs to the nearest mode of their density. Since few pulses pass dense plants, the returns of the
 neighbours count too, moved along the slope of the ground. A cell whose returns lie within the noise
 of the ranges shows one surface, and is left as it is: what is solid keeps its height and its steps.
+So is water, which returns few of the pulses: nothing grows there, and its lowest returns come from
+below.
 """
 
 from __future__ import annotations
@@ -48,7 +50,7 @@ _CONVERGED_M = 1e-4
 
 
 def ground_of(
-    layers: tuple[Float32, Float32, Float32],
+    layers: tuple[Float32, Float32, Float32, Float32],
     histogram: Bytes | None,
     base: Float32 | None,
     cell_m: float,
@@ -56,13 +58,13 @@ def ground_of(
     where: Mask | None = None,
 ) -> tuple[Float32, Float32]:
     """Implements ``GridMap.ground``: height and standard deviation. ``layers``: number, mean height
-    and standard deviation of the returns, (rows, cols)."""
+    and standard deviation of the returns and pulses without return, (rows, cols)."""
     (top, bottom, _), (left, right, _) = (
         part.indices(size) for part, size in zip(box, layers[0].shape, strict=True)
     )
     edge = round((_REACH_M + _SLOPE_REACH_M) / cell_m)
     around = np.s_[max(top - edge, 0) : bottom + edge, max(left - edge, 0) : right + edge]
-    count, mean, spread = (layer[around] for layer in layers)
+    count, mean, spread, missing = (layer[around] for layer in layers)
     with np.errstate(invalid="ignore", divide="ignore"):
         noise = np.maximum(spread, np.float32(_LEAST_STD_M))
         std: Float32 = (noise / np.sqrt(np.maximum(count, 1.0))).astype(np.float32)
@@ -72,18 +74,22 @@ def ground_of(
     wanted = np.zeros(mean.shape, np.bool_)
     wanted[inner] = True if where is None else where
     if histogram is not None and base is not None and wanted.any():
+        several = (missing <= count) & ((count <= _FEW) | (spread > ONE_SURFACE_STD_M))
         _find_ground(
-            histogram[around], base[around], (count, mean, spread), cell_m, wanted, height, std
-        )
+            histogram[around], base[around], (count, mean, spread), cell_m, (wanted, several),
+            height, std,
+        )  # fmt: skip
     return height[inner], std[inner]
 
 
 def _find_ground(
     histogram: Bytes, base: Float32, layers: tuple[Float32, Float32, Float32], cell_m: float,
-    wanted: Mask, height: Float32, std: Float32,
+    masks: tuple[Mask, Mask], height: Float32, std: Float32,
 ) -> None:  # fmt: skip
-    """Writes ``height`` and ``std`` (rows, cols) of the ``wanted`` cells of several surfaces."""
+    """Writes ``height`` and ``std`` (rows, cols) of the cells that are wanted and may show several
+    surfaces, the two ``masks``."""
     count, mean, spread = layers
+    wanted, several = masks
     own = mean.copy()
     side = 2 * round(_SLOPE_REACH_M / cell_m) + 1
     square = np.ones((side, side), np.uint8)
@@ -92,7 +98,7 @@ def _find_ground(
     _own_modes(histogram, base, spread, near, own, ends)
     slope_reach, reach = round(_SLOPE_REACH_M / cell_m), round(_REACH_M / cell_m)
     _pooled_modes(
-        histogram, base, count, spread, wanted, own, ends, cell_m, slope_reach, max(reach, 1),
+        histogram, base, count, several, wanted, own, ends, cell_m, slope_reach, max(reach, 1),
         height, std,
     )  # fmt: skip
 
@@ -190,8 +196,8 @@ def _slope_at(own: Float32, row: int, col: int, reach: int, slope: Array) -> Non
 
 @numba.njit(cache=True)
 def _stands_alone(own: Float32, row: int, col: int, reach: int, few: bool) -> bool:
-    """True if a cell lies high above most of the known cells around it, or, with ``few`` returns,
-    far below them: an echo that came late."""
+    """True if a cell lies high above most of the known cells around it, or, with ``few`` returns in
+    its histogram, far below them: an echo that came late."""
     known = below = above = 0
     for a in range(max(row - reach, 0), min(row + reach + 1, own.shape[0])):
         for b in range(max(col - reach, 0), min(col + reach + 1, own.shape[1])):
@@ -227,7 +233,7 @@ def _pooled_modes(
     histogram: Bytes,
     base: Float32,
     count: Float32,
-    spread: Float32,
+    several: Mask,
     wanted: Mask,
     own: Float32,
     ends: Bytes,
@@ -237,8 +243,9 @@ def _pooled_modes(
     height: Float32,
     std: Float32,
 ) -> None:
-    """Writes the lowest mode of the returns of each cell of several surfaces and of its neighbours,
-    not below its own lowest returns, and its standard deviation; NaN for what stands alone."""
+    """Writes the lowest mode of the returns of each cell of ``several`` surfaces and its
+    neighbours, not below its own lowest returns, and its standard deviation; NaN for what stands
+    alone."""
     rows, cols, bins = histogram.shape
     weights, slope = np.zeros(_BINS), np.zeros(2)
     limit, below = _SLOPE_LIMIT * cell, (_BINS - bins) // 2
@@ -247,11 +254,12 @@ def _pooled_modes(
             if not wanted[row, col] or np.isnan(own[row, col]):
                 continue
             few = count[row, col] <= _FEW
-            if _stands_alone(own, row, col, slope_reach, few):
+            within = histogram[row, col, : bins - 1].sum()
+            if _stands_alone(own, row, col, slope_reach, few or within <= _FEW):
                 height[row, col] = np.nan
                 std[row, col] = np.nan
                 continue
-            if not few and not spread[row, col] > ONE_SURFACE_STD_M:
+            if not several[row, col]:
                 continue
             _slope_at(own, row, col, slope_reach, slope)
             per_col = min(max(slope[0], -limit), limit)

@@ -127,6 +127,15 @@ def test_few_returns_far_below_the_ground_are_none_of_it() -> None:
     assert found[12, 20] == pytest.approx(-1.0, abs=0.03)
 
 
+def test_late_first_echo_is_no_ground() -> None:
+    """The histogram of its cell begins 4 m too low and holds none of the other returns."""
+    returns = 0.02 * np.random.default_rng(4).standard_normal((10, ROWS, COLS))
+    returns[0, 12, 12] = -4.0
+    found = grid_of_returns(returns).ground().height_m
+    assert np.isnan(found[12, 12]) and np.isfinite(found).sum() == found.size - 1
+    assert np.nanmax(np.abs(found)) < 0.05
+
+
 def test_uncertainty_grows_as_fewer_returns_come_from_the_ground() -> None:
     open_, dense, short = (
         np.median(grid_of_returns(returns).ground().std_m[INNER])
@@ -148,6 +157,17 @@ def test_few_returns_are_judged_with_those_around_them() -> None:
     for layer, value in zip(layers, (2.0, 0.24, 0.24, 0.24, 0.0), strict=True):
         layer[12, 12] = value
     assert abs(grid.ground().height_m[12, 12]) < 0.03
+
+
+def test_water_that_swallows_most_pulses_keeps_its_mean_height() -> None:
+    """Three returns a cell, one of them from 0.3 m below, of a hundred pulses."""
+    rng = np.random.default_rng(4)
+    returns = 0.02 * rng.standard_normal((3, ROWS, COLS))
+    returns[rng.integers(0, 3, (ROWS, COLS)), *np.indices((ROWS, COLS))] -= 0.3
+    grid = grid_of_returns(returns)
+    assert np.median(grid.ground().height_m - grid.height_m) < -0.05
+    grid.missing[:] = 97.0
+    np.testing.assert_array_equal(grid.ground().height_m, grid.height_m)
 
 
 def test_ground_of_a_window_is_that_of_the_whole_map() -> None:
