@@ -1,7 +1,5 @@
 """The rules of ARCHITECTURE.md, checked on the source itself."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import re
@@ -15,13 +13,10 @@ import pytest
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("sim", "scenes", "estimator", "landing", "controller", "experiments")
 API_MAY_USE = {
-    "sim": set(),
-    "scenes": {"sim"},
-    "estimator": {"sim"},
-    "controller": {"sim", "estimator"},
+    "sim": set(), "scenes": {"sim"}, "estimator": {"sim"}, "controller": {"sim", "estimator"},
     "landing": {"sim", "estimator", "controller", "scenes"},
     "experiments": set(FOLDERS) - {"experiments"},
-}
+}  # fmt: skip
 """Folders whose ``api`` (and ``sim.frames``) a folder's own ``api`` may import."""
 
 
@@ -59,10 +54,7 @@ ROOT_FILES = {"__init__", "errors", "terminal", "api", "python_api", "pytest_plu
 
 SHARED = ("touchdown.sim.frames", "touchdown.sim.geometry.", "touchdown.sim.files.")
 """What all library folders may use beside the apis."""
-TORCH_FOLDERS = (
-    Path("landing/classification/networks"),
-    Path("landing/classification/learning"),
-)
+TORCH_FOLDERS = (Path("landing/classification/networks"), Path("landing/classification/learning"))
 """The only places that load torch; ``registry`` among them does not."""
 MAX_LINES = 450
 MAX_MODULES = 20
@@ -125,9 +117,6 @@ def _id(path: Path) -> str:
 
 def _sources_of(folder: str) -> list[Path]:
     return [path for path in SOURCES if path.relative_to(ROOT).parts[0] == folder]
-
-
-# ------------------------------------------------------------------------------------ dependencies
 
 
 def test_no_bare_imports() -> None:
@@ -276,7 +265,6 @@ def test_torch_and_ray_are_imported_when_they_are_needed(folder: str) -> None:
                 assert all(n == f"{home}.registry" or not n.startswith(home) for n in names)
 
 
-# ---------------------------------------------------------------------------------------
 # readability
 
 
@@ -320,9 +308,6 @@ def test_no_paths_of_one_machine() -> None:
             continue
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
             assert not pattern.search(line), f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
-
-
-# ------------------------------------------------------------------------------------------ package
 
 
 def test_console_script_exists() -> None:

@@ -1,7 +1,5 @@
 """Checks of the pages: links, the site, commands, code blocks."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import io
@@ -32,8 +30,6 @@ from support.docs_support import (
     rows_of,
     text_of,
 )
-
-# ------------------------------------------------------------------------------------------ links
 
 
 def _anchors(page: Path) -> set[str]:
@@ -69,9 +65,6 @@ def test_the_front_page_links_every_page() -> None:
     reference = ROOT / "docs" / "reference" / "index.md"
     linked = {target for page in (ROOT / "README.md", reference) for target, _ in _links(page, "")}
     assert [name_of(page) for page in PAGES if page not in linked] == []
-
-
-# ------------------------------------------------------------------------------------------- site
 
 
 def _site_hooks() -> ModuleType:
@@ -110,19 +103,16 @@ def test_the_reference_has_every_api() -> None:
         assert (ROOT / "src" / (module.replace(".", "/") + ".py")).is_file(), module
 
 
-@pytest.mark.parametrize(
-    ("source", "link", "in_the_site"),
-    [
-        ("README.md", "docs/scenes.md#truth-maps", "scenes.md#truth-maps"),
-        ("README.md", "docs/images/costmap.png", "images/costmap.png"),
-        ("README.md", "ARCHITECTURE.md", "architecture.md"),
-        ("docs/reference/index.md", "../../README.md#results", "../index.md#results"),
-        ("docs/results/landing.md", "../images/pools.jpg", "../images/pools.jpg"),
-        ("docs/scenes.md", "#truth-maps", "#truth-maps"),
-        ("docs/scenes.md", "https://example.org/README.md", "https://example.org/README.md"),
-        ("docs/scenes.md", "../Makefile", "../Makefile"),
-    ],
-)
+@pytest.mark.parametrize(("source", "link", "in_the_site"), [
+    ("README.md", "docs/scenes.md#truth-maps", "scenes.md#truth-maps"),
+    ("README.md", "docs/images/costmap.png", "images/costmap.png"),
+    ("README.md", "ARCHITECTURE.md", "architecture.md"),
+    ("docs/reference/index.md", "../../README.md#results", "../index.md#results"),
+    ("docs/results/landing.md", "../images/pools.jpg", "../images/pools.jpg"),
+    ("docs/scenes.md", "#truth-maps", "#truth-maps"),
+    ("docs/scenes.md", "https://example.org/README.md", "https://example.org/README.md"),
+    ("docs/scenes.md", "../Makefile", "../Makefile"),
+])  # fmt: skip
 def test_links_are_moved_with_their_pages(source: str, link: str, in_the_site: str) -> None:
     assert _site_hooks().links_of_the_site(f"[a]({link})", source) == f"[a]({in_the_site})"
 
@@ -132,9 +122,6 @@ def test_the_site_describes_every_command() -> None:
     described = re.findall(r"^## (.+)$", page, re.MULTILINE)
     assert described == ["touchdown", *(f"touchdown {path}" for path in _leaves(cli.cli))]
     assert re.findall(r"^Usage: ([a-z -]+[a-z])", page, re.MULTILINE) == described
-
-
-# --------------------------------------------------------------------------------------- commands
 
 
 def _commands(text: str) -> Iterator[list[str]]:
@@ -201,17 +188,6 @@ def test_commands_in_prose_exist(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_no_command_is_written_where_nobody_checks_it(page: Path) -> None:
-    """Wherever a page writes ``touchdown`` and a command's name, the tests above have read it."""
-    text = page.read_text(encoding="utf-8")
-    codes = [*blocks_of(page, "sh"), *blocks_of(page, "yaml"), *inline_of(page)]
-    checked = sum(1 for code in codes for arguments in _commands(code) if arguments)
-    names = "|".join(cli.cli.commands)
-    text = re.sub(r"(?<=\s)#\s.*?$", "", text, flags=re.MULTILINE)
-    assert checked >= len(re.findall(rf"(?<![\w-])touchdown\s+(?:{names})(?![\w-])", text))
-
-
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_options_in_prose_exist(page: Path) -> None:
     """Options that are written without their command are options of some command."""
     described = _site_hooks().help_of_commands() + text_of("experiments/pytest_plugin.py")
@@ -238,15 +214,6 @@ def test_make_targets_exist(page: Path) -> None:
     for text in (*blocks_of(page, "sh"), *inline_of(page)):
         for target in re.findall(r"^make (\w+)", text, re.MULTILINE):
             assert target in targets, f"{name_of(page)}: make {target}"
-
-
-@pytest.mark.parametrize("arguments", [["scenes", "list"], ["--help"], ["land", "--help"]])
-def test_cheap_commands_run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(arguments) == 0
-    assert capsys.readouterr().out.strip()
-
-
-# ------------------------------------------------------------------------------------------- code
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -1,7 +1,5 @@
 """Checks of names on the pages: files, modules, code, keys and their defaults."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import dataclasses
@@ -19,22 +17,9 @@ from touchdown.experiments.io.results import columns
 from support.docs_support import FOLDERS, PAGES, ROOT, inline_of, name_of, rows_of
 
 SENSOR_KEYS = (
-    "wind",
-    "lidar",
-    "dust",
-    "camera",
-    "lamp",
-    "imu",
-    "gps",
-    "barometer",
-    "magnetometer",
-    "rangefinder",
-    "calibration_error",
-    "vehicle_error",
-    "start",
-)
-
-# ------------------------------------------------------------------------------------------ names
+    "wind", "lidar", "dust", "camera", "lamp", "imu", "gps", "barometer", "magnetometer",
+    "rangefinder", "calibration_error", "vehicle_error", "start",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
@@ -94,9 +79,6 @@ def test_scenes_are_listed() -> None:
     assert sorted(listed) == scene_names()
 
 
-# --------------------------------------------------------------------------------- keys, defaults
-
-
 def _value(cell: str) -> Any:
     cell = cell.strip("`")
     if cell == "none":
@@ -119,65 +101,6 @@ def test_sensor_keys_and_defaults() -> None:
     assert listed == actual
 
 
-def test_lidar_presets() -> None:
-    from touchdown.sim.lidar.patterns.livox import PATTERNS
-
-    rows = {row[0].strip("`"): row[1:] for row in rows_of("docs/sensors.md", "preset")}
-    for name, p in PATTERNS.items():
-        limits = zip(p.range_limits_m, p.range_reflectivities, strict=True)
-        assert rows[name] == [
-            f"{p.point_rate_hz:,}".replace(",", " "),
-            "{:g}° x {:g}°".format(*p.field_of_view_deg),
-            ", ".join(f"{metres:g} m at {100.0 * share:g} %" for metres, share in limits),
-            "{:g}° x {:g}°".format(*p.divergence_deg),
-        ]
-
-
-def test_gps_presets() -> None:
-    from touchdown.sim.navigation.gps import PRESETS
-
-    rows = {row[0].strip("`"): row[1:] for row in rows_of("docs/sensors.md", "preset")}
-    for name, model in PRESETS.items():
-        if model.receives:
-            spread = [float(cell.removesuffix(" m")) for cell in rows[name][:2]]
-            assert spread == pytest.approx([model.sigma_xy_m, model.sigma_z_m], rel=5e-3)
-        else:
-            assert rows[name][-1] == "no fix ever"
-
-
-def test_classes_and_reflectivities_of_the_ground() -> None:
-    from touchdown.scenes.api import LAND_CLASSES, RISKY_CLASSES, SAFE_CLASSES, UNSAFE_CLASSES
-    from touchdown.scenes.authoring.ground import Canvas, Ground
-
-    on_ground: dict[str, set[float]] = {name: set() for name in LAND_CLASSES}
-    for material in Ground:
-        canvas = Canvas.of_size(1.0, 8)
-        canvas.material[:] = int(material)
-        raster = canvas.raster("ground")
-        name = LAND_CLASSES[int(raster.class_id[0, 0])]
-        on_ground[name].add(round(float(raster.reflectivity[0, 0]), 2))
-    verdicts = {"safe": SAFE_CLASSES, "risky": RISKY_CLASSES, "unsafe": UNSAFE_CLASSES}
-    rows = {row[0].strip("`"): row[1:] for row in rows_of("docs/scenes.md", "class")}
-    assert set(rows) == {*LAND_CLASSES, "other"}
-    for name in LAND_CLASSES:
-        assert name in verdicts[rows[name][0]]
-        listed = {float(number) for number in re.findall(r"\d\.\d+", rows[name][1])}
-        assert on_ground[name] <= listed
-        assert name not in ("lawn", "field", "path", "road") or listed == on_ground[name]
-
-
-def test_classes_of_files_by_others() -> None:
-    from touchdown.scenes.importers.mjcf import REFLECTIVITY_905NM
-
-    rows = {
-        row[0].strip("`"): row[1] for row in rows_of("docs/your-own-place.md", "name begins with")
-    }
-    assert {name: float(value) for name, value in rows.items()} == {
-        "anything else" if name == "other" else name: value
-        for name, value in REFLECTIVITY_905NM.items()
-    }
-
-
 def test_options_of_the_environments() -> None:
     pytest.importorskip("gymnasium")
     from touchdown.experiments.environments.landing_task import TaskOptions
@@ -187,13 +110,3 @@ def test_options_of_the_environments() -> None:
         for row in rows_of("docs/environments.md", "option")
     }
     assert listed == {f.name: f.default for f in dataclasses.fields(TaskOptions)}
-
-
-def test_sensors_of_the_environments() -> None:
-    pytest.importorskip("gymnasium")
-    from touchdown.experiments.environments.observations import SENSORS, ObservationBuffer
-
-    observations = ObservationBuffer(tuple(SENSORS), privileged=True, camera_pixels=(84, 84))
-    listed = {row[0].strip("`"): row[1] for row in rows_of("docs/environments.md", "name")}
-    shapes = {name: str(bounds.shape) for name, bounds in observations.bounds.items()}
-    assert listed == shapes | {"camera": "(H, W, 3)"}

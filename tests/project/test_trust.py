@@ -1,16 +1,9 @@
 """The page on untrusted files: its limits are those of the code, its kinds those that are
 read."""
 
-from __future__ import annotations
-
 import pytest
 
-from touchdown.experiments.io import sensor_log_checks, sensor_log_reader
-from touchdown.landing.classification import weights
-from touchdown.scenes.importers import geotiff, mjcf_limits, model_check, pictures, trial
-from touchdown.sim.files import child, inflating
-
-from support.docs_support import rows_of, text_of
+from support.docs_support import rows_of
 
 PAGE = "docs/trust.md"
 KINDS = (
@@ -18,42 +11,6 @@ KINDS = (
     "campaign (TOML)", "config.json", "campaign.json", "part.json", "result.json", "baselines",
     "TUM", "CSV", "MCAP", "SQL", "estimator",
 )  # fmt: skip
-
-
-def _mib(size: int) -> str:
-    return f"{size >> 20} MiB"
-
-
-@pytest.mark.parametrize(
-    "limit",
-    [
-        _mib(mjcf_limits.MAX_TEXT_BYTES),
-        _mib(mjcf_limits.MAX_MESH_BYTES),
-        _mib(trial.TRIAL_BYTES),
-        _mib(geotiff.MAX_BLOCK_BYTES),
-        _mib(weights.MAX_BYTES),
-        f"{child.TRIAL_S} s of a processor and {child.TRIAL_MEMORY_BYTES >> 30} GiB",
-        f"may have {sensor_log_reader.MAX_RECORD_BYTES >> 20} MiB each",
-        f"at {sensor_log_checks.MAX_PIXELS} pixels",
-        f"{inflating.MAX_TEXT_BYTES >> 10} KiB",
-        f"{weights.IMAGE_SIZES[0]} to {weights.IMAGE_SIZES[1]}",
-        f"| {mjcf_limits.MAX_DEPTH}; {mjcf_limits.MAX_MODELS_DEEP} |",
-        f"| {mjcf_limits.MAX_MOVING} |",
-        f"| {mjcf_limits.MAX_ELEMENTS} |",
-        f"| {mjcf_limits.MAX_CELLS} |",
-        f"| {mjcf_limits.MAX_TEXELS}; {mjcf_limits.MAX_TEXTURE_SIDE} |",
-        f"| {model_check.MAX_TRIANGLES} |",
-        f"{model_check.FARTHEST_M:.0e} m",
-        f"{geotiff.PART_CELLS} rows",
-        f"{geotiff.MAX_PART_CELLS} cells",
-        f"{geotiff.FINE_CELLS} cells across",
-        f"{geotiff.COARSEST_M:g} m",
-        f"{pictures.MAX_PIXELS} pixels",
-        *(f"{most} each" for most in set(mjcf_limits.MAX_OF_TAG.values())),
-    ],
-)
-def test_limits_are_those_of_the_code(limit: str) -> None:
-    assert limit in text_of(PAGE)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,8 +1,5 @@
 """Elevation models: heights, units, holes, aerial images and damaged files."""
 
-from __future__ import annotations
-
-import os
 import struct
 import warnings
 from pathlib import Path
@@ -32,13 +29,10 @@ DEGREES = (1, 1, 0, 1, 1024, 0, 1, 2)
 
 
 def write_tiff(
-    path: Path,
-    heights: Array,
-    cell: tuple[float, float] = (1.0, 1.0),
-    keys: tuple[int, ...] = METRES,
-    corner: tuple[float, float] = (5000.0, 9000.0),
+    path: Path, heights: Array, cell: tuple[float, float] = (1.0, 1.0),
+    keys: tuple[int, ...] = METRES, corner: tuple[float, float] = (5000.0, 9000.0),
     nodata: str = "-9999",
-) -> Path:
+) -> Path:  # fmt: skip
     """A float32 GeoTIFF, one strip, row 0 in the north."""
     pixels = heights.astype("<f4").tobytes()
     extra = {
@@ -233,20 +227,12 @@ def _invalid(tmp_path: Path, kind: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("kind", "message"),
-    [
-        ("text", "is not a TIFF file"),
-        ("empty", "is not a TIFF file"),
-        ("holes", "every cell is a hole"),
-        ("mostly", "66 % of the window are holes"),
-        ("small", "at least 90 m"),
-        ("cut", "damaged TIFF file"),
-        ("pixels", "damaged TIFF file"),
-        ("turned", "turned against north"),
-        ("colour", "has 3 bands"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "message"), [
+    ("text", "is not a TIFF file"), ("empty", "is not a TIFF file"),
+    ("holes", "every cell is a hole"), ("mostly", "66 % of the window are holes"),
+    ("small", "at least 90 m"), ("cut", "damaged TIFF file"), ("pixels", "damaged TIFF file"),
+    ("turned", "turned against north"), ("colour", "has 3 bands"),
+])  # fmt: skip
 def test_invalid_models_are_one_clear_line(tmp_path: Path, kind: str, message: str) -> None:
     with pytest.raises(ValueError, match=message) as caught:
         import_dem(_invalid(tmp_path, kind), tmp_path / "out")
@@ -290,16 +276,3 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "holes" in captured.err and "Traceback" not in captured.err
     assert cli.main(["scenes", "import-dem", str(tif), str(out)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
-
-
-@pytest.mark.skipif("TOUCHDOWN_DATA" not in os.environ, reason="TOUCHDOWN_DATA is not set")
-def test_a_real_model(tmp_path: Path) -> None:
-    tif = Path(os.environ["TOUCHDOWN_DATA"]) / "dem" / "codem_dem_1m.tif"
-    if not tif.is_file():
-        pytest.skip(f"{tif} is not there")
-    raster = read_heights(tif)
-    assert raster.heights_m.shape == (344, 405)
-    np.testing.assert_array_equal(raster.cell_m, [1.0, 1.0])
-    assert np.isnan(raster.heights_m).mean() == pytest.approx(0.0323, abs=1e-4)
-    scene = load(import_dem(tif, tmp_path / "out"))
-    assert judge_touchdown(scene, scene.takeoff_xy_m).safe

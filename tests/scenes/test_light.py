@@ -1,7 +1,5 @@
 """Day, overcast, dusk and night: the same places under another light."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 

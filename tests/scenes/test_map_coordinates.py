@@ -1,7 +1,5 @@
 """Scenes in map coordinates are moved to the world's origin and stay what they are."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Any

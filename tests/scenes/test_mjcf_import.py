@@ -1,7 +1,5 @@
 """Import of MJCF files: names, take-off, assets, lights, units and error messages."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 
@@ -130,21 +128,18 @@ def test_no_ground_is_one_clear_line(tmp_path: Path) -> None:
     np.testing.assert_allclose(load(tmp_path, far + site).takeoff_xy_m, [30.0, 0.0])
 
 
-@pytest.mark.parametrize(
-    ("asset", "geom", "message", "kind"),
-    [
-        ('<mesh name="tree" file="oak.obj"/>', 'mesh="tree" type="mesh"', "mesh 'tree'.*oak.obj",
-         FileNotFoundError),
-        ('<mesh name="tree" file="oak.dae"/>', 'mesh="tree" type="mesh"', "cannot read 'oak.dae'",
-         ValueError),
-        ('<texture name="t" type="2d" file="turf.jpg"/><material name="m" texture="t"/>',
-         'material="m" size="1"', "cannot read 'turf.jpg' of texture 't'", ValueError),
-        ('<hfield name="h" file="dem.tif" size="9 9 1 1"/>', 'hfield="h" type="hfield"',
-         "cannot read 'dem.tif' of height field 'h'", ValueError),
-        ('<hfield name="h" file="dem.png" size="9 9 1 1"/>', 'hfield="h" type="hfield"',
-         "height field 'h' needs the file 'dem.png'", FileNotFoundError),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("asset", "geom", "message", "kind"), [
+    ('<mesh name="tree" file="oak.obj"/>', 'mesh="tree" type="mesh"', "mesh 'tree'.*oak.obj",
+     FileNotFoundError),
+    ('<mesh name="tree" file="oak.dae"/>', 'mesh="tree" type="mesh"', "cannot read 'oak.dae'",
+     ValueError),
+    ('<texture name="t" type="2d" file="turf.jpg"/><material name="m" texture="t"/>',
+     'material="m" size="1"', "cannot read 'turf.jpg' of texture 't'", ValueError),
+    ('<hfield name="h" file="dem.tif" size="9 9 1 1"/>', 'hfield="h" type="hfield"',
+     "cannot read 'dem.tif' of height field 'h'", ValueError),
+    ('<hfield name="h" file="dem.png" size="9 9 1 1"/>', 'hfield="h" type="hfield"',
+     "height field 'h' needs the file 'dem.png'", FileNotFoundError),
+])  # fmt: skip
 def test_invalid_assets_are_named(
     tmp_path: Path, asset: str, geom: str, message: str, kind: type[Exception]
 ) -> None:

@@ -1,7 +1,5 @@
 """Scenes: rendering, collision geometry and truth maps agree."""
 
-from __future__ import annotations
-
 import functools
 import os
 import warnings
@@ -71,9 +69,6 @@ def ramp(tmp_path: Path, slope_deg: float, step_m: float = 0.0) -> Scene:
     )
 
 
-# ------------------------------------------------------------------------------- composition
-
-
 def test_vehicle_stands_on_the_takeoff_spot(crossroad: Scene) -> None:
     model = crossroad.model
     assert model.nq == 7
@@ -114,9 +109,6 @@ def test_same_seed_same_bytes_other_seed_another_scene(crossroad: Scene) -> None
     first, again = parts(crossroad.model), parts(load_scene("crossroad", 0).model)
     assert first == again
     assert all(a != b for a, b in zip(first, parts(cached_scene(1).model), strict=True))
-
-
-# -------------------------------------------------------------------- image, raster, geometry
 
 
 def test_terrain_heights_equal_mujoco_s(crossroad: Scene) -> None:
@@ -196,9 +188,6 @@ def test_moving_cars_follow_closed_paths_inside_the_scene(crossroad: Scene) -> N
         assert moving.speed_mps > 0.0
 
 
-# -------------------------------------------------------------------------------------- truth
-
-
 def test_ramp_slope_is_exact_and_decides_safety(tmp_path: Path) -> None:
     for slope, safe in ((3.0, True), (4.8, True), (5.2, False), (9.0, False)):
         scene = ramp(tmp_path, slope)
@@ -223,17 +212,10 @@ def test_boxes_water_and_wire_are_judged_by_the_rule(tmp_path: Path) -> None:
     scene = load_text(tmp_path, FLAT_WITH_BOX)
     # A box of 6 cm is no obstacle, one of 30 cm is one up to 1.5 m from its edge.
     cases = {
-        (0.0, 0.0): True,
-        (6.0, 0.0): True,
-        (-6.0, 0.0): False,
-        (-4.4, 0.0): False,
-        (-4.2, 0.0): True,
-        (0.0, 8.0): False,
-        (0.0, 6.2): False,
-        (0.0, 5.9): True,
-        (1.3, -8.0): False,
-        (1.6, -8.0): True,
-    }
+        (0.0, 0.0): True, (6.0, 0.0): True, (-6.0, 0.0): False, (-4.4, 0.0): False,
+        (-4.2, 0.0): True, (0.0, 8.0): False, (0.0, 6.2): False, (0.0, 5.9): True,
+        (1.3, -8.0): False, (1.6, -8.0): True,
+    }  # fmt: skip
     maps = truth_maps(scene, 0.1, np.array([[-10.0, -10.0], [10.0, 10.0]]))
     for (x, y), safe in cases.items():
         assert judge_touchdown(scene, np.array([x, y])).safe_geometry is safe, (x, y)
@@ -243,9 +225,6 @@ def test_boxes_water_and_wire_are_judged_by_the_rule(tmp_path: Path) -> None:
     assert abs(judgement.obstacle_distance_m - 2.6) <= 0.051
     assert judge_touchdown(scene, np.array([-6.0, 0.0])).land_class == "other"
     assert maps.class_id[100, 40] == OTHER_CLASS_ID
-
-
-# -------------------------------------------------------------------- imported files, errors-
 
 
 def test_unknown_name_lists_the_nearest_and_all() -> None:

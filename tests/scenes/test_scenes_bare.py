@@ -1,7 +1,5 @@
 """`snow` and `dunes`: relief, safe ground, ice, reflectivity, and the light on fine relief."""
 
-from __future__ import annotations
-
 import functools
 import os
 
@@ -83,9 +81,6 @@ def test_open_snow_and_sand_are_fields_of_their_reflectivity() -> None:
         assert low < np.median(ground.reflectivity[open_ground]) < high
 
 
-# ------------------------------------------------------------------------------------------- pond
-
-
 def pond_middle(scene: Scene) -> np.ndarray:
     ground = scene.ground
     assert ground is not None
@@ -150,9 +145,6 @@ def test_slabs_lie_below_the_snow_around_the_pond() -> None:
     assert (heights[around] > relief.ice_m + 0.05).mean() > 0.99
 
 
-# ------------------------------------------------------------------------------------------ relief
-
-
 def test_drifts_lie_behind_rocks_and_fences() -> None:
     rng = np.random.default_rng(1)
     plan = snow.draw_plan(rng)
@@ -186,9 +178,6 @@ def test_sand_is_nowhere_steeper_than_it_can_lie() -> None:
         assert np.percentile(steep, 99) < 40.0
         assert 28.0 < np.percentile(steep, 97) < 38.0
         assert (relief.slip > 0.5).mean() > 0.02
-
-
-# ------------------------------------------------------------------------------- light, fine relief
 
 
 def test_light_on_slopes_follows_lambert() -> None:

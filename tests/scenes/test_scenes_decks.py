@@ -1,7 +1,5 @@
 """Scenes with decks above the ground: a roof used as a car park, and a footbridge."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 from pathlib import Path
@@ -98,9 +96,6 @@ def test_mjcf_file_of_the_folder_compiles_alone(name: str) -> None:
     assert mujoco.MjModel.from_xml_path(str(folder / f"{name}.xml")).ngeom >= 1
 
 
-# --------------------------------------------------------------------------------------- the roof
-
-
 def test_roof_is_a_path_high_above_the_streets() -> None:
     scene, plan = cached_scene("rooftop_parking", 0), roof_plan(0)
     assert plan.height_m >= 5.8
@@ -140,9 +135,6 @@ def test_roof_s_dangers_are_unsafe_and_its_aisles_safe() -> None:
         [[plan.low_xy_m[0] + 9.0, aisle - 1.2], [plan.high_xy_m[0] - 9.0, aisle + 1.2]]
     )
     assert truth_maps(scene, 0.2, region).safe.mean() > 0.9
-
-
-# ------------------------------------------------------------------------------------- the bridge
 
 
 def test_seeds_bridge_streams_and_roads() -> None:

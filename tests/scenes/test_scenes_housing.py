@@ -1,7 +1,5 @@
 """`houses`, `cottage` and `pools`: safe ground, classes, surfaces and determinism."""
 
-from __future__ import annotations
-
 import functools
 import os
 from zlib import crc32
@@ -189,9 +187,6 @@ def test_class_of_the_pitch_is_seen_from_above() -> None:
     _, geoms = cast_down(scene, middle - 0.5, 0.1, (10, 10))
     ids = class_ids(scene, middle - 0.5, 0.1, geoms)
     assert (ids == LAND_CLASSES.index("field")).all()
-
-
-# ----------------------------------------------------------------------- lots, streets, outlines
 
 
 def test_lot_coordinates_invert_and_mirror() -> None:

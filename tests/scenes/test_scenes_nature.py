@@ -1,7 +1,5 @@
 """`forest` and `turf`: relief, safe sites, surfaces and determinism."""
 
-from __future__ import annotations
-
 import functools
 import os
 

@@ -1,7 +1,5 @@
 """`lake`, `open_water`, `flat`: level and unsafe water, take-off spots and textures."""
 
-from __future__ import annotations
-
 import functools
 
 import mujoco

@@ -14,17 +14,10 @@ from support.truth_rays import SingleRays
 
 ROOF = LAND_CLASSES.index("building")
 FORMS = {
-    "box": "1.0 0.8 1.2",
-    "sphere": "1.1",
-    "capsule": "0.6 1.0",
-    "cylinder": "0.9 1.1",
+    "box": "1.0 0.8 1.2", "sphere": "1.1", "capsule": "0.6 1.0", "cylinder": "0.9 1.1",
     "ellipsoid": "1.2 0.8 0.9",
-}
-NEST = (
-    "{0}",
-    "<body>{0}</body>",
-    "<body pos='2 -1 0.2'><body euler='0 0 30'>{0}</body></body>",
-)
+}  # fmt: skip
+NEST = ("{0}", "<body>{0}</body>", "<body pos='2 -1 0.2'><body euler='0 0 30'>{0}</body></body>")
 
 LAYOUTS = [pytest.param(n, marks=pytest.mark.slow) if n >= 5 else n for n in range(50)]
 

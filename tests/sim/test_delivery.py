@@ -1,7 +1,5 @@
 """Arrival schedules are exact for any timing of the threads."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The true vehicle beside the nominal one: draws, physics, telemetry, battery, the IMU's place."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -66,9 +64,6 @@ def make(scene: Scene, seed: int = 3, **groups: Any) -> MujocoWorld:
     return MujocoWorld(scene, WorldParams(**params), seed)
 
 
-# ------------------------------------------------------------------------------- draws
-
-
 def test_draws_are_uniform_within_their_bounds() -> None:
     found = [draw_deviations(ALL, seed) for seed in range(600)]
     mass = np.array([one.mass - 1.0 for one in found])
@@ -93,9 +88,6 @@ def test_one_bound_leaves_the_draws_of_the_others_alone() -> None:
     assert both.mass == alone.mass
     np.testing.assert_array_equal(alone.thrust, np.ones(4))
     assert not draw_deviations(VehicleErrorParams(), 4).of_the_body
-
-
-# ------------------------------------------------------------------------------- physics
 
 
 def test_true_model_is_a_copy_with_another_body(scene: Scene) -> None:
@@ -185,9 +177,6 @@ def test_torque_share_turns_about_the_vertical_and_costs_power(scene: Scene) -> 
     )
 
 
-# ------------------------------------------------------------------------------- telemetry
-
-
 def test_telemetry_has_noise_and_resolution() -> None:
     params = VehicleErrorParams(telemetry_sigma_radps=1.0, telemetry_step_radps=1.5)
     sensor = SpeedTelemetry(params, 2)
@@ -209,9 +198,6 @@ def test_the_world_reports_noisy_speeds_and_keeps_the_true_ones(scene: Scene) ->
     off = obs.rotor_speed_radps - world.truth().rotor_speed_radps
     assert 0.0 < np.abs(off).max() < 10.0
     world.close()
-
-
-# ------------------------------------------------------------------------------- battery
 
 
 def test_open_circuit_voltage_of_a_cell() -> None:
@@ -258,9 +244,6 @@ def test_sag_limits_the_rotors(scene: Scene) -> None:
         world.close()
     assert fastest[False] == pytest.approx(most, rel=1e-3)
     assert 0.85 * most < fastest[True] < 0.97 * most
-
-
-# ------------------------------------------------------------------------------- IMU's place
 
 
 def flown(scene: Scene, offset: tuple[float, float, float]) -> tuple[list[Any], list[Any]]:

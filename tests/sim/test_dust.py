@@ -1,7 +1,5 @@
 """Dust rises below 3 m over bare soil alone, and shows in scans and images."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import mujoco

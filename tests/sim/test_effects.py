@@ -1,7 +1,5 @@
 """Effects on messages are counted on delivery, by what differs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

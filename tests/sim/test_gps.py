@@ -1,7 +1,5 @@
 """The receiver's error: spread, correlation, delay, lever arm, presets."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -88,12 +86,9 @@ def test_the_antenna_is_measured_not_the_body() -> None:
         antenna_body_m=(1.0, 0.0, 0.0), sigma_xy_m=0.0, sigma_z_m=0.0, velocity_sigma_mps=0.0
     )
     message = GpsSensor(params, 600, 0).sample(
-        240,
-        rotation_from_yaw(np.pi / 2),
-        np.array([5.0, 6.0, 7.0]),
-        np.array([0.0, 0.0, 3.0]),
+        240, rotation_from_yaw(np.pi / 2), np.array([5.0, 6.0, 7.0]), np.array([0.0, 0.0, 3.0]),
         np.array([0.0, 0.0, 2.0]),
-    )
+    )  # fmt: skip
     assert (message.tick, message.time_s) == (240, 0.4)
     np.testing.assert_allclose(message.position_world, [5.0, 7.0, 7.0], atol=1e-12)
     np.testing.assert_allclose(message.velocity_world, [-2.0, 0.0, 3.0], atol=1e-12)

@@ -1,7 +1,5 @@
 """The IMU's ideal values, noise densities and bias walk."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -13,13 +11,9 @@ from touchdown.sim.imu import ImuSensor
 Array = NDArray[np.float64]
 
 PERFECT = ImuParams(
-    gyro_density=0.0,
-    accel_density=0.0,
-    gyro_bias_walk=0.0,
-    accel_bias_walk=0.0,
-    gyro_bias_sigma=0.0,
-    accel_bias_sigma=0.0,
-)
+    gyro_density=0.0, accel_density=0.0, gyro_bias_walk=0.0, accel_bias_walk=0.0,
+    gyro_bias_sigma=0.0, accel_bias_sigma=0.0,
+)  # fmt: skip
 PERIOD_S = 3 / 600
 
 
@@ -127,10 +121,7 @@ def test_vibration_grows_with_the_square_of_the_rotor_speed() -> None:
         for k in range(4000):
             a, b = sensor.sample(3 * k, *still, shake), plain.sample(3 * k, *still)
             rows.append(
-                [
-                    *(a.angular_velocity - b.angular_velocity),
-                    *(a.specific_force - b.specific_force),
-                ]
+                [*(a.angular_velocity - b.angular_velocity), *(a.specific_force - b.specific_force)]
             )
         density = np.std(rows, axis=0) * np.sqrt(PERIOD_S)
         expected = shake * np.array([5e-3] * 3 + [0.2] * 3)

@@ -1,7 +1,5 @@
 """The IMU off the centre of mass, and its turn-on errors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

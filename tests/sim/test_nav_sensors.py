@@ -1,7 +1,5 @@
 """Barometer, magnetometer, rangefinder, and their delivery schedules."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 
@@ -34,9 +32,6 @@ from touchdown.sim.world import MujocoWorld
 Array = NDArray[np.float64]
 
 ALL_NAV = SensorNeeds(gps=True, barometer=True, magnetometer=True, rangefinder=True)
-
-
-# ------------------------------------------------------------------------------- barometer
 
 
 def test_standard_atmosphere() -> None:
@@ -72,9 +67,6 @@ def test_barometer_noise_drift_and_offset() -> None:
     assert np.std(first) == pytest.approx(spread, rel=0.1)
 
 
-# ---------------------------------------------------------------------------- magnetometer
-
-
 def test_earth_field_points_down_and_along_its_declination() -> None:
     params = MagnetometerParams(strength_ut=50.0, declination_deg=90.0, inclination_deg=60.0)
     np.testing.assert_allclose(
@@ -108,8 +100,6 @@ def test_a_field_not_of_this_earth_is_refused() -> None:
         MagnetometerSensor(MagnetometerParams(strength_ut=500.0), 600, 0)
 
 
-# ----------------------------------------------------------------------------- rangefinder
-
 SCENE_XML = """<mujoco><worldbody>
   <geom name="floor" type="plane" size="200 200 0.1"/>
   <geom name="roof" type="box" size="1 1 0.5" pos="20 0 2.5"/>
@@ -135,29 +125,17 @@ def make_scene(ground: GroundRaster | None = None) -> tuple[Scene, mujoco.MjData
         "soot": Surface(land_class="road", reflectivity=0.01),
     }
     scene = Scene(
-        name="place",
-        seed=0,
-        model=model,
-        takeoff_xy_m=np.zeros(2),
-        takeoff_yaw=0.0,
-        bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]),
-        surfaces=surfaces,
-        ground=ground,
+        name="place", seed=0, model=model, takeoff_xy_m=np.zeros(2), takeoff_yaw=0.0,
+        bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]), surfaces=surfaces, ground=ground,
         moving=(),
-    )
+    )  # fmt: skip
     return scene, data
 
 
 def ranges(
-    x: float,
-    y: float,
-    z: float,
-    *,
-    params: RangefinderParams = CLEAN,
-    tilt: float = 0.0,
-    count: int = 1,
-    ground: GroundRaster | None = None,
-) -> Array:
+    x: float, y: float, z: float, *, params: RangefinderParams = CLEAN, tilt: float = 0.0,
+    count: int = 1, ground: GroundRaster | None = None,
+) -> Array:  # fmt: skip
     """(count,) readings of a vehicle at (x, y, z), pitched by ``tilt`` radians."""
     scene, data = make_scene(ground)
     sensor = RangefinderSensor(scene, params, 600, 1)
@@ -211,17 +189,12 @@ def test_crowns_let_some_pulses_through() -> None:
 
 def test_the_ground_raster_overrides_the_geom() -> None:
     raster = GroundRaster(
-        geom_name="floor",
-        origin_xy_m=np.array([-1.0, -1.0]),
-        cell_m=2.0,
-        class_id=np.array([[3]], dtype=np.uint8),
-        reflectivity=np.array([[0.01]], dtype=np.float32),
-    )
+        geom_name="floor", origin_xy_m=np.array([-1.0, -1.0]), cell_m=2.0,
+        class_id=np.array([[3]], dtype=np.uint8), reflectivity=np.array([[0.01]], dtype=np.float32),
+    )  # fmt: skip
     assert ranges(0, 0, 13.0, ground=raster)[0] == 0.0
     assert ranges(2, 0, 13.0, ground=raster)[0] > 0.0
 
-
-# ------------------------------------------------------------------------------- the world
 
 MakeWorld = Callable[..., MujocoWorld]
 

@@ -1,7 +1,5 @@
 """Views and scans at given poses, against a scene whose distances are known."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

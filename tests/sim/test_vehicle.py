@@ -1,7 +1,5 @@
 """The airframe's MJCF, its rotors and its contact with the ground."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mujoco
@@ -70,9 +68,6 @@ def _spinning(alone: mujoco.MjModel, vehicle: VehicleModel, speed: float) -> Rot
     rotors.speeds[:] = speed
     rotors.demand(np.full(4, speed))
     return rotors
-
-
-# ------------------------------------------------------------------------------- airframe
 
 
 def test_mass_budget_and_balance(alone: mujoco.MjModel, vehicle: VehicleModel) -> None:
@@ -152,9 +147,6 @@ def test_a_missing_part_is_named() -> None:
     )
     with pytest.raises(ValueError, match=r"no site 'vehicle/rotor_0'"):
         vehicle_model(bare)
-
-
-# --------------------------------------------------------------------------------- rotors
 
 
 def test_hover_wrench_is_the_weight(alone: mujoco.MjModel, vehicle: VehicleModel) -> None:
@@ -246,9 +238,6 @@ def test_ground_effect_follows_cheeseman_and_bennett(
     assert near / far == pytest.approx(ground_effect(height, 0.1905))
 
 
-# ---------------------------------------------------------------------------- free motion
-
-
 def _fall(scene: Scene, ticks: int, rotors: Rotors | None, velocity: Array) -> mujoco.MjData:
     model, data = scene.model, mujoco.MjData(scene.model)
     data.qpos[2] = 20.0
@@ -291,9 +280,6 @@ def test_fuselage_drag_is_that_of_a_bluff_body(tmp_path: Path, vehicle: VehicleM
     assert -data.qfrc_passive[0] == pytest.approx(expected, rel=0.02)
 
 
-# -------------------------------------------------------------------------------- contact
-
-
 def test_stands_on_its_four_feet(tmp_path: Path, vehicle: VehicleModel) -> None:
     scene = _scene(tmp_path, FLAT)
     data = mujoco.MjData(scene.model)
@@ -329,9 +315,6 @@ def test_touchdown_neither_bounces_nor_penetrates(
     assert deepest < 0.01
     assert rebound < 0.02
     assert data.qpos[2] == pytest.approx(rest, abs=0.003)
-
-
-# -------------------------------------------------------------------------------- battery
 
 
 def test_battery_counts_shaft_and_hotel_power() -> None:

@@ -1,18 +1,12 @@
 """Propeller vibration: closed forms, levels, isolation, and the recorded spectra."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.experiments.benchmarks.imu_spectra import (
-    RECORDED_HZ,
-    band_rms,
-    recorded_vibration,
-)
+from touchdown.experiments.benchmarks.imu_spectra import RECORDED_HZ, band_rms, recorded_vibration
 from touchdown.sim import vibration
 from touchdown.sim.api import ImuParams
 from touchdown.sim.imu import ImuSensor

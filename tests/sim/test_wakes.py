@@ -1,7 +1,5 @@
 """Wakes of obstacles at points whose wind is known from the formulas."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -21,11 +19,9 @@ CAVITY = 8.0 * 1.8 * 1.25 / (1.25**0.3 * (1.0 + 0.24 * 1.25))
 
 def _house(solidity: float = 1.0, x: float = 0.0) -> Obstacles:
     return Obstacles(
-        np.array([[x, 0.0]]),
-        np.array([[[5.0, 0.0], [0.0, 5.0]]]),
-        np.array([8.0]),
+        np.array([[x, 0.0]]), np.array([[[5.0, 0.0], [0.0, 5.0]]]), np.array([8.0]),
         np.array([solidity]),
-    )
+    )  # fmt: skip
 
 
 def _speed(found: Obstacles, point: tuple[float, float, float]) -> float:

@@ -1,7 +1,5 @@
 """Mean profile and Dryden turbulence against MIL-F-8785C."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -149,9 +147,6 @@ def test_invalid_parameters_name_the_remedy() -> None:
         Wind(WindParams(mean_kmh=-3.0), 0)
     with pytest.raises(ValueError, match=r"wind.roughness_length_m"):
         Wind(WindParams(roughness_length_m=0.0), 0)
-
-
-# ------------------------------------------------------------------------------- rotational gusts
 
 
 def _rotations(dt_s: float, count: int, *, span_m: float = 1.0, seed: int = 2) -> Array:

@@ -1,7 +1,5 @@
 """Interface of the world to the main loop: exact arrivals, repeatable flights, truth, errors."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 from collections.abc import Callable, Iterator
@@ -50,13 +48,9 @@ SCENE_XML = """<mujoco><worldbody>
   </body>
 </worldbody></mujoco>"""
 NO_NOISE = ImuParams(
-    gyro_density=0.0,
-    accel_density=0.0,
-    gyro_bias_walk=0.0,
-    accel_bias_walk=0.0,
-    gyro_bias_sigma=0.0,
-    accel_bias_sigma=0.0,
-)
+    gyro_density=0.0, accel_density=0.0, gyro_bias_walk=0.0, accel_bias_walk=0.0,
+    gyro_bias_sigma=0.0, accel_bias_sigma=0.0,
+)  # fmt: skip
 SQUARE = np.array([[0.0, -9.0, 0.5], [4.0, -9.0, 0.5], [4.0, -5.0, 0.5], [0.0, -5.0, 0.5]])
 SMALL_IMAGE = CameraParams(width=64, height=36)
 
@@ -78,23 +72,18 @@ def make_world(scene: Scene) -> Iterator[MakeWorld]:
     made: list[MujocoWorld] = []
 
     def make(
-        sim: SimParams | None = None,
-        needs: SensorNeeds | None = None,
-        imu: ImuParams | None = None,
-        wind: WindParams | None = None,
-        seed: int = 3,
-    ) -> MujocoWorld:
+        sim: SimParams | None = None, needs: SensorNeeds | None = None,
+        imu: ImuParams | None = None, wind: WindParams | None = None, seed: int = 3,
+    ) -> MujocoWorld:  # fmt: skip
         world = MujocoWorld(
             scene,
             WorldParams(
-                sim=sim or SimParams(threads=1),
-                wind=wind or WindParams(),
-                camera=SMALL_IMAGE,
+                sim=sim or SimParams(threads=1), wind=wind or WindParams(), camera=SMALL_IMAGE,
                 imu=imu or ImuParams(),
             ),
             seed,
             needs or SensorNeeds(),
-        )
+        )  # fmt: skip
         made.append(world)
         return world
 
@@ -124,9 +113,6 @@ def _fly(world: MujocoWorld, steps: int) -> Iterator[tuple[Observation, Truth]]:
     for _ in range(steps):
         obs = world.step(_climb(world.rig.vehicle, world.truth()))
         yield obs, world.truth()
-
-
-# -------------------------------------------------------------------------------- arrivals
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -279,9 +265,6 @@ def test_a_scan_is_cast_from_the_poses_of_its_own_ticks(make_world: MakeWorld) -
     np.testing.assert_allclose(heights, 0.0, atol=0.01)
 
 
-# ------------------------------------------------------------------------------ determinism
-
-
 def _digest(world: MujocoWorld, steps: int = 60) -> str:
     digest = hashlib.sha256()
     for obs, truth in _fly(world, steps):
@@ -359,9 +342,6 @@ def test_an_unkind_world_is_the_same_whatever_the_threads(scene: Scene) -> None:
     assert 0.0 < one.deviations["imu_scale"] < 0.01
     assert digest(1, LidarParams()) != expected
     assert digest(1, unkind, seed=4) != expected
-
-
-# ------------------------------------------------------------------------------------ truth
 
 
 def test_starts_at_rest_at_the_take_off_pose(make_world: MakeWorld, scene: Scene) -> None:
@@ -449,19 +429,10 @@ def test_ground_probe_sees_what_is_below_but_not_the_vehicle(scene: Scene) -> No
     assert probe.clearance(data, np.array([900.0, 0.0, 5.0])) == np.inf
 
 
-# --------------------------------------------------------------------------- moving bodies
-
-
-@pytest.mark.parametrize(
-    ("time_s", "xy", "yaw_deg"),
-    [
-        (0.0, (1, -9), 0),
-        (1.0, (3, -9), 0),
-        (2.0, (4, -8), 90),
-        (7.0, (0, -8), -90),
-        (8.0, (1, -9), 0),
-    ],
-)
+@pytest.mark.parametrize(("time_s", "xy", "yaw_deg"), [
+    (0.0, (1, -9), 0), (1.0, (3, -9), 0), (2.0, (4, -8), 90), (7.0, (0, -8), -90),
+    (8.0, (1, -9), 0),
+])  # fmt: skip
 def test_moving_body_follows_its_closed_path(
     scene: Scene, time_s: float, xy: tuple[float, float], yaw_deg: float
 ) -> None:
@@ -489,21 +460,15 @@ def test_a_moving_body_must_be_mocap(scene: Scene) -> None:
         MovingBodies(Scene(**{**fields, "moving": (wrong,)}))
 
 
-# ----------------------------------------------------------------------------------- errors
-
-
-@pytest.mark.parametrize(
-    ("sim", "needs", "message"),
-    [
-        (SimParams(control_ticks=7), SensorNeeds(), "sim.control_ticks is 7.*one of 1, 2, 3"),
-        (SimParams(lidar_scan_ticks=0), SensorNeeds(), "sim.lidar_scan_ticks is 0"),
-        (SimParams(tick_hz=100), SensorNeeds(), "sim.tick_hz must be 500 or more"),
-        (SimParams(compute_latency_ticks=-1), SensorNeeds(), "sim.compute_latency_ticks"),
-        (SimParams(), SensorNeeds(camera_hz=7), "camera_hz is 7.*30 Hz.*0 or one of 1, 2, 3, 5, 6"),
-        (SimParams(threads=0), SensorNeeds(), "sim.threads must be 1 or 2"),
-        (SimParams(battery_capacity_j=-1.0), SensorNeeds(), "battery_capacity_j"),
-    ],
-)
+@pytest.mark.parametrize(("sim", "needs", "message"), [
+    (SimParams(control_ticks=7), SensorNeeds(), "sim.control_ticks is 7.*one of 1, 2, 3"),
+    (SimParams(lidar_scan_ticks=0), SensorNeeds(), "sim.lidar_scan_ticks is 0"),
+    (SimParams(tick_hz=100), SensorNeeds(), "sim.tick_hz must be 500 or more"),
+    (SimParams(compute_latency_ticks=-1), SensorNeeds(), "sim.compute_latency_ticks"),
+    (SimParams(), SensorNeeds(camera_hz=7), "camera_hz is 7.*30 Hz.*0 or one of 1, 2, 3, 5, 6"),
+    (SimParams(threads=0), SensorNeeds(), "sim.threads must be 1 or 2"),
+    (SimParams(battery_capacity_j=-1.0), SensorNeeds(), "battery_capacity_j"),
+])  # fmt: skip
 def test_invalid_parameters_are_named(
     make_world: MakeWorld, sim: SimParams, needs: SensorNeeds, message: str
 ) -> None:

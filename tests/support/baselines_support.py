@@ -1,7 +1,5 @@
 """A rig, a texture and a short flight for the tests of the baselines."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 
@@ -31,20 +29,12 @@ def make_rig() -> SensorRig:
         compute_latency_ticks=36,
         world_from_body_start=Pose(np.eye(3), np.array([0.0, 0.0, 0.3])),
         vehicle=VehicleModel(
-            mass_kg=4.0,
-            inertia_kgm2=np.ones(3),
-            rotor_xy_m=np.zeros((4, 2)),
-            rotor_spin=np.ones(4),
-            thrust_coefficient=1e-5,
-            torque_coefficient=1e-7,
-            rotor_speed_min=100.0,
-            rotor_speed_max=1000.0,
-            motor_time_constant_s=0.02,
-            linear_drag=0.1,
-            leg_height_m=0.3,
-            footprint_radius_m=0.4,
+            mass_kg=4.0, inertia_kgm2=np.ones(3), rotor_xy_m=np.zeros((4, 2)),
+            rotor_spin=np.ones(4), thrust_coefficient=1e-5, torque_coefficient=1e-7,
+            rotor_speed_min=100.0, rotor_speed_max=1000.0, motor_time_constant_s=0.02,
+            linear_drag=0.1, leg_height_m=0.3, footprint_radius_m=0.4,
         ),
-    )
+    )  # fmt: skip
 
 
 def texture(side: int, seed: int = 3) -> np.ndarray:
@@ -58,15 +48,9 @@ def texture(side: int, seed: int = 3) -> np.ndarray:
 
 
 TINY = (
-    "sim.threads=1",
-    "mapper.enabled=false",
-    "survey.height_m=5",
-    "survey.legs=1",
-    "survey.leg_length_m=8",
-    "survey.duration_s=4",
-    "camera.width=424",
-    "camera.height=240",
-)
+    "sim.threads=1", "mapper.enabled=false", "survey.height_m=5", "survey.legs=1",
+    "survey.leg_length_m=8", "survey.duration_s=4", "camera.width=424", "camera.height=240",
+)  # fmt: skip
 """About 10 s in the air."""
 
 

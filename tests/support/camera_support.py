@@ -1,7 +1,5 @@
 """A vehicle with a downward camera over a plain floor, for the tests of the camera."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -35,16 +33,10 @@ def make_scene(objects: str = "", quat_wxyz: str = "1 0 0 0", floor: str = "0 0 
       <geom name="floor" type="plane" size="100 100 1" rgba="{floor}"/>{objects}
     </worldbody></mujoco>"""
     return Scene(
-        name="test",
-        seed=0,
-        model=mujoco.MjModel.from_xml_string(xml),
-        takeoff_xy_m=np.zeros(2),
-        takeoff_yaw=0.0,
-        bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]),
-        surfaces={},
-        ground=None,
-        moving=(),
-    )
+        name="test", seed=0, model=mujoco.MjModel.from_xml_string(xml), takeoff_xy_m=np.zeros(2),
+        takeoff_yaw=0.0, bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]), surfaces={},
+        ground=None, moving=(),
+    )  # fmt: skip
 
 
 def box(name: str, x: float, y: float, rgba: str) -> str:

@@ -1,7 +1,5 @@
 """The command line with campaigns of fake flights: ``python -m support.campaign_command ...``."""
 
-from __future__ import annotations
-
 import functools
 import os
 import signal

@@ -1,7 +1,5 @@
 """Fake flights for tests of campaigns. Each estimator names a behaviour."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import mmap
@@ -90,9 +88,6 @@ def mapped_file() -> Iterator[None]:
             yield
 
 
-# -------------------------------------------------------------------------------------- processes
-
-
 def start_three(directory: Path) -> None:
     """Starts a program, one in a session of its own, and a daemon: its parent is gone. Returns when
     all have written their process id."""
@@ -151,13 +146,10 @@ def share_memory(_directory: Path) -> None:
 
 
 PROCESSES: dict[str, Callable[[Path], None]] = {
-    "forks": fork_and_exit,
-    "starts_and_crashes": start_and_crash,
-    "starts_and_hangs": start_and_hang,
-    "leaves": start_three,
-    "feeds_a_child": feed_a_child,
+    "forks": fork_and_exit, "starts_and_crashes": start_and_crash,
+    "starts_and_hangs": start_and_hang, "leaves": start_three, "feeds_a_child": feed_a_child,
     "shares": share_memory,
-}
+}  # fmt: skip
 
 
 def campaign_dir(out: Path) -> Path:
@@ -178,11 +170,9 @@ def fake_result(config: Config, outcome: str) -> dict[str, Any]:
         "trajectory_error_m": error,
         "landing": None,
         "timing": {
-            "wall_s": 0.002,
-            "sim_s": 0.1,
-            "real_time_factor": 50.0,
+            "wall_s": 0.002, "sim_s": 0.1, "real_time_factor": 50.0,
             "stage_ms": {"world": 1.0, "estimator": 0.5},
         },
         "versions": {"touchdown": "0.1.0"},
         "git_revision": "abc",
-    }
+    }  # fmt: skip

@@ -1,7 +1,5 @@
 """Campaigns of fake flights, in this process or in one that can be killed."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The documentation pages and their parts: prose, blocks of code, tables."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

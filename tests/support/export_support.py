@@ -1,7 +1,5 @@
 """A run for the tests of exports, and a reader of its bag."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -32,12 +30,7 @@ PHASES = [{"time_s": 0.0, "phase": "INIT"}, {"time_s": 0.7, "phase": "TAKEOFF"}]
 def make_flown(folder: Path) -> Path:
     """A run whose estimate is 0.5 m off, with a map of the true path."""
     made = make_run(
-        folder,
-        seconds=SECONDS,
-        needs=ALL,
-        shared=ALL,
-        estimate=shifted(OFFSET),
-        phases=PHASES,
+        folder, seconds=SECONDS, needs=ALL, shared=ALL, estimate=shifted(OFFSET), phases=PHASES
     )
     truth = SyntheticStream(synthetic_rig(), ALL, SECONDS)
     mapper = GridMapper(synthetic_rig(), MapperParams(extent_m=40.0))

@@ -1,7 +1,5 @@
 """A LIDAR that looks down through fog or rain."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from touchdown.sim.api import FaultParams, LidarParams, LidarScan

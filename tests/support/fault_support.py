@@ -1,18 +1,10 @@
 """Rates and deliveries for tests of faults."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 
-from touchdown.sim.api import (
-    CameraImage,
-    FaultParams,
-    GpsFix,
-    LidarScan,
-    Observation,
-)
+from touchdown.sim.api import CameraImage, FaultParams, GpsFix, LidarScan, Observation
 from touchdown.sim.faults.injector import FaultInjector
 
 HZ, STEP, PERIOD, LATENCY = 600, 3, 60, 36
@@ -54,15 +46,11 @@ def world(last: int = 1500) -> list[Observation]:
         due = measured > 0 and measured % PERIOD == 0
         found.append(
             Observation(
-                tick=tick,
-                time_s=tick / HZ,
-                scans=(scan(measured),) if due else (),
-                images=(image(measured),) if due else (),
-                gps=(fix(measured),) if due else (),
-                rotor_speed_radps=np.zeros(4),
-                battery_fraction=1.0,
+                tick=tick, time_s=tick / HZ, scans=(scan(measured),) if due else (),
+                images=(image(measured),) if due else (), gps=(fix(measured),) if due else (),
+                rotor_speed_radps=np.zeros(4), battery_fraction=1.0,
             )
-        )
+        )  # fmt: skip
     return found
 
 

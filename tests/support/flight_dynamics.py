@@ -1,7 +1,5 @@
 """A rigid quadrotor in gusts, independent of the simulator, for tests of the controller."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Synthetic truths, estimates and views."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -45,16 +43,10 @@ def make_estimate(time_s: float, position: Any, yaw: float = 0.0) -> Estimate:
 
 def make_view(phase: Phase, **changes: Any) -> LanderView:
     values: dict[str, Any] = {
-        "phase": phase,
-        "note": "",
-        "candidates": (),
-        "costmap": None,
-        "site_world": None,
-        "committed_site_world": None,
-        "reference_world": np.zeros(3),
-        "no_site": False,
+        "phase": phase, "note": "", "candidates": (), "costmap": None, "site_world": None,
+        "committed_site_world": None, "reference_world": np.zeros(3), "no_site": False,
         "aborted": False,
-    }
+    }  # fmt: skip
     return LanderView(**(values | changes))
 
 

@@ -1,7 +1,5 @@
 """Images of painted ground, classifiers by colour, and the file of a small network."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path

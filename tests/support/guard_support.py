@@ -1,7 +1,5 @@
 """A rig and observations for tests of the guard."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

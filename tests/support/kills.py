@@ -1,7 +1,5 @@
 """Commands that are killed: their processes by a mark in the environment, and what they leave."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

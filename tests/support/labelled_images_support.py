@@ -1,7 +1,5 @@
 """Images that a small network learns to classify within seconds."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from touchdown.landing.api import LabelledImages

@@ -1,7 +1,5 @@
 """A vehicle that follows the lander exactly, over a flat map."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 
@@ -76,11 +74,9 @@ class Puppet:
             if self.tick % 120 == 0 or fine is None:
                 fine = self.view_map()
             obs = make_obs(
-                self.tick,
-                imu=(make_imu(self.tick, GRAVITY_MPS2),),
-                rotor_speed_radps=speed,
+                self.tick, imu=(make_imu(self.tick, GRAVITY_MPS2),), rotor_speed_radps=speed,
                 battery_fraction=self.battery,
-            )
+            )  # fmt: skip
             velocity = (
                 np.zeros(3) if on_ground or not self.setpoint else self.setpoint.velocity_odom
             )

@@ -1,7 +1,5 @@
 """A rig, analytic scans and hand-made maps for the tests of mapping and landing."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -44,63 +42,42 @@ def make_rig(start: tuple[float, float, float] = (0.0, 0.0, LEG_HEIGHT)) -> Sens
     )
     camera = CameraIntrinsics(width=848, height=480, fx=617.0, fy=617.0, cx=423.5, cy=239.5)
     return SensorRig(
-        tick_hz=600,
-        body_from_imu=Pose.identity(),
-        body_from_lidar=DOWNWARD,
-        body_from_camera=DOWNWARD,
-        body_from_camera_right=DOWNWARD,
-        camera=camera,
-        lidar=LidarParams(),
-        imu=ImuParams(),
-        imu_ticks=3,
-        camera_ticks=20,
-        lidar_scan_ticks=60,
-        compute_latency_ticks=36,
-        world_from_body_start=Pose(np.eye(3), np.array(start)),
+        tick_hz=600, body_from_imu=Pose.identity(), body_from_lidar=DOWNWARD,
+        body_from_camera=DOWNWARD, body_from_camera_right=DOWNWARD, camera=camera,
+        lidar=LidarParams(), imu=ImuParams(), imu_ticks=3, camera_ticks=20, lidar_scan_ticks=60,
+        compute_latency_ticks=36, world_from_body_start=Pose(np.eye(3), np.array(start)),
         vehicle=vehicle,
-    )
+    )  # fmt: skip
 
 
 def make_obs(tick: int, **changes: Any) -> Observation:
     values: dict[str, Any] = {
-        "tick": tick,
-        "time_s": tick / 600.0,
-        "rotor_speed_radps": np.zeros(4),
+        "tick": tick, "time_s": tick / 600.0, "rotor_speed_radps": np.zeros(4),
         "battery_fraction": 1.0,
-    }
+    }  # fmt: skip
     return Observation(**(values | changes))
 
 
 def make_estimate(tick: int, pose: Pose, velocity: Any = (0.0, 0.0, 0.0)) -> Estimate:
     return Estimate(
-        tick=tick,
-        time_s=tick / 600.0,
-        odom_from_body=pose,
-        world_from_odom=Pose.identity(),
-        velocity_odom=np.asarray(velocity, dtype=float),
-        angular_velocity_body=np.zeros(3),
-        acceleration_odom=np.zeros(3),
-        position_covariance=np.eye(3) * 1e-6,
+        tick=tick, time_s=tick / 600.0, odom_from_body=pose, world_from_odom=Pose.identity(),
+        velocity_odom=np.asarray(velocity, dtype=float), angular_velocity_body=np.zeros(3),
+        acceleration_odom=np.zeros(3), position_covariance=np.eye(3) * 1e-6,
         rotation_covariance=np.eye(3) * 1e-8,
-    )
+    )  # fmt: skip
 
 
 def make_imu(tick: int, up_mps2: float) -> ImuSample:
     return ImuSample(
-        tick=tick,
-        time_s=tick / 600.0,
-        angular_velocity=np.zeros(3),
+        tick=tick, time_s=tick / 600.0, angular_velocity=np.zeros(3),
         specific_force=np.array([0.0, 0.0, up_mps2]),
-    )
+    )  # fmt: skip
 
 
 def cast_scan(
-    start_tick: int,
-    directions: Array,
-    poses: list[Pose],
-    box: tuple[Array, Array] | None = None,
+    start_tick: int, directions: Array, poses: list[Pose], box: tuple[Array, Array] | None = None,
     hole: tuple[Array, Array] | None = None,
-) -> LidarScan:
+) -> LidarScan:  # fmt: skip
     """Ranges of pulses fired over 60 ticks, pulse i from ``poses[i]`` (world_from_body), against
     the plane z = 0 and an axis-aligned box; those into ``hole`` (xy corners) have no return."""
     n = directions.shape[0]
@@ -120,15 +97,11 @@ def cast_scan(
         ranges[i] = 0.0 if lost else distance
     start = start_tick / 600.0
     return LidarScan(
-        start_tick=start_tick,
-        end_tick=start_tick + 60,
-        start_time_s=start,
-        end_time_s=start + 0.1,
-        directions=directions.astype(np.float32),
-        ranges=ranges.astype(np.float32),
+        start_tick=start_tick, end_tick=start_tick + 60, start_time_s=start, end_time_s=start + 0.1,
+        directions=directions.astype(np.float32), ranges=ranges.astype(np.float32),
         time_offsets=np.linspace(0.1 / n, 0.1, n).astype(np.float32),
         intensity=np.full(n, 40, np.uint8),
-    )
+    )  # fmt: skip
 
 
 def beam_fan(n: int, half_x: float, half_y: float, seed: int) -> Array:
@@ -140,14 +113,9 @@ def beam_fan(n: int, half_x: float, half_y: float, seed: int) -> Array:
 
 
 def make_grid(
-    height: Array,
-    cell_m: float = 0.2,
-    *,
-    origin: tuple[float, float] = (0.0, 0.0),
-    returns: int = 40,
-    sigma: float = 0.02,
-    seed: int = 0,
-) -> GridMap:
+    height: Array, cell_m: float = 0.2, *, origin: tuple[float, float] = (0.0, 0.0),
+    returns: int = 40, sigma: float = 0.02, seed: int = 0,
+) -> GridMap:  # fmt: skip
     """Map of a height raster (NaN: unseen) from ``returns`` noisy returns per cell."""
     rng = np.random.default_rng(seed)
     samples = height[None] + sigma * rng.standard_normal((returns, *height.shape))

@@ -1,7 +1,5 @@
 """Small scenes and parameters for tests of the LIDAR."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import mujoco
@@ -10,12 +8,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import GroundRaster, Scene, Surface
 from touchdown.sim.api import LidarParams
-from touchdown.sim.frames import (
-    BODY_FROM_DOWNWARD_OPTICAL,
-    Pose,
-    quat_wxyz_from_matrix,
-    so3_exp,
-)
+from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, quat_wxyz_from_matrix, so3_exp
 from touchdown.sim.lidar.patterns import livox
 from touchdown.sim.lidar.returns import LinkBudget
 from touchdown.sim.moving import BodyTrack
@@ -41,23 +34,15 @@ BRIGHT = Surface(land_class="other", reflectivity=0.8)
 
 
 def make_scene(
-    world: str,
-    surfaces: Mapping[str, Surface] | None = None,
-    ground: GroundRaster | None = None,
+    world: str, surfaces: Mapping[str, Surface] | None = None, ground: GroundRaster | None = None,
     assets: str = "",
-) -> Scene:
+) -> Scene:  # fmt: skip
     xml = f"<mujoco><asset>{assets}</asset><worldbody>{world}</worldbody></mujoco>"
     return Scene(
-        name="test",
-        seed=0,
-        model=mujoco.MjModel.from_xml_string(xml),
-        takeoff_xy_m=np.zeros(2),
-        takeoff_yaw=0.0,
-        bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]),
-        surfaces=surfaces or {},
-        ground=ground,
-        moving=(),
-    )
+        name="test", seed=0, model=mujoco.MjModel.from_xml_string(xml), takeoff_xy_m=np.zeros(2),
+        takeoff_yaw=0.0, bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]),
+        surfaces=surfaces or {}, ground=ground, moving=(),
+    )  # fmt: skip
 
 
 def track(ticks: tuple[int, int], height: float, turn_rate: Array | None = None) -> BodyTrack:

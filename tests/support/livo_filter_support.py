@@ -1,13 +1,8 @@
 """States and IMU buffers for tests of the filter."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from touchdown.estimator.filtering.imu_propagation import (
-    ImuBuffer,
-    NavState,
-)
+from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import so3_exp
 
@@ -16,13 +11,9 @@ STEP_S = 0.005
 
 def random_state(rng: np.random.Generator) -> NavState:
     return NavState(
-        0,
-        so3_exp(rng.normal(0.0, 0.5, 3)),
-        rng.normal(0.0, 10.0, 3),
-        rng.normal(0.0, 3.0, 3),
-        rng.normal(0.0, 1e-3, 3),
-        rng.normal(0.0, 1e-2, 3),
-    )
+        0, so3_exp(rng.normal(0.0, 0.5, 3)), rng.normal(0.0, 10.0, 3), rng.normal(0.0, 3.0, 3),
+        rng.normal(0.0, 1e-3, 3), rng.normal(0.0, 1e-2, 3),
+    )  # fmt: skip
 
 
 def filled_buffer(rng: np.random.Generator, count: int) -> ImuBuffer:

@@ -1,7 +1,5 @@
 """Points, planes and states for tests of the LIDAR update."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from touchdown.estimator.filtering.deskew import PlacedScan

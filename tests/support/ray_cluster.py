@@ -1,7 +1,5 @@
 """Clusters of several Ray nodes on one machine, for tests."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil
@@ -32,8 +30,7 @@ class Cluster:
         }  # fmt: skip
         os.environ.update({"MARK": self.mark, "RAY_AUTH_MODE": "disabled"})
         self._cluster = RayCluster(
-            initialize_head=True,
-            head_node_args={"num_cpus": 1, "include_dashboard": False},
+            initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
         )
         self.address = str(self._cluster.address)
 

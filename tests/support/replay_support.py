@@ -1,7 +1,5 @@
 """Synthetic run directory: synthetic sensors and their true path, without a simulator."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -23,14 +21,9 @@ LIFT_OFF_S = 0.9
 
 
 def make_run(
-    run: Path,
-    *,
-    seconds: float = 2.0,
-    needs: SensorNeeds = LIVO,
-    shared: SensorNeeds = LIVO,
-    estimate: Callable[[Pose], Pose] = lambda pose: pose,
-    **result: Any,
-) -> Path:
+    run: Path, *, seconds: float = 2.0, needs: SensorNeeds = LIVO, shared: SensorNeeds = LIVO,
+    estimate: Callable[[Pose], Pose] = lambda pose: pose, **result: Any,
+) -> Path:  # fmt: skip
     """``estimate`` maps the true rows to the rows of estimate.tum."""
     rig = synthetic_rig()
     run.mkdir(parents=True)
@@ -46,13 +39,9 @@ def make_run(
     for part in (log, *writers):
         part.close()
     facts = {
-        "outcome": "COMPLETED",
-        "scene": "crossroad",
-        "seed": 3,
-        "estimator": "livo",
-        "span_s": [LIFT_OFF_S, None],
-        "position_error_m": {"mean": 0.0},
-    }
+        "outcome": "COMPLETED", "scene": "crossroad", "seed": 3, "estimator": "livo",
+        "span_s": [LIFT_OFF_S, None], "position_error_m": {"mean": 0.0},
+    }  # fmt: skip
     (run / "result.json").write_text(json.dumps(facts | result))
     config = load_config(scene="crossroad", seed=3, record=False, survey_only=True)
     (run / "config.json").write_text(dump_config(config))

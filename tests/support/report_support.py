@@ -1,7 +1,5 @@
 """Synthetic runs with trajectories, for the tests of reports."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -41,14 +39,12 @@ def write_run(directory: Path, scene: str, method: str, seed: int, **changes: An
         },
         "nees": {"median": 2.4, "mean": 3.0, "below_14_2": 0.99, "samples": 100},
         "timing": {
-            "wall_s": 10.0,
-            "sim_s": 20.0,
-            "real_time_factor": 2.0,
+            "wall_s": 10.0, "sim_s": 20.0, "real_time_factor": 2.0,
             "stage_ms": {"world": 30.0, "estimator": 15.0},
         },
         "versions": {"touchdown": "0.1.0"},
         "git_revision": "0123abc",
-    }
+    }  # fmt: skip
     (run / "result.json").write_text(json.dumps(result | changes))
     planned = np.zeros((len(TIMES_S), 3))
     planned[:, 2] = np.clip(TIMES_S * 15.0, 0.0, 30.0)
@@ -61,10 +57,6 @@ def write_run(directory: Path, scene: str, method: str, seed: int, **changes: An
 
 
 LANDING = {
-    "target_offset_m": 0.1,
-    "vertical_speed_mps": 0.12,
-    "vertical_accel_mps2": 0.05,
-    "slope_deg": 1.0,
-    "tilt_deg": 2.0,
-    "safe_geometry": True,
-}
+    "target_offset_m": 0.1, "vertical_speed_mps": 0.12, "vertical_accel_mps2": 0.05,
+    "slope_deg": 1.0, "tilt_deg": 2.0, "safe_geometry": True,
+}  # fmt: skip

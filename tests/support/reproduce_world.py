@@ -1,7 +1,5 @@
 """Fakes of all slow parts of a reproduction."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import importlib

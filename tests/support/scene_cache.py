@@ -1,7 +1,5 @@
 """Scenes that are built once a process, for tests in which the building is not the subject."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import functools

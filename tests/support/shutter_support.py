@@ -1,7 +1,5 @@
 """A camera in motion over boxes on a floor: what its rows see, drawn instant by instant."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 
@@ -27,12 +25,10 @@ def boxes_scene(seed: int = 0, count: int = 25) -> Scene:
     boxes = [
         f'<geom type="box" size="1.2 0.9 {h}" pos="{x} {y} {h}" material="speckled"/>'
         for x, y, h in zip(
-            rng.uniform(-10.0, 10.0, count),
-            rng.uniform(-14.0, 14.0, count),
-            rng.uniform(0.2, 3.0, count),
-            strict=True,
+            rng.uniform(-10.0, 10.0, count), rng.uniform(-14.0, 14.0, count),
+            rng.uniform(0.2, 3.0, count), strict=True,
         )
-    ]
+    ]  # fmt: skip
     plain = make_scene()
     model = mujoco.MjModel.from_xml_string(f"""
     <mujoco>{HEADLIGHT}

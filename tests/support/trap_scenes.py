@@ -1,7 +1,5 @@
 """MJCF scenes with misleading ground for a site selector, surveyed by posed sensors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +15,9 @@ from support.worlds import load_ideal_config as load_config
 Array = NDArray[np.float64]
 
 SHORT_SURVEY = (
-    "sim.threads=1",
-    "survey.legs=1",
-    "survey.leg_length_m=30.0",
-    "survey.duration_s=9.0",
-    "camera.width=424",
-    "camera.height=240",
-)
+    "sim.threads=1", "survey.legs=1", "survey.leg_length_m=30.0", "survey.duration_s=9.0",
+    "camera.width=424", "camera.height=240",
+)  # fmt: skip
 
 
 def box(name: str, low: tuple[float, ...], high: tuple[float, ...], more: str = "") -> str:

@@ -1,7 +1,5 @@
 """Single vertical rays of MuJoCo, which truth maps are checked against."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray

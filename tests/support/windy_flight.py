@@ -1,8 +1,6 @@
 """A vehicle that follows the lander exactly in a wind, with the tilt and the rotor speed that the
 balance of forces needs: what a lander feels of the wind."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator
 
@@ -26,13 +24,9 @@ STEP_TICKS = 12
 def draggy_vehicle() -> VehicleModel:
     """A 4 kg quadrotor that holds against a wind of 15 m/s, and not against one of 18 m/s."""
     return dataclasses.replace(
-        make_rig().vehicle,
-        thrust_coefficient=6e-5,
-        linear_drag=0.6,
-        rotor_speed_max=560.0,
-        rotor_inflow=1.8e-3,
-        quadratic_drag=0.05,
-    )
+        make_rig().vehicle, thrust_coefficient=6e-5, linear_drag=0.6, rotor_speed_max=560.0,
+        rotor_inflow=1.8e-3, quadratic_drag=0.05,
+    )  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -85,9 +79,7 @@ def windy_run(
         if airborne:
             balanced = balance(rig.vehicle, velocity - wind(time_s), acceleration)
         obs = make_obs(
-            tick,
-            imu=(make_imu(tick, GRAVITY_MPS2),),
-            rotor_speed_radps=np.full(4, balanced.speed),
+            tick, imu=(make_imu(tick, GRAVITY_MPS2),), rotor_speed_radps=np.full(4, balanced.speed)
         )
         estimate = dataclasses.replace(
             make_estimate(tick, Pose(balanced.rotation, position.copy()), velocity),

@@ -1,7 +1,5 @@
 """Configurations of tests whose known answers are those of the ideal world."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

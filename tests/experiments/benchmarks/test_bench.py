@@ -1,7 +1,5 @@
 """The bare computation equals that of the flight, and the parts of the overhead add up."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import os
@@ -18,11 +16,10 @@ import numba
 import numpy as np
 import pytest
 
-from touchdown.experiments.benchmarks import loop as bench
 from touchdown.experiments.benchmarks import profile_cost
 from touchdown.experiments.benchmarks.bare_world import BareWorld, _world_rays
 from touchdown.experiments.benchmarks.jit_warmup import compiled_before
-from touchdown.experiments.benchmarks.loop import bench_config, overhead_config, profile_configs
+from touchdown.experiments.benchmarks.loop import profile_configs
 from touchdown.experiments.benchmarks.loop_overhead import (
     NOT_OVERHEAD,
     _compare,
@@ -34,7 +31,6 @@ from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
 from touchdown.experiments.flight.wiring import build_scene
-from touchdown.experiments.io.results import RunResult
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraParams, LidarScan, Truth, WorldParams
 from touchdown.sim.frames import Pose, rotation_from_yaw
@@ -48,13 +44,9 @@ LAWN = """<mujoco><worldbody>
 </worldbody></mujoco>"""
 PROFILES = {"field": "field", "ideal": "ideal"}
 SHORT_FLIGHT = (
-    "sim.threads=1",
-    "landing.survey_only=true",
-    "survey.height_m=5.0",
-    "survey.legs=1",
-    "survey.leg_length_m=6.0",
-    "survey.duration_s=5.0",
-)
+    "sim.threads=1", "landing.survey_only=true", "survey.height_m=5.0", "survey.legs=1",
+    "survey.leg_length_m=6.0", "survey.duration_s=5.0",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -172,13 +164,10 @@ def test_ratio_leaves_estimator_and_lander_out_and_the_excess_adds_up() -> None:
     assert found["bare_ms"]["all"] == pytest.approx(10.0)
     assert found["excess_ms"] == pytest.approx(
         {
-            "lidar_beyond_rays": 2.0,
-            "camera_beyond_pixels": 0.5,
-            "world_beyond_physics": 0.5,
-            "mapper": 1.5,
-            "rest": 0.5,
+            "lidar_beyond_rays": 2.0, "camera_beyond_pixels": 0.5, "world_beyond_physics": 0.5,
+            "mapper": 1.5, "rest": 0.5,
         }
-    )
+    )  # fmt: skip
     assert sum(found["excess_ms"].values()) == pytest.approx(15.0 - 10.0)
 
 
@@ -194,50 +183,6 @@ def test_overhead_of_a_short_flight(lawn_file: Path, tmp_path: Path) -> None:
     assert excess == pytest.approx(loop_ms["all"] - bare_ms["all"])
     counted = {name for name in loop_ms if name not in ("all", *NOT_OVERHEAD)}
     assert loop_ms["all"] == pytest.approx(sum(loop_ms[name] for name in counted))
-
-
-def test_bench_loop_reports_the_agreed_keys(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fly(config: Config, out: Path, _progress: Any) -> RunResult:
-        out.mkdir(parents=True)
-        (out / "flight.rrd").write_bytes(b"0" * 1000)
-        timing = {"sim_s": 4.0, "wall_s": 2.0, "real_time_factor": 2.0, "stage_ms": {"world": 30.0}}
-        names = {"scene": config.scene, "estimator": config.estimator, "seed": config.seed}
-        landed = {"outcome": "LANDED", "landing": {"safe_geometry": True}}
-        return RunResult.model_validate({**names, **landed, "timing": timing})
-
-    seen: list[Config] = []
-
-    def overhead(config: Config) -> dict[str, Any]:
-        seen.append(config)
-        sums = _Sums({"physics": 0.001, "rays": 0.004, "pixels": 0.005})
-        sums.count = dict.fromkeys(sums.seconds, 1)
-        return {"outcome": "COMPLETED", "sim_s": 4.0, **_compare({"world": 16.0}, sums)}
-
-    def cost(configs: dict[str, Config]) -> dict[str, Any]:
-        assert {name: config.profile for name, config in configs.items()} == PROFILES
-        assert {config.estimator for config in configs.values()} == {"livo"}
-        return {"ms": {"field": 33.0, "ideal": 30.0}, "ratio": 1.1}
-
-    monkeypatch.setattr("touchdown.experiments.flight.run.fly", fly)
-    monkeypatch.setattr(bench, "measure_loop_overhead", overhead)
-    monkeypatch.setattr(profile_cost, "measure_profile_cost", cost)
-    assert cli.main(["bench", "loop", "--json", "--quiet"]) == 0
-    figures = json.loads(capsys.readouterr().out)
-    assert figures["real_time_factor"] == 2.0
-    assert figures["stage_ms"] == {"world": 30.0}
-    assert figures["ratio"] == {"bare": pytest.approx(1.6), "field": 1.1}
-    assert figures["profile_ms"] == {"field": 33.0, "ideal": 30.0}
-    assert seen[0].estimator == "oracle"
-    assert seen[0].sim.threads == 1
-    assert seen[0].record
-    assert cli.main(["bench", "loop", "--quiet"]) == 0
-    said = capsys.readouterr().out
-    assert "1.60 x bare" in said
-    assert "ratio.field 1.10: 33.0 ms" in said
-    assert cli.main(["bench", "loop", "--no-ratio", "--json", "--quiet"]) == 0
-    assert "ratio" not in json.loads(capsys.readouterr().out)
 
 
 def test_profiles_are_compared_in_turns_of_one_scan(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -293,14 +238,6 @@ def test_cost_of_the_profiles_of_a_short_flight(lawn_file: Path) -> None:
     found = profile_cost.measure_profile_cost(both)
     assert all(found["ms"][name] > 0.0 for name in PROFILES)
     assert found["ratio"] == pytest.approx(found["ms"]["field"] / found["ms"]["ideal"])
-
-
-def test_bench_flights_keep_the_estimator_apart() -> None:
-    fast = bench_config(scene="crossroad", estimator="livo", seed=3, full=False)
-    assert (fast.estimator, fast.seed, fast.record) == ("livo", 3, True)
-    alone = overhead_config(scene="crossroad", seed=3, full=True)
-    assert alone.landing.survey_only
-    assert alone.survey == load_config().survey
 
 
 def test_bare_physics_is_mujoco_s_own_step(lawn: Scene) -> None:

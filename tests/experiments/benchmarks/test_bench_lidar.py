@@ -1,7 +1,5 @@
 """Comparison of ray casters: agreement of their ranges, and the reported figures."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``touchdown bench imu``: reading recordings, and the fit of the vibration's levels."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -50,13 +48,10 @@ def test_columns_and_units_of_a_recording(tmp_path: Path) -> None:
     np.testing.assert_allclose(found[:, 0], np.arange(300) / RECORDED_HZ, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("count", "header", "text"),
-    [
-        (300, HEADER.replace("Gyr_Y", "Gyro"), "has no column Gyr_Y"),
-        (20, HEADER, "has 20 samples; a spectrum needs 256"),
-    ],
-)
+@pytest.mark.parametrize(("count", "header", "text"), [
+    (300, HEADER.replace("Gyr_Y", "Gyro"), "has no column Gyr_Y"),
+    (20, HEADER, "has 20 samples; a spectrum needs 256"),
+])  # fmt: skip
 def test_unusable_recordings_are_named(tmp_path: Path, count: int, header: str, text: str) -> None:
     write(tmp_path, np.zeros((count, 6)), header)
     with pytest.raises(UsageError, match=text):

@@ -1,16 +1,12 @@
 """Figure of the steps of a selection, on a synthetic map."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-from touchdown.experiments.benchmarks import site_selection as selector_check
 from touchdown.experiments.benchmarks import site_selection_figures as site_figures
 from touchdown.experiments.benchmarks.site_selection_figures import (
     cluster_colours,
@@ -19,8 +15,6 @@ from touchdown.experiments.benchmarks.site_selection_figures import (
     steps_figure,
     write_steps,
 )
-from touchdown.experiments.cli import main as cli
-from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.landing.api import LandingParams, Selection
 from touchdown.landing.selection.selector import NOTHING_MAPPED, select_sites
@@ -120,29 +114,6 @@ def test_names_have_the_seed_where_there_are_several(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match=r"--pictures: .* cannot be created"):
         figure_files(configs, tmp_path / "file")
-
-
-def test_the_command_draws_each_scene(
-    selection: Selection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    result = {
-        "chosen_safe": True, "accepted": 1, "accepted_safe": 1,
-        "clearance_m": 2.0, "best_clearance_m": 3.0,
-        "cells": {"safe": 10, "allowed": 5, "both": 5},
-        "sample": {"predicted": np.array([0.9], np.float32), "safe": np.array([True])},
-    }  # fmt: skip
-
-    def check(config: Config, image: Path | None = None) -> dict[str, Any]:
-        if image is not None:
-            write_steps(image, config, selection)
-        return result | {"scene": config.scene, "seed": config.seed}
-
-    monkeypatch.setattr(selector_check, "check_scene", check)
-    command = ["bench", "selector", "turf", "lake", "--seeds", "0", "--json"]
-    assert cli.main([*command, "--pictures", str(tmp_path / "drawn")]) == 0
-    names = sorted(file.name for file in (tmp_path / "drawn").iterdir())
-    assert names == ["site_lake.jpg", "site_turf.jpg"]
-    assert cli.main(command) == 0
 
 
 def test_an_empty_map_gives_no_figure() -> None:

@@ -1,7 +1,5 @@
 """What a worker of fake flights takes on this machine."""
 
-from __future__ import annotations
-
 import pytest
 
 from touchdown.experiments.campaign.results_table import load_rows

@@ -1,9 +1,6 @@
 """Directories of campaigns that other people made: nothing outside of them is touched."""
 
-from __future__ import annotations
-
 import json
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +10,6 @@ import pytest
 
 from touchdown.experiments.campaign import session, worker
 from touchdown.experiments.campaign.arrival import Arrivals
-from touchdown.experiments.campaign.expectations import judge_campaign
 from touchdown.experiments.campaign.plan import Plan, load_plan
 from touchdown.experiments.campaign.results_table import _stamp, load_rows, write_table
 from touchdown.experiments.campaign.run_names import is_run_name
@@ -82,8 +78,6 @@ def refused(plan: Plan, out: Path, reason: str) -> None:
     assert after == before
 
 
-# ------------------------------------------------------------------------------------------ names
-
 STRANGE = ("../../victim", "../victim", "..", ".", "", "/etc/victim", "a/b", "x\n", "\x1b[31mx",
            "\ud800", "x" * 300)  # fmt: skip
 
@@ -107,11 +101,6 @@ def test_a_run_cannot_have_the_name_of_other_values(name: str, out: Path, plan: 
     refused(plan, out, "which is not the name of its values")
 
 
-def test_two_runs_cannot_have_one_name(out: Path, plan: Plan) -> None:
-    edit(out, lambda document: document["runs"][0].update(run_id="flat-fake.good-s1"))
-    refused(plan, out, "gives two runs one name")
-
-
 def test_names_are_those_of_the_plan_at_any_length() -> None:
     values = {
         "scene": "places/flat.xml", "estimator": "lab.vio:build", "seed": 3, "wind.mean_kmh": 6.0,
@@ -132,9 +121,6 @@ def test_a_name_that_is_too_long_is_refused_before_the_first_flight(tmp_path: Pa
     (tmp_path / "campaign.toml").write_text(text)
     with pytest.raises(UsageError, match=r"longer than 200 bytes|faults"):
         load_plan(tmp_path / "campaign.toml")
-
-
-# ------------------------------------------------------------------------------------------ links
 
 
 def _replaced_by_link(path: Path, target: Path) -> None:
@@ -177,9 +163,6 @@ def test_the_directory_itself_may_be_a_link(out: Path, plan: Plan) -> None:
     assert attempts(out)[NAME] == 1, "nothing is flown twice"
 
 
-# ------------------------------------------------------------------------------------------- rows
-
-
 def test_rows_that_name_another_run_are_damaged(out: Path) -> None:
     run = out / "runs" / NAME
     (row,) = [row for row in load_rows(out) if row["run_id"] == NAME]
@@ -187,25 +170,6 @@ def test_rows_that_name_another_run_are_damaged(out: Path) -> None:
     (out / "results.parquet").unlink()
     with pytest.raises(UsageError, match=r"row\.parquet' is damaged; remove the directory"):
         load_rows(out)
-
-
-@pytest.mark.parametrize(
-    "expect",
-    [
-        [[]],
-        {"when": {}},
-        [{"when": []}],
-        [{"when": {"seed": 3}, "name": "", "outcome": [], "position_error_m_max": None,
-          "unsafe": False}],
-        [{"when": {}, "name": "", "outcome": [], "position_error_m_max": "1", "unsafe": False}],
-        [{"when": {}, "name": "", "outcome": [3], "position_error_m_max": 1.0, "unsafe": False}],
-    ],
-)  # fmt: skip
-def test_expectations_of_another_form_are_damaged(out: Path, expect: object) -> None:
-    file = out / "campaign.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"expect": expect}))
-    with pytest.raises(UsageError, match=r"campaign\.json' is damaged or of another program"):
-        judge_campaign(out)
 
 
 def test_a_table_that_came_along_names_no_paths(out: Path) -> None:
@@ -238,12 +202,6 @@ def test_missing_rows_are_no_success(
     assert f"2 runs have no row, such as {NAME}; give the same command again" in captured.err
 
 
-def test_shards_answer_for_their_own_runs(tmp_path: Path) -> None:
-    plan = make_plan(tmp_path, axes(scene=["flat"], estimator=["fake:good"], seeds="0-5"))
-    totals = fly(plan, tmp_path / "out", shard=(1, 2))
-    assert totals["remaining"] > 0 and totals["missing"] == []
-
-
 def test_a_run_that_vanishes_is_not_counted(tmp_path: Path) -> None:
     plan = make_plan(tmp_path, TEXT)
     out, seen = tmp_path / "out", list[dict[str, Any]]()
@@ -257,16 +215,6 @@ def test_a_run_that_vanishes_is_not_counted(tmp_path: Path) -> None:
     totals = fly(plan, out, watcher=Thief())
     assert totals["finished"] == 0 and len(totals["missing"]) == 2
     assert [event["event"] for event in seen].count("finished") == 2
-
-
-@pytest.mark.parametrize("wall_s", [float("nan"), float("inf"), True, "1"])
-def test_times_that_are_no_numbers(
-    wall_s: object, out: Path, plan: Plan, capsys: pytest.CaptureFixture[str]
-) -> None:
-    edit(out, lambda document: document["sessions"][0].update(wall_s=wall_s))
-    assert cli.main(["campaign", "status", str(out)]) == 2
-    assert "campaign.json' is damaged" in capsys.readouterr().err
-    refused(plan, out, "is damaged")
 
 
 def test_files_of_others_in_the_place_of_a_run_stay(out: Path, plan: Plan) -> None:
@@ -315,9 +263,6 @@ def test_leavings_of_killed_campaigns_go(out: Path, plan: Plan) -> None:
     assert not any(path.exists() for path in left)
 
 
-# ---------------------------------------------------------------------------------- kinds of values
-
-
 def _other_row(out: Path, **values: Any) -> None:
     """The first run's row with other values, of whatever kinds."""
     import pyarrow as pa
@@ -329,18 +274,11 @@ def _other_row(out: Path, **values: Any) -> None:
     (out / "results.parquet").unlink()
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("landing.safe", 2**63 - 1),
-        ("landing.safe", "\x1b[31m"),
-        ("reason", b"\xff\xfe"),
-        ("timing.wall_s", [1.0]),
-        ("timing.stage_ms.world", [1.0]),
-        ("position_error_m.mean", "x"),
-        ("more", b"\xff"),
-    ],
-)
+@pytest.mark.parametrize(("key", "value"), [
+    ("landing.safe", 2**63 - 1), ("landing.safe", "\x1b[31m"), ("reason", b"\xff\xfe"),
+    ("timing.wall_s", [1.0]), ("timing.stage_ms.world", [1.0]), ("position_error_m.mean", "x"),
+    ("more", b"\xff"),
+])  # fmt: skip
 def test_values_of_other_kinds_do_not_count(
     key: str, value: object, out: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -350,28 +288,6 @@ def test_values_of_other_kinds_do_not_count(
     assert not capsys.readouterr().err
     row = next(row for row in load_rows(out) if row["run_id"] == NAME)
     assert key == "more" or not isinstance(row[key], type(value)) or row[key] is None
-
-
-def test_a_table_that_is_no_file_is_made_anew(
-    out: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (out / "results.parquet").unlink()
-    os.mkfifo(out / "results.parquet")
-    assert cli.main(["query", str(out), "select count(*) from runs", "--csv"]) == 0
-    assert capsys.readouterr().out.split() == ["count_star()", "2"]
-    assert (out / "results.parquet").is_file()
-
-
-@pytest.mark.parametrize("seed", [True, 2**63, -(2**63) - 1, 1.5, "1"])
-def test_a_crash_names_its_seed(
-    seed: object, out: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    shutil.rmtree(out / "runs" / NAME)
-    crash = {"run_id": NAME, "scene": "flat", "estimator": "fake:good", "seed": seed, "error": "x"}
-    (out / "failed").mkdir(exist_ok=True)
-    (out / "failed" / f"{NAME}.json").write_text(json.dumps(crash))
-    assert cli.main(["campaign", "status", str(out)]) == 2
-    assert "seed = " in capsys.readouterr().err
 
 
 def test_damage_is_named_before_anything_is_flown(out: Path, plan: Plan) -> None:

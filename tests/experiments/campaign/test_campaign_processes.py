@@ -1,7 +1,5 @@
 """Estimators that start processes: their death is noticed, their memory counts, none is left."""
 
-from __future__ import annotations
-
 import mmap
 import os
 import signal

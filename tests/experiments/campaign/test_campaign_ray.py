@@ -1,8 +1,6 @@
 """Campaigns on Ray: nodes that do not share the directory, rows that do not arrive, and addresses
 where no cluster is."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os
@@ -67,9 +65,6 @@ def flown(monkeypatch: pytest.MonkeyPatch, plan: Plan, out: Path, ray: FakeRay) 
     return fly_campaign(plan, out, make_engine("ray", None), runner=RUNNER)
 
 
-# ------------------------------------------------------------------------------------------ share
-
-
 def test_a_node_without_the_share_is_refused_before_the_first_flight(
     tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -123,9 +118,6 @@ def test_a_node_that_reads_alone_is_refused(
     assert not (tmp_path / "out" / RUNS).exists()
 
 
-# ------------------------------------------------------------------------------------------- rows
-
-
 def test_a_run_whose_row_stays_on_the_node_counts_as_failed(
     tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -164,17 +156,12 @@ def _no_result(run: Path, row: dict[str, Any]) -> None:
     (run / "result.json").unlink()
 
 
-@pytest.mark.parametrize(
-    ("damage", "reason"),
-    [
-        (_other_configuration, "another version of the program"),
-        (_other_run, "it is of the run '../../x'"),
-        (_two_rows, "it has 2 rows"),
-        (_other_result, "are of two flights"),
-        (_cut_row, "its row is not in"),
-        (_no_result, "its row is not in"),
-    ],
-)
+@pytest.mark.parametrize(("damage", "reason"), [
+    (_other_configuration, "another version of the program"),
+    (_other_run, "it is of the run '../../x'"), (_two_rows, "it has 2 rows"),
+    (_other_result, "are of two flights"), (_cut_row, "its row is not in"),
+    (_no_result, "its row is not in"),
+])  # fmt: skip
 def test_a_row_that_is_not_the_planned_one_does_not_count(
     damage: Any, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -196,9 +183,6 @@ def test_a_row_that_is_not_the_planned_one_does_not_count(
     assert totals["crashed"] == 1 and reason in totals["errors"][name]
     assert fly(plan, out)["finished"] == 1
     assert why_not_arrived(out, name, plan.runs[0].config_sha) == ""
-
-
-# ------------------------------------------------------------------------------------- addresses
 
 
 @pytest.fixture
@@ -247,9 +231,6 @@ def test_every_wrong_address_is_refused_in_half_a_minute(
     message, took_s = _refusal(address)
     assert message.startswith(f"--ray-address {address}: ") and took_s < 30.0
     assert "\n" not in message and "Error" not in message and "touchdown" not in message
-
-
-# ---------------------------------------------------------------------------------- a real cluster
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Directory of a campaign: its owner, and the rows read from it."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -17,8 +15,6 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.sql import connect
 
 from support.campaign_flights import MANY, attempts, axes, fly, make_plan
-
-# --------------------------------------------------------------------------------- the directory
 
 TWO = axes(scene=["flat"], estimator=["fake:good"], seeds="0-1")
 
@@ -57,11 +53,9 @@ def test_axes_may_grow_and_nothing_else_may_change(tmp_path: Path) -> None:
     assert fly(grown, out)["finished"] == 6
     assert attempts(out).most_common(1)[0][1] == 1
     assert finished_ids(out) == {
-        "flat-fake.good-s0",
-        "flat-fake.good-s1",
-        "flat-fake.good-s2-w12",
+        "flat-fake.good-s0", "flat-fake.good-s1", "flat-fake.good-s2-w12",
         *(f"flat-fake.good-s{seed}-w20" for seed in range(3)),
-    }
+    }  # fmt: skip
     # Limits and recording are not part of the identity of a run.
     fly(make_plan(tmp_path, "record = 'none'\n" + grown.text + "[limits]\nretries = 0\n"), out)
 
@@ -81,9 +75,6 @@ def test_a_run_with_a_damaged_row_is_repeated(tmp_path: Path) -> None:
     (out / "runs" / "flat-fake.good-s0" / "row.parquet").write_bytes(b"")
     assert fly(plan, out)["finished"] == 2
     assert attempts(out) == {"flat-fake.good-s0": 2, "flat-fake.good-s1": 1}
-
-
-# ------------------------------------------------------------------------------------------- rows
 
 
 @pytest.fixture(scope="module")
@@ -120,21 +111,6 @@ def test_runs_flown_one_by_one_give_rows_too(undisturbed: Path, tmp_path: Path) 
     (tmp_path / "empty").mkdir()
     with pytest.raises(UsageError, match="no finished run"):
         load_rows(tmp_path / "empty")
-
-
-def test_query(undisturbed: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    sql = 'select estimator, max("position_error_m.mean") as worst from runs group by 1 order by 1'
-    assert cli.main(["query", str(undisturbed), sql, "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)["rows"]
-    assert [row["estimator"] for row in rows] == ["fake:is_lost", "fake:slow"]
-    assert rows[0]["worst"] == pytest.approx(0.532)
-    assert cli.main(["query", str(undisturbed), sql, "--csv"]) == 0
-    assert capsys.readouterr().out.splitlines()[0] == "estimator,worst"
-    assert cli.main(["query", str(undisturbed), sql]) == 0
-    assert "fake:slow" in capsys.readouterr().out
-    assert cli.main(["query", str(undisturbed), "select nonsense from runs"]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == "" and captured.err.count("\n") == 1 and "nonsense" in captured.err
 
 
 def test_status(undisturbed: Path, capsys: pytest.CaptureFixture[str]) -> None:

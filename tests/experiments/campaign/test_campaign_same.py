@@ -1,7 +1,5 @@
 """Twelve landings have equal results on every engine and with any number of threads."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import subprocess

@@ -1,8 +1,6 @@
 """A campaign that is killed by a signal, again and again, at random moments after some flights have
 finished."""
 
-from __future__ import annotations
-
 import random
 import signal
 import time

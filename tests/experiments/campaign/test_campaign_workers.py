@@ -1,7 +1,5 @@
 """Workers of a campaign: a row for every run after any failure, and their times."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shutil
@@ -18,17 +16,9 @@ from touchdown.experiments.campaign.worker import Task
 from support.campaign_flights import attempts, axes, fly, make_plan
 
 BEHAVIOURS = (
-    "good",
-    "prints",
-    "is_lost",
-    "raises",
-    "raises_once",
-    "segfaults",
-    "is_killed_once",
-    "grows",
-    "maps",
-    "litters",
-)
+    "good", "prints", "is_lost", "raises", "raises_once", "segfaults", "is_killed_once", "grows",
+    "maps", "litters",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -44,21 +34,14 @@ def row_of(directory: Path, behaviour: str) -> dict[str, Any]:
     return next(row for row in load_rows(directory) if row["estimator"] == f"fake:{behaviour}")
 
 
-@pytest.mark.parametrize(
-    ("behaviour", "outcome", "flown", "reason"),
-    [
-        ("good", "COMPLETED", 1, ""),
-        ("prints", "COMPLETED", 1, ""),
-        ("is_lost", "DIVERGED", 2, ""),  # the second time for its recording
-        ("raises", "CRASHED", 2, "RuntimeError: a wing came off"),
-        ("raises_once", "COMPLETED", 2, ""),
-        ("segfaults", "CRASHED", 2, "SIGSEGV"),
-        ("is_killed_once", "COMPLETED", 2, ""),
-        ("grows", "CRASHED", 1, "GB of memory"),
-        ("maps", "COMPLETED", 1, ""),
-        ("litters", "COMPLETED", 1, ""),
-    ],
-)
+@pytest.mark.parametrize(("behaviour", "outcome", "flown", "reason"), [
+    ("good", "COMPLETED", 1, ""), ("prints", "COMPLETED", 1, ""),
+    ("is_lost", "DIVERGED", 2, ""),  # the second time for its recording
+    ("raises", "CRASHED", 2, "RuntimeError: a wing came off"), ("raises_once", "COMPLETED", 2, ""),
+    ("segfaults", "CRASHED", 2, "SIGSEGV"), ("is_killed_once", "COMPLETED", 2, ""),
+    ("grows", "CRASHED", 1, "GB of memory"), ("maps", "COMPLETED", 1, ""),
+    ("litters", "COMPLETED", 1, ""),
+])  # fmt: skip
 def test_every_run_has_a_row_after_any_failure(
     faulty: tuple[Path, dict[str, Any]], behaviour: str, outcome: str, flown: int, reason: str
 ) -> None:

@@ -1,7 +1,5 @@
 """Expected results in a campaign's file, and their evaluation."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -46,12 +44,8 @@ outcome = ["DIVERGED"]
 
 def expectation(**given: Any) -> dict[str, Any]:
     plain: dict[str, Any] = {
-        "name": "",
-        "when": {},
-        "outcome": [],
-        "position_error_m_max": None,
-        "unsafe": False,
-    }
+        "name": "", "when": {}, "outcome": [], "position_error_m_max": None, "unsafe": False,
+    }  # fmt: skip
     return plain | given
 
 
@@ -78,35 +72,31 @@ def test_idle_conditions() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("row", "given", "fragment"),
-    [
-        (landed(), {}, ""),
-        (landed(), {"outcome": ["ABORTED", "LANDED"], "position_error_m_max": 0.1}, ""),
-        (landed(), {"outcome": ["ABORTED"]}, "LANDED (why)"),
-        (landed(error=0.2), {"position_error_m_max": 0.1}, "0.20 m, at most 0.1 m expected"),
-        (landed() | {"position_error_m.max": None}, {"position_error_m_max": 0.1}, "unknown"),
-        (landed(safe=False), {}, "unsafe touchdown"),
-        (landed(safe=None), {}, "unsafe touchdown"),
-        (landed("ABORTED", safe=False), {}, "unsafe touchdown"),
-        (landed("TIPPED"), {}, "unsafe touchdown"),
-        (landed("COLLIDED") | {"landing.touchdown_xy_m": None}, {}, "unsafe touchdown"),
-        (landed("DIVERGED") | {"landing.touchdown_xy_m": None}, {}, ""),
-        (landed("TIPPED", safe=False), {"unsafe": True}, ""),
-        (landed(), {"at_most": {"position_error_m.max": 0.1}}, ""),
-        (landed(), {"at_most": {"position_error_m.max": 0.09}}, "max 0.1, at most 0.09 expected"),
-        (landed(), {"at_most": {"slowed_s": 1.0}}, "slowed_s unknown"),
-        (landed("CRASHED"), {"unsafe": True}, "crashed: why"),
-        (landed() | {"conditions": DARK}, {"happened": True}, ""),
-        (landed() | {"conditions": json.dumps(DARK)}, {"happened": True}, ""),  # of a table
-        (landed() | {"conditions": ONE_IMAGE}, {"happened": False}, ""),
-        (landed() | {"conditions": ONE_IMAGE}, {"happened": True}, "(1 of 771 images)"),
-        (landed() | {"conditions": ONE_IMAGE}, {"happened": ["camera_black@20"]}, "not happen"),
-        (landed() | {"conditions": ONE_IMAGE}, {"happened": ["night"]}, ""),
-        (landed() | {"conditions": []}, {"happened": True}, ""),
-        (landed(), {"happened": True}, "no record of what happened"),
-    ],
-)
+@pytest.mark.parametrize(("row", "given", "fragment"), [
+    (landed(), {}, ""),
+    (landed(), {"outcome": ["ABORTED", "LANDED"], "position_error_m_max": 0.1}, ""),
+    (landed(), {"outcome": ["ABORTED"]}, "LANDED (why)"),
+    (landed(error=0.2), {"position_error_m_max": 0.1}, "0.20 m, at most 0.1 m expected"),
+    (landed() | {"position_error_m.max": None}, {"position_error_m_max": 0.1}, "unknown"),
+    (landed(safe=False), {}, "unsafe touchdown"), (landed(safe=None), {}, "unsafe touchdown"),
+    (landed("ABORTED", safe=False), {}, "unsafe touchdown"),
+    (landed("TIPPED"), {}, "unsafe touchdown"),
+    (landed("COLLIDED") | {"landing.touchdown_xy_m": None}, {}, "unsafe touchdown"),
+    (landed("DIVERGED") | {"landing.touchdown_xy_m": None}, {}, ""),
+    (landed("TIPPED", safe=False), {"unsafe": True}, ""),
+    (landed(), {"at_most": {"position_error_m.max": 0.1}}, ""),
+    (landed(), {"at_most": {"position_error_m.max": 0.09}}, "max 0.1, at most 0.09 expected"),
+    (landed(), {"at_most": {"slowed_s": 1.0}}, "slowed_s unknown"),
+    (landed("CRASHED"), {"unsafe": True}, "crashed: why"),
+    (landed() | {"conditions": DARK}, {"happened": True}, ""),
+    (landed() | {"conditions": json.dumps(DARK)}, {"happened": True}, ""),  # of a table
+    (landed() | {"conditions": ONE_IMAGE}, {"happened": False}, ""),
+    (landed() | {"conditions": ONE_IMAGE}, {"happened": True}, "(1 of 771 images)"),
+    (landed() | {"conditions": ONE_IMAGE}, {"happened": ["camera_black@20"]}, "not happen"),
+    (landed() | {"conditions": ONE_IMAGE}, {"happened": ["night"]}, ""),
+    (landed() | {"conditions": []}, {"happened": True}, ""),
+    (landed(), {"happened": True}, "no record of what happened"),
+])  # fmt: skip
 def test_expectations_of_one_row(row: dict[str, Any], given: dict[str, Any], fragment: str) -> None:
     found = unexpected(expectation(**given), row)
     assert fragment in found if fragment else found == ""
@@ -176,19 +166,16 @@ def test_a_campaign_is_judged_row_by_row(
     assert not lines([]) and summary(out)["as_expected"] is False
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "fragment"),
-    [
-        ("outcome = [", 'outcome = ["LANDET", ', "unknown outcome 'LANDET'.*did you mean 'LANDED'"),
-        ('name = "lost ones"', "limit = 3", "unknown key 'expect.1.limit'"),
-        ("position_error_m_max = 2.0", "position_error_m_max = -1.0", "position_error_m_max"),
-        ("when = { estimator", "when = { estimater", "did you mean 'estimator'"),
-        ('name = "lost', 'at_most = { slowed = 1 }\nname = "lost', "column 'slowed' in at_most"),
-        ('name = "lost', 'at_most = { slowed_s = "a" }\nname = "lost', "must be a number"),
-        ('name = "lost', 'success_at_least = 2\nname = "lost', "success_at_least"),
-        ('[["fog@0"]] }\noutcome', '[["fog@1"]] }\noutcome', "no value of the axis"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "fragment"), [
+    ("outcome = [", 'outcome = ["LANDET", ', "unknown outcome 'LANDET'.*did you mean 'LANDED'"),
+    ('name = "lost ones"', "limit = 3", "unknown key 'expect.1.limit'"),
+    ("position_error_m_max = 2.0", "position_error_m_max = -1.0", "position_error_m_max"),
+    ("when = { estimator", "when = { estimater", "did you mean 'estimator'"),
+    ('name = "lost', 'at_most = { slowed = 1 }\nname = "lost', "column 'slowed' in at_most"),
+    ('name = "lost', 'at_most = { slowed_s = "a" }\nname = "lost', "must be a number"),
+    ('name = "lost', 'success_at_least = 2\nname = "lost', "success_at_least"),
+    ('[["fog@0"]] }\noutcome', '[["fog@1"]] }\noutcome', "no value of the axis"),
+])  # fmt: skip
 def test_invalid_expectations_are_one_line(
     tmp_path: Path, old: str, new: str, fragment: str
 ) -> None:

@@ -1,7 +1,5 @@
 """The cost of a campaign before it is flown."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`touchdown train`, `evaluate` and `classify`, and the file of a network that they share."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys
@@ -185,11 +183,9 @@ def test_broken_networks_are_reported_in_one_line(
 
 
 def test_commands_say_what_is_missing(
-    folder: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:
+) -> None:  # fmt: skip
     """Without torch the other commands work, and this one says what to install."""
     for name in [
         n for n in sys.modules if n.startswith("touchdown.landing.classification.learning")
@@ -203,26 +199,19 @@ def test_commands_say_what_is_missing(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--network", "resnet51"], "unknown network 'resnet51': did you mean"),
-        (["--data", "nowhere"], "'nowhere' is not a folder"),
-        (["--device", "tpu"], "unknown device 'tpu'"),
-        (["--miss-cost", "lava=10"], "miss cost of 'lava': the classes are lawn, field"),
-        (["--miss-cost", "water"], "'water': give a class and a number above 0, such as water=10"),
-        (["--miss-cost", "water=nan"], "'water=nan': give a class and a number above 0"),
-        (["--network", "inception_v4", "--image-size", "64"], "at least 75 pixels"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["--network", "resnet51"], "unknown network 'resnet51': did you mean"),
+    (["--data", "nowhere"], "'nowhere' is not a folder"),
+    (["--device", "tpu"], "unknown device 'tpu'"),
+    (["--miss-cost", "lava=10"], "miss cost of 'lava': the classes are lawn, field"),
+    (["--miss-cost", "water"], "'water': give a class and a number above 0, such as water=10"),
+    (["--miss-cost", "water=nan"], "'water=nan': give a class and a number above 0"),
+    (["--network", "inception_v4", "--image-size", "64"], "at least 75 pixels"),
+])  # fmt: skip
 def test_training_refuses(
-    arguments: list[str],
-    message: str,
-    torch: Any,
-    folder: Path,
-    tmp_path: Path,
+    arguments: list[str], message: str, torch: Any, folder: Path, tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
-) -> None:
+) -> None:  # fmt: skip
     pytest.importorskip("onnx")
     out = tmp_path / "out"
     command = ["train", "--out", str(out), "--data", str(folder), "--quiet", *arguments]

@@ -1,7 +1,5 @@
 """Label mappings, splits, rendered patches, and folders of images of people's own."""
 
-from __future__ import annotations
-
 import csv
 from collections import Counter
 from pathlib import Path
@@ -28,47 +26,6 @@ from touchdown.landing.classification import labels
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID
 from touchdown.scenes.registry import scene_names
 
-UC_MERCED = Path(__file__).parents[4] / "shared" / "data" / "ucmerced"
-
-# ----------------------------------------------------------------------------------------- labels
-
-
-def test_schemes() -> None:
-    assert labels.D_LAND == ("lawn", "field", "path", "road", "building", "water", "trees")
-    assert len(labels.D_SCENE) == len(set(labels.D_SCENE)) == 30
-
-
-@pytest.mark.parametrize(("kind", "count"), [("ucmerced", 21), ("aid", 30), ("places365", 365)])
-def test_every_class_has_a_meaning(kind: str, count: int) -> None:
-    table = labels.SOURCES[kind]
-    assert len(table) == count
-    for meaning in table.values():
-        assert -1 <= meaning.label("d_land") < 7
-        assert -1 <= meaning.label("d_scene") < 30
-
-
-def test_aid_keeps_its_own_classes() -> None:
-    assert set(labels.AID) == set(labels.D_SCENE)
-    assert all(meaning.d_scene == name for name, meaning in labels.AID.items())
-
-
-def test_most_of_uc_merced_is_kept() -> None:
-    kept = {name: m.d_land for name, m in labels.UC_MERCED.items() if m.d_land}
-    assert len(kept) >= 17
-    expected = {
-        "harbor": "water", "river": "water", "forest": "trees", "freeway": "road",
-        "intersection": "road", "overpass": "road", "parkinglot": "road", "golfcourse": "lawn",
-        "agricultural": "field", "denseresidential": "building", "mediumresidential": "building",
-        "sparseresidential": "building", "mobilehomepark": "building",
-    }  # fmt: skip
-    assert expected.items() <= kept.items()
-
-
-def test_places_indoors_are_left_out() -> None:
-    assert labels.PLACES365["bathroom"] == labels.Meaning(None, None)
-    assert labels.PLACES365["lake/natural"] == labels.Meaning("water", "pond")
-    assert set(labels.D_LAND) <= {m.d_land for m in labels.PLACES365.values()}
-
 
 def test_every_scene_has_a_meaning() -> None:
     for name in scene_names():
@@ -89,9 +46,6 @@ def test_folders_tell_the_kind_of_data() -> None:
         labels.meanings("ucmerced", ["river", "habor"])
 
 
-# ----------------------------------------------------------------------------------------- splits
-
-
 def test_places_are_split_by_seed_and_two_scenes_are_held_out() -> None:
     splits = [split_of_layout("lake", seed) for seed in range(1000, 1010)]
     assert splits == 2 * ["train", "train", "train", "val", "test"]
@@ -109,9 +63,6 @@ def test_uc_merced_is_split_by_number() -> None:
 def test_files_are_split_by_name() -> None:
     splits = Counter(split_of_file(f"Park/park_{n}.jpg") for n in range(2000))
     assert 350 < splits["test"] < 450 and 150 < splits["val"] < 250
-
-
-# ---------------------------------------------------------------------------------------- patches
 
 
 def test_majority_of_a_square() -> None:
@@ -218,8 +169,7 @@ def test_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(render_dataset, "scene_patches", _painted)
     out = tmp_path / "patches"
     done = render_dataset.render_dataset(
-        out,
-        DatasetParams(images=10, scenes=["lake", "pools"], pixels=48, per_seed=4),
+        out, DatasetParams(images=10, scenes=["lake", "pools"], pixels=48, per_seed=4)
     )
     assert done["images"] == 10 and done["splits"]["test"] >= 4
     with (out / "manifest.csv").open(encoding="utf-8") as file:
@@ -260,9 +210,6 @@ def test_sheet_has_a_row_for_each_class() -> None:
     assert (sheet[50, 150] == [255, 0, 0]).all() and (sheet[150, 150] == 255).all()
 
 
-# --------------------------------------------------------------------------------- files of others
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Any:
     """Makes class folders with small coloured images."""
@@ -287,18 +234,15 @@ def test_a_folder_of_uc_merced(folder: Any) -> None:
     assert {test.classes[label] for label in test.labels} == {"water"}
 
 
-@pytest.mark.parametrize(
-    ("files", "argument", "message"),
-    [
-        ({}, "{}", "is empty"),
-        ({"river": 0}, "{}", "is empty: it holds no image of any class"),
-        ({"river": 1, "habor": 1}, "{}", "'habor' is no class of ucmerced; did you mean 'harbor'"),
-        ({"cats": 1}, "{}", "are not the classes of any"),
-        ({"lawn": 1}, "rendered={}", "has no manifest.csv"),
-        ({"lawn": 1}, "ucmercy={}", r"unknown kind 'ucmercy' \(did you mean 'ucmerced'\?\)"),
-        ({}, "{}/nowhere", "is not a folder"),
-    ],
-)
+@pytest.mark.parametrize(("files", "argument", "message"), [
+    ({}, "{}", "is empty"),
+    ({"river": 0}, "{}", "is empty: it holds no image of any class"),
+    ({"river": 1, "habor": 1}, "{}", "'habor' is no class of ucmerced; did you mean 'harbor'"),
+    ({"cats": 1}, "{}", "are not the classes of any"),
+    ({"lawn": 1}, "rendered={}", "has no manifest.csv"),
+    ({"lawn": 1}, "ucmercy={}", r"unknown kind 'ucmercy' \(did you mean 'ucmerced'\?\)"),
+    ({}, "{}/nowhere", "is not a folder"),
+])  # fmt: skip
 def test_folders_that_cannot_be_used(
     folder: Any, files: dict[str, int], argument: str, message: str
 ) -> None:
@@ -306,19 +250,16 @@ def test_folders_that_cannot_be_used(
         read_catalogue(argument.format(folder(files)), "d_land")
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("{columns}\n/etc/hostname,lawn,lawn,flat,1,train,9,9,1\n", "is no name of a file in"),
-        (
-            "{columns}\nlawn/../../x.png,lawn,lawn,flat,1,train,9,9,1\n",
-            "line 2: .* is no name of a file in",
-        ),
-        ("{columns}\nlawn/a.png\n", "line 2: unknown class or split"),
-        ("{columns}\n" + "x" * 200_000, "is not a table in CSV and UTF-8"),
-        ("{columns}\n\udcff", "is not a table in CSV and UTF-8"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    ("{columns}\n/etc/hostname,lawn,lawn,flat,1,train,9,9,1\n", "is no name of a file in"),
+    (
+        "{columns}\nlawn/../../x.png,lawn,lawn,flat,1,train,9,9,1\n",
+        "line 2: .* is no name of a file in",
+    ),
+    ("{columns}\nlawn/a.png\n", "line 2: unknown class or split"),
+    ("{columns}\n" + "x" * 200_000, "is not a table in CSV and UTF-8"),
+    ("{columns}\n\udcff", "is not a table in CSV and UTF-8"),
+])  # fmt: skip
 def test_manifests_that_cannot_be_used(folder: Any, text: str, message: str) -> None:
     data = folder({"lawn": 1})
     columns = "file,d_land,d_scene,scene,seed,split,height_m,side_m,share"
@@ -357,20 +298,9 @@ def test_the_middle_square_is_taken() -> None:
     assert (squared(wide, 5) == 200).all()
 
 
-@pytest.mark.skipif(not UC_MERCED.is_dir(), reason="UC Merced is not here")
-def test_uc_merced_itself() -> None:
-    catalogue = read_catalogue(str(UC_MERCED), "d_land")
-    assert (catalogue.source, len(catalogue.entries), catalogue.left_out) == ("ucmerced", 1520, 160)
-    held_out = [entry for entry in catalogue.entries if entry.split == "test"]
-    assert Counter(entry.label for entry in held_out).total() == 19 * 16
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [
-        (["--scene", "pond"], "unknown scene 'pond'"),
-        (["--images", "0"], "--images"),
-    ],
+    [(["--scene", "pond"], "unknown scene 'pond'"), (["--images", "0"], "--images")],
 )
 def test_command_refuses(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -397,14 +327,3 @@ def test_geom_classes_by_surface() -> None:
     model = SimpleNamespace(ngeom=4, geom=lambda i: SimpleNamespace(name=names[i]))
     scene: Any = SimpleNamespace(model=model, surfaces=surfaces)
     assert list(patches.geom_classes(scene)) == [0, 5, 255, 255]
-
-
-@pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "", "a/../../b.png"])
-def test_a_manifest_names_images_of_its_folder_alone(name: str, tmp_path: Path) -> None:
-    from touchdown.experiments.classification.render_dataset import COLUMNS
-
-    row = dict.fromkeys(COLUMNS, "0") | {"file": name, "d_land": "lawn", "split": "train"}
-    lines = [COLUMNS, [row[column] for column in COLUMNS]]
-    (tmp_path / "manifest.csv").write_text("".join(",".join(line) + "\n" for line in lines))
-    with pytest.raises(UsageError, match=r"manifest\.csv', line 2: .* is no name of a file in"):
-        read_catalogue(str(tmp_path), "d_land")

@@ -1,7 +1,5 @@
 """``touchdown quantize`` ends with the figures of what it wrote."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

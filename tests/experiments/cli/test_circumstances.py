@@ -1,10 +1,7 @@
 """External conditions: a full disk, Ctrl-C, a closed pipe, unusual names."""
 
-from __future__ import annotations
-
 import errno
 import json
-import locale
 import os
 import signal
 import subprocess
@@ -21,7 +18,6 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, input_message, reason_of, system_message
 from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.io.run_directory import run_directory, whole_file
-from touchdown.experiments.terminal import error_line
 
 from support.campaign_fakes import fake_result
 
@@ -59,24 +55,16 @@ def _raise(error: BaseException) -> Callable[[Path], None]:
     return ends
 
 
-@pytest.mark.parametrize(
-    ("number", "fragment"),
-    [
-        (errno.ENOSPC, "No space left on device; make room"),
-        (errno.EDQUOT, "make room"),
-        (errno.EFBIG, "ulimit -f"),
-        (errno.EROFS, "Read-only file system; name a path"),
-        (errno.EACCES, "Permission denied; name one that you may use"),
-        (errno.EIO, "may be full"),
-    ],
-)
+@pytest.mark.parametrize(("number", "fragment"), [
+    (errno.ENOSPC, "No space left on device; make room"), (errno.EDQUOT, "make room"),
+    (errno.EFBIG, "ulimit -f"),
+    (errno.EROFS, "Read-only file system; name a path"),
+    (errno.EACCES, "Permission denied; name one that you may use"), (errno.EIO, "may be full"),
+])  # fmt: skip
 def test_a_disk_error_in_flight_is_one_line_and_leaves_no_files(
-    number: int,
-    fragment: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    number: int, fragment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:
+) -> None:  # fmt: skip
     failure = _raise(OSError(number, os.strerror(number), "/a/.partial-1/truth.tum"))
     monkeypatch.setattr("touchdown.experiments.flight.run.fly", _flight(failure))
     out = tmp_path / "mit ümlaut" / "run"
@@ -111,10 +99,7 @@ def test_an_internal_error_keeps_its_traceback(
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_in_flight_is_one_line_and_leaves_no_files(
-    number: int,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = {kind: signal.getsignal(kind) for kind in (signal.SIGINT, signal.SIGTERM)}
     # Background jobs of a shell ignore Ctrl-C.
@@ -164,13 +149,6 @@ def test_only_system_errors_get_a_system_message() -> None:
     assert output == "'/a': No space left on device; make room there and give the command again"
 
 
-def test_an_error_line_has_no_control_characters_and_a_limited_length() -> None:
-    assert error_line("a\x1b[31m\nb\u202ec") == "touchdown: error: a\\x1b[31m b\\u202ec"
-    assert error_line("größe 💥") == "touchdown: error: größe 💥"
-    line = error_line(f"'{'x' * 9000}' is wrong; give another")
-    assert len(line) < 750 and line.endswith("is wrong; give another")
-
-
 def test_arguments_that_are_not_utf_8_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     code, _, err = _run(capsys, "scenes", "export", "flat", "--out", "a\udcff")
     assert (code, _one_line(err)) == (2, True)
@@ -186,9 +164,6 @@ def test_the_configuration_of_another_version_is_refused_by_its_key(
     code, _, err = _run(capsys, "fly", "flat", "--config", str(tmp_path / "config.json"))
     assert (code, _one_line(err)) == (2, True)
     assert "unknown key 'lidar.beam_count'" in err and "config.json" in err
-
-
-# --------------------------------------------------------------------------------- whole commands
 
 
 def _command(*arguments: str, **changes: Any) -> subprocess.CompletedProcess[bytes]:
@@ -227,42 +202,6 @@ def test_no_terminal_no_colour_and_forty_columns(tmp_path: Path) -> None:
         done = _command("query", str(tmp_path), sql, env=env, stdin=subprocess.DEVNULL)
         assert (done.returncode, done.stderr) == (0, b"")
         assert b"\x1b" not in done.stdout and b"wind_kmh" in done.stdout
-
-
-def _comma_locale() -> str | None:
-    for name in ("de_DE.UTF-8", "de_DE.utf8", "de_DE", "fr_FR.UTF-8", "fr_FR.utf8"):
-        try:
-            locale.setlocale(locale.LC_NUMERIC, name)
-        except locale.Error:
-            continue
-        if locale.localeconv()["decimal_point"] == ",":
-            return name
-    return None
-
-
-def test_decimal_commas_of_the_locale_change_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    before = locale.setlocale(locale.LC_NUMERIC)
-    try:
-        if _comma_locale() is None:
-            pytest.skip("no locale with decimal commas is installed")
-        import mujoco
-
-        config = load_config(None, ["wind.mean_kmh=7.5"])
-        (tmp_path / "config.json").write_text(dump_config(config))
-        assert load_config(tmp_path / "config.json").wind.mean_kmh == 7.5
-        assert '"mean_kmh":7.5' in config.model_dump_json()
-        spec = mujoco.MjSpec.from_string(
-            "<mujoco><worldbody><geom size='0.25'/></worldbody></mujoco>"
-        )
-        assert spec.compile().geom_size[0, 0] == 0.25
-        (tmp_path / "result.json").write_text(json.dumps(fake_result(config, "COMPLETED")))
-        code, out, _ = _run(capsys, "query", str(tmp_path), "select wind_kmh from runs", "--csv")
-        assert (code, out.splitlines()[1]) == (0, "7.5")
-        assert _run(capsys, "report", str(tmp_path))[1].count("7,5") == 0
-    finally:
-        locale.setlocale(locale.LC_NUMERIC, before)
 
 
 def test_a_comma_for_a_point_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

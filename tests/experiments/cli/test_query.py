@@ -1,7 +1,5 @@
 """`touchdown query`: closed to all but the runs, one line for what is wrong, JSON for any type."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import hashlib
@@ -77,47 +75,24 @@ def _fingerprint(folder: Path) -> dict[str, str]:
     return {str(p): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
-# ------------------------------------------------------------------------------------------ closed
-
 TARGET = "runs/crossroad-livo-s0/result.json"
 
 
-@pytest.mark.parametrize(
-    "sql",
-    [
-        f"copy runs to '{TARGET}'",
-        f"explain analyze copy runs to '{TARGET}'",
-        "copy runs from 'secret.csv'",
-        "export database 'copied'",
-        "import database 'copied'",
-        "attach 'other.db'",
-        "attach ':memory:' as other",
-        "from 'secret.csv'",
-        "from read_csv('secret.csv')",
-        "select * from read_text('secret.csv')",
-        "select * from read_blob('/dev/zero')",
-        "select * from read_parquet('https://example.invalid/x.parquet')",
-        "select * from glob('*')",
-        "from sniff_csv('secret.csv')",
-        "from query('copy runs to ''x.csv''')",
-        "install httpfs",
-        "load httpfs",
-        "load './evil.so'",
-        "set enable_external_access = true",
-        "reset enable_external_access",
-        "set lock_configuration = false",
-        "pragma enable_profiling",
-        "pragma database_list",
-        "call enable_logging(storage := 'file', storage_path := 'log')",
-        "create persistent secret key (type s3)",
-        "create table other as select 1",
-        "delete from runs",
-        "drop table runs",
-        "checkpoint",
-        "from secret",
-        "from Path",
-    ],
-)
+@pytest.mark.parametrize("sql", [
+    f"copy runs to '{TARGET}'", f"explain analyze copy runs to '{TARGET}'",
+    "copy runs from 'secret.csv'", "export database 'copied'", "import database 'copied'",
+    "attach 'other.db'", "attach ':memory:' as other", "from 'secret.csv'",
+    "from read_csv('secret.csv')", "select * from read_text('secret.csv')",
+    "select * from read_blob('/dev/zero')",
+    "select * from read_parquet('https://example.invalid/x.parquet')", "select * from glob('*')",
+    "from sniff_csv('secret.csv')", "from query('copy runs to ''x.csv''')", "install httpfs",
+    "load httpfs", "load './evil.so'", "set enable_external_access = true",
+    "reset enable_external_access", "set lock_configuration = false", "pragma enable_profiling",
+    "pragma database_list",
+    "call enable_logging(storage := 'file', storage_path := 'log')",
+    "create persistent secret key (type s3)", "create table other as select 1", "delete from runs",
+    "drop table runs", "checkpoint", "from secret", "from Path",
+])  # fmt: skip
 def test_a_query_reads_the_runs_alone(runs: Path, refused: Query, sql: str) -> None:
     (runs.parent / "secret.csv").write_text("word\nabracadabra\n")
     before = _fingerprint(runs.parent)
@@ -136,9 +111,6 @@ def test_a_connection_for_python_is_closed_too(runs: Path) -> None:
         connection.execute("set enable_external_access = true")
 
 
-# ------------------------------------------------------------------------------------------- lines
-
-
 @pytest.mark.parametrize("sql", ["", "  \n", ";", " -- nothing", "/* nothing */;;"])
 def test_an_empty_query(refused: Query, sql: str) -> None:
     assert "it is empty; give one, such as 'select run_id, outcome from runs'" in refused(sql)
@@ -148,20 +120,16 @@ def test_several_statements(refused: Query) -> None:
     assert "2 statements; give one at a time" in refused("select 1; select 2")
 
 
-@pytest.mark.parametrize(
-    ("sql", "words"),
-    [
-        ("select nonsense from runs", "nonsense"),
-        ("selec 1", "selec"),
-        ("select '\x1b[31mred'::int", r"\x1b[31mred"),
-        ("select 'left\u202eright'::int", r"left\u202eright"),
-        ("from range(2000000)", "more than 1000000 rows; add `limit`"),
-        ("select list(a.range) from range(100000) a, range(100000) b", "of memory"),
-        ("copy runs to 'x.csv'", "the kind COPY does not read runs; give one that does: SELECT"),
-        ("from 'x.csv'", "a query reads `runs` alone: redirect the output of --csv or --json"),
-        ("select error('one\n\nLINE 1: two\nlines') from runs", ": one"),
-    ],
-)
+@pytest.mark.parametrize(("sql", "words"), [
+    ("select nonsense from runs", "nonsense"), ("selec 1", "selec"),
+    ("select '\x1b[31mred'::int", r"\x1b[31mred"),
+    ("select 'left\u202eright'::int", r"left\u202eright"),
+    ("from range(2000000)", "more than 1000000 rows; add `limit`"),
+    ("select list(a.range) from range(100000) a, range(100000) b", "of memory"),
+    ("copy runs to 'x.csv'", "the kind COPY does not read runs; give one that does: SELECT"),
+    ("from 'x.csv'", "a query reads `runs` alone: redirect the output of --csv or --json"),
+    ("select error('one\n\nLINE 1: two\nlines') from runs", ": one"),
+])  # fmt: skip
 def test_a_wrong_query_is_one_line_with_a_remedy(refused: Query, sql: str, words: str) -> None:
     line = refused(sql)
     assert words in line and line.strip().isprintable()
@@ -171,9 +139,6 @@ def test_columns_of_one_name_are_no_json_object(refused: Query, capsys: Any, run
     assert "two columns are called 'a'" in refused("select 1 a, 2 a", "--json")
     assert cli.main(["query", str(runs), "select 1 a, 2 a", "--csv"]) == 0
     assert capsys.readouterr().out == "a,a\n1,2\n"
-
-
-# ------------------------------------------------------------------------------------------- types
 
 
 def test_values_of_any_type_are_json(ask: Query) -> None:
@@ -238,18 +203,13 @@ def test_a_table_is_literal(runs: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "\x1b" not in out
 
 
-# ------------------------------------------------------------------------------------- the process
-
 CHILD = sql_of_runs._asked_of_child
 
 
-@pytest.mark.parametrize(
-    ("sql", "words"),
-    [
-        ("select repeat('x', 3000000000)", "it takes more than 1 GiB of memory; select, join"),
-        ("select repeat('x', 1000) from range(2000)", "gives more than 1 MiB; add `limit`"),
-    ],
-)
+@pytest.mark.parametrize(("sql", "words"), [
+    ("select repeat('x', 3000000000)", "it takes more than 1 GiB of memory; select, join"),
+    ("select repeat('x', 1000) from range(2000)", "gives more than 1 MiB; add `limit`"),
+])  # fmt: skip
 def test_a_query_has_a_process_with_little_memory(
     refused: Query, monkeypatch: pytest.MonkeyPatch, sql: str, words: str
 ) -> None:
@@ -266,8 +226,6 @@ def test_values_come_out_of_the_process_as_they_are(
                  " from runs where seed = 1")  # fmt: skip
     assert row == {"x": 2.0**100, "t": "a\n\x1b\u2028", "l": [1, None], "n": None, "seed": 1}
 
-
-# ------------------------------------------------------------------------------------ interruption
 
 ENDLESS = (
     "select sum(a.range % 7) from range(100000000000) a",
@@ -314,9 +272,6 @@ def test_ctrl_c_ends_an_endless_query(runs: Path, sql: str) -> None:
     done = _interrupted(runs, sql, signal.SIGINT)
     assert (done.returncode, done.stdout) == (130, "")
     assert done.stderr.strip() == "touchdown: interrupted"  # after the line of the ^C
-
-
-# --------------------------------------------------------------------------------------- read-only
 
 
 @pytest.fixture

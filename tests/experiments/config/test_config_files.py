@@ -1,7 +1,5 @@
 """Configuration files at their limits: one line, at once, whatever they hold."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -118,14 +116,12 @@ def test_what_is_no_file_is_named(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "circle").symlink_to("circle")
     cases = {
-        tmp_path: "is a directory",
-        tmp_path / "pipe": "is a named pipe",
-        tmp_path / "circle": "cannot be read (Too many levels",
-        Path("/dev/zero"): "is a device",
+        tmp_path: "is a directory", tmp_path / "pipe": "is a named pipe",
+        tmp_path / "circle": "cannot be read (Too many levels", Path("/dev/zero"): "is a device",
         Path("/proc/kmsg"): "is a file of the kernel's state",
         Path("/proc/self/mem"): "is a file of the kernel's state",
         tmp_path / "gone": "does not exist",
-    }
+    }  # fmt: skip
     for path, words in cases.items():
         with pytest.raises(UsageError, match=re.escape(words)):
             load_config(path)
@@ -152,27 +148,18 @@ def test_a_mistake_of_the_whole_configuration_is_one_line(monkeypatch: pytest.Mo
         load_config(None, ["seed=3"], scene="flat")
 
 
-# ------------------------------------------------------------------------------------------- seeds
-
 LARGEST = 2**63 - 1
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("fly", "flat", "--seed", str(2**63)),
-        ("land", "flat", "--seed", DIGITS),
-        ("fly", "flat", "--set", f"scene_seed={2**63}"),
-        ("scenes", "render", "flat", "--seed", str(2**63)),
-        ("scenes", "export", "flat", "--seed", str(2**63)),
-        ("calibrate", "--seed", str(2**63)),
-        ("dataset", "render", "--seed", str(2**63)),
-        ("train", "data", "--seed", "-1"),
-        ("bench", "loop", "--seed", str(2**63)),
-        ("bench", "endurance", "--seeds", str(2**63)),
-    ],
-    ids=" ".join,
-)
+@pytest.mark.parametrize("arguments", [
+    ("fly", "flat", "--seed", str(2**63)), ("land", "flat", "--seed", DIGITS),
+    ("fly", "flat", "--set", f"scene_seed={2**63}"),
+    ("scenes", "render", "flat", "--seed", str(2**63)),
+    ("scenes", "export", "flat", "--seed", str(2**63)), ("calibrate", "--seed", str(2**63)),
+    ("dataset", "render", "--seed", str(2**63)), ("train", "data", "--seed", "-1"),
+    ("bench", "loop", "--seed", str(2**63)),
+    ("bench", "endurance", "--seeds", str(2**63)),
+], ids=" ".join)  # fmt: skip
 def test_a_seed_that_no_table_holds_is_refused_where_it_enters(
     arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str],
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch,

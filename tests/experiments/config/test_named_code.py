@@ -1,8 +1,6 @@
 """Code that a file names: the module of an external estimator in a configuration that came with
 somebody's results is imported with --allow-code alone."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Profiles: their place in the order of sources, and in the config.json of an earlier run."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import re
 
@@ -31,38 +29,24 @@ def test_every_row_has_five_cells() -> None:
             assert line.replace("\\|", "").count("|") == 6, line
 
 
-@pytest.mark.parametrize(
-    ("key", "unit"),
-    [
-        ("survey.height_m", "m"),
-        ("wind.mean_kmh", "km/h"),
-        ("landing.touchdown_speed_mps", "m/s"),
-        ("paper.closure_rate_deg_s", "°/s"),
-        ("control.rate_radps", "rad/s"),
-        ("sim.imu_ticks", "ticks"),
-        ("livo.camera_hz", "Hz"),
-        ("landing.max_missing_ratio", ""),
-        ("survey.legs", ""),
-        ("bias.xy_m", "m"),
-        ("gps.antenna_body_m", "m"),
-    ],
-)
+@pytest.mark.parametrize(("key", "unit"), [
+    ("survey.height_m", "m"), ("wind.mean_kmh", "km/h"), ("landing.touchdown_speed_mps", "m/s"),
+    ("paper.closure_rate_deg_s", "°/s"), ("control.rate_radps", "rad/s"),
+    ("sim.imu_ticks", "ticks"), ("livo.camera_hz", "Hz"), ("landing.max_missing_ratio", ""),
+    ("survey.legs", ""), ("bias.xy_m", "m"), ("gps.antenna_body_m", "m"),
+])  # fmt: skip
 def test_units_follow_the_names(key: str, unit: str) -> None:
     assert unit_of(key) == unit
 
 
-@pytest.mark.parametrize(
-    ("key", "default", "values"),
-    [
-        ("survey.height_m", "`30.0`", "number, within 1e-06 to 10000"),
-        ("gps.tau_s", "none", "number or none, within 1e-06 to 86400"),
-        ("landing.scorer", '`"risk"`', "`risk`, `paper`"),
-        ("paper.planar_cells", "`[56, 28]`", "2 whole numbers, within 1 to 10000"),
-        ("faults.events", "`[]`", "list of texts"),
-        ("record", "`true`", "true or false"),
-        ("camera.fov_x_deg", "`69.0`", "number, above 0 and below 180"),
-    ],
-)
+@pytest.mark.parametrize(("key", "default", "values"), [
+    ("survey.height_m", "`30.0`", "number, within 1e-06 to 10000"),
+    ("gps.tau_s", "none", "number or none, within 1e-06 to 86400"),
+    ("landing.scorer", '`"risk"`', "`risk`, `paper`"),
+    ("paper.planar_cells", "`[56, 28]`", "2 whole numbers, within 1 to 10000"),
+    ("faults.events", "`[]`", "list of texts"), ("record", "`true`", "true or false"),
+    ("camera.fov_x_deg", "`69.0`", "number, above 0 and below 180"),
+])  # fmt: skip
 def test_defaults_and_values(key: str, default: str, values: str) -> None:
     assert (default_of(key), values_of(key)) == (default, values)
 

@@ -1,7 +1,5 @@
 """The landing task behind Gymnasium and dm_env: interfaces, rewards, endings, determinism."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -78,9 +76,6 @@ def descend(task: LandingTask, seed: int = 0, speed: float = 0.3) -> tuple[Step,
     return first, steps
 
 
-# ------------------------------------------------------------------------------- Gymnasium
-
-
 def test_gymnasium_checker_passes(lawn: str) -> None:
     """`check_env` raises nothing and gives no warning."""
     env = gymnasium.make(
@@ -103,12 +98,8 @@ def test_registered_once_under_its_name(lawn: str) -> None:
     env = gymnasium.make("touchdown.experiments.environments:Touchdown-v0", scene=lawn, **SMALL)
     assert env.action_space.shape == (4,)
     assert sorted(env.observation_space) == [
-        "barometer",
-        "imu",
-        "magnetometer",
-        "rangefinder",
-        "rotors",
-    ]
+        "barometer", "imu", "magnetometer", "rangefinder", "rotors",
+    ]  # fmt: skip
     env.close()
 
 
@@ -135,9 +126,6 @@ def test_vectorized_environments_are_independent(lawn: str) -> None:
     np.testing.assert_array_equal(obs["imu"][1], expected["imu"])
     assert reward[1] == expected_reward
     assert not np.array_equal(obs["imu"][0], obs["imu"][1])
-
-
-# ---------------------------------------------------------------------------------- dm_env
 
 
 class TestDmEnv(test_utils.EnvironmentTestMixin, absltest.TestCase):  # type: ignore[misc]
@@ -169,9 +157,6 @@ def test_dm_env_discounts(lawn: str) -> None:
         if fallen.last() and fallen.discount == 1.0:
             break
     env.close()
-
-
-# -------------------------------------------------------------------------------- the task
 
 
 def test_observations_hold_sensors_only(lawn: str, make_task: MakeTask) -> None:
@@ -245,14 +230,10 @@ def test_moving_towards_safe_ground_is_rewarded(road: str, make_task: MakeTask) 
     assert sum(s.reward for s in steps) == pytest.approx(expected, abs=0.06)
 
 
-@pytest.mark.parametrize(
-    ("action", "outcome"),
-    [
-        ([-1.0, -1.0, -1.0, -1.0], "COLLIDED"),
-        ([0.3, 0.3, -0.3, -0.3], "TIPPED"),
-        ([1.0, 1.0, 1.0, 1.0], "ABORTED"),
-    ],
-)
+@pytest.mark.parametrize(("action", "outcome"), [
+    ([-1.0, -1.0, -1.0, -1.0], "COLLIDED"), ([0.3, 0.3, -0.3, -0.3], "TIPPED"),
+    ([1.0, 1.0, 1.0, 1.0], "ABORTED"),
+])  # fmt: skip
 def test_failures_are_penalized(
     lawn: str, make_task: MakeTask, action: list[float], outcome: str
 ) -> None:

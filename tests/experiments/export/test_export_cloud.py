@@ -1,7 +1,5 @@
 """Exported clouds: the map, and the registered and coloured scans."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`touchdown export`: output, paths, usage errors in one line."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -72,47 +70,40 @@ def test_default_output_is_beside_the_run_and_is_replaced(
     assert names == {"flown", "flown-bag", "flown-estimate.tum", "flown.csv", "flown.ply"}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["nowhere", "--format", "csv"], "no run directory"),
-        (["{run}", "--format", "bag"], "bag"),
-        (["{run}"], "--format"),
-        (["{run}", "--format", "csv", "--tf", "odom"], "--tf is for --format mcap, not csv"),
-        (["{run}", "--format", "mcap", "--judged"], "--judged is for --format tum or csv"),
-        (["{run}", "--format", "ply", "--every", "0"], "--every"),
-        (["{run}", "--format", "ply", "--every", "3"], "--points scans"),
-        (["{run}", "--format", "ply", "--poses", "truth"], "--points scans"),
-        (["{run}", "--format", "csv", "--poses", "truth"], "all trajectories"),
-        (["{run}", "--format", "mcap", "--poses", "reference"], "reference"),
-        (["{run}", "--format", "tum", "--poses", "reference"], "no reference.tum"),
-        (["{run}", "--format", "mcap", "--origin", "here"], "LAT,LON,HEIGHT"),
-        (["{run}", "--format", "mcap", "--origin", "91,0,0"], "no point on Earth"),
-        (["{run}", "--format", "mcap", "--origin", "nan,0,0"], "no point on Earth"),
-        (["{blind}", "--format", "mcap"], "--log-sensors"),
-        (["{blind}", "--format", "ply", "--points", "scans"], "--log-sensors"),
-        (["{blind}", "--format", "ply"], "no map.ply"),
-        (["{run}", "--format", "csv", "--out", "{tmp}"], "is a directory"),
-        (["{run}", "--format", "mcap", "--out", "{tmp}"], "no earlier export"),
-        (["{run}", "--format", "mcap", "--out", "{run}"], "no earlier export"),
-        (["{run}", "--format", "mcap", "--out", "{tmp}/note.txt"], "a bag is a folder"),
-        (["{run}", "--format", "csv", "--out", "{tmp}/note.txt"], "no earlier export"),
-        (["{run}", "--format", "tum", "--out", "{tmp}/note.tum"], "no earlier export"),
-        (["{run}", "--format", "mcap", "--out", "{run}/sensors.mcap"], "file of the run itself"),
-        (["{run}", "--format", "csv", "--out", "{tmp}/note.txt/x.csv"], "cannot be written"),
-        (["{broken}", "--format", "csv"], "no trajectory"),
-        (["{broken}", "--format", "mcap"], "no trajectory"),
-        (["{cut}", "--format", "mcap"], "no complete MCAP"),
-        (["{broken}", "--format", "ply"], "no map"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["nowhere", "--format", "csv"], "no run directory"), (["{run}", "--format", "bag"], "bag"),
+    (["{run}"], "--format"),
+    (["{run}", "--format", "csv", "--tf", "odom"], "--tf is for --format mcap, not csv"),
+    (["{run}", "--format", "mcap", "--judged"], "--judged is for --format tum or csv"),
+    (["{run}", "--format", "ply", "--every", "0"], "--every"),
+    (["{run}", "--format", "ply", "--every", "3"], "--points scans"),
+    (["{run}", "--format", "ply", "--poses", "truth"], "--points scans"),
+    (["{run}", "--format", "csv", "--poses", "truth"], "all trajectories"),
+    (["{run}", "--format", "mcap", "--poses", "reference"], "reference"),
+    (["{run}", "--format", "tum", "--poses", "reference"], "no reference.tum"),
+    (["{run}", "--format", "mcap", "--origin", "here"], "LAT,LON,HEIGHT"),
+    (["{run}", "--format", "mcap", "--origin", "91,0,0"], "no point on Earth"),
+    (["{run}", "--format", "mcap", "--origin", "nan,0,0"], "no point on Earth"),
+    (["{blind}", "--format", "mcap"], "--log-sensors"),
+    (["{blind}", "--format", "ply", "--points", "scans"], "--log-sensors"),
+    (["{blind}", "--format", "ply"], "no map.ply"),
+    (["{run}", "--format", "csv", "--out", "{tmp}"], "is a directory"),
+    (["{run}", "--format", "mcap", "--out", "{tmp}"], "no earlier export"),
+    (["{run}", "--format", "mcap", "--out", "{run}"], "no earlier export"),
+    (["{run}", "--format", "mcap", "--out", "{tmp}/note.txt"], "a bag is a folder"),
+    (["{run}", "--format", "csv", "--out", "{tmp}/note.txt"], "no earlier export"),
+    (["{run}", "--format", "tum", "--out", "{tmp}/note.tum"], "no earlier export"),
+    (["{run}", "--format", "mcap", "--out", "{run}/sensors.mcap"], "file of the run itself"),
+    (["{run}", "--format", "csv", "--out", "{tmp}/note.txt/x.csv"], "cannot be written"),
+    (["{broken}", "--format", "csv"], "no trajectory"),
+    (["{broken}", "--format", "mcap"], "no trajectory"),
+    (["{cut}", "--format", "mcap"], "no complete MCAP"),
+    (["{broken}", "--format", "ply"], "no map"),
+])  # fmt: skip
 def test_invalid_input_is_one_line_and_leaves_no_files(
-    run: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str],
     message: str,
-) -> None:
+) -> None:  # fmt: skip
     (tmp_path / "note.txt").write_text("mine")
     (tmp_path / "note.tum").write_text("a line of exactly eight words is no trajectory")
     blind, broken, cut = (tmp_path / name for name in ("blind", "broken", "cut"))

@@ -1,7 +1,5 @@
 """Single messages of bags: fields by hand, geodetic positions, atomic writing."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

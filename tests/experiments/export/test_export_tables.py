@@ -1,7 +1,5 @@
 """Exported trajectories and the table of a flight."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

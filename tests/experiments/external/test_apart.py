@@ -1,7 +1,5 @@
 """Commands that run code of others: whatever it does to its process, one line and a failure."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -66,9 +64,7 @@ def test_ctrl_c_ends_what_does_not_listen(code: str, output: str) -> None:
     assert (process.returncode, f"stuck\n{rest}", err) == (130, output, "")
 
 
-def test_the_command_that_checks_estimators_says_that_its_process_has_ended(
-    tmp_path: Path,
-) -> None:
+def test_the_command_that_checks_estimators_says_that_its_process_has_ended(tmp_path: Path) -> None:
     (tmp_path / "leaver.py").write_text("import os\ndef build(params, rig): os._exit(0)\n")
     command = [sys.executable, "-m", "touchdown", "check-estimator", "leaver:build"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=500)
@@ -77,21 +73,13 @@ def test_the_command_that_checks_estimators_says_that_its_process_has_ended(
     assert "ended in the middle (exit code 0)" in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "apart"),
-    [
-        ("fly flat --estimator my.lab:build", True),
-        ("land flat --set estimator=my.lab:build", True),
-        ("land flat --config mine.toml", True),
-        ("land flat --config=mine.toml", True),
-        ("check-estimator my.lab:build", True),
-        ("check-estimator livo", False),
-        ("fly flat --estimator livo", False),
-        ("report runs:today", False),
-        ("fly", False),
-        ("", False),
-    ],
-)
+@pytest.mark.parametrize(("words", "apart"), [
+    ("fly flat --estimator my.lab:build", True),
+    ("land flat --set estimator=my.lab:build", True), ("land flat --config mine.toml", True),
+    ("land flat --config=mine.toml", True), ("check-estimator my.lab:build", True),
+    ("check-estimator livo", False), ("fly flat --estimator livo", False),
+    ("report runs:today", False), ("fly", False), ("", False),
+])  # fmt: skip
 def test_which_commands_run_code_of_others(words: str, apart: bool) -> None:
     assert runs_code_of_others(words.split()) == apart
 

@@ -1,7 +1,5 @@
 """The contract check separates good estimators from bad ones; the page's example is a good one."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json
@@ -40,16 +38,11 @@ class Still:
     def update(self, obs: Observation) -> Any:
         self.calls += 1
         estimate = Estimate(
-            tick=obs.tick,
-            time_s=obs.time_s,
-            odom_from_body=self.rig.world_from_body_start,
-            world_from_odom=Pose.identity(),
-            velocity_odom=np.zeros(3),
-            angular_velocity_body=np.zeros(3),
-            acceleration_odom=np.zeros(3),
-            position_covariance=np.eye(3),
-            rotation_covariance=np.eye(3),
-        )
+            tick=obs.tick, time_s=obs.time_s, odom_from_body=self.rig.world_from_body_start,
+            world_from_odom=Pose.identity(), velocity_odom=np.zeros(3),
+            angular_velocity_body=np.zeros(3), acceleration_odom=np.zeros(3),
+            position_covariance=np.eye(3), rotation_covariance=np.eye(3),
+        )  # fmt: skip
         return self.spoil(self, obs, estimate)
 
 
@@ -162,27 +155,23 @@ def test_a_good_estimator_breaks_nothing() -> None:
     assert _check(lambda _self, _obs, estimate: estimate) == []
 
 
-@pytest.mark.parametrize(
-    ("spoil", "rule", "words"),
-    [
-        (_writes_scans, "inputs", "'scans' modified"),
-        (_writes_later, "inputs", "'images' modified"),
-        (_is_nan, "finite", "velocity_odom is not finite"),
-        (_goes_back, "time", "after an estimate for 0.195 s came one for 0.100 s"),
-        (_is_late, "time", "observation of tick 3 (0.005 s) says tick 0 (0.000 s)"),
-        (_throws_dice, "deterministic", "two runs differ from 0.000 s on"),
-        (_raises, "answers", "update raised RuntimeError: no more"),
-        (_raises_anything, "answers", "update raised Odd"),
-        (_wants_scans, "missing data", "without scans"),
-        (_jumps, "continuity", "jumped by 2.00 m"),
-        (_is_elsewhere, "frames", "50.0 m from the take-off point"),
-        (_is_turned, "frames", "rotated by 90 degrees"),
-        (_is_mirrored, "shapes", "odom_from_body.rotation is no rotation matrix"),
-        (_is_a_row, "shapes", "velocity_odom has shape (1, 3), not (3,)"),
-        (_is_negative, "shapes", "position_covariance has a negative eigenvalue"),
-        (lambda *_: None, "answers", "returned NoneType, not Estimate"),
-    ],
-)
+@pytest.mark.parametrize(("spoil", "rule", "words"), [
+    (_writes_scans, "inputs", "'scans' modified"),
+    (_writes_later, "inputs", "'images' modified"),
+    (_is_nan, "finite", "velocity_odom is not finite"),
+    (_goes_back, "time", "after an estimate for 0.195 s came one for 0.100 s"),
+    (_is_late, "time", "observation of tick 3 (0.005 s) says tick 0 (0.000 s)"),
+    (_throws_dice, "deterministic", "two runs differ from 0.000 s on"),
+    (_raises, "answers", "update raised RuntimeError: no more"),
+    (_raises_anything, "answers", "update raised Odd"),
+    (_wants_scans, "missing data", "without scans"), (_jumps, "continuity", "jumped by 2.00 m"),
+    (_is_elsewhere, "frames", "50.0 m from the take-off point"),
+    (_is_turned, "frames", "rotated by 90 degrees"),
+    (_is_mirrored, "shapes", "odom_from_body.rotation is no rotation matrix"),
+    (_is_a_row, "shapes", "velocity_odom has shape (1, 3), not (3,)"),
+    (_is_negative, "shapes", "position_covariance has a negative eigenvalue"),
+    (lambda *_: None, "answers", "returned NoneType, not Estimate"),
+])  # fmt: skip
 def test_each_bad_habit_is_reported_with_its_reason(
     spoil: Callable[[Any, Observation, Estimate], Any], rule: str, words: str
 ) -> None:
@@ -237,9 +226,6 @@ def test_params_reach_the_builder() -> None:
     assert all(params == {"gain": 2.0} for params in seen)
 
 
-# --------------------------------------------------------------------------- the made-up messages
-
-
 ALL = SensorNeeds(
     camera_hz=10, stereo=True, lidar=True, gps=True, barometer=True, magnetometer=True,
     rangefinder=True,
@@ -283,9 +269,6 @@ def test_livo_follows_the_made_up_flight() -> None:
     true = stream.true_pose(obs.tick).translation
     assert np.linalg.norm(estimate.world_from_body.translation - true) < 0.02
     assert true[2] > 1.0
-
-
-# ---------------------------------------------------------------------------------- page, command
 
 
 def _example() -> str:

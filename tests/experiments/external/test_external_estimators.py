@@ -1,7 +1,5 @@
 """Estimators that somebody brings: found, built, watched in flight, known by their code."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os
@@ -95,9 +93,6 @@ def _spoilt(body: str) -> str:
     )
 
 
-# ------------------------------------------------------------------------------------------ names
-
-
 def test_a_module_of_the_current_directory_is_found_and_hides_nothing(
     lab: Callable[..., str], tmp_path: Path
 ) -> None:
@@ -107,32 +102,26 @@ def test_a_module_of_the_current_directory_is_found_and_hides_nothing(
     assert sys.path[-1] == str(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "words"),
-    [
-        ("no_lab.vio:build", "", ["no module 'no_lab'", "holds no_lab/", "pip install -e"]),
-        ("{package}.vioo:build", STILL, ["has no module 'vioo' (did you mean 'vio'?)"]),
-        ("{package}.vio:bild", STILL, ["no function 'bild' (did you mean 'build'?)"]),
-        ("{package}.vio:build", "import torchh\n", [".vio imports torchh, which is not installed"]),
-        ("{package}.vio:build", "x = 1\ndef build(:\n", ["syntax error in", "vio.py:2"]),
-        (
-            "{package}.vio:build",
-            "from touchdown.sim.api import SensorNeeds\n"
-            "class A:\n    needs = SensorNeeds(gpss=True)\n",
-            ["raised TypeError", "'gpss'", "vio.py:3)"],
-        ),
-        ("{package}.vio:build", "build = 3\n", ["build is no function"]),
-        ("{package}.vio:build", "def build(rig): ...\n", ["build(rig) must take (params, rig)"]),
-        ("{package}/vio.py:build", STILL, ["MODULE:FUNCTION, such as my_lab.vio:build"]),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "text", "words"), [
+    ("no_lab.vio:build", "", ["no module 'no_lab'", "holds no_lab/", "pip install -e"]),
+    ("{package}.vioo:build", STILL, ["has no module 'vioo' (did you mean 'vio'?)"]),
+    ("{package}.vio:bild", STILL, ["no function 'bild' (did you mean 'build'?)"]),
+    ("{package}.vio:build", "import torchh\n", [".vio imports torchh, which is not installed"]),
+    ("{package}.vio:build", "x = 1\ndef build(:\n", ["syntax error in", "vio.py:2"]),
+    (
+        "{package}.vio:build",
+        "from touchdown.sim.api import SensorNeeds\n"
+        "class A:\n    needs = SensorNeeds(gpss=True)\n",
+        ["raised TypeError", "'gpss'", "vio.py:3)"],
+    ),
+    ("{package}.vio:build", "build = 3\n", ["build is no function"]),
+    ("{package}.vio:build", "def build(rig): ...\n", ["build(rig) must take (params, rig)"]),
+    ("{package}/vio.py:build", STILL, ["MODULE:FUNCTION, such as my_lab.vio:build"]),
+])  # fmt: skip
 def test_a_name_that_leads_nowhere_is_one_line_before_any_flight(
-    lab: Callable[..., str],
-    capsys: pytest.CaptureFixture[str],
-    name: str,
-    text: str,
+    lab: Callable[..., str], capsys: pytest.CaptureFixture[str], name: str, text: str,
     words: list[str],
-) -> None:
+) -> None:  # fmt: skip
     package = lab(text).partition(".")[0]
     name = name.format(package=package)
     Path("plan.toml").write_text(axes(scene=["flat"], estimator=["gps", name], seeds="0-1"))
@@ -143,18 +132,12 @@ def test_a_name_that_leads_nowhere_is_one_line_before_any_flight(
     assert not Path("o").exists() and not Path("runs").exists()
 
 
-# --------------------------------------------------------------------------------- wrong in flight
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("def build(params, rig):\n    return 1 / 0\n", "build raised ZeroDivisionError"),
-        ("def build(params, rig):\n    return None\n", "no SensorNeeds in an attribute 'needs'"),
-        (STILL.replace("SensorNeeds()", "SensorNeeds(camera_hz=12)"), "camera_hz is 12, but"),
-        (STILL.replace("def update", "def updat"), "no method update(obs) (did you mean 'updat'?)"),
-    ],
-)
+@pytest.mark.parametrize(("text", "words"), [
+    ("def build(params, rig):\n    return 1 / 0\n", "build raised ZeroDivisionError"),
+    ("def build(params, rig):\n    return None\n", "no SensorNeeds in an attribute 'needs'"),
+    (STILL.replace("SensorNeeds()", "SensorNeeds(camera_hz=12)"), "camera_hz is 12, but"),
+    (STILL.replace("def update", "def updat"), "no method update(obs) (did you mean 'updat'?)"),
+])  # fmt: skip
 def test_what_cannot_be_built_is_reported_and_the_contract_says_the_same(
     lab: Callable[..., str], text: str, words: str
 ) -> None:
@@ -166,28 +149,25 @@ def test_what_cannot_be_built_is_reported_and_the_contract_says_the_same(
     assert [found.rule for found in broken] == ["builds"] and words in broken[0].reason
 
 
-@pytest.mark.parametrize(
-    ("body", "words"),
-    [
-        ("return None", "at 1.000 s update returned NoneType, not Estimate"),
-        ("return obs.nothing", "at 1.000 s update raised AttributeError"),
-        (
-            "return dataclasses.replace(estimate, velocity_odom=np.array([np.nan, 0, 0]))",
-            "at 1.000 s update returned an estimate whose velocity_odom is not finite",
-        ),
-        (
-            "return dataclasses.replace(estimate, velocity_odom=[0, 0, 0])",
-            "velocity_odom is no NumPy array",
-        ),
-        (
-            "return dataclasses.replace(estimate, world_from_odom=Pose(0 * np.eye(3), np.ones(3)))",
-            "world_from_odom.rotation is no rotation matrix",
-        ),
-        ("return dataclasses.replace(estimate, events=None)", "events is NoneType"),
-        ("return dataclasses.replace(estimate, diagnostics={'a': 'b'})", "is no number"),
-        ("return dataclasses.replace(estimate, scan_track=3)", "scan_track is no PoseTrack"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("body", "words"), [
+    ("return None", "at 1.000 s update returned NoneType, not Estimate"),
+    ("return obs.nothing", "at 1.000 s update raised AttributeError"),
+    (
+        "return dataclasses.replace(estimate, velocity_odom=np.array([np.nan, 0, 0]))",
+        "at 1.000 s update returned an estimate whose velocity_odom is not finite",
+    ),
+    (
+        "return dataclasses.replace(estimate, velocity_odom=[0, 0, 0])",
+        "velocity_odom is no NumPy array",
+    ),
+    (
+        "return dataclasses.replace(estimate, world_from_odom=Pose(0 * np.eye(3), np.ones(3)))",
+        "world_from_odom.rotation is no rotation matrix",
+    ),
+    ("return dataclasses.replace(estimate, events=None)", "events is NoneType"),
+    ("return dataclasses.replace(estimate, diagnostics={'a': 'b'})", "is no number"),
+    ("return dataclasses.replace(estimate, scan_track=3)", "scan_track is no PoseTrack"),
+])  # fmt: skip
 def test_a_wrong_update_is_one_line(lab: Callable[..., str], body: str, words: str) -> None:
     name = f"{lab(_spoilt(body))}:build"
     estimator = ExternalEstimator(name, {}, synthetic_rig())
@@ -244,9 +224,6 @@ def test_a_flight_that_it_ends_leaves_nothing(
     assert list(Path("flown").iterdir()) == []
 
 
-# -------------------------------------------------------------------------------------- parameters
-
-
 def test_external_keys_reach_the_builder_and_come_back(
     lab: Callable[..., str], tmp_path: Path
 ) -> None:
@@ -265,19 +242,16 @@ def test_external_keys_reach_the_builder_and_come_back(
     assert replay_config(tmp_path, "livo").external == {}
 
 
-@pytest.mark.parametrize(
-    ("overrides", "words"),
-    [
-        (["external.gain=1"], "is for an external estimator, MODULE:FUNCTION"),
-        (["estimator=a:b", "external=1"], "'external' in --set external=1 is a group"),
-        (["estimator=a:b", "external.x={y=1}"], "set its keys one by one, such as external.x.gain"),
-        (["estimator=a:b", "external.x=1", "external.x.y=2"], "beside a value of external.x"),
-        (["estimator=a:b", "external.x=2024-01-01"], "is a date; text, numbers"),
-        (["estimator=a:b", "external.x=[[nan]]"], "finite"),
-        (["estimator=a:b", f"external.{'a.' * 20}b=1"], "nested too deeply"),
-        (["estimator=a:b", "externl.gain=1"], "did you mean 'external.gain'"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("overrides", "words"), [
+    (["external.gain=1"], "is for an external estimator, MODULE:FUNCTION"),
+    (["estimator=a:b", "external=1"], "'external' in --set external=1 is a group"),
+    (["estimator=a:b", "external.x={y=1}"], "set its keys one by one, such as external.x.gain"),
+    (["estimator=a:b", "external.x=1", "external.x.y=2"], "beside a value of external.x"),
+    (["estimator=a:b", "external.x=2024-01-01"], "is a date; text, numbers"),
+    (["estimator=a:b", "external.x=[[nan]]"], "finite"),
+    (["estimator=a:b", f"external.{'a.' * 20}b=1"], "nested too deeply"),
+    (["estimator=a:b", "externl.gain=1"], "did you mean 'external.gain'"),
+])  # fmt: skip
 def test_external_keys_that_cannot_be_are_refused(overrides: list[str], words: str) -> None:
     with pytest.raises(UsageError) as failure:
         load_config(None, overrides)
@@ -295,9 +269,6 @@ def test_external_keys_are_axes_and_set_for_some_runs(tmp_path: Path) -> None:
         False,
         True,
     ]
-
-
-# -------------------------------------------------------------------------------------------- code
 
 
 def test_code_is_known_by_all_files_of_its_package(lab: Callable[..., str]) -> None:
@@ -339,9 +310,6 @@ def test_a_campaign_is_not_gone_on_with_on_other_code(
     check_external_code(plan, out)
 
 
-# ------------------------------------------------------------------------------------------- twist
-
-
 class TruePath:
     """Knows the made-up path; ``spoil`` changes what it says."""
 
@@ -358,17 +326,12 @@ class TruePath:
         before = self._path.true_pose(max(0, obs.tick - 3)).translation
         return self._spoil(
             Estimate(
-                tick=obs.tick,
-                time_s=obs.time_s,
-                odom_from_body=pose,
-                world_from_odom=Pose.identity(),
-                velocity_odom=(pose.translation - before) * 200.0,
-                angular_velocity_body=rates,
-                acceleration_odom=np.zeros(3),
-                position_covariance=np.eye(3),
-                rotation_covariance=np.eye(3),
+                tick=obs.tick, time_s=obs.time_s, odom_from_body=pose,
+                world_from_odom=Pose.identity(), velocity_odom=(pose.translation - before) * 200.0,
+                angular_velocity_body=rates, acceleration_odom=np.zeros(3),
+                position_covariance=np.eye(3), rotation_covariance=np.eye(3),
             )
-        )
+        )  # fmt: skip
 
 
 def _rates(change: Callable[[Any], Any]) -> Callable[[Estimate], Estimate]:
@@ -379,17 +342,14 @@ def _velocity(change: Callable[[Any], Any]) -> Callable[[Estimate], Estimate]:
     return lambda e: dataclasses.replace(e, velocity_odom=change(e.velocity_odom))
 
 
-@pytest.mark.parametrize(
-    ("spoil", "words"),
-    [
-        (_rates(np.rad2deg), "angular_velocity_body adds up to"),
-        (_rates(np.negative), "it is in rad/s, in the body frame"),
-        (_rates(np.zeros_like), "adds up to (0.00, 0.00, 0.00) degrees"),
-        (_velocity(lambda v: 3.6 * v), "velocity_odom adds up to"),
-        (_velocity(np.zeros_like), "it is in m/s, in the odom frame"),
-        (_velocity(lambda v: v * [1.0, 1.0, -1.0]), "velocity_odom adds up to"),
-    ],
-)
+@pytest.mark.parametrize(("spoil", "words"), [
+    (_rates(np.rad2deg), "angular_velocity_body adds up to"),
+    (_rates(np.negative), "it is in rad/s, in the body frame"),
+    (_rates(np.zeros_like), "adds up to (0.00, 0.00, 0.00) degrees"),
+    (_velocity(lambda v: 3.6 * v), "velocity_odom adds up to"),
+    (_velocity(np.zeros_like), "it is in m/s, in the odom frame"),
+    (_velocity(lambda v: v * [1.0, 1.0, -1.0]), "velocity_odom adds up to"),
+])  # fmt: skip
 def test_velocities_of_another_unit_sign_or_frame_are_reported(
     spoil: Callable[[Estimate], Estimate], words: str
 ) -> None:

@@ -1,7 +1,5 @@
 """The pytest plugin, run in a pytest of its own; and the page that explains it."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import json
 import os
@@ -24,12 +22,9 @@ TINY = ["survey.legs=1", "survey.leg_length_m=10", "survey.duration_s=5"]
 
 def row(**changes: object) -> dict[str, object]:
     good = {
-        "scene": "lake",
-        "estimator": "mine",
-        "seed": 4,
-        "outcome": "COMPLETED",
+        "scene": "lake", "estimator": "mine", "seed": 4, "outcome": "COMPLETED",
         "position_error_m.mean": 0.05,
-    }
+    }  # fmt: skip
     return good | changes
 
 
@@ -55,15 +50,11 @@ def test_bound_names_every_flight_that_breaks_it() -> None:
         assert_position_error([row(**{"position_error_m.mean": 0.1})], below=0.1)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"mode": "hover"}, "mode = 'hover'"),
-        ({"jobs": 0}, "touchdown-jobs 0"),
-        ({"overrides": ["survey.hight_m=3"]}, "unknown key 'survey.hight_m'"),
-        ({"scenes": ["atlantis"]}, "atlantis"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "message"), [
+    ({"mode": "hover"}, "mode = 'hover'"), ({"jobs": 0}, "touchdown-jobs 0"),
+    ({"overrides": ["survey.hight_m=3"]}, "unknown key 'survey.hight_m'"),
+    ({"scenes": ["atlantis"]}, "atlantis"),
+])  # fmt: skip
 def test_mistakes_are_reported_before_a_flight(
     tmp_path: Path, arguments: dict[str, object], message: str
 ) -> None:
@@ -113,11 +104,7 @@ def test_the_plugin_needs_nothing_but_pytest() -> None:
         "print([m for m in ('numpy', 'mujoco', 'scipy', 'cv2') if m in sys.modules])"
     )
     done = subprocess.run(
-        [sys.executable, "-c", script],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )
+    )  # fmt: skip
     assert done.stdout.strip() == "[]"

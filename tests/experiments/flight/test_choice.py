@@ -1,7 +1,5 @@
 """The choice of a site in a result."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Measured conditions of a flight: figures of made-up steps with known answers."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -85,19 +83,15 @@ def test_errors_of_the_calibration_as_applied() -> None:
 def test_effects_of_the_world() -> None:
     effects = {
         "scans": {
-            "dust": Effect(4, 3, 1.0, 0.0),
-            "vegetation": Effect(2, 2, 0.5, 0.4),
-            "sway": Effect(2, 1, 0.1, 0.02),
-            "ranging": Effect(2, 2, 2.0, 0.03),
+            "dust": Effect(4, 3, 1.0, 0.0), "vegetation": Effect(2, 2, 0.5, 0.4),
+            "sway": Effect(2, 1, 0.1, 0.02), "ranging": Effect(2, 2, 2.0, 0.03),
         },
         "images": {
-            "lamp": Effect(10, 3, 3.0, 0.0),
-            "light_lux": Effect(7, 7, 7.0, 0.014),
-            "gain": Effect(10, 10, 10.0, 160.0),
-            "stamp_error_ms": Effect(10, 10, 10.0, 30.0),
+            "lamp": Effect(10, 3, 3.0, 0.0), "light_lux": Effect(7, 7, 7.0, 0.014),
+            "gain": Effect(10, 10, 10.0, 160.0), "stamp_error_ms": Effect(10, 10, 10.0, 30.0),
         },
         "air": {"wakes": Effect(5, 5, 5.0, 2.5), "rotation": Effect()},
-    }
+    }  # fmt: skip
     rig = make_rig()
     found = flown().measured(WorldRecord([], effects, {"center_of_mass_m": 0.02}), rig, rig)
     assert (found.dust_scans, found.dust_returns_share, found.dust_images) == (3.0, 0.25, 0.0)

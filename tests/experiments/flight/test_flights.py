@@ -61,18 +61,6 @@ def test_same_seed_same_beginning_to_the_byte_on_any_number_of_threads(
         assert (first / name).read_bytes().startswith(begun), name
 
 
-@pytest.mark.slow
-def test_same_seed_same_flight_to_the_byte_on_any_number_of_threads(
-    livo_flight: tuple[Path, dict[str, Any]], tmp_path: Path
-) -> None:
-    first, result = livo_flight
-    again = run(tmp_path / "run", "sim.threads=1", estimator="livo", seed=11, survey_only=True)
-    for name in ("truth.tum", "estimate.tum", "reference.tum", "map.ply"):
-        assert (first / name).read_bytes() == (tmp_path / "run" / name).read_bytes(), name
-    for key in ("position_error_m", "trajectory_error_m", "map"):
-        assert again[key] == result[key]
-
-
 def test_the_flight_follows_the_estimate_not_the_truth() -> None:
     """A bias of half a metre in the estimate moves the true touchdown by its negative. All of the
     ground is level; the site is the take-off spot."""

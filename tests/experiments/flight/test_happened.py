@@ -1,7 +1,5 @@
 """Verdicts on conditions: on records and figures with known answers."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -27,37 +25,34 @@ def hit(fault: str, changed: int, came: int, stream: str = "images") -> dict[str
     return {"fault": fault, "messages": {stream: changed}, "came": {stream: came}}
 
 
-@pytest.mark.parametrize(
-    ("text", "record", "happened", "said"),
-    [
-        ("camera_black@20", hit("", 771, 771), True,
-         "camera_black from 20.0 s: 771 of 771 images"),
-        ("camera_black@20", hit("", 1, 771), False, "camera_black from 20.0 s: 1 of 771 images"),
-        ("camera_black@20*1", hit("", 1, 771), True,
-         "camera_black from 20.0 s, 1 message: 1 of 771 images"),
-        ("camera_black@20*3", hit("", 2, 2), False, "3 messages: 2 of 2 images"),
-        ("camera_black@70", hit("", 0, 0), False, "the flight ended at 60.0 s, before it began"),
-        ("gps_jump@20", hit("", 0, 0, "gps"), False, "no message came that it could change"),
-        ("gps_jump@20", {}, False, "no message came that it could change"),
-        ("timestamp_swap@27*2",
-         {"messages": {"scans": 2, "images": 1}, "came": {"scans": 9, "images": 9}}, False,
-         "2 of 9 scans, 1 of 9 images"),
-        ("fog@20+5", {"messages": {"scans": 0, "images": 50}, "came": {"scans": 50, "images": 50},
-                      "returns_changed": 0.0, "grey_change": 12.3}, True,
-         "fog from 20.0 to 25.0 s: 0 of 50 scans, 50 of 50 images (0% of returns, 12.3 grey"),
-        ("fog@20+5", {"messages": {"scans": 0, "images": 0}, "came": {"scans": 50, "images": 50},
-                      "returns_changed": 0.0, "grey_change": 0.0}, False, "0 of 50 images"),
-        ("gust@20+30", {"acted_s": 29.9, "gust_mps": 5.0}, True,
-         "gust from 20.0 to 50.0 s: 29.9 s, up to 5.0 m/s"),
-        ("gust@20+30", {"acted_s": 3.0, "gust_mps": 5.0}, False, "3.0 s"),
-        ("gust@20*1", {"acted_s": 2.99, "gust_mps": 5.0}, True, "1 gust: 3.0 s"),
-        ("gust@59", {"acted_s": 1.0, "gust_mps": 5.0}, True, "1.0 s"),
-        ("motor_loss@0", {"acted_s": 60.0}, True, "motor_loss from 0.0 s: 60.0 s"),
-        ("motor_loss@0", {"acted_s": 5.0}, False, "5.0 s"),
-        ("low_sun@0", {"sun_deg": 10.4}, True, "the sun is 10.4 degrees high"),
-        ("low_sun@0", {"sun_deg": 45.0}, False, "the sun is 45.0 degrees high"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "record", "happened", "said"), [
+    ("camera_black@20", hit("", 771, 771), True,
+     "camera_black from 20.0 s: 771 of 771 images"),
+    ("camera_black@20", hit("", 1, 771), False, "camera_black from 20.0 s: 1 of 771 images"),
+    ("camera_black@20*1", hit("", 1, 771), True,
+     "camera_black from 20.0 s, 1 message: 1 of 771 images"),
+    ("camera_black@20*3", hit("", 2, 2), False, "3 messages: 2 of 2 images"),
+    ("camera_black@70", hit("", 0, 0), False, "the flight ended at 60.0 s, before it began"),
+    ("gps_jump@20", hit("", 0, 0, "gps"), False, "no message came that it could change"),
+    ("gps_jump@20", {}, False, "no message came that it could change"),
+    ("timestamp_swap@27*2",
+     {"messages": {"scans": 2, "images": 1}, "came": {"scans": 9, "images": 9}}, False,
+     "2 of 9 scans, 1 of 9 images"),
+    ("fog@20+5", {"messages": {"scans": 0, "images": 50}, "came": {"scans": 50, "images": 50},
+                  "returns_changed": 0.0, "grey_change": 12.3}, True,
+     "fog from 20.0 to 25.0 s: 0 of 50 scans, 50 of 50 images (0% of returns, 12.3 grey"),
+    ("fog@20+5", {"messages": {"scans": 0, "images": 0}, "came": {"scans": 50, "images": 50},
+                  "returns_changed": 0.0, "grey_change": 0.0}, False, "0 of 50 images"),
+    ("gust@20+30", {"acted_s": 29.9, "gust_mps": 5.0}, True,
+     "gust from 20.0 to 50.0 s: 29.9 s, up to 5.0 m/s"),
+    ("gust@20+30", {"acted_s": 3.0, "gust_mps": 5.0}, False, "3.0 s"),
+    ("gust@20*1", {"acted_s": 2.99, "gust_mps": 5.0}, True, "1 gust: 3.0 s"),
+    ("gust@59", {"acted_s": 1.0, "gust_mps": 5.0}, True, "1.0 s"),
+    ("motor_loss@0", {"acted_s": 60.0}, True, "motor_loss from 0.0 s: 60.0 s"),
+    ("motor_loss@0", {"acted_s": 5.0}, False, "5.0 s"),
+    ("low_sun@0", {"sun_deg": 10.4}, True, "the sun is 10.4 degrees high"),
+    ("low_sun@0", {"sun_deg": 45.0}, False, "the sun is 45.0 degrees high"),
+])  # fmt: skip
 def test_a_fault(text: str, record: dict[str, Any], happened: bool, said: str) -> None:
     """A lasting fault must act on nine tenths of what came; one of N on N messages."""
     verdict = judge_fault(parse_fault(text), record, 60.0, Config())

@@ -1,7 +1,5 @@
 """The figures of the map in a result."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

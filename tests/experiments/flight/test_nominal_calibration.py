@@ -1,7 +1,5 @@
 """The nominal rig: errors against the IMU, of the lens, and of the start."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -34,12 +32,9 @@ Array = NDArray[np.float64]
 
 NONE = CalibrationErrorParams(rotation_sigma_deg=0.0, translation_sigma_m=0.0, focal_sigma=0.0)
 AGAINST_IMU = replace(
-    NONE,
-    imu_camera_rotation_sigma_deg=0.1,
-    imu_camera_translation_sigma_m=0.003,
-    imu_lidar_rotation_sigma_deg=0.1,
-    imu_lidar_translation_sigma_m=0.005,
-)
+    NONE, imu_camera_rotation_sigma_deg=0.1, imu_camera_translation_sigma_m=0.003,
+    imu_lidar_rotation_sigma_deg=0.1, imu_lidar_translation_sigma_m=0.005,
+)  # fmt: skip
 SEEDS = 300
 
 

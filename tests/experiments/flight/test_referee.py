@@ -31,11 +31,7 @@ def ground(*gaps: float | None) -> Any:
 
 
 def make_referee(**changes: Any) -> Referee:
-    values: dict[str, Any] = {
-        "survey_only": False,
-        "steps_per_s": 200.0,
-        "ground": ground(),
-    }
+    values: dict[str, Any] = {"survey_only": False, "steps_per_s": 200.0, "ground": ground()}
     return Referee(RefereeParams(timeout_s=100.0), **(values | changes))
 
 
@@ -114,18 +110,14 @@ def test_what_follows_the_first_contact_is_in_the_result() -> None:
     assert landing.touchdown_time_s == pytest.approx(61.0)
 
 
-@pytest.mark.parametrize(
-    ("gaps", "largest", "agrees", "reason"),
-    [
-        ((0.004, -0.006), -0.006, True, ""),
-        ((0.049, 0.0), 0.049, True, ""),
-        ((0.051, 0.0), 0.051, False, "it stands 0.05 m above the truth map: not safe"),
-        ((0.0, 2.3), 2.3, False, "it stands 2.30 m above the truth map: not safe"),
-        ((0.0, -0.4), -0.4, False, "it stands 0.40 m below the truth map: not safe"),
-        ((np.inf, 0.0), np.inf, False, "it stands where the truth map has no ground: not safe"),
-        ((None, None), None, None, ""),
-    ],
-)
+@pytest.mark.parametrize(("gaps", "largest", "agrees", "reason"), [
+    ((0.004, -0.006), -0.006, True, ""), ((0.049, 0.0), 0.049, True, ""),
+    ((0.051, 0.0), 0.051, False, "it stands 0.05 m above the truth map: not safe"),
+    ((0.0, 2.3), 2.3, False, "it stands 2.30 m above the truth map: not safe"),
+    ((0.0, -0.4), -0.4, False, "it stands 0.40 m below the truth map: not safe"),
+    ((np.inf, 0.0), np.inf, False, "it stands where the truth map has no ground: not safe"),
+    ((None, None), None, None, ""),
+])  # fmt: skip
 def test_a_landing_off_the_truth_map_is_never_safe(
     gaps: Any, largest: float | None, agrees: bool | None, reason: str
 ) -> None:
@@ -168,13 +160,10 @@ def test_honest_aborts(flags: dict[str, bool], expected: Outcome) -> None:
     assert referee.result(expected).reason == "no place"
 
 
-@pytest.mark.parametrize(
-    "contact",
-    [
-        Contact(part="rotor", other="tree", normal_force_n=1.0),
-        Contact(part="leg", other="car", normal_force_n=1.0),
-    ],
-)
+@pytest.mark.parametrize("contact", [
+    Contact(part="rotor", other="tree", normal_force_n=1.0),
+    Contact(part="leg", other="car", normal_force_n=1.0),
+])  # fmt: skip
 def test_rotors_and_moving_things_must_not_be_touched(contact: Contact) -> None:
     referee = make_referee()
     fly_to_descent(referee)

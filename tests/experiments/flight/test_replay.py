@@ -1,7 +1,5 @@
 """Replays: bit-equal, without the simulator, judged on the run's truth, refused in one line."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -72,9 +70,6 @@ def _cli(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str,
     return code, captured.out, captured.err
 
 
-# ---------------------------------------------------------------------------------------- results
-
-
 def test_replays_are_equal_to_the_byte(run: Path, tmp_path: Path) -> None:
     results = []
     for name in ("one", "two"):
@@ -121,10 +116,7 @@ def test_errors_are_those_of_the_true_path_from_lift_off_on(
 
 
 def test_who_is_lost_has_failed(
-    run: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name = _still(tmp_path, monkeypatch, "still_far", offset=500.0)
     code, out, _ = _cli(
@@ -142,9 +134,6 @@ def test_lift_off_is_found_where_a_run_does_not_state_it(tmp_path: Path) -> None
     start = logged.truth[0].translation[2]
     assert before <= start + 0.1 < there
     assert logged.to_s == np.inf
-
-
-# -------------------------------------------------------------------------------- what is handed on
 
 
 def test_an_estimator_sees_what_its_own_flight_would_show(tmp_path: Path) -> None:
@@ -181,30 +170,20 @@ def test_estimates_come_with_their_observations(run: Path) -> None:
     assert len(pairs) == 401
 
 
-# ------------------------------------------------------------------------------------- refusals
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--estimator", "stereo"], "lacks what stereo needs: stereo"),
-        (["--estimator", "gps"], "lacks what gps needs: gps, barometer, magnetometer"),
-        (["--set", "livo.camera_hz=30"], "images at 30 Hz (it has 10 Hz)"),
-        (["--estimator", "oracle"], "needs a flight"),
-        (["--estimator", "livvo"], "did you mean 'livo'"),
-        (["--seed", "4"], "--seed does not go with --replay"),
-        (["--wind-kmh", "4"], "--wind-kmh does not go with --replay"),
-        (["--light", "night"], "--light does not go with --replay"),
-        (["--log-sensors"], "--log-sensors does not go with --replay"),
-        (["--set", "wind.mean_kmh=3"], "the flight is over"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["--estimator", "stereo"], "lacks what stereo needs: stereo"),
+    (["--estimator", "gps"], "lacks what gps needs: gps, barometer, magnetometer"),
+    (["--set", "livo.camera_hz=30"], "images at 30 Hz (it has 10 Hz)"),
+    (["--estimator", "oracle"], "needs a flight"),
+    (["--estimator", "livvo"], "did you mean 'livo'"),
+    (["--seed", "4"], "--seed does not go with --replay"),
+    (["--wind-kmh", "4"], "--wind-kmh does not go with --replay"),
+    (["--light", "night"], "--light does not go with --replay"),
+    (["--log-sensors"], "--log-sensors does not go with --replay"),
+    (["--set", "wind.mean_kmh=3"], "the flight is over"),
+])  # fmt: skip
 def test_refusals_are_one_line(
-    run: Path,
-    tmp_path: Path,
-    arguments: list[str],
-    words: str,
-    capsys: pytest.CaptureFixture[str],
+    run: Path, tmp_path: Path, arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
     code, printed, err = _cli(capsys, "fly", "--replay", run, "--out", out, *arguments)
@@ -245,9 +224,6 @@ def test_parameters_of_an_earlier_version_are_left_out_with_a_warning(tmp_path: 
     (run / "config.json").write_text(json.dumps(tree))
     with pytest.raises(UsageError, match="unknown key"):
         replay_config(run, fresh=True)
-
-
-# ------------------------------------------------------------------------------------ a real flight
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Flights under every number of threads that the environment may name."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -12,12 +10,9 @@ import pytest
 
 ROOT = Path(__file__).parents[3]
 NAMES = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
+    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS",
     "LP_NUM_THREADS",
-)
+)  # fmt: skip
 PROBE = """
 import json
 from threadpoolctl import threadpool_info
@@ -59,13 +54,6 @@ def test_libraries_stay_on_one_thread_whatever_the_environment_says(first: str) 
     blas, opencv, numba = json.loads(run("-c", first + PROBE, **four))
     assert len(blas) >= 2 and set(blas) == {1}
     assert (opencv, numba) == (1, 1)
-
-
-@pytest.mark.slow
-def test_a_short_flight_is_the_same_with_other_threads(tmp_path: Path) -> None:
-    plain = flown(tmp_path / "plain", "flat", "gps")
-    odd = dict.fromkeys(NAMES, "2") | {"NUMBA_NUM_THREADS": "many"}
-    assert flown(tmp_path / "odd", "flat", "gps", **odd) == plain
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Heights at which a vehicle stands, against the truth map."""
 
-from __future__ import annotations
-
 import dataclasses
 import gc
 import weakref

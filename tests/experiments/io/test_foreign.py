@@ -1,7 +1,5 @@
 """Names, documents and links in files of other people; unfinished files of dead processes."""
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess
@@ -54,16 +52,10 @@ def test_paths_stay_inside(tmp_path: Path) -> None:
             inside(tmp_path, name)
 
 
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [
-        (b"[]", "holds no object"),
-        (b"[" * 100_000, "nested too deeply"),
-        (b"\xff\xfe{}", "not UTF-8"),
-        (b"{", "Expecting property name"),
-        (b'{"a": ' + b"9" * 5000 + b"}", "digits"),
-    ],
-)
+@pytest.mark.parametrize(("content", "reason"), [
+    (b"[]", "holds no object"), (b"[" * 100_000, "nested too deeply"), (b"\xff\xfe{}", "not UTF-8"),
+    (b"{", "Expecting property name"), (b'{"a": ' + b"9" * 5000 + b"}", "digits"),
+])  # fmt: skip
 def test_documents_that_are_none_have_a_reason_of_one_line(
     content: bytes, reason: str, tmp_path: Path
 ) -> None:
@@ -88,9 +80,6 @@ def test_links_are_refused_wherever_they_lead(tmp_path: Path) -> None:
     for name in ("link", "dangling"):
         with pytest.raises(UsageError, match=f"{name}' is a link; a campaign uses none"):
             refuse_links([tmp_path / "plain", tmp_path / name], "a campaign")
-
-
-# ----------------------------------------------------------------------------- files that are made
 
 
 def _dead_process() -> int:

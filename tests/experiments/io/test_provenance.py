@@ -1,7 +1,5 @@
 """The revision that results state."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Directories and files that appear whole, and what killed processes left of them."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket
@@ -146,10 +144,3 @@ def test_a_folder_of_pictures_is_filled_and_keeps_what_is_in_it(tmp_path: Path) 
     assert (out / "a.png").read_text() == "two"
     assert sorted(path.name for path in out.iterdir()) == ["a.png", "mine.png"]
     assert [path.name for path in tmp_path.iterdir()] == ["pictures"]
-
-
-def test_a_link_to_a_directory_stays_a_link(tmp_path: Path) -> None:
-    (tmp_path / "real").mkdir()
-    (tmp_path / "link").symlink_to("real")
-    make("run_directory", tmp_path / "link")
-    assert (tmp_path / "link").is_symlink() and (tmp_path / "real" / "content").exists()

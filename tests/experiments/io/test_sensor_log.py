@@ -1,7 +1,5 @@
 """Sensor logs return observations equal to the bit, and other tools read them."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path
@@ -137,20 +135,6 @@ def test_plain_json_keeps_every_digit() -> None:
     assert same(from_plain(np.ndarray, json.loads(json.dumps(to_plain(grid)))), grid)
 
 
-def test_memory_is_bounded_by_writing_as_it_goes(tmp_path: Path, stream: list[Observation]) -> None:
-    path = tmp_path / FILE_NAME
-    log = SensorLog(path, synthetic_rig(), ALL)
-    for _ in range(8):
-        for obs in stream:
-            log.add(obs)
-    written = path.stat().st_size
-    log.close()
-    assert written > 0.5 * path.stat().st_size
-
-
-# ----------------------------------------------------------------------------------- other tools
-
-
 def test_ros_tools_read_the_same_numbers(log: Path, stream: list[Observation]) -> None:
     decoder = pytest.importorskip("mcap_ros2.decoder")
     found: dict[str, list[Any]] = {}
@@ -194,9 +178,6 @@ def test_ros_tools_read_the_same_numbers(log: Path, stream: list[Observation]) -
     assert field.magnetic_field.z == pytest.approx(1e-6 * measured[2])
     text = json.loads(found["/touchdown/observation"][3][1].data)
     assert text["tick"] == stream[3].tick
-
-
-# ------------------------------------------------------------------------------------ bad input
 
 
 def test_invalid_files_are_one_clear_line(tmp_path: Path, log: Path) -> None:

@@ -1,7 +1,5 @@
 """The picture of a choice: colours of the score, signs of the candidates, places of the ranks."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

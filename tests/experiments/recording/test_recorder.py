@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -122,35 +120,22 @@ def _grid(cells: int = 160, cell_m: float = 0.2) -> GridMap:
     rgb[: cells // 4] = (10.0, 20.0, 30.0)
     plane = np.full(shape, 1.5, np.float32)
     return GridMap(
-        origin_xy_m=np.full(2, -0.5 * cells * cell_m),
-        cell_m=cell_m,
-        count=count,
-        height_m=plane,
-        height_std_m=np.zeros(shape, np.float32),
-        min_height_m=plane,
-        max_height_m=plane,
-        rgb=rgb,
-        intensity=np.full(shape, 20.0, np.float32),
-        missing=np.zeros(shape, np.float32),
+        origin_xy_m=np.full(2, -0.5 * cells * cell_m), cell_m=cell_m, count=count, height_m=plane,
+        height_std_m=np.zeros(shape, np.float32), min_height_m=plane, max_height_m=plane, rgb=rgb,
+        intensity=np.full(shape, 20.0, np.float32), missing=np.zeros(shape, np.float32),
         last_seen_s=np.zeros(shape, np.float32),
-    )
+    )  # fmt: skip
 
 
 def _scan(start_s: float, directions: Any, ranges: Any) -> LidarScan:
     count = len(ranges)
     return LidarScan(
-        start_tick=round(600 * start_s),
-        end_tick=round(600 * start_s) + 60,
-        start_time_s=start_s,
-        end_time_s=start_s + 0.1,
-        directions=np.asarray(directions, np.float32),
+        start_tick=round(600 * start_s), end_tick=round(600 * start_s) + 60, start_time_s=start_s,
+        end_time_s=start_s + 0.1, directions=np.asarray(directions, np.float32),
         ranges=np.asarray(ranges, np.float32),
         time_offsets=np.linspace(0.0, 0.1, count, dtype=np.float32),
         intensity=np.full(count, 30, np.uint8),
-    )
-
-
-# ------------------------------------------------------------------------------- trajectories
+    )  # fmt: skip
 
 
 def test_tum_keeps_poses_to_nine_decimals(tmp_path: Path) -> None:
@@ -162,9 +147,6 @@ def test_tum_keeps_poses_to_nine_decimals(tmp_path: Path) -> None:
     assert times.shape == (600,)
     np.testing.assert_allclose(positions[7], [7.0, -2.0, 1 / 3], atol=1e-9)
     np.testing.assert_allclose(quats_wxyz[7], [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-9)
-
-
-# -------------------------------------------------------------------------------------- points
 
 
 def test_map_points_lie_at_cell_centres_and_grey_stands_for_no_image() -> None:
@@ -216,9 +198,6 @@ def test_moving_body_follows_its_closed_path(scene: Scene) -> None:
     np.testing.assert_allclose(again, position)
 
 
-# -------------------------------------------------------------------------------------- meshes
-
-
 def test_hidden_and_transparent_geoms_are_not_shown(scene: Scene) -> None:
     names = {scene.model.geom(geom).name for geom in visible_geoms(scene.model)}
     assert names == {"terrain", "house", "car", "vehicle/hull"}
@@ -246,22 +225,13 @@ def test_terrain_mesh_spans_the_height_field(scene: Scene) -> None:
     assert np.cross(first[1] - first[0], first[2] - first[0])[2] > 0.0
 
 
-# ------------------------------------------------------------------------------ run directories
-
-
 def _candidate(accepted: bool) -> Candidate:
     return Candidate(
-        position_odom=np.array([-10.0, -10.0, 1.5]),
-        normal_odom=np.array([0.0, 0.0, 1.0]),
-        c_sum=0.8,
-        slope_deg=1.0,
-        roughness_m=0.02,
-        clearance_m=3.0,
-        accepted=accepted,
+        position_odom=np.array([-10.0, -10.0, 1.5]), normal_odom=np.array([0.0, 0.0, 1.0]),
+        c_sum=0.8, slope_deg=1.0, roughness_m=0.02, clearance_m=3.0, accepted=accepted,
         reason="level and clear" if accepted else "water",
-        rule="highest_value" if accepted else "water",
-        value=0.9,
-    )
+        rule="highest_value" if accepted else "water", value=0.9,
+    )  # fmt: skip
 
 
 def _fly(recorder: Any, steps: int = 400) -> None:
@@ -269,16 +239,10 @@ def _fly(recorder: Any, steps: int = 400) -> None:
     grid = _grid()
     total = np.where(grid.count > 0, np.float32(0.5), np.float32(np.nan))
     costmap = CostmapView(
-        origin_xy_m=grid.origin_xy_m,
-        cell_m=grid.cell_m,
-        total=total,
-        flatness=total,
-        smoothness=total,
-        distance=total,
-        rgb=np.full((160, 160, 3), 90, np.uint8),
-        value=total,
+        origin_xy_m=grid.origin_xy_m, cell_m=grid.cell_m, total=total, flatness=total,
+        smoothness=total, distance=total, rgb=np.full((160, 160, 3), 90, np.uint8), value=total,
         allowed=grid.count > 0,
-    )
+    )  # fmt: skip
     image = np.full((48, 64, 3), 127, np.uint8)
     command = Command(rotor_speed_radps=np.full(4, 500.0))
     for step in range(steps):
@@ -302,13 +266,11 @@ def _fly(recorder: Any, steps: int = 400) -> None:
             MapView(version=step, coarse=grid, fine=None),
             make_view(Phase.SURVEY, **(chosen if step > 200 else {}), reference_world=here),
             Setpoint(
-                position_odom=here,
-                velocity_odom=np.zeros(3),
-                acceleration_odom=np.zeros(3),
+                position_odom=here, velocity_odom=np.zeros(3), acceleration_odom=np.zeros(3),
                 yaw_odom=0.0,
             ),
             command,
-        )
+        )  # fmt: skip
         recorder.tick(record)
     recorder.close()
 
@@ -317,13 +279,8 @@ def test_run_directory_holds_all_files(tmp_path: Path, scene: Scene, rig: Sensor
     _fly(RunRecorder(tmp_path, scene, rig, load_config()))
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {
-        "truth.tum",
-        "estimate.tum",
-        "reference.tum",
-        "flight.rrd",
-        "map.ply",
-        "costmap.png",
-    }
+        "truth.tum", "estimate.tum", "reference.tum", "flight.rrd", "map.ply", "costmap.png",
+    }  # fmt: skip
     times, truth, _ = read_tum(tmp_path / "truth.tum")
     _, estimate, _ = read_tum(tmp_path / "estimate.tum")
     assert len(times) == 100  # 50 Hz

@@ -1,8 +1,6 @@
 """Names of outside in everything that is printed and written: literal, and nothing steers a
 terminal, a page or a Markdown reader."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys
@@ -45,9 +43,6 @@ def _is_quiet(text: str) -> bool:
     return all(c in "\n\t" or unicodedata.category(c) not in ("Cc", "Cf", "Cs") for c in text)
 
 
-# -------------------------------------------------------------------------------------------- words
-
-
 def test_visible() -> None:
     assert visible("plain é 地 [x] ü") == "plain é 地 [x] ü"
     assert visible("\x1b\x07\x7f\x85\x9b\n\r\t") == r"\x1b\x07\x7f\x85\x9b\n\r\t"
@@ -87,9 +82,6 @@ def test_markdown_text(text: str, shown: str | None) -> None:
 def test_markdown_of_a_cell_and_of_code() -> None:
     assert markdown_cell("a|`b|c`") == r"a\|`b\|c`"
     assert fenced("a = 1\n```\n<b>\x1b") == ["````", "a = 1\n```\n<b>\\x1b", "````"]
-
-
-# ---------------------------------------------------------------------------------------- terminal
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -149,9 +141,6 @@ def test_stdout_without_the_characters(
     assert cli.main(["report", str(tmp_path)]) == 0
     out.flush()
     assert b"\xe9\\u5730" in out.buffer.getvalue()
-
-
-# ----------------------------------------------------------------------------------------- reports
 
 
 @pytest.fixture(scope="module")
@@ -221,16 +210,3 @@ def test_figures_are_xml(report: Path) -> None:
         text = file.read_text(encoding="utf-8")
         assert _is_quiet(text)
         ET.fromstring(text)
-
-
-def test_json_keeps_the_names(report: Path) -> None:
-    text = (report / "report.json").read_text(encoding="utf-8")
-    assert text.isascii() and json.loads(text)["flights"] == len(NAMES)
-
-
-def test_words_and_table_on_the_terminal(report: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    runs = str(report.parent / "runs")
-    for command in (["report", runs], ["report", runs, "--out", str(report.parent / "again")]):
-        assert cli.main(command) == 0
-        out = capsys.readouterr().out
-        assert _is_quiet(out) and "\n# heading" not in out

@@ -1,7 +1,5 @@
 """Results of outside with text and numbers that no table holds: one line, whatever reads them."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable
@@ -95,9 +93,6 @@ def test_broken_text() -> None:
     assert broken_text({"a": ["ü", {"💥": 1.0}], "b": None}) is None
     assert broken_text({"a": [{"\ud83d": 1}]}) == r"'\ud83d'"
     assert broken_text(["x" * 1000 + "\0"]) == "'" + "x" * 59
-
-
-# ---------------------------------------------------------------------------------- class names
 
 
 def test_messages_name_no_class(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Figures that the configuration sets: known by column and method, and by keys that exist."""
 
-from __future__ import annotations
-
 import pytest
 
 from touchdown.experiments.campaign.results_table import SCHEMA
@@ -16,19 +14,14 @@ from touchdown.experiments.reporting.measures import (
 from touchdown.experiments.reporting.run_table import LANDING_COLUMNS
 
 
-@pytest.mark.parametrize(
-    ("column", "method", "key"),
-    [
-        ("map.duration_s", "livo", "survey.duration_s"),
-        ("landing.vertical_speed_mps", "paper", "landing.touchdown_speed_mps"),
-        ("trajectory_error_m", "gps", "gps.preset"),
-        ("position_error_m.mean", "gps", "gps.preset"),
-        ("trajectory_error_m", "hybrid_flow", None),
-        ("trajectory_error_m", None, None),
-        ("landing.target_offset_m", "gps", None),
-        ("trajectory_error_max_m", "gps", None),
-    ],
-)
+@pytest.mark.parametrize(("column", "method", "key"), [
+    ("map.duration_s", "livo", "survey.duration_s"),
+    ("landing.vertical_speed_mps", "paper", "landing.touchdown_speed_mps"),
+    ("trajectory_error_m", "gps", "gps.preset"),
+    ("position_error_m.mean", "gps", "gps.preset"), ("trajectory_error_m", "hybrid_flow", None),
+    ("trajectory_error_m", None, None), ("landing.target_offset_m", "gps", None),
+    ("trajectory_error_max_m", "gps", None),
+])  # fmt: skip
 def test_figures_that_are_set(column: str, method: str | None, key: str | None) -> None:
     found = setting_of(column, method)
     assert (None if found is None else found.key) == key

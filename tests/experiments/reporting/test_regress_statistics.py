@@ -1,7 +1,5 @@
 """The statistics of `touchdown regress` on known answers."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The table of conditions: groups, means, worst flights, and ratios to the first condition."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -73,9 +71,6 @@ def test_ratios_are_of_means_of_pairs() -> None:
     assert found is not None and found.low is not None
     assert (found.value, found.flights) == (2.0, 3) and found.low == pytest.approx(2.0)
     assert ratio_interval([]) is None and ratio_interval([(1.0, 0.0)]) is None
-
-
-# ------------------------------------------------------------------------------ a whole report
 
 
 def flown(directory: Path, profile: str, seed: int, error: float, **config: Any) -> None:

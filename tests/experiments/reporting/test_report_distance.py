@@ -1,7 +1,5 @@
 """Errors over the distance flown, by hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The part of a report that is about landings, on made-up flights."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any
@@ -23,16 +21,11 @@ SPOT = [14.0, -33.5]
 def landing(east: float, north: float, **changes: Any) -> dict[str, Any]:
     """A touchdown ``east`` and ``north`` of the spot."""
     return LANDING | {
-        "commanded_xy_m": SPOT,
-        "site_xy_m": SPOT,
+        "commanded_xy_m": SPOT, "site_xy_m": SPOT,
         "touchdown_xy_m": [SPOT[0] + east, SPOT[1] + north],
-        "target_offset_m": (east**2 + north**2) ** 0.5,
-        "bounce_m": 0.004,
-        "impact_peak_mps2": 3.0,
-        "obstacle_distance_m": 6.0,
-        "class_true": "field",
-        **changes,
-    }
+        "target_offset_m": (east**2 + north**2) ** 0.5, "bounce_m": 0.004, "impact_peak_mps2": 3.0,
+        "obstacle_distance_m": 6.0, "class_true": "field", **changes,
+    }  # fmt: skip
 
 
 def land(directory: Path, method: str, seed: int, scene: str = "crossroad", **changes: Any) -> None:

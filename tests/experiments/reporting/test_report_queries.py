@@ -1,7 +1,5 @@
 """Grouped queries over rows with known answers."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

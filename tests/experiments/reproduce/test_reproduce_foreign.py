@@ -44,25 +44,16 @@ def changed(file: Path, **changes: Any) -> None:
     file.write_text(json.dumps(state))
 
 
-@pytest.mark.parametrize(
-    ("part", "changes"),
-    [
-        ("recognition", {"figures": {"folder": "../../victim"}}),
-        ("recognition", {"figures": {"folder": "/etc"}}),
-        ("recognition", {"figures": {"folder": 3}}),
-        ("world", {"figures": {"scenes": ["../../../victim/thesis"]}}),
-        ("world", {"figures": {"scenes": [["lake"]]}}),
-        ("world", {"figures": {"scenes": None}}),
-        ("sites", {"figures": {"places": [{"scene": "/../../../../victim/x"}]}}),
-        ("sites", {"figures": {"places": [{}]}}),
-        ("speed", {"part": "world"}),
-        ("speed", {"edition": "../x"}),
-        ("speed", {"wall_s": "long"}),
-        ("speed", {"error": None}),
-        ("speed", {"settings": []}),
-        ("speed", {"more": 1}),
-    ],
-)
+@pytest.mark.parametrize(("part", "changes"), [
+    ("recognition", {"figures": {"folder": "../../victim"}}),
+    ("recognition", {"figures": {"folder": "/etc"}}), ("recognition", {"figures": {"folder": 3}}),
+    ("world", {"figures": {"scenes": ["../../../victim/thesis"]}}),
+    ("world", {"figures": {"scenes": [["lake"]]}}), ("world", {"figures": {"scenes": None}}),
+    ("sites", {"figures": {"places": [{"scene": "/../../../../victim/x"}]}}),
+    ("sites", {"figures": {"places": [{}]}}), ("speed", {"part": "world"}),
+    ("speed", {"edition": "../x"}), ("speed", {"wall_s": "long"}), ("speed", {"error": None}),
+    ("speed", {"settings": []}), ("speed", {"more": 1}),
+])  # fmt: skip
 def test_states_that_name_other_files_are_damaged(
     part: str, changes: dict[str, Any], out: Path, world: World
 ) -> None:

@@ -1,7 +1,5 @@
 """Grades of the paper's items: implemented, measured, comparable, each with a reason."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from touchdown.experiments.reproduce.items import (

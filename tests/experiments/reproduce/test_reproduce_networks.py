@@ -1,7 +1,5 @@
 """Parallel trainings of a reproduction."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,12 +15,9 @@ pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
 SIZE = replace(
-    QUICK.recognition,
-    networks=("mobilenet_v3_large", "resnet18"),
-    labels=("d_land",),
-    image_size=32,
-    epochs=1,
-)
+    QUICK.recognition, networks=("mobilenet_v3_large", "resnet18"), labels=("d_land",),
+    image_size=32, epochs=1,
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")

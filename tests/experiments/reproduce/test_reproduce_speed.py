@@ -1,7 +1,5 @@
 """Table 7 with the reference implementation, and without its libraries."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 from typing import Any
@@ -14,10 +12,8 @@ from touchdown.experiments.reproduce.tables import speed_table
 
 STEPS = ("down_sampling", "flatness", "smoothness", "distance", "clustering", "selection")
 OURS: dict[str, Any] = {
-    "scene": "crossroad",
-    "cells": [300, 400],
-    "stage_ms": dict.fromkeys(STEPS, 1.5),
-}
+    "scene": "crossroad", "cells": [300, 400], "stage_ms": dict.fromkeys(STEPS, 1.5),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("there", [True, False])

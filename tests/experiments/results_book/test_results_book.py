@@ -1,7 +1,5 @@
 """The results pages: tables by hand, one revision, and nothing that the command did not write."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -29,9 +27,6 @@ LANDINGS = SETS[0]
 REVISION = "0123456789abcdef0123456789abcdef01234567"
 
 
-# ------------------------------------------------------------------------ the pages of the project
-
-
 @pytest.mark.parametrize("page", PAGES)
 def test_tables_of_the_pages_are_those_of_the_file_of_results(page: str) -> None:
     """To the letter: a figure edited by hand fails here."""
@@ -48,17 +43,6 @@ def test_the_file_of_results_holds_the_flights_of_the_plans() -> None:
         planned = [run.run_id for run in by_key[key].plan().runs]
         assert [row["run_id"] for row in entry["rows"]] == planned, key
     assert record == merged(record, record), "one revision in each profile"
-
-
-def test_plans_have_the_stated_flights() -> None:
-    counts = {found.key: len(found.plan().runs) for found in SETS}
-    assert counts["field/landings"] == counts["ideal/landings"] == 4 * 5
-    assert counts["field/positioning"] == 4 * (2 * 3 + 4 * 2) == counts["ideal/positioning"]
-    for found in SETS:
-        assert {run.values["profile"] for run in found.plan().runs} == {found.profile}
-
-
-# ------------------------------------------------------------------------------- tables by hand
 
 
 def row(scene: str, seed: int, method: str = "livo", **more: Any) -> dict[str, Any]:
@@ -169,9 +153,6 @@ def test_the_summary_compares_no_figure_that_is_set() -> None:
     assert cells(lines[start:], "`gps`")["completed"] == "4 of 4"
 
 
-# ------------------------------------------------------------------------------- one revision
-
-
 def fly(found: FlightSet, out: Path, revision: str = REVISION, left_out: int = 0) -> Path:
     """A campaign below ``out`` as if it were flown at ``revision``."""
     directory = out / found.key
@@ -258,14 +239,11 @@ def test_sets_of_a_profile_are_of_one_revision() -> None:
         merged(before, {"field/blind": {"revision": "c"}})
 
 
-@pytest.mark.parametrize(
-    ("revision", "message"),
-    [
-        (None, "revision of the flights is not known"),
-        (f"{REVISION}-dirty", "changes that are not committed"),
-        ("fedcba", r"holds flights of revision 0123456789ab, the source tree is at fedcba"),
-    ],
-)
+@pytest.mark.parametrize(("revision", "message"), [
+    (None, "revision of the flights is not known"),
+    (f"{REVISION}-dirty", "changes that are not committed"),
+    ("fedcba", r"holds flights of revision 0123456789ab, the source tree is at fedcba"),
+])  # fmt: skip
 def test_nothing_is_flown_that_could_not_be_printed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, revision: str | None, message: str
 ) -> None:

@@ -1,7 +1,5 @@
 """Images of scenes show what is there; seeds are distinguished."""
 
-from __future__ import annotations
-
 import json
 import os
 import warnings
@@ -195,9 +193,6 @@ def test_a_folder_that_cannot_be_made_is_one_line(
         assert "cannot be made" in capsys.readouterr().err
 
 
-# ------------------------------------------------------------------------------------ the seeds
-
-
 def test_survey_facts_of_known_ground(place: Scene) -> None:
     facts = survey_facts(place, 8.0, 0.0, 2.0, 4.0)
     assert facts.seen_m2 == pytest.approx(12.0 * 8.0, rel=0.02)
@@ -237,9 +232,6 @@ def test_layout_reads_heights_and_classes(place: Scene) -> None:
     assert plan.height_m.max() == pytest.approx(0.5, abs=0.01)
     share = float((plan.height_m > 0.25).mean())
     assert share == pytest.approx(8.0 * 6.0 / np.prod(np.ptp(place.bounds_xy_m, axis=0)), rel=0.1)
-
-
-# ------------------------------------------------------------------------------------ files
 
 
 def write_place(tmp_path: Path, geoms: str) -> str:

@@ -1,7 +1,5 @@
 """The camera's conventions, intrinsics, noise and threading on rendered images."""
 
-from __future__ import annotations
-
 import threading
 
 import mujoco

@@ -1,7 +1,5 @@
 """Depth, segmentation, lens, exposure, shutter and backends of the camera."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -44,9 +42,6 @@ def ids_of(scene: Scene, params: CameraParams = CLEAN) -> NDArray[np.int32]:
         sensor.close()
 
 
-# ---------------------------------------------------------------------------------- depth
-
-
 def test_depth_is_along_the_axis_not_along_the_ray() -> None:
     """A floor 20 m below is 20 m deep in every pixel; a box of 3 m height is 17 m deep."""
     scene = make_scene(
@@ -86,9 +81,6 @@ def test_the_sky_has_no_depth_and_no_geom() -> None:
     assert (ids_of(scene) == -1).all()
 
 
-# --------------------------------------------------------------------------- segmentation
-
-
 @pytest.mark.parametrize("samples", [0, 4])
 def test_segmentation_counts_pixels_of_every_geom(samples: int) -> None:
     """4 x 2 m at 17 m depth are (f 4/17) x (f 2/17) pixels. Multisampling must not blend ids."""
@@ -119,9 +111,6 @@ def test_depth_and_segmentation_belong_to_the_colour_image() -> None:
         deep = depth_of(scene, params) < 19.98
         assert (red ^ crate).sum() < 0.03 * crate.sum()
         assert (deep ^ crate).sum() < 0.03 * crate.sum()
-
-
-# ----------------------------------------------------------------------------------- lens
 
 
 def test_distortion_is_that_of_opencv() -> None:
@@ -166,23 +155,17 @@ def test_rig_reports_the_lens_and_the_image_keeps_its_size() -> None:
     assert 480 < raster.height < 600
 
 
-@pytest.mark.parametrize(
-    ("params", "message"),
-    [
-        (CameraParams(distortion=(-2.0, 0.0, 0.0, 0.0, 0.0)), r"folds the image"),
-        (CameraParams(distortion=(-0.35, 0.0, 0.0, 0.0, 0.0), fov_x_deg=110.0), r"folds|raster"),
-        (CameraParams(gain=0.0), r"camera\.gain is 0"),
-        (CameraParams(readout_s=-0.01), r"camera\.readout_s is -0\.01"),
-        (CameraParams(fov_x_deg=180.0), r"camera\.fov_x_deg is 180"),
-        (CameraParams(distortion=(np.nan, 0.0, 0.0, 0.0, 0.0)), r"camera\.distortion"),
-    ],
-)
+@pytest.mark.parametrize(("params", "message"), [
+    (CameraParams(distortion=(-2.0, 0.0, 0.0, 0.0, 0.0)), r"folds the image"),
+    (CameraParams(distortion=(-0.35, 0.0, 0.0, 0.0, 0.0), fov_x_deg=110.0), r"folds|raster"),
+    (CameraParams(gain=0.0), r"camera\.gain is 0"),
+    (CameraParams(readout_s=-0.01), r"camera\.readout_s is -0\.01"),
+    (CameraParams(fov_x_deg=180.0), r"camera\.fov_x_deg is 180"),
+    (CameraParams(distortion=(np.nan, 0.0, 0.0, 0.0, 0.0)), r"camera\.distortion"),
+])  # fmt: skip
 def test_impossible_cameras_are_refused(params: CameraParams, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         CameraSensor(make_scene(), params, 0)
-
-
-# ------------------------------------------------------------------------------- exposure
 
 
 def test_gain_multiplies_light() -> None:
@@ -201,9 +184,6 @@ def test_auto_exposure_brings_the_mean_to_middle_grey_within_its_range() -> None
     night = take_image(make_scene(floor="0.04 0.04 0.04 1"), auto)
     plain = take_image(make_scene(floor="0.04 0.04 0.04 1"))
     assert night.mean() == pytest.approx(plain.mean() * 4.0 ** (1 / 2.2), abs=1.0)
-
-
-# -------------------------------------------------------------------------------- shutter
 
 
 def rolling(params: CameraParams, shifts_m: Array) -> NDArray[np.uint8]:
@@ -255,9 +235,6 @@ def test_readout_must_fit_the_clock() -> None:
         readout_ticks(0.04, SimParams())
 
 
-# ------------------------------------------------------------------------------- backends
-
-
 def image_elsewhere(**environment: str) -> subprocess.CompletedProcess[str]:
     """An image taken in a process of its own, without a display: GL libraries are loaded once."""
     script = (
@@ -268,13 +245,9 @@ def image_elsewhere(**environment: str) -> subprocess.CompletedProcess[str]:
     hidden = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM")
     inherited = {k: v for k, v in os.environ.items() if k not in hidden}
     return subprocess.run(
-        [sys.executable, "-c", script],
-        env=inherited | {"PYTHONPATH": ".:tests"} | environment,
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=Path(__file__).parents[3],
-    )
+        [sys.executable, "-c", script], env=inherited | {"PYTHONPATH": ".:tests"} | environment,
+        capture_output=True, text=True, check=False, cwd=Path(__file__).parents[3],
+    )  # fmt: skip
 
 
 def test_a_requested_backend_that_fails_is_not_replaced() -> None:

@@ -1,7 +1,5 @@
 """Plants in the picture: known heights, agreement with the LIDAR, no trace where there are none."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math
@@ -123,9 +121,6 @@ def grid(xy: tuple[float, float], half: float) -> tuple[np.ndarray, np.ndarray]:
     return x.ravel(), y.ravel()
 
 
-# ---------------------------------------------------------------------------- visible height
-
-
 def test_visible_height_is_the_mean_of_the_law_of_the_pulses() -> None:
     x, y = grid(MEADOW, 8.0)
     detail, mean = plants(), np.full(len(x), CANOPY_M, np.float32)
@@ -144,9 +139,6 @@ def test_visible_height_is_the_mean_of_the_law_of_the_pulses() -> None:
 def test_without_vegetation_there_are_no_plants() -> None:
     assert SurfaceDetail.plants_of(BARE, place()) is None
     assert Cover.of(place(), None) is None
-
-
-# ---------------------------------------------------------------------------------- pictures
 
 
 def test_depth_over_a_meadow_is_nearer_by_the_visible_height(
@@ -257,9 +249,6 @@ def test_only_a_level_height_field_is_raised() -> None:
     assert Cover.of(turned, same) is None
     box = dataclasses.replace(found.optics, ground_geom=int(model.geom("pad").id))
     assert Cover.of(scene, dataclasses.replace(found, optics=box)) is None
-
-
-# ------------------------------------------------------------------- rangefinder and world
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.5])

@@ -1,7 +1,5 @@
 """Grain of the ground: where it lies, what it leaves as it is, and where it comes from."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import functools
@@ -70,9 +68,6 @@ def fine(image: np.ndarray) -> float:
     return float((grey - cv2.GaussianBlur(grey, (0, 0), 2.0)).std())
 
 
-# ------------------------------------------------------------------------------------- photographs
-
-
 def test_every_photograph_is_free_and_listed() -> None:
     with (detail.PHOTOGRAPHS / "manifest.csv").open(encoding="utf-8", newline="") as file:
         rows = {row["file"]: row for row in csv.DictReader(file)}
@@ -120,9 +115,6 @@ def test_pyramid_halves_the_photographs() -> None:
     np.testing.assert_allclose((half & 255).reshape(side // 2, -1), red, atol=0.51)
 
 
-# -------------------------------------------------------------------------------------- the kernel
-
-
 def multiplied(ratio: int, depth_m: float, height_m: float = 0.0, kind: int = 0) -> np.ndarray:
     """A grey image of 100 seen from 2 m straight above, with a grain of ``ratio`` / 128."""
     side = detail.SIDE_PX
@@ -152,9 +144,6 @@ def test_grain_multiplies_near_ground_alone() -> None:
     np.testing.assert_array_equal(multiplied(192, 2.0, kind=NO_DETAIL_ID), 100)
 
 
-# --------------------------------------------------------------------------------------- the lookup
-
-
 def test_lookup_knows_ground_by_its_class(place: Scene) -> None:
     ground = detail.ground_lookup(place)
 
@@ -182,9 +171,6 @@ def test_raster_says_what_the_ground_is() -> None:
     assert (scene.ground.detail_id[~water] == DETAILS.index("snow")).mean() > 0.99
     names = detail.ground_lookup(scene).names
     assert "snow" in names and "grass" not in names
-
-
-# ---------------------------------------------------------------------------------------- in images
 
 
 def test_grain_is_off_by_default_and_absent_from_above() -> None:

@@ -1,7 +1,5 @@
 """Exposure: control with a lag, motion blur, photon and read noise, darkness."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -41,9 +39,6 @@ def still(
         return sensor.render(sensor.snapshot(posed(lit)), 7)
     finally:
         sensor.close()
-
-
-# -------------------------------------------------------------------------------- control
 
 
 def test_the_control_follows_with_its_time_constant() -> None:
@@ -98,9 +93,6 @@ def test_flying_onto_dark_ground_is_dark_until_the_control_has_followed() -> Non
         assert seen[n - 1] == pytest.approx(expected, rel=0.1)
 
 
-# ------------------------------------------------------------------------------------ blur
-
-
 @pytest.mark.parametrize(("speed_mps", "time_s"), [(8.0, 0.02), (15.0, 0.03), (20.0, 0.03)])
 def test_blur_is_as_long_as_speed_times_exposure_over_depth(
     speed_mps: float, time_s: float
@@ -127,9 +119,6 @@ def test_blur_is_as_long_as_speed_times_exposure_over_depth(
     length = intrinsics_of(params).fx * speed_mps * time_s / HEIGHT_M
     gained = variance(speed_mps) - variance(0.0)
     assert np.sqrt(12.0 * gained) == pytest.approx(length, rel=0.06)
-
-
-# ----------------------------------------------------------------------------------- noise
 
 
 @pytest.mark.parametrize(("gain", "read_noise_e"), [(1.0, 0.0), (1.0, 15.0), (4.0, 0.0)])
@@ -162,9 +151,6 @@ def test_an_exposed_image_replaces_the_grey_noise_and_repeats_by_seed_and_tick()
     scene = make_scene(floor="0.5 0.5 0.5 1")
     loud = dataclasses.replace(EXPOSED, noise_sigma=40.0)
     np.testing.assert_array_equal(still(scene, EXPOSED), still(scene, loud))
-
-
-# ------------------------------------------------------------------------------------ dark
 
 
 def test_night_is_dark_but_for_the_lamp() -> None:

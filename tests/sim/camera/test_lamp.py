@@ -1,7 +1,5 @@
 """The landing lamp: inverse square, angles, the height at which it goes on."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

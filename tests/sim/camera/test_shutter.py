@@ -1,7 +1,5 @@
 """Rolling shutter: rows out of one drawing against a drawing for every row."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

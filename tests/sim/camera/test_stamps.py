@@ -1,7 +1,5 @@
 """The camera's own clock, and late and unsteady stamps."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -77,7 +75,5 @@ def image_at(time_s: float) -> CameraImage:
     tick = round(time_s * 600)
     exact = abs(time_s * 600 - tick) < 1e-9
     return CameraImage(
-        tick=tick,
-        time_s=tick / 600 if exact else time_s,
-        rgb=np.zeros((2, 2, 3), np.uint8),
+        tick=tick, time_s=tick / 600 if exact else time_s, rgb=np.zeros((2, 2, 3), np.uint8)
     )

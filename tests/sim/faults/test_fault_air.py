@@ -1,7 +1,5 @@
 """Faults of weather and light, on LIDAR and camera, against known answers."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -34,8 +32,6 @@ from support.fault_support import HZ
 from support.lidar_support import BUDGET, PLANE
 from support.worlds import load_ideal_config as load_config
 
-# ------------------------------------------------------------------------------------ air: numbers
-
 
 def test_extinction_of_fog_and_rain() -> None:
     assert fog_extinction(200.0) == pytest.approx(3.912 / 200.0)
@@ -56,9 +52,6 @@ def test_weather_comes_and_goes_on_its_ticks() -> None:
     assert weather.at(720) == Air(visibility_m=200.0, rain_mmph=25.0)
     assert weather.at(900) == Air(rain_mmph=25.0) == weather.at(10**6)
     assert not Weather(FaultParams(events=("lidar_nan@1",)), HZ).ever
-
-
-# ------------------------------------------------------------------------------------ air: LIDAR
 
 
 def near_axis(scan: LidarScan) -> NDArray[np.bool_]:
@@ -94,13 +87,10 @@ def clutter(air: Air) -> Clutter:
     return Clutter(air, Beam(BUDGET, np.zeros(0), (float(x), float(y)), 1.0, 0.5, False))
 
 
-@pytest.mark.parametrize(
-    ("event", "faults", "air"),
-    [
-        ("fog@0", {"fog_visibility_m": 65.0}, Air(visibility_m=65.0)),
-        ("rain@0", {"rain_mmph": 50.0}, Air(rain_mmph=50.0)),
-    ],
-)
+@pytest.mark.parametrize(("event", "faults", "air"), [
+    ("fog@0", {"fog_visibility_m": 65.0}, Air(visibility_m=65.0)),
+    ("rain@0", {"rain_mmph": 50.0}, Air(rain_mmph=50.0)),
+])  # fmt: skip
 def test_false_returns_are_a_poisson_process(event: str, faults: Any, air: Air) -> None:
     """Into the empty sky: the share of pulses that return nearer than r is 1 - exp(-H(r))."""
     scan = look_down('<geom name="plane" size="0.1" pos="0 0 -900"/>', 30.0, event, **faults)
@@ -139,9 +129,6 @@ def test_a_false_return_hides_what_lies_behind_it_or_is_hidden() -> None:
     )
     seen = look_down(PLANE, 3.0, "fog@0", params=strongest, **dense)
     assert (seen.ranges > 2.9).mean() > 0.95  # a floor of 80 % at 3 m outshines it
-
-
-# ------------------------------------------------------------------------------------ air: camera
 
 
 def level_of(light: float) -> float:
@@ -214,9 +201,6 @@ def test_glare_follows_the_cosine_of_the_sun_on_the_lens() -> None:
             assert stray is not None
             white = 0.05 * cosine * 0.5 / math.sin(math.radians(11.31))
             np.testing.assert_allclose(stray, white * np.array([1.0, 0.75, 0.5]), rtol=1e-5)
-
-
-# -------------------------------------------------------------------------------------------- sun
 
 
 def test_a_low_sun_is_red_and_stands_at_the_given_azimuth() -> None:

@@ -1,7 +1,5 @@
 """Faults of clocks, receivers, wind, rotors and mounts, against known answers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -34,8 +32,6 @@ from support.lidar_support import DOWN
 from support.worlds import load_ideal_config as load_config
 
 Array = NDArray[np.float64]
-
-# ------------------------------------------------------------------------------------------ clocks
 
 
 def test_a_skewed_clock_shifts_stamps_by_exactly_so_many_seconds() -> None:
@@ -70,8 +66,6 @@ def test_a_spoofed_receiver_is_drawn_away_steadily() -> None:
             np.testing.assert_allclose(message.position_world, expected, atol=1e-12)
             np.testing.assert_allclose(message.velocity_world, [0.6, -0.3, 0.0])
 
-
-# ----------------------------------------------------------------------------- gusts, rotors, mount
 
 ALONG = np.array([0.6, 0.8, 0.0])
 
@@ -152,9 +146,6 @@ def test_a_miscalibrated_mount_is_off_by_the_stated_amounts() -> None:
     assert off(5, 10**6) == pytest.approx((1.0, 0.02))
 
 
-# ------------------------------------------------------------------------------------- whole worlds
-
-
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     path = tmp_path_factory.mktemp("place") / "place.xml"
@@ -167,11 +158,9 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 def params_with(faults: FaultParams) -> WorldParams:
     return WorldParams(
-        sim=SimParams(threads=1),
-        camera=CameraParams(width=64, height=36),
-        imu=load_config().imu,
+        sim=SimParams(threads=1), camera=CameraParams(width=64, height=36), imu=load_config().imu,
         faults=faults,
-    )
+    )  # fmt: skip
 
 
 def half_seconds_in_flight(scene: Scene, *events: str) -> Iterator[bytes]:
@@ -237,21 +226,14 @@ def test_effects_of_faults_in_the_world_are_counted(scene: Scene) -> None:
     assert gust["gust_mps"] == pytest.approx(gust_speed(0.895 / 1.5, 5.0), rel=1e-3)
 
 
-# ----------------------------------------------------------------------------------------- mistakes
-
-
-@pytest.mark.parametrize(
-    ("overrides", "events", "fragment"),
-    [
-        (["faults.motor_loss_share=0.6"], (), "motor_loss_share = 0.6 .* within 0 to 0.5"),
-        (["faults.motor=4"], (), "must be within 0 to 3"),
-        (["faults.fog_visibility_m=1.0"], (), "must be within 5 to 100000"),
-        (["faults.low_sun_deg=0.0"], (), "low_sun_deg"),
-        ([], ("low_sun@5",), "give low_sun@0"),
-        ([], ("low_sun@0+5",), "give low_sun@0"),
-        (["wind.mean_kmh=40.0"], ("gust@5",), "gust_kmh = 30 is below wind.mean_kmh = 40"),
-    ],
-)
+@pytest.mark.parametrize(("overrides", "events", "fragment"), [
+    (["faults.motor_loss_share=0.6"], (), "motor_loss_share = 0.6 .* within 0 to 0.5"),
+    (["faults.motor=4"], (), "must be within 0 to 3"),
+    (["faults.fog_visibility_m=1.0"], (), "must be within 5 to 100000"),
+    (["faults.low_sun_deg=0.0"], (), "low_sun_deg"), ([], ("low_sun@5",), "give low_sun@0"),
+    ([], ("low_sun@0+5",), "give low_sun@0"),
+    (["wind.mean_kmh=40.0"], ("gust@5",), "gust_kmh = 30 is below wind.mean_kmh = 40"),
+])  # fmt: skip
 def test_invalid_schedules_are_reported_in_one_line(
     overrides: list[str], events: tuple[str, ...], fragment: str
 ) -> None:

@@ -1,7 +1,5 @@
 """Compressed data that claim one size and have another: no more is inflated than is needed."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import tracemalloc

@@ -1,7 +1,5 @@
 """The LIDAR against hand-computed geometry and against MuJoCo's own ray caster."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +8,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import LAND_CLASSES, GroundRaster, Scene, Surface
 from touchdown.sim.api import LidarParams, LidarScan
-from touchdown.sim.frames import (
-    Pose,
-    matrices_from_quats_wxyz,
-    so3_exp,
-)
+from touchdown.sim.frames import Pose, matrices_from_quats_wxyz, so3_exp
 from touchdown.sim.lidar.patterns import livox
 from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.moving import BodyTrack
@@ -36,15 +30,9 @@ FORWARD = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), 
 
 
 def take_scan(
-    scene: Scene,
-    mount: Pose = DOWN,
-    height: float = 30.0,
-    params: LidarParams = PERFECT,
-    seed: int = 1,
-    ticks: tuple[int, int] = (0, 60),
-    turn_rate: Array | None = None,
-    **bodies: Pose,
-) -> LidarScan:
+    scene: Scene, mount: Pose = DOWN, height: float = 30.0, params: LidarParams = PERFECT,
+    seed: int = 1, ticks: tuple[int, int] = (0, 60), turn_rate: Array | None = None, **bodies: Pose,
+) -> LidarScan:  # fmt: skip
     """A scan from (0, 0, height), the body level or turning at ``turn_rate`` (3,) rad/s."""
     body = track(ticks, height, turn_rate)
     moving = {name: BodyTrack.at_rest(pose, body.times_s[:1]) for name, pose in bodies.items()}
@@ -53,9 +41,6 @@ def take_scan(
 
 def returned(scan: LidarScan) -> NDArray[np.bool_]:
     return scan.ranges > 0.0
-
-
-# ----------------------------------------------------------------------- geometry and ray caster
 
 
 def test_box_on_a_plane_from_known_height() -> None:
@@ -93,9 +78,6 @@ def test_vehicle_hidden_groups_and_invisible_geoms_are_transparent() -> None:
     scan = take_scan(make_scene(PLANE + clutter, {"plane": BRIGHT}))
     heights = scan.ranges * scan.directions[:, 2]
     np.testing.assert_allclose(heights, 30.0, atol=1e-3)
-
-
-# -------------------------------------------------------------------------------- noise and returns
 
 
 def wall(distance: float, half_size: float = 200.0) -> str:
@@ -162,12 +144,10 @@ def test_nothing_nearer_than_the_least_range() -> None:
 def test_water_returns_near_nadir_only(by_raster: bool) -> None:
     water = LAND_CLASSES.index("water")
     raster = GroundRaster(
-        geom_name="plane",
-        origin_xy_m=np.array([-50.0, -50.0]),
-        cell_m=1.0,
+        geom_name="plane", origin_xy_m=np.array([-50.0, -50.0]), cell_m=1.0,
         class_id=np.full((100, 100), water, dtype=np.uint8),
         reflectivity=np.full((100, 100), 0.05, dtype=np.float32),
-    )
+    )  # fmt: skip
     lake = Surface(land_class="water", reflectivity=0.05, water=True)
     scene = make_scene(PLANE, {} if by_raster else {"plane": lake}, raster if by_raster else None)
     scan = take_scan(scene, params=LidarParams())
@@ -181,12 +161,9 @@ def test_terrain_raster_gives_reflectivity_by_position() -> None:
     reflectivity = np.full((60, 60), 0.2, dtype=np.float32)
     reflectivity[:, 30:] = 0.6
     raster = GroundRaster(
-        geom_name="plane",
-        origin_xy_m=np.array([-30.0, -30.0]),
-        cell_m=1.0,
-        class_id=np.zeros((60, 60), dtype=np.uint8),
-        reflectivity=reflectivity,
-    )
+        geom_name="plane", origin_xy_m=np.array([-30.0, -30.0]), cell_m=1.0,
+        class_id=np.zeros((60, 60), dtype=np.uint8), reflectivity=reflectivity,
+    )  # fmt: skip
     scan = take_scan(make_scene(PLANE, ground=raster))
     world_x = (scan.points.astype(np.float64) @ DOWN.rotation.T)[:, 0]
     expected = np.where(world_x > 0.0, 0.6, 0.2) * scan.directions[:, 2] * 150.0
@@ -212,9 +189,6 @@ def test_porous_crown_lets_its_share_through() -> None:
     on_ground = entering & ~on_crown & (from_axis > 1.1)
     assert on_ground.sum() > 3000
     np.testing.assert_allclose(points[on_ground, 2], 0.0, atol=2e-3)
-
-
-# ------------------------------------------------------------------------------------------ motion
 
 
 def test_turning_vehicle_bends_the_wall_until_deskewed() -> None:

@@ -1,7 +1,5 @@
 """Beams with a width: mixed pixels at edges, return modes, and the presets' own figures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco
@@ -135,18 +133,10 @@ def test_presets_scan_at_their_rate(preset: str, pulses: int) -> None:
     assert not seen[down <= 0.0].any()
 
 
-@pytest.mark.parametrize(
-    ("preset", "reflectivity", "limit"),
-    [
-        ("horizon", 0.1, 90.0),
-        ("horizon", 0.2, 130.0),
-        ("horizon", 0.8, 260.0),
-        ("avia", 0.1, 190.0),
-        ("avia", 0.2, 230.0),
-        ("mid360", 0.1, 40.0),
-        ("mid360", 0.8, 70.0),
-    ],
-)
+@pytest.mark.parametrize(("preset", "reflectivity", "limit"), [
+    ("horizon", 0.1, 90.0), ("horizon", 0.2, 130.0), ("horizon", 0.8, 260.0), ("avia", 0.1, 190.0),
+    ("avia", 0.2, 230.0), ("mid360", 0.1, 40.0), ("mid360", 0.8, 70.0),
+])  # fmt: skip
 def test_maximum_ranges_of_presets_match_the_data_sheet(
     preset: str, reflectivity: float, limit: float
 ) -> None:

@@ -1,7 +1,5 @@
 """The LIDAR's ray caster against MuJoCo's own, geom type by geom type and on whole scenes."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest
@@ -16,18 +14,13 @@ Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 GEOMS = {
-    "sphere": 'type="sphere" size="1"',
-    "pebble": 'type="sphere" size="0.05"',
-    "ellipsoid": 'type="ellipsoid" size="1 0.3 1.4"',
-    "capsule": 'type="capsule" size="0.4 1"',
-    "wire": 'type="capsule" size="0.02 1.2"',
-    "cylinder": 'type="cylinder" size="0.7 1"',
-    "disc": 'type="cylinder" size="1.2 0.02"',
-    "box": 'type="box" size="1 0.5 0.8"',
-    "mesh": 'type="mesh" mesh="tetrahedron"',
-    "hfield": 'type="hfield" hfield="field"',
+    "sphere": 'type="sphere" size="1"', "pebble": 'type="sphere" size="0.05"',
+    "ellipsoid": 'type="ellipsoid" size="1 0.3 1.4"', "capsule": 'type="capsule" size="0.4 1"',
+    "wire": 'type="capsule" size="0.02 1.2"', "cylinder": 'type="cylinder" size="0.7 1"',
+    "disc": 'type="cylinder" size="1.2 0.02"', "box": 'type="box" size="1 0.5 0.8"',
+    "mesh": 'type="mesh" mesh="tetrahedron"', "hfield": 'type="hfield" hfield="field"',
     "plane": 'type="plane" size="4 3 1"',
-}
+}  # fmt: skip
 ASSETS = (
     '<mesh name="tetrahedron" vertex="0 0 0 2 0 0 0 2 0 0 0 2"/>'
     '<hfield name="field" nrow="33" ncol="41" size="3 2 1 0.5"/>'
@@ -40,16 +33,9 @@ def scene_of(world: str) -> Scene:
     model = mujoco.MjModel.from_xml_string(xml)
     model.hfield_data[:] = np.random.default_rng(7).uniform(size=model.nhfielddata)
     return Scene(
-        name="test",
-        seed=0,
-        model=model,
-        takeoff_xy_m=np.zeros(2),
-        takeoff_yaw=0.0,
-        bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]),
-        surfaces={},
-        ground=None,
-        moving=(),
-    )
+        name="test", seed=0, model=model, takeoff_xy_m=np.zeros(2), takeoff_yaw=0.0,
+        bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]), surfaces={}, ground=None, moving=(),
+    )  # fmt: skip
 
 
 def mujoco_distances(scene: Scene, rays: Float32) -> Array:

@@ -1,7 +1,5 @@
 """Scan patterns against the figures of recorded sensors and data sheets."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Bias of ranges with echo power and incidence, and noise that grows as echoes get weaker."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Texture: a function of the place with known spread and scales. Plants: an exponential law."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
@@ -36,9 +34,6 @@ def _plane(seed: int = 0, **changes: float) -> Scene:
     return dataclasses.replace(scene, seed=seed)
 
 
-# -------------------------------------------------------------------------------- the noise
-
-
 def _field(places: np.ndarray, salt: int) -> np.ndarray:
     """Noise (N,) over unit cells at (N, 2 or 3) places."""
     noise, ones = np.zeros(len(places), np.float32), np.ones(len(places), np.float32)
@@ -64,9 +59,6 @@ def test_noise_has_unit_variance_everywhere_and_the_correlation_of_its_cells(axe
     assert 0.1 < correlation(1.0) < 0.3
     assert abs(correlation(2.0)) < 0.02
     assert abs((noise * _field(places, 8)).mean()) < 0.01
-
-
-# -------------------------------------------------------------------------------- texture
 
 
 def _log_gain(params: LidarParams, scene: Scene, height: float) -> np.ndarray:
@@ -186,9 +178,6 @@ def test_materials_of_the_ground_have_spreads_of_their_own() -> None:
     left, right = places[:, 0] < -0.1, places[:, 0] > 0.1
     assert same[left].all()
     assert same[right].mean() < 0.3
-
-
-# -------------------------------------------------------------------------------- plants
 
 
 def _depths(scene: Scene, params: LidarParams, height: float = 15.0) -> tuple[np.ndarray, ...]:

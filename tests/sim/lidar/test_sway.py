@@ -1,7 +1,5 @@
 """Crowns sway at the frequency of their height, the farther the stronger the wind."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
