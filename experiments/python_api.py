@@ -21,7 +21,7 @@ from touchdown.experiments.config.loading import (
     config_of,
     dump_config,
     read_values,
-    under_profile,
+    under_base,
 )
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, usage_errors
@@ -59,7 +59,7 @@ def load_config(
     sources: dict[str, str] = {}
     if file is not None:
         path = Path(file)
-        for key, value in under_profile(path, read_values(path), overrides or {}).items():
+        for key, value in under_base(path, read_values(path), overrides or {}).items():
             values[key], sources[key] = value, str(file)
         named_here = estimator is not None or "estimator" in (overrides or {})
         if not (allow_code or named_here):

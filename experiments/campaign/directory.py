@@ -379,6 +379,7 @@ def write_failure(task: Task, kind: str, error: str, traceback: str, attempts: i
         "estimator": config.estimator,
         "seed": config.seed,
         "profile": config.profile,
+        "preset": config.preset,
         "wind_kmh": config.wind.mean_kmh,
         "mode": "fly" if config.landing.survey_only else "land",
         "config_sha": config_sha(config),

@@ -12,6 +12,7 @@ from typing import Any
 from touchdown.experiments.campaign.expectations import demanded
 from touchdown.experiments.campaign.plan import Plan, PlannedRun, config_for
 from touchdown.experiments.campaign.results_table import RUNS, finished_ids, read_row
+from touchdown.experiments.config.profiles import WHOLE
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.happened import named_conditions
 from touchdown.landing.api import SurveyParams
@@ -125,10 +126,16 @@ def condition_label(config: Config) -> str:
     """Profile, method and named conditions: ``field, livo, night``."""
     names = named_conditions(config)
     wind = f"wind {config.wind.mean_kmh:g} km/h"
+    short = [] if config.preset == WHOLE else [config.preset]
     if config.profile == "harsh" and not config.harsh_effects:
         names = names[: len(config.faults.events) + (config.light != "day")]
     return ", ".join(
-        [config.profile, config.estimator, *(wind if name == "wind" else name for name in names)]
+        [
+            config.profile,
+            *short,
+            config.estimator,
+            *(wind if name == "wind" else name for name in names),
+        ]
     )
 
 

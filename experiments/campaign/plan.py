@@ -23,7 +23,7 @@ from touchdown.experiments.config.loading import (
     is_key,
     known_keys,
 )
-from touchdown.experiments.config.profiles import BEFORE_PROFILES, DEFAULT
+from touchdown.experiments.config.profiles import BEFORE_PROFILES, DEFAULT, PRESET_KEY
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
@@ -149,9 +149,10 @@ class Plan:
     """True if the file says which profile is flown"""
 
 
-def load_plan(file: Path, *, allow_code: bool = False) -> Plan:
+def load_plan(file: Path, *, allow_code: bool = False, preset: str | None = None) -> Plan:
     """Reads, checks and unrolls a campaign's TOML file. A file that lies in the directory of a
-    campaign or a run names an external estimator only with ``allow_code``.
+    campaign or a run names an external estimator only with ``allow_code``. ``preset``: that of all
+    runs.
 
     Every configuration is validated here, so that a mistake shows before the first flight.
     Raises UsageError, one line.
@@ -165,6 +166,9 @@ def load_plan(file: Path, *, allow_code: bool = False) -> Plan:
         check_named_code(file, axes["estimator"])
     base = dict(flatten(spec.base))
     _check_settable(base, axes, f"[base] of {file}")
+    if preset is not None:
+        _check_settable([PRESET_KEY], axes, f"--preset {preset}")
+        base[PRESET_KEY] = preset
     overrides = [_override(entry, axes, f"[[override]] {number} of {file}")
                  for number, entry in enumerate(spec.override, start=1)]  # fmt: skip
     _check_names(axes, str(file))

@@ -20,7 +20,7 @@ AXES: Mapping[str, str] = {
 """Short names of axes and the keys that they set; any other key is an axis by its own name."""
 
 _FIRST = ("scene", "estimator", "seed")
-_LABELS = {"wind_kmh": "w", "faults.events": "", "profile": "", "harsh_effects": ""}
+_LABELS = {"wind_kmh": "w", "faults.events": "", "profile": "", "harsh_effects": "", "preset": ""}
 """Prefixes of the values of an axis in run names, where it is not the last part of its key."""
 
 

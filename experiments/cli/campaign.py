@@ -76,6 +76,8 @@ def campaign() -> int:
 @click.option("--shard", type=ShardType(), help="Fly the I-th of N parts, on one of N machines.")
 @click.option("--allow-code", is_flag=True,
               help="Import external estimators that a campaign.toml of results names.")  # fmt: skip
+@click.option("--preset", type=click.Choice(["whole", "short"]),
+              help="How much each run flies: short is one leg of 12 m.  [whole]")  # fmt: skip
 @click.option("--dry-run", is_flag=True,
               help="Print the number of flights and their expected cost; fly nothing.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
@@ -108,7 +110,7 @@ def fly_file(
         make_engine,
     )
 
-    plan = load_plan(file, allow_code=allow_code)
+    plan = load_plan(file, allow_code=allow_code, preset=more["preset"])
     expected = forecast(plan, runs_of_shard(plan, shard), out, more["jobs"] or default_jobs())
     if more["dry_run"]:
         click.echo(json.dumps(expected.as_json(), indent=2) if more["as_json"] else

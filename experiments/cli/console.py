@@ -48,6 +48,7 @@ def print_result(result: RunResult, out_dir: Path | None) -> None:
     console = make_console()
     title = f"{result.scene}, {result.estimator}, seed {result.seed}"
     title += f", {result.profile}" if result.profile else ""
+    title += f", {result.preset}" if result.preset not in (None, "whole") else ""
     title += "" if result.wind_kmh is None else f", wind {result.wind_kmh:g} km/h"
     table = Table(title=title, show_header=False, title_justify="left", min_width=52)
     table.add_column(style="dim")

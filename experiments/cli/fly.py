@@ -52,6 +52,11 @@ _FLIGHT_OPTIONS = (
         help="How kind the world is.  [field]",
     ),
     click.option(
+        "--preset",
+        type=click.Choice(["whole", "short"]),
+        help="How much is flown: short is one leg of 12 m at 15 m.  [whole]",
+    ),
+    click.option(
         "--light",
         type=click.Choice(["day", "overcast", "dusk", "night"]),
         help="Light of the scene; a lamp lights the ground where lamp.below_m says so.  [day]",
@@ -105,8 +110,8 @@ _FLIGHT_OPTIONS = (
 
 
 _CONFIG_OPTIONS = (
-    "scene", "estimator", "seed", "profile", "light", "wind_kmh", "record", "calibration",
-    "log_sensors",
+    "scene", "estimator", "seed", "profile", "preset", "light", "wind_kmh", "record",
+    "calibration", "log_sensors",
 )  # fmt: skip
 """The options that `experiments.config.loading.load_config` takes."""
 
@@ -179,7 +184,8 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
         **more,
     )
     if out is None:
-        out = default_out_dir(config.scene, config.estimator, config.seed)
+        suffix = "" if config.preset == "whole" else f"-{config.preset}"
+        out = default_out_dir(config.scene, config.estimator, config.seed, suffix)
     check_log_kept(out, logs=config.log.sensors, force=options["force"])
     with none_left():
         result = fly_with_usage_errors(config, out, make_progress(quiet))

@@ -16,6 +16,7 @@ from touchdown.experiments.terminal import say
 _FLOWN = {
     "seed": "--seed",
     "profile": "--profile",
+    "preset": "--preset",
     "light": "--light",
     "wind_kmh": "--wind-kmh",
     "calibration": "--calibration",

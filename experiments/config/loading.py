@@ -1,8 +1,8 @@
 """Loading of configurations from files and options.
 
 Order of precedence, lowest first: the defaults of the ``*Params`` dataclasses in the ``api.py``
-files, the profile, a TOML file (or the ``config.json`` of an earlier run), ``--set a.b=c``,
-explicit options.
+files, the profile, the preset, a TOML file (or the ``config.json`` of an earlier run),
+``--set a.b=c``, explicit options.
 Every mistake is a ``UsageError`` with one line: what is wrong, where, what would be right.
 """
 
@@ -39,9 +39,11 @@ from touchdown.experiments.config.profiles import (
     BEFORE_PROFILES,
     DEFAULT,
     KEY,
+    base_sources,
     base_values,
     chosen_by_hand,
     name_in,
+    preset_in,
 )
 from touchdown.experiments.config.ranges import (
     choices_of,
@@ -57,6 +59,7 @@ OPTION_KEYS: Mapping[str, str] = {
     "seed": "seed",
     "estimator": "estimator",
     "profile": "profile",
+    "preset": "preset",
     "light": "light",
     "calibration": "calibration",
     "record": "record",
@@ -106,7 +109,7 @@ def load_config(
             given[key] = list(value) if isinstance(value, tuple) else value
             sources[key] = f"--{name.replace('_', '-')}"
     if file is not None:
-        values = under_profile(file, values, given)
+        values = under_base(file, values, given)
     values |= given
     if KEY not in values:
         values[KEY], sources[KEY] = profile_default, BY_DEFAULT
@@ -125,17 +128,18 @@ def read_values(file: Path) -> dict[str, Any]:
     return {KEY: BEFORE_PROFILES} | {RENAMED.get(key, key): value for key, value in values.items()}
 
 
-def under_profile(file: Path, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+def under_base(file: Path, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
     """The ``values`` that ``file`` contributes beside those ``given`` by hand: of a whole
-    configuration under another profile, only what its author had chosen."""
-    if came_with_results(file) and KEY in given and given[KEY] != name_in(values):
+    configuration under another profile or preset, only what its author had chosen."""
+    names = (name_in, preset_in)
+    if came_with_results(file) and any(n({**values, **given}) != n(values) for n in names):
         return chosen_by_hand(values, dict(_defaults()))
     return values
 
 
 def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
-    """The configuration with ``values`` by dotted key over those of their profile. ``sources``
-    holds the source of each value, for error messages. Raises ``UsageError``."""
+    """The configuration with ``values`` by dotted key over those of their profile and preset.
+    ``sources`` holds the source of each value, for error messages. Raises ``UsageError``."""
     for key, value in values.items():
         if reason := wrong_value([key, value]):
             raise UsageError(f"{key[:80]} in {sources[key]} {reason}")
@@ -145,7 +149,7 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
         key, reason = found
         raise UsageError(f"{key} in {sources.get(key, 'the configuration')} {reason}")
     base = base_values(values)
-    sources = {**dict.fromkeys(base, f"profile {name_in(values)}"), **sources}
+    sources = {**base_sources(values), **sources}
     config = _validate({KEY: name_in(values), **base, **values}, sources)
     for key, value in values.items():
         if out_of_range(key, value):
@@ -257,7 +261,8 @@ def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping
     message = plain_fault(first["msg"])
     location = [str(part) for part in first["loc"] if not str(part).isdigit()]
     if not location:  # of the configuration as a whole
-        named = (s for s in sources.values() if s != BY_DEFAULT and not s.startswith("profile "))
+        base = ("profile ", "preset ")
+        named = (s for s in sources.values() if s != BY_DEFAULT and not s.startswith(base))
         files = ", ".join(dict.fromkeys(named))
         return f"the configuration of {files or 'this flight'} is wrong: {message}"
     prefixes = [".".join(location[:n]) for n in range(len(location), 0, -1)]

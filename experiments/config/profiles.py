@@ -1,8 +1,9 @@
-"""Profiles: named sets of keys that say how kind the simulated world is.
+"""Profiles and presets: named sets of keys, in files of the form of a user's configuration.
 
-``ideal`` is the defaults of the schema. ``field``, which is flown where nothing else is named, and
-``harsh`` are files beside this module, in the form of a user's configuration file. Any other source
-of a key takes precedence over the profile.
+A profile says how kind the simulated world is: ``ideal`` is the defaults of the schema; ``field``,
+which is flown where nothing else is named, and ``harsh`` are files. A preset says how much is
+flown: ``whole`` is what profile and defaults say, ``short`` a file. A preset takes precedence over
+the profile, any other source of a key over both.
 """
 
 from __future__ import annotations
@@ -32,6 +33,11 @@ _LAYERS: Mapping[str, tuple[str, ...]] = {
 }
 """Files of each profile, later ones over earlier ones."""
 PROFILES = tuple(_LAYERS)
+PRESET_KEY = "preset"
+"""The key that names the preset."""
+WHOLE = "whole"
+"""The preset of a flight that names none; it sets nothing."""
+PRESETS = (WHOLE, "short")
 
 
 @functools.cache
@@ -79,9 +85,26 @@ def effect_values(names: Any) -> dict[str, Any]:
     return values
 
 
+@functools.cache
+def preset_values(name: str) -> Mapping[str, Any]:
+    """The values by dotted key of the preset ``name``; none for a name that is no preset."""
+    if name == WHOLE or name not in PRESETS:
+        return {}
+    file = resources.files(__package__).joinpath("presets", f"{name}.toml")
+    return dict(flatten(tomllib.loads(file.read_text(encoding="utf-8"))))
+
+
 def base_values(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values that the profile and the effects of ``values`` set."""
-    return {**profile_values(name_in(values)), **effect_values(values.get(EFFECTS_KEY))}
+    """The values that the profile, the effects and the preset of ``values`` set."""
+    profile = profile_values(name_in(values))
+    return {**profile, **effect_values(values.get(EFFECTS_KEY)), **preset_values(preset_in(values))}
+
+
+def base_sources(values: Mapping[str, Any]) -> dict[str, str]:
+    """The source of each of the `base_values`, for error messages."""
+    return dict.fromkeys(base_values(values), f"profile {name_in(values)}") | dict.fromkeys(
+        preset_values(preset_in(values)), f"preset {preset_in(values)}"
+    )
 
 
 def name_in(values: Mapping[str, Any]) -> str:
@@ -90,11 +113,19 @@ def name_in(values: Mapping[str, Any]) -> str:
     return name if isinstance(name, str) else DEFAULT
 
 
-def chosen_by_hand(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """``values`` of a whole configuration without those that its own profile sets.
+def preset_in(values: Mapping[str, Any]) -> str:
+    """The preset that ``values`` by dotted key name; `WHOLE` where they name none."""
+    name = values.get(PRESET_KEY, WHOLE)
+    return name if isinstance(name, str) else WHOLE
 
-    A ``config.json`` holds every key. Where a command names another profile, only what departs from
-    the profile of the file was chosen by its author and stays. ``defaults`` are those of all keys.
+
+def chosen_by_hand(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """``values`` of a whole configuration without those that its own profile and preset set.
+
+    A ``config.json`` holds every key. Where a command names another profile or preset, only what
+    departs from those of the file was chosen by its author and stays. ``defaults`` are those of all
+    keys.
     """
     own = {**defaults, **base_values(values)}
-    return {key: value for key, value in values.items() if key not in own or own[key] != value}
+    named = (KEY, PRESET_KEY)
+    return {k: v for k, v in values.items() if k in named or k not in own or own[k] != v}

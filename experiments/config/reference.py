@@ -31,10 +31,11 @@ INTRODUCTION = """# Configuration keys
 
 Every key of a flight with its unit, default and meaning, made from the schema. The defaults are
 those of profile `ideal`; the profile that is flown, `field`, sets others
-([Flying](flying.md#profiles)). A key is set in a TOML file (`--config`), by `--set KEY=VALUE`, or
-in Python by `overrides={"KEY": VALUE}`; see [Flying](flying.md) for files and their order. An
-unknown key, a value outside its range and a wrong type are refused in one line. `ticks` are
-periods of `sim.tick_hz`.
+([Flying](flying.md#profiles)), and so does the preset `short`
+([Flying](flying.md#short-flights)). A key is set in a TOML file (`--config`), by
+`--set KEY=VALUE`, or in Python by `overrides={"KEY": VALUE}`; see [Flying](flying.md) for files
+and their order. An unknown key, a value outside its range and a wrong type are refused in one
+line. `ticks` are periods of `sim.tick_hz`.
 """
 
 

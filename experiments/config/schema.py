@@ -1,8 +1,8 @@
 """The schema of the configuration; files and options override its defaults.
 
 Order of precedence, lowest first: the defaults of the ``*Params`` dataclasses in the ``api.py``
-files, the profile, a TOML file (or the ``config.json`` of an earlier run), ``--set a.b=c``,
-explicit options.
+files, the profile, the preset, a TOML file (or the ``config.json`` of an earlier run),
+``--set a.b=c``, explicit options.
 Every mistake is a ``UsageError`` with one line: what is wrong, where, what would be right.
 """
 
@@ -89,6 +89,9 @@ class Config(BaseModel):
     the defaults of all keys, ``field`` is flown where nothing else is named"""
     harsh_effects: tuple[str, ...] = ()
     """effects at the level of ``harsh`` on top of the profile, such as ``vibration``"""
+    preset: Literal["whole", "short"] = "whole"
+    """how much is flown: ``short`` is one leg of 12 m at 15 m and a quick descent, by keys that
+    override the profile and that all other sources override; ``whole`` sets none"""
     scene: str = "crossroad"
     """name of a scene, or path of an MJCF file"""
     seed: CountOrZero = 0

@@ -39,10 +39,10 @@ Array = NDArray[np.float64]
 
 _LIFT_OFF_HEIGHT_M = 0.1
 _FLOWN = (
-    "profile", "harsh_effects", "light", "scene", "seed", "calibration", "record", "sim", "wind",
-    "lidar", "camera", "lamp", "imu", "gps", "barometer", "magnetometer", "rangefinder", "faults",
-    "dust", "mapper", "control", "survey", "landing", "calibration_error", "vehicle_error", "start",
-    "referee",
+    "profile", "preset", "harsh_effects", "light", "scene", "seed", "calibration", "record", "sim",
+    "wind", "lidar", "camera", "lamp", "imu", "gps", "barometer", "magnetometer", "rangefinder",
+    "faults", "dust", "mapper", "control", "survey", "landing", "calibration_error",
+    "vehicle_error", "start", "referee",
 )  # fmt: skip
 """Configuration keys of the flight, which a replay cannot change."""
 

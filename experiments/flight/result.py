@@ -51,6 +51,7 @@ def make_result(
         estimator=config.estimator,
         **code,
         profile=config.profile,
+        preset=config.preset,
         wind_kmh=config.wind.mean_kmh,
         **moved,
         position_error_m=judgement.position_error,

@@ -218,6 +218,9 @@ class RunResult(_Part):
     """hash of the code of an external estimator"""
     profile: str | None = None
     """how kind the world was"""
+    preset: str | None = None
+    """how much was flown; None in results of before there were presets, which are of whole
+    flights"""
     wind_kmh: Figure = None
     origin_m: PointXYZ = None
     """of the world's origin in the coordinates of the scene's file, where it was moved"""

@@ -77,8 +77,8 @@ def condition_of(row: Row) -> str:
 
 def label_conditions(rows: Sequence[dict[str, Any]]) -> None:
     """Gives each row the key ``condition``. Runs of a campaign have it in their names. For others
-    it is the profile and the light where these vary, and the keys of their configurations that vary
-    between flights of one method in one profile and light."""
+    it is the profile, the preset and the light where these vary, and the keys of their
+    configurations that vary between flights of one method in one of each."""
     configs = [{} if condition_of(row) else _config_of(row) for row in rows]
     values: defaultdict[tuple[object, ...], set[str]] = defaultdict(set)
     for row, config in zip(rows, configs, strict=True):
@@ -93,7 +93,7 @@ def label_conditions(rows: Sequence[dict[str, Any]]) -> None:
         row["condition"] = condition_of(row) or ", ".join(named)
 
 
-_WORLD = ("profile", "light")
+_WORLD = ("profile", "preset", "light")
 """Keys that set many others."""
 _SAME = ("scene", "scene_seed", "seed", "estimator", "record", "log.", "sim.threads",
          "landing.site_xy_m", "landing.survey_only")  # fmt: skip
@@ -107,7 +107,8 @@ def _config_of(row: Row) -> dict[str, str]:
         tree = read_object(Path(str(row.get("run_dir", ""))) / "config.json")
         values = dict(flatten(tree))
     except (OSError, ValueError, RecursionError):
-        values = {"profile": row.get("profile"), "wind.mean_kmh": row.get("wind_kmh")}
+        values = {key: row.get(key) for key in ("profile", "preset")}
+        values["wind.mean_kmh"] = row.get("wind_kmh")
     return {
         key: value if isinstance(value, str) else json.dumps(value)
         for key, value in values.items()

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.campaign.results_table import is_successful
+from touchdown.experiments.config.profiles import PRESETS, WHOLE
 from touchdown.experiments.errors import UsageError, no_file
 from touchdown.experiments.io.foreign import read_object, shown
 from touchdown.experiments.io.run_directory import write_text
@@ -66,12 +67,17 @@ def cells_of(rows: Iterable[Row]) -> dict[Key, dict[int, Trial]]:
 
 
 def _variant(row: Row) -> str:
-    """The variant of a run: "land" for landings, then the further axes at the end of its name."""
+    """The variant of a run: "land" for landings, the preset of a flight that is not whole, then the
+    further axes at the end of its name."""
     name = str(row["run_id"]).rpartition("/")[2]
     start = f"{Path(row['scene']).stem}-{row['estimator']}-s{row['seed']}-"
     parts = ["land"] if row["mode"] == "land" else []
+    preset = row.get("preset") or WHOLE
+    if preset != WHOLE:
+        parts.append(preset)
     if name.startswith(start):
-        parts.append(name.removeprefix(start))
+        further = [p for p in name.removeprefix(start).split("-") if p not in PRESETS]
+        parts += ["-".join(further)] if further else []
     return " ".join(parts)
 
 

@@ -64,6 +64,16 @@ def against(new: list[Row], old: list[Row], margin: float = 0.0) -> Comparison:
     return compare(new, Baseline(cells_of(old), "abc", configuration_sha(old)), margin)
 
 
+def test_short_flights_are_never_compared_with_whole_ones() -> None:
+    rows = [
+        flight("lake", "livo", 1, 0.1, mode="land"),
+        flight("lake", "livo", 1, 0.1, mode="land", preset="short"),
+        flight("lake", "livo", 2, 0.1, preset="short", run_id="lake-livo-s2-short-w6"),
+        flight("lake", "livo", 2, 0.1, preset="whole", run_id="lake-livo-s2-whole"),
+    ]
+    assert [variant for *_, variant in cells_of(rows)] == ["land", "land short", "short w6", ""]
+
+
 # ------------------------------------------------------------------------------------- the verdict
 
 
