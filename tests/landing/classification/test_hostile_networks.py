@@ -1,7 +1,5 @@
 """Untrusted networks and checkpoints: checked before and after they are loaded."""
 
-from __future__ import annotations
-
 import pickle
 import zipfile
 from pathlib import Path
@@ -180,9 +178,6 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
     path = sparse(tmp_path / "n.onnx", b"onnx", 2 << 30)
     weights.checksum_file(path).write_text("0  n.onnx\n")
     refused(path, "has 2048 MiB, more than 1024 MiB")
-
-
-# ------------------------------------------------------------------------------------ checkpoints
 
 
 LAUGHS: list[Any] = []
