@@ -133,8 +133,8 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
 @click.option(
     "--bounds",
     is_flag=True,
-    help="Compare position error, NEES, d_L and levelness with bounds from the baseline's spread "
-    "between seeds; for few flights.",
+    help="Compare position error, NEES, stated sigma, d_L and levelness with bounds from the "
+    "baseline's spread between seeds; for few flights.",
 )
 @click.option("--preset", type=click.Choice(["whole", "short"]),
               help="With FILE.toml: how much each run flies.  [whole]")  # fmt: skip
@@ -148,7 +148,7 @@ def regress(directory: Path, baseline: Path, update: bool, as_json: bool, **more
     Compares each scene and method: a paired test on equal seeds, a bootstrap where seeds differ,
     corrected over all of them, so that chance alone fails at most 5 comparisons of 100. Flights
     with an error in the baseline and none now are worse without a test, and so is
-    a directory with nothing to compare. --bounds compares four figures of few flights instead.
+    a directory with nothing to compare. --bounds compares five figures of few flights instead.
 
     Example: touchdown regress campaigns/positioning --baseline baseline.json
     """

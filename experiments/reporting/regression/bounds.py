@@ -48,10 +48,11 @@ class BoundedFigure:
     before: float
     bound: float
     spread: float
+    sign: int
 
     @property
     def worse(self) -> bool:
-        return self.now > self.bound * (1.0 + _ROUNDING)
+        return self.sign * math.log(self.now / self.bound) > _ROUNDING
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -73,10 +74,11 @@ class BoundsVerdict:
 def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
     """Compares the flights of ``rows`` with those of equal seeds of the baseline.
 
-    A figure is worse where the mean of its logarithm lies above that of the baseline by more than
-    t * s * sqrt(2 / n): s the standard deviation between the baseline's seeds, pooled over its
-    cells of the method, n the flights, t the quantile of Student's distribution for `ALPHA` over
-    all figures and cells (Bonferroni). Raises UsageError where nothing can be compared.
+    A figure is worse where the mean of its logarithm departs from that of the baseline, to the
+    worse side, by more than t * s * sqrt(2 / n): s the standard deviation between the baseline's
+    seeds, pooled over its cells of the method, n the flights, t the quantile of Student's
+    distribution for `ALPHA` over all figures and cells (Bonferroni). Raises UsageError where
+    nothing can be compared.
     """
     pairs = _equal_seeds(cells_of(rows), baseline.cells)
     groups = _groups(pairs)
@@ -154,8 +156,9 @@ def _bounded(
         flights=len(both),
         now=math.exp(now),
         before=math.exp(before),
-        bound=math.exp(before + margin),
+        bound=math.exp(before + figure.sign * margin),
         spread=spread,
+        sign=figure.sign,
     )
 
 
