@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from touchdown.estimator.api import MapperParams, MapView, PoseTrack
 from touchdown.estimator.mapping import kernels
@@ -14,6 +15,8 @@ from touchdown.sim.api import CameraImage, LidarScan
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, so3_exp
 
 from support.landing_support import beam_fan, cast_scan, make_estimate, make_obs, make_rig
+
+Array = NDArray[np.float64]
 
 BOX = (np.array([1.0, -1.0, 0.0]), np.array([3.0, 1.0, 0.5]))
 PARAMS = MapperParams(extent_m=60.0)
@@ -86,10 +89,11 @@ def test_every_pulse_is_placed_by_the_pose_at_its_time(count: int) -> None:
     directions = rng.standard_normal((count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     origins, beams = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    quats = np.array([quat_wxyz_from_matrix(body(t).rotation) for t in times])
+    quats[1::3] *= -1.0  # the same rotations
     kernels.deskew(
         directions.astype(np.float32), offsets, 0.0, times,
-        np.array([body(t).translation for t in times]),
-        np.array([quat_wxyz_from_matrix(body(t).rotation) for t in times]),
+        np.array([body(t).translation for t in times]), quats,
         mount.rotation, mount.translation, origins, beams,
     )  # fmt: skip
     poses = [body(float(t)) @ mount for t in offsets]
@@ -159,6 +163,92 @@ def test_colours_come_from_where_the_camera_looked() -> None:
     assert np.isnan(rgb_seen[outside]).all()
 
 
+def painted(tick: int, left: int, right: int) -> CameraImage:
+    """Red of these levels in the left and the right half."""
+    rgb = np.zeros((480, 848, 3), np.uint8)
+    rgb[:, :424, 0], rgb[:, 424:, 0] = left, right
+    return CameraImage(tick=tick, time_s=tick / 600.0, rgb=rgb)
+
+
+def red_by_place(view: MapView) -> tuple[Array, Array]:
+    """y and red of the coloured cells."""
+    grid = view.coarse
+    rows, cols = np.nonzero(np.isfinite(grid.rgb[..., 0]))
+    return grid.origin_xy_m[1] + (rows + 0.5) * grid.cell_m, grid.rgb[rows, cols, 0]
+
+
+def test_an_image_is_placed_where_it_was_taken_not_where_it_arrived() -> None:
+    """20 m/s to the left: 1.2 m between exposure at y = 4 m and delivery."""
+
+    def body(time_s: float) -> Pose:
+        return Pose(np.eye(3), np.array([0.0, 20.0 * time_s, 12.0]))
+
+    times = 0.1 + np.linspace(0.1 / 6000, 0.1, 6000)
+    scan = cast_scan(60, beam_fan(6000, 0.86, 0.22, 1), [body(t) for t in times])
+    mapper = GridMapper(make_rig(), PARAMS)
+    for tick in range(0, 157, 3):
+        late = {"scans": (scan,), "images": (painted(120, 200, 100),)} if tick == 156 else {}
+        view = mapper.update(make_obs(tick, **late), make_estimate(tick, body(tick / 600.0)))
+    y, red = red_by_place(view)
+    assert (red[(y > 4.3) & (y < 9.0)] == 200.0).all()
+    assert (red[y < 3.7] == 100.0).all()
+
+
+def test_a_return_has_the_colour_of_the_image_nearest_in_time() -> None:
+    """The scan sweeps from left to right between an image of 50 and one of 250."""
+    directions = beam_fan(6000, 0.5, 0.22, 1)
+    directions = directions[np.argsort(directions[:, 0])]
+    still = Pose(np.eye(3), np.array([0.0, 0.0, 12.0]))
+    scan = cast_scan(60, directions, [still] * 6000)
+    images = painted(60, 50, 50), painted(120, 250, 250)
+    mapper = GridMapper(make_rig(), PARAMS)
+    for tick in range(0, 157, 3):
+        late = {"scans": (scan,), "images": images} if tick == 156 else {}
+        view = mapper.update(make_obs(tick, **late), make_estimate(tick, still))
+    y, red = red_by_place(view)
+    assert (red[y > 0.5] == 50.0).all() and (red[y < -0.5] == 250.0).all()
+
+
+def test_colours_are_taken_through_the_lens() -> None:
+    """Tangent 0.5 to the right, k1 = -0.2: 0.5 (1 - 0.05) times the focal length of 100."""
+    image = np.repeat(np.arange(200, dtype=np.uint8)[None, :, None], 3, axis=2).repeat(100, axis=0)
+    colours = np.full((1, 3), np.nan, np.float32)
+    ahead = np.array([[0.5, 0.0, 1.0]], np.float32)
+    kernels.sample_colours(
+        np.zeros((1, 3), np.float32), ahead, np.full(1, 7.0, np.float32), (0, 1), (0, 0), image,
+        np.eye(3), np.zeros(3), np.array([100.0, 100.0, 99.2, 50.0, -0.2, 0, 0, 0, 0]), colours,
+    )  # fmt: skip
+    assert colours[0].tolist() == [round(99.2 + 47.5)] * 3
+
+
+def test_spread_is_exact_and_extremes_fade() -> None:
+    """Heights of 0.1 and -0.1 m in turn, then a minute later only the mean."""
+    mapper = GridMapper(make_rig(), dataclasses.replace(PARAMS, extreme_memory_s=60.0))
+    still = Pose(np.eye(3), np.array([0.0, 0.0, 12.0]))
+    down = np.tile([[0.004, 0.004, 1.0]], (100, 1))
+    for start, swing in ((0, 0.1), (36_000, 0.0)):
+        scan = cast_scan(start + 60, down, [still] * 100)
+        ranges = scan.ranges + np.float32(swing) * (-1.0) ** np.arange(100)
+        scan = dataclasses.replace(scan, ranges=ranges.astype(np.float32))
+        for tick in range(start, start + 157, 3):
+            obs = make_obs(tick, scans=(scan,) if tick == start + 156 else ())
+            view = mapper.update(obs, make_estimate(tick, still))
+        if swing:
+            assert np.nanmax(view.coarse.height_std_m) == pytest.approx(0.1, rel=1e-3)
+    kept = 0.1 * np.exp(-1.0)
+    assert np.nanmax(view.coarse.max_height_m) == pytest.approx(kept, rel=0.01)
+    assert np.nanmin(view.coarse.min_height_m) == pytest.approx(-kept, rel=0.01)
+    assert np.nanmax(view.coarse.height_std_m) == pytest.approx(0.1 / np.sqrt(2.0), rel=1e-3)
+
+
+def test_a_pulse_without_return_says_nothing_beyond_the_reach() -> None:
+    hole = (np.array([-1.0, -4.0]), np.array([2.0, -1.0]))
+    for reach_m, shown in ((60.0, True), (11.0, False)):
+        params = dataclasses.replace(PARAMS, missing_max_reach_m=reach_m)
+        view = fly(GridMapper(make_rig(), params), moving_scan(4000, hole=hole))
+        assert (view.coarse.missing > 0).any() == shown
+
+
 def test_recent_returns_outweigh_old_ones() -> None:
     """After the cap a raised floor is learnt at the rate of the cap, not of all history."""
     mapper = GridMapper(make_rig(), dataclasses.replace(PARAMS, count_cap=50.0))
@@ -202,6 +292,20 @@ def test_fine_grid_opens_low_follows_and_keeps_the_overlap() -> None:
     assert old_count[:, shift:].sum() > 0
     with pytest.raises(ValueError, match="read-only"):
         moved.fine.count[0, 0] = 1.0
+
+
+def test_the_fine_grid_opens_by_the_height_above_the_ground_below() -> None:
+    """20 m above the take-off, 9 m above a hill that the first scan shows."""
+    mapper = GridMapper(make_rig(), PARAMS)
+    above, still = (Pose(np.eye(3), np.array([0.0, 0.0, z])) for z in (9.0, 20.0))
+    views = []
+    for start in (0, 120):
+        scan = cast_scan(start + 60, beam_fan(4000, 0.86, 0.22, start), [above] * 4000)
+        for tick in range(start, start + 157, 3):
+            obs = make_obs(tick, scans=(scan,) if tick == start + 156 else ())
+            view = mapper.update(obs, make_estimate(tick, still))
+        views.append(view)
+    assert views[0].fine is None and views[1].fine is not None
 
 
 def test_not_a_number_in_pose_or_range_leaves_the_map_clean() -> None:

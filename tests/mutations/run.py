@@ -174,7 +174,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--only", default="", help="mutations with this word in their name")
     parser.add_argument("--jobs", type=int, default=2, help="that run at the same time")
-    parser.add_argument("--timeout-s", type=float, default=300.0, help="for the tests of one")
+    parser.add_argument("--timeout-s", type=float, default=600.0, help="for the tests of one")
     parser.add_argument("--again", action="store_true", help="forget earlier results")
     parser.add_argument("--list", action="store_true", help="names and places only")
     parser.add_argument("--project", type=Path, default=Path(__file__).parents[2])

@@ -55,8 +55,11 @@ class Tree:
 
     def _environment(self, kernels: Path | None = None) -> dict[str, str]:
         cache = kernels or self.root.with_name(f"{self.root.name}-kernels")
-        paths = {"PYTHONPATH": str(self.root / "src"), "NUMBA_CACHE_DIR": str(cache)}
-        return {**os.environ, **paths, "COLUMNS": "300"}
+        # of its own, because tests of one user wait there for each other's kernels
+        temporary = self.root.with_name(f"{self.root.name}-tmp")
+        temporary.mkdir(exist_ok=True)
+        paths = {"PYTHONPATH": self.root / "src", "NUMBA_CACHE_DIR": cache, "TMPDIR": temporary}
+        return {**os.environ, **{k: str(v) for k, v in paths.items()}, "COLUMNS": "300"}
 
     def test(self, mutation: Mutation) -> Outcome:
         """Runs the tests of one mutation in this copy, which is afterwards as it was."""

@@ -69,7 +69,7 @@ def swaying(t: float) -> np.ndarray:
     return np.array([2.0 * (1.0 - np.cos(2.0 * t)), 0.0, START_Z])
 
 
-def scan_ending_at(tick: int) -> LidarScan:
+def scan_ending_at(tick: int, motion: Callable[[float], np.ndarray] = position_at) -> LidarScan:
     """Level ground z = 0 under the moving LIDAR, without noise."""
     rng = np.random.default_rng(tick)
     count, start_s = 4000, (tick - SCAN_TICKS) / HZ
@@ -77,13 +77,14 @@ def scan_ending_at(tick: int) -> LidarScan:
     directions = np.column_stack([rng.uniform(-0.8, 0.8, count), rng.uniform(-0.22, 0.22, count)])
     directions = np.column_stack([directions, np.ones(count)])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    heights = np.array([motion(start_s + offset)[2] for offset in offsets])
     return LidarScan(
         start_tick=tick - SCAN_TICKS,
         end_tick=tick,
         start_time_s=start_s,
         end_time_s=tick / HZ,
         directions=directions.astype(np.float32),
-        ranges=((START_Z - 0.15) / directions[:, 2]).astype(np.float32),
+        ranges=((heights - 0.15) / directions[:, 2]).astype(np.float32),
         time_offsets=offsets.astype(np.float32),
         intensity=np.full(count, 40, dtype=np.uint8),
     )
@@ -146,7 +147,7 @@ def observations(
                 tick=tick,
                 time_s=tick / HZ,
                 imu=(imu,) if tick else (),
-                scans=(scan_ending_at(measured),) if due else (),
+                scans=(scan_ending_at(measured, motion),) if due else (),
                 images=(image_at(measured, rig, motion((measured - ahead_ticks) / HZ)),)
                 if due
                 else (),

@@ -266,9 +266,12 @@ def anchored_map(
     return plane_map, room_points(rng, walls=True)[::7]
 
 
-def test_a_scan_measures_the_pose_relative_to_the_clone_of_its_planes() -> None:
+@pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (0.2, -0.1, 0.15)])
+def test_a_scan_measures_the_pose_relative_to_the_clone_of_its_planes(
+    shift: tuple[float, float, float],
+) -> None:
     """The clone's own standard deviation of 5 cm stays with the pose; that of their difference
-    becomes small."""
+    becomes small. ``shift``: of the estimate of both since the map was made."""
     rng = np.random.default_rng(6)
     clone = Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
     eskf = Eskf(state_at(clone.rotation, clone.translation), np.full(STATE_DIM, 1e-8))
@@ -277,7 +280,8 @@ def test_a_scan_measures_the_pose_relative_to_the_clone_of_its_planes() -> None:
     anchors = Anchors()
     plane_map, world = anchored_map(rng, clone, anchors)
     position = np.array([0.4, 1.0, 12.0])
-    eskf.state = state_at(np.eye(3), position + np.array([0.05, -0.04, 0.06]))
+    eskf.state = state_at(np.eye(3), position + shift + np.array([0.05, -0.04, 0.06]))
+    eskf.clones = [Pose(clone.rotation, clone.translation + shift)]
     eskf.covariance[3:6, 3:6] += 0.1**2 * np.eye(3)
     points = world - position
     update_with_scan(

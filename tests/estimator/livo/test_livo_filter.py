@@ -60,6 +60,23 @@ def test_circle_is_integrated_to_second_order() -> None:
     np.testing.assert_allclose(rotations[-1], so3_exp(np.array([0.0, 0.0, angle])), atol=1e-9)
 
 
+def test_constant_force_gives_a_parabola_and_biases_give_none() -> None:
+    """What the sensors show beside their biases is no rotation and 1, -2, 3 m/s^2."""
+    start = NavState(
+        0, np.eye(3), np.array([5.0, 6.0, 7.0]), np.array([1.0, 2.0, -1.0]),
+        np.array([0.01, -0.02, 0.03]), np.array([0.1, 0.2, -0.3]),
+    )  # fmt: skip
+    acceleration, count = np.array([1.0, -2.0, 3.0]), 100
+    gyro = np.tile(start.gyro_bias, (count, 1))
+    force = np.tile(acceleration + [0.0, 0.0, GRAVITY_MPS2] + start.accel_bias, (count, 1))
+    end = propagate_nominal(start, 3 * np.arange(1, count + 1), gyro, force, STEP_S)
+    t = count * STEP_S
+    moved = start.position + start.velocity * t + 0.5 * acceleration * t**2
+    np.testing.assert_allclose(end.position, moved, atol=1e-12)
+    np.testing.assert_allclose(end.velocity, start.velocity + acceleration * t, atol=1e-12)
+    np.testing.assert_allclose(end.rotation, np.eye(3), atol=1e-12)
+
+
 def test_propagating_in_two_parts_is_propagating_at_once() -> None:
     rng = np.random.default_rng(2)
     buffer = filled_buffer(rng, 20)
@@ -232,6 +249,11 @@ def test_noise_at_rest_grows_as_white_noise_does() -> None:
     assert noise[2, 2] == pytest.approx(4e-8 * duration)
     assert noise[8, 8] == pytest.approx(4e-6 * duration)
     assert noise[5, 5] == pytest.approx(4e-6 * duration**3 / 3.0, rel=0.1)
+    walks = np.array([0.0, 0.0, 3e-5, 4e-4])
+    _, noise, _ = transition(rotations, np.zeros((count, 3)), force, STEP_S, walks)
+    np.testing.assert_allclose(np.diag(noise)[9:12], 9e-10 * duration)
+    np.testing.assert_allclose(np.diag(noise)[12:], 16e-8 * duration)
+    assert noise[2, 2] == pytest.approx(9e-10 * duration**3 / 3.0, rel=0.1)
 
 
 def test_update_equals_the_textbook_gain() -> None:
@@ -274,6 +296,16 @@ def test_a_fresh_clone_moves_with_the_pose_and_marginalising_leaves_the_rest() -
     np.testing.assert_array_equal(
         eskf.covariance[np.ix_(eskf.clone_indices(0), eskf.clone_indices(0))], kept
     )
+
+
+def test_errors_of_a_clone_alone_are_its_own() -> None:
+    eskf = Eskf(random_state(np.random.default_rng(6)), np.full(STATE_DIM, 0.01))
+    eskf.add_clone(np.array([0.0, 0.0, 1e-4, 0.0, 0.0, 4e-4]))
+    clone, pose = eskf.clone_indices(0), np.arange(6)
+    own = eskf.covariance[np.ix_(clone, clone)]
+    np.testing.assert_allclose(own, np.diag([0.01, 0.01, 0.0101, 0.01, 0.01, 0.0104]))
+    np.testing.assert_array_equal(eskf.covariance[np.ix_(clone, pose)], 0.01 * np.eye(6))
+    np.testing.assert_array_equal(eskf.covariance[np.ix_(pose, pose)], 0.01 * np.eye(6))
 
 
 def test_a_full_buffer_is_an_error_not_growth() -> None:

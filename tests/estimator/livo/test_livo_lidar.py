@@ -107,6 +107,43 @@ def test_map_recovers_a_tilted_plane_also_across_voxel_faces() -> None:
     np.testing.assert_allclose(np.sqrt(variances[found, 0]), 0.02, rtol=0.25)
 
 
+def flat_voxel(height: float, spread_m: float = 0.0) -> np.ndarray:
+    """An even grid of 400 points in one voxel of a metre; heights uniform within ``spread_m``."""
+    x, y = np.meshgrid(np.arange(0.025, 1.0, 0.05), np.arange(0.025, 1.0, 0.05))
+    z = height + spread_m * np.random.default_rng(0).uniform(-0.5, 0.5, x.size)
+    return np.column_stack([x.ravel(), y.ravel(), z])
+
+
+def test_a_plane_is_known_best_at_its_centre() -> None:
+    """Its height errs by low / n there; a lean of low / (n mid) adds the distance squared."""
+    plane_map = PlaneMap(1.0, capacity=1 << 8, max_points=400)
+    points = flat_voxel(0.5, 0.04)
+    plane_map.insert(points)
+    _, _, _, variances, *_ = plane_map.match(np.array([[0.5, 0.5, 0.5], [0.8, 0.7, 0.5]]))
+    low, mid = np.var(points[:, 2]), np.var(points[:, 0])
+    np.testing.assert_allclose(variances[:, 0], low, rtol=0.02)
+    np.testing.assert_allclose(variances[:, 2], low / (400 * mid), rtol=0.02)
+    height = low / 400 * np.array([1.0, 1.0 + (0.3**2 + 0.2**2) / mid])
+    np.testing.assert_allclose(variances[:, 1], height, rtol=0.03)
+
+
+@pytest.mark.parametrize(("spread_m", "found"), [(0.15, True), (0.20, False)])
+def test_foliage_is_no_plane(spread_m: float, found: bool) -> None:
+    """Five centimetres of standard deviation are 17 of a uniform spread; nor is a line a plane."""
+    plane_map = PlaneMap(1.0, capacity=1 << 8, max_points=400)
+    plane_map.insert(flat_voxel(0.5, spread_m))
+    plane_map.insert(flat_voxel(0.5) * [1.0, 0.005, 1.0] + [3.0, 0.5, 0.0])
+    matched = plane_map.match(np.array([[0.5, 0.5, 0.5], [3.5, 0.5, 0.5]]))
+    assert matched.found.tolist() == [found, False]
+
+
+def test_a_full_voxel_keeps_its_first_returns() -> None:
+    plane_map = PlaneMap(1.0, capacity=1 << 8, max_points=400)
+    plane_map.insert(flat_voxel(0.5))
+    plane_map.insert(flat_voxel(0.6))
+    assert plane_map.match(np.array([[0.5, 0.5, 0.5]])).centres[0, 2] == pytest.approx(0.5)
+
+
 def test_map_memory_and_learning_are_bounded() -> None:
     rng = np.random.default_rng(4)
     plane_map = PlaneMap(1.0, capacity=1 << 8, max_points=20)
@@ -136,6 +173,33 @@ def test_plane_jacobian_matches_finite_differences() -> None:
     assert used == 1 and rms == pytest.approx(0.01, abs=1e-9)
     np.testing.assert_allclose(information, np.outer(gradient, gradient), atol=1e-6)
     np.testing.assert_allclose(vector, gradient * 0.01, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("beam", "height", "thickness", "unsure", "floor", "weight"),
+    [
+        ((0, 0, -10), 0.0, 0.01, 0.0, 0.0, 1 / 4e-4),  # 2 cm of range noise
+        ((0, 0, -10), 0.0, 0.03, 0.0, 0.0, 1 / 9e-4),  # rougher ground
+        ((0, 0, -10), 0.0, 0.01, 0.02, 0.0, 1 / 8e-4),
+        ((0, 0, -10), 0.0, 0.01, 0.0, 0.02, 1 / 8e-4),
+        # at 45 degrees half of the range's, and a milliradian over 14 m
+        ((10, 0, -10), 0.0, 0.01, 0.0, 0.0, 1 / 3e-4),
+        ((0, 0, -10), 0.04, 0.01, 0.0, 0.0, 0.5 / 4e-4),  # two sigma: Cauchy's half weight
+        ((0, 0, -10), 0.09, 0.01, 0.0, 0.0, 0.0),  # beyond the gate of four
+    ],
+)
+def test_a_return_weighs_by_its_beam_its_plane_and_its_residual(
+    beam: tuple[float, ...], height: float, thickness: float, unsure: float, floor: float,
+    weight: float,
+) -> None:  # fmt: skip
+    point, up = np.array([beam], dtype=float), np.array([[0.0, 0.0, 1.0]])
+    information, vector, used, _ = plane_information(
+        point, point, np.eye(3), np.zeros(3), np.array([True]), up, point - height * up,
+        np.array([[thickness**2, unsure**2]]), 0.02, 1e-3, floor, 4.0,
+    )  # fmt: skip
+    assert used == (weight > 0.0)
+    assert information[5, 5] == pytest.approx(weight, rel=1e-6)
+    assert vector[5] == pytest.approx(-weight * height, rel=1e-6)
 
 
 def test_floor_adds_its_covariance() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ from touchdown.estimator.filtering.imu_propagation import (
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
 from touchdown.estimator.livo.online_calibration import CALIBRATION_DIM
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
+from touchdown.sim.frames import so3_exp, so3_log
 
 STEP_S = 0.005
 UP = np.array([0.0, 0.0, GRAVITY_MPS2])
@@ -66,6 +69,54 @@ def test_the_heading_stays_known_at_rest_whatever_responds_to_gravity(known: boo
         buffer.push(start + 3 * (i + 1), rate, UP, False)
     eskf.propagate(buffer, 200)
     assert np.degrees(np.sqrt(eskf.covariance[2, 2])) < 0.06
+
+
+def free_filter(velocity: np.ndarray) -> Eskf:
+    """Standard deviations as those that a rest is measured with: each is corrected by half."""
+    zero, sigmas = np.zeros(3), np.repeat([1e-3, 2e-3, 5e-3, 1e-3, 0.03], 3)
+    return Eskf(NavState(0, np.eye(3), zero, velocity, zero, zero), sigmas**2)
+
+
+def test_rest_measures_velocity_rate_and_the_pose_where_it_began() -> None:
+    velocity, rate = np.array([0.01, -0.02, 0.005]), np.array([1e-3, 0.0, -5e-4])
+    eskf, update = free_filter(velocity), ZeroVelocityUpdate(0.0, STEP_S)
+    samples = np.tile(rate, (20, 1)), np.tile(UP, (20, 1)), np.ones(20, np.bool_)
+    before = np.diag(eskf.covariance)[:12]
+    assert update.update(eskf, *samples)
+    np.testing.assert_allclose(eskf.state.velocity, 0.5 * velocity, atol=1e-12)
+    np.testing.assert_allclose(eskf.state.gyro_bias, 0.5 * rate, atol=1e-12)
+    np.testing.assert_allclose(np.diag(eskf.covariance)[:12], 0.5 * before, rtol=1e-9)
+    # half the variance is left, so that a third of what it has drifted is taken back
+    turned, moved = so3_exp(np.array([0.0, 0.0, 6e-3])), np.array([3e-3, 0.0, -6e-3])
+    eskf.state = replace(eskf.state, rotation=turned, position=moved)
+    assert update.update(eskf, *samples)
+    np.testing.assert_allclose(eskf.state.position, moved * 2.0 / 3.0, atol=1e-12)
+    np.testing.assert_allclose(so3_log(eskf.state.rotation), [0.0, 0.0, 4e-3], atol=1e-9)
+
+
+@pytest.mark.parametrize("motion", ["shaken", "turning", "pushed", "flying"])
+def test_motion_is_no_rest_and_ends_one(motion: str) -> None:
+    gyro, force, stationary = np.zeros((20, 3)), np.tile(UP, (20, 1)), np.ones(20, np.bool_)
+    still = gyro.copy(), force.copy(), stationary.copy()
+    if motion == "shaken":
+        force[::2, 0] += 0.2
+        force[1::2, 0] -= 0.2
+    elif motion == "turning":
+        gyro[:, 1] = 0.02
+    elif motion == "pushed":
+        force[:, 1] += 0.3
+    else:
+        stationary[7] = False
+    eskf, update = free_filter(np.array([0.01, 0.0, 0.0])), ZeroVelocityUpdate(0.0, STEP_S)
+    assert update.update(eskf, *still)
+    prior, covariance = eskf.state, eskf.covariance.copy()
+    assert not update.update(eskf, gyro, force, stationary)
+    assert eskf.state is prior
+    np.testing.assert_array_equal(eskf.covariance, covariance)
+    moved = np.array([0.5, 0.0, 0.0])
+    eskf.state = replace(prior, position=moved)
+    assert update.update(eskf, *still)
+    np.testing.assert_allclose(eskf.state.position, moved, atol=1e-12)
 
 
 def test_alignment_shares_the_vertical_force_between_bias_and_scale() -> None:

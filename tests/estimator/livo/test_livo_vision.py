@@ -70,6 +70,18 @@ def test_patches_are_found_to_a_tenth_of_a_pixel_under_scale_and_turn() -> None:
     assert np.median(np.linalg.norm(error, axis=1)) < 0.15
 
 
+def test_other_ground_is_not_taken_for_that_of_the_keyframe() -> None:
+    key = imu_pose((0.0, 0.0, 12.0), (0.0, 0.0, 0.0)) @ IMU_FROM_CAMERA
+    source, other = grey_levels(view(key)), grey_levels(view(key)[::-1, ::-1].copy())
+    pixels = detect_features(source[0], 100)
+    planes = np.tile(plane_in(key), (len(pixels), 1))
+    shares = [
+        track(source, target, pixels, planes, Pose.identity(), CAMERA)[0].mean()
+        for target in (source, other)
+    ]
+    assert shares[0] > 0.9 and shares[1] < 0.1
+
+
 def test_a_blank_image_tracks_nothing() -> None:
     key = imu_pose((0.0, 0.0, 12.0), (0.0, 0.0, 0.0)) @ IMU_FROM_CAMERA
     source = grey_levels(view(key))
@@ -143,11 +155,29 @@ def test_reprojection_jacobian_matches_finite_differences() -> None:
     np.testing.assert_allclose(vector, jacobian.T @ residual, rtol=1e-4, atol=1e-3)
 
 
-def front_end() -> VisualFrontEnd:
+def test_a_pixel_beyond_the_gate_does_not_count() -> None:
+    pose, camera = imu_pose((0, 0, 20), (0, 0, 0)), MountedCamera(CAMERA, IMU_FROM_CAMERA)
+    landmarks = np.array([[1.5, -1.0, -19.0], [-2.0, 0.5, -19.0]])
+    x, y, z = IMU_FROM_CAMERA.inverse().apply(landmarks).T
+    pixels = np.column_stack([CAMERA.fx * x / z + CAMERA.cx, CAMERA.fy * y / z + CAMERA.cy])
+    pixels[1] += [4.0, 4.0]
+
+    def measured(count: int) -> tuple[np.ndarray, int]:
+        found = reprojection_information(
+            pixels[:count], landmarks[:count], pose, pose, camera, sigma_px=1.0, gate_px=5.0
+        )
+        return found.information, found.used
+
+    np.testing.assert_array_equal(measured(2)[0], measured(1)[0])
+    assert measured(2)[1] == 1
+
+
+def front_end(**params: float) -> VisualFrontEnd:
     return VisualFrontEnd(
         MountedCamera(CAMERA, IMU_FROM_CAMERA),
         VisualParams(
-            max_keyframes=4, track_keyframes=2, features=150, sigma_px=0.5, open_ticks=1200
+            max_keyframes=4, track_keyframes=2, features=150, sigma_px=0.5, open_ticks=1200,
+            **params,
         ),
     )  # fmt: skip
 
@@ -183,6 +213,42 @@ def test_image_update_recovers_a_known_offset() -> None:
     np.testing.assert_allclose(eskf.state.position, now.translation, atol=0.025)
     assert np.degrees(np.abs(so3_log(now.rotation.T @ eskf.state.rotation)[2])) < 0.02
     assert eskf.covariance[3, 3] < 1e-3
+
+
+def test_uncertain_depths_weaken_what_a_baseline_measures() -> None:
+    """2 m aside at 15 m, a metre of depth is 2.8 pixels of 0.5; of the turn it hides nothing."""
+    key, now = imu_pose((0, 0, 15), (0, 0, 0)), imu_pose((2.0, 0.0, 15.0), (0, 0, 0))
+    sigmas = []
+    for depth_sigma_m in (0.0, 1.0):
+        vision, eskf = front_end(depth_sigma_m=depth_sigma_m), filter_at(key)
+        vision.add_keyframe(eskf, grey_levels(view(key @ IMU_FROM_CAMERA)), ground_returns(), 0)
+        eskf.state = filter_at(now).state
+        eskf.covariance[3, 3] += 1.0
+        assert vision.update(eskf, grey_levels(view(now @ IMU_FROM_CAMERA))).used > 50
+        sigmas.append(np.sqrt(eskf.covariance[3, 3]))
+    assert 3.0 < sigmas[1] / sigmas[0] < 7.0
+
+
+def test_a_keyframe_has_a_height_error_of_its_own() -> None:
+    vision, eskf = front_end(height_sigma_m=0.05), filter_at(imu_pose((0, 0, 15), (0, 0, 0)))
+    vision.add_anchor(eskf, 15.0, 0)
+    own = np.diag(eskf.covariance)[eskf.clone_indices(0)]
+    np.testing.assert_allclose(own, [1e-8] * 5 + [1e-8 + 0.05**2])
+
+
+def test_an_image_is_tracked_from_old_keyframes_as_well_as_the_newest() -> None:
+    vision, returns = front_end(), ground_returns()
+    eskf = filter_at(imu_pose((0, 0, 15), (0, 0, 0)))
+    for k in range(2):
+        pose = imu_pose((1.0 * k, 0.0, 15.0), (0, 0, 0))
+        eskf.state = filter_at(pose).state
+        assert vision.add_keyframe(eskf, grey_levels(view(pose @ IMU_FROM_CAMERA)), returns, k)
+    report = vision.update(eskf, grey_levels(view(pose @ IMU_FROM_CAMERA)))
+    assert report.keyframes_tracked == 2
+    newest = front_end(newest_only=1)
+    newest.keyframes = vision.keyframes
+    report = newest.update(eskf, grey_levels(view(pose @ IMU_FROM_CAMERA)))
+    assert report.keyframes_tracked == 1
 
 
 def test_a_black_image_changes_nothing_and_is_counted() -> None:

@@ -1,0 +1,216 @@
+"""Single steps of `livo` inside the estimator, on flights whose answer is known."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.api import Estimate, LivoParams
+from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState
+from touchdown.estimator.livo.estimator import Livo
+from touchdown.sim.api import GRAVITY_MPS2, ImuParams, ImuSample, Observation, SensorRig
+from touchdown.sim.frames import so3_exp
+
+from support.livo_flight import FLIGHT, HZ, IMU_TICKS, RIG, START_Z, observations, position_at
+
+Array = np.ndarray
+UP = np.array([0.0, 0.0, GRAVITY_MPS2])
+
+
+def accelerated(*mps2: float) -> Callable[[float], Array]:
+    """Level, from rest at the start."""
+    return lambda t: 0.5 * t * t * np.array(mps2) + [0.0, 0.0, START_Z]
+
+
+def blind(flight: list[Observation], scans: bool = False) -> list[Observation]:
+    """Without images, and without scans unless ``scans``."""
+    kept = [dataclasses.replace(obs, images=()) for obs in flight]
+    return kept if scans else [dataclasses.replace(obs, scans=()) for obs in kept]
+
+
+def run(
+    flight: list[Observation], params: LivoParams | None = None, rig: SensorRig = RIG
+) -> tuple[Livo, list[Estimate]]:
+    livo = Livo(rig, params)
+    return livo, [livo.update(obs) for obs in flight]
+
+
+# ------------------------------------------------------------------------------ covariance
+
+
+def test_without_sensors_the_covariance_is_that_of_dead_reckoning() -> None:
+    """From the uncertainty of the start over every sample up to the present, with the noise of the
+    flying vehicle; that of the position is inflated by 1.8 and has a floor of 5 mm."""
+    params = LivoParams(
+        use_calibration=False, ground_sigma_m=0.02, gyro_density=3e-3, accel_density=0.2,
+        gyro_bias_walk=0.01, accel_bias_walk=0.3,
+    )  # fmt: skip
+    flight = blind(FLIGHT[:201])  # the covariance is renewed every 63 ticks, here at 600
+    _, estimates = run(flight, params)
+    sigmas = np.repeat([2e-4, 2e-3, 5e-3, RIG.imu.gyro_bias_sigma, RIG.imu.accel_bias_sigma], 3)
+    start, zero = RIG.world_from_body_start @ RIG.body_from_imu, np.zeros(3)
+    eskf = Eskf(NavState(0, start.rotation, start.translation, zero, zero, zero), sigmas**2)
+    noise = ImuParams(
+        gyro_density=3e-3, accel_density=0.2, gyro_bias_walk=0.01, accel_bias_walk=0.3
+    )
+    buffer = ImuBuffer(noise, IMU_TICKS / HZ)
+    for obs in flight:
+        for sample in obs.imu:
+            buffer.push(sample.tick, sample.angular_velocity, sample.specific_force, False)
+    eskf.propagate(buffer, buffer.count)
+    floor = np.diag([0.005, 0.005, np.hypot(0.005, 0.02)]) ** 2
+    position, rotation = eskf.covariance[3:6, 3:6], eskf.covariance[:3, :3]
+    assert position[0, 0] > 1e-3
+    np.testing.assert_allclose(estimates[-1].position_covariance, 1.8 * position + floor, rtol=1e-6)
+    np.testing.assert_allclose(estimates[-1].rotation_covariance, rotation, rtol=1e-6, atol=1e-15)
+
+
+def poor_imu() -> tuple[SensorRig, list[Observation]]:
+    """An accelerometer whose bias is metres per second squared and known to be so."""
+    rig = dataclasses.replace(RIG, imu=dataclasses.replace(RIG.imu, accel_bias_sigma=2.0))
+    bias = np.array([1.0, -1.5, 2.0])
+    flight = [
+        dataclasses.replace(
+            obs,
+            imu=tuple(
+                dataclasses.replace(sample, specific_force=sample.specific_force + bias)
+                for sample in obs.imu
+            ),
+        )
+        for obs in observations(RIG, 1020)
+    ]
+    return rig, flight
+
+
+def test_a_correction_is_handed_out_over_time_and_counted_until_it_is() -> None:
+    """Errors of centimetres before the second scan and image: the covariance covers what is not
+    handed out yet, the position does not jump, the track of a scan is the corrected one."""
+    rig, flight = poor_imu()
+    _, estimates = run(flight, rig=rig)
+    estimates = [e for e in estimates if e.tick >= 96]  # the first scan was at 60
+    errors = [e.world_from_body.translation - position_at(e.time_s) for e in estimates]
+    scores = [
+        error @ np.linalg.solve(e.position_covariance, error)
+        for error, e in zip(errors, estimates, strict=True)
+    ]
+    assert max(np.linalg.norm(error) for error in errors) > 0.05
+    assert max(scores) < 11.3  # chi-square, 3 degrees of freedom, 99 %
+    assert np.linalg.norm(errors[-1]) < 0.01
+    for a, b in itertools.pairwise(estimates):
+        step = b.odom_from_body.translation - a.odom_from_body.translation
+        expected = 0.5 * (a.velocity_odom + b.velocity_odom) * (b.time_s - a.time_s)
+        assert np.linalg.norm(step - expected) < 0.01
+    tracks = [e.scan_track for e in estimates if e.scan_track is not None]
+    ends = [t.positions_odom[-1] - position_at(t.times_s[-1]) for t in tracks]
+    assert abs(ends[1][2]) < 0.03  # of 0.04 that the bias makes in 0.2 s
+    assert np.abs(ends[3:]).max() < 5e-3
+
+
+# ------------------------------------------------------------------------------ scans
+
+
+def test_the_ground_stays_where_it_is_under_a_climb() -> None:
+    """At 4.6 m/s the vehicle is half a metre higher when a scan arrives than when it was taken."""
+    livo, estimates = run(blind(observations(RIG, 780, accelerated(0, 0, 4.0)), scans=True))
+    assert estimates[-1].velocity_odom[2] == pytest.approx(5.2, abs=0.05)
+    ground = livo._recent.median_height()
+    assert ground is not None and abs(ground) < 0.02
+
+
+def test_the_found_error_of_the_mount_is_applied_to_the_next_scan() -> None:
+    """A LIDAR known to sit 0.1 m higher than stated sees the ground 0.1 m higher."""
+    livo = Livo(RIG, LivoParams())
+    known = np.zeros_like(livo._eskf.state.calibration)
+    known[5] = 0.1
+    livo._eskf.state = dataclasses.replace(livo._eskf.state, calibration=known)
+    for obs in FLIGHT[:33]:
+        livo.update(obs)
+    assert livo._recent.median_height() == pytest.approx(0.1, abs=2e-3)
+
+
+@pytest.mark.parametrize(("above_m", "estimated"), [(50.0, False), (5.0, True)])
+def test_mounts_are_estimated_from_high_above_alone(above_m: float, estimated: bool) -> None:
+    params = LivoParams(calibrate_above_m=above_m, camera_clock_sigma_s=0.0)
+    livo, _ = run(FLIGHT[:160], params)
+    assert bool(livo._eskf.state.calibration[:6].any()) == estimated
+
+
+def test_level_ground_is_reported_as_degenerate() -> None:
+    for use, expected in ((True, (2.0, 1.0)), (False, (0.0, 0.0))):
+        _, estimates = run(blind(FLIGHT[:160], scans=True), LivoParams(use_degeneracy=use))
+        figures = estimates[-1].diagnostics
+        found = figures["lidar_weak_translation"], figures["lidar_weak_rotation"]
+        assert found == expected
+
+
+def test_the_map_belongs_to_clones_of_the_poses_that_made_it() -> None:
+    """Without images a new one comes every half height of 6 m; 0.16 s pass until a scan is used."""
+    flight = blind(observations(RIG, 840, accelerated(12.0, 0.0, 0.0)), scans=True)
+    for ticks, clones in ((600, 1), (840, 2)):
+        livo, _ = run([obs for obs in flight if obs.tick <= ticks])
+        assert len(livo._eskf.clones) == clones
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-6.0, 15.0), [-1.0, 0.0, 1.0]))
+    matched = livo._map.match(np.column_stack([x, y, np.zeros(x.size)]) + [0.4, 0.4, 0.0])
+    assert matched.found.sum() > 40
+    assert set(matched.anchors[matched.found].tolist()) == {0, 1}
+
+
+# ------------------------------------------------------------------------------ images
+
+
+def test_a_keyframe_gets_depth_from_scans_after_it() -> None:
+    """Ahead the LIDAR sees less than the camera: what the flight brings under it comes later."""
+    flight = observations(RIG, 780, accelerated(6.0, 0.0, 0.0))
+    livo = Livo(RIG, LivoParams())
+    counts = []
+    for obs in flight:
+        livo.update(obs)
+        seeing = [k for k in livo._vision.keyframes if k.pixels.size]
+        counts += [int(seeing[0].valid.sum())] if seeing else []
+    assert counts[0] > 30 and counts[-1] > counts[0] + 5
+
+
+# ------------------------------------------------------------------------------ on the ground
+
+
+def at_rest(seconds: float, rotor: Callable[[int], float], tilt: Array) -> list[Observation]:
+    force = so3_exp(tilt).T @ UP
+    found = []
+    for tick in range(0, round(seconds * HZ) + 1, IMU_TICKS):
+        sample = ImuSample(
+            tick=tick, time_s=tick / HZ, angular_velocity=np.zeros(3), specific_force=force
+        )
+        found.append(
+            Observation(
+                tick=tick, time_s=tick / HZ, imu=(sample,) if tick else (),
+                battery_fraction=1.0, rotor_speed_radps=np.full(4, rotor(tick)),
+            )
+        )  # fmt: skip
+    return found
+
+
+def test_roll_and_pitch_of_the_start_are_found_at_rest() -> None:
+    tilt = np.array([0.03, -0.02, 0.0])
+    rig = dataclasses.replace(RIG, start_tilt_sigma_rad=0.05)
+    _, estimates = run(at_rest(1.0, lambda _: 0.0, tilt), rig=rig)
+    np.testing.assert_allclose(
+        estimates[-1].odom_from_body.rotation[2], so3_exp(tilt)[2], atol=1e-3
+    )
+    np.testing.assert_allclose(estimates[-1].velocity_odom, 0.0, atol=5e-3)
+
+
+def test_slow_rotors_mean_rest_before_the_first_flight_alone() -> None:
+    """200 rad/s carry a quarter of the weight: on the ground before the first lift-off, but after
+    it a descent may need no more."""
+    still = np.zeros(3)
+    _, before = run(at_rest(1.0, lambda _: 200.0, still))
+    assert before[-1].diagnostics["stationary"] == 1.0
+    _, after = run(at_rest(1.0, lambda tick: 420.0 if tick < 60 else 200.0, still))
+    assert after[-1].diagnostics["stationary"] == 0.0
+    _, landed = run(at_rest(1.0, lambda tick: 420.0 if tick < 60 else 80.0, still))
+    assert landed[-1].diagnostics["stationary"] == 1.0
