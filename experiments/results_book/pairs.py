@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from touchdown.experiments.reporting.flights import number
@@ -55,14 +56,14 @@ def _line(title: str, column: str, both: Sequence[tuple[Row, Row]]) -> str:
     short, whole = values.T
     ratio = MISSING
     if np.all(values > 0.0) and (mean := mean_interval(np.log(short / whole))) is not None:
-        ends = (None if end is None else math.exp(end) for end in (mean.low, mean.high))
-        estimate = Estimate(math.exp(mean.value), *ends, mean.flights)
+        low, high = (None if end is None else math.exp(end) for end in (mean.low, mean.high))
+        estimate = Estimate(math.exp(mean.value), low, high, mean.flights)
         ratio = f"{digits(estimate.value)} {interval_text(estimate)}".strip()
     means = f"{digits(float(whole.mean()))} | {digits(float(short.mean()))}"
     return f"| {title} | {len(values)} | {means} | {ratio} | {_correlation(short, whole)} |"
 
 
-def _correlation(short: np.ndarray, whole: np.ndarray) -> str:
+def _correlation(short: NDArray[np.float64], whole: NDArray[np.float64]) -> str:
     """Spearman's correlation with its interval; `MISSING` where one side does not vary or pairs are
     too few."""
     if len(short) < 5 or np.ptp(short) == 0.0 or np.ptp(whole) == 0.0:
