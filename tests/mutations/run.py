@@ -17,6 +17,7 @@ import fcntl
 import hashlib
 import json
 import queue
+import signal
 import sys
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -186,6 +187,7 @@ def main(arguments: list[str] | None = None) -> int:
             *(f"{m.name}\n    {m.function}\n    {m.statement.strip()}" for m in mutations), sep="\n"
         )
         return 0
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # tests that run are ended, too
     folder = project / "runs/mutation"
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "lock").open("w") as lock:

@@ -127,8 +127,10 @@ def observations(
     last_tick: int,
     motion: Callable[[float], np.ndarray] = position_at,
     ahead_ticks: int = 0,
+    *,
+    seen: bool = True,
 ) -> list[Observation]:
-    """``ahead_ticks``: of the camera's clock."""
+    """``ahead_ticks``: of the camera's clock; ``seen``: with images."""
     found, step = [], IMU_TICKS / HZ
     for tick in range(0, last_tick + 1, IMU_TICKS):
         measured = tick - LATENCY
@@ -149,7 +151,7 @@ def observations(
                 imu=(imu,) if tick else (),
                 scans=(scan_ending_at(measured, motion),) if due else (),
                 images=(image_at(measured, rig, motion((measured - ahead_ticks) / HZ)),)
-                if due
+                if due and seen
                 else (),
                 rotor_speed_radps=np.full(4, 400.0),
                 battery_fraction=1.0,
