@@ -9,7 +9,14 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.controller.api import ControlParams, Setpoint
-from touchdown.controller.cascade import CascadeController, _forces
+from touchdown.controller.cascade import (
+    CascadeController,
+    _forces,
+    _outer_errors,
+    _rate_setpoint,
+    _undelivered,
+    _wrench,
+)
 from touchdown.controller.disturbance import DisturbanceObserver
 from touchdown.controller.mixer import Mixer, MotorLead, allocation_matrix
 from touchdown.controller.pid import PidGains, VectorPid
@@ -165,6 +172,78 @@ def test_pid_integral_stands_still_where_the_actuator_is_saturated() -> None:
 
 
 # -------------------------------------------------------------------------------------- cascade
+
+
+def test_errors_and_feed_forward_of_the_outer_loops_by_hand() -> None:
+    """2 m behind at a gain of 1.5, bounded at 2 m/s; a jerk of 0.02 / 0.005, and one beyond the
+    bound of 12 m/s^3; drag of the reference's speed in the plane."""
+    zero, x, y = np.zeros(3), *np.eye(3)[:2]
+    lead = np.array([0.1, 0.1, 0.01])
+    velocity_error, acceleration_error, forward, drag = _outer_errors.py_func(
+        2.0 * x, zero, 3.0 * x + 5.0 * np.eye(3)[2], x, 0.5 * y, 0.02 * x, zero, STEP_S,
+        np.full(3, 1.5), 2.0, lead, 0.1,
+    )  # fmt: skip
+    np.testing.assert_allclose(velocity_error, [3.0 - 1.0 + 2.0, 0.0, 5.0])
+    np.testing.assert_allclose(acceleration_error, [-0.02, 0.5, 0.0])
+    np.testing.assert_allclose(forward, [0.02 + 0.1 * 4.0, 0.0, 0.0])
+    np.testing.assert_allclose(drag, [-0.3, 0.0, 0.0])
+    slow = (0.5 * y, zero, zero, zero, zero, y, zero, STEP_S, np.full(3, 1.5), 2.0, lead, 0.1)
+    velocity_error, _, forward, _ = _outer_errors.py_func(*slow)
+    np.testing.assert_allclose(velocity_error, [0.0, 0.75, 0.0])
+    np.testing.assert_allclose(forward, [0.0, 1.0 + 0.1 * 12.0, 0.0])
+
+
+def test_force_by_hand_and_what_was_not_delivered() -> None:
+    zero, x = np.zeros(3), np.array([1.0, 0.0, 0.0])
+    force, limited = _forces.py_func(2.0 * x, 3.0 * x, -0.5 * x, 1.5 * x, 2.0, 20.0, 1.0, np.inf)
+    np.testing.assert_allclose(force, [2.0 * (2.0 + 3.0 + 0.5 - 1.5), 0.0, 20.0])
+    np.testing.assert_array_equal(limited, force)
+    _, low = _forces.py_func(
+        -20.0 * np.eye(3)[2] + 9.0 * x, zero, zero, zero, 2.0, 20.0, 0.5, np.inf
+    )
+    np.testing.assert_allclose(low, [0.5 * 6.0, 0.0, 6.0])  # 0.3 of the weight, and the tilt of it
+    _, high = _forces.py_func(20.0 * np.eye(3)[2], zero, zero, zero, 2.0, 20.0, 0.5, np.inf)
+    np.testing.assert_allclose(high, [0.0, 0.0, 36.0])
+    wrench, achieved = np.array([20.0, 0.4, 0.0, 0.1]), np.array([15.0, 0.4, 0.0, 0.0])
+    missing, angular = _undelivered.py_func(
+        np.array([4.0, 0.0, 20.0]), np.array([6.0, 0.0, 20.0]), achieved, wrench, 2.0,
+        np.array([0.1, 0.1, 0.2]),
+    )  # fmt: skip
+    np.testing.assert_allclose(missing, [(3.0 - 6.0) / 2.0, 0.0, (15.0 - 20.0) / 2.0])
+    np.testing.assert_allclose(angular, [0.0, 0.0, -0.5])
+
+
+@pytest.mark.parametrize(
+    ("rotation", "force", "yaw", "yaw_rate", "expected"),
+    [
+        (np.eye(3), [0.0, 0.0, 1.0], 0.0, 0.0, [0.0, 0.0, 0.0]),
+        (np.eye(3), [np.sin(0.2), 0.0, np.cos(0.2)], 0.0, 0.0, [0.0, 0.6, 0.0]),
+        (np.eye(3), [0.0, np.sin(0.2), np.cos(0.2)], 0.0, 0.0, [-0.4, 0.0, 0.0]),
+        (so3_exp(np.array([0.1, 0.0, 0.0])), [0.0, 0.0, 1.0], 0.0, 0.0, [-0.2, 0.0, 0.0]),
+        (rotation_from_yaw(np.pi / 2), [0.2, 0.0, 1e3], np.pi / 2, 0.0, [4e-4, 0.0, 0.0]),
+        (rotation_from_yaw(3.0), [0.0, 0.0, 1.0], -3.0, 0.1, [0.0, 0.0, 0.1 + 2 * np.pi - 6.0]),
+        (so3_exp(np.array([0.0, 0.5, 0.0])), [np.tan(0.5), 0.0, 1.0], 0.0, 0.4,
+         [0.0, 0.0, 0.4 * np.cos(0.5)]),
+        (np.eye(3), [1.0, 0.0, -1.0], 3.0, 0.0, [0.0, 4.0, 1.5]),
+    ],
+    ids=["level", "ahead", "left", "rolled", "turned", "shorter way", "leaning", "limits"],
+)  # fmt: skip
+def test_rates_of_known_attitude_errors(
+    rotation: Array, force: list[float], yaw: float, yaw_rate: float, expected: list[float]
+) -> None:
+    rates = _rate_setpoint.py_func(
+        rotation, np.array(force), yaw, yaw_rate, np.array([2.0, 3.0, 1.0]),
+        np.array([4.0, 4.0, 1.5]),
+    )  # fmt: skip
+    np.testing.assert_allclose(rates, expected, atol=1e-6)
+
+
+def test_torque_is_eulers_equation() -> None:
+    inertia, rates = np.array([0.06, 0.07, 0.10]), np.array([0.5, -1.0, 2.0])
+    wanted = np.array([3.0, -2.0, 1.0])
+    wrench = _wrench.py_func(41.0, wanted, rates, inertia)
+    torque = inertia * wanted + np.cross(rates, inertia * rates)
+    np.testing.assert_allclose(wrench, [41.0, *torque])
 
 
 def test_hovering_vehicle_gets_its_hover_speed() -> None:

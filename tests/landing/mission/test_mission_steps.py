@@ -1,0 +1,448 @@
+"""Single steps of a mission with known answers: looks, sweep, descent, ways, energy, frames."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.controller.api import Setpoint
+from touchdown.estimator.api import GridMap, MapView
+from touchdown.landing.api import LandingParams, Phase, SurveyParams
+from touchdown.landing.mission import energy
+from touchdown.landing.mission.descent import descend_to, final_descent
+from touchdown.landing.mission.heading import HeadingTurn
+from touchdown.landing.mission.health import HealthWatch
+from touchdown.landing.mission.mission_state import Mission, vertical_move
+from touchdown.landing.mission.phases import (
+    approach_height,
+    climb_back,
+    come_down_here,
+    initialise,
+    search_leg,
+    take_off,
+)
+from touchdown.landing.mission.touchdown import TouchdownDetector
+from touchdown.sim.api import GRAVITY_MPS2
+from touchdown.sim.frames import Pose, rotation_from_yaw
+
+from support.lander_support import QUICK, STEP_TICKS
+from support.landing_support import (
+    LEG_HEIGHT,
+    make_estimate,
+    make_grid,
+    make_imu,
+    make_obs,
+    make_rig,
+    view_of,
+)
+
+Array = NDArray[np.float64]
+STEP_S = STEP_TICKS / 600.0
+HOVER_RADPS = float(np.sqrt(GRAVITY_MPS2 / 4e-5))
+SITE = np.array([1.0, -2.0, 0.0])
+COARSE = make_grid(np.zeros((100, 100)), origin=(-10.0, -10.0), returns=4)
+Maps = Callable[[float], tuple[GridMap | None, int]]
+
+
+def fine(height: Array | float, centre: Array = SITE) -> GridMap:
+    """12 m of fine cells around a point."""
+    corner = np.round((centre[:2] - 6.0) / 0.05) * 0.05
+    raster = np.broadcast_to(np.asarray(height, float), (240, 240))
+    return make_grid(raster, 0.05, origin=(corner[0], corner[1]), returns=6)
+
+
+LEVEL = fine(0.0)
+RUBBLE = fine(np.random.default_rng(5).uniform(0.0, 0.6, (240, 240)))
+
+
+class Stage:
+    """A mission in the air whose vehicle is where its setpoint is. ``maps`` gives the fine map and
+    the version by the height of the legs; rotors carry ``carried`` of the weight."""
+
+    def __init__(self, position: Array, yaw: float = 0.0, **params: Any) -> None:
+        rig = make_rig()
+        start = Pose(rotation_from_yaw(yaw), rig.world_from_body_start.translation)
+        rig = dataclasses.replace(rig, world_from_body_start=start)
+        self.mission = Mission(rig, dataclasses.replace(LandingParams(), **params), QUICK)
+        self.mission.takeoff_s = 0.0
+        self.maps: Maps = lambda legs: (LEVEL, 1)
+        self.position = np.array(position, float)
+        self.world_from_odom = Pose.identity()
+        self.tick, self.battery = 0, 1.0
+        self.carried: Callable[[float], float] = lambda legs: 1.0
+        self.result: Any = None
+        self.mission.obs = make_obs(0)
+        self.feed()
+        self.mission.reference_world = self.mission.world(self.position)
+        self.mission.site_odom = SITE.copy()
+
+    def feed(self, velocity: Array | None = None) -> None:
+        legs = float(self.position[2]) - LEG_HEIGHT
+        grid, version = self.maps(legs)
+        speed = HOVER_RADPS * np.sqrt(self.carried(legs))
+        obs = make_obs(
+            self.tick,
+            imu=tuple(make_imu(self.tick, GRAVITY_MPS2) for _ in range(4)),
+            rotor_speed_radps=np.full(4, speed),
+            battery_fraction=self.battery,
+        )
+        estimate = make_estimate(
+            self.tick, Pose(np.eye(3), self.position), np.zeros(3) if velocity is None else velocity
+        )
+        estimate = dataclasses.replace(estimate, world_from_odom=self.world_from_odom)
+        view: MapView = dataclasses.replace(view_of(COARSE, grid), version=version)
+        self.mission.update(obs, estimate, view)
+
+    def run(self, steps: Any, seconds: float = 120.0) -> list[Setpoint]:
+        """Setpoints to the end of ``steps``; its value is ``result``."""
+        found: list[Setpoint] = []
+        for _ in range(round(seconds / STEP_S)):
+            try:
+                found.append(next(steps))
+            except StopIteration as end:
+                self.result = end.value
+                return found
+            self.position = found[-1].position_odom.copy()
+            self.tick += STEP_TICKS
+            self.feed(found[-1].velocity_odom)
+        raise AssertionError(f"not at its end after {seconds} s")
+
+
+def places(setpoints: list[Setpoint]) -> Array:
+    return np.array([setpoint.position_odom for setpoint in setpoints])
+
+
+# ------------------------------------------------------------------------------ looks and sweep
+
+
+def test_descent_looks_at_10_m_and_sweeps_along_the_heading_at_4_m() -> None:
+    yaw = 0.6
+    stage = Stage(SITE + [0.0, 0.0, 15.0], yaw=yaw, sweep_m=1.4)
+    setpoints = stage.run(descend_to(stage.mission))
+    assert stage.result is None
+    path = places(setpoints) - SITE - [0.0, 0.0, LEG_HEIGHT]
+    along, across = (path[:, :2] @ rotation_from_yaw(yaw)[:2, :2]).T
+    np.testing.assert_allclose(across, 0.0, atol=1e-6)
+    at_look, at_commit = (np.abs(path[:, 2] - height) < 0.03 for height in (10.0, 4.0))
+    hover_s = 1.0 + LandingParams().decision_latency_s
+    still = np.array([not s.velocity_odom.any() for s in setpoints])
+    assert (at_look & still).sum() * STEP_S == pytest.approx(hover_s, abs=0.1)
+    np.testing.assert_allclose(along[~at_commit], 0.0, atol=1e-6)
+    low = along[at_commit]
+    assert (low.max(), low.min()) == pytest.approx((1.4, -1.4), abs=0.01)
+    assert low.argmax() < low.argmin()  # ahead first
+    # home again before the look and the commitment
+    np.testing.assert_allclose(low[-round(hover_s / STEP_S) :], 0.0, atol=1e-6)
+    assert np.linalg.norm(np.diff(path[at_commit], axis=0), axis=1).max() <= 1.2 * STEP_S + 1e-6
+    np.testing.assert_allclose(path[-1], [0.0, 0.0, 4.0], atol=0.02)
+    np.testing.assert_allclose(stage.mission.committed_site_world, SITE, atol=0.02)
+
+
+@pytest.mark.parametrize(("seen_below", "height"), [(12.0, "10 m"), (6.0, "4 m")])
+def test_each_look_refuses_rubble(seen_below: float, height: str) -> None:
+    stage = Stage(SITE + [0.0, 0.0, 15.0])
+    stage.maps = lambda legs: (RUBBLE if legs < seen_below else LEVEL, 1)
+    setpoints = stage.run(descend_to(stage.mission))
+    assert stage.result is not None and stage.result.startswith(f"at {height}: ")
+    assert stage.mission.committed_site_world is None
+    # patience of three seconds before it gives up
+    still = np.abs(places(setpoints)[:, 2] - setpoints[-1].position_odom[2]) < 1e-6
+    assert still.sum() * STEP_S > 4.0
+
+
+@pytest.mark.parametrize("changes", [{}, {"second_look": False}])
+def test_an_emergency_refuses_nothing_and_does_not_sweep(changes: dict[str, Any]) -> None:
+    stage = Stage(SITE + [0.0, 0.0, 15.0], **changes)
+    stage.maps = lambda legs: (RUBBLE, 1)
+    if not changes:
+        stage.mission.deadline_s = 40.0
+    path = places(stage.run(descend_to(stage.mission)))
+    assert stage.result is None and stage.mission.committed_site_world is not None
+    np.testing.assert_allclose(path[:, :2], np.tile(SITE[:2], (len(path), 1)), atol=1e-6)
+
+
+@pytest.mark.parametrize(("seen_below", "refused"), [(12.0, False), (6.0, True)])
+def test_a_box_on_the_site_is_evaded_at_10_m_and_too_near_at_4_m(
+    seen_below: float, refused: bool
+) -> None:
+    height = np.zeros((240, 240))
+    height[114:126, 114:126] = 0.5  # 0.6 m about the site
+    boxed = fine(height)
+    stage = Stage(SITE + [0.0, 0.0, 15.0])
+    stage.maps = lambda legs: (boxed if legs < seen_below else LEVEL, 1)
+    path = places(stage.run(descend_to(stage.mission)))
+    assert (stage.result is not None) == refused
+    if not refused:
+        site = stage.mission.committed_site_world
+        assert site is not None
+        assert 1.0 < np.linalg.norm(site[:2] - SITE[:2]) < 3.0
+        np.testing.assert_allclose(path[-1, :2], site[:2], atol=1e-6)
+
+
+# ------------------------------------------------------------------------------- final descent
+
+
+def test_final_descent_follows_the_ground_slowly_and_not_near_it() -> None:
+    """The ground is 0.15 m above the site's height; below 1.5 m the map says nonsense."""
+    ground, wrong = fine(0.15), fine(1.2)
+    stage = Stage(SITE + [0.5, 0.0, 4.0 + LEG_HEIGHT])
+    stage.maps = lambda legs: (ground, 2) if legs - 0.15 > 1.4 else (wrong, 3)
+    stage.carried = lambda legs: 0.5 if legs <= 0.15 + 1e-3 else 1.0
+    setpoints = stage.run(final_descent(stage.mission))
+    flown = [s for s in setpoints if s.thrust_limit is None and s.motors_on]
+    path, speed = places(flown), np.array([s.velocity_odom[2] for s in flown])
+    assert stage.mission.final
+    assert speed.min() == pytest.approx(-LandingParams().final_speed_mps, abs=1e-3)
+    added = np.diff(path[:, 2]) / STEP_S - 0.5 * (speed[1:] + speed[:-1])
+    assert np.max(added) == pytest.approx(0.05, abs=2e-3)
+    assert added.min() > -1e-3
+    low = path[:, 2] - LEG_HEIGHT - 0.15 < 0.19
+    assert low.any()
+    np.testing.assert_allclose(speed[low], -LandingParams().touchdown_speed_mps, atol=2e-3)
+    aside = path[:, 0] - SITE[0]
+    np.testing.assert_allclose(aside, 0.5 * np.exp(-STEP_S * np.arange(len(path))), atol=1e-6)
+    assert path[-1, 2] - LEG_HEIGHT == pytest.approx(0.15, abs=0.1)
+
+
+def test_a_missing_weight_high_above_the_ground_is_no_touchdown() -> None:
+    stage = Stage(SITE + [0.0, 0.0, 4.0 + LEG_HEIGHT])
+    stage.carried = lambda legs: 0.5
+    setpoints = stage.run(final_descent(stage.mission))
+    legs = min(s.position_odom[2] for s in setpoints) - LEG_HEIGHT
+    assert 0.2 < legs < 0.6
+
+
+def test_motors_stop_in_half_a_second_and_rest_for_one() -> None:
+    stage = Stage(SITE + [0.0, 0.0, 1.0 + LEG_HEIGHT])
+    stage.carried = lambda legs: 0.5 if legs <= 1e-3 else 1.0
+    setpoints = stage.run(final_descent(stage.mission))
+    ramp = [s.thrust_limit for s in setpoints if s.thrust_limit is not None]
+    np.testing.assert_allclose(ramp, 0.5 - STEP_S * np.arange(len(ramp)), atol=1e-9)
+    assert len(ramp) * STEP_S == pytest.approx(0.5, abs=STEP_S)
+    off = [s for s in setpoints if not s.motors_on]
+    assert len(off) * STEP_S == pytest.approx(1.0, abs=STEP_S)
+    assert setpoints[-len(off) :] == off and stage.mission.phase is Phase.TOUCHDOWN
+
+
+@pytest.mark.parametrize(
+    ("share", "sink", "after_s"),
+    [(0.5, 0.0, 0.145), (0.5, 0.2, 0.41), (0.75, 0.0, 1.29), (0.85, 0.0, None)],
+    ids=["pressed and still", "sinking", "a quarter missing", "ground effect"],
+)
+def test_touchdown_is_found_when_the_weight_is_missing(
+    share: float, sink: float, after_s: float | None
+) -> None:
+    """Of (1 - share) weights, low-passed over 5 samples above 0.3 for 0.12 s, or over 0.8 s above
+    0.2: 0.8 ln(s / (s - 0.2)) seconds with s = 0.5 or 0.25."""
+    detector, speed = TouchdownDetector(make_rig()), HOVER_RADPS * np.sqrt(share)
+    found = None
+    for tick in range(3, 1800, 3):
+        obs = make_obs(
+            tick, imu=(make_imu(tick, GRAVITY_MPS2),), rotor_speed_radps=np.full(4, speed)
+        )
+        estimate = make_estimate(tick, Pose.identity(), (0.0, 0.0, -sink))
+        if detector.update(obs, estimate):
+            found = tick / 600.0
+            break
+    assert found == (None if after_s is None else pytest.approx(after_s, abs=0.011))
+    if after_s is None:
+        assert detector.reaction_n == pytest.approx(0.15 * 4.0 * GRAVITY_MPS2, rel=1e-3)
+
+
+# ---------------------------------------------------------------------------------------- ways
+
+
+def test_motors_spin_up_after_the_sensors_have_settled() -> None:
+    stage = Stage(np.array([0.0, 0.0, LEG_HEIGHT]))
+    setpoints = stage.run(initialise(stage.mission))
+    off = sum(not s.motors_on for s in setpoints)
+    assert off * STEP_S == pytest.approx(1.5, abs=1.1 * STEP_S)
+    assert {s.thrust_limit for s in setpoints[off:]} == {0.4}
+    assert (len(setpoints) - off) * STEP_S == pytest.approx(0.8, abs=1.1 * STEP_S)
+
+
+def test_take_off_climbs_to_survey_height_and_turns_the_heading() -> None:
+    stage = Stage(np.array([0.0, 0.0, LEG_HEIGHT]), yaw=0.3)
+    stage.mission.survey = dataclasses.replace(QUICK, climb_turn_deg=90.0)
+    stage.mission.takeoff_s = None
+    setpoints = stage.run(take_off(stage.mission))
+    assert setpoints[-1].position_odom == pytest.approx([0.0, 0.0, QUICK.height_m])
+    assert setpoints[-1].yaw_odom == pytest.approx(0.3 + np.pi / 2)
+    assert stage.mission.takeoff_s == 0.0
+    assert min(s.velocity_odom[2] for s in setpoints) >= 0.0
+    assert max(s.velocity_odom[2] for s in setpoints) == pytest.approx(3.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("top", "aside", "expected"),
+    [(0.0, 0.0, 12.3), (12.0, 0.0, 18.3), (12.0, 2.5, 18.3), (12.0, 5.0, 12.3), (26.0, 0.0, 30.0)],
+    ids=["free", "on the way", "in the corridor", "aside", "too high"],
+)
+def test_the_way_to_the_site_keeps_its_margin(top: float, aside: float, expected: float) -> None:
+    """12.3 m: 2 m over the look; steps of 2 m from there, 6 m over what stands at the end."""
+    stage = Stage(np.array([0.0, 0.0, 30.0]))
+    height = np.zeros((120, 120))
+    row, col = int((aside + 10.0) / 0.2), int((8.0 + 10.0) / 0.2)
+    height[row : row + 2, col : col + 2] = top
+    grid = make_grid(height, origin=(-10.0, -10.0), returns=2, sigma=0.0)
+    stage.mission.map_view = view_of(grid)
+    site = np.array([10.0, 0.0, 0.0])
+    assert approach_height(stage.mission, stage.position, site) == pytest.approx(expected)
+
+
+def test_a_search_leg_lies_beside_the_last_one_and_begins_at_its_nearer_end() -> None:
+    yaw = 0.5
+    turn = rotation_from_yaw(yaw)
+    for here, ends in ((0.0, (0.0, 20.0)), (20.0, (20.0, 0.0))):
+        stage = Stage(turn @ [here, 10.0, 20.0], yaw=yaw)
+        path = places(stage.run(search_leg(stage.mission, 1))) @ turn
+        np.testing.assert_allclose(path[:, 2], 20.0, atol=1e-6)
+        assert path[-1] == pytest.approx([ends[1], 30.0, 20.0], abs=0.01)
+        passed = np.linalg.norm(path - [ends[0], 30.0, 20.0], axis=1).min()
+        assert passed < 0.01
+        assert stage.mission.phase is Phase.SURVEY
+
+
+def test_a_go_around_climbs_to_survey_height_on_the_spot() -> None:
+    stage = Stage(SITE + [0.0, 0.0, 9.0])
+    path = places(stage.run(climb_back(stage.mission)))
+    assert path[-1] == pytest.approx([*SITE[:2], QUICK.height_m], abs=0.01)
+    np.testing.assert_allclose(path[:, :2], np.tile(SITE[:2], (len(path), 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize(("blown", "lands_at"), [(1.5, 0.0), (3.0, 3.0)])
+def test_an_aborted_flight_comes_down_where_the_wind_has_blown_it(
+    blown: float, lands_at: float
+) -> None:
+    stage = Stage(SITE + [0.0, 0.0, 12.0])
+    stage.carried = lambda legs: 0.5 if legs <= 1e-3 else 1.0
+    stage.position = stage.position + [blown, 0.0, 0.0]
+    stage.feed()
+    stage.run(come_down_here(stage.mission))
+    assert stage.position[0] - SITE[0] == pytest.approx(lands_at, abs=0.02)
+
+
+def test_a_vertical_move_takes_three_seconds_to_its_speed() -> None:
+    path = vertical_move(np.array([1.0, 2.0, 20.0]), 8.0, 2.0)
+    assert path.duration_s == pytest.approx(3.0 + (12.0 - 6.0) / 2.0 + 3.0)
+    assert path.sample(4.0)[1] == pytest.approx([0.0, 0.0, -2.0])
+    assert path.sample(9.0)[0] == pytest.approx([1.0, 2.0, 8.0])
+
+
+def test_a_hold_and_a_stop_end_a_leg() -> None:
+    stage = Stage(np.array([0.0, 0.0, 10.0]))
+    path = vertical_move(stage.position, 4.0, 2.0)
+    setpoints = stage.run(stage.mission.follow(path, hold_s=1.0))
+    assert len(setpoints) * STEP_S == pytest.approx(path.duration_s + 1.0, abs=STEP_S)
+    assert setpoints[-1].position_odom == pytest.approx([0.0, 0.0, 4.0])
+    stage = Stage(np.array([0.0, 0.0, 10.0]), slow_in_wind=True)
+    stopped = stage.run(stage.mission.follow(path, until=lambda: stage.tick > 1200))
+    assert 4.5 < stopped[-1].position_odom[2] < 9.0
+    assert np.linalg.norm(np.diff(places(stopped)[-3:], axis=0), axis=1).max() < 1e-3
+
+
+# ------------------------------------------------------------------------------------- energy
+
+
+def test_costs_of_segments_by_hand() -> None:
+    params = LandingParams(
+        cruise_speed_mps=5.0, descent_speed_mps=2.0, climb_speed_mps=3.0, final_speed_mps=0.5,
+        commit_height_m=4.0,
+    )  # fmt: skip
+    assert energy.travel_time_s(40.0, params) == pytest.approx(15.0)
+    assert energy.travel_time_s(1.0, params) == pytest.approx(2.0)
+    landing = 8.0 + 6.0 + (8.0 + 6.0) + (5.0 + 8.0)
+    assert energy.landing_time_s(20.0, params) == pytest.approx(landing)
+    assert energy.landing_time_s(20.0, params, emergency=True) == pytest.approx(30.5)
+    blind = dataclasses.replace(params, second_look=False)
+    assert energy.landing_time_s(20.0, blind) == pytest.approx(28.0)
+    assert energy.return_time_s(40.0, 20.0, params) == pytest.approx(1.2 * (15.0 + landing))
+    survey = SurveyParams(leg_length_m=40.0, leg_spacing_m=16.0)
+    assert energy.search_leg_time_s(survey, params) == pytest.approx(1.2 * (15.0 + 8.0))
+    around = 1.2 * (20.0 / 3.0 + 3.0 + landing)
+    assert energy.go_around_time_s(20.0, params) == pytest.approx(around)
+
+
+def test_time_left_decides_on_search_go_around_reach_and_emergency() -> None:
+    stage = Stage(np.array([30.0, 40.0, 20.0]), cruise_speed_mps=5.0)
+    mission, params = stage.mission, stage.mission.params
+    stage.battery, stage.tick = 0.9, 2400
+    stage.feed()
+    assert mission.time_left_s() == np.inf  # four seconds say nothing
+    stage.tick = 60_000
+    stage.feed()
+    assert mission.time_left_s() == pytest.approx(900.0)
+    assert mission.away_m == pytest.approx(50.0)
+    again = energy.go_around_time_s(QUICK.height_m, params)
+    assert mission.reach_m() == pytest.approx((900.0 - 2.0 * again) * 5.0 / 1.875)
+    home = energy.return_time_s(50.0, QUICK.height_m, params)
+    for seconds, affords in (
+        (energy.search_leg_time_s(QUICK, params), mission.affords_search_leg),
+        (again, mission.affords_go_around),
+    ):
+        for spare in (-1.0, 1.0):
+            left = seconds + home + spare
+            stage.battery = left / (100.0 + left)
+            stage.feed()
+            assert affords() == (spare > 0.0)
+    assert not mission.in_emergency and not mission.takes_risky
+    stage.battery = 40.0 / 140.0
+    stage.feed()
+    assert mission.in_emergency and mission.takes_risky
+    reach = energy.emergency_reach_m(QUICK.height_m, 40.0, params)
+    assert mission.reach_m() == pytest.approx(reach)
+    mission.deadline_s = mission.now + 35.0
+    assert mission.reach_m() == pytest.approx(reach - 5.0 * 5.0 / 1.875)
+
+
+# ------------------------------------------------------------------------------------- frames
+
+
+def test_setpoints_in_the_world_are_turned_into_the_odometry_frame() -> None:
+    """Odometry turned by 90 degrees to the left and displaced: east in the world is -y in it."""
+    stage = Stage(np.array([0.0, 0.0, 10.0]), yaw=0.3)
+    stage.world_from_odom = Pose(rotation_from_yaw(np.pi / 2), np.array([1.0, 0.0, 0.0]))
+    stage.feed()
+    mission = stage.mission
+    east = np.array([1.0, 0.0, 0.0])
+    setpoint = mission.setpoint(np.array([4.0, 2.0, 9.0]), east, 2.0 * east, in_world=True)
+    assert setpoint.position_odom == pytest.approx([2.0, -3.0, 9.0])
+    assert setpoint.velocity_odom == pytest.approx([0.0, -1.0, 0.0])
+    assert setpoint.acceleration_odom == pytest.approx([0.0, -2.0, 0.0])
+    assert setpoint.yaw_odom == pytest.approx(0.3 - np.pi / 2)
+    assert mission.reference_world == pytest.approx([4.0, 2.0, 9.0])
+    mission.setpoint(np.array([2.0, -3.0, 9.0]))
+    assert mission.reference_world == pytest.approx([4.0, 2.0, 9.0])
+    assert mission._wind_for(True) == pytest.approx([0.0, 0.0, 0.0])
+    mission.felt_wind._wind = np.array([0.0, -5.0, 0.0])
+    assert mission._wind_for(True) == pytest.approx([5.0, 0.0, 0.0])
+    assert mission._wind_for(False) == pytest.approx([0.0, -5.0, 0.0])
+
+
+def test_the_heading_of_setpoints_is_that_of_the_turn() -> None:
+    stage = Stage(np.array([0.0, 0.0, 10.0]), yaw=0.3)
+    stage.mission.turn = HeadingTurn(1.0, 0.0, 2.0)
+    for tick, angle, rate in ((0, 0.0, 0.0), (600, 0.5, 0.9375), (1800, 1.0, 0.0)):
+        stage.tick = tick
+        stage.feed()
+        setpoint = stage.mission.setpoint(stage.position)
+        assert setpoint.yaw_odom == pytest.approx(0.3 + angle)
+        assert setpoint.yaw_rate == pytest.approx(rate)
+
+
+def test_nothing_interrupts_the_final_descent() -> None:
+    stage, watch = Stage(SITE + [0.0, 0.0, 3.0]), HealthWatch()
+    mission = stage.mission
+    mission.phase = Phase.DESCEND
+    for final in (True, False):
+        mission.final = final
+        for stage.tick in (0, 1200):
+            stage.feed()
+            mission.estimate = dataclasses.replace(mission.estimate, healthy=False)
+            held = watch.hold(mission)
+        assert (held is None) == final

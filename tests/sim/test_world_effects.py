@@ -1,0 +1,190 @@
+"""What the world's parameters and faults do in a flight: each arrives where it acts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchdown.scenes.api import Scene
+from touchdown.scenes.compose import load_scene
+from touchdown.sim.airframe.vehicle import rotor_geometry
+from touchdown.sim.api import (
+    GRAVITY_MPS2,
+    CameraParams,
+    Command,
+    FaultParams,
+    ImuParams,
+    LampParams,
+    LidarParams,
+    LidarScan,
+    Observation,
+    SensorNeeds,
+    SimParams,
+    WindParams,
+    WorldParams,
+)
+from touchdown.sim.faults.disturbances import Disturbances
+from touchdown.sim.frames import Pose
+from touchdown.sim.world import MujocoWorld
+
+Array = NDArray[np.float64]
+
+XML = """<mujoco><worldbody>
+  <geom name="lawn_floor" type="plane" size="60 60 0.1"/><site name="takeoff" pos="-8 0 0"/>
+  <geom name="trees_1" type="ellipsoid" size="2 3 2" pos="0 5 4"/>
+</worldbody></mujoco>"""
+NO_NOISE = ImuParams(
+    gyro_density=0.0, accel_density=0.0, gyro_bias_walk=0.0, accel_bias_walk=0.0,
+    gyro_bias_sigma=0.0, accel_bias_sigma=0.0,
+)  # fmt: skip
+STILL_AIR = WindParams(mean_kmh=0.0, turbulence=False)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path: Path = tmp_path_factory.mktemp("place") / "place.xml"
+    path.write_text(XML)
+    return path
+
+
+@pytest.fixture(scope="module")
+def scene(place: Path) -> Scene:
+    return load_scene(str(place), 0)
+
+
+class Flown:
+    """Half a second, or ``steps``, from a hover at ``height``."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        needs: SensorNeeds | None = None,
+        height: float = 12.0,
+        speed_share: float = 1.0,
+        steps: int = 100,
+        **groups: Any,
+    ) -> None:
+        params = {"sim": SimParams(threads=1), "wind": STILL_AIR, "imu": NO_NOISE}
+        params |= {"camera": CameraParams(width=64, height=36), **groups}
+        world = MujocoWorld(scene, WorldParams(**params), 3, needs or SensorNeeds())
+        vehicle = world.rig.vehicle
+        self.hover = math.sqrt(vehicle.mass_kg * GRAVITY_MPS2 / (4 * vehicle.thrust_coefficient))
+        world.start_in_air(np.array([0.0, 0.0, height]), 0.0)
+        self.seen: list[Observation] = []
+        self.accelerations, self.poses = [], [world.truth().world_from_body]
+        for _ in range(steps):
+            self.seen.append(
+                world.step(Command(rotor_speed_radps=np.full(4, speed_share * self.hover)))
+            )
+            self.accelerations.append(world.truth().acceleration_world)
+            self.poses.append(world.truth().world_from_body)
+        self.truth, self.rig, self.record = world.truth(), world.rig, world.record()
+        world.close()
+
+    def forces(self) -> Array:
+        """(N, 3) specific forces of the IMU."""
+        return np.array([s.specific_force for obs in self.seen for s in obs.imu])
+
+    def scans(self) -> list[LidarScan]:
+        return [scan for obs in self.seen for scan in obs.scans]
+
+
+def test_a_weak_motor_turns_its_rotor_more_slowly(scene: Scene) -> None:
+    faults = FaultParams(events=("motor_loss@0",), motor=1, motor_loss_share=0.36)
+    shares = Flown(scene, faults=faults).truth.rotor_speed_radps / Flown(scene).hover
+    np.testing.assert_allclose(shares, [1.0, 0.8, 1.0, 1.0], atol=1e-3)
+
+
+def test_scans_are_cast_from_the_true_mount(scene: Scene) -> None:
+    """Ground points lie at height 0 by the mount that the fault has turned, by the rig's not."""
+    faults = FaultParams(events=("miscalibration@0",), miscalibration_deg=3.0, miscalibration_m=0.1)
+    lidar = LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.0, divergence=False)
+    flown = Flown(scene, SensorNeeds(lidar=True), steps=40, faults=faults, lidar=lidar)
+    nominal = flown.rig.body_from_lidar
+    true = Disturbances(faults, 600, 0.0, 3).lidar_mount(60, nominal)
+    scan = flown.scans()[0]
+    body = np.array([0.0, 0.0, 12.0])
+
+    def heights(mount: Pose) -> Array:
+        ahead = (scan.points.astype(float) @ mount.rotation.T + mount.translation + body)[:, 2]
+        return np.abs(ahead)[np.abs(ahead) < 1.5]
+
+    assert np.median(heights(true)) < 0.01  # the hover falls by a millimetre in a scan
+    assert np.median(heights(nominal)) > 0.05
+
+
+def test_crowns_sway_with_the_square_of_the_mean_wind(scene: Scene) -> None:
+    amounts = []
+    for kmh in (18.0, 36.0):
+        flown = Flown(
+            scene,
+            SensorNeeds(lidar=True),
+            steps=45,
+            wind=WindParams(mean_kmh=kmh, direction_deg=20.0, turbulence=False),
+            lidar=LidarParams(sway=1.0, range_sigma_m=0.0, angle_sigma_deg=0.0, divergence=False),
+        )
+        amounts.append(flown.record.effects["scans"]["sway"].mean_amount)
+    assert amounts[1] == pytest.approx(4.0 * amounts[0], rel=0.15)
+    assert amounts[0] > 1e-3
+
+
+@pytest.mark.parametrize("share", [1.0, 0.8])
+def test_the_imu_is_shaken_by_the_rotors_that_turn(scene: Scene, share: float) -> None:
+    plain = Flown(scene, speed_share=share).forces()
+    white = replace(NO_NOISE, vibration_accel_density=0.2)
+    lines = replace(NO_NOISE, vibration_harmonics=1.0)
+    density = (Flown(scene, speed_share=share, imu=white).forces() - plain)[30:].std()
+    assert density * math.sqrt(3 / 600) == pytest.approx(0.2 * share**2, rel=0.2)
+    shaken = (Flown(scene, speed_share=share, imu=lines).forces() - plain)[30:]
+    still = (Flown(scene, speed_share=1e-9, imu=lines).forces()
+             - Flown(scene, speed_share=1e-9).forces())[90:]  # fmt: skip
+    assert shaken.std(axis=0).min() > 3.0 * still.std(axis=0).max()
+
+
+def test_thrust_grows_near_the_ground(scene: Scene) -> None:
+    """By Cheeseman and Bennett, at the height of the rotors over the lawn."""
+    geometry = rotor_geometry(scene.model)
+    height = 0.5
+    near = Flown(scene, height=height, steps=2).accelerations[0][2]
+    far = Flown(scene, height=12.0, steps=2).accelerations[0][2]
+    rotor = height + float(geometry.positions_body[:, 2].mean())
+    gain = 1.0 / (1.0 - (geometry.radius_m / (4.0 * rotor)) ** 2)
+    assert far == pytest.approx(0.0, abs=0.02)
+    assert near - far == pytest.approx(GRAVITY_MPS2 * (gain - 1.0), rel=0.05)
+
+
+def test_wind_pushes_rotors_and_fuselage(scene: Scene) -> None:
+    wind = WindParams(mean_kmh=36.0, direction_deg=90.0, turbulence=False)
+    flown = Flown(scene, steps=2, height=6.096, wind=wind)
+    push, drag = flown.accelerations[0], rotor_geometry(scene.model).drag
+    rotors = 4.0 * drag * flown.hover * 10.0 / flown.rig.vehicle.mass_kg
+    assert abs(push[0]) < 0.05
+    assert 1.05 * rotors < push[1] < 3.0 * rotors
+
+
+def test_faults_of_messages_act_in_the_world(scene: Scene) -> None:
+    needs = SensorNeeds(gps=True)
+    assert sum(len(obs.gps) for obs in Flown(scene, needs, steps=150).seen) >= 3
+    lost = Flown(scene, needs, steps=150, faults=FaultParams(events=("gps_dropout@0",)))
+    assert not any(obs.gps for obs in lost.seen)
+
+
+def test_the_lamp_lights_the_ground_at_night(place: Path) -> None:
+    night = load_scene(str(place), 0, light="night")
+    means = []
+    for below_m in (0.0, 20.0):
+        flown = Flown(
+            night,
+            SensorNeeds(camera_hz=10),
+            steps=50,
+            lamp=LampParams(below_m=below_m),
+            camera=CameraParams(width=64, height=36, exposure=True),
+        )
+        means.append(np.mean([image.rgb.mean() for obs in flown.seen for image in obs.images]))
+    assert means[1] > 1.5 * means[0]
