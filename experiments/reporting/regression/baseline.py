@@ -12,10 +12,11 @@ from typing import Any
 
 from touchdown.experiments.campaign.results_table import is_successful
 from touchdown.experiments.config.profiles import PRESETS, WHOLE
-from touchdown.experiments.errors import UsageError, no_file
+from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.foreign import read_object, shown
 from touchdown.experiments.io.run_directory import write_text
 from touchdown.experiments.reporting.flights import Row, number
+from touchdown.sim.files.opening import no_file
 
 FORMAT = "touchdown-baseline-1"
 METRIC = "position_error_m.mean"
