@@ -105,17 +105,25 @@ def _ground() -> np.ndarray:
 GROUND = _ground()
 
 
-def image_at(tick: int, rig: SensorRig = RIG) -> CameraImage:
-    camera = rig.camera
-    pose = Pose(np.eye(3), position_at(tick / HZ)) @ rig.body_from_camera
+def ground_seen(pose: Pose, rig: SensorRig = RIG) -> np.ndarray:
+    """(H, W, 3) points of the ground z = 0 at the pixels of the camera of a body at ``pose``."""
+    camera, eye = rig.camera, pose @ rig.body_from_camera
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     rays = np.stack(
         [(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], -1
     )
-    ground = pose.translation + pose.translation[2] * (rays @ pose.rotation.T)
-    at = ((ground[..., :2] + 20.0) / TEXEL_M).astype(np.float32)
+    ways = rays @ eye.rotation.T
+    return eye.translation - eye.translation[2] / ways[..., 2:] * ways
+
+
+def image_from(pose: Pose, tick: int, rig: SensorRig = RIG) -> CameraImage:
+    at = ((ground_seen(pose, rig)[..., :2] + 20.0) / TEXEL_M).astype(np.float32)
     grey = cv2.remap(GROUND, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
     return CameraImage(tick=tick, time_s=tick / HZ, rgb=np.repeat(grey[..., None], 3, axis=2))
+
+
+def image_at(tick: int, rig: SensorRig = RIG) -> CameraImage:
+    return image_from(Pose(np.eye(3), position_at(tick / HZ)), tick, rig)
 
 
 def observations() -> list[Observation]:

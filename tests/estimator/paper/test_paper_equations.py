@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -35,8 +33,6 @@ from touchdown.estimator.paper.smoothness import (
 )
 from touchdown.estimator.paper.structured_edges.detector import (
     GradientEdges,
-    StructuredEdges,
-    edge_detector,
 )
 from touchdown.sim.api import CameraImage
 from touchdown.sim.frames import Pose
@@ -258,13 +254,3 @@ def test_gradient_edges_lie_on_the_boundary() -> None:
     assert energy.min() >= 0.0 and energy.max() <= 1.0
     assert energy[20, 19:21].min() > 0.8
     assert energy[:, :12].max() == 0.0 and energy[:, 28:].max() == 0.0
-
-
-def test_structured_edges_need_their_model(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="structured edge model"):
-        StructuredEdges(tmp_path / "nowhere.yml.gz")
-    broken = tmp_path / "broken.yml.gz"
-    broken.write_bytes(b"not a model")
-    with pytest.raises(ValueError, match="broken"):
-        StructuredEdges(broken)
-    assert isinstance(edge_detector("gradient"), GradientEdges)

@@ -1,6 +1,7 @@
 """Directories of campaigns that other people made: nothing outside of them is touched."""
 
 import json
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -215,6 +216,19 @@ def test_a_run_that_vanishes_is_not_counted(tmp_path: Path) -> None:
     totals = fly(plan, out, watcher=Thief())
     assert totals["finished"] == 0 and len(totals["missing"]) == 2
     assert [event["event"] for event in seen].count("finished") == 2
+
+
+@pytest.mark.parametrize("wall_s", [float("nan"), "1"])
+def test_times_that_are_no_numbers(wall_s: object, out: Path, plan: Plan) -> None:
+    edit(out, lambda document: document["sessions"][0].update(wall_s=wall_s))
+    assert cli.main(["campaign", "status", str(out)]) == 2
+    refused(plan, out, r"campaign\.json' is damaged")
+
+
+def test_a_table_that_is_a_pipe_is_made_anew(out: Path) -> None:
+    (out / "results.parquet").unlink()
+    os.mkfifo(out / "results.parquet")
+    assert len(load_rows(out)) == 2
 
 
 def test_files_of_others_in_the_place_of_a_run_stay(out: Path, plan: Plan) -> None:

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from touchdown.experiments.campaign import plan as plans
 from touchdown.experiments.campaign.plan import in_shard, load_plan
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
@@ -148,3 +149,12 @@ def test_shards_share_the_runs_among_them() -> None:
     assert set.union(*parts) == set(names)
     assert sum(map(len, parts)) == len(names)
     assert min(map(len, parts)) > 40
+
+
+@pytest.mark.parametrize("more", [{"seeds": "0-10"}, {"seeds": "0-3", "wind_kmh": [0, 1, 2]}])
+def test_axes_that_span_too_many_runs_are_not_multiplied(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: dict[str, Any]
+) -> None:
+    monkeypatch.setattr(plans, "MOST_RUNS", 10)
+    with pytest.raises(UsageError, match=r"more than 10; (give fewer|split the campaign)"):
+        make_plan(tmp_path, axes(scene=["flat"], **more))

@@ -285,7 +285,7 @@ def test_pictures_that_are_refused(tmp_path: Path) -> None:
         (grey, "is grey"),
         (deep, "has 16 bits"),
         (tmp_path / "text.png", "is not an image"),
-        (tmp_path / "none.png", "not found"),
+        (tmp_path / "none.png", "does not exist"),
     ):
         with pytest.raises(UsageError, match=message):
             read_picture(path)

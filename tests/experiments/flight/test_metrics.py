@@ -133,6 +133,7 @@ def test_nees_of_known_errors() -> None:
         "mean": None,
         "below_14_2": None,
         "samples": 0,
+        "sigma_m": None,
     }
     covariance = np.diag([0.01, 0.04, 0.25])
     nees.add(np.array([0.1, 0.4, 1.0]), np.zeros(3), covariance)
@@ -140,6 +141,7 @@ def test_nees_of_known_errors() -> None:
     nees.add(np.array([0.1, 0.0, 0.0]), np.zeros(3), covariance)  # 1
     summary = nees.summary()
     assert summary.mean == pytest.approx(110.0 / 3.0)
+    assert summary.sigma_m == pytest.approx(np.sqrt(0.3))
     assert summary.median == pytest.approx(9.0, rel=0.05)
     assert summary.below_14_2 == pytest.approx(2.0 / 3.0)
     assert summary.samples == 3

@@ -120,7 +120,7 @@ def test_checksum_has_the_form_of_sha256sum(tmp_path: Path) -> None:
     ("content", "checksum", "message"),
     [
         (None, None, "does not exist"),
-        (b"abc", None, "n.onnx.sha256' is missing"),
+        (b"abc", None, "n.onnx.sha256' does not exist"),
         (b"ab", _sum(b"abc"), r"\(2 bytes\) does not have the checksum"),
         (b"abc", "", "does not have the checksum"),
         (b"abc", "0" * 64, "does not have the checksum"),

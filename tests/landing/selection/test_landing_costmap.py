@@ -174,7 +174,7 @@ def test_eq19_quick_shift_equals_brute_force() -> None:
     for _ in range(root.size):
         root = np.where(root >= 0, parent[root], -1)
     modes = np.unique(root[root >= 0])
-    assert (clusters.modes == np.column_stack([modes // 31, modes % 31])).all()
+    np.testing.assert_array_equal(clusters.modes, np.column_stack([modes // 31, modes % 31]))
     label = clusters.label.ravel()
     assert (label[root < 0] == -1).all()
     assert (modes[label[root >= 0]] == root[root >= 0]).all()
