@@ -150,6 +150,9 @@ def test_site_that_fails_the_look_at_10_m_is_refused() -> None:
     puppet.view_map = rubble_below  # type: ignore[method-assign]
     phases, view = fly(puppet, 400.0)
     assert phases.count(Phase.APPROACH) == 3
+    tried = np.array([decision.positions_world[0, :2] for decision in view.decisions])
+    apart = np.linalg.norm(tried[:, None] - tried, axis=2)[~np.eye(len(tried), dtype=bool)]
+    assert apart.min() > 2.5  # refused_radius_m, less the map's cells
     assert view.no_site
     assert phases[-1] is Phase.DONE
 
